@@ -1,0 +1,240 @@
+"""The axis: mechanics, drive, sampling, controller and the effects found so far; TOML in and out.
+
+Sign convention: ``G_tau u = M qdd + F_v qd + F_c sign(qd) + offset`` (load side, SI).
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from emps_design.effects import Effect, get_effect
+from emps_design.errors import AxisError, nearest_name
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Mechanics(_Table):
+    """Load-side mechanics of the baseline inverse dynamic model, equation (2)."""
+
+    mass: Positive = Field(description="load-side equivalent mass M", json_schema_extra={"unit": "kg"})
+    viscous: NonNegative = Field(description="viscous friction F_v", json_schema_extra={"unit": "N/(m/s)"})
+    coulomb: NonNegative = Field(description="Coulomb friction F_c", json_schema_extra={"unit": "N"})
+    offset: Finite = Field(0.0, description="constant force", json_schema_extra={"unit": "N"})
+
+    def array(self) -> np.ndarray:
+        """Mass, viscous, coulomb, offset as the array ``b`` of the kernels [kg, N/(m/s), N, N]."""
+        return np.array([self.mass, self.viscous, self.coulomb, self.offset])
+
+
+class Drive(_Table):
+    """The drive chain, equation (1): force = G_tau u, with G_tau given or as G_i r k_t of a data sheet."""
+
+    force_gain: Positive = Field(description="G_tau = G_i r k_t", json_schema_extra={"unit": "N/V"})
+    current_gain: Positive | None = Field(None, description="G_i", json_schema_extra={"unit": "A/V"})
+    reduction: Positive | None = Field(None, description="r", json_schema_extra={"unit": "rad/m"})
+    torque_constant: Positive | None = Field(None, description="k_t", json_schema_extra={"unit": "N m/A"})
+    voltage_limit: Positive = Field(10.0, description="largest voltage", json_schema_extra={"unit": "V"})
+    current_time_constant: NonNegative = Field(
+        0.0, description="time constant of the current loop, 0: ideal", json_schema_extra={"unit": "s"}
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _force_gain_from_data_sheet(cls, table: Any) -> Any:
+        names = ("current_gain", "reduction", "torque_constant")
+        if isinstance(table, dict) and any(name in table for name in names):
+            if any(name not in table for name in names):
+                raise ValueError(f"give all of {', '.join(names)}, or force_gain alone")
+            try:
+                product = math.prod(float(table[name]) for name in names)
+            except (TypeError, ValueError) as error:
+                raise ValueError(f"{', '.join(names)}: expected three numbers") from error
+            given = table.get("force_gain", product)
+            if isinstance(given, (int, float)) and abs(given - product) > 1e-6 * abs(product):
+                raise ValueError(
+                    f"force_gain {given:g} N/V is not current_gain x reduction x torque_constant = {product:g} N/V"
+                )
+            table = {**table, "force_gain": given}
+        return table
+
+
+class Sampling(_Table):
+    """Clock and encoder."""
+
+    period: Positive = Field(description="sampling period", json_schema_extra={"unit": "s"})
+    encoder_resolution: NonNegative = Field(
+        0.0, description="one step of the encoder on the load side, 0: exact", json_schema_extra={"unit": "m"}
+    )
+    computation_delay: Annotated[int, Field(ge=0, le=1000)] = Field(
+        0, description="whole samples between measurement and voltage", json_schema_extra={"unit": "samples"}
+    )
+
+
+class Controller(_Table):
+    """The law that makes the voltage; each kind needs the numbers listed in ``NEEDS``."""
+
+    kind: Literal["position_pd", "ip_velocity", "impedance", "none"] = "none"
+    kp: Positive | None = Field(None, description="position gain", json_schema_extra={"unit": "1/s"})
+    kv: Positive | None = Field(None, description="velocity gain", json_schema_extra={"unit": "V/(m/s)"})
+    k_v1: Positive | None = Field(None, description="velocity-loop gain", json_schema_extra={"unit": "V/(m/s)"})
+    t_v: Positive | None = Field(
+        None, description="integral time of the velocity loop", json_schema_extra={"unit": "s"}
+    )
+    k_e1: Positive | None = Field(None, description="force-loop gain", json_schema_extra={"unit": "(m/s)/N"})
+    mass: Positive | None = Field(None, description="apparent mass M_a", json_schema_extra={"unit": "kg"})
+    damping: NonNegative | None = Field(None, description="apparent damping B", json_schema_extra={"unit": "N/(m/s)"})
+    filter: Positive | None = Field(
+        None, description="low-pass of acceleration and current in the law", json_schema_extra={"unit": "rad/s"}
+    )
+    velocity_estimator: Literal["two_tap", "backward"] = Field(
+        "two_tap", description="two-tap average and backward difference, or backward difference alone"
+    )
+
+    @model_validator(mode="after")
+    def _complete(self) -> Controller:
+        missing = [name for name in NEEDS[self.kind] if getattr(self, name) is None]
+        if missing:
+            raise ValueError(f"kind {self.kind!r} needs {', '.join(missing)}")
+        return self
+
+
+NEEDS: dict[str, tuple[str, ...]] = {
+    "position_pd": ("kp", "kv"),
+    "ip_velocity": ("k_v1", "t_v"),
+    "impedance": ("mass", "damping"),
+    "none": (),
+}
+
+
+class AxisEffect(_Table):
+    """One effect of an axis: its kind and its parameters, written as an ``[[effects]]`` table."""
+
+    kind: str
+    parameters: dict[str, float]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_flat_table(cls, table: Any) -> Any:
+        if isinstance(table, dict) and "parameters" not in table:
+            kind = table.get("kind")
+            return {"kind": kind, "parameters": {k: v for k, v in table.items() if k != "kind"}}
+        return table
+
+    @model_validator(mode="after")
+    def _known(self) -> AxisEffect:
+        self.effect.values(self.parameters)
+        return self
+
+    @property
+    def effect(self) -> Effect:
+        """The physics behind ``kind``."""
+        return get_effect(self.kind)
+
+
+class Axis(_Table):
+    """Everything that is known about one machine.
+
+    >>> axis = Axis(name="small", mechanics={"mass": 10, "viscous": 20, "coulomb": 1}, drive={"force_gain": 5},
+    ...             sampling={"period": 1e-3})
+    >>> axis.mechanics.mass, axis.drive.voltage_limit
+    (10.0, 10.0)
+    >>> Axis.from_toml(axis.to_toml()) == axis
+    True
+    """
+
+    name: str = "axis"
+    mechanics: Mechanics
+    drive: Drive
+    sampling: Sampling
+    controller: Controller = Controller()
+    effects: tuple[AxisEffect, ...] = ()
+
+    @classmethod
+    def from_toml(cls, text: str, source: str = "axis") -> Axis:
+        """Read an axis from TOML ``text``; ``source`` names it in messages. Raises :class:`AxisError`."""
+        try:
+            table = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise AxisError(f"{source}: not TOML, {error}") from error
+        return cls.from_dict(table, source)
+
+    @classmethod
+    def from_dict(cls, table: dict[str, Any], source: str = "axis") -> Axis:
+        """Build an axis from plain data; raises :class:`AxisError` naming the place and what was found."""
+        try:
+            return cls.model_validate(table)
+        except ValidationError as error:
+            raise AxisError(f"{source}: {_first_line(error)}") from error
+
+    @classmethod
+    def load(cls, path: str | Path) -> Axis:
+        """Read an axis file; raises :class:`AxisError` in one line naming file, place, found and expected."""
+        path = Path(path)
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+            raise AxisError(f"{path}: {reason}; expected a TOML axis file") from error
+        return cls.from_toml(text, str(path))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data in the shape of the TOML file, unset keys left out."""
+        table = self.model_dump(exclude_none=True)
+        effects = [{"kind": e.kind, **e.parameters} for e in self.effects]
+        table.pop("effects")
+        return {**table, **({"effects": effects} if effects else {})}
+
+    def to_toml(self) -> str:
+        """The axis as a TOML document that :meth:`from_toml` reads back unchanged."""
+        import tomli_w
+
+        return tomli_w.dumps(self.to_dict())
+
+    def replace(self, **tables: Any) -> Axis:
+        """Return a copy in which whole tables, or single keys of a table given as a dict, are replaced.
+
+        >>> from emps_design.machines import machine
+        >>> machine("emps2019").replace(mechanics={"mass": 100.0}).mechanics.mass
+        100.0
+        """
+        data = self.to_dict()
+        for key, value in tables.items():
+            if isinstance(value, BaseModel):
+                value = value.model_dump(exclude_none=True)
+            elif isinstance(value, dict) and isinstance(data.get(key), dict):
+                value = {**data[key], **value}
+            elif key == "effects":
+                value = [{"kind": e.kind, **e.parameters} if isinstance(e, AxisEffect) else e for e in value]
+            data[key] = value
+        return Axis.from_dict(data, self.name)
+
+
+def _first_line(error: ValidationError) -> str:
+    """The first problem of a pydantic error as ``place: found ..., expected ...``."""
+    problem = error.errors()[0]
+    place = ".".join(str(part) for part in problem["loc"]) or "axis"
+    if problem["type"] == "extra_forbidden":
+        table = {"mechanics": Mechanics, "drive": Drive, "sampling": Sampling, "controller": Controller}.get(
+            str(problem["loc"][0]), Axis
+        )
+        known = list(table.model_fields)
+        key = str(problem["loc"][-1])
+        return f"{place}: unknown key{nearest_name(key, known)} (known: {', '.join(known)})"
+    if problem["type"] == "missing":
+        return f"{place}: missing"
+    message = problem["msg"].removeprefix("Value error, ")
+    if problem["type"] == "value_error":
+        return f"{place}: {message}"
+    return f"{place}: found {problem['input']!r}, expected: {message[0].lower()}{message[1:]}"

@@ -1,0 +1,211 @@
+"""What an effect is: physics that the baseline ``M qdd + F_v qd + F_c sign(qd) + offset = tau`` lacks.
+
+An effect joins the plant through *hooks*, plain Python functions of numbers that are compiled when a simulation needs
+them. All kernels but ``actuator`` and ``rate`` share one argument list::
+
+    kernel(q, v, t, tau, x, p, b) -> float
+
+| argument | meaning | unit |
+|---|---|---|
+| ``q``, ``v`` | carriage position and velocity on the encoder's side | m, m/s |
+| ``t`` | time since the record's first sample | s |
+| ``tau`` | motor force of the hold period that is running | N |
+| ``x`` | the effect's own states | as declared |
+| ``p`` | its parameters, in the order of ``parameters`` | as declared |
+| ``b`` | the baseline: mass, viscous, coulomb, offset (``b[0]`` to ``b[3]``) | kg, N/(m/s), N, N |
+
+and the plant is, with ``sum`` over the effects of an axis,
+
+    (M + sum inertia) dv/dt = tau - F_v v - offset - sum force - L S(v),   L = max(0, F_c + sum dry)
+
+where S(v) is the set-valued sign: sign(v) in motion, anything in [-1, 1] at rest.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from emps_design.errors import AxisError, nearest_name
+from emps_design.quantities import Quantity
+
+if TYPE_CHECKING:
+    import sympy
+
+MASS, VISCOUS, COULOMB, OFFSET = range(4)  # places in the baseline array ``b``
+
+CHANNELS = ("controller", "actuator", "plant", "sensor")
+SCALAR_HOOKS = ("force", "dry", "inertia", "command", "sensor", "delay", "guard", "jump_time")
+
+Kernel = Callable[..., float]
+Parameters = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Parameter(Quantity):
+    """A parameter of an effect.
+
+    ``linear``: the effect's force is proportional to it (others are *shape* parameters).
+    ``per_record``: it belongs to one record (the phase of a ripple, the time of an event), not to the machine.
+    ``starts``: values worth starting a fit from; a scan of a shape parameter uses them as its grid.
+    """
+
+    linear: bool = False
+    per_record: bool = False
+    starts: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What a regressor sees: the motion of a record or a simulation, filtered alike, one row a sample.
+
+    ``q`` [m], ``v`` [m/s], ``a`` [m/s^2], ``t`` [s], ``tau`` [N] (motor force as a model predicts it, never as measured:
+    a measured one would put the disturbance on both sides), ``smooth`` the zero-phase low-pass that was applied (used
+    on functions of ``q`` and ``t`` that must lose what the measured signals lost), ``period`` [s].
+    """
+
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    tau: np.ndarray
+    period: float
+    smooth: Callable[[np.ndarray], np.ndarray] = field(default=lambda signal: signal, repr=False)
+
+    def derivative(self, signal: np.ndarray) -> np.ndarray:
+        """Central difference of ``signal`` over time [unit of signal per s], shape kept."""
+        return np.gradient(signal, self.period)
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One physical effect: its words, its parameters, its kernels and its regressor.
+
+    Hooks (None: the effect does not touch that place):
+
+    ``force``      N, opposes motion like friction does, continuous in ``v`` at 0
+    ``dry``        N, added to the Coulomb level that multiplies the set-valued sign
+    ``inertia``    kg, added to the mass on the encoder's side
+    ``command``    V, added to the controller's output (the recorded ``u`` contains it)
+    ``actuator``   ``actuator(u, p) -> V``, static map from the recorded voltage to the one that acts
+    ``delay``      s, between the recorded voltage and the one that acts
+    ``sensor``     m, added to the position that the encoder reports
+    ``rate``       ``rate(q, v, t, tau, x, p, b, level, dx)`` fills ``dx`` with the derivative of the own states;
+                   ``level`` is the Coulomb level L of the moment [N]
+    ``initial``    ``initial(q0, p, b) -> tuple`` own states at rest at ``q0``
+    ``guard``      changes sign where the kernels are not smooth (contact, play); located as an event
+    ``jump_time``  s, ``jump_time(..., t, ...)``: the next instant after ``t`` at which a kernel jumps in time
+    ``takes_dry``  True: ``rate`` and ``force`` stand in for the set-valued friction (presliding)
+
+    ``regressor(motion, shape, b)`` returns the columns, shape (n_samples, n_linear) [N per unit of the coefficient],
+    of the extra force on the left-hand side of the inverse dynamic model; None where no column is honest.
+    ``to_linear``/``from_linear`` translate between parameters and the coefficients of those columns; by default the
+    coefficients are the linear parameters themselves.
+    """
+
+    name: str
+    label: str
+    channel: str
+    equation: str
+    source: str
+    parameters: tuple[Parameter, ...]
+    force: Kernel | None = None
+    dry: Kernel | None = None
+    inertia: Kernel | None = None
+    command: Kernel | None = None
+    actuator: Kernel | None = None
+    delay: Kernel | None = None
+    sensor: Kernel | None = None
+    rate: Callable[..., None] | None = None
+    initial: Callable[..., tuple[float, ...]] | None = None
+    guard: Kernel | None = None
+    jump_time: Kernel | None = None
+    takes_dry: bool = False
+    states: tuple[Quantity, ...] = ()
+    regressor: Callable[[Motion, Parameters, np.ndarray], np.ndarray] | None = None
+    to_linear: Callable[[Parameters], np.ndarray] | None = None
+    from_linear: Callable[[np.ndarray, Parameters], dict[str, float]] | None = None
+    no_regressor: str = ""
+    expression: Callable[..., sympy.Expr] | None = None
+    where: str = ""
+    confused_with: tuple[str, ...] = ()
+    experiment: str = ""
+    remedy: str = ""
+    checks: tuple[tuple[dict[str, float], dict[str, float], float], ...] = ()
+    passive: bool = False
+    parity: str = ""
+
+    def __post_init__(self) -> None:
+        if self.channel not in CHANNELS:
+            raise AxisError(f"effect {self.name}: channel {self.channel!r}, expected one of {', '.join(CHANNELS)}")
+        if self.regressor is None and not self.no_regressor:
+            raise AxisError(f"effect {self.name}: give a regressor, or say in no_regressor why there is none")
+        if (self.rate is None) != (not self.states) or (self.rate is None) != (self.initial is None):
+            raise AxisError(f"effect {self.name}: states, rate and initial come together")
+
+    @property
+    def linear(self) -> tuple[str, ...]:
+        """Names of the parameters the force is proportional to."""
+        return tuple(p.name for p in self.parameters if p.linear)
+
+    @property
+    def shape(self) -> tuple[str, ...]:
+        """Names of the other parameters."""
+        return tuple(p.name for p in self.parameters if not p.linear)
+
+    def values(self, parameters: Parameters) -> np.ndarray:
+        """Return ``parameters`` as the array ``p`` of the kernels; unknown, missing or impossible ones are refused."""
+        known = [p.name for p in self.parameters]
+        for name in parameters:
+            if name not in known:
+                raise AxisError(
+                    f"effect {self.name}: unknown parameter {name!r}{nearest_name(name, known)} "
+                    f"(has {', '.join(known)})"
+                )
+        missing = [name for name in known if name not in parameters]
+        if missing:
+            raise AxisError(f"effect {self.name}: missing parameter {', '.join(missing)}")
+        return np.array([p.check(parameters[p.name]) for p in self.parameters])
+
+    def coefficients(self, parameters: Parameters) -> np.ndarray:
+        """Coefficients of the regressor's columns that belong to ``parameters``."""
+        if self.to_linear is not None:
+            return np.asarray(self.to_linear(parameters), dtype=float)
+        return np.array([parameters[name] for name in self.linear])
+
+    def from_coefficients(self, coefficients: np.ndarray, shape: Parameters) -> dict[str, float]:
+        """Parameters that belong to the regressor's ``coefficients`` at the given ``shape`` parameters."""
+        if self.from_linear is not None:
+            return self.from_linear(coefficients, shape)
+        return {**dict(zip(self.linear, map(float, coefficients), strict=True)), **dict(shape)}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Words, units and bounds as plain data, for catalogues and reports."""
+        return {
+            "name": self.name,
+            "label": self.label,
+            "channel": self.channel,
+            "equation": self.equation,
+            "source": self.source,
+            "where": self.where,
+            "confused_with": list(self.confused_with),
+            "experiment": self.experiment,
+            "remedy": self.remedy,
+            "parameters": [
+                {
+                    "name": p.name,
+                    "symbol": p.symbol,
+                    "unit": p.unit,
+                    "lower": p.lower if math.isfinite(p.lower) else None,
+                    "upper": p.upper if math.isfinite(p.upper) else None,
+                    "text": p.text,
+                    "linear": p.linear,
+                    "per_record": p.per_record,
+                }
+                for p in self.parameters
+            ],
+        }

@@ -1,0 +1,76 @@
+"""Flexible coupling: part of the mass sits behind a spring and a damper, on the far side of the encoder.
+
+With mass M split into M (1 - share) on the encoder's side and M share behind the coupling, the free pair resonates at
+``frequency`` (w_n = 2 pi f, reduced mass m = M share (1 - share)), so k = m w_n^2 and c = 2 damping m w_n. Friction
+stays on the encoder's side. States: twist d = q - q_load [m] and load velocity [m/s].
+"""
+
+from math import pi
+
+from emps_design.effects.effect import MASS, Effect, Parameter
+from emps_design.quantities import Quantity
+
+
+def force(q, v, t, tau, x, p, b):
+    reduced = b[MASS] * p[2] * (1.0 - p[2])
+    w = 2.0 * pi * p[0]
+    return reduced * w * w * x[0] + 2.0 * p[1] * reduced * w * (v - x[1])
+
+
+def inertia(q, v, t, tau, x, p, b):
+    return -p[2] * b[MASS]
+
+
+def rate(q, v, t, tau, x, p, b, level, dx):
+    reduced = b[MASS] * p[2] * (1.0 - p[2])
+    w = 2.0 * pi * p[0]
+    coupling = reduced * w * w * x[0] + 2.0 * p[1] * reduced * w * (v - x[1])
+    dx[0] = v - x[1]
+    dx[1] = coupling / (p[2] * b[MASS])
+
+
+def initial(q0, p, b):
+    return (0.0, 0.0)
+
+
+EFFECT = Effect(
+    name="flexible_coupling",
+    label="Flexible coupling",
+    channel="plant",
+    equation=r"\tau_c = k (q - q_l) + c (\dot q - \dot q_l),\quad M_l \ddot q_l = \tau_c",
+    source="two-mass model; the coupling of paper section II-A, assumed rigid there",
+    parameters=(
+        Parameter(
+            "frequency",
+            "f_n",
+            "Hz",
+            lower=5.0,
+            upper=400.0,
+            starts=(20.0, 35.0, 60.0, 100.0),
+            text="resonance of the two masses, free",
+        ),
+        Parameter(
+            "damping", r"\zeta", "", lower=0.0, upper=1.0, starts=(0.05,), text="damping ratio of that resonance"
+        ),
+        Parameter(
+            "share",
+            r"\mu",
+            "",
+            lower=0.01,
+            upper=0.95,
+            starts=(0.4,),
+            text="share of the mass that sits behind the coupling",
+        ),
+    ),
+    force=force,
+    inertia=inertia,
+    rate=rate,
+    initial=initial,
+    states=(Quantity("twist", "d", "m"), Quantity("load_velocity", r"\dot q_l", "m/s")),
+    no_regressor="the load is a state that no measured signal gives",
+    where="a band around the resonance, after every jerk of the reference",
+    confused_with=("actuator_delay", "actuator_lag", "backlash"),
+    experiment="a multi-sine or chirp across the resonance at small amplitude, without reversals",
+    remedy="keep the crossover below a fifth of the resonance, or put a notch there",
+    passive=True,
+)

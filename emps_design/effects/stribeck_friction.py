@@ -1,0 +1,61 @@
+"""Stribeck friction: near zero velocity dry friction is higher than at speed, (F_s - F_c) exp(-|v/v_s|^delta) sign(v).
+
+Equation (4) of the paper with ``excess = F_s - F_c`` and an exponent delta_s in [1, 2]. The excess multiplies the
+set-valued sign, so the break-away force of a carriage at rest is F_c + excess.
+"""
+
+from math import exp
+
+import numpy as np
+
+from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+
+
+def dry(q, v, t, tau, x, p, b):
+    return p[0] * exp(-((abs(v) / p[1]) ** p[2]))
+
+
+def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
+    decay = np.exp(-((np.abs(motion.v) / shape["stribeck_velocity"]) ** shape["exponent"]))
+    return (decay * np.sign(motion.v))[:, None]
+
+
+def expression(q, v, t, tau, p, b):
+    import sympy
+
+    return p["excess"] * sympy.exp(-((sympy.Abs(v) / p["stribeck_velocity"]) ** p["exponent"])) * sympy.sign(v)
+
+
+EFFECT = Effect(
+    name="stribeck_friction",
+    label="Stribeck friction",
+    channel="plant",
+    equation=r"F = (F_s - F_c)\, e^{-|\dot q/\dot q_s|^{\delta_s}}\, \mathrm{sign}(\dot q)",
+    source="paper, eq. (4), Fig. 3",
+    parameters=(
+        Parameter("excess", r"F_s - F_c", "N", lower=0.0, linear=True, text="break-away force above Coulomb friction"),
+        Parameter(
+            "stribeck_velocity",
+            r"\dot q_s",
+            "m/s",
+            lower=1e-4,
+            upper=1.0,
+            starts=(0.002, 0.005, 0.01, 0.02, 0.04),
+            text="velocity at which the excess has fallen to 1/e",
+        ),
+        Parameter("exponent", r"\delta_s", "", lower=1.0, upper=2.0, starts=(1.0,), text="sharpness of the fall"),
+    ),
+    dry=dry,
+    regressor=regressor,
+    expression=expression,
+    where="below a few Stribeck velocities, on both sides of every reversal",
+    confused_with=("presliding_friction", "actuator_deadzone", "backlash"),
+    experiment="slow constant-velocity strokes at several speeds below 20 mm/s, and a break-away test",
+    remedy="add the excess to the friction compensation, or keep references away from the low-speed band",
+    checks=(
+        ({"excess": 8.0, "stribeck_velocity": 0.01, "exponent": 1.0}, {"v": 0.01}, 8.0 / 2.718281828459045),
+        ({"excess": 8.0, "stribeck_velocity": 0.01, "exponent": 2.0}, {"v": -0.02}, -8.0 / 54.598150033144236),
+    ),
+    passive=True,
+    parity="odd",
+)

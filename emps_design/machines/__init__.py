@@ -1,0 +1,37 @@
+"""Embedded axes, one data sheet each, with its source in the file."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+
+from emps_design.axis import Axis
+from emps_design.errors import AxisError, nearest_name
+
+
+def machine_names() -> tuple[str, ...]:
+    """Names of the embedded machines."""
+    return tuple(sorted(p.name.removesuffix(".toml") for p in files(__package__).iterdir() if p.name.endswith(".toml")))
+
+
+def machine(name: str) -> Axis:
+    """Return the embedded machine called ``name``.
+
+    >>> machine("emps2018").mechanics.viscous
+    474.9727
+    """
+    if name not in machine_names():
+        raise AxisError(
+            f"axis: found {name!r}, expected a TOML file or one of {', '.join(machine_names())}"
+            f"{nearest_name(name, machine_names())}"
+        )
+    return Axis.from_toml((files(__package__) / f"{name}.toml").read_text(encoding="utf-8"), name)
+
+
+def load_axis(name_or_path: str | Path) -> Axis:
+    """Return an embedded machine by name, or the axis of a TOML file."""
+    if str(name_or_path) in machine_names():
+        return machine(str(name_or_path))
+    if Path(name_or_path).suffix == ".toml" or Path(name_or_path).exists():
+        return Axis.load(name_or_path)
+    return machine(str(name_or_path))
