@@ -76,7 +76,7 @@ def _umask() -> int:
 
 @contextmanager
 def progress_bar(show: bool = True) -> Iterator[Progress]:
-    """Give a ``progress(stage, fraction)`` that draws on standard error, a bar on a terminal, a line a stage elsewhere."""
+    """Give a ``progress(stage, fraction)`` that draws on standard error: a bar, or a line a stage."""
     if not show:
         yield lambda stage, fraction: None
     elif sys.stderr.isatty():

@@ -63,7 +63,7 @@ class Parameter(Quantity):
 class Motion:
     """What a regressor sees: the motion of a record or a simulation, filtered alike, one row a sample.
 
-    ``q`` [m], ``v`` [m/s], ``a`` [m/s^2], ``t`` [s], ``tau`` [N] (motor force as a model predicts it, never as measured:
+    ``q`` [m], ``v`` [m/s], ``a`` [m/s^2], ``t`` [s], ``tau`` [N] (motor force as a model predicts it, never measured:
     a measured one would put the disturbance on both sides), ``smooth`` the zero-phase low-pass that was applied (used
     on functions of ``q`` and ``t`` that must lose what the measured signals lost), ``period`` [s].
     """
