@@ -1,0 +1,68 @@
+# Two commands for a newcomer: `make demo` and `make test`. Needs Python 3.11 or newer, and make; nothing else.
+
+PYTHON ?= python3
+VENV ?= .venv
+EXTRAS ?= test
+FUZZ ?= 10000
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check --no-input
+
+# An environment is good as long as pyproject.toml says the same: its marker carries a hash of the content, not a date.
+STATE := $(shell $(PYTHON) -c "import hashlib; print(hashlib.sha256(open('pyproject.toml', 'rb').read()).hexdigest()[:12])")
+comma := ,
+MARK = $(VENV)/.installed-$(STATE)-$(subst $(comma),-,$(1))
+
+.PHONY: help demo test quick lint fuzz hidden bench docs clean
+
+help:
+	@echo "make demo    install into $(VENV), run the main job on the embedded machine, print where the report is"
+	@echo "make test    install with the test tools, run every test (make quick: without the slow ones)"
+	@echo "make lint    ruff and the import contract      make fuzz    $(FUZZ) bad inputs for every reader"
+	@echo "make bench   measure speed                     make hidden  find effects hidden in records"
+	@echo "make docs    build docs/_build/html            make clean   remove $(VENV) and everything built"
+
+demo: $(call MARK,run)
+	@$(BIN)/emps-design demo --out emps-design-demo.html
+
+test: $(call MARK,$(EXTRAS))
+	@$(BIN)/python -m pytest
+
+quick: $(call MARK,$(EXTRAS))
+	@$(BIN)/python -m pytest -m "not slow and not browser"
+
+lint: $(call MARK,$(EXTRAS))
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/lint-imports
+
+fuzz: $(call MARK,$(EXTRAS))
+	@EMPS_DESIGN_FUZZ=$(FUZZ) $(BIN)/python -m pytest --timeout 3600 tests/property/test_fuzz_records.py tests/property/test_fuzz_axis.py
+
+hidden: $(call MARK,$(EXTRAS))
+	@$(BIN)/python -m tests.hidden
+
+bench: $(call MARK,$(EXTRAS))
+	@$(BIN)/python -m benchmarks
+
+docs: $(call MARK,docs)
+	@$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	@echo "docs/_build/html/index.html"
+
+clean:
+	rm -rf $(VENV) build dist docs/_build docs/gallery .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+
+$(BIN)/python:
+	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'Python 3.11 or newer is needed, this is ' + sys.version.split()[0] + '; try make PYTHON=python3.12')"
+	@echo "making $(VENV)" >&2
+	@$(PYTHON) -m venv $(VENV)
+
+# The package is installed in place, so an edited source needs no new installation.
+$(call MARK,run): | $(BIN)/python
+	@echo "installing emps-design into $(VENV) (a minute or two, once)" >&2
+	@$(PIP) install -e .
+	@touch $@
+
+$(VENV)/.installed-$(STATE)-%: | $(BIN)/python
+	@echo "installing emps-design with the extras $* into $(VENV) (a minute or two, once)" >&2
+	@$(PIP) install -e ".[$(subst -,$(comma),$*)]"
+	@touch $@ $(call MARK,run)
