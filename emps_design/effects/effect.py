@@ -52,11 +52,14 @@ class Parameter(Quantity):
     ``linear``: the effect's force is proportional to it (others are *shape* parameters).
     ``per_record``: it belongs to one record (the phase of a ripple, the time of an event), not to the machine.
     ``starts``: values worth starting a fit from; a scan of a shape parameter uses them as its grid.
+    ``scale``: a typical size, where the starts do not give one. ``discrete``: chosen among the starts, never refined.
     """
 
     linear: bool = False
     per_record: bool = False
     starts: tuple[float, ...] = ()
+    scale: float = 0.0
+    discrete: bool = False
 
 
 @dataclass(frozen=True)
@@ -105,6 +108,10 @@ class Effect:
     of the extra force on the left-hand side of the inverse dynamic model; None where no column is honest.
     ``to_linear``/``from_linear`` translate between parameters and the coefficients of those columns; by default the
     coefficients are the linear parameters themselves.
+
+    ``propose(motion, residual, b, away)`` looks at the force residual (n,) [N] of the inverse model, trusted where
+    ``away`` (n,) is True (away from reversals), and returns starting points for a fit: dicts of parameters, in which
+    linear ones may be left out. None: every combination of the parameters' ``starts``.
     """
 
     name: str
@@ -130,6 +137,7 @@ class Effect:
     to_linear: Callable[[Parameters], np.ndarray] | None = None
     from_linear: Callable[[np.ndarray, Parameters], dict[str, float]] | None = None
     no_regressor: str = ""
+    propose: Callable[..., list[dict[str, float]]] | None = None
     expression: Callable[..., sympy.Expr] | None = None
     where: str = ""
     confused_with: tuple[str, ...] = ()

@@ -1,0 +1,103 @@
+"""A candidate model: the baseline and a set of effects, with the numbers of each; and its free numbers as one vector."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.effects import Effect
+from emps_design.quantities import Quantity
+
+BASELINE = (
+    Quantity("mass", "M", "kg", lower=1e-6),
+    Quantity("viscous", "F_v", "N/(m/s)", lower=0.0),
+    Quantity("coulomb", "F_c", "N", lower=0.0),
+    Quantity("constant_force", "c", "N"),
+)
+
+
+@dataclass(frozen=True)
+class Slot:
+    """Where one free number lives: ``effect`` -1 is the baseline; ``record`` None means shared by all records."""
+
+    effect: int
+    place: int
+    record: int | None
+    quantity: Quantity
+    scale: float
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Baseline (4,) and, for each effect, its parameters (n_records, n_parameters); rows differ only where per record."""
+
+    baseline: np.ndarray
+    effects: tuple[Effect, ...] = ()
+    values: tuple[np.ndarray, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(effect.name for effect in self.effects)
+
+    def with_effect(self, effect: Effect, values: np.ndarray) -> Candidate:
+        """Add ``effect`` with parameters ``values`` (n_records, n_parameters)."""
+        return replace(self, effects=(*self.effects, effect), values=(*self.values, np.atleast_2d(values)))
+
+    def without(self, index: int) -> Candidate:
+        """Drop effect number ``index``."""
+        keep = [i for i in range(len(self.effects)) if i != index]
+        return replace(self, effects=tuple(self.effects[i] for i in keep), values=tuple(self.values[i] for i in keep))
+
+    def slots(self, frozen: bool = False) -> tuple[Slot, ...]:
+        """The free numbers; with ``frozen`` only those that belong to a record."""
+        slots = []
+        if not frozen:
+            scales = np.maximum(np.abs(self.baseline), (1.0, 10.0, 1.0, 1.0))
+            slots += [Slot(-1, i, None, q, s) for i, (q, s) in enumerate(zip(BASELINE, scales, strict=True))]
+        for index, (effect, values) in enumerate(zip(self.effects, self.values, strict=True)):
+            for place, parameter in enumerate(effect.parameters):
+                if parameter.discrete or (frozen and not parameter.per_record):
+                    continue
+                rows = range(len(values)) if parameter.per_record else (None,)
+                for row in rows:
+                    value = abs(values[row or 0, place])
+                    typical = parameter.scale or max((abs(s) for s in parameter.starts), default=0.0)
+                    slots.append(Slot(index, place, row, parameter, max(value, 0.1 * typical, 1e-12)))
+        return tuple(slots)
+
+    def vector(self, slots: tuple[Slot, ...]) -> np.ndarray:
+        """The numbers in ``slots``."""
+        return np.array(
+            [self.baseline[s.place] if s.effect < 0 else self.values[s.effect][s.record or 0, s.place] for s in slots]
+        )
+
+    def with_vector(self, slots: tuple[Slot, ...], vector: np.ndarray) -> Candidate:
+        """The same model with other numbers in ``slots``, each held within its bounds."""
+        baseline, values = self.baseline.copy(), [v.copy() for v in self.values]
+        for slot, number in zip(slots, vector, strict=True):
+            held = min(max(float(number), slot.quantity.lower), slot.quantity.upper)
+            if slot.effect < 0:
+                baseline[slot.place] = held
+            elif slot.record is None:
+                values[slot.effect][:, slot.place] = held
+            else:
+                values[slot.effect][slot.record, slot.place] = held
+        return replace(self, baseline=baseline, values=tuple(values))
+
+    def parameters(self, record: int) -> tuple[np.ndarray, ...]:
+        """Kernel parameters of ``record``, one array an effect."""
+        return tuple(v[min(record, len(v) - 1)] for v in self.values)
+
+    def to_axis(self, axis: Axis, record: int = 0) -> Axis:
+        """``axis`` with this baseline and these effects as seen by ``record``."""
+        mass, viscous, coulomb, offset = map(float, self.baseline)
+        effects = [
+            {"kind": e.name, **{p.name: float(x) for p, x in zip(e.parameters, row, strict=True)}}
+            for e, row in zip(self.effects, self.parameters(record), strict=True)
+        ]
+        return axis.replace(
+            mechanics={"mass": mass, "viscous": viscous, "coulomb": coulomb, "offset": offset}, effects=effects
+        )

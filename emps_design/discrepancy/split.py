@@ -1,0 +1,79 @@
+"""Whole strokes and repeated laps of a record: what is fitted on, what selects, what repeats."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from emps_design.records import Record
+
+START_UP = 50  # samples left out at the start of a record: the loop's own transient, as in the published figures
+
+
+@dataclass(frozen=True)
+class Split:
+    """Boundaries of strokes and laps [samples], and the samples that fit and that select, as boolean arrays.
+
+    Laps alternate between fitting and selecting where there are three or more, strokes otherwise, so that whatever
+    changes with time is seen by both parts.
+    """
+
+    strokes: tuple[tuple[int, int], ...]
+    lap: int
+    fit: np.ndarray
+    select: np.ndarray
+
+    @property
+    def used(self) -> np.ndarray:
+        """Samples that either fit or select."""
+        return self.fit | self.select
+
+
+def split(record: Record, fit_share: np.ndarray | None = None) -> Split:
+    """Split ``record`` by whole strokes; ``fit_share`` (n,) bool limits what may be used at all."""
+    n = len(record)
+    allowed = np.ones(n, bool) if fit_share is None else fit_share.copy()
+    allowed[:START_UP] = False
+    strokes = find_strokes(record.q_ref, record.period)
+    lap = find_lap(record.q_ref)
+    laps = int(allowed.sum()) // lap if lap else 0
+    fit = np.zeros(n, bool)
+    if laps >= 3:
+        fit = (np.arange(n) // lap) % 2 == 0
+    else:
+        for index, (start, stop) in enumerate(strokes):
+            fit[start:stop] = index % 3 != 2
+    return Split(strokes, lap, fit & allowed, ~fit & allowed)
+
+
+def find_lap(q_ref: np.ndarray) -> int:
+    """Return the number of samples after which ``q_ref`` (n,) [m] repeats itself, 0 where it does not within n/2."""
+    n = q_ref.size
+    centred = q_ref - q_ref.mean()
+    energy = np.concatenate(([0.0], np.cumsum(centred**2)))
+    spectrum = np.fft.rfft(centred, 2 * n)
+    product = np.fft.irfft(spectrum * spectrum.conj(), 2 * n)[:n]
+    lags = np.arange(n)
+    difference = energy[n - lags] + (energy[n] - energy[lags]) - 2 * product
+    mean_square = np.maximum(difference, 0.0) / (n - lags)
+    limit = 1e-8 * centred.var()
+    far = int(np.argmax(mean_square > 1e-2 * centred.var()))  # leave the neighbourhood of lag 0 first
+    close = np.nonzero(mean_square[far : n // 2 + 1] < limit)[0]
+    if far == 0 or close.size == 0:
+        return 0
+    first = far + int(close[0])
+    last = first + int(np.argmax(np.append(np.diff(close[:50]) > 1, True)))
+    return first + int(np.argmin(mean_square[first : last + 1]))
+
+
+def find_strokes(q_ref: np.ndarray, period: float) -> tuple[tuple[int, int], ...]:
+    """Cut where the reference (n,) [m] changes direction; standstill belongs to the stroke before it."""
+    velocity = np.gradient(q_ref, period)
+    direction = np.sign(velocity) * (np.abs(velocity) > 1e-3 * np.abs(velocity).max())
+    moving = np.nonzero(direction)[0]
+    if moving.size == 0:
+        return ((0, q_ref.size),)
+    turns = moving[1:][np.diff(direction[moving]) != 0]
+    edges = [0, *(int(turn) for turn in turns), q_ref.size]
+    return tuple((a, b) for a, b in zip(edges, edges[1:], strict=False) if b - a > 20)
