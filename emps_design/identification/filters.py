@@ -1,0 +1,234 @@
+"""From a record to motion and force that were filtered alike: three chains, each says what it does to the signals.
+
+The drive holds u[k] over [t_k, t_k + T). Averaged with the triangle of width 2T around t_k, the motor force is
+(u[k] + u[k-1])/2 and the acceleration the second difference of the position, both exactly; the ``hold`` chain
+regresses one on the other. A regression of u[k] on the motion at t_k sees half a sample of delay instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from emps_design.effects import Motion
+from emps_design.errors import InputError
+from emps_design.records import Record
+
+REPORT_CUTOFF = 100.0  # Hz, five times the 20 Hz band of interest of the 2019 report
+REPORT_DROPPED = 49  # first samples, spoilt by the ends of filter and differences
+DECIMATION = 10
+
+
+@dataclass(frozen=True)
+class Filtered:
+    """A record after its chain of filters.
+
+    ``motion`` and ``force`` [N] have one row a sample of the record that was kept; ``reduce`` brings one such column
+    to the rate of the regression. ``cutoff_hz`` [Hz] is the low-pass of the position (None: the chain has none) and
+    ``band_hz`` [Hz] what the regression sees.
+    """
+
+    chain: str
+    motion: Motion
+    force: np.ndarray
+    f_ext: np.ndarray | None
+    reduce: Callable[[np.ndarray], np.ndarray] = field(repr=False)
+    cutoff_hz: float | None
+    band_hz: float
+    decimation: int
+    text: str
+
+
+def low_pass(signal: np.ndarray, cutoff_hz: float, period: float, order: int = 4) -> np.ndarray:
+    """Run a Butterworth low-pass forwards and backwards: no phase, twice the attenuation.
+
+    ``signal`` (n,), ``cutoff_hz`` [Hz] below the Nyquist frequency, ``period`` [s]. Returns (n,). The two passes
+    leave half the amplitude at the cut-off. Raises :class:`InputError` for a cut-off that cannot be.
+
+    >>> t = np.arange(2000) * 1e-3
+    >>> slow = low_pass(np.sin(2 * np.pi * 2 * t) + np.sin(2 * np.pi * 200 * t), 20.0, 1e-3)
+    >>> bool(np.abs(slow - np.sin(2 * np.pi * 2 * t))[200:-200].max() < 1e-3)
+    True
+    """
+    from scipy.signal import butter, sosfiltfilt
+
+    nyquist = 0.5 / period
+    if not 0 < cutoff_hz < nyquist:
+        raise InputError(
+            f"cut-off: found {cutoff_hz:g} Hz, expected between 0 and the Nyquist frequency {nyquist:g} Hz"
+        )
+    return sosfiltfilt(butter(order, cutoff_hz / nyquist, output="sos"), signal, padlen=_padding(order, len(signal)))
+
+
+def decimate(signal: np.ndarray, factor: int = DECIMATION) -> np.ndarray:
+    """Low-pass ``signal`` without phase at 0.8 of the new Nyquist frequency and keep one sample in ``factor``.
+
+    Chebyshev type I of order 8 with 0.05 dB ripple, forwards and backwards; the last sample is among those kept, as
+    in the routine that the 2019 report used (its tables depend on it). Returns (ceil(n / factor),).
+
+    >>> decimate(np.ones(101), 10).size
+    11
+    """
+    from scipy.signal import cheby1, sosfiltfilt
+
+    if factor == 1:
+        return signal
+    sections = cheby1(8, 0.05, 0.8 / factor, output="sos")
+    return sosfiltfilt(sections, signal, padlen=_padding(8, len(signal)))[(len(signal) - 1) % factor :: factor]
+
+
+def motion(record: Record, cutoff_hz: float) -> Motion:
+    """Position, velocity and acceleration of ``record``, zero-phase low-passed at ``cutoff_hz`` [Hz], full length.
+
+    Velocity is the central, acceleration the second difference (see the module's text on the hold). ``tau`` is zero:
+    :func:`emps_design.identification.inverse_model.with_predicted_force` fills in a model's.
+    """
+
+    def smooth(signal: np.ndarray) -> np.ndarray:
+        return low_pass(signal, cutoff_hz, record.period)
+
+    q = smooth(record.q)
+    return Motion(
+        t=record.t,
+        q=q,
+        v=np.gradient(q, record.period),
+        a=_second_difference(q, record.period),
+        tau=np.zeros_like(q),
+        period=record.period,
+        smooth=smooth,
+    )
+
+
+def held_force(record: Record, force_gain: float, cutoff_hz: float) -> np.ndarray:
+    """Motor force around t_k of a voltage that is held, G_tau (u[k] + u[k-1])/2, low-passed like the motion [N]."""
+    return low_pass(force_gain * held(record.u), cutoff_hz, record.period)
+
+
+def held(u: np.ndarray) -> np.ndarray:
+    """Mean around t_k of a signal held over [t_k, t_k + T): (u[k] + u[k-1])/2.
+
+    >>> held(np.array([0.0, 2.0, 2.0])).tolist()
+    [0.0, 1.0, 2.0]
+    """
+    mean = np.array(u, dtype=float)
+    mean[1:] = 0.5 * (mean[1:] + u[:-1])
+    return mean
+
+
+def report_chain(record: Record, force_gain: float, cutoff_hz: float | None = None) -> Filtered:
+    """The chain of the 2019 report: what its tables were made with.
+
+    Position low-passed at 100 Hz (4th order, forwards and backwards), central differences twice, first 49 samples
+    dropped, columns and raw force decimated by 10. It sees the hold as half a sample of delay.
+    """
+    cutoff_hz = cutoff_hz or REPORT_CUTOFF
+    q = low_pass(record.q, cutoff_hz, record.period)
+    v = np.gradient(q, record.period)
+    kept = slice(REPORT_DROPPED, None)
+    seen = Motion(
+        t=record.t[kept],
+        q=q[kept],
+        v=v[kept],
+        a=np.gradient(v, record.period)[kept],
+        tau=np.zeros(len(q) - REPORT_DROPPED),
+        period=record.period,
+    )
+    return Filtered(
+        chain="report",
+        motion=seen,
+        force=force_gain * record.u[kept],
+        f_ext=None if record.f_ext is None else record.f_ext[kept],
+        reduce=decimate,
+        cutoff_hz=cutoff_hz,
+        band_hz=min(cutoff_hz, 0.8 * 0.5 / (DECIMATION * record.period)),
+        decimation=DECIMATION,
+        text=f"position: Butterworth order 4 at {cutoff_hz:g} Hz, forwards and backwards; central differences; "
+        f"first {REPORT_DROPPED} samples dropped; all columns decimated by {DECIMATION}",
+    )
+
+
+def paper_chain(record: Record, force_gain: float, cutoff_hz: float | None = None) -> Filtered:
+    """The chain of the 2018 paper, section III-A: medfilt1, decimate, backward and central differences.
+
+    Velocity is the backward difference of the measured position, acceleration the central difference of the filtered
+    velocity; a median of three, then decimation by 10 (the paper does not give its factor). ``cutoff_hz`` is refused:
+    the chain's low-pass is the decimation's.
+    """
+    if cutoff_hz is not None:
+        raise InputError("cut-off: the paper's chain has none, its low-pass is the decimation's; use --filter hold")
+    v = median_of_three(np.diff(record.q, prepend=record.q[0]) / record.period)
+    kept = slice(REPORT_DROPPED, None)
+    seen = Motion(
+        t=record.t[kept],
+        q=median_of_three(record.q)[kept],
+        v=v[kept],
+        a=median_of_three(np.gradient(v, record.period))[kept],
+        tau=np.zeros(len(v) - REPORT_DROPPED),
+        period=record.period,
+    )
+    return Filtered(
+        chain="paper",
+        motion=seen,
+        force=force_gain * median_of_three(record.u)[kept],
+        f_ext=None if record.f_ext is None else median_of_three(record.f_ext)[kept],
+        reduce=decimate,
+        cutoff_hz=None,
+        band_hz=0.8 * 0.5 / (DECIMATION * record.period),
+        decimation=DECIMATION,
+        text=f"backward difference, median of 3, central difference of the filtered velocity, decimated by {DECIMATION}",
+    )
+
+
+def hold_chain(record: Record, force_gain: float, cutoff_hz: float | None = None) -> Filtered:
+    """This package's chain: the hold modelled, one zero-phase low-pass on motion and force, decimation without more.
+
+    ``cutoff_hz`` [Hz] defaults to the one :func:`emps_design.identification.cutoff.chosen_cutoff` finds in the data.
+    """
+    if cutoff_hz is None:
+        from emps_design.identification.cutoff import chosen_cutoff
+
+        cutoff_hz = chosen_cutoff(record).cutoff_hz
+    seen = motion(record, cutoff_hz)
+    # One sample per half period of four times the cut-off: what is left above it is under 1e-5 of the amplitude.
+    factor = max(1, int(0.125 / (cutoff_hz * record.period)))
+    edge = int(1.0 / (cutoff_hz * record.period))
+    return Filtered(
+        chain="hold",
+        motion=seen,
+        force=held_force(record, force_gain, cutoff_hz),
+        f_ext=None if record.f_ext is None else low_pass(record.f_ext, cutoff_hz, record.period),
+        reduce=lambda column: column[edge : len(column) - edge : factor],
+        cutoff_hz=cutoff_hz,
+        band_hz=cutoff_hz,
+        decimation=factor,
+        text=f"Butterworth order 4 at {cutoff_hz:g} Hz, forwards and backwards, on motion and held force alike; second "
+        f"difference; one sample in {factor}",
+    )
+
+
+CHAINS: dict[str, Callable[..., Filtered]] = {"report": report_chain, "paper": paper_chain, "hold": hold_chain}
+
+
+def median_of_three(signal: np.ndarray) -> np.ndarray:
+    """Running median of three samples, the ends padded with zeros as medfilt1 does.
+
+    >>> median_of_three(np.array([1.0, 9.0, 2.0, 3.0])).tolist()
+    [1.0, 2.0, 3.0, 2.0]
+    """
+    before = np.concatenate([[0.0], signal[:-1]])
+    after = np.concatenate([signal[1:], [0.0]])
+    return np.maximum(np.minimum(before, signal), np.minimum(np.maximum(before, signal), after))
+
+
+def _second_difference(q: np.ndarray, period: float) -> np.ndarray:
+    second = np.zeros_like(q)
+    second[1:-1] = (q[2:] - 2.0 * q[1:-1] + q[:-2]) / period**2
+    return second
+
+
+def _padding(order: int, n: int) -> int:
+    if n <= 3 * order:
+        raise InputError(f"record: found {n} samples, expected more than {3 * order} for a filter of order {order}")
+    return 3 * order

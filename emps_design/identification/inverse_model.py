@@ -1,0 +1,178 @@
+"""The inverse dynamic model as a linear regression: equations (5), (12)-(17) of the paper, with (15) corrected.
+
+``G_tau u = M qdd + F_v qd + F_c sign(qd) + offset`` (symmetric) or with both friction parameters by sign of the velocity
+(asymmetric). Columns are built at the record's rate and then brought to the regression's rate one by one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from emps_design.effects import Motion
+from emps_design.errors import InputError, RankError, nearest_name
+from emps_design.identification.filters import Filtered
+from emps_design.quantities import Quantity
+
+MODELS: dict[str, tuple[Quantity, ...]] = {
+    "symmetric": (
+        Quantity("mass", "M", "kg", text="load-side equivalent mass"),
+        Quantity("viscous", "F_v", "N/(m/s)", text="viscous friction"),
+        Quantity("coulomb", "F_c", "N", text="Coulomb friction"),
+        Quantity("constant_force", "F_0", "N", text="constant force"),
+    ),
+    "asymmetric": (
+        Quantity("mass", "M", "kg", text="load-side equivalent mass"),
+        Quantity("viscous_positive", "F_v^+", "N/(m/s)", text="viscous friction, velocity > 0"),
+        Quantity("viscous_negative", "F_v^-", "N/(m/s)", text="viscous friction, velocity < 0"),
+        Quantity("coulomb_positive", "F_c^+", "N", text="Coulomb friction, velocity > 0"),
+        Quantity("coulomb_negative", "F_c^-", "N", text="Coulomb friction, velocity < 0"),
+    ),
+}
+
+# Columns of unit length whose smallest singular value is below this share of the largest cannot be told apart.
+RANK_TOLERANCE = 1e-7
+
+
+def parameters_of(model: str) -> tuple[Quantity, ...]:
+    """The parameters of ``model``; :class:`InputError` names the nearest model otherwise."""
+    if model not in MODELS:
+        raise InputError(f"model: found {model!r}, expected {' or '.join(MODELS)}{nearest_name(model, list(MODELS))}")
+    return MODELS[model]
+
+
+def column(motion: Motion, name: str) -> np.ndarray:
+    """Column of the regressor that parameter ``name`` multiplies, shape (n,) [N per unit of the parameter].
+
+    >>> motion = Motion(*(np.array(x) for x in ([0.0, 1.0], [0.0, 0.0], [2.0, -3.0], [5.0, 7.0], [0.0, 0.0])), 1.0)
+    >>> [column(motion, p.name).tolist() for p in MODELS["asymmetric"]][1:3]
+    [[2.0, 0.0], [0.0, -3.0]]
+    """
+    v = motion.v
+    if name == "mass":
+        return motion.a
+    if name == "viscous":
+        return v
+    if name == "viscous_positive":
+        return np.where(v > 0, v, 0.0)
+    if name == "viscous_negative":
+        return np.where(v < 0, v, 0.0)
+    if name == "coulomb":
+        return motion.smooth(np.sign(v))
+    if name == "coulomb_positive":
+        return motion.smooth(np.where(v > 0, 1.0, 0.0))
+    if name == "coulomb_negative":
+        return motion.smooth(np.where(v < 0, -1.0, 0.0))
+    if name == "constant_force":
+        return np.ones_like(v)
+    raise InputError(f"column: found {name!r}, expected a parameter of {' or '.join(MODELS)}")
+
+
+def baseline_columns(motion: Motion) -> np.ndarray:
+    """Columns of mass, viscous, coulomb and constant force, shape (n, 4): ``columns @ b`` is the baseline's force.
+
+    >>> still = Motion(*(np.zeros(3) for _ in range(5)), period=1.0)
+    >>> baseline_columns(still)[0].tolist()
+    [0.0, 0.0, 0.0, 1.0]
+    """
+    return np.column_stack([column(motion, p.name) for p in MODELS["symmetric"]])
+
+
+def with_predicted_force(motion: Motion, baseline: np.ndarray) -> Motion:
+    """Return ``motion`` with ``tau`` as the baseline array ``b`` (mass, viscous, coulomb, offset) predicts it."""
+    return replace(motion, tau=baseline_columns(motion) @ np.asarray(baseline, dtype=float))
+
+
+def regression(filtered: Filtered, model: str) -> tuple[np.ndarray, np.ndarray]:
+    """W (n, p) and Y (n,) of (5) at the regression's rate; Y holds the external force where one was measured (21)."""
+    columns = [filtered.reduce(column(filtered.motion, p.name)) for p in parameters_of(model)]
+    force = filtered.force if filtered.f_ext is None else filtered.force + filtered.f_ext
+    return np.column_stack(columns), filtered.reduce(force)
+
+
+@dataclass(frozen=True)
+class LeastSquares:
+    """Least-squares solution of Y = W X + e, with the statistics of (13)-(16).
+
+    ``value`` and ``std`` (p,), ``covariance`` (p, p) by (15) as it must read, ``s^2 (W^T W)^-1``; ``residual`` (n,) [N].
+    """
+
+    names: tuple[str, ...]
+    value: np.ndarray
+    covariance: np.ndarray
+    residual: np.ndarray = field(repr=False)
+    rms_error: float
+    relative_error_percent: float
+    condition_number: float
+
+    @property
+    def std(self) -> np.ndarray:
+        """One standard deviation by (15), for errors that are independent from sample to sample."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def least_squares(W: np.ndarray, Y: np.ndarray, names: tuple[str, ...]) -> LeastSquares:
+    """Solve (17) by least squares; :class:`RankError` names columns that cannot be told apart.
+
+    >>> fit = least_squares(np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 2.0]]), np.array([1.0, 3.0, 5.0]), ("a", "b"))
+    >>> fit.value.round(6).tolist()
+    [1.0, 2.0]
+    """
+    n, p = W.shape
+    if n <= p:
+        raise InputError(f"regression: found {n} rows for {p} parameters, expected more; record longer")
+    check_rank(W, names)
+    q, r = np.linalg.qr(W)
+    value = np.linalg.solve(r, q.T @ Y)
+    residual = Y - W @ value
+    inverse = np.linalg.inv(r)
+    variance = residual @ residual / (n - p)  # (14)
+    return LeastSquares(
+        names=names,
+        value=value,
+        covariance=variance * inverse @ inverse.T,
+        residual=residual,
+        rms_error=float(np.sqrt(np.mean(residual**2))),
+        relative_error_percent=relative_error(residual, Y),
+        condition_number=float(np.linalg.cond(W)),
+    )
+
+
+def relative_error(residual: np.ndarray, force: np.ndarray) -> float:
+    """100 ||residual|| / ||force|| [%]."""
+    norm = float(np.linalg.norm(force))
+    return 100.0 * float(np.linalg.norm(residual)) / norm if norm > 0 else float("nan")
+
+
+def check_rank(W: np.ndarray, names: tuple[str, ...]) -> None:
+    """Raise :class:`RankError` naming the columns of ``W`` that a linear relation ties together.
+
+    >>> W = np.array([[1.0, 1.0], [-1.0, -1.0], [1.0, 1.0]])
+    >>> check_rank(W, ("coulomb", "constant_force"))  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    ...
+    emps_design.errors.RankError: the record cannot tell apart: coulomb, constant_force; record motion that ...
+    """
+    length = np.linalg.norm(W, axis=0)
+    empty = tuple(name for name, size in zip(names, length, strict=True) if size == 0)
+    if empty:
+        raise RankError(
+            f"the record does not excite: {', '.join(empty)}; record motion in both directions, with acceleration",
+            empty,
+        )
+    _, singular, right = np.linalg.svd(np.linalg.qr(W / length, mode="r"))
+    if singular[-1] < RANK_TOLERANCE * singular[0]:
+        tied = tuple(name for name, weight in zip(names, np.abs(right[-1]), strict=True) if weight > 0.05)
+        raise RankError(
+            f"the record cannot tell apart: {', '.join(tied)}; record motion that reverses, at several speeds, with "
+            "acceleration, or leave one of them out",
+            tied,
+        )
+
+
+def predicted_force(filtered: Filtered, model: str, value: np.ndarray) -> dict[str, Any]:
+    """Time [s], measured and modelled force [N] at the regression's rate, for tables and pictures."""
+    W, Y = regression(filtered, model)
+    return {"t": filtered.reduce(filtered.motion.t), "measured": Y, "model": W @ value}
