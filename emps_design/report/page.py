@@ -1,0 +1,226 @@
+"""A page: a title, a summary first, sections of text, tables and pictures; one HTML file that needs nothing else."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from emps_design.report.display import NOTHING, number
+from emps_design.report.style import svg
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+    from matplotlib.figure import Figure
+
+CALLOUTS = ("stop", "warning", "note", "good")
+
+
+class Html(str):
+    """Text that is HTML already, such as a symbol with its subscript; any other text is escaped."""
+
+    __slots__ = ()
+
+
+def inline(value: Any) -> str:
+    """Return one cell or phrase as HTML: numbers with four digits, None as a dash, text escaped.
+
+    >>> inline(556.766), inline("a < b"), inline(Html("<i>k</i>")), inline(None)
+    ('556.8', 'a &lt; b', '<i>k</i>', '—')
+    """
+    if value is None:
+        return NOTHING
+    if isinstance(value, Html):
+        return str(value)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float) or hasattr(value, "dtype"):
+        return number(float(value))
+    return escape(str(value), quote=False)
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph, or several."""
+
+    paragraphs: tuple[str, ...]
+    kind: str = field(default="text", init=False)
+
+    def __init__(self, *paragraphs: str):
+        object.__setattr__(self, "paragraphs", paragraphs)
+
+
+@dataclass(frozen=True)
+class Points:
+    """A list of short statements."""
+
+    items: tuple[str, ...]
+    kind: str = field(default="points", init=False)
+
+    def __init__(self, items: Iterable[str]):
+        object.__setattr__(self, "items", tuple(items))
+
+
+@dataclass(frozen=True)
+class Facts:
+    """The few numbers a reader came for, drawn large: (label, value, remark) each."""
+
+    items: tuple[tuple[str, str, str], ...]
+    kind: str = field(default="facts", init=False)
+
+
+@dataclass(frozen=True)
+class Callout:
+    """A boxed message: ``stop`` (an unstable loop), ``warning``, ``note`` or ``good``."""
+
+    level: str
+    title: str
+    body: str = ""
+    kind: str = field(default="callout", init=False)
+
+    def __post_init__(self) -> None:
+        if self.level not in CALLOUTS:
+            raise ValueError(f"callout level: found {self.level!r}, expected one of {', '.join(CALLOUTS)}")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows under ``headers`` (units belong there), with a caption; cells that are numbers align right."""
+
+    headers: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+    caption: str = ""
+    kind: str = field(default="table", init=False)
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if len(row) != len(self.headers):
+                raise ValueError(f"table {self.caption!r}: a row has {len(row)} cells, expected {len(self.headers)}")
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A matplotlib figure with a caption that says what to see."""
+
+    figure: Figure
+    caption: str
+    title: str = ""
+    kind: str = field(default="picture", init=False)
+
+
+@dataclass(frozen=True)
+class Formula:
+    """Lines of a program or an equation, set as they are."""
+
+    text: str
+    caption: str = ""
+    kind: str = field(default="formula", init=False)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Blocks beside each other on a wide page."""
+
+    blocks: tuple[Any, ...]
+    kind: str = field(default="group", init=False)
+
+    def __init__(self, *blocks: Any):
+        object.__setattr__(self, "blocks", blocks)
+
+
+Block = Text | Points | Facts | Callout | Table | Picture | Formula | Group
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading of the contents list and its blocks."""
+
+    title: str
+    blocks: tuple[Block, ...]
+
+    def __init__(self, title: str, *blocks: Block | None):
+        object.__setattr__(self, "title", title)
+        object.__setattr__(self, "blocks", tuple(block for block in blocks if block is not None))
+
+    @property
+    def key(self) -> str:
+        """The anchor of the heading."""
+        return re.sub(r"[^a-z0-9]+", "-", self.title.lower()).strip("-")
+
+
+@dataclass(frozen=True)
+class Page:
+    """A whole document; ``html()`` is one self-contained file, the same bytes for the same content.
+
+    >>> page = Page("Velocity loop", "emps2018", (Callout("good", "Meets the specification"),),
+    ...             (Section("Gains", Table(["gain", "value"], [["k", 1.5]])),))
+    >>> "Meets the specification" in page.html() and page.html() == page.html()
+    True
+    """
+
+    title: str
+    subtitle: str
+    summary: tuple[Block, ...]
+    sections: tuple[Section, ...]
+    footer: str = ""
+
+    def html(self) -> str:
+        """Return the document as HTML text."""
+        return _environment().get_template("page.html.j2").render(page=self, counter=_Counter())
+
+    def pictures(self) -> tuple[Picture, ...]:
+        """Every picture of the page, in order."""
+        blocks = [*self.summary, *(block for section in self.sections for block in section.blocks)]
+        flat = [inner for block in blocks for inner in (block.blocks if isinstance(block, Group) else (block,))]
+        return tuple(block for block in flat if isinstance(block, Picture))
+
+    def _repr_html_(self) -> str:
+        source = escape(self.html(), quote=True)
+        return (
+            f'<iframe srcdoc="{source}" title="{escape(self.title)}" style="width:100%;height:800px;border:0"></iframe>'
+        )
+
+
+class _Counter:
+    """Numbers figures and tables through one rendering."""
+
+    def __init__(self) -> None:
+        self.count = {"figure": 0, "table": 0}
+
+    def next(self, kind: str) -> int:
+        self.count[kind] += 1
+        return self.count[kind]
+
+
+def _drawing(picture: Picture, index: int) -> str:
+    drawing = svg(picture.figure, f"f{index}")
+    label = escape(re.sub(r"<[^>]+>", "", inline(picture.title or picture.caption)), quote=True)
+    return drawing.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
+
+
+def _is_number(value: Any) -> bool:
+    if isinstance(value, str):
+        return bool(re.match(r"^[−+<≤>≥ ]*[0-9]", value)) or value == NOTHING
+    return value is None or (not isinstance(value, bool) and not isinstance(value, Html))
+
+
+@cache
+def _environment() -> Environment:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("emps_design.report"),
+        autoescape=False,  # every value passes the filter ``inline``, which escapes what is not Html
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["inline"] = inline
+    environment.globals["drawing"] = _drawing
+    environment.tests["numeric"] = _is_number
+    return environment
