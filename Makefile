@@ -5,7 +5,7 @@ VENV ?= .venv
 EXTRAS ?= test
 FUZZ ?= 10000
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check --no-input
+PIP := $(BIN)/python -m pip -qq --disable-pip-version-check --no-input
 
 # An environment is good as long as pyproject.toml says the same: its marker carries a hash of the content, not a date.
 STATE := $(shell $(PYTHON) -c "import hashlib; print(hashlib.sha256(open('pyproject.toml', 'rb').read()).hexdigest()[:12])")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 
 from emps_design.cli.output import print_json
@@ -27,13 +28,12 @@ COMMANDS = (
 
 def run(arguments: list[str]) -> int:
     """Run the command line on ``arguments`` and return the exit status of the contract."""
-    import click
-
     debug = "--debug" in arguments
     as_json = "--json" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
     try:
-        result = _application(arguments)(args=arguments, prog_name="emps-design", standalone_mode=False)
+        result = _application(arguments)(args=arguments or ["--help"], prog_name="emps-design", standalone_mode=False)
+        sys.stdout.flush()
         return result if isinstance(result, int) else 0
     except EmpsError as error:
         if debug:
@@ -47,16 +47,21 @@ def run(arguments: list[str]) -> int:
                     "warnings": [str(error)],
                 }
             )
-        print(f"emps-design: {error}", file=sys.stderr)
+        print(f"emps-design: {' '.join(str(error).split())}", file=sys.stderr)
         return error.exit_code
+    except BrokenPipeError:
+        # The reader of our output has left (`| head`); what is still buffered goes nowhere, in silence.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except Exception as error:
-        # typer may carry its own copy of click; both have the same names.
-        if type(error).__name__ in ("Abort", "KeyboardInterrupt"):
+        # Usage errors and Ctrl-C in a prompt come from click, or from the copy of click inside typer: same names.
+        if type(error).__name__ == "Abort":
             print("emps-design: interrupted", file=sys.stderr)
             return 1
-        if isinstance(error, click.ClickException) or hasattr(error, "format_message"):
+        if hasattr(error, "format_message"):
             message = " ".join(error.format_message().split())
-            print(f"emps-design: {message}; see 'emps-design --help'", file=sys.stderr)
+            if message:
+                print(f"emps-design: {message}; see 'emps-design --help'", file=sys.stderr)
             return 2
         if debug:
             raise

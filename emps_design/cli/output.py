@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import sys
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
-from emps_design.errors import InputError
+from emps_design.files import write_aside, write_text
+
+__all__ = ["Progress", "plain", "print_json", "print_warnings", "progress_bar", "write_aside", "write_text"]
 
 Progress = Callable[[str, float], None]
 
@@ -39,39 +38,10 @@ def print_json(document: Any) -> None:
     sys.stdout.write(json.dumps(plain(document), indent=1, allow_nan=False, ensure_ascii=False) + "\n")
 
 
-@contextmanager
-def write_aside(path: str | Path) -> Iterator[Path]:
-    """Give a temporary path beside ``path`` to write to, and rename it when the block ends well.
-
-    A failure or an interrupt leaves neither a half-written file nor a changed old one.
-    """
-    path = Path(path)
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: folder {path.parent} does not exist; make it first")
-    try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-    except OSError as error:
-        raise InputError(f"{path}: cannot write there, {error.strerror}") from error
-    os.close(handle)
-    aside = Path(name)
-    try:
-        yield aside
-        os.chmod(aside, 0o666 & ~_umask())
-        os.replace(aside, path)
-    finally:
-        aside.unlink(missing_ok=True)
-
-
-def write_text(path: str | Path, text: str) -> None:
-    """Write ``text`` to ``path`` whole or not at all."""
-    with write_aside(path) as aside:
-        aside.write_text(text, encoding="utf-8")
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def print_warnings(warnings: Iterable[str]) -> None:
+    """Print each warning as one line on standard error."""
+    for warning in warnings:
+        print(f"emps-design: warning: {warning}", file=sys.stderr)
 
 
 @contextmanager
