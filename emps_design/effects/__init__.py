@@ -1,29 +1,86 @@
-"""The physical effects this package knows, one file each, in the order they are listed and tried."""
+"""The physical effects this package knows, one file each, in the order they are listed and tried.
+
+A user's own effect is a file with an ``EFFECT`` like those here. :func:`load_file` registers it, and so does naming it
+in the environment, ``EMPS_DESIGN_EFFECTS=path1.py:path2.py`` (``;`` between paths on Windows), when the package is
+imported. It is a plain import: the file's code runs.
+"""
 
 from __future__ import annotations
 
+import importlib.util
+import os
+from pathlib import Path
+
 from emps_design.effects import (
+    actuator_deadzone,
+    actuator_delay,
+    actuator_lag,
+    actuator_saturation,
+    asymmetric_viscous_friction,
+    backlash,
+    controller_disturbance,
+    elastic_force,
+    encoder_error,
+    end_stop,
+    external_force,
     flexible_coupling,
+    friction_drift,
+    load_dependent_friction,
+    mass_change,
+    nonlinear_viscous_friction,
+    periodic_disturbance,
+    position_dependent_friction,
+    position_ripple,
+    presliding_friction,
     stribeck_friction,
 )
 from emps_design.effects.effect import Effect, Motion, Parameter
 from emps_design.errors import AxisError, nearest_name
 
 EFFECTS: tuple[Effect, ...] = (
+    asymmetric_viscous_friction.EFFECT,
+    nonlinear_viscous_friction.EFFECT,
     stribeck_friction.EFFECT,
+    presliding_friction.EFFECT,
+    load_dependent_friction.EFFECT,
+    position_dependent_friction.EFFECT,
+    friction_drift.EFFECT,
+    position_ripple.EFFECT,
+    elastic_force.EFFECT,
+    end_stop.EFFECT,
+    mass_change.EFFECT,
+    external_force.EFFECT,
+    periodic_disturbance.EFFECT,
     flexible_coupling.EFFECT,
+    backlash.EFFECT,
+    actuator_delay.EFFECT,
+    actuator_lag.EFFECT,
+    actuator_saturation.EFFECT,
+    actuator_deadzone.EFFECT,
+    encoder_error.EFFECT,
+    controller_disturbance.EFFECT,
 )
+
+VARIABLE = "EMPS_DESIGN_EFFECTS"  # environment variable with the files of a user's own effects
 
 _added: dict[str, Effect] = {}
 
 
 def known_effects() -> dict[str, Effect]:
-    """Every effect by name: the package's own, then those a user registered."""
+    """Every effect by name: the package's own, then those a user registered.
+
+    >>> "backlash" in known_effects()
+    True
+    """
     return {**{effect.name: effect for effect in EFFECTS}, **_added}
 
 
 def get_effect(name: str) -> Effect:
-    """Return the effect called ``name``; :class:`AxisError` names the nearest one otherwise."""
+    """Return the effect called ``name``; :class:`AxisError` names the nearest one otherwise.
+
+    >>> get_effect("position_ripple").shape
+    ('period',)
+    """
     known = known_effects()
     if name not in known:
         raise AxisError(
@@ -40,4 +97,39 @@ def register(effect: Effect) -> Effect:
     return effect
 
 
-__all__ = ["EFFECTS", "Effect", "Motion", "Parameter", "get_effect", "known_effects", "register"]
+def load_file(path: str | Path) -> Effect:
+    """Run the Python file at ``path``, register its ``EFFECT`` and return it.
+
+    Raises :class:`AxisError` naming the file where it cannot be run or has no ``EFFECT``.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise AxisError(f"{path}: no such file; expected a Python file with an EFFECT")
+    spec = importlib.util.spec_from_file_location(f"emps_design_effect_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise AxisError(f"{path}: found a name that does not end in .py, expected a Python file with an EFFECT")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # whatever a user's file may raise, told with its name
+        raise AxisError(f"{path}: {type(error).__name__}: {error}") from error
+    effect = getattr(module, "EFFECT", None)
+    if not isinstance(effect, Effect):
+        raise AxisError(f"{path}: found EFFECT = {effect!r}, expected an emps_design.effects.Effect")
+    return register(effect)
+
+
+for _path in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)):
+    load_file(_path)
+
+__all__ = [
+    "EFFECTS",
+    "VARIABLE",
+    "Effect",
+    "Motion",
+    "Parameter",
+    "get_effect",
+    "known_effects",
+    "load_file",
+    "register",
+]

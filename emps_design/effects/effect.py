@@ -19,6 +19,11 @@ and the plant is, with ``sum`` over the effects of an axis,
     (M + sum inertia) dv/dt = tau - F_v v - offset - sum force - L S(v),   L = max(0, F_c + sum dry)
 
 where S(v) is the set-valued sign: sign(v) in motion, anything in [-1, 1] at rest.
+
+Sign convention: ``force`` stands on the left-hand side of the inverse dynamic model, beside the friction; a force that
+pushes the carriage towards +q is returned with a minus. Kernels use ``math`` alone and no other function of their
+file, so that they compile as they stand. A kernel evaluated at its own ``jump_time`` gives the value after the jump:
+edges are compared with ``SNAP`` to spare.
 """
 
 from __future__ import annotations
@@ -37,6 +42,7 @@ if TYPE_CHECKING:
     import sympy
 
 MASS, VISCOUS, COULOMB, OFFSET = range(4)  # places in the baseline array ``b``
+SNAP = 1e-10  # s, by which an edge in time is seen early, above the rounding of any record's clock
 
 CHANNELS = ("controller", "actuator", "plant", "sensor")
 SCALAR_HOOKS = ("force", "dry", "inertia", "command", "sensor", "delay", "guard", "jump_time")
@@ -49,7 +55,8 @@ Parameters = Mapping[str, float]
 class Parameter(Quantity):
     """A parameter of an effect.
 
-    ``linear``: the effect's force is proportional to it (others are *shape* parameters).
+    ``linear``: a linear regression gives it, as the coefficient of a column or, with others, through ``from_linear``
+    (amplitude and phase); the others are *shape* parameters. There are as many linear parameters as columns.
     ``per_record``: it belongs to one record (the phase of a ripple, the time of an event), not to the machine.
     ``starts``: values worth starting a fit from; a scan of a shape parameter uses them as its grid.
     ``scale``: a typical size, where the starts do not give one. ``discrete``: chosen among the starts, never refined.
@@ -68,7 +75,8 @@ class Motion:
 
     ``q`` [m], ``v`` [m/s], ``a`` [m/s^2], ``t`` [s], ``tau`` [N] (motor force as a model predicts it, never measured:
     a measured one would put the disturbance on both sides), ``smooth`` the zero-phase low-pass that was applied (used
-    on functions of ``q`` and ``t`` that must lose what the measured signals lost), ``period`` [s].
+    on functions of ``q`` and ``t`` that must lose what the measured signals lost), ``period`` [s], ``force_gain`` G_tau
+    [N/V], needed where a parameter is a voltage.
     """
 
     t: np.ndarray
@@ -78,6 +86,7 @@ class Motion:
     tau: np.ndarray
     period: float
     smooth: Callable[[np.ndarray], np.ndarray] = field(default=lambda signal: signal, repr=False)
+    force_gain: float = math.nan
 
     def derivative(self, signal: np.ndarray) -> np.ndarray:
         """Central difference of ``signal`` over time [unit of signal per s], shape kept."""
@@ -178,6 +187,44 @@ class Effect:
         if missing:
             raise AxisError(f"effect {self.name}: missing parameter {', '.join(missing)}")
         return np.array([p.check(parameters[p.name]) for p in self.parameters])
+
+    def contribution(
+        self,
+        parameters: Parameters,
+        b: np.ndarray,
+        *,
+        q: float = 0.0,
+        v: float = 0.0,
+        t: float = 0.0,
+        tau: float = 0.0,
+        u: float = 0.0,
+        x: tuple[float, ...] = (),
+    ) -> float:
+        """Return what the effect does at one point of the motion, in the unit of its channel.
+
+        Plant and dynamic actuator: extra force [N] on the left-hand side, ``force + dry sign(v)``, or the added mass
+        [kg] where there is only that. Static actuator map: voltage that acts [V] for ``u``. Otherwise the voltage
+        added [V], the delay [s] or the error of the sensor [m].
+
+        >>> from emps_design.effects import get_effect
+        >>> get_effect("nonlinear_viscous_friction").contribution({"quadratic": 900.0}, np.zeros(4), v=-0.1)
+        -9.0
+        """
+        p = self.values(parameters)
+        if self.actuator is not None:
+            return float(self.actuator(u, p))
+        point = (q, v, t, tau, x, p, b)
+        if self.force is None and self.dry is None:
+            hook = self.inertia or self.command or self.sensor or self.delay
+            if hook is None:
+                raise AxisError(
+                    f"effect {self.name}: it has no hook, expected at least one of {', '.join(SCALAR_HOOKS)}"
+                )
+            return float(hook(*point))
+        total = self.force(*point) if self.force is not None else 0.0
+        if self.dry is not None:
+            total += self.dry(*point) * float(np.sign(v))
+        return float(total)
 
     def coefficients(self, parameters: Parameters) -> np.ndarray:
         """Coefficients of the regressor's columns that belong to ``parameters``."""

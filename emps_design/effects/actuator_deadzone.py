@@ -1,0 +1,59 @@
+"""Actuator dead zone: below ``width`` the voltage does nothing, above it the width is missing.
+
+The dead band of a power stage (dead time of its switches) or of a servo amplifier's input. For |u| > width the force
+lost is G_tau width sign(u), the column; within the dead zone it is less, and the column only approximate.
+"""
+
+import numpy as np
+
+from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+
+
+def actuator(u, p):
+    if u > p[0]:
+        return u - p[0]
+    if u < -p[0]:
+        return u + p[0]
+    return 0.0
+
+
+def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
+    return (motion.force_gain * np.sign(motion.tau))[:, None]
+
+
+def expression(q, v, t, tau, p, b):
+    import sympy
+
+    return sympy.sign(tau) * sympy.Max(0, sympy.Abs(tau) - p["width"])
+
+
+EFFECT = Effect(
+    name="actuator_deadzone",
+    label="Actuator dead zone",
+    channel="actuator",
+    equation=r"u_a = \mathrm{sign}(u)\, \max(0, |u| - u_0)",
+    source="dead band of a power stage; G. Tao, P. V. Kokotovic, Adaptive Control with Actuator Nonlinearities, 1996",
+    parameters=(
+        Parameter(
+            "width",
+            "u_0",
+            "V",
+            lower=0.0,
+            upper=10.0,
+            linear=True,
+            starts=(0.05, 0.1, 0.2, 0.5),
+            text="voltage below which nothing acts",
+        ),
+    ),
+    actuator=actuator,
+    regressor=regressor,
+    expression=expression,
+    where="a step whenever the motor force changes sign, braking as well as reversing",
+    confused_with=("stribeck_friction", "presliding_friction", "backlash"),
+    experiment="brake along one direction without reversing: the step follows the voltage, not the speed",
+    remedy="add the width to the command with the sign of the command, smoothed near zero",
+    checks=(
+        ({"width": 0.2}, {"u": 1.0}, 0.8),
+        ({"width": 0.2}, {"u": -0.15}, 0.0),
+    ),
+)

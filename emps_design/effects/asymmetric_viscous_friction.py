@@ -1,0 +1,55 @@
+"""Asymmetric viscous friction: the two directions of travel have different viscous coefficients.
+
+With F_v = (F_v+ + F_v-)/2 in the baseline and ``viscous_difference`` = (F_v+ - F_v-)/2 the extra force is
+viscous_difference |v|. The other half of a two-quadrant friction, different Coulomb levels, is not here: half their
+difference is a constant force, exactly, and the baseline's offset holds it. ``model.two_quadrants`` gives the four
+numbers of equation (3) back.
+"""
+
+import numpy as np
+
+from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+
+
+def force(q, v, t, tau, x, p, b):
+    return p[0] * abs(v)
+
+
+def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
+    return np.abs(motion.v)[:, None]
+
+
+def expression(q, v, t, tau, p, b):
+    import sympy
+
+    return p["viscous_difference"] * sympy.Abs(v)
+
+
+EFFECT = Effect(
+    name="asymmetric_viscous_friction",
+    label="Asymmetric viscous friction",
+    channel="plant",
+    equation=r"F = \tfrac{1}{2}(F_v^+ - F_v^-)\,|\dot q|",
+    source="paper, eq. (3), Fig. 3 and Table I",
+    parameters=(
+        Parameter(
+            "viscous_difference",
+            r"\tfrac{1}{2}(F_v^+ - F_v^-)",
+            "N/(m/s)",
+            linear=True,
+            text="half the difference of the viscous coefficients of the two directions",
+        ),
+    ),
+    force=force,
+    regressor=regressor,
+    expression=expression,
+    where="in proportion to speed, with the same sign in both directions",
+    confused_with=("elastic_force", "friction_drift", "nonlinear_viscous_friction"),
+    experiment="constant-velocity strokes at three speeds, each in both directions over the same travel",
+    remedy="compensate friction with one coefficient for each direction",
+    checks=(
+        ({"viscous_difference": -40.0}, {"v": 0.5}, -20.0),
+        ({"viscous_difference": -40.0}, {"v": -0.25}, -10.0),
+    ),
+    parity="even",
+)

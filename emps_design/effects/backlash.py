@@ -1,0 +1,93 @@
+"""Backlash: part of the mass sits behind a coupling with play; within the gap nothing is transmitted.
+
+With d = q - q_load the contact force is k (d -+ gap/2) + c (v - v_load) where |d| > gap/2 and zero between. The
+coupling is that of ``flexible_coupling``: in contact the free pair resonates at ``frequency`` (reduced mass
+m = M share (1 - share), k = m w_n^2, c = 2 damping m w_n). Friction stays on the encoder's side; the load starts at
+rest in the middle of the play. The damper acts from contact on, so it may pull for the last instant before release.
+"""
+
+from math import pi
+
+from emps_design.effects.effect import MASS, Effect, Parameter
+from emps_design.quantities import Quantity
+
+
+def force(q, v, t, tau, x, p, b):
+    reduced = b[MASS] * p[3] * (1.0 - p[3])
+    w = 2.0 * pi * p[1]
+    half = 0.5 * p[0]
+    if x[0] > half:
+        return reduced * w * (w * (x[0] - half) + 2.0 * p[2] * (v - x[1]))
+    if x[0] < -half:
+        return reduced * w * (w * (x[0] + half) + 2.0 * p[2] * (v - x[1]))
+    return 0.0
+
+
+def inertia(q, v, t, tau, x, p, b):
+    return -p[3] * b[MASS]
+
+
+def rate(q, v, t, tau, x, p, b, level, dx):
+    reduced = b[MASS] * p[3] * (1.0 - p[3])
+    w = 2.0 * pi * p[1]
+    half = 0.5 * p[0]
+    contact = 0.0
+    if x[0] > half:
+        contact = reduced * w * (w * (x[0] - half) + 2.0 * p[2] * (v - x[1]))
+    elif x[0] < -half:
+        contact = reduced * w * (w * (x[0] + half) + 2.0 * p[2] * (v - x[1]))
+    dx[0] = v - x[1]
+    dx[1] = contact / (p[3] * b[MASS])
+
+
+def initial(q0, p, b):
+    return (0.0, 0.0)
+
+
+def guard(q, v, t, tau, x, p, b):
+    return abs(x[0]) - 0.5 * p[0]
+
+
+EFFECT = Effect(
+    name="backlash",
+    label="Backlash",
+    channel="plant",
+    equation=r"\tau_c = k\,(d \mp \tfrac{g}{2}) + c\,\dot d \text{ if } |d| > \tfrac{g}{2},\ M_l \ddot q_l = \tau_c",
+    source="dead zone and spring; M. Nordin, P.-O. Gutman, Automatica 38 (2002)",
+    parameters=(
+        Parameter("gap", "g", "m", lower=0.0, upper=5e-3, starts=(5e-5, 1e-4, 2e-4), text="total play"),
+        Parameter(
+            "frequency",
+            "f_n",
+            "Hz",
+            lower=5.0,
+            upper=400.0,
+            starts=(60.0,),
+            text="resonance of the two masses in contact, free",
+        ),
+        Parameter(
+            "damping", r"\zeta", "", lower=0.0, upper=1.0, starts=(0.15,), text="damping ratio of that resonance"
+        ),
+        Parameter("share", r"\mu", "", lower=0.01, upper=0.95, starts=(0.4,), text="share of the mass behind the play"),
+    ),
+    force=force,
+    inertia=inertia,
+    rate=rate,
+    initial=initial,
+    guard=guard,
+    states=(Quantity("twist", "d", "m"), Quantity("load_velocity", r"\dot q_l", "m/s")),
+    no_regressor="the load is a state that no measured signal gives",
+    where="a knock after every reversal of the transmitted force, then a short free flight",
+    confused_with=("flexible_coupling", "presliding_friction", "actuator_deadzone"),
+    experiment="slow reversals with a position sensor on the load, or a small square wave about rest: the load stays",
+    remedy="preload the nut or the belt; else keep the crossover low enough that the limit cycle dies",
+    checks=(
+        (
+            {"gap": 2e-4, "frequency": 50.0, "damping": 0.0, "share": 0.5},
+            {"x": (2e-4, 0.0)},
+            25.0 * (100 * pi) ** 2 * 1e-4,
+        ),
+        ({"gap": 2e-4, "frequency": 50.0, "damping": 0.1, "share": 0.5}, {"x": (9e-5, 0.0), "v": 0.1}, 0.0),
+    ),
+    passive=True,
+)

@@ -1,0 +1,50 @@
+"""Controller disturbance: a square wave of voltage, 0 and ``amplitude``, is added to the controller's output.
+
+High from ``start`` for ``duty`` of every period 1/frequency, and so before the record began. A test signal left
+switched on (the 1 Hz wave of DATA_EMPS_PULSES), a fault in the output stage ahead of the recording. The recorded
+voltage contains it, so the force balance holds with it and only the controller's law shows it.
+"""
+
+from math import floor
+
+from emps_design.effects.effect import SNAP, Effect, Parameter
+
+
+def command(q, v, t, tau, x, p, b):
+    turns = (t - p[3] + SNAP) * p[1]
+    if turns - floor(turns) < p[2]:
+        return p[0]
+    return 0.0
+
+
+def expression(q, v, t, tau, p, b):
+    import sympy
+
+    turns = (t - p["start"]) * p["frequency"]
+    return p["amplitude"] * sympy.Piecewise((1, sympy.Mod(turns, 1) < p["duty"]), (0, True))
+
+
+EFFECT = Effect(
+    name="controller_disturbance",
+    label="Controller disturbance",
+    channel="controller",
+    equation=r"u = u_{law} + A \;\text{ for } (t - t_0) f \bmod 1 < d",
+    source="the pulses of the EMPS validation record, A. Janot, M. Gautier, M. Brunot, 2019",
+    parameters=(
+        Parameter("amplitude", "A", "V", text="voltage added during a pulse"),
+        Parameter("frequency", "f", "Hz", lower=1e-3, upper=500.0, starts=(0.5, 1.0, 2.0), text="pulses per second"),
+        Parameter("duty", "d", "", lower=0.0, upper=1.0, starts=(0.5,), text="share of the period that is high"),
+        Parameter("start", "t_0", "s", lower=0.0, per_record=True, text="a rising edge, the first one in the record"),
+    ),
+    command=command,
+    no_regressor="the recorded voltage contains it: its column is in u minus the controller's law, not in the force",
+    expression=expression,
+    where="u minus the controller's law jumps between two levels; the force balance does not notice",
+    confused_with=("external_force", "periodic_disturbance"),
+    experiment="compute the law from the recorded reference and position and subtract it from the recorded voltage",
+    remedy="switch the injected signal off, or repair the output stage",
+    checks=(
+        ({"amplitude": 5.0, "frequency": 1.0, "duty": 0.5, "start": 0.344}, {"t": 3.4}, 5.0),
+        ({"amplitude": 5.0, "frequency": 1.0, "duty": 0.5, "start": 0.344}, {"t": 0.2}, 0.0),
+    ),
+)

@@ -1,0 +1,55 @@
+"""Elastic force: a spring to the frame, stiffness (q - rest_position).
+
+A hose, a cable chain, a balancing spring. The rest position trades against the baseline's constant force exactly, so
+from motion alone only the stiffness is known; the rest position is a choice, 0 unless a test without offset gives it.
+"""
+
+import numpy as np
+
+from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+
+
+def force(q, v, t, tau, x, p, b):
+    return p[0] * (q - p[1])
+
+
+def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
+    return (motion.q - shape["rest_position"])[:, None]
+
+
+def expression(q, v, t, tau, p, b):
+    return p["stiffness"] * (q - p["rest_position"])
+
+
+EFFECT = Effect(
+    name="elastic_force",
+    label="Elastic force",
+    channel="plant",
+    equation=r"F = k\,(q - q_0)",
+    source="linear spring; M. Gautier's inverse dynamic models carry it as one more column",
+    parameters=(
+        Parameter("stiffness", "k", "N/m", lower=0.0, linear=True, text="stiffness of the spring"),
+        Parameter(
+            "rest_position",
+            "q_0",
+            "m",
+            lower=-10.0,
+            upper=10.0,
+            starts=(0.0,),
+            text="position without force; collinear with the constant force",
+        ),
+    ),
+    force=force,
+    regressor=regressor,
+    expression=expression,
+    where="in proportion to position, the same in both directions and at every speed",
+    confused_with=("end_stop", "position_dependent_friction", "asymmetric_viscous_friction"),
+    experiment="hold the carriage at several positions and read the voltage, approaching each from both sides",
+    remedy="feed the spring forward, or add it to the impedance of the environment in the force loop",
+    checks=(
+        ({"stiffness": 50.0, "rest_position": 0.1}, {"q": 0.3}, 10.0),
+        ({"stiffness": 200.0, "rest_position": 0.0}, {"q": -0.05, "v": 1.0}, -10.0),
+    ),
+    passive=True,
+    parity="even",
+)

@@ -1,0 +1,63 @@
+"""End stop: a one-sided spring that the carriage meets at a position and leaves again.
+
+``side`` is +1 for a stop met when moving up (it acts above ``position``) and -1 for one met when moving down.
+"""
+
+import numpy as np
+
+from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+
+
+def force(q, v, t, tau, x, p, b):
+    return p[0] * max(0.0, p[2] * (q - p[1])) * p[2]
+
+
+def guard(q, v, t, tau, x, p, b):
+    return q - p[1]
+
+
+def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
+    side = shape["side"]
+    return motion.smooth(np.maximum(0.0, side * (motion.q - shape["position"])) * side)[:, None]
+
+
+def expression(q, v, t, tau, p, b):
+    import sympy
+
+    return p["stiffness"] * p["side"] * sympy.Max(0, p["side"] * (q - p["position"]))
+
+
+EFFECT = Effect(
+    name="end_stop",
+    label="End stop",
+    channel="plant",
+    equation=r"F = s\,k\,\max(0,\, s\,(q - q_s))",
+    source="unilateral spring, the rubber buffer at the end of the guide",
+    parameters=(
+        Parameter("stiffness", "k", "N/m", lower=0.0, linear=True, text="stiffness of the buffer"),
+        Parameter(
+            "position",
+            "q_s",
+            "m",
+            lower=-10.0,
+            upper=10.0,
+            starts=(0.0, 0.05, 0.1, 0.15, 0.2, 0.25),
+            text="position at which the carriage touches",
+        ),
+        Parameter("side", "s", "", lower=-1.0, upper=1.0, starts=(-1.0, 1.0), text="+1: upper stop, -1: lower stop"),
+    ),
+    force=force,
+    guard=guard,
+    regressor=regressor,
+    expression=expression,
+    where="beyond one position only, at one end of the travel, and growing there",
+    confused_with=("elastic_force", "position_dependent_friction"),
+    experiment="repeat the record over a shorter travel that stays clear of the suspected end",
+    remedy="shorten the travel, move the stop, or limit the reference ahead of it",
+    checks=(
+        ({"stiffness": 1200.0, "position": 0.2, "side": 1.0}, {"q": 0.25}, 60.0),
+        ({"stiffness": 1200.0, "position": 0.2, "side": -1.0}, {"q": 0.15}, -60.0),
+    ),
+    passive=True,
+    parity="even",
+)

@@ -1,0 +1,64 @@
+"""Friction drift: Coulomb and viscous friction settle from one level to another, by 1 + change (1 - exp(-t/T)).
+
+Warming grease, in general a negative change. The baseline is the friction at the record's first sample.
+"""
+
+from math import exp
+
+import numpy as np
+
+from emps_design.effects.effect import COULOMB, VISCOUS, Effect, Motion, Parameter, Parameters
+
+
+def force(q, v, t, tau, x, p, b):
+    return b[VISCOUS] * p[0] * (1.0 - exp(-t / p[1])) * v
+
+
+def dry(q, v, t, tau, x, p, b):
+    return b[COULOMB] * p[0] * (1.0 - exp(-t / p[1]))
+
+
+def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
+    friction = b[COULOMB] * np.sign(motion.v) + b[VISCOUS] * motion.v
+    return (friction * -np.expm1(-motion.t / shape["time_constant"]))[:, None]
+
+
+def expression(q, v, t, tau, p, b):
+    import sympy
+
+    settled = 1 - sympy.exp(-t / p["time_constant"])
+    return p["change"] * settled * (b[COULOMB] * sympy.sign(v) + b[VISCOUS] * v)
+
+
+EFFECT = Effect(
+    name="friction_drift",
+    label="Friction drift",
+    channel="plant",
+    equation=r"F = c\,(1 - e^{-t/T})\,(F_c\, \mathrm{sign}(\dot q) + F_v \dot q)",
+    source="first-order warming; friction of geared joints over temperature, A. C. Bittencourt, S. Gunnarsson, 2012",
+    parameters=(
+        Parameter("change", "c", "", lower=-0.95, upper=5.0, linear=True, text="relative change of friction, settled"),
+        Parameter(
+            "time_constant",
+            "T",
+            "s",
+            lower=0.1,
+            upper=3600.0,
+            starts=(3.0, 6.0, 12.0, 25.0, 60.0),
+            text="time constant of the settling",
+        ),
+    ),
+    force=force,
+    dry=dry,
+    regressor=regressor,
+    expression=expression,
+    where="from the start of the record on, in both directions, the laps differing from one another",
+    confused_with=("mass_change", "position_dependent_friction", "asymmetric_viscous_friction"),
+    experiment="repeat one lap for some minutes from cold: the force of equal strokes settles",
+    remedy="warm the axis up before identifying, and let the observer or an adaptive compensation follow the rest",
+    checks=(
+        ({"change": -0.3, "time_constant": 12.0}, {"t": 0.0, "v": 0.2}, 0.0),
+        ({"change": -0.5, "time_constant": 1.0}, {"t": 1e3, "v": -0.1}, 20.0),
+    ),
+    parity="odd",
+)

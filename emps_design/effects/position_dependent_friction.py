@@ -1,0 +1,62 @@
+"""Position-dependent friction: the Coulomb level varies along the travel, amplitude sin(2 pi q / length + phase).
+
+Guides out of parallel, preload that varies, a dirty stretch of rail. Unlike a ripple it changes sign with the
+direction of travel. The total level never falls below zero.
+"""
+
+from math import pi, sin
+
+import numpy as np
+
+from emps_design.effects import harmonic
+from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+
+
+def dry(q, v, t, tau, x, p, b):
+    return p[0] * sin(2.0 * pi * q / p[2] + p[1])
+
+
+def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
+    return harmonic.columns(2 * pi * motion.q / shape["length"]) * np.sign(motion.v)[:, None]
+
+
+def expression(q, v, t, tau, p, b):
+    import sympy
+
+    return p["amplitude"] * sympy.sin(2 * sympy.pi * q / p["length"] + p["phase"]) * sympy.sign(v)
+
+
+EFFECT = Effect(
+    name="position_dependent_friction",
+    label="Position-dependent friction",
+    channel="plant",
+    equation=r"F = A \sin(2\pi q/\Lambda + \varphi)\, \mathrm{sign}(\dot q)",
+    source="first harmonic of the Coulomb level over position; paper section II-B takes the level as constant",
+    parameters=(
+        Parameter("amplitude", "A", "N", lower=0.0, linear=True, text="variation of the Coulomb level"),
+        Parameter("phase", r"\varphi", "rad", linear=True, per_record=True, text="phase at the encoder's zero"),
+        Parameter(
+            "length",
+            r"\Lambda",
+            "m",
+            lower=0.02,
+            upper=5.0,
+            starts=(0.1, 0.2, 0.3, 0.5, 0.8),
+            text="travel after which the level repeats",
+        ),
+    ),
+    dry=dry,
+    regressor=regressor,
+    to_linear=harmonic.to_linear,
+    from_linear=harmonic.from_linear,
+    expression=expression,
+    where="slowly along the travel, with opposite sign in the two directions, at every speed alike",
+    confused_with=("position_ripple", "elastic_force", "friction_drift"),
+    experiment="one slow constant-velocity stroke over the whole travel in each direction",
+    remedy="align or relubricate the stretch named, or schedule the friction compensation on position",
+    checks=(
+        ({"amplitude": 5.0, "phase": 0.0, "length": 0.4}, {"q": 0.1, "v": 0.2}, 5.0),
+        ({"amplitude": 5.0, "phase": pi / 2, "length": 0.4}, {"q": 0.0, "v": -0.2}, -5.0),
+    ),
+    parity="odd",
+)

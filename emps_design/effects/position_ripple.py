@@ -1,0 +1,65 @@
+"""Position ripple: a force that repeats with travel, amplitude sin(2 pi q / period + phase), the same both ways.
+
+Cogging of the motor, a bent or eccentric screw, a belt's teeth: the period names the part (a revolution of the screw,
+of the encoder, a pole pair). The force derives from a potential, so a round trip costs nothing. The phase depends on
+where the encoder's zero was when the record was taken.
+"""
+
+from math import pi, sin
+
+import numpy as np
+
+from emps_design.effects import harmonic
+from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+
+
+def force(q, v, t, tau, x, p, b):
+    return p[0] * sin(2.0 * pi * q / p[2] + p[1])
+
+
+def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
+    sine, cosine = harmonic.columns(2 * pi * motion.q / shape["period"]).T
+    return np.column_stack([motion.smooth(sine), motion.smooth(cosine)])
+
+
+def expression(q, v, t, tau, p, b):
+    import sympy
+
+    return p["amplitude"] * sympy.sin(2 * sympy.pi * q / p["period"] + p["phase"])
+
+
+EFFECT = Effect(
+    name="position_ripple",
+    label="Position ripple",
+    channel="plant",
+    equation=r"F = A \sin(2\pi q/\lambda + \varphi)",
+    source="cogging and screw eccentricity; one encoder revolution is 2.5 mm on the EMPS",
+    parameters=(
+        Parameter("amplitude", "A", "N", lower=0.0, linear=True, text="amplitude of the ripple"),
+        Parameter("phase", r"\varphi", "rad", linear=True, per_record=True, text="phase at the encoder's zero"),
+        Parameter(
+            "period",
+            r"\lambda",
+            "m",
+            lower=1e-4,
+            upper=0.1,
+            starts=(0.001, 0.002, 0.0025, 0.004, 0.005, 0.01, 0.02),
+            text="travel after which the ripple repeats",
+        ),
+    ),
+    force=force,
+    regressor=regressor,
+    to_linear=harmonic.to_linear,
+    from_linear=harmonic.from_linear,
+    expression=expression,
+    where="one line in the spectrum over position, at every speed with the same amplitude",
+    confused_with=("encoder_error", "position_dependent_friction", "periodic_disturbance"),
+    experiment="two slow constant-velocity strokes at different speeds: the period stays in mm and the force in N",
+    remedy="feed the ripple forward from position, or keep k v / period away from the loop's resonances",
+    checks=(
+        ({"amplitude": 3.0, "phase": 0.0, "period": 0.004}, {"q": 0.001}, 3.0),
+        ({"amplitude": 3.0, "phase": pi / 2, "period": 0.004}, {"q": 0.002, "v": -0.3}, -3.0),
+    ),
+    passive=True,
+    parity="even",
+)

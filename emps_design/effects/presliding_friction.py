@@ -1,0 +1,61 @@
+"""Presliding friction: before it slides the contact bends like a spring and remembers its travel (Dahl).
+
+F = stiffness z, dz/dt = v - |v| stiffness z / L, with L the Coulomb level of the moment: a spring at small travel,
+Coulomb friction L sign(v) after about 3 L / stiffness of travel. It stands in for the set-valued friction, so the
+carriage has no true stick; a level that other effects drive to zero wipes the memory out over ``FORGET``.
+"""
+
+from emps_design.effects.effect import Effect, Parameter
+from emps_design.quantities import Quantity
+
+FORGET = 1e-4  # m
+
+
+def force(q, v, t, tau, x, p, b):
+    return p[0] * x[0]
+
+
+def rate(q, v, t, tau, x, p, b, level, dx):
+    if level > 0.0:
+        dx[0] = v - abs(v) * p[0] * x[0] / level
+    else:
+        dx[0] = -abs(v) * x[0] / FORGET
+
+
+def initial(q0, p, b):
+    return (0.0,)
+
+
+EFFECT = Effect(
+    name="presliding_friction",
+    label="Presliding friction",
+    channel="plant",
+    equation=r"F = \sigma z,\quad \dot z = \dot q - |\dot q|\, \sigma z / L",
+    source="P. R. Dahl, A solid friction model, Aerospace Corporation, 1968",
+    parameters=(
+        Parameter(
+            "stiffness",
+            r"\sigma",
+            "N/m",
+            lower=1e3,
+            upper=1e8,
+            starts=(2e4, 1e5, 5e5, 2e6),
+            text="stiffness of the contact before it slides",
+        ),
+    ),
+    force=force,
+    rate=rate,
+    initial=initial,
+    takes_dry=True,
+    states=(Quantity("deflection", "z", "m"),),
+    no_regressor="the bend of the contact is a state that remembers the path",
+    where="the first tenths of a millimetre after every reversal",
+    confused_with=("stribeck_friction", "backlash", "actuator_deadzone"),
+    experiment="small sine motion of 10 to 100 um about one position: force over position draws a rounded loop",
+    remedy="an integral action that does not hunt: lead it with the spring near reversals, or dither",
+    checks=(
+        ({"stiffness": 1e5}, {"x": (1e-4,)}, 10.0),
+        ({"stiffness": 2e6}, {"x": (-1e-5,), "v": 0.3}, -20.0),
+    ),
+    passive=True,
+)
