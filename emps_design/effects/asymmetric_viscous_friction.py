@@ -37,6 +37,7 @@ EFFECT = Effect(
             r"\tfrac{1}{2}(F_v^+ - F_v^-)",
             "N/(m/s)",
             linear=True,
+            scale=20.0,
             text="half the difference of the viscous coefficients of the two directions",
         ),
     ),

@@ -28,7 +28,7 @@ EFFECT = Effect(
     equation=r"F = k\,(q - q_0)",
     source="linear spring; M. Gautier's inverse dynamic models carry it as one more column",
     parameters=(
-        Parameter("stiffness", "k", "N/m", lower=0.0, linear=True, text="stiffness of the spring"),
+        Parameter("stiffness", "k", "N/m", lower=0.0, linear=True, scale=50.0, text="stiffness of the spring"),
         Parameter(
             "rest_position",
             "q_0",
@@ -36,6 +36,7 @@ EFFECT = Effect(
             lower=-10.0,
             upper=10.0,
             starts=(0.0,),
+            discrete=True,
             text="position without force; collinear with the constant force",
         ),
     ),

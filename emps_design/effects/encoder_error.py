@@ -40,8 +40,10 @@ EFFECT = Effect(
     equation=r"q_m = q + A \sin(2\pi q/\lambda + \varphi)",
     source="eccentricity and interpolation error of incremental encoders",
     parameters=(
-        Parameter("amplitude", "A", "m", lower=0.0, upper=1e-2, linear=True, text="amplitude of the error"),
-        Parameter("phase", r"\varphi", "rad", linear=True, per_record=True, text="phase at the encoder's zero"),
+        Parameter("amplitude", "A", "m", lower=0.0, upper=1e-2, linear=True, scale=5e-6, text="amplitude of the error"),
+        Parameter(
+            "phase", r"\varphi", "rad", linear=True, scale=1.0, per_record=True, text="phase at the encoder's zero"
+        ),
         Parameter(
             "period",
             r"\lambda",

@@ -34,7 +34,7 @@ EFFECT = Effect(
     equation=r"F = s\,k\,\max(0,\, s\,(q - q_s))",
     source="unilateral spring, the rubber buffer at the end of the guide",
     parameters=(
-        Parameter("stiffness", "k", "N/m", lower=0.0, linear=True, text="stiffness of the buffer"),
+        Parameter("stiffness", "k", "N/m", lower=0.0, linear=True, scale=1000.0, text="stiffness of the buffer"),
         Parameter(
             "position",
             "q_s",
@@ -44,7 +44,16 @@ EFFECT = Effect(
             starts=(0.0, 0.05, 0.1, 0.15, 0.2, 0.25),
             text="position at which the carriage touches",
         ),
-        Parameter("side", "s", "", lower=-1.0, upper=1.0, starts=(-1.0, 1.0), text="+1: upper stop, -1: lower stop"),
+        Parameter(
+            "side",
+            "s",
+            "",
+            lower=-1.0,
+            upper=1.0,
+            starts=(-1.0, 1.0),
+            discrete=True,
+            text="+1: upper stop, -1: lower stop",
+        ),
     ),
     force=force,
     guard=guard,

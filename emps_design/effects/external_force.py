@@ -57,10 +57,12 @@ EFFECT = Effect(
     equation=r"F = -A \;\text{ for } t \in [t_0 + k T,\, t_0 + k T + D),\quad k \ge 0",
     source="the external force of paper eq. (2), as pulses; the pulses of DATA_EMPS_PULSES enter at the controller",
     parameters=(
-        Parameter("amplitude", "A", "N", linear=True, text="force on the carriage, positive towards +q"),
-        Parameter("start", "t_0", "s", lower=0.0, per_record=True, text="start of the first pulse"),
+        Parameter("amplitude", "A", "N", linear=True, scale=20.0, text="force on the carriage, positive towards +q"),
+        Parameter("start", "t_0", "s", lower=0.0, per_record=True, scale=0.1, text="start of the first pulse"),
         Parameter("duration", "D", "s", lower=1e-3, starts=(0.1, 0.25, 0.5, 1.0), text="length of a pulse"),
-        Parameter("every", "T", "s", lower=0.0, per_record=True, text="from one pulse to the next, 0: a single one"),
+        Parameter(
+            "every", "T", "s", lower=0.0, per_record=True, scale=0.1, text="from one pulse to the next, 0: a single one"
+        ),
     ),
     force=force,
     jump_time=jump_time,

@@ -37,7 +37,16 @@ EFFECT = Effect(
     equation=r"F = c\,(1 - e^{-t/T})\,(F_c\, \mathrm{sign}(\dot q) + F_v \dot q)",
     source="first-order warming; friction of geared joints over temperature, A. C. Bittencourt, S. Gunnarsson, 2012",
     parameters=(
-        Parameter("change", "c", "", lower=-0.95, upper=5.0, linear=True, text="relative change of friction, settled"),
+        Parameter(
+            "change",
+            "c",
+            "",
+            lower=-0.95,
+            upper=5.0,
+            linear=True,
+            scale=0.2,
+            text="relative change of friction, settled",
+        ),
         Parameter(
             "time_constant",
             "T",

@@ -30,7 +30,9 @@ EFFECT = Effect(
     equation=r"F = \mu\, |\tau|\, \mathrm{sign}(\dot q)",
     source="transmission losses; P. Hamon, M. Gautier, P. Garrec, IROS 2010",
     parameters=(
-        Parameter("share", r"\mu", "", lower=0.0, upper=0.9, linear=True, text="share of the motor force lost"),
+        Parameter(
+            "share", r"\mu", "", lower=0.0, upper=0.9, linear=True, scale=0.05, text="share of the motor force lost"
+        ),
     ),
     dry=dry,
     regressor=regressor,

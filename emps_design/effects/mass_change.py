@@ -39,8 +39,10 @@ EFFECT = Effect(
     equation=r"F = c\,M \ddot q \;\text{ for } t \ge t_0",
     source="payload; M. Gautier, weighing with the inverse dynamic model",
     parameters=(
-        Parameter("change", "c", "", lower=-0.9, upper=10.0, linear=True, text="relative change of the mass"),
-        Parameter("time", "t_0", "s", lower=0.0, per_record=True, text="instant of the change"),
+        Parameter(
+            "change", "c", "", lower=-0.9, upper=10.0, linear=True, scale=0.1, text="relative change of the mass"
+        ),
+        Parameter("time", "t_0", "s", lower=0.0, per_record=True, scale=0.1, text="instant of the change"),
     ),
     inertia=inertia,
     jump_time=jump_time,

@@ -35,6 +35,7 @@ EFFECT = Effect(
             r"F_{v2}",
             "N/(m/s)^2",
             linear=True,
+            scale=300.0,
             text="bend of the friction curve; negative where friction flattens with speed",
         ),
     ),

@@ -33,8 +33,16 @@ EFFECT = Effect(
     equation=r"F = -A \sin(2\pi f t + \varphi)",
     source="harmonic external force of paper eq. (2)",
     parameters=(
-        Parameter("amplitude", "A", "N", lower=0.0, linear=True, text="amplitude of the force"),
-        Parameter("phase", r"\varphi", "rad", linear=True, per_record=True, text="phase at the record's first sample"),
+        Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=2.0, text="amplitude of the force"),
+        Parameter(
+            "phase",
+            r"\varphi",
+            "rad",
+            linear=True,
+            scale=1.0,
+            per_record=True,
+            text="phase at the record's first sample",
+        ),
         Parameter(
             "frequency",
             "f",

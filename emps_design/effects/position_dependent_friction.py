@@ -33,8 +33,10 @@ EFFECT = Effect(
     equation=r"F = A \sin(2\pi q/\Lambda + \varphi)\, \mathrm{sign}(\dot q)",
     source="first harmonic of the Coulomb level over position; paper section II-B takes the level as constant",
     parameters=(
-        Parameter("amplitude", "A", "N", lower=0.0, linear=True, text="variation of the Coulomb level"),
-        Parameter("phase", r"\varphi", "rad", linear=True, per_record=True, text="phase at the encoder's zero"),
+        Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=3.0, text="variation of the Coulomb level"),
+        Parameter(
+            "phase", r"\varphi", "rad", linear=True, scale=1.0, per_record=True, text="phase at the encoder's zero"
+        ),
         Parameter(
             "length",
             r"\Lambda",

@@ -35,8 +35,10 @@ EFFECT = Effect(
     equation=r"F = A \sin(2\pi q/\lambda + \varphi)",
     source="cogging and screw eccentricity; one encoder revolution is 2.5 mm on the EMPS",
     parameters=(
-        Parameter("amplitude", "A", "N", lower=0.0, linear=True, text="amplitude of the ripple"),
-        Parameter("phase", r"\varphi", "rad", linear=True, per_record=True, text="phase at the encoder's zero"),
+        Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=2.0, text="amplitude of the ripple"),
+        Parameter(
+            "phase", r"\varphi", "rad", linear=True, scale=1.0, per_record=True, text="phase at the encoder's zero"
+        ),
         Parameter(
             "period",
             r"\lambda",

@@ -33,7 +33,15 @@ EFFECT = Effect(
     equation=r"F = (F_s - F_c)\, e^{-|\dot q/\dot q_s|^{\delta_s}}\, \mathrm{sign}(\dot q)",
     source="paper, eq. (4), Fig. 3",
     parameters=(
-        Parameter("excess", r"F_s - F_c", "N", lower=0.0, linear=True, text="break-away force above Coulomb friction"),
+        Parameter(
+            "excess",
+            r"F_s - F_c",
+            "N",
+            lower=0.0,
+            linear=True,
+            scale=5.0,
+            text="break-away force above Coulomb friction",
+        ),
         Parameter(
             "stribeck_velocity",
             r"\dot q_s",
