@@ -52,18 +52,18 @@ class Problem:
             self.plants[model.names] = Plant.of(model.to_axis(smooth))
         return self.plants[model.names]
 
-    def forces(self, model: Candidate) -> tuple[np.ndarray, ...]:
-        """Motor force G_tau u [N] of the closed loop from ``q_ref`` alone, one array (n,) a record."""
+    def runs(self, model: Candidate) -> tuple[Any, ...]:
+        """Closed-loop simulations from ``q_ref`` alone, one a record."""
         plant = self.plant(model)
         return tuple(
-            plant.closed_loop(r.q_ref, baseline=model.baseline, parameters=model.parameters(i), q0=float(r.q[0])).force
+            plant.closed_loop(r.q_ref, baseline=model.baseline, parameters=model.parameters(i), q0=float(r.q[0]))
             for i, r in enumerate(self.records)
         )
 
     def residuals(self, model: Candidate) -> tuple[np.ndarray, ...]:
         """Measured minus simulated motor force [N], one array (n,) a record."""
         gain = self.axis.drive.force_gain
-        return tuple(gain * r.u - f for r, f in zip(self.records, self.forces(model), strict=True))
+        return tuple(gain * r.u - run.force for r, run in zip(self.records, self.runs(model), strict=True))
 
     def whitened(self, model: Candidate) -> tuple[np.ndarray, ...]:
         """Innovations of :meth:`residuals` in units of the noise."""

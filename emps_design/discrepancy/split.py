@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,4 +77,4 @@ def find_strokes(q_ref: np.ndarray, period: float) -> tuple[tuple[int, int], ...
         return ((0, q_ref.size),)
     turns = moving[1:][np.diff(direction[moving]) != 0]
     edges = [0, *(int(turn) for turn in turns), q_ref.size]
-    return tuple((a, b) for a, b in zip(edges, edges[1:], strict=False) if b - a > 20)
+    return tuple((a, b) for a, b in itertools.pairwise(edges) if b - a > 20)

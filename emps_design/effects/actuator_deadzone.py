@@ -21,6 +21,11 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
     return (motion.force_gain * np.sign(motion.tau))[:, None]
 
 
+def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
+    typical = float(np.sqrt(np.mean(motion.voltage**2)))
+    return [{"width": share * typical} for share in (0.03, 0.1, 0.2, 0.4)]
+
+
 def expression(q, v, t, tau, p, b):
     import sympy
 
@@ -47,6 +52,7 @@ EFFECT = Effect(
     ),
     actuator=actuator,
     regressor=regressor,
+    propose=propose,
     expression=expression,
     where="a step whenever the motor force changes sign, braking as well as reversing",
     confused_with=("stribeck_friction", "presliding_friction", "backlash"),

@@ -4,11 +4,18 @@ A current limit of the amplifier below the voltage limit that the controller kno
 command and goes beyond the limit. Symmetric.
 """
 
-from emps_design.effects.effect import Effect, Parameter
+import numpy as np
+
+from emps_design.effects.effect import Effect, Motion, Parameter
 
 
 def actuator(u, p):
     return max(-p[0], min(p[0], u))
+
+
+def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
+    largest = float(np.abs(motion.voltage).max())
+    return [{"limit": share * largest} for share in (0.95, 0.85, 0.7, 0.55, 0.4)]
 
 
 def expression(q, v, t, tau, p, b):
@@ -35,6 +42,7 @@ EFFECT = Effect(
         ),
     ),
     actuator=actuator,
+    propose=propose,
     no_regressor="the force lost is known only where the command exceeds the limit, from the command itself",
     expression=expression,
     where="while the command is large, after a fast change of the reference; the command outgrows the acceleration",

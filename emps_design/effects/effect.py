@@ -74,7 +74,7 @@ class Motion:
     """What a regressor sees: the motion of a record or a simulation, filtered alike, one row a sample.
 
     ``q`` [m], ``v`` [m/s], ``a`` [m/s^2], ``t`` [s], ``tau`` [N] (motor force as a model predicts it, never measured:
-    a measured one would put the disturbance on both sides), ``smooth`` the zero-phase low-pass that was applied (used
+    a measured one would put the disturbance on both sides), ``voltage`` [V] the recorded one, ``smooth`` the zero-phase low-pass that was applied (used
     on functions of ``q`` and ``t`` that must lose what the measured signals lost), ``period`` [s], ``force_gain`` G_tau
     [N/V], needed where a parameter is a voltage.
     """
@@ -85,6 +85,7 @@ class Motion:
     a: np.ndarray
     tau: np.ndarray
     period: float
+    voltage: np.ndarray | None = None
     smooth: Callable[[np.ndarray], np.ndarray] = field(default=lambda signal: signal, repr=False)
     force_gain: float = math.nan
 

@@ -37,6 +37,7 @@ EFFECT = Effect(
             upper=10.0,
             starts=(0.0,),
             discrete=True,
+            discrete=True,
             text="position without force; collinear with the constant force",
         ),
     ),

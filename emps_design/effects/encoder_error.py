@@ -9,7 +9,7 @@ from math import pi, sin
 
 import numpy as np
 
-from emps_design.effects import harmonic
+from emps_design.effects import harmonic, search
 from emps_design.effects.effect import MASS, VISCOUS, Effect, Motion, Parameter, Parameters
 
 
@@ -25,6 +25,17 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
     of_sine = b[MASS] * (turn * cosine - speed**2 * sine) + b[VISCOUS] * speed * cosine
     of_cosine = b[MASS] * (-turn * sine - speed**2 * cosine) - b[VISCOUS] * speed * sine
     return -np.column_stack([motion.smooth(of_sine), motion.smooth(of_cosine)])
+
+
+def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
+    def columns(index: np.ndarray, period: float) -> np.ndarray:
+        wave = 2 * pi / period
+        speed, turn = wave * motion.v[index], wave * motion.a[index]
+        sine, cosine = harmonic.columns(wave * motion.q[index]).T
+        return np.column_stack([speed**2 * sine - turn * cosine, speed**2 * cosine + turn * sine])
+
+    found = search.periods(residual, motion.q, motion.v, motion.a, away, columns, shortest=5e-4)
+    return [{"period": period} for period in found]
 
 
 def expression(q, v, t, tau, p, b):
@@ -56,6 +67,7 @@ EFFECT = Effect(
     ),
     sensor=sensor,
     regressor=regressor,
+    propose=propose,
     to_linear=harmonic.to_linear,
     from_linear=harmonic.from_linear,
     expression=expression,

@@ -21,6 +21,13 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
     return motion.smooth(np.maximum(0.0, side * (motion.q - shape["position"])) * side)[:, None]
 
 
+def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
+    low, high = float(motion.q.min()), float(motion.q.max())
+    depths = [share * (high - low) for share in (0.02, 0.06, 0.15, 0.3)]
+    ends = ((1.0, high), (-1.0, low))
+    return [{"position": end - side * depth, "side": side} for side, end in ends for depth in depths]
+
+
 def expression(q, v, t, tau, p, b):
     import sympy
 
@@ -52,12 +59,14 @@ EFFECT = Effect(
             upper=1.0,
             starts=(-1.0, 1.0),
             discrete=True,
+            discrete=True,
             text="+1: upper stop, -1: lower stop",
         ),
     ),
     force=force,
     guard=guard,
     regressor=regressor,
+    propose=propose,
     expression=expression,
     where="beyond one position only, at one end of the travel, and growing there",
     confused_with=("elastic_force", "position_dependent_friction"),

@@ -42,6 +42,11 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
     return -motion.smooth(((since >= 0) & (folded < shape["duration"])).astype(float))[:, None]
 
 
+def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
+    # The residual opposes the motor; the pulse pushes the carriage.
+    return search.pulses(-residual, motion.t, motion.period)
+
+
 def expression(q, v, t, tau, p, b):
     import sympy
 
@@ -67,6 +72,7 @@ EFFECT = Effect(
     force=force,
     jump_time=jump_time,
     regressor=regressor,
+    propose=propose,
     expression=expression,
     where="within stretches of time, whatever position and speed are",
     confused_with=("periodic_disturbance", "friction_drift", "controller_disturbance"),

@@ -26,6 +26,13 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
     return (b[MASS] * motion.a * motion.smooth((motion.t >= shape["time"] - SNAP).astype(float)))[:, None]
 
 
+def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
+    def after(index: np.ndarray, instant: float) -> np.ndarray:
+        return np.where(motion.t[index] > instant, motion.a[index], 0.0)[:, None]
+
+    return [{"time": at} for at in search.instants(residual, motion.t, motion.v, motion.a, away, after)]
+
+
 def expression(q, v, t, tau, p, b):
     import sympy
 
@@ -47,6 +54,7 @@ EFFECT = Effect(
     inertia=inertia,
     jump_time=jump_time,
     regressor=regressor,
+    propose=propose,
     expression=expression,
     where="during accelerations after one instant, not before",
     confused_with=("friction_drift", "load_dependent_friction", "actuator_saturation"),

@@ -7,7 +7,7 @@ from math import pi, sin
 
 import numpy as np
 
-from emps_design.effects import harmonic
+from emps_design.effects import harmonic, search
 from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
 
 
@@ -18,6 +18,14 @@ def force(q, v, t, tau, x, p, b):
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
     sine, cosine = harmonic.columns(2 * pi * shape["frequency"] * motion.t).T
     return -np.column_stack([motion.smooth(sine), motion.smooth(cosine)])
+
+
+def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
+    def columns(index: np.ndarray, period: float) -> np.ndarray:
+        return harmonic.columns(2 * pi * motion.t[index] / period)
+
+    found = search.periods(residual, motion.t, motion.v, motion.a, away, columns, shortest=0.025, count=6)
+    return [{"frequency": 1.0 / period} for period in found]
 
 
 def expression(q, v, t, tau, p, b):
@@ -55,6 +63,7 @@ EFFECT = Effect(
     ),
     force=force,
     regressor=regressor,
+    propose=propose,
     to_linear=harmonic.to_linear,
     from_linear=harmonic.from_linear,
     expression=expression,
