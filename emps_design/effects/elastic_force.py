@@ -37,7 +37,6 @@ EFFECT = Effect(
             upper=10.0,
             starts=(0.0,),
             discrete=True,
-            discrete=True,
             text="position without force; collinear with the constant force",
         ),
     ),

@@ -59,7 +59,6 @@ EFFECT = Effect(
             upper=1.0,
             starts=(-1.0, 1.0),
             discrete=True,
-            discrete=True,
             text="+1: upper stop, -1: lower stop",
         ),
     ),
