@@ -8,6 +8,7 @@ from math import floor, inf
 
 import numpy as np
 
+from emps_design.effects import search
 from emps_design.effects.effect import SNAP, Effect, Motion, Parameter, Parameters
 
 

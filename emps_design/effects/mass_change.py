@@ -7,6 +7,7 @@ from math import inf
 
 import numpy as np
 
+from emps_design.effects import search
 from emps_design.effects.effect import MASS, SNAP, Effect, Motion, Parameter, Parameters
 
 
