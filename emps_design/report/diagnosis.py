@@ -1,0 +1,392 @@
+"""The page of ``diagnose``: one sentence, where, before and after, what lost, what could not be excluded, what to do.
+
+What a diagnosis must offer is written in :class:`Diagnosis`: its plain data, and the arrays of its pictures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from emps_design.report import diagnosis_figures as figures
+from emps_design.report.display import NOTHING, angle, probability, quantity, with_std, words
+from emps_design.report.footer import inputs_table, versions_table
+from emps_design.report.page import Callout, Facts, Html, Page, Picture, Points, Section, Table, Text
+
+
+class View(Protocol):
+    """The mean residual force over one quantity, before and after the missing effects were added.
+
+    ``quantity`` is the word on the axis ("velocity", "position", "time", "frequency", ...), ``unit`` its SI unit;
+    ``x``, ``before``, ``after`` (n,) with forces in N (an amplitude over frequency); ``band`` (n,) or None: half-width
+    of what a healthy record shows [N]; ``marks``: intervals (lo, hi) of ``x`` to point at; ``title``: a few words, such
+    as "forwards only", or "". NaN leaves a gap in the line.
+    """
+
+    quantity: str
+    unit: str
+    x: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    band: np.ndarray | None
+    marks: Sequence[tuple[float, float]]
+    title: str
+
+
+class Trace(Protocol):
+    """Force of the confirming record: ``t`` [s]; ``measured``, ``baseline``, ``extended`` [N], all (n,).
+
+    ``name`` is the record's; ``window`` the seconds (lo, hi) worth a closer look, or None for the whole record.
+    """
+
+    name: str
+    t: np.ndarray
+    measured: np.ndarray
+    baseline: np.ndarray
+    extended: np.ndarray
+    window: tuple[float, float] | None
+
+
+class Diagnosis(Protocol):
+    """What the page draws.
+
+    ``to_dict()`` is the contract's document (``schema``, ``verdict``, ``findings``, ``gap``, ``gap_inverse_60hz``,
+    ``model_file``), with ``sentence`` and, where known, the keys below; what is absent is left out of the page.
+
+    | key | content |
+    |---|---|
+    | ``sentence`` | str, the answer in one sentence |
+    | ``findings[i].label`` | str, the effect in words (else its name is used) |
+    | ``candidates`` | [{effect, label, gap [N], statistic, threshold, accepted: bool, note}], best first |
+    | ``parameters`` | {name: {unit, axis, baseline: {value, std}, extended: {value, std}}} |
+    | ``not_excluded`` | [{effect, label, size, unit, text}]: the smallest size that would have been seen |
+    | ``remedies`` | [str], what a control engineer does about it |
+    | ``experiment`` | str, the program that would separate what these data cannot |
+    | ``design`` | [{quantity, unit, before, after, note}], what the better model changes in margins and gains |
+    | ``records`` | [{name, role, sha256}] with role "train" or "holdout" |
+    | ``inputs`` | {name: sha256} of every file read, the axis file included |
+    | ``calibration`` | str, how the threshold was found |
+    | ``assumptions``, ``warnings`` | [str] |
+
+    ``views``: the first is the picture of *where*; ``trace``: None where no record confirms.
+    """
+
+    views: Sequence[View]
+    trace: Trace | None
+
+    def to_dict(self) -> Mapping[str, Any]:
+        """The contract's document with the keys above."""
+        ...
+
+
+VERDICTS = {
+    "named": ("warning", "An effect is missing from the model, and it has a name"),
+    "parameters-only": ("note", "Nothing is missing: only the numbers of the axis file are off"),
+    "nothing-missing": ("good", "Nothing is missing from the model"),
+    "ambiguous": ("warning", "Something is missing, and these data cannot tell which of several effects it is"),
+    "unnamed": ("warning", "Something is missing that no effect of the library explains"),
+}
+
+
+def diagnosis_page(diagnosis: Diagnosis) -> Page:
+    """Return the page of a diagnosis."""
+    document = diagnosis.to_dict()
+    findings = document["findings"]
+    level, verdict = VERDICTS[document["verdict"]]
+    summary: list[Any] = [
+        Callout(level, document.get("sentence") or verdict, verdict if "sentence" in document else "")
+    ]
+    summary.append(_gap_facts(document["gap"]))
+    if diagnosis.views:
+        summary.append(Picture(figures.where_figure(diagnosis), _where_caption(diagnosis, findings), "Where"))
+    if diagnosis.trace is not None:
+        summary.append(
+            Picture(
+                figures.before_after_figure(diagnosis),
+                f"Record {diagnosis.trace.name}: measured force, and two closed-loop simulations of it from the "
+                "reference alone. Look at the lower picture: what the extended model leaves should look like noise.",
+                "Before and after",
+            )
+        )
+    sections = [
+        _findings_section(findings),
+        _candidates_section(diagnosis, document.get("candidates", ())),
+        _parameters_section(document),
+        _gap_section(document),
+        _views_section(diagnosis),
+        _limits_section(document),
+        _remedy_section(document, findings),
+        _design_section(document.get("design", ())),
+        _method_section(document),
+    ]
+    names = ", ".join(record["name"] for record in document.get("records", ()))
+    return Page(
+        "Where simulation and machine disagree",
+        names,
+        tuple(summary),
+        tuple(section for section in sections if section is not None),
+    )
+
+
+def _label(finding: Mapping[str, Any]) -> str:
+    return finding.get("label") or words(finding["effect"])
+
+
+def _where_caption(diagnosis: Diagnosis, findings: Sequence[Mapping[str, Any]]) -> str:
+    view = diagnosis.views[0]
+    places = "; ".join(f["where"]["text"] for f in findings if f.get("where", {}).get("text"))
+    said = f" {places[0].upper()}{places[1:]}." if places else ""
+    return f"Residual force over {view.quantity}, before (model as it was, refitted) and after.{said}"
+
+
+def _gap_facts(gap: Mapping[str, Any]) -> Facts:
+    part = "holdout" if gap.get("holdout") else "train"
+    values = gap[part]
+    unit = gap.get("unit", "N")
+    word = "held-out record" if part == "holdout" else "training record"
+    before, after, floor = values.get("baseline"), values.get("extended"), gap.get("floor")
+    items = [
+        ("force error before", quantity(before, unit, 3), f"{word}, closed loop"),
+        ("force error after", quantity(after, unit, 3), f"{word}, closed loop"),
+        ("noise floor", quantity(floor, unit, 3), "what repeats of the record differ by"),
+    ]
+    if None not in (before, after, floor) and before > floor:
+        share = f"{100 * (before - after) / (before - floor):.0f} %"
+        items.append(("of the gap closed", share, "100 % reaches the floor"))
+    return Facts(tuple(items))
+
+
+def _findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
+    if not findings:
+        return None
+    blocks: list[Any] = []
+    for finding in findings:
+        equivalents = finding.get("equivalents") or ()
+        text = finding.get("where", {}).get("text", "")
+        blocks.append(
+            Callout(
+                "note",
+                f"{_label(finding)} ({finding.get('where', {}).get('channel', 'plant')})",
+                " ".join(
+                    part
+                    for part in (
+                        f"{text[0].upper()}{text[1:]}." if text else "",
+                        f"These data cannot tell it from: {', '.join(words(e) for e in equivalents)}."
+                        if equivalents
+                        else "",
+                        finding.get("note", ""),
+                    )
+                    if part
+                ),
+            )
+        )
+    rows = [
+        [
+            _label(finding),
+            words(name),
+            with_std(entry.get("value"), entry.get("std"), entry.get("unit", "")),
+            _interval(entry),
+            "this record" if entry.get("per_record") else "the machine",
+        ]
+        for finding in findings
+        for name, entry in finding.get("parameters", {}).items()
+    ]
+    if rows:
+        blocks.append(
+            Table(
+                ["effect", "parameter", "value ± std", "95 % interval", "belongs to"],
+                rows,
+                "Parameters of what was found. A number that belongs to one record (the phase of a ripple, the time of "
+                "an event) is fitted anew on every other record.",
+            )
+        )
+    blocks.append(
+        Table(
+            ["effect", "p-value", "gap before [N]", "gap after [N]"],
+            [[_label(f), probability(f.get("p_value")), f.get("gap_before"), f.get("gap_after")] for f in findings],
+            "Findings in the order they were accepted; the gap is the rms error of the closed-loop force.",
+        )
+    )
+    return Section("What is missing", *blocks)
+
+
+def _interval(entry: Mapping[str, Any]) -> str:
+    value, std = entry.get("value"), entry.get("std")
+    if value is None or not std:
+        return NOTHING
+    low, high = value - 1.96 * std, value + 1.96 * std
+    return f"{quantity(low, entry.get('unit', ''), 3)} to {quantity(high, entry.get('unit', ''), 3)}"
+
+
+def _candidates_section(diagnosis: Diagnosis, candidates: Sequence[Mapping[str, Any]]) -> Section | None:
+    if not candidates:
+        return None
+    rows = [
+        [
+            c.get("label") or words(c["effect"]),
+            "accepted" if c.get("accepted") else "lost",
+            c.get("gap"),
+            c.get("statistic"),
+            c.get("threshold"),
+            c.get("note", ""),
+        ]
+        for c in candidates
+    ]
+    return Section(
+        "Candidates",
+        Picture(
+            figures.candidates_figure(candidates, diagnosis.to_dict()["gap"]),
+            "Force error left by each candidate after a refit in closed loop; shorter is better. The dashed line is "
+            "the model as it was, the dotted line the noise floor. A candidate near the dashed line explains nothing.",
+            "What was tried",
+        ),
+        Table(
+            ["candidate", "decision", "gap left [N]", "statistic", "to beat", "why"],
+            rows,
+            "The best candidates, refitted in closed loop on the selection part; the statistic must exceed the largest "
+            "that healthy records give.",
+        ),
+    )
+
+
+def _parameters_section(document: Mapping[str, Any]) -> Section | None:
+    parameters = document.get("parameters") or {}
+    if not parameters:
+        return None
+
+    def shown(entry: Mapping[str, Any] | None, unit: str) -> str:
+        return with_std(entry.get("value"), entry.get("std"), unit) if entry else NOTHING
+
+    return Section(
+        "Baseline parameters",
+        Table(
+            ["parameter", "axis file", "refitted, nothing added", "with what was missing"],
+            [
+                [
+                    words(name),
+                    quantity(entry.get("axis"), entry["unit"]),
+                    shown(entry.get("baseline"), entry["unit"]),
+                    shown(entry.get("extended"), entry["unit"]),
+                ]
+                for name, entry in parameters.items()
+            ],
+            "The same four numbers before and after: a missing effect biases what stands in for it.",
+        ),
+    )
+
+
+def _gap_section(document: Mapping[str, Any]) -> Section:
+    rows = []
+    for key, word in (("gap", "closed loop, unfiltered"), ("gap_inverse_60hz", "inverse model, 60 Hz")):
+        gap = document.get(key)
+        for part, name in (("train", "training"), ("holdout", "held out")):
+            if gap and gap.get(part):
+                values = gap[part]
+                rows.append([word, name, values.get("baseline"), values.get("extended"), gap.get("floor")])
+    return Section(
+        "The gap in numbers",
+        Table(
+            ["force error", "record", "baseline [N rms]", "extended [N rms]", "floor [N rms]"],
+            rows,
+            "Both models have their baseline parameters refitted to the training record; nothing was decided on the "
+            "held-out part.",
+        ),
+    )
+
+
+def _views_section(diagnosis: Diagnosis) -> Section | None:
+    if len(diagnosis.views) < 2:
+        return None
+    return Section(
+        "The residual from every side",
+        Picture(
+            figures.views_figure(diagnosis.views),
+            "Mean residual force before (orange) and after (blue); the grey band is what a healthy record shows. "
+            "What leaves the band after the extension is still unexplained.",
+            "Residual over every quantity",
+        ),
+    )
+
+
+def _limits_section(document: Mapping[str, Any]) -> Section | None:
+    limits = document.get("not_excluded") or ()
+    if not limits:
+        return None
+    rows = [
+        [
+            entry.get("label") or words(entry["effect"]),
+            quantity(entry.get("size"), entry.get("unit", ""), 2),
+            entry.get("text", ""),
+        ]
+        for entry in limits
+    ]
+    return Section(
+        "What could not be excluded",
+        Table(
+            ["effect", "could be there up to", "remark"],
+            rows,
+            "The smallest size that this procedure would have noticed on these records; anything below may be there.",
+        ),
+    )
+
+
+def _remedy_section(document: Mapping[str, Any], findings: Sequence[Mapping[str, Any]]) -> Section | None:
+    remedies = [r for r in document.get("remedies", ()) if r]
+    blocks: list[Any] = [Points(remedies)] if remedies else []
+    if document.get("experiment"):
+        blocks.append(Callout("note", "The experiment that would tell more", document["experiment"]))
+    if document.get("model_file"):
+        blocks.append(
+            Text(
+                Html(
+                    f"The model with what was missing: <code>{document['model_file']}</code>. Every command runs on it."
+                )
+            )
+        )
+    return Section("What to do", *blocks) if blocks else None
+
+
+def _design_section(rows: Sequence[Mapping[str, Any]]) -> Section | None:
+    if not rows:
+        return None
+
+    def shown(value: Any, unit: str) -> str:
+        if isinstance(value, str) or value is None:
+            return value or NOTHING
+        return angle(value) if unit == "deg" else quantity(value, unit)
+
+    return Section(
+        "What the better model changes in the design",
+        Table(
+            ["quantity", "with the model as it was", "with the better model", "remark"],
+            [
+                [
+                    row["quantity"],
+                    shown(row["before"], row.get("unit", "")),
+                    shown(row["after"], row.get("unit", "")),
+                    row.get("note", ""),
+                ]
+                for row in rows
+            ],
+            "The same specification, designed on both models.",
+        ),
+    )
+
+
+def _method_section(document: Mapping[str, Any]) -> Section:
+    blocks: list[Any] = []
+    if document.get("calibration"):
+        blocks.append(Text(document["calibration"]))
+    if document.get("assumptions"):
+        blocks.append(Points(document["assumptions"]))
+    blocks += [Callout("warning", warning) for warning in document.get("warnings", ())]
+    inputs = dict(document.get("inputs") or {r["name"]: r.get("sha256") for r in document.get("records", ())})
+    if inputs:
+        blocks.append(inputs_table(inputs))
+    blocks.append(versions_table())
+    return Section("Method, warnings and inputs", *blocks)
+
+
+__all__ = ["Diagnosis", "Trace", "View", "diagnosis_page"]

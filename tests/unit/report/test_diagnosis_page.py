@@ -1,0 +1,161 @@
+"""The page of a diagnosis, from invented data that keeps to the protocol."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from emps_design.report.diagnosis import VERDICTS, diagnosis_page
+
+
+@dataclass
+class View:
+    quantity: str
+    unit: str
+    x: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    band: Any = None
+    marks: Any = ()
+    title: str = ""
+
+
+@dataclass
+class Trace:
+    name: str
+    t: np.ndarray
+    measured: np.ndarray
+    baseline: np.ndarray
+    extended: np.ndarray
+    window: Any = None
+
+
+@dataclass
+class Diagnosis:
+    document: dict
+    views: list = field(default_factory=list)
+    trace: Any = None
+
+    def to_dict(self):
+        return self.document
+
+
+def document(verdict="named"):
+    gap = {
+        "unit": "N",
+        "floor": 0.39,
+        "train": {"baseline": 1.55, "extended": 0.41},
+        "holdout": {"baseline": 1.6, "extended": 0.42},
+    }
+    return {
+        "schema": "emps-design/diagnosis/1",
+        "verdict": verdict,
+        "sentence": "Below 9 mm/s, both ways, the carriage needs up to 7 N more than the model: Stribeck friction, "
+        "7.4 ± 0.6 N, v_s 8 mm/s; held-out force error 1.6 N → 0.42 N, noise 0.39 N.",
+        "findings": [
+            {
+                "effect": "stribeck_friction",
+                "label": "Stribeck friction",
+                "equivalents": ["presliding_friction"],
+                "where": {"channel": "plant", "text": "below 9 mm/s, both ways", "velocity": [-0.009, 0.009]},
+                "parameters": {
+                    "excess": {"value": 7.4, "std": 0.6, "unit": "N"},
+                    "velocity": {"value": 0.008, "std": 0.0007, "unit": "m/s", "per_record": True},
+                },
+                "p_value": 0.0004,
+                "gap_before": 1.6,
+                "gap_after": 0.42,
+                "note": "Seen at every reversal.",
+            }
+        ],
+        "gap": gap,
+        "gap_inverse_60hz": gap,
+        "model_file": "model.toml",
+        "candidates": [
+            {"effect": "stribeck_friction", "label": "Stribeck friction", "gap": 0.41, "statistic": 310.0,
+             "threshold": 21.0, "accepted": True, "note": ""},
+            {"effect": "backlash", "label": "Backlash", "gap": 1.2, "statistic": 60.0, "threshold": 21.0,
+             "accepted": False, "note": "explains less than half"},
+            {"effect": "actuator_lag", "label": "Actuator lag", "gap": 1.54, "statistic": 3.0, "threshold": 21.0,
+             "accepted": False, "note": "below the threshold"},
+        ],
+        "parameters": {
+            "mass": {"unit": "kg", "axis": 95.1, "baseline": {"value": 96.2, "std": 0.2},
+                     "extended": {"value": 95.15, "std": 0.1}},
+            "coulomb": {"unit": "N", "axis": 20.4, "baseline": {"value": 23.0, "std": 0.3},
+                        "extended": {"value": 20.5, "std": 0.1}},
+        },
+        "not_excluded": [{"effect": "backlash", "label": "Backlash", "size": 8e-6, "unit": "m", "text": ""}],
+        "remedies": ["Compensate the friction at low speed, or dither."],
+        "experiment": "Slow triangles of 2 to 20 mm/s.",
+        "design": [{"quantity": "sampled phase margin", "unit": "deg", "before": 39.2, "after": 35.0, "note": ""}],
+        "records": [{"name": "train.npz", "role": "train", "sha256": "ab" * 32}],
+        "warnings": ["The record has few low speeds."],
+        "calibration": "The threshold is the largest statistic of 199 simulated healthy records.",
+    }  # fmt: skip
+
+
+def invented(verdict="named"):
+    rng = np.random.default_rng(3)
+    t = np.arange(12_000) * 1e-3
+    velocity = np.linspace(-0.12, 0.12, 241)
+    stribeck = 7.4 * np.sign(velocity) * np.exp(-np.abs(velocity) / 0.008)
+    noise = rng.normal(0, 0.3, 241)
+    force = 60 * np.sin(2 * np.pi * t / 6) + 20 * np.sign(np.cos(2 * np.pi * t / 6))
+    small, large = rng.normal(0, 0.4, t.size), 1.6 * np.sin(9 * t)
+    views = [
+        View("velocity", "m/s", velocity, stribeck + noise, noise, np.full(241, 0.6), ((-0.009, 0.009),)),
+        View("position", "m", np.linspace(0, 0.25, 100), noise[:100], noise[100:200], np.full(100, 0.6)),
+        View("time", "s", t, large, small),
+        View(
+            "frequency",
+            "Hz",
+            np.linspace(0.5, 100, 200),
+            np.abs(noise[:200]),
+            np.abs(noise[:200]) / 2,
+            np.full(200, 0.5),
+        ),
+    ]
+    return Diagnosis(document(verdict), views, Trace("holdout.npz", t, force, force - large, force - small, (2.0, 5.0)))
+
+
+def test_the_first_screen_has_the_sentence_then_where_then_before_and_after():
+    html = diagnosis_page(invented()).html()
+    places = [
+        html.index(s)
+        for s in (
+            "Below 9 mm/s",
+            "1.60 N",
+            "Where.",
+            "Before and after.",
+            "What was tried.",
+        )
+    ]
+    assert places == sorted(places)
+
+
+def test_the_page_tells_everything_the_diagnosis_knows():
+    html = diagnosis_page(invented()).html()
+    for said in (
+        "7.40 ± 0.60 N", "6.63 mm/s", "presliding friction", "&lt; 0.001", "explains less than half", "96.20 ± 0.20 kg",
+        "8.0 µm", "Compensate the friction", "Slow triangles", "39.2°", "ab" * 32,
+        "few low speeds", "199 simulated healthy records", "98 %", "model.toml",
+    ):  # fmt: skip
+        assert said in html, said
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_every_verdict_has_a_page_even_with_the_contract_alone(verdict):
+    contract = document(verdict)
+    bare = {key: contract[key] for key in ("schema", "verdict", "findings", "gap", "model_file")}
+    bare["findings"] = [] if verdict in ("nothing-missing", "unnamed", "parameters-only") else bare["findings"]
+    bare["gap"] = {"unit": "N", "floor": None, "train": {"baseline": 1.0, "extended": None}}
+    html = diagnosis_page(Diagnosis(bare)).html()
+    assert VERDICTS[verdict][1] in html
+
+
+def test_same_diagnosis_same_bytes_and_small():
+    html = diagnosis_page(invented()).html()
+    assert html == diagnosis_page(invented()).html()
+    assert len(html.encode()) < 3_000_000
