@@ -1,6 +1,6 @@
-"""Measured records: one check at the door, one reader per format."""
+"""Measured records: one reader per format, one check at the door."""
 
-from emps_design.records.readers import read_record
+from emps_design.records.readers import MAX_BYTES, read_record, record_from_bytes
 from emps_design.records.record import Record
 
-__all__ = ["Record", "read_record"]
+__all__ = ["MAX_BYTES", "Record", "read_record", "record_from_bytes"]

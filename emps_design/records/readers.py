@@ -1,54 +1,100 @@
-"""Readers of .mat (v5, v7.3), .csv and .npz records. Nothing in a file is ever executed or unpickled."""
+"""Which reader a file gets: its suffix says what is expected, its first bytes what it is; both must agree."""
 
 from __future__ import annotations
 
 import hashlib
+import stat
 from pathlib import Path
 
 import numpy as np
 
 from emps_design.errors import RecordError
+from emps_design.records.archives import read_archive
+from emps_design.records.check import checked
+from emps_design.records.matlab import is_v5, is_v73, read_v5, read_v73
 from emps_design.records.record import Record
+from emps_design.records.tables import read_table
 
-ALIASES = {"t": "t", "qg": "q_ref", "q_ref": "q_ref", "qm": "q", "q": "q", "vir": "u", "u": "u", "f_ext": "f_ext"}
-REQUIRED = ("t", "q_ref", "q", "u")
+MAX_BYTES = 100_000_000  # of a file, and again of what it unpacks to
+
+_KINDS = {".mat": "MATLAB v5 or v7.3 file", ".npz": "NumPy archive", ".csv": "text table"}
+_TEXT = (".csv", ".txt", ".tsv")
 
 
-def read_record(path: str | Path) -> Record:
-    """Read the record at ``path``; raises :class:`RecordError` in one line when it cannot be trusted."""
+def read_record(path: str | Path, max_bytes: int = MAX_BYTES) -> Record:
+    """Read the record at ``path`` (.mat v5 or v7.3, .csv, .npz), checked once and for all.
+
+    Columns: ``t`` [s], ``q_ref`` [m], ``q`` [m], ``u`` [V], optional ``f_ext`` [N]; the EMPS names ``t qg qm vir`` are
+    known too, and a title may carry a unit (``q [mm]``). ``max_bytes`` limits the file, and what it unpacks to.
+    Nothing in a file is executed or unpickled. Raises :class:`RecordError`: one line that names the file, the place,
+    what was found, what was expected and what to do.
+    """
     path = Path(path)
     try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise RecordError(f"{path}: {error.strerror}; expected a .mat, .csv or .npz record") from error
-    columns = _read_npz(path) if path.suffix == ".npz" else _read_mat(path)
-    named = {ALIASES[name]: np.ravel(value).astype(float) for name, value in columns.items() if name in ALIASES}
-    missing = [name for name in REQUIRED if name not in named]
-    if missing:
-        raise RecordError(f"{path}: missing column {', '.join(missing)}; found {', '.join(columns)}")
-    t = named["t"] - named["t"][0]
-    period = float(np.median(np.diff(t)))
-    period = float(f"{period:.3g}") if abs(period / float(f"{period:.3g}") - 1) < 1e-4 else period
-    extra = {name: np.ravel(value) for name, value in columns.items() if name not in ALIASES}
-    return Record(
-        t=np.arange(t.size) * period,
-        q_ref=named["q_ref"],
-        q=named["q"],
-        u=named["u"],
-        f_ext=named.get("f_ext"),
-        period=period,
-        name=path.stem,
-        sha256=hashlib.sha256(content).hexdigest(),
-        extra=extra,
-    )
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):
+            raise RecordError(f"{path}: is a folder, expected a .mat, .csv or .npz record")
+        if not stat.S_ISREG(status.st_mode):
+            raise RecordError(f"{path}: is not an ordinary file, expected a .mat, .csv or .npz record")
+        _refuse_large(status.st_size, str(path), max_bytes)
+        with path.open("rb") as file:
+            content = file.read(max_bytes + 1)
+    except (OSError, ValueError) as error:
+        if isinstance(error, RecordError):
+            raise
+        reason = getattr(error, "strerror", None) or str(error)
+        raise RecordError(f"{path}: {reason}; expected a .mat, .csv or .npz record") from error
+    return record_from_bytes(content, path.name, str(path), max_bytes)
 
 
-def _read_npz(path: Path) -> dict[str, np.ndarray]:
-    with np.load(path, allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
+def record_from_bytes(content: bytes, name: str, source: str | None = None, max_bytes: int = MAX_BYTES) -> Record:
+    """Read a record from the ``content`` of a file called ``name``; ``source`` is what messages call it.
+
+    >>> table = "t;q_ref [mm];q [mm];u\\n" + "\\n".join(f"{k / 1000:.3f};{k};{k};1.{k:02d}" for k in range(60))
+    >>> record = record_from_bytes(table.encode(), "small.csv")
+    >>> record.period, float(record.q[-1]), record.warnings
+    (0.001, 0.059, ('q_ref: converted from mm to m', 'q: converted from mm to m'))
+    """
+    source = source or name
+    _refuse_large(len(content), source, max_bytes)
+    if not content.strip():
+        raise RecordError(f"{source}: is empty, expected a .mat, .csv or .npz record")
+    suffix = Path(name).suffix.lower()
+    found = _kind(content)
+    expected = ".csv" if suffix in _TEXT else suffix if suffix in _KINDS else found
+    if found != expected:
+        raise RecordError(
+            f"{source}: found {_described(content, found)}, expected a {_KINDS[expected]} as its name says"
+            f"{'; save it with save -v7' if expected == '.mat' else ''}"
+        )
+    first_row = 0
+    columns: dict[str, np.ndarray]
+    if found == ".npz":
+        columns = read_archive(content, source, max_bytes)
+    elif found == ".mat":
+        reader = read_v5 if is_v5(content) and not is_v73(content) else read_v73
+        columns = {n: v for n, v in reader(content, source, max_bytes).items() if not n.startswith("__")}
+    else:
+        columns, first_row = read_table(content, source)
+    signals = checked(columns, source, first_row)
+    return Record(name=Path(name).stem, sha256=hashlib.sha256(content).hexdigest(), **signals)
 
 
-def _read_mat(path: Path) -> dict[str, np.ndarray]:
-    from scipy.io import loadmat
+def _kind(content: bytes) -> str:
+    if content[:4] == b"PK\x03\x04":
+        return ".npz"
+    return ".mat" if is_v73(content) or is_v5(content) else ".csv"
 
-    return {name: value for name, value in loadmat(path).items() if not name.startswith("__")}
+
+def _described(content: bytes, kind: str) -> str:
+    if kind != ".csv":
+        return f"a {_KINDS[kind]}"
+    return "text" if b"\0" not in content[:4096] else "something else"
+
+
+def _refuse_large(size: int, source: str, max_bytes: int) -> None:
+    if size > max_bytes:
+        raise RecordError(
+            f"{source}: found more than {max_bytes / 1e6:g} MB, expected at most that; "
+            "cut the record, or read it from Python with read_record(path, max_bytes=...)"
+        )
