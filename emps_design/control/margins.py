@@ -1,0 +1,170 @@
+"""Margins of a loop from its frequency response: phase, gain and delay, for one loop or for thousands at once.
+
+Stability comes from the poles, never from here: an unstable loop has no margins, and every caller says so first.
+The phase margin is the phase *lag* the loop bears at a crossover before its response reaches -1, the smallest over
+all crossovers; the delay margin is the smallest of that lag over its frequency; the gain margin is the smallest
+factor above one that brings the response to -1, the Nyquist frequency included.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+Response = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Margins of one loop; None where a margin is unbounded, or where the closed loop is unstable.
+
+    ``phase_margin_deg`` [deg], ``crossover`` [rad/s] (where that margin is smallest), ``delay_margin`` [s],
+    ``gain_margin`` [ratio], ``gain_margin_frequency`` [rad/s], ``period`` [s] of a sampled loop (None: continuous).
+    """
+
+    stable: bool
+    phase_margin_deg: float | None = None
+    crossover: float | None = None
+    delay_margin: float | None = None
+    gain_margin: float | None = None
+    gain_margin_frequency: float | None = None
+    period: float | None = None
+
+    @property
+    def delay_margin_samples(self) -> float | None:
+        """Delay margin in sampling periods."""
+        return None if self.delay_margin is None or self.period is None else self.delay_margin / self.period
+
+    @property
+    def gain_margin_db(self) -> float | None:
+        """Gain margin in decibels."""
+        return None if self.gain_margin is None else 20.0 * math.log10(self.gain_margin)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data with SI units, angles in degrees."""
+        document: dict[str, Any] = {
+            "stable": self.stable,
+            "phase_margin_deg": self.phase_margin_deg,
+            "crossover": self.crossover,
+            "delay_margin": self.delay_margin,
+            "gain_margin": self.gain_margin,
+            "gain_margin_db": self.gain_margin_db,
+            "gain_margin_frequency": self.gain_margin_frequency,
+        }
+        if self.period is not None:
+            document["delay_margin_samples"] = self.delay_margin_samples
+        return document
+
+
+def margin_arrays(
+    response: Response, count: int, frequencies: np.ndarray, nyquist: float | None = None
+) -> dict[str, np.ndarray]:
+    """Return the margins of ``count`` loops as arrays, NaN where a margin is unbounded.
+
+    ``response(w, rows)`` gives the open loop of the loops numbered ``rows`` at ``w`` [rad/s]; both broadcast.
+    ``frequencies`` [rad/s] ascending brackets the crossings, which are then refined to 1e-12; ``nyquist`` [rad/s] is
+    the Nyquist frequency of sampled loops, where the response is real and may be -1.
+    Keys: ``phase_margin_deg``, ``crossover``, ``delay_margin``, ``gain_margin``, ``gain_margin_frequency``.
+
+    >>> found = margin_arrays(lambda w, rows: 1.0 / (1j * w * (1.0 + 0.1j * w) ** 2), 1, np.geomspace(0.1, 100, 50))
+    >>> round(float(found["gain_margin"][0]), 6), round(float(found["gain_margin_frequency"][0]), 6)
+    (20.0, 10.0)
+    """
+    rows = np.arange(count)[:, None]
+    loop = response(frequencies[None, :], rows)
+    power = loop.real**2 + loop.imag**2
+    inside = power < 1.0
+    found = {
+        key: np.full(count, np.nan)
+        for key in ("phase_margin_deg", "crossover", "delay_margin", "gain_margin", "gain_margin_frequency")
+    }
+
+    where, place = np.nonzero(inside[:, 1:] != inside[:, :-1])
+    if where.size:
+        w = _refine(
+            lambda w, which: np.log(np.abs(response(w, where[which]))),
+            frequencies[place],
+            frequencies[place + 1],
+        )
+        lag = np.mod(np.angle(response(w, where)) + np.pi, 2.0 * np.pi)
+        _keep_smallest(where, lag, {"phase_margin_deg": np.degrees(lag), "crossover": w}, found)
+        _keep_smallest(where, lag / w, {"delay_margin": lag / w}, found)
+
+    crossing = (loop.imag[:, 1:] < 0.0) != (loop.imag[:, :-1] < 0.0)
+    # A sign change of the imaginary part far on the positive side is no crossing of the negative real axis.
+    crossing &= (loop.real[:, 1:] < 0.0) | (loop.real[:, :-1] < 0.0)
+    where, place = np.nonzero(crossing)
+    if where.size:
+        w = _refine(lambda w, which: _sine(response(w, where[which])), frequencies[place], frequencies[place + 1])
+        value = response(w, where)
+        at = (value.real < 0.0) & (value.real > -1.0)
+        where, w, factor = where[at], w[at], -1.0 / value.real[at]
+        _keep_smallest(where, factor, {"gain_margin": factor, "gain_margin_frequency": w}, found)
+    if nyquist is not None:
+        value = response(np.full(count, nyquist), np.arange(count)).real
+        with np.errstate(divide="ignore"):
+            factor = np.where((value < 0.0) & (value > -1.0), -1.0 / value, np.inf)
+        nearer = factor < np.where(np.isnan(found["gain_margin"]), np.inf, found["gain_margin"])
+        found["gain_margin"][nearer] = factor[nearer]
+        found["gain_margin_frequency"][nearer] = nyquist
+    return found
+
+
+def loop_margins(
+    response: Callable[[np.ndarray], np.ndarray], frequencies: np.ndarray, stable: bool, period: float | None = None
+) -> Margins:
+    """Return the margins of one loop whose closed-loop poles are known to be ``stable`` or not.
+
+    ``response(w)`` is the open loop at ``w`` [rad/s]; ``frequencies`` [rad/s] ascending; ``period`` [s] of a sampled
+    loop. An unstable loop gets no margins: what a frequency response reads there is not a distance to instability.
+
+    >>> loop_margins(lambda w: 2.0 / (1j * w), np.geomspace(0.1, 10, 20), stable=True).crossover
+    2.0
+    """
+    if not stable:
+        return Margins(stable=False, period=period)
+    nyquist = None if period is None else math.pi / period
+    found = margin_arrays(lambda w, rows: response(w), 1, frequencies, nyquist)
+    value = {key: None if math.isnan(array[0]) else float(array[0]) for key, array in found.items()}
+    return Margins(stable=True, period=period, **value)
+
+
+def _sine(value: np.ndarray) -> np.ndarray:
+    """Sine of the phase: zero on the real axis and free of the magnitude's range."""
+    return value.imag / np.abs(value)
+
+
+def _keep_smallest(
+    where: np.ndarray, key: np.ndarray, values: dict[str, np.ndarray], found: dict[str, np.ndarray]
+) -> None:
+    """Write into ``found`` the ``values`` of the smallest ``key`` of every loop in ``where``."""
+    order = np.argsort(-key, kind="stable")  # the smallest is written last
+    for name, value in values.items():
+        found[name][where[order]] = value[order]
+
+
+def _refine(function: Callable[[np.ndarray, np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Roots in the brackets [low, high] by the Illinois rule in the logarithm of the frequency, all at once."""
+    everything = np.arange(low.size)
+    a, b = np.log(low), np.log(high)
+    fa, fb = function(low, everything), function(high, everything)
+    root = np.where(np.abs(fa) < np.abs(fb), a, b)
+    active = everything[(fa != 0.0) & (fb != 0.0)]
+    for _ in range(60):
+        if not active.size:
+            break
+        c = b[active] - fb[active] * (b[active] - a[active]) / (fb[active] - fa[active])
+        fc = function(np.exp(c), active)
+        root[active] = c
+        other = np.sign(fc) == np.sign(fb[active])
+        # The end that stays put counts half, so that neither end gets stuck.
+        a_next = np.where(other, a[active], b[active])
+        fa_next = np.where(other, 0.5 * fa[active], fb[active])
+        moved = np.abs(c - b[active])
+        a[active], fa[active], b[active], fb[active] = a_next, fa_next, c, fc
+        active = active[(np.abs(fc) > 1e-13) & (moved > 1e-13)]
+    return np.exp(root)
