@@ -52,6 +52,8 @@ def _refuse_bombs(content: bytes, source: str, max_bytes: int) -> None:
     at, unpacked = 128, 0
     while at + 8 <= len(content):
         kind, size = struct.unpack_from(f"{order}II", content, at)
+        if at + 8 + size > len(content):
+            raise RecordError(f"{source}: damaged MATLAB v5 file (it ends inside a variable); save it again")
         if kind == _COMPRESSED:
             stream = zlib.decompressobj()
             data = content[at + 8 : at + 8 + size]

@@ -1,0 +1,83 @@
+"""The check at the door: each thing it refuses or notes, with the place and the numbers."""
+
+import numpy as np
+import pytest
+
+from emps_design.errors import RecordError
+from emps_design.records import Record
+
+N = 400
+T = np.arange(N) * 1e-3
+Q = 0.1 * np.sin(6 * T)
+U = np.cos(6 * T) + 0.1 * np.sin(200 * T)
+
+
+def build(t=T, q_ref=Q, q=Q, u=U, **more) -> Record:
+    return Record.from_arrays(t, q_ref, q, u, **more)
+
+
+def changed(values, index, value):
+    values = np.array(values, dtype=float)
+    values[index] = value
+    return values
+
+
+def test_a_good_record_passes_as_it_is():
+    record = build(name="good", extra={"temperature": 20.0})
+    assert record.warnings == ()
+    assert np.array_equal(record.q, Q)
+    assert record.duration == pytest.approx(0.4)
+    assert record.extra == {"temperature": 20.0}
+    part = record.part(100, 200)
+    assert len(part) == 100
+    assert part.t[0] == 0.0
+
+
+def test_quantised_time_gives_the_nominal_period():
+    rng = np.random.default_rng(0)
+    assert build(t=np.round(T * 1.000008, 7) + 1e-8 * rng.integers(-2, 3, N)).period == 1e-3
+    assert build(t=np.arange(N) / 3000).period == pytest.approx(1 / 3000, rel=1e-15)
+    assert build(t=np.arange(N) * 1.2365e-3).period == pytest.approx(1.2365e-3, rel=1e-9)
+    assert build(t=5e-4).period == 5e-4
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"t": T[:3], "q_ref": Q[:3], "q": Q[:3], "u": U[:3]}, "found 3 samples, expected at least 50"),
+        ({"q": changed(Q, 7, np.nan)}, "column q, row 7: found nan, expected a finite number; cut"),
+        ({"u": changed(U, slice(7, 9), np.inf)}, r"column u, row 7: found inf, .*\(2 such samples\)"),
+        ({"t": changed(T, 9, 0.0)}, r"row 9: found time going backwards \(0.008 s, then 0 s\)"),
+        ({"t": changed(T, 9, T[8])}, "row 9: found the same time twice"),
+        ({"t": np.concatenate([T[:200], 0.2 + 2 * T[:200]])}, "row 201: found a step of 0.002 s, expected 0.001 s"),
+        ({"t": np.delete(np.arange(N + 1) * 1e-3, 50)}, "row 50: found a step of 0.002 s"),
+        ({"t": T * 1000}, "sampling period of 1 s, expected 1e-06 to 0.1 s; if time is in ms"),
+        ({"q": np.full(N, 0.1)}, "column q: found 0.1 m in every row; the axis must move"),
+        ({"u": np.zeros(N)}, "column u: found 0 V in every row; the drive must work"),
+        ({"q_ref": 2400 * Q, "q": 2400 * Q}, r"found a stroke of .* m, expected metres .* title the column 'q \[mm\]'"),
+        ({"q_ref": 100 * Q, "q": 100 * Q, "t": T / 10}, r"column q: found a speed of .* m/s, expected metres"),
+        ({"q": Q / 1000}, r"columns q_ref and q: found ranges of 0\.\d+ and 0\.000\d+ m, expected the same unit"),
+        ({"u": 2000 * U}, r"column u: found .* V, expected at most 1000 V; .*'u \[mV\]'"),
+        ({"f_ext": 1e9 * U}, r"column f_ext: found .* N, expected at most 1e\+06 N"),
+        ({"q": Q + 0j}, "column 'q': found complex128 values"),
+    ],
+)
+def test_refused(columns, message):
+    with pytest.raises(RecordError, match=message):
+        build(**columns)
+
+
+@pytest.mark.parametrize(
+    ("columns", "note"),
+    [
+        ({"q_ref": np.zeros(N)}, "q_ref: constant at 0 m"),
+        ({"q": 1e-5 * Q, "q_ref": 1e-5 * Q}, "q: a stroke of only"),
+        ({"u": 1e-4 * U}, "u: at most 0.00011 V"),
+        ({"u": np.clip(5 * U, -4, 4)}, "of the samples sit at the extreme of 4 V: saturated"),
+        ({"t": T + 4e-5 * np.sin(np.arange(N) * 2.0)}, "t: sampling jitter of"),
+    ],
+)
+def test_noted(columns, note):
+    warnings = build(**columns).warnings
+    assert len(warnings) == 1
+    assert note in warnings[0]
