@@ -1,0 +1,213 @@
+"""Compile the kernels of effects and controllers, one at a time, and call them by address from compiled code.
+
+A kernel becomes a C callback of fixed signature. The steppers receive the *addresses* of the kernels in an array, so a
+new combination of effects compiles nothing; each kernel is cached on disk for itself and compiled again when its own
+file changes. The steppers themselves share code across files, which numba's cache does not see: :func:`cached` makes
+their cache depend on the content of every file they are built from.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+import numba
+from llvmlite import ir
+from numba import cfunc, njit, types
+from numba.extending import intrinsic
+
+from emps_design.errors import SimulationError
+
+_NUMBER = types.float64
+_POINTER = types.CPointer(types.float64)
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
+
+SIGNATURES = {
+    # kernel(q, v, t, tau, x, p, b)
+    "kernel": types.float64(*[_NUMBER] * 4, *[_POINTER] * 3),
+    # actuator(u, p)
+    "actuator": types.float64(_NUMBER, _POINTER),
+    # rate(q, v, t, tau, x, p, b, level, dx)
+    "rate": types.void(*[_NUMBER] * 4, *[_POINTER] * 3, _NUMBER, _POINTER),
+    # law(sample, reference, q, f_ext, limit, gains, memory)
+    "law": types.float64(types.intp, *[_NUMBER] * 4, _POINTER, _POINTER),
+}
+
+_compiled: dict[tuple[Callable[..., Any], str], Any] = {}  # keeps the machine code alive as long as its address is used
+
+
+def address(function: Callable[..., Any], form: str = "kernel") -> int:
+    """Return the machine address of ``function`` compiled with the signature called ``form``.
+
+    Raises :class:`SimulationError` when the function is not made of plain arithmetic on numbers.
+
+    >>> def spring(q, v, t, tau, x, p, b):
+    ...     return p[0] * q
+    >>> address(spring) == address(spring) != 0
+    True
+    """
+    key = (function, form)
+    if key not in _compiled:
+        try:
+            _compiled[key] = _compile(function, SIGNATURES[form])
+        except numba.core.errors.NumbaError as error:
+            reason = " ".join(str(error).split())[:300]
+            raise SimulationError(
+                f"{function.__module__}.{function.__name__} does not compile: {reason}", 0.0
+            ) from error
+    return _compiled[key].address
+
+
+def _compile(function: Callable[..., Any], signature: Any) -> Any:
+    function = _with_compiled_neighbours(function)
+    try:
+        return cfunc(signature, cache=True, **_OPTIONS)(function)
+    except RuntimeError as error:  # a function typed into a session has no file to cache beside
+        if "cannot cache" not in str(error):
+            raise
+        return cfunc(signature, **_OPTIONS)(function)
+
+
+def _with_compiled_neighbours(function: Callable[..., Any]) -> Callable[..., Any]:
+    """``function`` with the plain functions of its own file that it calls compiled as well."""
+    own = {
+        name: function.__globals__[name]
+        for name in function.__code__.co_names
+        if isinstance(function.__globals__.get(name), FunctionType)
+    }
+    if not own:
+        return function
+    compiled = {name: njit(**_OPTIONS)(_with_compiled_neighbours(plain)) for name, plain in own.items()}
+    linked = FunctionType(
+        function.__code__,
+        {**function.__globals__, **compiled},
+        function.__name__,
+        function.__defaults__,
+        function.__closure__,
+    )
+    linked.__module__, linked.__qualname__ = function.__module__, function.__qualname__
+    return linked
+
+
+def cached(*files: str) -> Callable[[Callable[..., Any]], Any]:
+    """Compile a stepper with a disk cache that is renewed when one of ``files`` of this folder changes."""
+    folder = Path(__file__).parent
+    digest = hashlib.sha256(b"".join((folder / name).read_bytes() for name in (Path(__file__).name, *files))).digest()
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        dispatcher = njit(cache=True, **_OPTIONS)(function)
+        # numba stamps a cache with the content of the function's own file only.
+        dispatcher._cache._cache_file._source_stamp = digest
+        return dispatcher
+
+    return decorate
+
+
+part = njit(**_OPTIONS)  # a piece of a stepper: compiled into whatever calls it, cached with that
+
+
+def _data(context: Any, builder: Any, array_type: Any, array: Any, offset: Any) -> Any:
+    return builder.gep(context.make_array(array_type)(context, builder, array).data, [offset])
+
+
+_double, _void, _long = ir.DoubleType(), ir.VoidType(), ir.IntType(64)
+_pointer = _double.as_pointer()
+
+
+def _call(builder: Any, place: Any, result: Any, arguments: list[Any]) -> Any:
+    form = ir.FunctionType(result, [argument.type for argument in arguments])
+    return builder.call(builder.inttoptr(place, form.as_pointer()), arguments)
+
+
+@intrinsic
+def call_kernel(typingctx, place, q, v, t, tau, x, x_at, p, p_at, b):
+    """``kernel(q, v, t, tau, x[x_at:], p[p_at:], b)`` at address ``place``."""
+    signature = types.float64(types.int64, *[_NUMBER] * 4, x, types.int64, p, types.int64, b)
+
+    def generate(context, builder, signature, arguments):
+        place, q, v, t, tau, x, x_at, p, p_at, b = arguments
+        types_ = signature.args
+        zero = ir.Constant(_long, 0)
+        return _call(
+            builder,
+            place,
+            _double,
+            [
+                q,
+                v,
+                t,
+                tau,
+                _data(context, builder, types_[5], x, x_at),
+                _data(context, builder, types_[7], p, p_at),
+                _data(context, builder, types_[9], b, zero),
+            ],
+        )
+
+    return signature, generate
+
+
+@intrinsic
+def call_rate(typingctx, place, q, v, t, tau, x, x_at, p, p_at, b, level, dx):
+    """``rate(q, v, t, tau, x[x_at:], p[p_at:], b, level, dx[x_at:])`` at address ``place``."""
+    signature = types.void(types.int64, *[_NUMBER] * 4, x, types.int64, p, types.int64, b, _NUMBER, dx)
+
+    def generate(context, builder, signature, arguments):
+        place, q, v, t, tau, x, x_at, p, p_at, b, level, dx = arguments
+        types_ = signature.args
+        zero = ir.Constant(_long, 0)
+        _call(
+            builder,
+            place,
+            _void,
+            [
+                q,
+                v,
+                t,
+                tau,
+                _data(context, builder, types_[5], x, x_at),
+                _data(context, builder, types_[7], p, p_at),
+                _data(context, builder, types_[9], b, zero),
+                level,
+                _data(context, builder, types_[11], dx, x_at),
+            ],
+        )
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@intrinsic
+def call_actuator(typingctx, place, u, p, p_at):
+    """``actuator(u, p[p_at:])`` at address ``place``."""
+    signature = types.float64(types.int64, _NUMBER, p, types.int64)
+
+    def generate(context, builder, signature, arguments):
+        place, u, p, p_at = arguments
+        return _call(builder, place, _double, [u, _data(context, builder, signature.args[2], p, p_at)])
+
+    return signature, generate
+
+
+@intrinsic
+def call_law(typingctx, place, sample, reference, q, f_ext, limit, gains, memory):
+    """``law(sample, reference, q, f_ext, limit, gains, memory)`` at address ``place``."""
+    signature = types.float64(types.int64, types.int64, *[_NUMBER] * 4, gains, memory)
+
+    def generate(context, builder, signature, arguments):
+        place, sample, reference, q, f_ext, limit, gains, memory = arguments
+        zero = ir.Constant(_long, 0)
+        types_ = signature.args
+        numbers = [sample, reference, q, f_ext, limit]
+        arrays = [
+            _data(context, builder, types_[6], gains, zero),
+            _data(context, builder, types_[7], memory, zero),
+        ]
+        return _call(builder, place, _double, numbers + arrays)
+
+    return signature, generate
+
+
+__all__ = ["address", "cached", "call_actuator", "call_kernel", "call_law", "call_rate", "part"]

@@ -1,0 +1,211 @@
+"""The plant: an axis with its effects, resolved once, simulated as often as wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.effects import Effect
+from emps_design.errors import InputError, SimulationError
+from emps_design.simulation import stepper
+from emps_design.simulation.compile import address
+from emps_design.simulation.laws import Law, law_of
+from emps_design.simulation.run import Run
+
+HOOKS = ("force", "dry", "inertia", "command", "actuator", "delay", "sensor", "rate", "guard", "jump_time")
+_EMPTY = np.zeros(0)
+_NO_SIGNALS, _NO_SLOTS = np.zeros((0, 0)), np.zeros(0, np.int64)
+
+REASONS = {
+    stepper.DIVERGED: "the motion left every bound (1000 m, 1000 m/s) or became not a number",
+    stepper.NO_STEP: "no step is short enough for the tolerance",
+    stepper.CHATTER: "more than 2000 events in one sampling period",
+    stepper.RUNAWAY: "the loop is unstable: the voltage swings between its limits",
+}
+
+
+class Plant:
+    """An axis ready to be simulated.
+
+    >>> import numpy as np
+    >>> from emps_design.machines import machine
+    >>> run = Plant.of(machine("emps2019")).closed_loop(np.linspace(0.0, 0.01, 200))
+    >>> round(float(run.q[-1]), 3)
+    0.009
+    """
+
+    def __init__(self, axis: Axis, effects: Sequence[tuple[Effect, np.ndarray]], surroundings: int = 0):
+        """``effects`` with their parameters; the last ``surroundings`` of them are what touches the carriage."""
+        self.axis = axis
+        self.baseline = axis.mechanics.array()
+        self.effects = tuple(effect for effect, _ in effects)
+        self.parameters = tuple(values for _, values in effects)
+        self._surroundings = surroundings
+        self._lag = axis.drive.current_time_constant
+        self._free = any(effect.takes_dry for effect in self.effects)
+        self._p = np.concatenate([_EMPTY, *self.parameters])
+        self._p_at = np.cumsum([0] + [len(values) for values in self.parameters])
+        first_own = 3 if self._lag > 0 else 2
+        self._x_at = first_own + np.cumsum([0] + [len(effect.states) for effect in self.effects])
+        self._states = int(self._x_at[-1])
+        self._hooks, self._counts = self._table()
+
+    @classmethod
+    def of(cls, axis: Axis) -> Plant:
+        """Resolve an axis and its effects; what was resolved or compiled before is not again."""
+        return cls(axis, [(one.effect, one.effect.values(one.parameters)) for one in axis.effects])
+
+    def _table(self) -> tuple[np.ndarray, np.ndarray]:
+        rows: list[list[tuple[int, int, int]]] = [[] for _ in range(stepper.TOUCH_MASS + 1)]
+        for i, effect in enumerate(self.effects):
+            place = (int(self._x_at[i]), int(self._p_at[i]))
+            for row, hook in enumerate(HOOKS):
+                kernel = getattr(effect, hook)
+                if kernel is not None:
+                    form = hook if hook in ("actuator", "rate") else "kernel"
+                    rows[row].append((address(kernel, form), *place))
+            if i >= len(self.effects) - self._surroundings:
+                for row, hook in ((stepper.TOUCH, effect.force), (stepper.TOUCH_MASS, effect.inertia)):
+                    if hook is not None:
+                        rows[row].append((address(hook), *place))
+        table = np.zeros((len(rows), max(1, *map(len, rows)), 3), np.int64)
+        for row, entries in enumerate(rows):
+            for i, entry in enumerate(entries):
+                table[row, i] = entry
+        return table, np.array([len(entries) for entries in rows], np.int64)
+
+    def closed_loop(
+        self,
+        q_ref: np.ndarray,
+        baseline: np.ndarray | None = None,
+        parameters: Sequence[np.ndarray] | None = None,
+        disturbance: np.ndarray | None = None,
+        voltage_noise: np.ndarray | None = None,
+        q0: float | None = None,
+        period: float | None = None,
+        *,
+        v0: float = 0.0,
+        law: Law | None = None,
+        reference: np.ndarray | None = None,
+        quantise: bool = True,
+        signals: tuple[np.ndarray, np.ndarray] | None = None,
+        tolerance: float = 1.0,
+    ) -> Run:
+        """Simulate the axis under its controller (or ``law``) and return the :class:`Run`.
+
+        ``q_ref`` (n,) [m]; ``baseline`` [mass, viscous, coulomb, offset] and ``parameters`` (one array an effect) in
+        place of the axis's; ``disturbance`` (n,) [N] on the carriage, held over each period; ``voltage_noise`` (n,) [V]
+        added after the controller; ``q0`` [m] first position (default ``q_ref[0]``) and ``v0`` [m/s]; ``reference`` is
+        what the law follows, by default ``q_ref``, or its backward difference for a law that follows a velocity.
+        Raises :class:`SimulationError` with time, state and effect where the simulation cannot go on.
+        """
+        period = self.axis.sampling.period if period is None else float(period)
+        q_ref = _signal(q_ref, "q_ref", "m")
+        law = law or law_of(self.axis, period)
+        if reference is None:
+            reference = q_ref if law.follows == "position" else np.diff(q_ref, prepend=q_ref[:1]) / period
+        else:
+            reference = _signal(reference, "reference", "m or m/s", q_ref.size)
+        q0 = float(q_ref[0]) if q0 is None else float(q0)
+        return self._simulate(
+            law, reference, q_ref, baseline, parameters, disturbance, voltage_noise, q0, v0, period, quantise, signals,
+            tolerance,
+        )  # fmt: skip
+
+    def open_loop(
+        self,
+        u: np.ndarray,
+        disturbance: np.ndarray | None = None,
+        q0: float = 0.0,
+        v0: float = 0.0,
+        baseline: np.ndarray | None = None,
+        parameters: Sequence[np.ndarray] | None = None,
+        period: float | None = None,
+        *,
+        quantise: bool = True,
+        signals: tuple[np.ndarray, np.ndarray] | None = None,
+        tolerance: float = 1.0,
+    ) -> Run:
+        """Simulate the axis under the voltage ``u`` (n,) [V], held over each period; the rest as in ``closed_loop``.
+
+        The voltage limit applies; ``command`` effects add to ``u``. ``q_ref`` of the run is not a number.
+        """
+        period = self.axis.sampling.period if period is None else float(period)
+        u = _signal(u, "u", "V")
+        nothing = np.full(u.size, np.nan)
+        return self._simulate(
+            None, u, nothing, baseline, parameters, disturbance, None, q0, v0, period, quantise, signals, tolerance
+        )
+
+    def _simulate(
+        self, law, reference, q_ref, baseline, parameters, disturbance, noise, q0, v0, period, quantise, signals, tolerance
+    ) -> Run:  # fmt: skip
+        n = q_ref.size
+        b = self.baseline if baseline is None else np.array(baseline, dtype=float)
+        p = self._p.copy() if parameters is None else np.concatenate([_EMPTY, *parameters])
+        if b.shape != (4,) or not np.isfinite(b).all() or b[0] <= 0 or b[1] < 0 or b[2] < 0:
+            raise InputError(
+                f"baseline: found {b.tolist()}, expected [mass > 0, viscous >= 0, coulomb >= 0, offset], finite"
+            )
+        if p.size != self._p.size or not np.isfinite(p).all():
+            raise InputError(f"parameters: found {p.tolist()}, expected {self._p.size} finite numbers")
+        settings = np.zeros(stepper.RELATIVE_TOLERANCE + 1)
+        sampling = self.axis.sampling
+        settings[stepper.PERIOD], settings[stepper.GAIN] = period, self.axis.drive.force_gain
+        settings[stepper.LIMIT] = self.axis.drive.voltage_limit
+        settings[stepper.RESOLUTION] = sampling.encoder_resolution if quantise else 0.0
+        settings[stepper.DELAYED], settings[stepper.LAG] = sampling.computation_delay, self._lag
+        settings[stepper.FREE], settings[stepper.STATES] = self._free, self._states
+        settings[stepper.POSITION_TOLERANCE] = 1e-12 * tolerance
+        settings[stepper.RELATIVE_TOLERANCE] = 1e-9 * tolerance
+        plant = (b, self._hooks, self._counts, p, settings)
+        y = np.zeros(self._states)
+        y[0], y[1] = q0, v0
+        for i, effect in enumerate(self.effects):
+            if effect.initial is not None:
+                own = p[self._p_at[i] : self._p_at[i + 1]]
+                y[self._x_at[i] : self._x_at[i + 1]] = effect.initial(q0, own, b)
+        out = tuple(np.empty(n) for _ in range(5))
+        events = np.empty((n + 1000, 3))
+        columns, slots = signals or (_NO_SIGNALS, _NO_SLOTS)
+        place, gains, memory = 0, _EMPTY, _EMPTY
+        if law is not None:
+            place, gains, memory = address(law.kernel, "law"), law.gains, np.zeros(law.memory)
+        push = _EMPTY if disturbance is None else _signal(disturbance, "disturbance", "N", n)
+        noise = _EMPTY if noise is None else _signal(noise, "voltage_noise", "V", n)
+        status, k, within, found = stepper.run(
+            plant, y, place, gains, memory, reference, push, noise, columns, slots, out, events
+        )
+        if status != stepper.DONE:
+            names = ", ".join(effect.name for effect in self.effects) or "none"
+            raise SimulationError(REASONS[status], k * period + within, tuple(y.tolist()), names)
+        encoder, position, velocity, u, outside = out
+        kept = min(found, events.shape[0])
+        return Run(
+            t=np.arange(n) * period,
+            q_ref=q_ref,
+            q=encoder,
+            position=position,
+            v=velocity,
+            u=u,
+            force=self.axis.drive.force_gain * u,
+            f_ext=outside,
+            events=events[:kept].copy(),
+            period=period,
+            lost_events=found - kept,
+            name=self.axis.name,
+        )
+
+
+def _signal(values: Any, name: str, unit: str, n: int | None = None) -> np.ndarray:
+    signal = np.ascontiguousarray(values, dtype=float)
+    if signal.ndim != 1 or signal.size == 0 or (n is not None and signal.size != n):
+        wanted = f"{n} numbers" if n else "a row of numbers"
+        raise InputError(f"{name}: found shape {signal.shape}, expected {wanted} [{unit}]")
+    if not np.isfinite(signal).all():
+        first = int(np.argmin(np.isfinite(signal)))
+        raise InputError(f"{name}: sample {first} is {signal[first]}, expected finite numbers [{unit}]")
+    return signal

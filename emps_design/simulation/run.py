@@ -1,0 +1,149 @@
+"""What a simulation returns: signals with names and units, events, saved and loaded without loss."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from emps_design.errors import RecordError
+from emps_design.records import Record
+
+# name: (label, unit) of every signal of a run
+SIGNALS = {
+    "t": ("time", "s"),
+    "q_ref": ("position reference", "m"),
+    "q": ("encoder position", "m"),
+    "position": ("position", "m"),
+    "v": ("velocity", "m/s"),
+    "u": ("voltage", "V"),
+    "force": ("motor force", "N"),
+    "f_ext": ("external force", "N"),
+}
+EVENTS = ("reversal", "stick", "break-away", "guard")
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One simulated run, a row a sample.
+
+    ``q`` [m] is what the encoder reports (with its errors), ``position`` [m] and ``v`` [m/s] the true motion on the
+    encoder's side, ``u`` [V] the recorded voltage, ``force`` = G_tau u [N], ``f_ext`` [N] the external force that a
+    sensor on the carriage feels. ``events`` has a row (time [s], kind, position [m]) for every velocity zero, stick,
+    break-away and guard; ``lost_events`` counts those that did not fit. ``energy`` [J] is there where it was asked for.
+    """
+
+    t: np.ndarray
+    q_ref: np.ndarray
+    q: np.ndarray
+    position: np.ndarray
+    v: np.ndarray
+    u: np.ndarray
+    force: np.ndarray
+    f_ext: np.ndarray
+    events: np.ndarray = field(repr=False)
+    period: float = 1e-3
+    lost_events: int = 0
+    energy: dict[str, float] | None = None
+    name: str = "simulation"
+
+    def __len__(self) -> int:
+        return self.t.size
+
+    @cached_property
+    def crossings(self) -> np.ndarray:
+        """Times at which the velocity reached zero [s]."""
+        return self.events[self.events[:, 1] <= 1, 0]
+
+    @cached_property
+    def stick_intervals(self) -> np.ndarray:
+        """Start and end of every interval of rest [s], shape (n, 2); the last may end with the run."""
+        begin, intervals = (0.0 if self.v[0] == 0.0 else None), []
+        for time, kind, _ in self.events:
+            if EVENTS[int(kind)] == "stick" and begin is None:
+                begin = time
+            elif EVENTS[int(kind)] in ("break-away", "reversal") and begin is not None:
+                intervals.append((begin, time))
+                begin = None
+        if begin is not None:
+            intervals.append((begin, self.period * len(self)))
+        return np.array([i for i in intervals if i[1] > i[0]], dtype=float).reshape(-1, 2)
+
+    def record(self, name: str | None = None) -> Record:
+        """The run as a record, as the machine would have written it."""
+        touched = bool(np.any(self.f_ext))
+        return Record(
+            t=self.t,
+            q_ref=self.q_ref,
+            q=self.q,
+            u=self.u,
+            f_ext=self.f_ext if touched else None,
+            period=self.period,
+            name=name or self.name,
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Write every signal to ``path`` (.npz, no pickles); :meth:`load` gives the same bits back."""
+        plain = {"period": self.period, "lost_events": self.lost_events, "energy": self.energy, "name": self.name}
+        with open(path, "wb") as file:
+            np.savez(
+                file,
+                allow_pickle=False,
+                **{name: getattr(self, name) for name in SIGNALS},
+                events=self.events,
+                run=np.frombuffer(json.dumps(plain).encode(), dtype=np.uint8),
+            )
+
+    @classmethod
+    def load(cls, path: str | Path) -> Run:
+        """Read a run that :meth:`save` wrote; raises :class:`RecordError` for anything else."""
+        import zipfile
+
+        try:
+            with np.load(path, allow_pickle=False) as archive:
+                signals = {name: archive[name] for name in (*SIGNALS, "events")}
+                plain = json.loads(archive["run"].tobytes())
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, TypeError) as error:
+            reason = " ".join(str(error).split())
+            raise RecordError(f"{path}: not a simulated run ({reason}); expected an .npz of Run.save") from error
+        return cls(**signals, **plain)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Length, events and energy as plain data; the signals stay in :meth:`save`."""
+        return {
+            "name": self.name,
+            "samples": len(self),
+            "period": self.period,
+            "crossings": self.crossings.tolist(),
+            "stick_intervals": self.stick_intervals.tolist(),
+            "energy": self.energy,
+            "signals": {name: {"label": label, "unit": unit} for name, (label, unit) in SIGNALS.items()},
+        }
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw position, velocity and motor force over time, labelled with units; returns the matplotlib axes."""
+        if axes is None:
+            from matplotlib.figure import Figure
+
+            axes = Figure(figsize=(9, 7), layout="constrained").subplots(3, 1, sharex=True)
+        top, middle, bottom = axes
+        top.plot(self.t, 1e3 * self.q_ref, "--", lw=1, label="reference")
+        top.plot(self.t, 1e3 * self.q, lw=1, label="encoder")
+        top.set_ylabel("position [mm]")
+        middle.plot(self.t, 1e3 * self.v, lw=1, label="velocity")
+        middle.set_ylabel("velocity [mm/s]")
+        bottom.plot(self.t, self.force, lw=1, label="motor force")
+        if np.any(self.f_ext):
+            bottom.plot(self.t, self.f_ext, lw=1, label="external force")
+        bottom.set_ylabel("force [N]")
+        bottom.set_xlabel("time [s]")
+        for panel in axes:
+            for begin, end in self.stick_intervals:
+                panel.axvspan(begin, end, color="0.85", lw=0)
+            panel.legend(loc="upper right")
+        top.set_title(f"{self.name} (grey: at rest)")
+        return axes

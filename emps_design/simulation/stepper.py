@@ -1,0 +1,367 @@
+"""Step an axis with any effects through a run: hold periods, Runge-Kutta steps inside them, events between them.
+
+State ``y = [q, v, (motor force), own states of the effects ..., work of friction, work of the effects]``; the motor
+force is a state when the current loop is not ideal. Within a hold period the classical Runge-Kutta rule of order 4 with
+Zonneveld's embedded rule of order 3 (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, table II.4.2)
+chooses its steps. Friction stays set-valued: motion has a direction ``s`` of +1 or -1 and at rest ``s = 0``; velocity
+zeros, break-away, guards and jumps in time end a step, found by repeating the step with other lengths (Illinois
+method), so no step ever crosses a kink. Everything compiled for the general path is in this file.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from emps_design.simulation.compile import cached, call_actuator, call_kernel, call_law, call_rate, part
+
+# Rows of ``hooks``: one list of (address, first own state in y, first parameter) for each.
+FORCE, DRY, INERTIA, COMMAND, ACTUATOR, DELAY, SENSOR, RATE, GUARD, JUMP, TOUCH, TOUCH_MASS = range(12)
+# What a run can end with.
+DONE, DIVERGED, NO_STEP, CHATTER, RUNAWAY = range(5)
+# Kinds of events that are recorded.
+REVERSAL, STICK, BREAKAWAY, GUARDED = range(4)
+# Places in ``settings``.
+PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, POSITION_TOLERANCE, RELATIVE_TOLERANCE = range(10)
+
+_INSTANT = 1e-15  # s, shortest rest of a period worth a step
+_APART = 1e-11  # s, how far from a jump in time its two sides are evaluated
+_SHORTEST = 1e-12  # s, a step that must be shorter than this does not converge
+
+
+@part
+def total(row, y, t, tau, plant):
+    """Sum of the kernels of one hook."""
+    b, hooks, counts, p, settings = plant
+    value = 0.0
+    for i in range(counts[row]):
+        value += call_kernel(hooks[row, i, 0], y[0], y[1], t, tau, y, hooks[row, i, 1], p, hooks[row, i, 2], b)
+    return value
+
+
+@part
+def balance(y, t, tau, push, plant):
+    """Force without dry friction [N], level of dry friction [N], and mass [kg]."""
+    b, hooks, counts, p, settings = plant
+    if settings[LAG] > 0.0:
+        tau = y[2]
+    net = tau + push - b[1] * y[1] - b[3] - total(FORCE, y, t, tau, plant)
+    level = max(0.0, b[2] + total(DRY, y, t, tau, plant))
+    return net, level, b[0] + total(INERTIA, y, t, tau, plant)
+
+
+@part
+def derivative(y, t, tau, push, s, plant, dy):
+    """Time derivative of the whole state in motion with direction ``s``, or at rest."""
+    b, hooks, counts, p, settings = plant
+    net, level, mass = balance(y, t, tau, push, plant)
+    free = settings[FREE] > 0.0
+    if free:
+        dy[0] = y[1]
+        dy[1] = net / mass
+    elif s == 0.0:
+        dy[0] = 0.0
+        dy[1] = 0.0
+    else:
+        dy[0] = y[1]
+        dy[1] = (net - s * level) / mass
+    end = int(settings[STATES])
+    if end == 2:
+        return
+    if settings[LAG] > 0.0:
+        dy[2] = (tau - y[2]) / settings[LAG]
+        tau = y[2]
+    for i in range(counts[RATE]):
+        at = hooks[RATE, i, 1]
+        call_rate(hooks[RATE, i, 0], y[0], y[1], t, tau, y, at, p, hooks[RATE, i, 2], b, level, dy)
+
+
+@part
+def clipped(t, bounds):
+    """Stage time kept on this side of the jumps that bound the segment."""
+    return min(max(t, bounds[0]), bounds[1])
+
+
+@part
+def step(y, t, h, tau, push, s, plant, bounds, work, new):
+    """One Runge-Kutta step from ``y`` (its derivative in ``work[0]``) to ``new``; returns the scaled error."""
+    k1, k2, k3, k4, k5, stage, largest = work
+    settings = plant[4]
+    n = int(settings[STATES])
+    middle, last = clipped(t + 0.5 * h, bounds), clipped(t + h, bounds)
+    for i in range(n):
+        stage[i] = y[i] + 0.5 * h * k1[i]
+    derivative(stage, middle, tau, push, s, plant, k2)
+    for i in range(n):
+        stage[i] = y[i] + 0.5 * h * k2[i]
+    derivative(stage, middle, tau, push, s, plant, k3)
+    for i in range(n):
+        stage[i] = y[i] + h * k3[i]
+    derivative(stage, last, tau, push, s, plant, k4)
+    for i in range(n):
+        stage[i] = y[i] + h / 32.0 * (5.0 * k1[i] + 7.0 * k2[i] + 13.0 * k3[i] - k4[i])
+    derivative(stage, clipped(t + 0.75 * h, bounds), tau, push, s, plant, k5)
+    error = 0.0
+    for i in range(n):
+        new[i] = y[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
+        wrong = abs(h * (2.0 / 3.0 * k1[i] - 2.0 * (k2[i] + k3[i] + k4[i]) + 16.0 / 3.0 * k5[i]))
+        if i == 0:
+            scale = settings[POSITION_TOLERANCE]
+        elif i == 1:
+            scale = settings[POSITION_TOLERANCE] * 100.0
+        else:
+            scale = settings[RELATIVE_TOLERANCE] * max(largest[i], abs(new[i])) + 1e-300
+        error = max(error, wrong / scale) if wrong == wrong else np.inf
+    return error
+
+
+@part
+def margin(event, sign, y, t, tau, push, plant):
+    """A number that is positive before the event and negative after it."""
+    b, hooks, counts, p, settings = plant
+    if event == 0:
+        return sign * y[1]
+    if event == 1:
+        net, level, mass = balance(y, t, tau, push, plant)
+        return level * (1.0 + 1e-14) + 1e-12 - abs(net)
+    i = event - 2
+    return sign * call_kernel(hooks[GUARD, i, 0], y[0], y[1], t, tau, y, hooks[GUARD, i, 1], p, hooks[GUARD, i, 2], b)
+
+
+@part
+def locate(event, sign, y, t, h, tau, push, s, plant, bounds, work, new):
+    """Shorten the step ``h`` until it ends just behind the event; leaves the state there in ``new``."""
+    low, high = 0.0, h
+    at_low = margin(event, sign, y, clipped(t, bounds), tau, push, plant)
+    at_high = margin(event, sign, new, clipped(t + h, bounds), tau, push, plant)
+    for _ in range(60):  # motion that began at this very instant: look for a point before the event
+        if at_low > 0.0:
+            break
+        x = 0.5 * high
+        step(y, t, x, tau, push, s, plant, bounds, work, new)
+        value = margin(event, sign, new, clipped(t + x, bounds), tau, push, plant)
+        if value > 0.0:
+            low, at_low = x, value
+        else:
+            high, at_high = x, value
+    side = 0
+    for _ in range(100):
+        if high - low <= _INSTANT or at_high == 0.0:
+            break
+        x = high - at_high * (high - low) / (at_high - at_low)
+        if not low < x < high:
+            x = 0.5 * (low + high)
+        step(y, t, x, tau, push, s, plant, bounds, work, new)
+        value = margin(event, sign, new, clipped(t + x, bounds), tau, push, plant)
+        if value > 0.0:
+            low, at_low = x, value
+            if side == 1:
+                at_high *= 0.5
+            side = 1
+        else:
+            high, at_high = x, value
+            if side == -1:
+                at_low *= 0.5
+            side = -1
+    step(y, t, high, tau, push, s, plant, bounds, work, new)
+    return high
+
+
+@part
+def note(events, found, time, kind, place):
+    if found[0] < events.shape[0]:
+        events[found[0], 0] = time
+        events[found[0], 1] = kind
+        events[found[0], 2] = place
+    found[0] += 1
+
+
+@part
+def segment(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, events, found):
+    """Carry ``y`` over ``span`` seconds of constant command; returns direction, step length to try next, status."""
+    b, hooks, counts, p, settings = plant
+    k1, largest = work[0], work[6]
+    n, free, guards = int(settings[STATES]), settings[FREE] > 0.0, counts[GUARD]
+    done, happened = 0.0, 0
+    if not free and y[1] == 0.0:  # the command has changed: at rest still?
+        net, level, mass = balance(y, clipped(t, bounds), tau, push, plant)
+        stays = abs(net) <= level * (1.0 + 1e-14) + 1e-12
+        direction = 0.0 if stays else (1.0 if net > 0.0 else -1.0)
+        if direction != s:
+            note(events, found, t, STICK if stays else BREAKAWAY, y[0])
+        s = direction
+    while span - done > _INSTANT:
+        now = t + done
+        rest = span - done
+        at = clipped(now, bounds)
+        h = rest
+        start = y[1]
+        for i in range(guards):
+            before[i] = margin(2 + i, 1.0, y, at, tau, push, plant)
+        if n == 2 and s == 0.0 and not free:
+            new[0], new[1] = y[0], 0.0
+            error = 0.0
+            k1[0], k1[1] = 0.0, 0.0
+        else:
+            if hint < rest:
+                h = rest / np.ceil(rest / hint)
+            derivative(y, at, tau, push, s, plant, k1)
+            error = step(y, now, h, tau, push, s, plant, bounds, work, new)
+            if not error <= 1.0:
+                hint = h * max(0.1, 0.9 / np.sqrt(np.sqrt(error)))
+                if not hint > _SHORTEST:
+                    return s, hint, NO_STEP, done
+                continue
+            # A dip through zero and back inside one step: acceleration turns while velocity is small.
+            forward = s if not free else (1.0 if start > 0.0 else -1.0)
+            if forward * k1[1] < 0.0 and forward * work[3][1] > 0.0 and forward * new[1] > 0.0 and h > 1e-7:
+                lowest = min(abs(start), abs(new[1]))
+                if lowest < 0.25 * h * min(abs(k1[1]), abs(work[3][1])):
+                    hint = 0.5 * h
+                    continue
+        event = -1
+        if s == 0.0 and not free:
+            if margin(1, 1.0, new, clipped(now + h, bounds), tau, push, plant) < 0.0:
+                event = 1
+                h = locate(1, 1.0, y, now, h, tau, push, s, plant, bounds, work, new)
+        else:
+            sign = s if not free else (1.0 if start > 0.0 else (-1.0 if start < 0.0 else 0.0))
+            if sign * new[1] < 0.0:
+                event = 0
+                h = locate(0, sign, y, now, h, tau, push, s, plant, bounds, work, new)
+        for i in range(guards):
+            sign = 1.0 if before[i] > 0.0 else -1.0
+            if (margin(2 + i, 1.0, new, clipped(now + h, bounds), tau, push, plant) > 0.0) != (before[i] > 0.0):
+                event = 2 + i
+                h = locate(event, sign, y, now, h, tau, push, s, plant, bounds, work, new)
+        for i in range(n):
+            y[i] = new[i]
+            largest[i] = max(largest[i], abs(new[i]))
+        done += h
+        if event >= 0:
+            happened += 1
+            if happened > 2000:
+                return s, hint, CHATTER, done
+        if event == 0:
+            y[1] = 0.0
+            if free:
+                note(events, found, t + done, REVERSAL, y[0])
+        if (event == 0 or event == 1) and not free:
+            net, level, mass = balance(y, clipped(t + done, bounds), tau, push, plant)
+            stays = abs(net) <= level * (1.0 + 1e-14) + 1e-12
+            if event == 1 and stays:  # rounding; the force has reached the limit all the same
+                stays = False
+            note(events, found, t + done, (STICK if stays else REVERSAL) if event == 0 else BREAKAWAY, y[0])
+            s = 0.0 if stays else (1.0 if net > 0.0 else -1.0)
+        elif event >= 2:
+            note(events, found, t + done, GUARDED, y[0])
+        elif error < 0.01:
+            hint = max(hint, 2.0 * h)
+        elif error < 0.5:
+            hint = max(hint, h * 0.9 / np.sqrt(np.sqrt(error)))
+        if not (abs(y[0]) < 1e3 and abs(y[1]) < 1e3):
+            return s, hint, DIVERGED, done
+    return s, hint, DONE, done
+
+
+@part
+def applied(j, u, plant):
+    """Motor force commanded by the voltage of sample ``j``, through the actuator's static maps; 0 before the first."""
+    b, hooks, counts, p, settings = plant
+    if j < 0:
+        return 0.0
+    volts = u[j]
+    for i in range(counts[ACTUATOR]):
+        volts = call_actuator(hooks[ACTUATOR, i, 0], volts, p, hooks[ACTUATOR, i, 2])
+    return settings[GAIN] * volts
+
+
+@cached("stepper.py")
+def run(plant, y, law, gains, memory, reference, push, noise, signals, slots, out, events):
+    """Run the loop over ``reference.size`` samples; returns status, sample, time within it, and number of events.
+
+    ``plant`` = (b, hooks, counts, p, settings); ``law`` is the address of the controller, 0: the reference is the
+    voltage. ``push`` [N] and ``noise`` [V] are empty or one value a sample; column i of ``signals`` is written to
+    ``p[slots[i]]`` at every sample. ``out`` = (encoder, position, velocity, voltage, external force), filled.
+    """
+    b, hooks, counts, p, settings = plant
+    encoder, position, velocity, u, outside = out
+    n = reference.size
+    period, limit, resolution = settings[PERIOD], settings[LIMIT], settings[RESOLUTION]
+    size = y.size
+    work = (
+        np.zeros(size),
+        np.zeros(size),
+        np.zeros(size),
+        np.zeros(size),
+        np.zeros(size),
+        np.zeros(size),
+        np.abs(y),
+    )
+    new, before = np.zeros(size), np.zeros(max(1, counts[GUARD]))
+    found = np.zeros(1, np.int64)
+    bounds = np.array([-np.inf, np.inf])
+    tau, s, hint = 0.0, 0.0, period
+    jumps, late, touched = counts[JUMP] > 0, counts[DELAY] > 0, counts[TOUCH] > 0
+    if y[1] != 0.0:
+        s = 1.0 if y[1] > 0.0 else -1.0
+    for k in range(n):
+        t = k * period
+        for i in range(slots.size):
+            p[slots[i]] = signals[k, i]
+        force = push[k] if push.size else 0.0
+        position[k], velocity[k] = y[0], y[1]
+        seen = y[0] + total(SENSOR, y, t, tau, plant)
+        if resolution > 0.0:
+            seen = np.floor(seen / resolution + 0.5) * resolution
+        encoder[k] = seen
+        felt = force
+        if touched:
+            felt -= total(TOUCH, y, t, tau, plant)
+            if counts[TOUCH_MASS] > 0:
+                derivative(y, t, tau, force, s, plant, work[0])
+                felt -= work[0][1] * total(TOUCH_MASS, y, t, tau, plant)
+        outside[k] = felt
+        if law != 0:
+            volts = call_law(law, k, reference[k], seen, felt, limit, gains, memory)
+        else:
+            volts = reference[k]
+        volts += total(COMMAND, y, t, tau, plant)
+        if noise.size:
+            volts += noise[k]
+        if not abs(volts) < np.inf:
+            return DIVERGED, k, 0.0, found[0]
+        u[k] = min(max(volts, -limit), limit)
+
+        whole, first = int(settings[DELAYED]), 0.0
+        if late:
+            wait = whole * period + max(0.0, total(DELAY, y, t, tau, plant))
+            whole = int(np.floor(wait / period + 1e-9))
+            first = max(0.0, wait - whole * period)
+            if first < 1e-12:
+                first = 0.0
+        start = 0.0
+        while period - start > _INSTANT:
+            end = period
+            if start < first:
+                end = first
+                tau = applied(k - whole - 1, u, plant)
+            else:
+                tau = applied(k - whole, u, plant)
+            if jumps:
+                bounds[0], bounds[1] = -np.inf, np.inf
+                for i in range(counts[JUMP]):
+                    at = hooks[JUMP, i, 1]
+                    after = call_kernel(
+                        hooks[JUMP, i, 0], y[0], y[1], t + start + _APART, tau, y, at, p, hooks[JUMP, i, 2], b
+                    )
+                    if after - t <= end:
+                        end = max(after - t, start + _APART)
+                        bounds[1] = t + end - _APART
+                bounds[0] = t + start + _APART
+            s, hint, status, done = segment(
+                y, t + start, end - start, tau, force, s, hint, plant, bounds, work, new, before, events, found
+            )
+            if status != DONE:
+                return status, k, start + done, found[0]
+            start = end
+    return DONE, n, 0.0, found[0]
