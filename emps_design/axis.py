@@ -16,9 +16,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from emps_design.effects import Effect, get_effect
 from emps_design.errors import AxisError, nearest_name
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
+MAX_BYTES = 1_000_000  # of an axis file
+Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 
 
 class _Table(BaseModel):
@@ -77,7 +78,7 @@ class Sampling(_Table):
     encoder_resolution: NonNegative = Field(
         0.0, description="one step of the encoder on the load side, 0: exact", json_schema_extra={"unit": "m"}
     )
-    computation_delay: Annotated[int, Field(ge=0, le=1000)] = Field(
+    computation_delay: Annotated[int, Field(ge=0, le=1000, strict=True)] = Field(
         0, description="whole samples between measurement and voltage", json_schema_extra={"unit": "samples"}
     )
 
@@ -122,14 +123,14 @@ class AxisEffect(_Table):
     """One effect of an axis: its kind and its parameters, written as an ``[[effects]]`` table."""
 
     kind: str
-    parameters: dict[str, float]
+    parameters: dict[str, Finite]
 
     @model_validator(mode="before")
     @classmethod
     def _from_flat_table(cls, table: Any) -> Any:
         if isinstance(table, dict) and "parameters" not in table:
-            kind = table.get("kind")
-            return {"kind": kind, "parameters": {k: v for k, v in table.items() if k != "kind"}}
+            kind = {"kind": table["kind"]} if "kind" in table else {}
+            return {**kind, "parameters": {k: v for k, v in table.items() if k != "kind"}}
         return table
 
     @model_validator(mode="after")
@@ -166,8 +167,8 @@ class Axis(_Table):
         """Read an axis from TOML ``text``; ``source`` names it in messages. Raises :class:`AxisError`."""
         try:
             table = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise AxisError(f"{source}: not TOML, {error}") from error
+        except (ValueError, RecursionError) as error:  # a TOMLDecodeError, or what tomllib lets through
+            raise AxisError(f"{source}: not TOML, {' '.join(str(error).split())}") from error
         return cls.from_dict(table, source)
 
     @classmethod
@@ -181,13 +182,7 @@ class Axis(_Table):
     @classmethod
     def load(cls, path: str | Path) -> Axis:
         """Read an axis file; raises :class:`AxisError` in one line naming file, place, found and expected."""
-        path = Path(path)
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-            raise AxisError(f"{path}: {reason}; expected a TOML axis file") from error
-        return cls.from_toml(text, str(path))
+        return cls.from_toml(_text(Path(path)), str(path))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data in the shape of the TOML file, unset keys left out."""
@@ -221,20 +216,75 @@ class Axis(_Table):
         return Axis.from_dict(data, self.name)
 
 
+def _text(path: Path) -> str:
+    expected = "expected a TOML axis file"
+    try:
+        if path.exists() and not path.is_dir() and not path.is_file():
+            raise AxisError(f"{path}: is not an ordinary file; {expected}")
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+        if len(content) > MAX_BYTES:
+            raise AxisError(f"{path}: found more than {MAX_BYTES / 1e6:g} MB; {expected}")
+        return content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise AxisError(f"{path}: not UTF-8 text; {expected}") from error
+    except AxisError:
+        raise
+    except (OSError, ValueError) as error:  # a ValueError is a path with a null byte
+        raise AxisError(f"{path}: {getattr(error, 'strerror', error)}; {expected}") from error
+
+
+TABLES: dict[str, type[_Table]] = {
+    "mechanics": Mechanics,
+    "drive": Drive,
+    "sampling": Sampling,
+    "controller": Controller,
+}
+
+
 def _first_line(error: ValidationError) -> str:
-    """The first problem of a pydantic error as ``place: found ..., expected ...``."""
-    problem = error.errors()[0]
-    place = ".".join(str(part) for part in problem["loc"]) or "axis"
+    """The first problem of a pydantic error as ``place: found ..., expected ...``; a wrong key comes first."""
+    problems = error.errors(include_url=False)
+    problem = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
+    path = [str(part) for part in problem["loc"] if part != "parameters"]
+    place = ".".join(path) or "axis"
     if problem["type"] == "extra_forbidden":
-        table = {"mechanics": Mechanics, "drive": Drive, "sampling": Sampling, "controller": Controller}.get(
-            str(problem["loc"][0]), Axis
-        )
-        known = list(table.model_fields)
-        key = str(problem["loc"][-1])
-        return f"{place}: unknown key{nearest_name(key, known)} (known: {', '.join(known)})"
-    if problem["type"] == "missing":
-        return f"{place}: missing"
-    message = problem["msg"].removeprefix("Value error, ")
+        known = list((TABLES.get(path[0], Axis) if len(path) > 1 else Axis).model_fields)
+        return f"{place}: unknown key{nearest_name(path[-1], known)} (known: {', '.join(known)})"
     if problem["type"] == "value_error":
-        return f"{place}: {message}"
-    return f"{place}: found {problem['input']!r}, expected: {message[0].lower()}{message[1:]}"
+        return f"{place}: {problem['msg'].removeprefix('Value error, ')}"
+    field = TABLES[path[0]].model_fields.get(path[1]) if len(path) == 2 and path[0] in TABLES else None
+    extra = field.json_schema_extra if field and isinstance(field.json_schema_extra, dict) else {}
+    unit = str(extra.get("unit", ""))
+    expected = _expected(problem["type"], problem.get("ctx", {}), problem["msg"], f" [{unit}]" if unit else "")
+    if problem["type"] == "missing":
+        if len(path) == 1:
+            expected = f"a table [{place}]"
+        elif field is not None:
+            expected = f"a number{f' [{unit}]' if unit else ''}: {field.description}"
+        return f"{place}: missing, expected {expected}"
+    found = repr(problem["input"])
+    number = isinstance(problem["input"], int | float) and not isinstance(problem["input"], bool)
+    found = found if len(found) <= 60 else f"{found[:57]}..."
+    return f"{place}: found {found}{f' {unit}' if unit and number else ''}, expected {expected}"
+
+
+def _expected(kind: str, context: dict[str, Any], message: str, unit: str) -> str:
+    """What a field wants, in the words of an engineer rather than of the validator."""
+    words = {
+        "float_type": f"a number{unit}",
+        "int_type": f"a whole number{unit}",
+        "int_from_float": f"a whole number{unit}",
+        "finite_number": f"a finite number{unit}",
+        "string_type": "text in quotes",
+        "missing": "text in quotes",
+        "model_type": "a table",
+        "dict_type": "a table",
+        "tuple_type": "[[effects]] tables",
+    }
+    bounds = {"greater_than": "greater than", "greater_than_equal": "of at least", "less_than_equal": "of at most"}
+    if kind in bounds:
+        return f"a number {bounds[kind]} {next(iter(context.values())):g}{unit}"
+    if kind == "literal_error":
+        return str(context["expected"])
+    return words.get(kind, message)

@@ -28,8 +28,8 @@ class Quantity:
         """Return ``value`` [``unit``] as a float, or raise :class:`InputError` outside the bounds or not finite."""
         number = float(value)
         if not math.isfinite(number) or not self.lower <= number <= self.upper:
+            unit = f" {self.unit}" if self.unit else ""
             raise InputError(
-                f"{self.name}: found {number:g} {self.unit}, expected a number in "
-                f"[{self.lower:g}, {self.upper:g}] {self.unit}".rstrip()
+                f"{self.name}: found {number:g}{unit}, expected a number in [{self.lower:g}, {self.upper:g}]{unit}"
             )
         return number

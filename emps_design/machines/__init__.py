@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from importlib.resources import files
 from pathlib import Path
 
@@ -30,8 +31,7 @@ def machine(name: str) -> Axis:
 
 def load_axis(name_or_path: str | Path) -> Axis:
     """Return an embedded machine by name, or the axis of a TOML file."""
-    if str(name_or_path) in machine_names():
-        return machine(str(name_or_path))
-    if Path(name_or_path).suffix == ".toml" or Path(name_or_path).exists():
-        return Axis.load(name_or_path)
-    return machine(str(name_or_path))
+    name = str(name_or_path)
+    if name in machine_names() or (re.fullmatch(r"[\w-]{1,100}", name) and not Path(name).exists()):
+        return machine(name)
+    return Axis.load(name)
