@@ -26,13 +26,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """s[k+1] = S s[k] + R r[k] with u[k] = U s[k] + D r[k]; ``velocity`` is the row of the true carriage velocity."""
+    """s[k+1] = S s[k] + R r[k] with u[k] = U s[k] + D r[k].
+
+    ``velocity`` is the row of the true carriage velocity, ``force`` the row of the force that the law reads.
+    """
 
     S: np.ndarray
     R: np.ndarray
     U: np.ndarray
     D: float
     velocity: np.ndarray
+    force: np.ndarray
 
     @cached_property
     def poles(self) -> np.ndarray:
@@ -60,13 +64,12 @@ def closed_loop(
     With ``k_e1`` [(m/s)/N] the reference is k_e1 (r + f) with f = -(K q + k_h v), ``force`` = (K [N/m], k_h [N/(m/s)]),
     read ``sensor_delay`` samples late; else it is r. ``extra_delay``: more samples between law and voltage.
     """
-    keep = np.arange(plant.C.size) if k_e1 and force[0] else plant.kept
+    keep = np.arange(plant.C.size) if force[0] else plant.kept
     row, d0, d1 = plant.increment
     n, delay = keep.size, plant.delay + extra_delay
     history = delay + (1 if np.any(plant.G1) else 0)
-    sensed = sensor_delay if k_e1 else 0
-    # s = [x, q[k]-q[k-1], q[k-1]-q[k-2], i[k-1], u[k-1] ... u[k-history], f[k-1] ... f[k-sensed]]
-    size = n + 3 + history + sensed
+    # s = [x, q[k]-q[k-1], q[k-1]-q[k-2], i[k-1], u[k-1] ... u[k-history], f[k-1] ... f[k-sensor_delay]]
+    size = n + 3 + history + sensor_delay
     unit = np.eye(size)
     X, newer, older, integral = unit[:n], unit[n], unit[n + 1], unit[n + 2]
     past_u, past_f = unit[n + 3 : n + 3 + history], unit[n + 3 + history :]
@@ -75,7 +78,7 @@ def closed_loop(
     state = np.zeros(plant.C.size)
     state[POSITION], state[VELOCITY] = -force[0], -force[1]
     f = state[keep] @ X
-    read = past_f[-1] if sensed else f
+    read = past_f[-1] if sensor_delay else f
     reference, into = (k_e1 * read, k_e1) if k_e1 else (np.zeros(size), 1.0)
     i = integral + plant.period / t_v * (reference - estimate)
     U = k_v1 * (i - estimate)
@@ -95,10 +98,10 @@ def closed_loop(
     if history:
         S[n + 3 : n + 3 + history] = lines[:history]
         R[n + 3] = D
-    if sensed:
-        S[n + 3 + history :] = [f, *past_f][:sensed]
+    if sensor_delay:
+        S[n + 3 + history :] = [f, *past_f][:sensor_delay]
     place = int(np.nonzero(keep == VELOCITY)[0][0])
-    return ClosedLoop(S, R, U, D, unit[place])
+    return ClosedLoop(S, R, U, D, unit[place], read)
 
 
 @dataclass(frozen=True)
@@ -164,7 +167,7 @@ class SampledVelocityLoop:
 
     @cached_property
     def bandwidth(self) -> float | None:
-        """First frequency where the velocity estimate has fallen to -3 dB of its reference [rad/s], None if unstable."""
+        """First frequency where the velocity estimate has fallen to -3 dB [rad/s]; None if unstable."""
         if not self.stable:
             return None
         from emps_design.control.velocity_loop import MINUS_3_DB
