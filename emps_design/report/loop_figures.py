@@ -1,0 +1,244 @@
+"""Pictures of the velocity loop: Bode, Nyquist, poles and step response."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from emps_design.report.display import angle, delay, number, quantity, ratio
+from emps_design.report.loops import BrokenLoop, LoopCurve, broken_loops
+from emps_design.report.style import BLACK, BLUE, GREEN, GREY, RED, look, note, subplots
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from emps_design.control.step_response import StepResponse
+    from emps_design.control.velocity_loop import VelocityLoopDesign
+
+
+def bode_figure(loop: BrokenLoop, period: float) -> Figure:
+    """Draw magnitude and phase of one broken loop, continuous and sampled, with crossover, margins and Nyquist."""
+    nyquist = np.pi / period
+    with look():
+        figure, (top, bottom) = subplots(2, 1, height=5.8, sharex=True, gridspec_kw={"height_ratios": (1.1, 1)})
+        for curve in loop.curves:
+            top.semilogx(curve.w, curve.magnitude_db, color=curve.color, label=_margin_label(curve))
+            bottom.semilogx(curve.w, curve.phase_deg, color=curve.color)
+            _mark_margins(top, bottom, curve)
+        low, high = float(loop.continuous.w[0]), float(max(loop.continuous.w[-1], nyquist) * 1.45)
+        top.set_xlim(low, high)
+        sampled = loop.sampled
+        shown = sampled.w < 0.98 * nyquist
+        floor = min(np.min(sampled.magnitude_db[shown]), np.min(loop.continuous.magnitude_db))
+        top.set_ylim(max(floor, -70.0) - 4.0, float(np.max(loop.continuous.magnitude_db)) + 6.0)
+        phase = np.concatenate([loop.continuous.phase_deg, sampled.phase_deg])
+        lowest = max(float(phase.min()), -420.0)
+        bottom.set_ylim(45.0 * np.floor((lowest - 10.0) / 45.0), max(-45.0, 45.0 * np.ceil((phase.max() + 5.0) / 45.0)))
+        bottom.yaxis.set_major_locator(_locator(45.0 if lowest > -300 else 90.0))
+        for axes, level, text in ((top, 0.0, "0 dB"), (bottom, -180.0, "−180°")):
+            axes.axhline(level, color=BLACK, linewidth=0.9, linestyle=(0, (6, 3)))
+            axes.annotate(
+                text, (low, level), xytext=(4, 3), textcoords="offset points", fontsize=8.5, color=BLACK, va="bottom"
+            )
+            axes.axvline(nyquist, color=GREEN, linewidth=1.1, linestyle="--")
+        top.annotate(
+            f"Nyquist {number(nyquist)} rad/s",
+            (nyquist, 0.5),
+            xycoords=("data", "axes fraction"),
+            xytext=(3, 0),
+            textcoords="offset points",
+            ha="left",
+            va="center",
+            rotation=90,
+            fontsize=8,
+            color=GREEN,
+        )
+        top.set_ylabel("magnitude [dB]")
+        bottom.set_ylabel("phase [deg]")
+        bottom.set_xlabel("frequency [rad/s]")
+        figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+        hertz = top.secondary_xaxis("top", functions=(_to_hertz, _from_hertz))
+        hertz.set_xlabel("frequency [Hz]")
+    return figure
+
+
+def _to_hertz(w: np.ndarray) -> np.ndarray:
+    return w / (2 * np.pi)
+
+
+def _from_hertz(f: np.ndarray) -> np.ndarray:
+    return f * (2 * np.pi)
+
+
+def _locator(base: float):
+    from matplotlib.ticker import MultipleLocator
+
+    return MultipleLocator(base)
+
+
+def _margin_label(curve: LoopCurve) -> str:
+    m = curve.margins
+    if not m.stable:
+        return f"{curve.label}: unstable, no margins"
+    words = [f"{curve.label}: {angle(m.phase_margin_deg)} at {number(m.crossover)} rad/s"]
+    words.append(f"gain margin {ratio(m.gain_margin)}" if m.gain_margin else "gain margin unbounded")
+    words.append(f"delay margin {delay(m.delay_margin, m.period)}")
+    return "\n    ".join(words)
+
+
+def _mark_margins(top: Axes, bottom: Axes, curve: LoopCurve) -> None:
+    m = curve.margins
+    if not m.stable:
+        return
+    if m.crossover is not None:
+        top.plot([m.crossover], [0.0], "o", color=curve.color, markersize=5, zorder=5)
+        bottom.plot(
+            [m.crossover] * 2, [-180.0, -180.0 + m.phase_margin_deg], color=curve.color, linewidth=2.6, alpha=0.6
+        )
+        bottom.plot([m.crossover], [-180.0 + m.phase_margin_deg], "o", color=curve.color, markersize=5, zorder=5)
+        right = curve.label == "sampled"
+        bottom.annotate(
+            angle(m.phase_margin_deg),
+            (m.crossover, -180.0 + 0.5 * m.phase_margin_deg),
+            xytext=(6 if right else -6, 0),
+            textcoords="offset points",
+            ha="left" if right else "right",
+            va="center",
+            fontsize=9,
+            color=curve.color,
+        )
+    if m.gain_margin is not None and m.gain_margin_frequency is not None:
+        level = -20.0 * np.log10(m.gain_margin)
+        top.plot([m.gain_margin_frequency] * 2, [level, 0.0], color=curve.color, linewidth=2.6, alpha=0.6)
+        bottom.plot([m.gain_margin_frequency], [-180.0], "s", color=curve.color, markersize=4.5, zorder=5)
+
+
+def nyquist_figure(loops: tuple[BrokenLoop, ...]) -> Figure:
+    """Draw the Nyquist curves of the broken loops, the unit circle and -1."""
+    with look():
+        figure, grid = subplots(1, len(loops), height=4.2, squeeze=False)
+        for axes, loop in zip(grid.flat, loops, strict=True):
+            turn = np.linspace(0, 2 * np.pi, 200)
+            axes.plot(np.cos(turn), np.sin(turn), color=GREY, linewidth=0.9, linestyle="--")
+            for curve in loop.curves:
+                axes.plot(curve.L.real, curve.L.imag, color=curve.color, label=curve.label)
+                m = curve.margins
+                if m.stable and m.crossover is not None:
+                    point = curve.response(np.array([m.crossover]))[0]
+                    axes.plot([0.0, point.real], [0.0, point.imag], color=curve.color, linewidth=0.8)
+                    axes.plot([point.real], [point.imag], "o", color=curve.color, markersize=5)
+            axes.plot([-1.0], [0.0], "P", color=BLACK, markersize=9, zorder=6)
+            axes.annotate("−1", (-1.0, 0.0), xytext=(-6, 8), textcoords="offset points", ha="right", fontsize=10)
+            axes.axhline(0.0, color=GREY, linewidth=0.8)
+            axes.axvline(0.0, color=GREY, linewidth=0.8)
+            axes.set_xlim(-2.6, 1.3)
+            axes.set_ylim(-2.6, 1.3)
+            axes.set_aspect("equal")
+            axes.set_xlabel("real part")
+            axes.set_ylabel("imaginary part")
+            axes.set_title(loop.title)
+            axes.legend(loc="lower right")
+    return figure
+
+
+def poles_figure(design: VelocityLoopDesign) -> Figure:
+    """Draw the closed-loop poles: continuous in the s plane with (9), sampled in the z plane with the unit circle."""
+    continuous = np.asarray(design.closed_loop().poles())
+    sampled = np.asarray(design.sampled.poles)
+    with look():
+        figure, (left, right) = subplots(1, 2, height=3.9)
+        reach = 1.25 * float(np.max(np.abs(continuous)))
+        left.axvspan(0.0, 0.35 * reach, color=RED, alpha=0.08, linewidth=0)
+        for z in (0.3, 0.5, 0.7, 0.9):
+            x, y = -z * reach, np.sqrt(1.0 - z * z) * reach
+            left.plot([x, 0.0, x], [y, 0.0, -y], color="#D1D5DB", linewidth=0.8)
+            left.annotate(f"z = {z:g}", (x, y), fontsize=7.5, color=GREY, ha="right", va="bottom")
+        left.plot(continuous.real, continuous.imag, "x", color=BLUE, markersize=9, markeredgewidth=2)
+        left.axhline(0.0, color=GREY, linewidth=0.8)
+        left.axvline(0.0, color=GREY, linewidth=0.8)
+        left.set_xlim(-1.15 * reach, 0.35 * reach)
+        left.set_ylim(-1.1 * reach, 1.1 * reach)
+        left.set_aspect("equal", adjustable="box")
+        left.set_xlabel("real part [rad/s]")
+        left.set_ylabel("imaginary part [rad/s]")
+        left.set_title("continuous closed loop (9)")
+        turn = np.linspace(0, 2 * np.pi, 300)
+        right.fill(np.cos(turn), np.sin(turn), color="#EEF7FD", linewidth=0)
+        right.plot(np.cos(turn), np.sin(turn), color=BLACK, linewidth=1.0)
+        inside = np.abs(sampled) < 1.0
+        right.plot(sampled.real[inside], sampled.imag[inside], "x", color=BLUE, markersize=9, markeredgewidth=2)
+        if not inside.all():
+            right.plot(
+                sampled.real[~inside], sampled.imag[~inside], "X", color=RED, markersize=10, label="outside: unstable"
+            )
+            right.legend(loc="lower left")
+        right.axhline(0.0, color=GREY, linewidth=0.8)
+        right.axvline(0.0, color=GREY, linewidth=0.8)
+        limit = max(1.15, 1.1 * float(np.max(np.abs(sampled))))
+        right.set_xlim(-limit, limit)
+        right.set_ylim(-limit, limit)
+        right.set_aspect("equal", adjustable="box")
+        right.set_xlabel("real part")
+        right.set_ylabel("imaginary part")
+        right.set_title("sampled closed loop, as implemented")
+    return figure
+
+
+def step_figure(continuous: StepResponse, sampled: StepResponse | None) -> Figure:
+    """Draw the unit step of the velocity reference; ``sampled`` is None where that loop is unstable."""
+    with look():
+        figure, axes = subplots(height=3.4)
+        t_end = float(continuous.t[-1]) * 1e3
+        axes.axhspan(0.98, 1.02, color="#E5E7EB", linewidth=0, label="±2 %")
+        axes.axhline(1.0, color=GREY, linewidth=0.8)
+        axes.plot(continuous.t * 1e3, continuous.y, color=BLUE, label=_step_label("continuous", continuous))
+        if sampled is not None:
+            axes.plot(
+                sampled.t * 1e3,
+                sampled.y,
+                color=RED,
+                marker="o",
+                markersize=2.4,
+                linewidth=1.2,
+                label=_step_label("sampled", sampled),
+            )
+        else:
+            note(axes, "the sampled loop is unstable: it has no step response", x=0.35, y=0.55)
+        for step, color in ((continuous, BLUE), (sampled, RED)):
+            if step is None:
+                continue
+            if step.overshoot_percent > 0.05:
+                axes.plot([step.peak_time * 1e3], [step.peak], "^", color=color, markersize=6)
+            if step.settling_time is not None:
+                axes.axvline(step.settling_time * 1e3, color=color, linewidth=0.9, linestyle=":")
+        axes.set_xlim(0.0, t_end)
+        axes.set_ylim(bottom=0.0)
+        axes.set_xlabel("time [ms]")
+        axes.set_ylabel("velocity / reference")
+        axes.legend(loc="lower right")
+    return figure
+
+
+def _step_label(name: str, step: StepResponse) -> str:
+    settling = "not within the window" if step.settling_time is None else quantity(step.settling_time, "s", 3)
+    return (
+        f"{name}: overshoot {step.overshoot_percent:.1f} %,\n"
+        f"    rise 10–90 % {quantity(step.rise_time, 's', 3)}, settling {settling}"
+    )
+
+
+def velocity_loop_figures(design: VelocityLoopDesign) -> dict[str, Figure]:
+    """Return the pictures of a design by name: bode_velocity_error, bode_plant_input, nyquist, poles, step."""
+    from emps_design.control.step_response import continuous_step, sampled_step
+
+    error, plant = broken_loops(design)
+    period = design.axis.sampling.period
+    return {
+        "bode_velocity_error": bode_figure(error, period),
+        "bode_plant_input": bode_figure(plant, period),
+        "nyquist": nyquist_figure((error, plant)),
+        "poles": poles_figure(design),
+        "step": step_figure(continuous_step(design), sampled_step(design) if design.sampled.stable else None),
+    }
