@@ -12,9 +12,17 @@ from typing import Any
 
 
 class EmpsError(Exception):
-    """Anything this package refuses; ``exit_code`` is the command's exit status."""
+    """Anything this package refuses; ``exit_code`` is the command's exit status.
+
+    >>> str(EmpsError("one\\nline, no \\x1b[31mtricks"))
+    'one line, no ?[31mtricks'
+    """
 
     exit_code = 1
+
+    def __init__(self, message: str = ""):
+        # Messages quote what was found in a file, which may hold anything.
+        super().__init__("".join(c if c.isprintable() else "?" for c in " ".join(str(message).split())))
 
 
 class InputError(EmpsError, ValueError):

@@ -47,7 +47,7 @@ def run(arguments: list[str]) -> int:
                     "warnings": [str(error)],
                 }
             )
-        print(f"emps-design: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"emps-design: {error}", file=sys.stderr)
         return error.exit_code
     except BrokenPipeError:
         # The reader of our output has left (`| head`); what is still buffered goes nowhere, in silence.
