@@ -19,6 +19,8 @@ from emps_design.records import Record
 REPORT_CUTOFF = 100.0  # Hz, five times the 20 Hz band of interest of the 2019 report
 REPORT_DROPPED = 49  # first samples, spoilt by the ends of filter and differences
 DECIMATION = 10
+REST_VELOCITY = 2e-3  # m/s, below it friction may be that of rest
+REACH = 1.5  # periods of the cut-off over which the low-pass spreads a jump
 
 
 @dataclass(frozen=True)
@@ -26,8 +28,8 @@ class Filtered:
     """A record after its chain of filters.
 
     ``motion`` and ``force`` [N] have one row a sample of the record that was kept; ``reduce`` brings one such column
-    to the rate of the regression. ``cutoff_hz`` [Hz] is the low-pass of the position (None: the chain has none) and
-    ``band_hz`` [Hz] what the regression sees.
+    to the rate of the regression, where ``used`` says which rows take part. ``cutoff_hz`` [Hz] is the low-pass of the
+    position (None: the chain has none) and ``band_hz`` [Hz] what the regression sees.
     """
 
     chain: str
@@ -35,10 +37,16 @@ class Filtered:
     force: np.ndarray
     f_ext: np.ndarray | None
     reduce: Callable[[np.ndarray], np.ndarray] = field(repr=False)
+    used: np.ndarray = field(repr=False)
     cutoff_hz: float | None
     band_hz: float
     decimation: int
     text: str
+
+    @property
+    def period(self) -> float:
+        """Time between two rows of the regression [s]."""
+        return self.motion.period * self.decimation
 
 
 def low_pass(signal: np.ndarray, cutoff_hz: float, period: float, order: int = 4) -> np.ndarray:
@@ -141,6 +149,7 @@ def report_chain(record: Record, force_gain: float, cutoff_hz: float | None = No
         force=force_gain * record.u[kept],
         f_ext=None if record.f_ext is None else record.f_ext[kept],
         reduce=decimate,
+        used=np.ones(-(-len(seen.t) // DECIMATION), dtype=bool),
         cutoff_hz=cutoff_hz,
         band_hz=min(cutoff_hz, 0.8 * 0.5 / (DECIMATION * record.period)),
         decimation=DECIMATION,
@@ -174,16 +183,18 @@ def paper_chain(record: Record, force_gain: float, cutoff_hz: float | None = Non
         force=force_gain * median_of_three(record.u)[kept],
         f_ext=None if record.f_ext is None else median_of_three(record.f_ext)[kept],
         reduce=decimate,
+        used=np.ones(-(-len(seen.t) // DECIMATION), dtype=bool),
         cutoff_hz=None,
         band_hz=0.8 * 0.5 / (DECIMATION * record.period),
         decimation=DECIMATION,
-        text=f"backward difference, median of 3, central difference of the filtered velocity, decimated by {DECIMATION}",
+        text=f"backward difference, median of 3, central difference of that velocity, decimated by {DECIMATION}",
     )
 
 
 def hold_chain(record: Record, force_gain: float, cutoff_hz: float | None = None) -> Filtered:
     """This package's chain: the hold modelled, one zero-phase low-pass on motion and force, decimation without more.
 
+    Rows near rest are left out (see :func:`sliding`): friction at rest is any force up to the break-away.
     ``cutoff_hz`` [Hz] defaults to the one :func:`emps_design.identification.cutoff.chosen_cutoff` finds in the data.
     """
     if cutoff_hz is None:
@@ -194,18 +205,36 @@ def hold_chain(record: Record, force_gain: float, cutoff_hz: float | None = None
     # One sample per half period of four times the cut-off: what is left above it is under 1e-5 of the amplitude.
     factor = max(1, int(0.125 / (cutoff_hz * record.period)))
     edge = int(1.0 / (cutoff_hz * record.period))
+
+    def reduce(column: np.ndarray) -> np.ndarray:
+        return column[edge : len(column) - edge : factor]
+
     return Filtered(
         chain="hold",
         motion=seen,
         force=held_force(record, force_gain, cutoff_hz),
         f_ext=None if record.f_ext is None else low_pass(record.f_ext, cutoff_hz, record.period),
-        reduce=lambda column: column[edge : len(column) - edge : factor],
+        reduce=reduce,
+        used=reduce(sliding(seen, cutoff_hz)),
         cutoff_hz=cutoff_hz,
         band_hz=cutoff_hz,
         decimation=factor,
         text=f"Butterworth order 4 at {cutoff_hz:g} Hz, forwards and backwards, on motion and held force alike; second "
-        f"difference; one sample in {factor}",
+        f"difference; one sample in {factor}; left out: slower than {1e3 * REST_VELOCITY:g} mm/s, or {1e3 * REACH / cutoff_hz:.0f} ms "
+        "from such a moment",
     )
+
+
+def sliding(motion: Motion, cutoff_hz: float) -> np.ndarray:
+    """Where the carriage slides for certain: shape (n,) of bool.
+
+    False where it is slower than 2 mm/s, and within 1.5 periods of the cut-off [Hz] of such a moment: a zero-phase
+    filter spreads the jump of friction at a reversal that far to both sides.
+    """
+    from scipy.ndimage import maximum_filter1d
+
+    slow = (np.abs(motion.v) < REST_VELOCITY).astype(np.uint8)
+    return maximum_filter1d(slow, 2 * int(REACH / (cutoff_hz * motion.period)) + 1) == 0
 
 
 CHAINS: dict[str, Callable[..., Filtered]] = {"report": report_chain, "paper": paper_chain, "hold": hold_chain}

@@ -1,7 +1,7 @@
 """The inverse dynamic model as a linear regression: equations (5), (12)-(17) of the paper, with (15) corrected.
 
-``G_tau u = M qdd + F_v qd + F_c sign(qd) + offset`` (symmetric) or with both friction parameters by sign of the velocity
-(asymmetric). Columns are built at the record's rate and then brought to the regression's rate one by one.
+``G_tau u = M qdd + F_v qd + F_c sign(qd) + offset`` (symmetric) or with both friction parameters by sign of the
+velocity (asymmetric). Columns are built at the record's rate and then brought to the regression's rate one by one.
 """
 
 from __future__ import annotations
@@ -86,17 +86,21 @@ def with_predicted_force(motion: Motion, baseline: np.ndarray) -> Motion:
 
 
 def regression(filtered: Filtered, model: str) -> tuple[np.ndarray, np.ndarray]:
-    """W (n, p) and Y (n,) of (5) at the regression's rate; Y holds the external force where one was measured (21)."""
-    columns = [filtered.reduce(column(filtered.motion, p.name)) for p in parameters_of(model)]
+    """W (n, p) and Y (n,) of (5) at the regression's rate; Y holds the external force where one was measured (21).
+
+    Rows that take no part (``filtered.used``) are zero, so that the rest keep their distance in time.
+    """
+    columns = [filtered.reduce(column(filtered.motion, p.name)) * filtered.used for p in parameters_of(model)]
     force = filtered.force if filtered.f_ext is None else filtered.force + filtered.f_ext
-    return np.column_stack(columns), filtered.reduce(force)
+    return np.column_stack(columns), filtered.reduce(force) * filtered.used
 
 
 @dataclass(frozen=True)
 class LeastSquares:
     """Least-squares solution of Y = W X + e, with the statistics of (13)-(16).
 
-    ``value`` and ``std`` (p,), ``covariance`` (p, p) by (15) as it must read, ``s^2 (W^T W)^-1``; ``residual`` (n,) [N].
+    ``value`` and ``std`` (p,), ``covariance`` (p, p) by (15) as it must read, ``s^2 (W^T W)^-1``;
+    ``residual`` (n,) [N].
     """
 
     names: tuple[str, ...]
@@ -113,14 +117,16 @@ class LeastSquares:
         return np.sqrt(np.diag(self.covariance))
 
 
-def least_squares(W: np.ndarray, Y: np.ndarray, names: tuple[str, ...]) -> LeastSquares:
+def least_squares(W: np.ndarray, Y: np.ndarray, names: tuple[str, ...], used: np.ndarray | None = None) -> LeastSquares:
     """Solve (17) by least squares; :class:`RankError` names columns that cannot be told apart.
+
+    ``used`` (n,) counts the rows that take part, the others being zero.
 
     >>> fit = least_squares(np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 2.0]]), np.array([1.0, 3.0, 5.0]), ("a", "b"))
     >>> fit.value.round(6).tolist()
     [1.0, 2.0]
     """
-    n, p = W.shape
+    n, p = (len(W) if used is None else int(used.sum())), W.shape[1]
     if n <= p:
         raise InputError(f"regression: found {n} rows for {p} parameters, expected more; record longer")
     check_rank(W, names)
@@ -134,7 +140,7 @@ def least_squares(W: np.ndarray, Y: np.ndarray, names: tuple[str, ...]) -> Least
         value=value,
         covariance=variance * inverse @ inverse.T,
         residual=residual,
-        rms_error=float(np.sqrt(np.mean(residual**2))),
+        rms_error=float(np.sqrt(residual @ residual / n)),
         relative_error_percent=relative_error(residual, Y),
         condition_number=float(np.linalg.cond(W)),
     )

@@ -1,0 +1,145 @@
+"""Identify the parameters of an axis from one record, or from several with their spread."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+
+def command(
+    records: list[Path] = typer.Argument(..., metavar="RECORD...", help="Record file(s): .mat, .csv or .npz."),
+    axis: str = typer.Option("emps2019", "--axis", help="TOML file or embedded machine: G_tau, limits, controller."),
+    model: str = typer.Option("symmetric", "--model", help="symmetric or asymmetric friction."),
+    chain: str = typer.Option("report", "--filter", help="report (2019 report), paper (2018 paper) or hold."),
+    cutoff: float | None = typer.Option(None, "--cutoff", help="Low-pass of the position [Hz] instead of the chain's."),
+    estimator: str = typer.Option("ls", "--estimator", help="ls, iv (instruments) or oe (closed-loop output error)."),
+    external_force: str = typer.Option(
+        "refuse", "--external-force", help="refuse a record with one, or known: let the measured force take part."
+    ),
+    bootstrap: int = typer.Option(0, "--bootstrap", min=0, help="Samples of the block bootstrap, 0: none."),
+    seed: int = typer.Option(0, "--seed", help="Seed of the bootstrap."),
+    out: Path | None = typer.Option(None, "--out", help="Write the identified axis to this TOML file."),
+    as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
+) -> None:
+    """Identify the parameters of an axis from one record, or from several with their spread."""
+    from emps_design.cli.output import print_json, write_text
+    from emps_design.errors import InputError, nearest_name
+    from emps_design.machines import load_axis
+    from emps_design.records import read_record
+
+    if external_force not in ("refuse", "known"):
+        raise InputError(f"--external-force: found {external_force!r}, expected refuse or known")
+    estimators = ("ls", "iv", "oe")
+    if estimator not in estimators:
+        raise InputError(
+            f"--estimator: found {estimator!r}, expected {', '.join(estimators)}{nearest_name(estimator, estimators)}"
+        )
+    loaded = load_axis(axis)
+    options = {
+        "model": model,
+        "chain": chain,
+        "cutoff_hz": cutoff,
+        "external_force_known": external_force == "known",
+    }
+    read = [read_record(path) for path in records]
+    if len(read) == 1:
+        found = _one(estimator, read[0], loaded, {**options, "bootstrap": bootstrap, "seed": seed})
+    else:
+        from emps_design.identification.several import identify_several
+
+        if estimator != "ls":
+            raise InputError(f"--estimator: {estimator} takes one record, found {len(read)}; use ls for several")
+        found = identify_several(read, loaded, **options)
+    if out is not None:
+        write_text(out, found.to_axis(name=out.stem).to_toml())
+    if as_json:
+        print_json(found)
+    elif len(read) == 1:
+        _show_one(found)
+    else:
+        _show_several(found)
+    _warn(found.warnings)
+
+
+def _one(estimator, record, axis, options):
+    if estimator == "ls":
+        from emps_design.identification.identify import identify
+
+        return identify(record, axis, **options)
+    options = {key: options[key] for key in ("model", "cutoff_hz", "external_force_known")}
+    if estimator == "iv":
+        from emps_design.identification.instruments import identify_with_instruments
+
+        return identify_with_instruments(record, axis, **options)
+    from emps_design.identification.output_error import identify_by_output_error
+
+    return identify_by_output_error(record, axis, **options)
+
+
+def _show_one(found) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    table = Table(title=f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}")
+    for heading in ("parameter", "value", "std (15)", "std (16)", "std, correlated", "95 % interval", "unit"):
+        table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
+    for name, estimate in found.parameters.items():
+        if not estimate.determined:
+            table.add_row(name, "not determined", "", "", "", "", estimate.quantity.unit)
+            continue
+        low, high = estimate.interval_95
+        table.add_row(
+            name,
+            f"{estimate.value:.4f}",
+            f"{estimate.std:.4f}",
+            f"{estimate.relative_std_percent:.2f} %" if estimate.relative_std_percent is not None else "",
+            f"{estimate.std_long_run:.4f}",
+            f"{low:.3f} to {high:.3f}",
+            estimate.quantity.unit,
+        )
+    console.print(table)
+    console.print(
+        f"force error {found.rms_error:.4f} N rms, {found.relative_error_percent:.4f} % of the force; "
+        f"condition number {found.condition_number:.1f}"
+    )
+    console.print(
+        f"{found.samples} rows count as {found.residual.effective_samples:.0f} independent ones (residual correlated "
+        f"over {1e3 * found.residual.correlation_time:.0f} ms, HAC lag {found.hac_lag:.2f} s)"
+    )
+    console.print(f"filter {found.chain}: {found.filter_text}")
+
+
+def _show_several(found) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    table = Table(title=f"{len(found.records)} records, {found.model} model")
+    for heading in ("parameter", "mean", "spread (std)", "mean std, correlated", "drift per record", "unit"):
+        table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
+    for row in found.table():
+        table.add_row(
+            row["name"],
+            f"{row['mean']:.4f}",
+            f"{row['spread']:.4f}",
+            f"{row['std']:.4f}",
+            f"{row['drift']:+.4f}" + (" *" if row["drift_significant"] else ""),
+            row["unit"],
+        )
+    console.print(table)
+    matrix = Table(title="force error [N rms]: identified on the row's record, judged on the column's")
+    matrix.add_column("")
+    for name in found.records:
+        matrix.add_column(name, justify="right")
+    for name, row in zip(found.records, found.cross_validation, strict=True):
+        matrix.add_row(name, *(f"{value:.3f}" for value in row))
+    console.print(matrix)
+
+
+def _warn(warnings) -> None:
+    import sys
+
+    for warning in warnings:
+        print(f"emps-design: {warning}", file=sys.stderr)

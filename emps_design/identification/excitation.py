@@ -1,0 +1,79 @@
+"""Does a record hold what an identification needs? Each fault is named with what to record instead."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.errors import RecordError
+from emps_design.records import Record
+
+SMALLEST_STROKE = 1e-5  # m, and at least this many encoder steps:
+SMALLEST_STEPS = 200
+LARGEST_SATURATED_SHARE = 0.2
+WEAK_RELIABILITY = 0.1  # share of a column that the reference explains, below which its parameter is not determined
+
+
+def check_record(record: Record, axis: Axis, external_force_known: bool = False) -> None:
+    """Raise :class:`RecordError` for a record that cannot identify ``axis``: no motion, no reversal, saturated, pushed.
+
+    ``external_force_known``: the measured external force is meant to take part, as in (21).
+    """
+    stroke = float(np.ptp(record.q))
+    step = axis.sampling.encoder_resolution
+    if stroke < max(SMALLEST_STROKE, SMALLEST_STEPS * step):
+        raise RecordError(
+            f"{record.name}: no motion, the stroke is {stroke:.3g} m; record a trajectory that accelerates, runs at "
+            "several constant speeds and reverses"
+        )
+    saturated = float(np.mean(np.abs(record.u) >= 0.999 * axis.drive.voltage_limit))
+    if saturated > LARGEST_SATURATED_SHARE:
+        raise RecordError(
+            f"{record.name}: u is at the limit of {axis.drive.voltage_limit:g} V for {100 * saturated:.0f} % of the "
+            f"time, expected at most {100 * LARGEST_SATURATED_SHARE:.0f} %; record slower motion with less acceleration"
+        )
+    if not reverses(record.q):
+        raise RecordError(
+            f"{record.name}: no reversal, the carriage moves one way only, so Coulomb friction and a constant force "
+            "are one; record motion in both directions"
+        )
+    if record.f_ext is not None and not external_force_known and np.any(record.f_ext != record.f_ext[0]):
+        rms = float(np.sqrt(np.mean(record.f_ext**2)))
+        raise RecordError(
+            f"{record.name}: an external force of {rms:.3g} N rms acts, and (12) holds without one; record without "
+            "touching the carriage, or let the measured force take part with --external-force known"
+        )
+
+
+def reverses(q: np.ndarray, share: float = 0.02) -> bool:
+    """Whether the position goes both up and down by at least ``share`` of its stroke.
+
+    >>> reverses(np.array([0.0, 1.0, 2.0])), reverses(np.array([0.0, 1.0, 0.5]))
+    (False, True)
+    """
+    stroke = float(np.ptp(q))
+    rise = float(np.max(q - np.minimum.accumulate(q)))
+    fall = float(np.max(np.maximum.accumulate(q) - q))
+    return min(rise, fall) >= share * stroke
+
+
+def reliability(W: np.ndarray, Z: np.ndarray) -> np.ndarray:
+    """Share of each column of ``W`` that the columns ``Z`` of the reference explain, given the other columns, (p,).
+
+    The partial R^2 of the first stage of instrumental variables. Noise in a column pulls its parameter towards zero
+    by about this factor: near 1 the motion is the reference's, near 0 it is encoder noise and the parameter is not
+    determined, however small the deviation that (15) gives it.
+
+    >>> W = np.column_stack([np.ones(100), np.arange(100) - 49.5])
+    >>> reliability(W, W).round(3).tolist()
+    [1.0, 1.0]
+    """
+    shares = []
+    for index in range(W.shape[1]):
+        others = np.delete(Z, index, axis=1)
+        basis = np.linalg.qr(others)[0] if others.shape[1] else np.zeros((len(W), 1))
+        own = W[:, index] - basis @ (basis.T @ W[:, index])
+        lead = Z[:, index] - basis @ (basis.T @ Z[:, index])
+        size = float(np.linalg.norm(own) * np.linalg.norm(lead))
+        shares.append((float(own @ lead) / size) ** 2 if size > 0 else 0.0)
+    return np.array(shares)

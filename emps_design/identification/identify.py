@@ -1,0 +1,306 @@
+"""Identify the parameters of an axis from one record by the inverse dynamic model, (12)-(17)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.errors import AxisError, InputError, nearest_name
+from emps_design.identification.excitation import WEAK_RELIABILITY, check_record, reliability
+from emps_design.identification.filters import CHAINS, Filtered, sliding
+from emps_design.identification.inverse_model import LeastSquares, least_squares, parameters_of, regression
+from emps_design.identification.statistics import LongRun, hac_covariance, long_run
+from emps_design.quantities import Quantity
+from emps_design.records import Record
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One identified parameter: ``value``, ``std`` by (15), ``relative_std_percent`` by (16), and what holds.
+
+    ``std_long_run`` and ``interval_95`` allow for the correlation of the residual; ``std_hac`` is the HAC deviation.
+    All None where the record does not determine the parameter; ``reliability`` says how much of its column is motion.
+    """
+
+    quantity: Quantity
+    value: float | None
+    std: float | None
+    std_long_run: float | None = None
+    interval_95: tuple[float, float] | None = None
+    std_hac: float | None = None
+    std_bootstrap: float | None = None
+    reliability: float | None = None
+
+    @property
+    def determined(self) -> bool:
+        """Whether the record says anything about the parameter."""
+        return self.value is not None
+
+    @property
+    def relative_std_percent(self) -> float | None:
+        """100 |std / value| [%], (16); the tables of the 2018 paper print twice this."""
+        return abs(100.0 * self.std / self.value) if self.value and self.std is not None else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, SI."""
+        return {
+            "value": self.value,
+            "std": self.std,
+            "relative_std_percent": self.relative_std_percent,
+            "unit": self.quantity.unit,
+            "symbol": self.quantity.symbol,
+            "determined": self.determined,
+            "std_long_run": self.std_long_run,
+            "interval_95": self.interval_95,
+            "std_hac": self.std_hac,
+            "std_bootstrap": self.std_bootstrap,
+            "reliability": self.reliability,
+        }
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Parameters of one record with their deviations, and how they were found."""
+
+    record: str
+    sha256: str
+    model: str
+    estimator: str
+    chain: str
+    filter_text: str
+    cutoff_hz: float | None
+    parameters: dict[str, Estimate]
+    rms_error: float
+    relative_error_percent: float
+    condition_number: float
+    samples: int
+    residual: LongRun
+    hac_lag: float
+    warnings: tuple[str, ...]
+    axis: Axis = field(repr=False)
+    period: float = field(repr=False)
+    series: dict[str, np.ndarray] = field(repr=False, compare=False)
+    extra: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    def values(self) -> np.ndarray:
+        """The parameters in the order of the model, NaN where not determined."""
+        return np.array([np.nan if e.value is None else e.value for e in self.parameters.values()])
+
+    def baseline(self) -> np.ndarray:
+        """Mass, viscous, coulomb, offset, with an asymmetric model's means; raises where one is not determined."""
+        self._need_all("the axis")
+        p = {name: float(e.value) for name, e in self.parameters.items()}
+        if self.model == "symmetric":
+            return np.array([p["mass"], p["viscous"], p["coulomb"], p["constant_force"]])
+        return np.array(
+            [
+                p["mass"],
+                0.5 * (p["viscous_positive"] + p["viscous_negative"]),
+                0.5 * (p["coulomb_positive"] + p["coulomb_negative"]),
+                0.5 * (p["coulomb_positive"] - p["coulomb_negative"]),
+            ]
+        )
+
+    def to_axis(self, name: str | None = None) -> Axis:
+        """The axis with the identified mechanics; the asymmetry of the viscous friction becomes an effect."""
+        mass, viscous, coulomb, offset = (float(f"{x:.10g}") for x in self.baseline())
+        effects = []
+        if self.model == "asymmetric":
+            positive, negative = self.parameters["viscous_positive"].value, self.parameters["viscous_negative"].value
+            half = float(f"{0.5 * (positive - negative):.10g}")
+            effects = [{"kind": "asymmetric_viscous_friction", "viscous_difference": half}]
+        data = self.axis.to_dict()
+        data["name"] = name or self.axis.name
+        data["mechanics"] = {"mass": mass, "viscous": viscous, "coulomb": coulomb, "offset": offset}
+        data["sampling"] = {**data["sampling"], "period": self.period}
+        data["effects"] = effects
+        return Axis.from_dict(data, f"identified from {self.record}")
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contract's ``identify --json``, and what stands beside it."""
+        return {
+            "record": self.record,
+            "sha256": self.sha256,
+            "axis": self.axis.name,
+            "model": self.model,
+            "estimator": self.estimator,
+            "parameters": {name: estimate.to_dict() for name, estimate in self.parameters.items()},
+            "rms_error": self.rms_error,
+            "relative_error_percent": self.relative_error_percent,
+            "condition_number": self.condition_number,
+            "samples": self.samples,
+            "filter": {"chain": self.chain, "cutoff_hz": self.cutoff_hz, "text": self.filter_text},
+            "residual": {**self.residual.to_dict(), "hac_lag": self.hac_lag},
+            **self.extra,
+            "warnings": list(self.warnings),
+        }
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><td>{name}</td><td>{_number(e.value)}</td><td>{_number(e.std)}</td><td>{_number(e.std_long_run)}</td>"
+            f"<td>{e.quantity.unit}</td></tr>"
+            for name, e in self.parameters.items()
+        )
+        return (
+            "<table><tr><th>parameter</th><th>value</th><th>std, (15)</th><th>std, correlated residual</th>"
+            f"<th>unit</th></tr>{rows}</table>"
+        )
+
+    def _need_all(self, purpose: str) -> None:
+        missing = [name for name, estimate in self.parameters.items() if not estimate.determined]
+        if missing:
+            raise AxisError(
+                f"{self.record}: {', '.join(missing)} not determined by the record, {purpose} needs all; record motion "
+                "that excites them"
+            )
+
+
+def _number(value: float | None) -> str:
+    return "not determined" if value is None else f"{value:.4f}"
+
+
+def identify(
+    record: Record,
+    axis: Axis | None = None,
+    model: str = "symmetric",
+    chain: str = "report",
+    cutoff_hz: float | None = None,
+    external_force_known: bool = False,
+    bootstrap: int = 0,
+    seed: int = 0,
+) -> Identification:
+    """Identify ``axis`` from ``record`` by least squares on the inverse dynamic model.
+
+    ``axis`` gives G_tau and the voltage limit (default: the embedded emps2019); ``model`` is ``symmetric`` or
+    ``asymmetric``; ``chain`` the filters: ``report`` (2019 report), ``paper`` (2018 paper) or ``hold`` (the hold
+    modelled, cut-off chosen from the data); ``cutoff_hz`` [Hz] overrides the chain's. ``external_force_known`` lets a
+    measured external force take part as in (21); ``bootstrap`` draws that many samples of blocks. Raises
+    :class:`RecordError` for a record that cannot identify, :class:`RankError` for columns it cannot tell apart.
+    """
+    if axis is None:
+        from emps_design.machines import machine
+
+        axis = machine("emps2019")
+    check_record(record, axis, external_force_known)
+    filtered = filter_record(record, axis, chain, cutoff_hz)
+    W, Y = regression(filtered, model)
+    names = tuple(p.name for p in parameters_of(model))
+    fit = least_squares(W, Y, names, filtered.used)
+    return assemble(record, axis, model, "least_squares", filtered, W, fit, bootstrap=bootstrap, seed=seed)
+
+
+def filter_record(record: Record, axis: Axis, chain: str, cutoff_hz: float | None = None) -> Filtered:
+    """Run ``record`` through ``chain``; :class:`InputError` names the nearest chain."""
+    if chain not in CHAINS:
+        raise InputError(f"filter: found {chain!r}, expected {', '.join(CHAINS)}{nearest_name(chain, list(CHAINS))}")
+    return CHAINS[chain](record, axis.drive.force_gain, cutoff_hz)
+
+
+def assemble(
+    record: Record,
+    axis: Axis,
+    model: str,
+    estimator: str,
+    filtered: Filtered,
+    W: np.ndarray,
+    fit: LeastSquares,
+    Z: np.ndarray | None = None,
+    bootstrap: int = 0,
+    seed: int = 0,
+    extra: dict[str, Any] | None = None,
+) -> Identification:
+    """Put statistics beside ``fit`` and make an :class:`Identification` of it; ``Z`` are the instruments, if any."""
+    residual, spread, lag, period = residual_statistics(filtered, W, fit, Z)
+    hac = np.sqrt(np.diag(hac_covariance(W, fit.residual, lag, Z)))
+    boot = np.full(len(fit.value), np.nan)
+    if bootstrap:
+        from emps_design.identification.statistics import block_bootstrap
+
+        covariance = block_bootstrap(W, W @ fit.value + fit.residual, fit.value, lag, bootstrap, seed)
+        boot = np.sqrt(np.diag(covariance))
+    shares, warnings = _reliability(record, axis, model, filtered, W), list(record.warnings)
+    estimates = {}
+    for i, quantity in enumerate(parameters_of(model)):
+        if shares is not None and shares[i] < WEAK_RELIABILITY:
+            warnings.append(
+                f"{quantity.name} is not determined: the reference explains {100 * shares[i]:.0f} % of its column, the "
+                "rest is noise; record motion that excites it"
+            )
+            estimates[quantity.name] = Estimate(quantity, None, None, reliability=float(shares[i]))
+            continue
+        half = spread.quantile * spread.std[i]
+        if half > abs(fit.value[i]) and quantity.name != "constant_force":
+            warnings.append(f"{quantity.name}: its 95 % interval reaches zero; the record hardly determines it")
+        estimates[quantity.name] = Estimate(
+            quantity=quantity,
+            value=float(fit.value[i]),
+            std=float(fit.std[i]),
+            std_long_run=float(spread.std[i]),
+            interval_95=(float(fit.value[i] - half), float(fit.value[i] + half)),
+            std_hac=float(hac[i]),
+            std_bootstrap=float(boot[i]) if bootstrap else None,
+            reliability=None if shares is None else float(shares[i]),
+        )
+    return Identification(
+        record=record.name,
+        sha256=record.sha256,
+        model=model,
+        estimator=estimator,
+        chain=filtered.chain,
+        filter_text=filtered.text,
+        cutoff_hz=filtered.cutoff_hz,
+        parameters=estimates,
+        rms_error=fit.rms_error,
+        relative_error_percent=fit.relative_error_percent,
+        condition_number=fit.condition_number,
+        samples=int(filtered.used.sum()),
+        residual=spread,
+        hac_lag=lag * period,
+        warnings=tuple(warnings),
+        axis=axis,
+        period=record.period,
+        series={
+            "t": filtered.reduce(filtered.motion.t),
+            "measured": W @ fit.value + fit.residual,
+            "model": W @ fit.value,
+            "residual": residual,
+            "used": filtered.used,
+        },
+        extra=extra or {},
+    )
+
+
+def residual_statistics(
+    filtered: Filtered, W: np.ndarray, fit: LeastSquares, Z: np.ndarray | None = None
+) -> tuple[np.ndarray, LongRun, int, float]:
+    """Residual [N], its long-run statistics, the HAC lag [rows] (four correlation times, at least 0.1 s), row period [s].
+
+    The autoregressive model is made of rows away from rest, as far apart as the band resolves (half a period).
+    """
+    band = filtered.band_hz
+    steps = max(1, round(0.5 / (band * filtered.period)))
+    away = filtered.used & (filtered.reduce(sliding(filtered.motion, band).astype(float)) > 0.5)
+    spread = long_run(
+        W[::steps],
+        (fit.residual * away)[::steps],
+        away[::steps],
+        filtered.period * steps,
+        None if Z is None else Z[::steps],
+    )
+    lag = int(max(0.1, 4.0 * spread.correlation_time) / filtered.period)
+    return fit.residual, spread, min(lag, len(W) // 10), filtered.period
+
+
+def _reliability(record: Record, axis: Axis, model: str, filtered: Filtered, W: np.ndarray) -> np.ndarray | None:
+    """Reliability of each column by the same chain on the reference; None where the motion does not follow it."""
+    from dataclasses import replace
+
+    error, stroke = record.q - record.q_ref, float(np.std(record.q))
+    if float(np.std(error)) > 0.1 * stroke:
+        return None
+    led = filter_record(replace(record, q=record.q_ref), axis, filtered.chain, filtered.cutoff_hz)
+    Z, _ = regression(led, model)
+    return reliability(W, Z * filtered.used[:, None])

@@ -1,0 +1,168 @@
+"""Standard deviations that hold for residuals that are correlated from sample to sample.
+
+Equation (15) counts every sample as an independent observation. Three ways to count fewer: the long-run covariance of
+an autoregressive model of the residual (the one the intervals use), the heteroscedasticity and autocorrelation
+consistent (HAC) sandwich with a stated lag, and a bootstrap of blocks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from emps_design.errors import InputError
+
+LARGEST_ORDER = 4
+LAGS = 8  # of the residual's autocovariance that are corrected for the regression
+NEGLIGIBLE = 1e-4  # share of the variance at which a model's autocovariance is cut
+
+
+@dataclass(frozen=True)
+class LongRun:
+    """Covariance of an estimate, and what was found in its residual.
+
+    ``covariance`` (p, p); ``order`` of the autoregressive model; ``correlation_time`` [s] the integral time scale of
+    the residual; ``effective_samples`` how many independent observations the record amounts to; ``quantile`` of
+    Student's t that makes the 95 % interval.
+    """
+
+    covariance: np.ndarray
+    order: int
+    correlation_time: float
+    effective_samples: float
+    quantile: float
+
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviations, shape (p,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def to_dict(self) -> dict[str, Any]:
+        """What was found in the residual, as plain data."""
+        return {
+            "autoregressive_order": self.order,
+            "correlation_time": self.correlation_time,
+            "effective_samples": self.effective_samples,
+            "quantile_95": self.quantile,
+        }
+
+
+def long_run(
+    W: np.ndarray, residual: np.ndarray, used: np.ndarray, period: float, Z: np.ndarray | None = None
+) -> LongRun:
+    """Covariance of least squares (or of the instruments ``Z``) when the residual is autoregressive.
+
+    ``W``, ``Z`` (n, p) and ``residual`` (n,) are spaced by ``period`` [s]; rows that took no part are zero and False in
+    ``used`` (n,). The autocovariance of the residual is corrected for what the p parameters took out of it; the order,
+    1 to 4, is the one with the least Akaike criterion. The long-run variance of an AR(p) model has a relative
+    variance of about 4 p / n_eff, so Student's t has n_eff / (2 p) degrees of freedom. Rows must not be closer than
+    the filter resolves, or the model describes the filter.
+    """
+    from scipy.stats import t as student
+
+    Z = W if Z is None else Z
+    n = int(used.sum())
+    if n < 20 * LARGEST_ORDER:
+        raise InputError(f"statistics: found {n} usable rows, expected at least {20 * LARGEST_ORDER}; record longer")
+    sample = _autocovariance(residual, n)
+    order = min(range(1, LARGEST_ORDER + 1), key=lambda p: n * np.log(_innovation(sample, p)) + 2 * p)
+    model = _model(sample, order, len(residual))
+    basis = np.linalg.qr(W)[0]
+    for _ in range(3):
+        corrected = sample + _absorbed(model, basis, n)
+        try:
+            model = _model(corrected, order, len(residual))
+        except ArithmeticError:
+            break  # the corrected autocovariance is of no stationary model; the last one that was stands
+    bread = np.linalg.inv(Z.T @ W)
+    integral = max(1.0, 1.0 + 2.0 * float(np.sum(model[1:])) / float(model[0]))
+    return LongRun(
+        covariance=bread @ (Z.T @ _convolve(model, Z)) @ bread.T,
+        order=order,
+        correlation_time=0.5 * period * integral,
+        effective_samples=n / integral,
+        quantile=float(student.ppf(0.975, max(n / integral / (2 * order), 2.0))),
+    )
+
+
+def hac_covariance(W: np.ndarray, residual: np.ndarray, lag: int, Z: np.ndarray | None = None) -> np.ndarray:
+    """HAC covariance (Newey and West, Bartlett weights over ``lag`` rows) of least squares or instruments, (p, p).
+
+    Rows that took no part are zero, so that lags are distances in time. The sum is that of statsmodels.
+    """
+    from statsmodels.stats.sandwich_covariance import S_hac_simple
+
+    Z = W if Z is None else Z
+    bread = np.linalg.inv(Z.T @ W)
+    return bread @ S_hac_simple(Z * residual[:, None], nlags=lag) @ bread.T
+
+
+def block_bootstrap(
+    W: np.ndarray, Y: np.ndarray, value: np.ndarray, block: int, draws: int = 500, seed: int = 0
+) -> np.ndarray:
+    """Covariance (p, p) of least squares over ``draws`` samples of blocks of about ``block`` rows, residuals redrawn.
+
+    Stationary bootstrap of the residuals (Politis and Romano; ``arch``), with the motion kept as it was: the columns
+    are the reference's doing, not chance.
+    """
+    from arch.bootstrap import StationaryBootstrap
+
+    solve = np.linalg.solve(W.T @ W, W.T)
+    source = StationaryBootstrap(max(1, block), Y - W @ value, seed=seed)
+    estimates = np.array([solve @ data[0] for data, _ in source.bootstrap(draws)])
+    return np.cov(estimates, rowvar=False)
+
+
+def _autocovariance(residual: np.ndarray, n: int) -> np.ndarray:
+    # Divided by n at every lag: biased a little towards zero, and always that of some stationary process.
+    return np.array([residual[: len(residual) - lag] @ residual[lag:] for lag in range(LAGS)]) / n
+
+
+def _absorbed(model: np.ndarray, basis: np.ndarray, n: int) -> np.ndarray:
+    """What the regression onto ``basis`` took out of the autocovariance of noise with autocovariance ``model``."""
+    seen = _convolve(model, basis)
+    back = basis @ (basis.T @ seen)
+    taken = []
+    for lag in range(LAGS):
+        head, tail = slice(0, len(basis) - lag), slice(lag, None)
+        taken.append(np.sum(basis[head] * seen[tail] + seen[head] * basis[tail] - basis[head] * back[tail]))
+    return np.array(taken) / n
+
+
+def _coefficients(autocovariance: np.ndarray, order: int) -> np.ndarray:
+    from scipy.linalg import solve_toeplitz
+
+    return solve_toeplitz(autocovariance[:order], autocovariance[1 : order + 1])
+
+
+def _innovation(autocovariance: np.ndarray, order: int) -> float:
+    """Variance of what an autoregressive model of ``order`` cannot predict."""
+    predicted = _coefficients(autocovariance, order) @ autocovariance[1 : order + 1]
+    return max(float(autocovariance[0] - predicted), 1e-12 * float(autocovariance[0]) + 1e-300)
+
+
+def _model(autocovariance: np.ndarray, order: int, n: int) -> np.ndarray:
+    """Autocovariance of the autoregressive model, up to where it is negligible; ArithmeticError if not stationary."""
+    from scipy.signal import lfilter, lfiltic
+
+    phi = _coefficients(autocovariance, order)
+    slowest = float(np.max(np.abs(np.roots(np.concatenate([[1.0], -phi])))))
+    if not slowest < 1.0:
+        raise ArithmeticError("not stationary")
+    length = int(min(n, max(order + 1, np.ceil(np.log(NEGLIGIBLE) / np.log(max(slowest, 1e-3))))))
+    known = autocovariance[:order]
+    denominator = np.concatenate([[1.0], -phi])
+    state = lfiltic([1.0], denominator, known[::-1])
+    rest, _ = lfilter([1.0], denominator, np.zeros(max(length - order, 0)), zi=state)
+    return np.concatenate([known, rest])
+
+
+def _convolve(model: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Product of the Toeplitz matrix of ``model`` with ``columns`` (n, p), without the matrix."""
+    from scipy.signal import fftconvolve
+
+    kernel = np.concatenate([model[:0:-1], model])[:, None]
+    start = len(model) - 1
+    return fftconvolve(columns, kernel, axes=0)[start : start + len(columns)]

@@ -1,0 +1,165 @@
+"""Identification of simulated records, whose parameters are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from emps_design.axis import Axis
+from emps_design.errors import InputError, RankError, RecordError
+from emps_design.identification import identify
+from emps_design.identification.filters import decimate, held, hold_chain, low_pass, motion, report_chain
+from emps_design.identification.inverse_model import baseline_columns, least_squares, with_predicted_force
+from emps_design.machines import machine
+
+AXIS = machine("emps2019")
+
+
+@pytest.fixture(scope="module")
+def clean(simulate):
+    return simulate(1, std=0.0)
+
+
+def test_hold_chain_returns_the_truth(clean, truth):
+    found = identify(clean, AXIS, chain="hold", cutoff_hz=40.0)
+    for name, value in truth.items():
+        assert found.parameters[name].value == pytest.approx(value, rel=2e-3, abs=0.02)
+    assert found.rms_error < 0.3
+
+
+def test_ignoring_the_hold_costs_accuracy(clean, truth):
+    """With u[k] in place of (u[k] + u[k-1])/2 the error is larger: half a sample of delay."""
+    hold = hold_chain(clean, AXIS.drive.force_gain, 60.0)
+    W = baseline_columns(hold.motion)[500:-500]
+    used = hold.motion.v[500:-500] != 0
+    good = hold.force[500:-500]
+    late = low_pass(AXIS.drive.force_gain * clean.u, 60.0, clean.period)[500:-500]
+    errors = [np.linalg.norm((force - W @ np.array(list(truth.values())))[used]) for force in (good, late)]
+    assert errors[0] < errors[1]
+
+
+def test_asymmetric_model_of_a_symmetric_machine(clean, truth):
+    p = identify(clean, AXIS, model="asymmetric", chain="hold", cutoff_hz=40.0).parameters
+    assert p["viscous_positive"].value == pytest.approx(p["viscous_negative"].value, abs=3.0)
+    half = 0.5 * (p["coulomb_positive"].value - p["coulomb_negative"].value)
+    assert half == pytest.approx(truth["constant_force"], abs=0.1)
+
+
+@pytest.mark.parametrize("model", ["symmetric", "asymmetric"])
+def test_to_axis_holds_the_parameters_and_reads_back(record, model):
+    found = identify(record, AXIS, model=model)
+    axis = found.to_axis("mine")
+    assert Axis.from_toml(axis.to_toml()) == axis
+    assert axis.mechanics.mass == pytest.approx(found.parameters["mass"].value)
+    if model == "asymmetric":
+        p = found.parameters
+        half = 0.5 * (p["viscous_positive"].value - p["viscous_negative"].value)
+        assert axis.effects[0].kind == "asymmetric_viscous_friction"
+        assert axis.effects[0].parameters["viscous_difference"] == pytest.approx(half)
+        assert axis.mechanics.offset == pytest.approx(0.5 * (p["coulomb_positive"].value - p["coulomb_negative"].value))
+
+
+def test_names_of_the_contract(record):
+    keys = set(identify(record, AXIS, model="asymmetric").to_dict()["parameters"])
+    assert keys == {"mass", "viscous_positive", "viscous_negative", "coulomb_positive", "coulomb_negative"}
+    data = identify(record, AXIS).to_dict()
+    assert set(data["parameters"]["mass"]) >= {"value", "std", "relative_std_percent", "unit"}
+    assert {"rms_error", "relative_error_percent", "condition_number"} <= set(data)
+
+
+def test_force_gain_scales_every_parameter(record):
+    """A gain error cannot be told from the mechanics."""
+    twice = AXIS.replace(drive={"force_gain": 2 * AXIS.drive.force_gain})
+    np.testing.assert_allclose(identify(record, twice).values(), 2 * identify(record, AXIS).values(), rtol=1e-9)
+
+
+def test_measured_external_force_takes_part(record, truth, reference_plant):
+    """Y = tau_m + tau_e (21): with the force known the parameters come out, refused without a word about it."""
+    push = 30.0 * np.sin(2 * np.pi * 0.7 * record.t)
+    run = reference_plant.closed_loop(record.q_ref, disturbance=push)
+    pushed = replace(record, q=run.q, u=run.u, f_ext=push)
+    with pytest.raises(RecordError, match=r"external force of 21\.\d N rms acts.*--external-force known"):
+        identify(pushed, AXIS)
+    found = identify(pushed, AXIS, external_force_known=True, chain="hold", cutoff_hz=40.0)
+    assert found.parameters["mass"].value == pytest.approx(truth["mass"], rel=5e-3)
+
+
+def test_bootstrap_agrees_with_the_long_run(record):
+    found = identify(record, AXIS, chain="hold", cutoff_hz=30.0, bootstrap=200, seed=3)
+    again = identify(record, AXIS, chain="hold", cutoff_hz=30.0, bootstrap=200, seed=3)
+    for name, estimate in found.parameters.items():
+        assert estimate.std_bootstrap == again.parameters[name].std_bootstrap
+        assert 0.4 < estimate.std_bootstrap / estimate.std_long_run < 1.6
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda r: replace(r, q=np.zeros_like(r.q)), r"no motion, the stroke is 0 m; record a trajectory"),
+        (lambda r: replace(r, q=r.t * 0.01, q_ref=r.t * 0.01), r"no reversal, .* record motion in both directions"),
+        (lambda r: replace(r, u=10.0 * np.sign(r.u)), r"at the limit of 10 V for \d+ % of the time.*slower motion"),
+    ],
+)
+def test_records_that_cannot_identify(record, change, message):
+    with pytest.raises(RecordError, match=message):
+        identify(change(record), AXIS)
+
+
+def test_rank_deficiency_names_the_columns():
+    v = np.array([1.0, -1.0, 2.0, -2.0])
+    columns = np.column_stack([v > 0, -1.0 * (v < 0), np.ones(4)]).astype(float)
+    with pytest.raises(RankError, match="coulomb_positive, coulomb_negative, constant_force") as caught:
+        least_squares(columns, v, ("coulomb_positive", "coulomb_negative", "constant_force"))
+    assert caught.value.columns == ("coulomb_positive", "coulomb_negative", "constant_force")
+    with pytest.raises(RankError, match="does not excite: mass"):
+        least_squares(np.column_stack([np.zeros(4), v]), v, ("mass", "viscous"))
+
+
+def test_refusals_name_the_nearest(record):
+    with pytest.raises(InputError, match="model: found 'asymetric'.*did you mean 'asymmetric'"):
+        identify(record, AXIS, model="asymetric")
+    with pytest.raises(InputError, match="filter: found 'holt'.*did you mean 'hold'"):
+        identify(record, AXIS, chain="holt")
+    with pytest.raises(InputError, match="Nyquist frequency 500 Hz"):
+        identify(record, AXIS, cutoff_hz=600.0)
+    with pytest.raises(InputError, match="the paper's chain has none"):
+        identify(record, AXIS, chain="paper", cutoff_hz=50.0)
+    with pytest.raises(InputError, match="found 10 samples, expected more than 12"):
+        low_pass(np.zeros(10), 50.0, 1e-3)
+
+
+def test_a_parameter_of_noise_is_not_determined(record):
+    """An acceleration column that is encoder noise gives no mass, rather than one with a tiny deviation."""
+    from emps_design.identification.excitation import reliability
+
+    rng = np.random.default_rng(0)
+    Z = np.column_stack([1e-6 * np.sin(np.arange(2000)), np.sign(np.sin(np.arange(2000) / 50))])
+    noisy = Z + np.column_stack([rng.standard_normal(2000), np.zeros(2000)])
+    shares = reliability(noisy, Z)
+    assert shares[0] < 0.05
+    assert shares[1] > 0.95
+
+
+def test_motion_is_the_same_filter_on_all(clean):
+    seen = motion(clean, 50.0)
+    np.testing.assert_allclose(seen.smooth(clean.q), seen.q)
+    b = np.array([95.0, 200.0, 20.0, -3.0])
+    np.testing.assert_allclose(with_predicted_force(seen, b).tau, baseline_columns(seen) @ b)
+
+
+def test_second_difference_and_held_force_balance_exactly():
+    """A mass alone under a held force: M times the second difference is the mean of two forces, to rounding."""
+    rng = np.random.default_rng(5)
+    force, mass, T = rng.standard_normal(200), 3.0, 1e-3
+    q, v = np.zeros(201), 0.0
+    for k in range(200):
+        q[k + 1] = q[k] + v * T + 0.5 * force[k] / mass * T**2
+        v += force[k] / mass * T
+    second = (q[2:] - 2 * q[1:-1] + q[:-2]) / T**2
+    np.testing.assert_allclose(mass * second, held(force)[1:], rtol=1e-6, atol=1e-6)
+
+
+def test_report_chain_keeps_every_tenth_sample_to_the_last(record):
+    seen = report_chain(record, 35.0)
+    assert len(seen.reduce(seen.motion.q)) == len(seen.used)
+    assert decimate(np.arange(95.0), 10).size == 10
