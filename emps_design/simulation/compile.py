@@ -109,12 +109,7 @@ def cached(*files: str) -> Callable[[Callable[..., Any]], Any]:
 part = njit(**_OPTIONS)  # a piece of a stepper: compiled into whatever calls it, cached with that
 
 
-def _data(context: Any, builder: Any, array_type: Any, array: Any, offset: Any) -> Any:
-    return builder.gep(context.make_array(array_type)(context, builder, array).data, [offset])
-
-
 _double, _void, _long = ir.DoubleType(), ir.VoidType(), ir.IntType(64)
-_pointer = _double.as_pointer()
 
 
 def _call(builder: Any, place: Any, result: Any, arguments: list[Any]) -> Any:
@@ -123,28 +118,34 @@ def _call(builder: Any, place: Any, result: Any, arguments: list[Any]) -> Any:
 
 
 @intrinsic
+def pointer(typingctx, array):
+    """The data of a contiguous array, without its reference count: whoever calls a stepper keeps the arrays alive."""
+
+    def generate(context, builder, signature, arguments):
+        return context.make_array(signature.args[0])(context, builder, arguments[0]).data
+
+    return types.CPointer(array.dtype)(array), generate
+
+
+@intrinsic
+def shifted(typingctx, start, offset):
+    """The pointer ``offset`` numbers behind ``start``."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.gep(arguments[0], [arguments[1]])
+
+    return start(start, types.int64), generate
+
+
+@intrinsic
 def call_kernel(typingctx, place, q, v, t, tau, x, x_at, p, p_at, b):
     """``kernel(q, v, t, tau, x[x_at:], p[p_at:], b)`` at address ``place``."""
-    signature = types.float64(types.int64, *[_NUMBER] * 4, x, types.int64, p, types.int64, b)
+    signature = types.float64(types.int64, *[_NUMBER] * 4, _POINTER, types.int64, _POINTER, types.int64, _POINTER)
 
     def generate(context, builder, signature, arguments):
         place, q, v, t, tau, x, x_at, p, p_at, b = arguments
-        types_ = signature.args
-        zero = ir.Constant(_long, 0)
-        return _call(
-            builder,
-            place,
-            _double,
-            [
-                q,
-                v,
-                t,
-                tau,
-                _data(context, builder, types_[5], x, x_at),
-                _data(context, builder, types_[7], p, p_at),
-                _data(context, builder, types_[9], b, zero),
-            ],
-        )
+        own, mine = builder.gep(x, [x_at]), builder.gep(p, [p_at])
+        return _call(builder, place, _double, [q, v, t, tau, own, mine, b])
 
     return signature, generate
 
@@ -152,62 +153,36 @@ def call_kernel(typingctx, place, q, v, t, tau, x, x_at, p, p_at, b):
 @intrinsic
 def call_rate(typingctx, place, q, v, t, tau, x, x_at, p, p_at, b, level, dx):
     """``rate(q, v, t, tau, x[x_at:], p[p_at:], b, level, dx[x_at:])`` at address ``place``."""
-    signature = types.void(types.int64, *[_NUMBER] * 4, x, types.int64, p, types.int64, b, _NUMBER, dx)
+    whole = (types.int64, *[_NUMBER] * 4, _POINTER, types.int64, _POINTER, types.int64, _POINTER, _NUMBER, _POINTER)
 
     def generate(context, builder, signature, arguments):
         place, q, v, t, tau, x, x_at, p, p_at, b, level, dx = arguments
-        types_ = signature.args
-        zero = ir.Constant(_long, 0)
-        _call(
-            builder,
-            place,
-            _void,
-            [
-                q,
-                v,
-                t,
-                tau,
-                _data(context, builder, types_[5], x, x_at),
-                _data(context, builder, types_[7], p, p_at),
-                _data(context, builder, types_[9], b, zero),
-                level,
-                _data(context, builder, types_[11], dx, x_at),
-            ],
-        )
+        own, mine, change = builder.gep(x, [x_at]), builder.gep(p, [p_at]), builder.gep(dx, [x_at])
+        _call(builder, place, _void, [q, v, t, tau, own, mine, b, level, change])
         return context.get_dummy_value()
 
-    return signature, generate
+    return types.void(*whole), generate
 
 
 @intrinsic
 def call_actuator(typingctx, place, u, p, p_at):
     """``actuator(u, p[p_at:])`` at address ``place``."""
-    signature = types.float64(types.int64, _NUMBER, p, types.int64)
 
     def generate(context, builder, signature, arguments):
         place, u, p, p_at = arguments
-        return _call(builder, place, _double, [u, _data(context, builder, signature.args[2], p, p_at)])
+        return _call(builder, place, _double, [u, builder.gep(p, [p_at])])
 
-    return signature, generate
+    return types.float64(types.int64, _NUMBER, _POINTER, types.int64), generate
 
 
 @intrinsic
 def call_law(typingctx, place, sample, reference, q, f_ext, limit, gains, memory):
     """``law(sample, reference, q, f_ext, limit, gains, memory)`` at address ``place``."""
-    signature = types.float64(types.int64, types.int64, *[_NUMBER] * 4, gains, memory)
 
     def generate(context, builder, signature, arguments):
-        place, sample, reference, q, f_ext, limit, gains, memory = arguments
-        zero = ir.Constant(_long, 0)
-        types_ = signature.args
-        numbers = [sample, reference, q, f_ext, limit]
-        arrays = [
-            _data(context, builder, types_[6], gains, zero),
-            _data(context, builder, types_[7], memory, zero),
-        ]
-        return _call(builder, place, _double, numbers + arrays)
+        return _call(builder, arguments[0], _double, list(arguments[1:]))
 
-    return signature, generate
+    return types.float64(types.int64, types.int64, *[_NUMBER] * 4, _POINTER, _POINTER), generate
 
 
-__all__ = ["address", "cached", "call_actuator", "call_kernel", "call_law", "call_rate", "part"]
+__all__ = ["address", "cached", "call_actuator", "call_kernel", "call_law", "call_rate", "part", "pointer", "shifted"]

@@ -51,7 +51,7 @@ class Plant:
         first_own = 3 if self._lag > 0 else 2
         self._x_at = first_own + np.cumsum([0] + [len(effect.states) for effect in self.effects])
         self._states = int(self._x_at[-1])
-        self._hooks, self._counts = self._table()
+        self._hooks, self._starts = self._table()
 
     @classmethod
     def of(cls, axis: Axis) -> Plant:
@@ -71,11 +71,8 @@ class Plant:
                 for row, hook in ((stepper.TOUCH, effect.force), (stepper.TOUCH_MASS, effect.inertia)):
                     if hook is not None:
                         rows[row].append((address(hook), *place))
-        table = np.zeros((len(rows), max(1, *map(len, rows)), 3), np.int64)
-        for row, entries in enumerate(rows):
-            for i, entry in enumerate(entries):
-                table[row, i] = entry
-        return table, np.array([len(entries) for entries in rows], np.int64)
+        table = np.array([number for row in rows for entry in row for number in entry] or [0], np.int64)
+        return table, np.cumsum([0] + [len(row) for row in rows])
 
     def closed_loop(
         self,
@@ -161,29 +158,29 @@ class Plant:
         settings[stepper.FREE], settings[stepper.STATES] = self._free, self._states
         settings[stepper.POSITION_TOLERANCE] = 1e-12 * tolerance
         settings[stepper.RELATIVE_TOLERANCE] = 1e-9 * tolerance
-        plant = (b, self._hooks, self._counts, p, settings)
+        plant = (b, self._hooks, self._starts, p, settings)
         y = np.zeros(self._states)
         y[0], y[1] = q0, v0
         for i, effect in enumerate(self.effects):
             if effect.initial is not None:
                 own = p[self._p_at[i] : self._p_at[i + 1]]
                 y[self._x_at[i] : self._x_at[i + 1]] = effect.initial(q0, own, b)
-        out = tuple(np.empty(n) for _ in range(5))
-        events = np.empty((n + 1000, 3))
+        out, events, found = np.empty((5, n)), np.empty((n + 1000, 3)), np.array([0, n + 1000])
+        scratch = np.zeros(stepper.room(self._states, int(self._starts[stepper.GUARD + 1] - self._starts[stepper.GUARD])))
         columns, slots = signals or (_NO_SIGNALS, _NO_SLOTS)
         place, gains, memory = 0, _EMPTY, _EMPTY
         if law is not None:
             place, gains, memory = address(law.kernel, "law"), law.gains, np.zeros(law.memory)
         push = _EMPTY if disturbance is None else _signal(disturbance, "disturbance", "N", n)
         noise = _EMPTY if noise is None else _signal(noise, "voltage_noise", "V", n)
-        status, k, within, found = stepper.run(
-            plant, y, place, gains, memory, reference, push, noise, columns, slots, out, events
+        status, k, within = stepper.run(
+            plant, y, place, gains, memory, reference, push, noise, columns, slots, scratch, out, events, found
         )
         if status != stepper.DONE:
             names = ", ".join(effect.name for effect in self.effects) or "none"
             raise SimulationError(REASONS[status], k * period + within, tuple(y.tolist()), names)
         encoder, position, velocity, u, outside = out
-        kept = min(found, events.shape[0])
+        kept = min(int(found[0]), events.shape[0])
         return Run(
             t=np.arange(n) * period,
             q_ref=q_ref,
@@ -195,7 +192,7 @@ class Plant:
             f_ext=outside,
             events=events[:kept].copy(),
             period=period,
-            lost_events=found - kept,
+            lost_events=int(found[0]) - kept,
             name=self.axis.name,
         )
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from emps_design.simulation.compile import cached, call_actuator, call_kernel, call_law, call_rate, part
+from emps_design.simulation.compile import cached, call_actuator, call_kernel, call_law, call_rate, part, pointer, shifted
 
 # Rows of ``hooks``: one list of (address, first own state in y, first parameter) for each.
 FORCE, DRY, INERTIA, COMMAND, ACTUATOR, DELAY, SENSOR, RATE, GUARD, JUMP, TOUCH, TOUCH_MASS = range(12)
@@ -24,24 +24,24 @@ REVERSAL, STICK, BREAKAWAY, GUARDED = range(4)
 PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, POSITION_TOLERANCE, RELATIVE_TOLERANCE = range(10)
 
 _INSTANT = 1e-15  # s, shortest rest of a period worth a step
-_APART = 1e-11  # s, how far from a jump in time its two sides are evaluated
+_APART = 5e-10  # s, how far from a jump in time its two sides are evaluated; above SNAP of the effects
 _SHORTEST = 1e-12  # s, a step that must be shorter than this does not converge
 
 
 @part
 def total(row, y, t, tau, plant):
     """Sum of the kernels of one hook."""
-    b, hooks, counts, p, settings = plant
+    b, hooks, starts, p, _ = plant
     value = 0.0
-    for i in range(counts[row]):
-        value += call_kernel(hooks[row, i, 0], y[0], y[1], t, tau, y, hooks[row, i, 1], p, hooks[row, i, 2], b)
+    for i in range(starts[row], starts[row + 1]):
+        value += call_kernel(hooks[3 * i], y[0], y[1], t, tau, y, hooks[3 * i + 1], p, hooks[3 * i + 2], b)
     return value
 
 
 @part
 def balance(y, t, tau, push, plant):
     """Force without dry friction [N], level of dry friction [N], and mass [kg]."""
-    b, hooks, counts, p, settings = plant
+    b, settings = plant[0], plant[4]
     if settings[LAG] > 0.0:
         tau = y[2]
     net = tau + push - b[1] * y[1] - b[3] - total(FORCE, y, t, tau, plant)
@@ -50,12 +50,20 @@ def balance(y, t, tau, push, plant):
 
 
 @part
+def held(y, t, tau, push, plant):
+    """Direction in which a carriage at rest leaves, 0: dry friction holds it."""
+    net, level, _ = balance(y, t, tau, push, plant)
+    if abs(net) <= level * (1.0 + 1e-14) + 1e-12:
+        return 0.0
+    return 1.0 if net > 0.0 else -1.0
+
+
+@part
 def derivative(y, t, tau, push, s, plant, dy):
     """Time derivative of the whole state in motion with direction ``s``, or at rest."""
-    b, hooks, counts, p, settings = plant
+    b, hooks, starts, p, settings = plant
     net, level, mass = balance(y, t, tau, push, plant)
-    free = settings[FREE] > 0.0
-    if free:
+    if settings[FREE] > 0.0:
         dy[0] = y[1]
         dy[1] = net / mass
     elif s == 0.0:
@@ -64,15 +72,14 @@ def derivative(y, t, tau, push, s, plant, dy):
     else:
         dy[0] = y[1]
         dy[1] = (net - s * level) / mass
-    end = int(settings[STATES])
-    if end == 2:
+    if settings[STATES] == 2.0:
         return
     if settings[LAG] > 0.0:
         dy[2] = (tau - y[2]) / settings[LAG]
         tau = y[2]
-    for i in range(counts[RATE]):
-        at = hooks[RATE, i, 1]
-        call_rate(hooks[RATE, i, 0], y[0], y[1], t, tau, y, at, p, hooks[RATE, i, 2], b, level, dy)
+    for i in range(starts[RATE], starts[RATE + 1]):
+        x_at, p_at = hooks[3 * i + 1], hooks[3 * i + 2]
+        call_rate(hooks[3 * i], y[0], y[1], t, tau, y, x_at, p, p_at, b, level, dy)
 
 
 @part
@@ -117,14 +124,14 @@ def step(y, t, h, tau, push, s, plant, bounds, work, new):
 @part
 def margin(event, sign, y, t, tau, push, plant):
     """A number that is positive before the event and negative after it."""
-    b, hooks, counts, p, settings = plant
+    b, hooks, _, p, _ = plant
     if event == 0:
         return sign * y[1]
     if event == 1:
-        net, level, mass = balance(y, t, tau, push, plant)
+        net, level, _ = balance(y, t, tau, push, plant)
         return level * (1.0 + 1e-14) + 1e-12 - abs(net)
-    i = event - 2
-    return sign * call_kernel(hooks[GUARD, i, 0], y[0], y[1], t, tau, y, hooks[GUARD, i, 1], p, hooks[GUARD, i, 2], b)
+    i = event - 2  # entry of the table of hooks
+    return sign * call_kernel(hooks[3 * i], y[0], y[1], t, tau, y, hooks[3 * i + 1], p, hooks[3 * i + 2], b)
 
 
 @part
@@ -168,26 +175,25 @@ def locate(event, sign, y, t, h, tau, push, s, plant, bounds, work, new):
 
 @part
 def note(events, found, time, kind, place):
-    if found[0] < events.shape[0]:
-        events[found[0], 0] = time
-        events[found[0], 1] = kind
-        events[found[0], 2] = place
-    found[0] += 1
+    i = found[0]
+    if i < found[1]:
+        events[3 * i] = time
+        events[3 * i + 1] = kind
+        events[3 * i + 2] = place
+    found[0] = i + 1
 
 
 @part
 def segment(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, events, found):
-    """Carry ``y`` over ``span`` seconds of constant command; returns direction, step length to try next, status."""
-    b, hooks, counts, p, settings = plant
-    k1, largest = work[0], work[6]
-    n, free, guards = int(settings[STATES]), settings[FREE] > 0.0, counts[GUARD]
+    """Carry ``y`` over ``span`` seconds of one command; returns direction, step to try next, status, time done."""
+    starts, settings = plant[2], plant[4]
+    k1, k4, largest = work[0], work[3], work[6]
+    n, free, guards, first = int(settings[STATES]), settings[FREE] > 0.0, starts[GUARD + 1] - starts[GUARD], starts[GUARD]
     done, happened = 0.0, 0
     if not free and y[1] == 0.0:  # the command has changed: at rest still?
-        net, level, mass = balance(y, clipped(t, bounds), tau, push, plant)
-        stays = abs(net) <= level * (1.0 + 1e-14) + 1e-12
-        direction = 0.0 if stays else (1.0 if net > 0.0 else -1.0)
+        direction = held(y, clipped(t, bounds), tau, push, plant)
         if direction != s:
-            note(events, found, t, STICK if stays else BREAKAWAY, y[0])
+            note(events, found, t, STICK if direction == 0.0 else BREAKAWAY, y[0])
         s = direction
     while span - done > _INSTANT:
         now = t + done
@@ -196,7 +202,7 @@ def segment(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, ev
         h = rest
         start = y[1]
         for i in range(guards):
-            before[i] = margin(2 + i, 1.0, y, at, tau, push, plant)
+            before[i] = margin(2 + first + i, 1.0, y, at, tau, push, plant)
         if n == 2 and s == 0.0 and not free:
             new[0], new[1] = y[0], 0.0
             error = 0.0
@@ -213,9 +219,9 @@ def segment(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, ev
                 continue
             # A dip through zero and back inside one step: acceleration turns while velocity is small.
             forward = s if not free else (1.0 if start > 0.0 else -1.0)
-            if forward * k1[1] < 0.0 and forward * work[3][1] > 0.0 and forward * new[1] > 0.0 and h > 1e-7:
+            if forward * k1[1] < 0.0 and forward * k4[1] > 0.0 and forward * new[1] > 0.0 and h > 1e-7:
                 lowest = min(abs(start), abs(new[1]))
-                if lowest < 0.25 * h * min(abs(k1[1]), abs(work[3][1])):
+                if lowest < 0.25 * h * min(abs(k1[1]), abs(k4[1])):
                     hint = 0.5 * h
                     continue
         event = -1
@@ -230,8 +236,8 @@ def segment(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, ev
                 h = locate(0, sign, y, now, h, tau, push, s, plant, bounds, work, new)
         for i in range(guards):
             sign = 1.0 if before[i] > 0.0 else -1.0
-            if (margin(2 + i, 1.0, new, clipped(now + h, bounds), tau, push, plant) > 0.0) != (before[i] > 0.0):
-                event = 2 + i
+            if (margin(2 + first + i, 1.0, new, clipped(now + h, bounds), tau, push, plant) > 0.0) != (before[i] > 0.0):
+                event = 2 + first + i
                 h = locate(event, sign, y, now, h, tau, push, s, plant, bounds, work, new)
         for i in range(n):
             y[i] = new[i]
@@ -246,12 +252,12 @@ def segment(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, ev
             if free:
                 note(events, found, t + done, REVERSAL, y[0])
         if (event == 0 or event == 1) and not free:
-            net, level, mass = balance(y, clipped(t + done, bounds), tau, push, plant)
-            stays = abs(net) <= level * (1.0 + 1e-14) + 1e-12
-            if event == 1 and stays:  # rounding; the force has reached the limit all the same
-                stays = False
-            note(events, found, t + done, (STICK if stays else REVERSAL) if event == 0 else BREAKAWAY, y[0])
-            s = 0.0 if stays else (1.0 if net > 0.0 else -1.0)
+            direction = held(y, clipped(t + done, bounds), tau, push, plant)
+            if event == 1 and direction == 0.0:  # rounding: the force has reached the limit all the same
+                direction = 1.0 if balance(y, clipped(t + done, bounds), tau, push, plant)[0] > 0.0 else -1.0
+            kind = BREAKAWAY if event == 1 else (STICK if direction == 0.0 else REVERSAL)
+            note(events, found, t + done, kind, y[0])
+            s = direction
         elif event >= 2:
             note(events, found, t + done, GUARDED, y[0])
         elif error < 0.01:
@@ -266,42 +272,47 @@ def segment(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, ev
 @part
 def applied(j, u, plant):
     """Motor force commanded by the voltage of sample ``j``, through the actuator's static maps; 0 before the first."""
-    b, hooks, counts, p, settings = plant
+    _, hooks, starts, p, settings = plant
     if j < 0:
         return 0.0
     volts = u[j]
-    for i in range(counts[ACTUATOR]):
-        volts = call_actuator(hooks[ACTUATOR, i, 0], volts, p, hooks[ACTUATOR, i, 2])
+    for i in range(starts[ACTUATOR], starts[ACTUATOR + 1]):
+        volts = call_actuator(hooks[3 * i], volts, p, hooks[3 * i + 2])
     return settings[GAIN] * volts
 
 
 @cached("stepper.py")
-def run(plant, y, law, gains, memory, reference, push, noise, signals, slots, out, events):
-    """Run the loop over ``reference.size`` samples; returns status, sample, time within it, and number of events.
+def run(plant, y, law, gains, memory, reference, push, noise, signals, slots, scratch, out, events, found):
+    """Run the loop over ``reference.size`` samples; returns the status, the sample, and the time within its period [s].
 
-    ``plant`` = (b, hooks, counts, p, settings); ``law`` is the address of the controller, 0: the reference is the
-    voltage. ``push`` [N] and ``noise`` [V] are empty or one value a sample; column i of ``signals`` is written to
-    ``p[slots[i]]`` at every sample. ``out`` = (encoder, position, velocity, voltage, external force), filled.
+    ``plant`` = arrays (baseline, table of hooks, start of each row of the table, parameters, settings); ``law`` is the
+    address of the controller, 0: the reference is the voltage. ``push`` [N] and ``noise`` [V] are empty or one value a
+    sample; column i of ``signals`` is written to ``p[slots[i]]`` at every sample. ``out`` has a row each for encoder,
+    position, velocity, voltage and external force, ``events`` three columns; both are filled, and ``found`` [0] counts
+    the events. ``scratch`` has room for :func:`room` numbers.
     """
-    b, hooks, counts, p, settings = plant
-    encoder, position, velocity, u, outside = out
-    n = reference.size
+    # Pointers from here on: arrays in tuples would be counted, at ten times the cost of the arithmetic.
+    plant = (pointer(plant[0]), pointer(plant[1]), pointer(plant[2]), pointer(plant[3]), pointer(plant[4]))
+    _, hooks, starts, p, settings = plant
+    n, size = reference.size, y.size
+    y_, gains_, memory_, events_, found_ = pointer(y), pointer(gains), pointer(memory), pointer(events), pointer(found)
+    free_row = pointer(scratch)
+    bounds = free_row
+    k1, k2, k3 = shifted(free_row, 2), shifted(free_row, 2 + size), shifted(free_row, 2 + 2 * size)
+    k4, k5, stage = shifted(k3, size), shifted(k3, 2 * size), shifted(k3, 3 * size)
+    largest, new, before = shifted(stage, size), shifted(stage, 2 * size), shifted(stage, 3 * size)
+    work = (k1, k2, k3, k4, k5, stage, largest)
+    for i in range(size):
+        largest[i] = abs(y[i])
+    encoder = pointer(out)
+    position, velocity, u, outside = (
+        shifted(encoder, n), shifted(encoder, 2 * n), shifted(encoder, 3 * n), shifted(encoder, 4 * n),
+    )  # fmt: skip
     period, limit, resolution = settings[PERIOD], settings[LIMIT], settings[RESOLUTION]
-    size = y.size
-    work = (
-        np.zeros(size),
-        np.zeros(size),
-        np.zeros(size),
-        np.zeros(size),
-        np.zeros(size),
-        np.zeros(size),
-        np.abs(y),
-    )
-    new, before = np.zeros(size), np.zeros(max(1, counts[GUARD]))
-    found = np.zeros(1, np.int64)
-    bounds = np.array([-np.inf, np.inf])
+    jumps, late = starts[JUMP + 1] > starts[JUMP], starts[DELAY + 1] > starts[DELAY]
+    touched, weighs = starts[TOUCH + 1] > starts[TOUCH], starts[TOUCH_MASS + 1] > starts[TOUCH_MASS]
+    bounds[0], bounds[1] = -np.inf, np.inf
     tau, s, hint = 0.0, 0.0, period
-    jumps, late, touched = counts[JUMP] > 0, counts[DELAY] > 0, counts[TOUCH] > 0
     if y[1] != 0.0:
         s = 1.0 if y[1] > 0.0 else -1.0
     for k in range(n):
@@ -310,33 +321,33 @@ def run(plant, y, law, gains, memory, reference, push, noise, signals, slots, ou
             p[slots[i]] = signals[k, i]
         force = push[k] if push.size else 0.0
         position[k], velocity[k] = y[0], y[1]
-        seen = y[0] + total(SENSOR, y, t, tau, plant)
+        seen = y[0] + total(SENSOR, y_, t, tau, plant)
         if resolution > 0.0:
             seen = np.floor(seen / resolution + 0.5) * resolution
         encoder[k] = seen
         felt = force
         if touched:
-            felt -= total(TOUCH, y, t, tau, plant)
-            if counts[TOUCH_MASS] > 0:
-                derivative(y, t, tau, force, s, plant, work[0])
-                felt -= work[0][1] * total(TOUCH_MASS, y, t, tau, plant)
+            felt -= total(TOUCH, y_, t, tau, plant)
+            if weighs:
+                derivative(y_, t, tau, force, s, plant, k1)
+                felt -= k1[1] * total(TOUCH_MASS, y_, t, tau, plant)
         outside[k] = felt
         if law != 0:
-            volts = call_law(law, k, reference[k], seen, felt, limit, gains, memory)
+            volts = call_law(law, k, reference[k], seen, felt, limit, gains_, memory_)
         else:
             volts = reference[k]
-        volts += total(COMMAND, y, t, tau, plant)
+        volts += total(COMMAND, y_, t, tau, plant)
         if noise.size:
             volts += noise[k]
         if not abs(volts) < np.inf:
-            return DIVERGED, k, 0.0, found[0]
+            return DIVERGED, k, 0.0
         u[k] = min(max(volts, -limit), limit)
 
         whole, first = int(settings[DELAYED]), 0.0
         if late:
-            wait = whole * period + max(0.0, total(DELAY, y, t, tau, plant))
+            wait = whole * period + max(0.0, total(DELAY, y_, t, tau, plant))
             whole = int(np.floor(wait / period + 1e-9))
-            first = max(0.0, wait - whole * period)
+            first = wait - whole * period
             if first < 1e-12:
                 first = 0.0
         start = 0.0
@@ -348,20 +359,22 @@ def run(plant, y, law, gains, memory, reference, push, noise, signals, slots, ou
             else:
                 tau = applied(k - whole, u, plant)
             if jumps:
-                bounds[0], bounds[1] = -np.inf, np.inf
-                for i in range(counts[JUMP]):
-                    at = hooks[JUMP, i, 1]
-                    after = call_kernel(
-                        hooks[JUMP, i, 0], y[0], y[1], t + start + _APART, tau, y, at, p, hooks[JUMP, i, 2], b
-                    )
-                    if after - t <= end:
-                        end = max(after - t, start + _APART)
+                bounds[0], bounds[1] = t + start + _APART, np.inf
+                for i in range(starts[JUMP], starts[JUMP + 1]):
+                    x_at, p_at = hooks[3 * i + 1], hooks[3 * i + 2]
+                    after = call_kernel(hooks[3 * i], y[0], y[1], bounds[0], tau, y_, x_at, p, p_at, plant[0]) - t
+                    if after <= end:
+                        end = max(after, start + 2.0 * _APART)
                         bounds[1] = t + end - _APART
-                bounds[0] = t + start + _APART
             s, hint, status, done = segment(
-                y, t + start, end - start, tau, force, s, hint, plant, bounds, work, new, before, events, found
+                y_, t + start, end - start, tau, force, s, hint, plant, bounds, work, new, before, events_, found_
             )
             if status != DONE:
-                return status, k, start + done, found[0]
+                return status, k, start + done
             start = end
-    return DONE, n, 0.0, found[0]
+    return DONE, n, 0.0
+
+
+def room(states: int, guards: int) -> int:
+    """Length of ``scratch`` for an axis with so many states and guards."""
+    return 2 + 8 * states + guards
