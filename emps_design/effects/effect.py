@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     import sympy
 
 MASS, VISCOUS, COULOMB, OFFSET = range(4)  # places in the baseline array ``b``
+CHECK_BASELINE = (100.0, 200.0, 20.0, -5.0)  # the baseline of every effect's hand-computed checks
 SNAP = 1e-10  # s, by which an edge in time is seen early, above the rounding of any record's clock
 
 CHANNELS = ("controller", "actuator", "plant", "sensor")
