@@ -11,6 +11,7 @@ from emps_design.errors import RecordError
 from emps_design.records.columns import UNITS, read_titles
 
 SHORTEST = 50  # samples; less than this says nothing about an axis
+LONGEST = 5_000_000  # samples; keeps what works on a record well under 1 GiB
 LARGEST_JITTER = 0.2  # of a period
 NOTED_JITTER = 0.01
 NOTED_SATURATION = 0.005  # share of samples
@@ -67,6 +68,8 @@ def _vector(values: Any, title: str, source: str) -> np.ndarray:
         raise RecordError(f"{source}: column {title!r}: found {array.dtype} values, expected real numbers")
     if array.ndim > 1 and array.size != max(array.shape):
         raise RecordError(f"{source}: column {title!r}: found shape {array.shape}, expected one value a sample")
+    if array.size > LONGEST:
+        raise RecordError(f"{source}: column {title!r}: found {array.size} samples, expected at most {LONGEST}; cut it")
     return np.array(array.ravel(), dtype=float)
 
 

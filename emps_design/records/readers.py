@@ -11,7 +11,8 @@ import numpy as np
 from emps_design.errors import RecordError
 from emps_design.records.archives import read_archive
 from emps_design.records.check import checked
-from emps_design.records.matlab import is_v5, is_v73, read_v5, read_v73
+from emps_design.records.matlab_v5 import is_v5, read_v5
+from emps_design.records.matlab_v73 import is_v73, read_v73
 from emps_design.records.record import Record
 from emps_design.records.tables import read_table
 

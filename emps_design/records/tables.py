@@ -9,18 +9,18 @@ from itertools import islice
 import numpy as np
 
 from emps_design.errors import RecordError
+from emps_design.records.check import LONGEST
 from emps_design.records.columns import read_titles
 
 DELIMITERS = (";", "\t", ",")
-MOST_ROWS = 5_000_000  # keeps a table of 100 MB well under 1 GiB in memory
 
 
 def read_table(content: bytes, source: str) -> tuple[dict[str, np.ndarray], int]:
     """Return the columns of a text table by title, and the row of the file in which its first sample stands."""
     text = _text(content, source)
-    if text.count("\n") > MOST_ROWS:
+    if text.count("\n") > LONGEST:
         raise RecordError(
-            f"{source}: found more than {MOST_ROWS} rows, expected fewer; cut the record or save it as .npz"
+            f"{source}: found more than {LONGEST} rows, expected fewer; cut the record or save it as .npz"
         )
     lines = text.splitlines()
     del text

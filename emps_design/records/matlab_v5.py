@@ -1,0 +1,101 @@
+"""MATLAB v5 files (``save -v7``, ``save -v6``): real numeric arrays only.
+
+A reader of its own, in bounds-checked Python: scipy's compiled one ends the whole process on some damaged files.
+Format: MathWorks, "MAT-File Format", level 5: a 128-byte header, then elements of (type, size, data), each on a
+multiple of 8 bytes, that are arrays or compressed arrays; an array is flags, dimensions, name and real part.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Iterator
+
+import numpy as np
+
+from emps_design.errors import RecordError
+
+HEADER = 128
+ARRAY, COMPRESSED = 14, 15
+COMPLEX = 0x08
+NUMERIC_CLASSES = range(6, 16)  # double, single, int8 to uint64
+NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+
+
+def is_v5(content: bytes) -> bool:
+    """Whether ``content`` starts like a MATLAB v5 file."""
+    return len(content) >= HEADER and content[126:128] in (b"IM", b"MI")
+
+
+def read_v5(content: bytes, source: str, max_bytes: int) -> dict[str, np.ndarray]:
+    """Return the real numeric arrays of a MATLAB v5 file by name; together they may take ``max_bytes`` unpacked."""
+    order = "<" if content[126:128] == b"IM" else ">"
+    columns: dict[str, np.ndarray] = {}
+    left = max_bytes
+    for kind, data in _elements(memoryview(content)[HEADER:], order, source):
+        unpacked = _unpacked(data, source, left) if kind == COMPRESSED else data
+        left -= len(unpacked)
+        if left < 0:
+            raise RecordError(f"{source}: found more than {max_bytes} bytes unpacked, expected at most that")
+        inside = _elements(memoryview(unpacked), order, source) if kind == COMPRESSED else [(kind, data)]
+        for part, array in inside:
+            if part == ARRAY:
+                columns.update(_array(array, order, source))
+    return columns
+
+
+def _elements(data: memoryview, order: str, source: str) -> Iterator[tuple[int, memoryview]]:
+    """Type and data of each element; small ones keep both in the 8 bytes of a tag."""
+    at = 0
+    while at < len(data):
+        if at + 8 > len(data):
+            raise _damaged(source, "it ends inside a variable")
+        kind, size = (int(word) for word in np.frombuffer(data[at : at + 8], dtype=f"{order}u4"))
+        if kind >> 16:
+            kind, size = kind & 0xFFFF, kind >> 16
+            start, following = at + 4, at + 8
+            if size > 4:
+                raise _damaged(source, "a small element is too large")
+        else:
+            start = at + 8
+            following = start + size + (0 if kind == COMPRESSED else -size % 8)
+        if start + size > len(data):
+            raise _damaged(source, "it ends inside a variable")
+        yield kind, data[start : start + size]
+        at = following
+
+
+def _unpacked(data: memoryview, source: str, left: int) -> bytes:
+    stream = zlib.decompressobj()
+    try:
+        unpacked = stream.decompress(data, left + 1)
+    except zlib.error as error:
+        raise _damaged(source, str(error)) from error
+    if len(unpacked) <= left and not stream.eof:
+        raise _damaged(source, "it ends inside a compressed variable")
+    return unpacked
+
+
+def _array(data: memoryview, order: str, source: str) -> dict[str, np.ndarray]:
+    """The array of one element by its name, or nothing for text, structures, cells and complex numbers."""
+    parts = list(_elements(data, order, source))
+    if not parts or len(parts[0][1]) < 4:
+        raise _damaged(source, "a variable has no flags")
+    flags = int(np.frombuffer(parts[0][1][:4], dtype=f"{order}u4")[0])
+    if flags & 0xFF not in NUMERIC_CLASSES or (flags >> 8) & COMPLEX:
+        return {}
+    if len(parts) < 4 or parts[3][0] not in NUMBERS:
+        raise _damaged(source, "an array has no values")
+    number = np.dtype(NUMBERS[parts[3][0]]).newbyteorder(order)
+    if len(parts[1][1]) % 4 or len(parts[3][1]) % number.itemsize:
+        raise _damaged(source, "an array is cut off")
+    values = np.frombuffer(parts[3][1], dtype=number)
+    shape = tuple(int(n) for n in np.frombuffer(parts[1][1], dtype=f"{order}i4"))
+    if min(shape, default=0) < 0 or math.prod(shape) != values.size:
+        raise _damaged(source, f"an array of shape {shape} has {values.size} values")
+    name = bytes(parts[2][1]).decode("ascii", "replace")
+    return {name: values.reshape(shape, order="F")}
+
+
+def _damaged(source: str, what: str) -> RecordError:
+    return RecordError(f"{source}: damaged MATLAB v5 file ({what}); save it again")

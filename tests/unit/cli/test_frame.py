@@ -1,0 +1,157 @@
+"""Exit statuses, one line an error, one JSON document, files whole or absent."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from emps_design.cli import app
+from emps_design.cli.output import plain, print_warnings, progress_bar, write_aside, write_text
+from emps_design.errors import InputError, SpecificationError, UnstableError
+
+
+def run_raising(monkeypatch, error, *arguments):
+    def application(_):
+        def call(**_):
+            raise error
+
+        return call
+
+    monkeypatch.setattr(app, "_application", application)
+    return app.run(list(arguments))
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (InputError("mass: found -1 kg"), 2),
+        (SpecificationError("too fast", {"crossover": 50.0}), 3),
+        (UnstableError("diverges", {"k_e1": 0.1}), 4),
+        (RuntimeError("what nobody foresaw"), 1),
+        (KeyboardInterrupt(), 1),
+    ],
+)
+def test_status_and_one_line(monkeypatch, capsys, error, status):
+    assert run_raising(monkeypatch, error, "gains") == status
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len(err.splitlines()) == 1
+    assert err.startswith("emps-design: ")
+
+
+@pytest.mark.parametrize("error", [SpecificationError("too fast", {"w": 50.0}), UnstableError("diverges", {"w": 50.0})])
+def test_a_refused_design_still_prints_json(monkeypatch, capsys, error):
+    run_raising(monkeypatch, error, "gains", "--json")
+    document = json.loads(capsys.readouterr().out)
+    assert document["reason"] == str(error)
+    assert document["nearest"] == {"w": 50.0}
+    assert document["warnings"] == [str(error)]
+
+
+@pytest.mark.parametrize("error", [InputError("found -1"), RuntimeError("unforeseen")])
+def test_debug_gives_the_traceback(monkeypatch, error):
+    with pytest.raises(type(error)):
+        run_raising(monkeypatch, error, "gains", "--debug")
+
+
+def test_usage_errors_are_one_line(capsys):
+    assert app.run(["init"]) == 2
+    assert "see 'emps-design --help'" in capsys.readouterr().err
+    assert app.run(["init", "--nonsense"]) == 2
+    assert "--nonsense" in capsys.readouterr().err
+    assert app.run(["initt"]) == 2
+    assert "initt" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [[], ["--help"]])
+def test_help_lists_every_command(capsys, arguments):
+    assert app.run(arguments) == 0
+    text = capsys.readouterr().out
+    assert all(command in text for command in app.COMMANDS)
+
+
+def test_plain_data():
+    class Result:
+        def to_dict(self):
+            return {"poles": np.array([1 + 2j]), "margin": np.inf, "n": np.int64(3), "pair": (np.nan, True, None)}
+
+    assert plain(Result()) == {"poles": [[1.0, 2.0]], "margin": None, "n": 3, "pair": [None, True, None]}
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path):
+    write_text(tmp_path / "a.txt", "old")
+    with pytest.raises(RuntimeError, match="half way"), write_aside(tmp_path / "a.txt") as aside:  # noqa: PT012
+        aside.write_text("new and incomp")
+        raise RuntimeError("half way")
+    assert (tmp_path / "a.txt").read_text() == "old"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_write_refuses_folders_and_missing_folders(tmp_path):
+    with pytest.raises(InputError, match="is a folder, expected the name of a file"):
+        write_text(tmp_path, "text")
+    with pytest.raises(InputError, match=r"folder .*/none does not exist; make it first"):
+        write_text(tmp_path / "none" / "a.txt", "text")
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="needs a folder in which nobody may write")
+def test_write_refuses_what_it_may_not_write():
+    with pytest.raises(InputError, match="cannot write there, "):
+        write_text("/proc/self/a.txt", "text")
+
+
+def test_written_files_have_ordinary_rights(tmp_path):
+    write_text(tmp_path / "a.txt", "text")
+    (tmp_path / "b.txt").touch()
+    assert (tmp_path / "a.txt").stat().st_mode == (tmp_path / "b.txt").stat().st_mode
+
+
+def test_progress_goes_to_standard_error_once_a_stage(capsys):
+    with progress_bar() as progress:
+        progress("filtering", 0.1)
+        progress("filtering", 0.2)
+        progress("fitting", 0.5)
+    with progress_bar(show=False) as silent:
+        silent("nothing", 0.0)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.splitlines() == ["emps-design: filtering", "emps-design: fitting"]
+
+
+def test_warnings_are_a_line_each(capsys):
+    print_warnings(["q: converted from mm to m"])
+    assert capsys.readouterr().err == "emps-design: warning: q: converted from mm to m\n"
+
+
+def test_a_reader_that_leaves_is_no_traceback():
+    code = "from emps_design.cli import main; import sys; sys.argv = ['emps-design', '--help']; main()"
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.close()
+        assert process.stderr.read() == b""
+
+
+def test_a_polite_kill_removes_what_was_written_aside(tmp_path):
+    code = (
+        "import signal, sys, time\n"
+        "from emps_design.files import write_aside\n"
+        "signal.signal(signal.SIGTERM, signal.default_int_handler)\n"
+        "with write_aside(sys.argv[1]) as aside:\n"
+        "    aside.write_text('half'); print('ready', flush=True); time.sleep(60)\n"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "a.txt")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+        assert process.stdout.readline() == b"ready\n"
+        process.send_signal(signal.SIGTERM)
+        process.wait(timeout=10)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_same_start_up_budget():
+    start = time.perf_counter()
+    subprocess.run([sys.executable, "-c", "import emps_design.cli"], check=True)
+    assert time.perf_counter() - start < 2.0  # 0.03 s on an idle core; the bound is for a busy machine
