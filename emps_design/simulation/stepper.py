@@ -25,6 +25,7 @@ PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, POSITION_TOLERANCE,
 
 _INSTANT = 1e-15  # s, shortest rest of a period worth a step
 _APART = 5e-10  # s, how far from a jump in time its two sides are evaluated; above SNAP of the effects
+_CROSSING = 1e-13  # s, a step across a guard at which a force jumps
 _SHORTEST = 1e-12  # s, a step that must be shorter than this does not converge
 
 
@@ -140,9 +141,7 @@ def locate(event, sign, y, t, h, tau, push, s, plant, bounds, work, new):
     low, high = 0.0, h
     at_low = margin(event, sign, y, clipped(t, bounds), tau, push, plant)
     at_high = margin(event, sign, new, clipped(t + h, bounds), tau, push, plant)
-    for _ in range(60):  # motion that began at this very instant: look for a point before the event
-        if at_low > 0.0:
-            break
+    while at_low <= 0.0 and high > _CROSSING:  # it began on the event: look for a point before it happens again
         x = 0.5 * high
         step(y, t, x, tau, push, s, plant, bounds, work, new)
         value = margin(event, sign, new, clipped(t + x, bounds), tau, push, plant)
@@ -150,6 +149,13 @@ def locate(event, sign, y, t, h, tau, push, s, plant, bounds, work, new):
             low, at_low = x, value
         else:
             high, at_high = x, value
+    if at_low <= 0.0:  # there is none: leave the event behind
+        high = _CROSSING
+        while True:
+            step(y, t, high, tau, push, s, plant, bounds, work, new)
+            if high >= h or margin(event, sign, new, clipped(t + high, bounds), tau, push, plant) < 0.0:
+                return high
+            high = min(4.0 * high, h)
     side = 0
     for _ in range(100):
         if high - low <= _INSTANT or at_high == 0.0:
@@ -189,7 +195,7 @@ def segment(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, ev
     starts, settings = plant[2], plant[4]
     k1, k4, largest = work[0], work[3], work[6]
     n, free, guards, first = int(settings[STATES]), settings[FREE] > 0.0, starts[GUARD + 1] - starts[GUARD], starts[GUARD]
-    done, happened = 0.0, 0
+    done, happened, walked = 0.0, 0, 0.0
     if not free and y[1] == 0.0:  # the command has changed: at rest still?
         direction = held(y, clipped(t, bounds), tau, push, plant)
         if direction != s:
@@ -213,10 +219,21 @@ def segment(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, ev
             derivative(y, at, tau, push, s, plant, k1)
             error = step(y, now, h, tau, push, s, plant, bounds, work, new)
             if not error <= 1.0:
-                hint = h * max(0.1, 0.9 / np.sqrt(np.sqrt(error)))
-                if not hint > _SHORTEST:
-                    return s, hint, NO_STEP, done
-                continue
+                crossed = 1.0
+                for i in range(guards):  # a force may jump at a guard: walk up to it, and cross in the shortest step
+                    after = margin(2 + first + i, 1.0, new, clipped(now + h, bounds), tau, push, plant)
+                    if (after > 0.0) != (before[i] > 0.0):
+                        crossed = min(crossed, 0.99 * abs(before[i]) / (abs(before[i]) + abs(after)))
+                if crossed == 1.0:
+                    hint = h * max(0.1, 0.9 / np.sqrt(np.sqrt(error)))
+                    if not hint > _SHORTEST:
+                        return s, hint, NO_STEP, done
+                    continue
+                if h > _CROSSING:
+                    if walked == 0.0:
+                        walked = h
+                    hint = max(h * max(crossed, 0.001), 0.5 * _CROSSING)
+                    continue
             # A dip through zero and back inside one step: acceleration turns while velocity is small.
             forward = s if not free else (1.0 if start > 0.0 else -1.0)
             if forward * k1[1] < 0.0 and forward * k4[1] > 0.0 and forward * new[1] > 0.0 and h > 1e-7:
@@ -238,7 +255,10 @@ def segment(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, ev
             sign = 1.0 if before[i] > 0.0 else -1.0
             if (margin(2 + first + i, 1.0, new, clipped(now + h, bounds), tau, push, plant) > 0.0) != (before[i] > 0.0):
                 event = 2 + first + i
-                h = locate(event, sign, y, now, h, tau, push, s, plant, bounds, work, new)
+                if walked > 0.0:
+                    hint, walked = walked, 0.0
+                if h > _CROSSING:
+                    h = locate(event, sign, y, now, h, tau, push, s, plant, bounds, work, new)
         for i in range(n):
             y[i] = new[i]
             largest[i] = max(largest[i], abs(new[i]))
