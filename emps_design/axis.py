@@ -86,7 +86,9 @@ class Sampling(_Table):
 class Controller(_Table):
     """The law that makes the voltage; each kind needs the numbers listed in ``NEEDS``."""
 
-    kind: Literal["position_pd", "ip_velocity", "impedance", "none"] = "none"
+    kind: Literal["position_pd", "ip_velocity", "impedance", "none"] = Field(
+        "none", description="the law: position_pd, ip_velocity, impedance or none"
+    )
     kp: Positive | None = Field(None, description="position gain", json_schema_extra={"unit": "1/s"})
     kv: Positive | None = Field(None, description="velocity gain", json_schema_extra={"unit": "V/(m/s)"})
     k_v1: Positive | None = Field(None, description="velocity-loop gain", json_schema_extra={"unit": "V/(m/s)"})
@@ -191,11 +193,12 @@ class Axis(_Table):
         table.pop("effects")
         return {**table, **({"effects": effects} if effects else {})}
 
-    def to_toml(self) -> str:
-        """The axis as a TOML document that :meth:`from_toml` reads back unchanged."""
+    def to_toml(self, comments: bool = False) -> str:
+        """The axis as a TOML document that :meth:`from_toml` reads back unchanged; ``comments`` explain each key."""
         import tomli_w
 
-        return tomli_w.dumps(self.to_dict())
+        text = tomli_w.dumps(self.to_dict())
+        return _commented(text) if comments else text
 
     def replace(self, **tables: Any) -> Axis:
         """Return a copy in which whole tables, or single keys of a table given as a dict, are replaced.
@@ -214,6 +217,19 @@ class Axis(_Table):
                 value = [{"kind": e.kind, **e.parameters} if isinstance(e, AxisEffect) else e for e in value]
             data[key] = value
         return Axis.from_dict(data, self.name)
+
+
+def _commented(text: str) -> str:
+    """``text`` with what a key is, and its unit, behind each line that sets one."""
+    lines, table = [], ""
+    for line in text.splitlines():
+        table = line.strip("[]") if line.startswith("[") else table
+        key = line.partition(" = ")[0]
+        field = TABLES[table].model_fields.get(key) if table in TABLES else None
+        extra = field.json_schema_extra if field else None
+        unit = f" [{extra['unit']}]" if isinstance(extra, dict) else ""
+        lines.append(f"{line:<36}  # {field.description}{unit}" if field and field.description else line)
+    return "\n".join(lines) + "\n"
 
 
 def _text(path: Path) -> str:

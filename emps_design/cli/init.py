@@ -1,0 +1,55 @@
+"""A folder to start from: a commented axis file, a synthetic record as .npz and .csv, and what to do with them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+STARTER = """# Start here
+
+`axis.toml` describes the machine and its controller; every key says what it is, in SI units. `record.npz` and
+`record.csv` are one simulated run of it (columns t [s], q_ref [m], q [m], u [V]). Put your numbers into the axis file,
+your measurement in the place of the record, and ask:
+
+    emps-design identify record.npz --axis axis.toml          the parameters, with standard deviations
+    emps-design gains axis.toml --crossover 100 --phase-margin 60   velocity-loop gains and margins
+    emps-design report axis.toml --record record.npz --crossover 100 --out report.html
+    emps-design diagnose record.npz --axis axis.toml --out found   where simulation and data disagree, and why
+
+A .csv may use ; , or tab, a decimal comma, and titles with a unit such as `q [mm]`. Every command explains itself with
+`--help` and prints JSON with `--json`.
+"""
+
+
+def command(
+    directory: Path = typer.Argument(..., metavar="DIR", help="Folder to make or to fill."),
+    machine: str = typer.Option("emps2019", "--machine", help="Embedded machine or axis file to copy."),
+    seed: int = typer.Option(0, "--seed", help="Seed of the noise in the record."),
+    force: bool = typer.Option(False, "--force", help="Overwrite files of the same names."),
+    as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
+) -> None:
+    """A folder to start from: a commented axis file, a synthetic record as .npz and .csv, and what to do with them."""
+    from emps_design.cli.output import print_json, write_text
+    from emps_design.errors import InputError
+    from emps_design.machines import load_axis
+    from emps_design.simulation.practice import practice_record
+
+    names = ("axis.toml", "record.npz", "record.csv", "README.md")
+    taken = [name for name in names if (directory / name).exists()]
+    if taken and not force:
+        raise InputError(f"{directory}: {', '.join(taken)} exist already; choose another folder, or give --force")
+    axis = load_axis(machine)
+    record = practice_record(axis, seed=seed)
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{directory}: cannot be made, {error.strerror}; expected a folder to write to") from error
+    write_text(directory / "axis.toml", axis.to_toml(comments=True))
+    record.save(directory / "record.npz")
+    record.save(directory / "record.csv")
+    write_text(directory / "README.md", STARTER)
+    if as_json:
+        print_json({"directory": str(directory), "files": list(names), "record": record.to_dict(), "seed": seed})
+    else:
+        print(f"{directory}: {', '.join(names)}\nNext: read {directory / 'README.md'}")

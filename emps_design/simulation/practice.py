@@ -1,0 +1,93 @@
+"""A record to practise on: an axis under its own controller, with the noise that a real one carries.
+
+Laps of trapezoids of velocity, two strokes at each of three speeds, like those of the EMPS data set; 4 mV of voltage
+noise and 0.35 N rms of force noise below 40 Hz, which is what DATA_EMPS shows from lap to lap.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.errors import InputError
+from emps_design.records import Record
+from emps_design.simulation.plant import Plant
+
+VOLTAGE_NOISE = 0.004  # V
+FORCE_NOISE, FORCE_BAND = 0.35, 40.0  # N rms, Hz
+SPEEDS = (1.0, 0.5, 0.25)  # of the highest speed
+
+
+def trapezoid_laps(
+    period: float, stroke: float = 0.24, speed: float = 0.2, acceleration: float = 1.0, laps: int = 3
+) -> np.ndarray:
+    """Return a position reference (n,) [m] of equal laps, each forth and back at three speeds.
+
+    ``period`` [s], ``stroke`` [m], highest ``speed`` [m/s], ``acceleration`` [m/s^2].
+
+    >>> q_ref = trapezoid_laps(1e-3)
+    >>> round(float(q_ref.max()), 9), float(q_ref[0]), abs(float(q_ref[-1])) < 1e-12
+    (0.24, 0.0, True)
+    """
+    values = {"period": period, "stroke": stroke, "speed": speed, "acceleration": acceleration, "laps": laps}
+    for name, value in values.items():
+        if not (np.isfinite(value) and value > 0):
+            raise InputError(f"{name}: found {value:g}, expected a positive number")
+    pause = np.zeros(round(0.1 / period))
+    lap = [pause]
+    for share in SPEEDS:
+        there = _stroke(period, stroke, share * speed, acceleration)
+        lap += [there, np.full(pause.size, stroke), stroke - there, pause]
+    return np.tile(np.concatenate(lap), int(laps))
+
+
+def practice_record(axis: Axis, seed: int = 0, laps: int = 3, stroke: float = 0.24, speed: float = 0.2) -> Record:
+    """Simulate ``axis`` over :func:`trapezoid_laps` and return the record; the same seed gives the same bits.
+
+    Raises :class:`InputError` for an axis whose controller does not follow a position.
+
+    >>> from emps_design.machines import machine
+    >>> record = practice_record(machine("emps2019"), laps=1)
+    >>> record.name, record.period, len(record)
+    ('practice-emps2019', 0.001, 17406)
+    """
+    if axis.controller.kind != "position_pd":
+        raise InputError(
+            f"axis {axis.name}: found controller {axis.controller.kind!r}, expected 'position_pd': "
+            "laps need a controller that follows a position"
+        )
+    period = axis.sampling.period
+    q_ref = trapezoid_laps(period, stroke, speed, laps=laps)
+    random = np.random.default_rng(seed)
+    run = Plant.of(axis).closed_loop(
+        q_ref,
+        disturbance=_force_noise(random, q_ref.size, period),
+        voltage_noise=VOLTAGE_NOISE * random.standard_normal(q_ref.size),
+    )
+    return Record.from_arrays(period, run.q_ref, run.q, run.u, name=f"practice-{axis.name}")
+
+
+def _stroke(period: float, stroke: float, speed: float, acceleration: float) -> np.ndarray:
+    """Positions from 0 to ``stroke``, both ends at rest, on a grid of ``period``."""
+    speed = min(speed, np.sqrt(stroke * acceleration))
+    ramp = speed / acceleration
+    duration = stroke / speed + ramp
+    t = np.arange(round(duration / period) + 1) * period
+    # The velocity is a trapezoid; its integral, written as the difference of two parabolas with clipped times.
+    rise = np.minimum(t, ramp)
+    fall = np.clip(t - (duration - ramp), 0.0, ramp)
+    q = 0.5 * acceleration * rise**2 + speed * np.clip(t - ramp, 0.0, duration - 2 * ramp)
+    q += speed * fall - 0.5 * acceleration * fall**2
+    return np.minimum(q, stroke)
+
+
+def _force_noise(random: np.random.Generator, n: int, period: float) -> np.ndarray:
+    """First-order noise (n,) [N] of the level and band that the module names."""
+    decay = float(np.exp(-2.0 * np.pi * FORCE_BAND * period))
+    white = random.standard_normal(n) * np.sqrt(1.0 - decay**2)
+    noise = np.empty(n)
+    level = 0.0
+    for k in range(n):
+        level = decay * level + white[k]
+        noise[k] = level
+    return FORCE_NOISE * noise
