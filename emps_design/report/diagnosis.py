@@ -12,7 +12,7 @@ import numpy as np
 
 from emps_design.report import diagnosis_figures as figures
 from emps_design.report.display import NOTHING, angle, probability, quantity, with_std, words
-from emps_design.report.footer import inputs_table, versions_table
+from emps_design.report.footer import inputs_table, versions
 from emps_design.report.page import Callout, Facts, Html, Page, Picture, Points, Section, Table, Text
 
 
@@ -381,11 +381,12 @@ def _method_section(document: Mapping[str, Any]) -> Section:
         blocks.append(Text(document["calibration"]))
     if document.get("assumptions"):
         blocks.append(Points(document["assumptions"]))
-    blocks += [Callout("warning", warning) for warning in document.get("warnings", ())]
+    if document.get("warnings"):
+        blocks.append(Callout("warning", "Warnings", items=tuple(document["warnings"])))
     inputs = dict(document.get("inputs") or {r["name"]: r.get("sha256") for r in document.get("records", ())})
     if inputs:
         blocks.append(inputs_table(inputs))
-    blocks.append(versions_table())
+    blocks.append(Text(versions()))
     return Section("Method, warnings and inputs", *blocks)
 
 

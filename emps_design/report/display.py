@@ -146,6 +146,7 @@ def symbol(name: str) -> str:
     """
     head, _, tail = name.partition("_")
     greek = {"tau": "τ", "omega": "ω", "phi": "φ", "sigma": "σ"}
+    tail = greek.get(tail, tail)
     return f"<i>{escape(greek.get(head, head))}</i>" + (f"<sub>{escape(tail)}</sub>" if tail else "")
 
 

@@ -11,10 +11,10 @@ from emps_design.report.page import Html, Table
 PACKAGES = ("emps-design", "numpy", "scipy", "control", "sympy", "matplotlib")
 
 
-def versions_table() -> Table:
-    """Return the versions of Python and of the packages that computed and drew the page."""
-    rows = [["Python", Html(platform.python_version())], *([name, Html(version(name))] for name in PACKAGES)]
-    return Table(["program", "version"], rows, "Versions that made this page.")
+def versions() -> str:
+    """Return the versions of Python and of the packages that computed and drew the page, in one line."""
+    packages = ", ".join(f"{name} {version(name)}" for name in PACKAGES[1:])
+    return f"Made by {PACKAGES[0]} {version(PACKAGES[0])} with Python {platform.python_version()}, {packages}."
 
 
 def inputs_table(inputs: Mapping[str, str | None]) -> Table:

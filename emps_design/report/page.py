@@ -76,11 +76,12 @@ class Facts:
 
 @dataclass(frozen=True)
 class Callout:
-    """A boxed message: ``stop`` (an unstable loop), ``warning``, ``note`` or ``good``."""
+    """A boxed message: ``stop`` (an unstable loop), ``warning``, ``note`` or ``good``; ``items`` become a list."""
 
     level: str
     title: str
     body: str = ""
+    items: tuple[str, ...] = ()
     kind: str = field(default="callout", init=False)
 
     def __post_init__(self) -> None:

@@ -89,6 +89,7 @@ def svg(figure: Figure, key: str = "") -> str:
     text = out.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
     text = re.sub(r"\n\s*", "\n", text)
     if key:
         text = re.sub(r'\bid="([^"]+)"', rf'id="{key}-\1"', text)

@@ -1,0 +1,66 @@
+"""The whole design as one self-contained page: specification against achieved, loops, force loop, record."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+
+def command(
+    axis: str | None = typer.Argument(
+        None, help="TOML file or embedded machine; default emps2018, emps2019 with a record."
+    ),
+    record: Path | None = typer.Option(None, "--record", help="Record to identify: .mat, .csv or .npz."),
+    out: Path = typer.Option(..., "--out", help="HTML file to write."),
+    crossover: float | None = typer.Option(None, "--crossover", help="Crossover of the velocity loop [rad/s]."),
+    bandwidth: float | None = typer.Option(None, "--bandwidth", help="Closed-loop -3 dB bandwidth [rad/s]."),
+    phase_margin: float = typer.Option(60.0, "--phase-margin", help="Phase margin [deg]."),
+    design_on: str | None = typer.Option(
+        None, "--design-on", help="record: design on what the record gives; axis: on the axis as it is."
+    ),
+    model: str = typer.Option("symmetric", "--model", help="Friction model for the design: symmetric or asymmetric."),
+    k_e1: float = typer.Option(0.01, "--k-e1", help="Force gain [(m/s)/N]."),
+    hand: float = typer.Option(0.0, "--hand", help="Viscous hand [N/(m/s)]."),
+    environment: float = typer.Option(1e4, "--environment", help="Stiffness of the wall [N/m]."),
+    mass: float | None = typer.Option(None, "--mass", help="Apparent mass M_a [kg]: adds the impedance law."),
+    damping: float | None = typer.Option(None, "--damping", help="Apparent damping B [N/(m/s)]: with --mass."),
+    as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
+) -> None:
+    """The whole design as one self-contained page: specification against achieved, loops, force loop, record."""
+    import sys
+
+    from emps_design.cli.output import print_json, progress_bar
+    from emps_design.errors import UnstableError
+    from emps_design.files import write_aside
+    from emps_design.report.assemble import assemble_report
+
+    if crossover is None and bandwidth is None:
+        crossover = 100.0
+    with write_aside(out) as aside, progress_bar() as progress:  # a folder that is not there is told before the work
+        report = assemble_report(
+            axis,
+            record,
+            crossover=crossover,
+            bandwidth=bandwidth,
+            phase_margin_deg=phase_margin,
+            design_on=design_on,
+            model=model,
+            k_e1=k_e1,
+            hand=hand,
+            environment=environment,
+            mass=mass,
+            damping=damping,
+            progress=progress,
+        )
+        aside.write_text(report.page.html(), encoding="utf-8")
+    document = {"out": str(out), **report.to_dict()}
+    if as_json:
+        print_json(document)
+    else:
+        print(out)
+    for warning in report.warnings:
+        print(f"emps-design: {warning}", file=sys.stderr)
+    if not report.results.velocity.sampled.stable:
+        print("emps-design: the sampled velocity loop is unstable; the page says so first", file=sys.stderr)
+        raise typer.Exit(UnstableError.exit_code)

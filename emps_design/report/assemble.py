@@ -1,0 +1,143 @@
+"""From names of files to the page of ``report``: reads, asks the library, and hands the results to the page."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from emps_design.axis import Axis
+from emps_design.errors import InputError, nearest_name
+from emps_design.machines import load_axis, machine_names
+from emps_design.report.design import DesignResults, design_page, design_results
+from emps_design.report.page import Page
+
+if TYPE_CHECKING:
+    from emps_design.identification.identify import Identification
+
+Progress = Callable[[str, float], None]
+DESIGN_ON = ("record", "axis")
+
+
+@dataclass(frozen=True)
+class Report:
+    """The page of a design and the results it shows."""
+
+    page: Page
+    results: DesignResults
+    found: tuple[Identification, ...] = ()
+    warnings: tuple[str, ...] = ()
+    impedance: dict[str, Any] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Gains, force loop and identification as plain data."""
+        document: dict[str, Any] = {
+            "velocity_loop": self.results.velocity.to_dict(),
+            "force_loop": self.results.force.to_dict(),
+        }
+        if self.found:
+            document["identification"] = {one.model: one.to_dict() for one in self.found}
+        if self.impedance:
+            document["impedance"] = self.impedance
+        document["inputs"] = dict(self.results.inputs)
+        document["warnings"] = list(self.warnings)
+        return document
+
+
+def assemble_report(
+    axis: str | Axis | None = None,
+    record: str | Path | None = None,
+    crossover: float | None = None,
+    bandwidth: float | None = None,
+    phase_margin_deg: float = 60.0,
+    design_on: str | None = None,
+    model: str = "symmetric",
+    k_e1: float = 0.01,
+    hand: float = 0.0,
+    environment: float = 1e4,
+    mass: float | None = None,
+    damping: float | None = None,
+    progress: Progress | None = None,
+) -> Report:
+    """Design ``axis`` (or what ``record`` says about it) and return the page with its results.
+
+    ``axis``: an :class:`Axis`, a TOML file or an embedded machine. ``design_on``: "record" takes the mechanics that
+    the record gives (the default where no axis is named), "axis" leaves them as they are. ``crossover`` or
+    ``bandwidth`` [rad/s], ``phase_margin_deg`` [deg]; ``k_e1`` [(m/s)/N], ``hand`` [N/(m/s)], ``environment`` [N/m];
+    ``mass`` [kg] and ``damping`` [N/(m/s)] add the impedance law.
+
+    >>> report = assemble_report("emps2018", crossover=100.0, phase_margin_deg=60.0)
+    >>> report.results.velocity.axis.name, round(report.results.velocity.k_v1, 2)
+    ('emps2018', 556.77)
+    """
+    tell = progress or (lambda stage, fraction: None)
+    if design_on not in (None, *DESIGN_ON):
+        raise InputError(
+            f"design-on: found {design_on!r}, expected {' or '.join(DESIGN_ON)}{nearest_name(design_on, DESIGN_ON)}"
+        )
+    if record is None and design_on == "record":
+        raise InputError("design-on: found 'record' without a record; give one with --record")
+    if (mass is None) != (damping is None):
+        raise InputError("impedance law: found one of mass and damping, expected both [kg, N/(m/s)] or neither")
+    design_on = design_on or ("record" if axis is None and record is not None else "axis")
+    given = axis if axis is not None else ("emps2018" if record is None else "emps2019")
+    loaded = given if isinstance(given, Axis) else load_axis(given)
+    inputs: dict[str, str | None] = {_input_name(given): _digest(given)}
+
+    from emps_design.control.velocity_loop import check_specification, design_velocity_loop
+
+    check_specification(crossover, bandwidth, phase_margin_deg)  # before the record: a wrong number is told at once
+    parts, notes, found = [], [], ()
+    if record is not None:
+        tell("reading the record", 0.05)
+        loaded, found, section = _from_record(record, loaded, model, design_on, inputs, tell)
+        parts.append(section)
+        notes.append(_basis(loaded, found[0], design_on))
+    tell("designing the loops", 0.4)
+    velocity = design_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg)
+    results = design_results(velocity, k_e1, hand, environment, inputs=inputs, parts=tuple(parts), notes=tuple(notes))
+    tell("drawing", 0.6)
+    page = design_page(results)
+    warnings = [warning for one in found for warning in one.warnings]
+    warnings += [*velocity.warnings, *results.force.warnings]
+    tell("writing", 0.95)
+    return Report(page, results, tuple(found), tuple(dict.fromkeys(warnings)))
+
+
+def _from_record(record, axis, model, design_on, inputs, tell):
+    """Identify ``axis`` from ``record``: the axis to design on, what was found, and the section that tells it."""
+    from emps_design.identification.identify import identify
+    from emps_design.records import read_record
+    from emps_design.report.record import record_section
+
+    read = read_record(record)
+    inputs[Path(record).name] = read.sha256
+    tell("identifying", 0.15)
+    others = [name for name in ("symmetric", "asymmetric") if name != model]
+    found = tuple(identify(read, axis, model=name) for name in (model, *others))
+    section = record_section(read, found, axis)
+    return (found[0].to_axis() if design_on == "record" else axis), found, section
+
+
+def _basis(axis: Axis, found: Identification, design_on: str) -> str:
+    if design_on == "record":
+        return (
+            f"The gains are for the mechanics identified from {found.record} ({found.model} model), with the drive and "
+            f"the sampling of the axis {axis.name}."
+        )
+    return f"The gains are for the axis {axis.name} as it is written; {found.record} is compared with it below."
+
+
+def _input_name(axis: str | Axis) -> str:
+    if isinstance(axis, Axis):
+        return f"axis {axis.name}"
+    return axis if axis in machine_names() else Path(axis).name
+
+
+def _digest(axis: str | Axis) -> str | None:
+    """SHA-256 of an axis file, of an :class:`Axis` given as TOML, None for an embedded machine."""
+    if isinstance(axis, Axis):
+        return hashlib.sha256(axis.to_toml().encode()).hexdigest()
+    return None if axis in machine_names() else hashlib.sha256(Path(axis).read_bytes()).hexdigest()

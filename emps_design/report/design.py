@@ -1,0 +1,380 @@
+"""The page of ``report``: the whole design of one axis, what was asked and what is achieved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from emps_design.report.diagrams import velocity_and_force_loop
+from emps_design.report.display import angle, delay, frequency, number, quantity, ratio, symbol
+from emps_design.report.footer import inputs_table, versions
+from emps_design.report.force_figures import force_limit_figure, force_loop_figure
+from emps_design.report.loop_figures import bode_figure, nyquist_figure, poles_figure, step_figure
+from emps_design.report.loops import broken_loops
+from emps_design.report.page import Callout, Facts, Html, Page, Picture, Points, Section, Table, Text
+
+if TYPE_CHECKING:
+    from emps_design.control.force_loop import ForceLoopDesign
+    from emps_design.control.margins import Margins
+    from emps_design.control.step_response import StepResponse
+    from emps_design.control.velocity_loop import VelocityLoopDesign
+
+ASSUMPTIONS = (
+    "The axis is rigid unless its file lists an effect that says otherwise; Coulomb friction drops out of the linear "
+    "loop because it is constant in motion.",
+    "The force gain G_tau is known: an error of it scales every mechanical parameter and cannot be seen in a record "
+    "without a known payload.",
+    "Continuous margins are those of an ideal drive; sampled margins contain the hold, the computation delay, the "
+    "current loop, the velocity estimator and the effects of the axis file.",
+    "Margins are read at two places because delay acts at the plant input, while the specification (7) is stated for "
+    "the loop broken at the velocity error.",
+)
+
+
+@dataclass(frozen=True)
+class DesignResults:
+    """What the page shows; every number was computed by the library.
+
+    ``inputs``: SHA-256 of every input by name, None for what is built in; ``parts``: more sections (a record, an
+    impedance law), each already a :class:`Section`; ``notes``: statements for the summary; ``warnings``: more of them.
+    """
+
+    velocity: VelocityLoopDesign
+    step: StepResponse
+    sampled_step: StepResponse | None
+    force: ForceLoopDesign
+    inputs: Mapping[str, str | None] = field(default_factory=dict)
+    parts: tuple[Section, ...] = ()
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def design_results(
+    velocity: VelocityLoopDesign,
+    k_e1: float = 0.01,
+    hand: float = 0.0,
+    environment: float = 1e4,
+    **more: Any,
+) -> DesignResults:
+    """Collect what the page of ``velocity`` needs; ``k_e1`` [(m/s)/N], ``hand`` [N/(m/s)], ``environment`` [N/m]."""
+    from emps_design.control.force_loop import design_force_loop
+    from emps_design.control.step_response import continuous_step, sampled_step
+
+    return DesignResults(
+        velocity=velocity,
+        step=continuous_step(velocity),
+        sampled_step=sampled_step(velocity) if velocity.sampled.stable else None,
+        force=design_force_loop(velocity, k_e1, hand=hand, environment=environment),
+        **more,
+    )
+
+
+def design_page(results: DesignResults) -> Page:
+    """Return the page of a design."""
+    velocity = results.velocity
+    asked = _asked(velocity)
+    return Page(
+        f"Control design of the axis {velocity.axis.name}",
+        asked,
+        _summary(results),
+        (
+            _gains_section(velocity),
+            _velocity_section(results),
+            _force_section(results.force),
+            *results.parts,
+            _end_section(results),
+        ),
+    )
+
+
+def _asked(velocity: VelocityLoopDesign) -> str:
+    requested = dict(velocity.requested)
+    phase = requested.pop("phase_margin_deg", None)
+    parts = [f"{name} {frequency(value)}" for name, value in requested.items()]
+    if phase is not None:
+        parts.append(f"phase margin {angle(phase)}")
+    retuned = (
+        f"; gains retuned so that the sampled loop meets it at the {velocity.retuned_at.replace('-', ' ')}"
+        if (velocity.retuned_at)
+        else ""
+    )
+    return "Asked for: " + ", ".join(parts) + retuned
+
+
+def _stops(results: DesignResults) -> list[Callout]:
+    """Announcements of instability; they come before any margin."""
+    velocity, force = results.velocity, results.force
+    stops = []
+    if not velocity.sampled.stable:
+        pole = abs(velocity.sampled.poles[0])
+        stops.append(
+            Callout(
+                "stop",
+                "with these gains the sampled velocity loop is unstable.",
+                f"Its largest pole has magnitude {pole:.4f}, outside the unit circle. The margins of the continuous "
+                "loop below say nothing about this drive: lower the crossover or the phase margin asked "
+                "for, sample faster, or remove delay.",
+            )
+        )
+    if not force.stable:
+        limit = force.k_e1_max_sampled
+        body = f"The largest stable gain is {number(limit)} (m/s)/N." if limit else "No gain is stable here."
+        stops.append(Callout("stop", f"the force loop is unstable at k_e1 = {number(force.k_e1)} (m/s)/N.", body))
+    return stops
+
+
+def _summary(results: DesignResults) -> tuple[Any, ...]:
+    velocity = results.velocity
+    sampled, period = velocity.sampled, velocity.axis.sampling.period
+    blocks: list[Any] = list(_stops(results))
+    facts = [
+        (Html(symbol("k_v1")), quantity(velocity.k_v1, "V/(m/s)"), "gain of the velocity loop"),
+        (Html(symbol("t_v")), quantity(velocity.t_v, "s"), "its integral time"),
+    ]
+    if sampled.stable:
+        facts += [
+            (
+                "phase margin on the drive",
+                angle(sampled.margins.phase_margin_deg),
+                f"plant input, sampled, at {number(sampled.margins.crossover)} rad/s",
+            ),
+            (
+                "delay it still bears",
+                quantity(sampled.margins.delay_margin, "s", 3),
+                f"{number(sampled.margins.delay_margin_samples, 3)} samples of {quantity(period, 's', 3)}",
+            ),
+        ]
+    else:
+        facts.append(("margins on the drive", "none", "the sampled loop is unstable"))
+    blocks.append(Facts(tuple(facts)))
+    blocks += [Text(Html(f"{note}")) for note in results.notes]
+    blocks.append(_achieved_table(velocity))
+    if sampled.stable:
+        lost = velocity.plant_input.phase_margin_deg - sampled.margins.phase_margin_deg
+        blocks.append(
+            Text(
+                f"At the plant input, sampling, hold, current loop, delay and velocity estimator take {lost:.1f}° of "
+                f"the {angle(velocity.plant_input.phase_margin_deg)} that the continuous loop has there."
+            )
+        )
+    warnings = [w for w in (*results.warnings, *velocity.warnings) if not w.startswith("the sampled loop is unstable")]
+    if warnings:
+        blocks.append(Callout("warning", "To read with the numbers", items=tuple(dict.fromkeys(warnings))))
+    return tuple(blocks)
+
+
+def _achieved_table(velocity: VelocityLoopDesign) -> Table:
+    """Specification against achieved, at every place where the loop can be broken."""
+    sampled, asked = velocity.sampled, velocity.requested
+
+    def row(name: str, margins: Margins, bandwidth: float | None) -> list[Any]:
+        if not margins.stable:
+            return [name, *["unstable"] * 5]
+        phase = margins.phase_margin_deg
+        return [
+            name,
+            "unbounded" if phase is None else angle(phase),
+            frequency(margins.crossover),
+            frequency(bandwidth),
+            ratio(margins.gain_margin),
+            delay(margins.delay_margin, margins.period),
+        ]
+
+    return Table(
+        ["", "phase margin", "crossover", "closed loop −3 dB", "gain margin", "delay margin"],
+        [
+            [
+                Html("<b>asked for</b>"),
+                angle(asked.get("phase_margin_deg")),
+                frequency(asked.get("crossover")),
+                frequency(asked.get("bandwidth")),
+                "—",
+                "—",
+            ],
+            row("velocity error, continuous", velocity.velocity_error, velocity.bandwidth),
+            row("velocity error, sampled", sampled.velocity_error, sampled.bandwidth),
+            row("plant input, continuous", velocity.plant_input, velocity.bandwidth),
+            row("plant input, sampled", sampled.margins, sampled.bandwidth),
+        ],
+        "Specification against achieved. The specification holds for the loop broken at the velocity error, (6) and "
+        "(7); what destabilises a drive acts at the plant input, so the last row is what the drive will have.",
+    )
+
+
+def _gains_section(velocity: VelocityLoopDesign) -> Section:
+    axis, low_high = velocity.axis, velocity.feasible_phase_margin_deg
+    mechanics, drive, sampling = axis.mechanics, axis.drive, axis.sampling
+    rows = [
+        [Html(symbol("M")), quantity(mechanics.mass, "kg", 6), "load-side equivalent mass"],
+        [Html(symbol("F_v")), quantity(mechanics.viscous, "N/(m/s)", 6), "viscous friction"],
+        [Html(symbol("F_c")), quantity(mechanics.coulomb, "N", 6), "Coulomb friction"],
+        ["offset", quantity(mechanics.offset, "N", 6), "constant force"],
+        [Html(symbol("G_tau")), quantity(drive.force_gain, "N/V", 6), "force per volt"],
+        ["voltage limit", quantity(drive.voltage_limit, "V"), ""],
+        ["current loop", quantity(drive.current_time_constant, "s"), "time constant, 0: ideal"],
+        [
+            "sampling period",
+            quantity(sampling.period, "s"),
+            f"Nyquist {frequency(3.141592653589793 / sampling.period)}",
+        ],
+        ["computation delay", f"{sampling.computation_delay} samples", ""],
+        ["encoder step", quantity(sampling.encoder_resolution, "m"), "on the load side"],
+        *([effect.kind.replace("_", " "), "effect", _parameters(effect)] for effect in axis.effects),
+    ]
+    gains = [
+        [Html(symbol("k_v1")), quantity(velocity.k_v1, "V/(m/s)", 6), "(7)"],
+        [Html(symbol("t_v")), quantity(velocity.t_v, "s", 6), "(7)"],
+        [Html(symbol("K_v")), quantity(velocity.K_v, "N/m", 6), "(8)"],
+        [Html(symbol("omega_0v")), frequency(velocity.omega_0v, 6), "(9)"],
+        [Html(symbol("z_v")), number(velocity.z_v, 6), "(9)"],
+    ]
+    return Section(
+        "Axis and gains",
+        Picture(
+            velocity_and_force_loop(),
+            "The IP velocity loop (integral of the error, proportional on the velocity) inside the force loop. The two "
+            "dotted lines are the places where the loop is broken to read margins.",
+            "Structure, after Fig. 4 of the paper",
+        ),
+        Table(["quantity", "value", "meaning"], rows, f"The axis {axis.name} as designed on."),
+        Table(["gain", "value", "equation"], gains, "Gains and canonical form of the velocity loop."),
+        Text(
+            f"At this crossover (7) has an answer for phase margins between {angle(low_high[0])} and "
+            f"{angle(low_high[1])}."
+        ),
+    )
+
+
+def _parameters(effect: Any) -> str:
+    units = {p.name: p.unit for p in effect.effect.parameters}
+    return ", ".join(f"{name} {quantity(value, units[name])}" for name, value in effect.parameters.items())
+
+
+def _velocity_section(results: DesignResults) -> Section:
+    velocity = results.velocity
+    error, plant = broken_loops(velocity)
+    period = velocity.axis.sampling.period
+    step, sampled = results.step, results.sampled_step
+
+    def column(response: StepResponse | None, value: Any) -> Any:
+        return "unstable" if response is None else value(response)
+
+    return Section(
+        "Velocity loop",
+        Picture(
+            bode_figure(error, period),
+            "The loop of the specification. The vertical bars are the phase margin (lower picture, above −180°) "
+            "and the gain margin (upper picture, below 0 dB). Red is the loop as implemented, up to Nyquist.",
+            "Bode diagram, broken at the velocity error",
+        ),
+        Picture(
+            bode_figure(plant, period),
+            "The loop that delay acts on. It crosses 0 dB at a higher frequency, where the same delay costs more "
+            "phase; the distance between blue and red is what the implementation takes.",
+            "Bode diagram, broken at the plant input",
+        ),
+        Picture(
+            nyquist_figure((error, plant)),
+            "The curve must pass the point −1 on its right; the angle between the negative real axis and the ray to "
+            "the unit circle is the phase margin.",
+            "Nyquist diagrams",
+        ),
+        Picture(
+            poles_figure(velocity),
+            "Left: the two poles of (9), with lines of constant damping ratio. Right: the poles of the sampled loop, "
+            "all of which must lie inside the unit circle.",
+            "Closed-loop poles",
+        ),
+        Picture(
+            step_figure(step, sampled),
+            "Response to a step of the velocity reference. Triangles mark the peak, dotted lines the time after which "
+            "the response stays within 2 %.",
+            "Step response",
+        ),
+        Table(
+            ["", "continuous", "sampled"],
+            [
+                [
+                    "overshoot",
+                    f"{step.overshoot_percent:.2f} %",
+                    column(sampled, lambda r: f"{r.overshoot_percent:.2f} %"),
+                ],
+                [
+                    "rise time, 10 to 90 %",
+                    quantity(step.rise_time, "s"),
+                    column(sampled, lambda r: quantity(r.rise_time, "s")),
+                ],
+                [
+                    "settling time, ±2 %",
+                    quantity(step.settling_time, "s"),
+                    column(sampled, lambda r: quantity(r.settling_time, "s")),
+                ],
+            ],
+            "Step response of the closed velocity loop.",
+        ),
+    )
+
+
+def _force_section(force: ForceLoopDesign) -> Section:
+    operator = []
+    if force.hand:
+        operator.append(f"a viscous hand of {quantity(force.hand, 'N/(m/s)')}")
+    if force.environment:
+        operator.append(f"a wall of {number(force.environment / 1e3)} N/mm")
+    margins = force.margins
+
+    def limit(value: float | None) -> str:
+        return "unbounded" if value is None else f"{number(value)} (m/s)/N"
+
+    def margin(shown: str) -> str:
+        return shown if force.stable else "unstable"
+
+    warnings = [warning for warning in force.warnings if "unstable" not in warning]
+    rows = [
+        [Html(symbol("k_e1")), f"{number(force.k_e1)} (m/s)/N", "velocity per newton"],
+        [Html(symbol("k_c")), quantity(force.k_c, "N/(m/s)"), "what the hand feels at low frequency, 1/k_e1"],
+        ["apparent mass", quantity(force.apparent_mass, "kg"), "low-frequency match of k_e1 T_vc with 1/(M_a s + B)"],
+        ["largest gain, continuous", limit(force.k_e1_max_continuous), "closed form (Routh)"],
+        ["largest gain, sampled", limit(force.k_e1_max_sampled), "by the poles of the loop as implemented"],
+        [
+            "phase margin, sampled",
+            margin(angle(margins.phase_margin_deg) if margins.phase_margin_deg else "unbounded"),
+            "",
+        ],
+        ["gain margin, sampled", margin(ratio(margins.gain_margin)), ""],
+        ["delay margin, sampled", margin(delay(margins.delay_margin, margins.period)), ""],
+    ]
+    return Section(
+        "Force loop",
+        Text(
+            f"Operator: {' and '.join(operator) or 'none'}, tau_e = −(k_h q̇ + K_env q), positive towards +q. The force "
+            f"acts on the sensor{' and on the carriage' if force.on_carriage else ' only'}."
+        ),
+        Callout("good" if force.stable else "stop", "stable." if force.stable else "the force loop is unstable."),
+        Table(
+            ["quantity", "value", "meaning"], rows, "Force loop of Fig. 4, (10) and (11), with an explicit operator."
+        ),
+        Picture(
+            force_limit_figure(force),
+            "Above the dashed line the loop as implemented is unstable (shaded): the “too high gain” of the paper. The "
+            "stiffer the wall, the smaller the gain it allows.",
+            "How large the force gain may be",
+        ),
+        Picture(
+            force_loop_figure(force),
+            "Left: the loop must leave −1 on its left. Right: the closed-loop poles, velocity loop and operator "
+            "included.",
+            "Force loop in contact",
+        ),
+        Callout("warning", "To read with the numbers", items=tuple(warnings)) if warnings else None,
+    )
+
+
+def _end_section(results: DesignResults) -> Section:
+    return Section(
+        "Assumptions, inputs and versions",
+        Points(ASSUMPTIONS),
+        inputs_table(results.inputs) if results.inputs else None,
+        Text(versions()),
+    )

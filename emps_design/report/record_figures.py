@@ -1,0 +1,68 @@
+"""Pictures of a record: what was measured, and the force that the identified model explains."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from emps_design.report.style import BLACK, BLUE, GREY, RED, YELLOW, look, subplots, thin
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from emps_design.identification.identify import Identification
+    from emps_design.records import Record
+
+
+def record_figure(record: Record) -> Figure:
+    """Draw position and voltage of ``record``, and the external force where one was measured."""
+    rows = [("position [mm]", 1e3 * record.q, BLUE), ("voltage [V]", record.u, BLACK)]
+    if record.f_ext is not None:
+        rows.append(("external force [N]", record.f_ext, RED))
+    with look():
+        figure, grid = subplots(len(rows), 1, height=1.35 * len(rows) + 0.3, sharex=True)
+        for axes, (label, y, color) in zip(grid, rows, strict=True):
+            axes.plot(*thin(record.t, y), color=color, linewidth=1.0)
+            axes.set_ylabel(label)
+            axes.margins(x=0.01)
+        grid[-1].set_xlabel("time [s]")
+        figure.align_ylabels(grid)
+    return figure
+
+
+def force_figure(found: Identification) -> Figure:
+    """Draw measured and identified force over the record, one stretch of it larger, and the residual."""
+    t, measured, model = (np.asarray(found.series[key]) for key in ("t", "measured", "model"))
+    used = np.asarray(found.series["used"], dtype=bool)
+    error = np.where(used, measured - model, np.nan)
+    low, high = _stretch(t, measured)
+    inside = (t >= low) & (t <= high)
+    with look():
+        figure, (top, middle, bottom) = subplots(3, 1, height=6.2)
+        for axes, rows in ((top, slice(None)), (middle, inside)):
+            axes.plot(*thin(t[rows], measured[rows]), color=BLACK, linewidth=1.8, label="measured")
+            axes.plot(*thin(t[rows], model[rows]), color=RED, linewidth=1.1, label="identified model")
+            axes.set_ylabel("motor force [N]")
+            axes.margins(x=0.01)
+        top.axvspan(low, high, color=YELLOW, alpha=0.35, linewidth=0)
+        top.set_title("the whole record")
+        top.set_ylim(top.get_ylim()[0], top.get_ylim()[1] + 0.25 * np.ptp(top.get_ylim()))
+        top.legend(loc="upper right", ncols=2)
+        middle.set_title(f"{low:.3g} s to {high:.3g} s")
+        bottom.plot(t, error, color=BLUE, linewidth=0.9)
+        bottom.axhline(0.0, color=GREY, linewidth=0.8)
+        bottom.set_title("residual")
+        bottom.set_ylabel("measured − model [N]")
+        bottom.set_xlabel("time [s]")
+        bottom.margins(x=0.01)
+        figure.align_ylabels((top, middle, bottom))
+    return figure
+
+
+def _stretch(t: np.ndarray, force: np.ndarray) -> tuple[float, float]:
+    """An eighth of the record around its largest force: a stretch in which something happens."""
+    length = (t[-1] - t[0]) / 8.0
+    centre = float(t[int(np.argmax(np.abs(force)))])
+    low = min(max(float(t[0]), centre - 0.5 * length), float(t[-1]) - length)
+    return low, low + length

@@ -1,0 +1,142 @@
+"""The page of ``report`` and its command: what was asked beside what is achieved, instability before any margin."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from emps_design.cli.app import run
+from emps_design.control.step_response import measure_step, second_order_step
+from emps_design.control.velocity_loop import design_velocity_loop
+from emps_design.errors import InputError
+from emps_design.machines import machine
+from emps_design.report.assemble import assemble_report
+from emps_design.report.design import design_page, design_results
+from emps_design.report.loop_figures import velocity_loop_figures
+from emps_design.report.loops import broken_loops
+
+
+@pytest.fixture(scope="module")
+def page():
+    return assemble_report("emps2018", crossover=100.0, phase_margin_deg=60.0).page.html()
+
+
+def test_the_page_shows_the_gains_and_the_margins_of_all_four_loops(page):
+    for said in ("556.8 V/(m/s)", "8.455 ms", "60.0°", "60.2°", "39.2°", "159.9 rad/s (25.45 Hz)", "unbounded"):
+        assert said in page, said
+
+
+def test_the_page_has_every_picture_with_a_caption(page):
+    titles = re.findall(r"<b>Figure \d+\. ([^<]*?)\.</b>", page)
+    assert {"Nyquist diagrams", "Closed-loop poles", "Step response", "How large the force gain may be"} <= set(titles)
+    assert len(titles) == page.count("<svg ") == 8
+
+
+def test_the_page_is_small_closed_and_repeatable(page):
+    assert page == assemble_report("emps2018", crossover=100.0, phase_margin_deg=60.0).page.html()
+    assert len(page.encode()) < 3_000_000
+    assert not re.findall(r'(?:src|href)="(?!#)', page)
+
+
+def test_an_unstable_sampled_loop_is_announced_before_any_margin():
+    axis = machine("emps2018").replace(sampling={"computation_delay": 1})
+    design = design_velocity_loop(axis, crossover=100.0, phase_margin_deg=80.0)
+    html = design_page(design_results(design)).html()
+    body = html[html.index("<body>") :]
+    assert body.index("the sampled velocity loop is unstable") < body.index("phase margin</th>")
+    assert body.count("<td>unstable</td>") >= 10
+
+
+def test_the_frequency_responses_are_those_of_the_margins():
+    for loop in broken_loops(design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)):
+        for curve in loop.curves:
+            at = curve.response(np.array([curve.margins.crossover]))[0]
+            assert abs(at) == pytest.approx(1.0, abs=1e-9)
+            assert np.degrees(np.angle(-at)) == pytest.approx(curve.margins.phase_margin_deg, abs=1e-6)
+
+
+def test_figures_are_matplotlib_objects_by_name():
+    figures = velocity_loop_figures(design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0))
+    assert sorted(figures) == ["bode_plant_input", "bode_velocity_error", "nyquist", "poles", "step"]
+    assert all(figure.axes for figure in figures.values())
+
+
+@pytest.mark.parametrize("z", [0.2, 0.6, 0.9])
+def test_overshoot_and_peak_agree_with_the_closed_form(z):
+    t = np.linspace(0.0, 40.0, 40_001)
+    step = measure_step(t, second_order_step(1.0, z, t))
+    damped = np.sqrt(1.0 - z * z)
+    assert step.overshoot_percent == pytest.approx(100.0 * np.exp(-np.pi * z / damped), rel=1e-5)
+    assert step.peak_time == pytest.approx(np.pi / damped, abs=2e-3)
+
+
+def test_second_order_step_is_continuous_through_critical_damping():
+    t = np.linspace(0.0, 10.0, 50)
+    assert second_order_step(1.0, 1.0, t) == pytest.approx(second_order_step(1.0, 1.0 + 1e-7, t), abs=1e-6)
+    assert second_order_step(1.0, 1.0, t) == pytest.approx(second_order_step(1.0, 1.0 - 1e-7, t), abs=1e-6)
+
+
+def test_a_response_that_does_not_settle_has_no_settling_time():
+    t = np.linspace(0.0, 1.0, 100)
+    assert measure_step(t, 0.5 * t).settling_time is None
+
+
+def test_a_record_gives_the_mechanics_unless_told_otherwise(emps_data):
+    record = emps_data / "DATA_EMPS.mat"
+    report = assemble_report(record=record, crossover=100.0)
+    assert report.results.velocity.axis.mechanics.mass == pytest.approx(95.1089, abs=0.1085)
+    html = report.page.html()
+    assert "identified from DATA_EMPS" in html
+    assert report.found[0].sha256 in html
+    assert "4.08 %" in html
+    other = assemble_report("emps2018", record, crossover=100.0, design_on="axis", model="asymmetric")
+    assert other.results.velocity.axis == machine("emps2018")
+
+
+def test_bad_combinations_are_refused():
+    with pytest.raises(InputError, match="design-on: found 'reccord', expected record or axis, did you mean 'record'"):
+        assemble_report("emps2018", crossover=100.0, design_on="reccord")
+    with pytest.raises(InputError, match="found 'record' without a record"):
+        assemble_report("emps2018", crossover=100.0, design_on="record")
+    with pytest.raises(InputError, match="found one of mass and damping, expected both"):
+        assemble_report("emps2018", crossover=100.0, mass=50.0)
+
+
+def test_command_writes_the_page_and_one_json_document(tmp_path, capsys):
+    out = tmp_path / "r.html"
+    assert run(["report", "--crossover", "100", "--phase-margin", "60", "--out", str(out), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["velocity_loop"]["k_v1"] == pytest.approx(556.766, abs=1e-3)
+    assert out.read_text().startswith("<!DOCTYPE html>")
+    assert [p.name for p in tmp_path.iterdir()] == ["r.html"]
+
+
+def test_command_exits_four_for_an_unstable_loop_and_still_writes_the_page(tmp_path, capsys):
+    axis, out = tmp_path / "slow.toml", tmp_path / "r.html"
+    axis.write_text(machine("emps2018").replace(sampling={"computation_delay": 1}).to_toml())
+    assert run(["report", str(axis), "--crossover", "100", "--phase-margin", "80", "--out", str(out), "--json"]) == 4
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["velocity_loop"]["sampled"]["stable"] is False
+    assert "unstable" in captured.err
+    assert out.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message", "status"),
+    [
+        (["--crossover", "100", "--out", "missing/r.html"], "folder missing does not exist", 2),
+        (["--crossover", "100", "--phase-margin", "90", "--out", "r.html"], "upper limit binds", 3),
+        (["--crossover", "-1", "--out", "r.html"], "expected a positive number of rad/s", 2),
+        (["--crossover", "100", "--k-e1", "0", "--out", "r.html"], "k_e1: found 0", 2),
+        (["--record", "nothing.mat", "--out", "r.html"], "nothing.mat", 2),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing_behind(tmp_path, monkeypatch, capsys, arguments, message, status):
+    monkeypatch.chdir(tmp_path)
+    assert run(["report", *arguments]) == status
+    said = [
+        line for line in capsys.readouterr().err.splitlines() if "found" in line or "exist" in line or message in line
+    ]
+    assert any(message in line for line in said)
+    assert list(tmp_path.iterdir()) == []
