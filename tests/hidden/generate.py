@@ -1,0 +1,218 @@
+"""Write a folder of hidden-effect cases: ``python -m tests.hidden.generate FOLDER --seed S --cases quick|all|healthy``.
+
+Every case is a folder with axis.toml, train.npz, holdout.npz and truth.json; see README.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import zlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from tests.hidden.drives import EFFECTS, PAIRS, UNKNOWN, Drive, draw_drive, draw_effect
+from tests.hidden.plant import numbers, simulate
+from tests.hidden.programs import laps, multi_sine
+
+VOLTAGE_NOISE = 4e-3  # V
+FORCE_NOISE = 0.35  # N for a 95 kg axis
+NOISE_BAND = 40.0  # Hz
+SKIP = 50  # samples at the start that no error counts
+QUICK = (
+    ("stribeck_friction",),
+    ("position_ripple",),
+    ("actuator_delay",),
+    ("backlash",),
+    ("mass_change",),
+    ("controller_disturbance",),
+    ("asymmetric_viscous_friction", "position_ripple"),
+    ("unknown_wake",),
+    (),
+    (),
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """Effects by name, and which of the two sizes."""
+
+    effects: tuple[str, ...]
+    size: int
+    number: int
+
+    @property
+    def name(self) -> str:
+        """Folder of the case."""
+        return f"{'+'.join(self.effects) or 'none'}-{self.number}"
+
+
+def cases(which: str, count: int = 8) -> list[Case]:
+    """The cases of a set: ``quick`` 10, ``all`` 64, ``healthy`` ``count`` drives with nothing hidden."""
+    if which == "quick":
+        return [Case(effects, 2 - index % 2, index) for index, effects in enumerate(QUICK)]
+    healthy = [Case((), 1, number) for number in range(count)]
+    if which == "healthy":
+        return healthy
+    single = [Case((name,), size, size) for name in (*EFFECTS, *UNKNOWN) for size in (1, 2)]
+    return [*single, *(Case(pair, 1, 1) for pair in PAIRS), *healthy]
+
+
+def force_noise(rng: np.random.Generator, length: int, drive: Drive) -> np.ndarray:
+    """Gaussian force below ``NOISE_BAND`` [N], rms in proportion to the mass."""
+    spectrum = np.fft.rfft(rng.standard_normal(length))
+    spectrum[np.fft.rfftfreq(length, drive.period) > NOISE_BAND] = 0.0
+    noise = np.fft.irfft(spectrum, length)
+    return noise / noise.std() * FORCE_NOISE * drive.mass / 95.0
+
+
+def run(
+    drive: Drive, q_ref: np.ndarray, hidden: np.ndarray, rng: np.random.Generator | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Position [m] and voltage [V] of the drive along ``q_ref``; noise where ``rng`` is given."""
+    quiet = np.zeros(q_ref.size)
+    volts = VOLTAGE_NOISE * rng.standard_normal(q_ref.size) if rng is not None else quiet
+    force = force_noise(rng, q_ref.size, drive) if rng is not None else quiet
+    mechanics = np.array([drive.mass, drive.viscous, drive.coulomb, drive.offset, drive.gain, drive.limit])
+    law = np.array([drive.kp, drive.kv])
+    return simulate(q_ref, drive.period, mechanics, drive.resolution, law, hidden, volts, force)
+
+
+def refit(drive: Drive, q_ref: np.ndarray, u: np.ndarray) -> Drive:
+    """The baseline whose closed loop is nearest to the recorded voltage (Gauss-Newton, central differences)."""
+    names, none = ("mass", "viscous", "coulomb", "offset"), numbers()
+    x = np.array([getattr(drive, name) for name in names])
+    step = np.array([0.004 * drive.mass, 0.02 * drive.viscous, 0.02 * drive.coulomb, 0.02 * drive.coulomb])
+    lowest = np.array([0.2 * drive.mass, 0.0, 0.0, -np.inf])
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        trial = replace(drive, **dict(zip(names, np.maximum(x, lowest), strict=True)))
+        return (u - run(trial, q_ref, none)[1])[SKIP:]
+
+    r, damping = residual(x), 0.0
+    for _ in range(15):
+        columns = [residual(x + s) - residual(x - s) for s in np.diag(step)]
+        jacobian = np.column_stack(columns) / 2
+        normal, slope = jacobian.T @ jacobian, jacobian.T @ r
+        for _ in range(5):
+            moved = x - step * np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slope)
+            left = residual(moved)
+            if left @ left < r @ r:
+                break
+            damping = max(10 * damping, 1e-3)
+        else:
+            break
+        gained, x, r, damping = 1 - (left @ left) / (r @ r), moved, left, damping / 10
+        if gained < 1e-4:
+            break
+    return replace(drive, **dict(zip(names, np.maximum(x, lowest), strict=True)))
+
+
+def misfit(drive: Drive, u: np.ndarray, other: np.ndarray) -> float:
+    """Rms difference of two voltages as a force [N]."""
+    return float(drive.gain * np.std((u - other)[SKIP:]))
+
+
+def axis_file(rng: np.random.Generator, drive: Drive) -> str:
+    """An axis file with numbers a few percent off, as of a data sheet."""
+    off = {
+        "mass": drive.mass * (1 + rng.uniform(-0.04, 0.04)),
+        "viscous": drive.viscous * (1 + rng.uniform(-0.08, 0.08)),
+        "coulomb": drive.coulomb * (1 + rng.uniform(-0.1, 0.1)),
+    }
+    mechanics = "".join(f"{key} = {value:.4g}\n" for key, value in off.items())
+    return (
+        f'name = "hidden"\n[mechanics]\n{mechanics}offset = 0.0\n'
+        f"[drive]\nforce_gain = {drive.gain!r}\nvoltage_limit = {drive.limit!r}\n"
+        f"[sampling]\nperiod = {drive.period!r}\nencoder_resolution = {drive.resolution!r}\n"
+        f'[controller]\nkind = "position_pd"\nkp = {drive.kp!r}\nkv = {drive.kv!r}\n'
+    )
+
+
+def make(case: Case, seed: int) -> dict[str, object]:
+    """Draw drives until the loop is stable and away from its limit; returns everything a case's folder holds."""
+    rng = np.random.default_rng([seed, zlib.crc32(case.name.encode())])
+    for _ in range(50):
+        drive = draw_drive(rng)
+        train_ref = laps(rng, drive.travel, list(drive.speeds), drive.acceleration, 3, drive.period)
+        if rng.random() < 0.5:
+            hold_ref = laps(rng, drive.travel, list(drive.speeds), drive.acceleration, 3, drive.period)
+        else:
+            hold_ref = multi_sine(rng, drive.travel, 0.5 * drive.acceleration, 20000, drive.period)
+        healthy = numbers()
+        clean = [run(drive, ref, healthy)[1] for ref in (train_ref, hold_ref)]
+        hidden, truth = {}, {}
+        for name in case.effects:
+            values, words = draw_effect(name, rng, drive, case.size, float(np.abs(clean[0][SKIP:]).max()))
+            hidden.update(values)
+            truth.update(words)
+        plant = numbers(**hidden)
+        records = [run(drive, ref, plant, rng) for ref in (train_ref, hold_ref)]
+        limited = max(float(np.mean(np.abs(u) > 0.99 * drive.limit)) for _, u in records)
+        perfect = [run(drive, ref, plant)[1] for ref in (train_ref, hold_ref)]
+        floors = [misfit(drive, u, other) for (_, u), other in zip(records, perfect, strict=True)]
+        if limited < 1e-3 and max(floors) < 0.2 * drive.coulomb:
+            break
+    else:
+        raise RuntimeError(f"{case.name}: no stable drive in 50 draws")
+    fitted = refit(drive, train_ref, records[0][1])
+    baseline = [
+        misfit(drive, u, run(fitted, ref, healthy)[1])
+        for (_, u), ref in zip(records, (train_ref, hold_ref), strict=True)
+    ]
+    sizes = [misfit(drive, with_it, without) for with_it, without in zip(perfect, clean, strict=True)]
+    unknown = any(name in UNKNOWN for name in case.effects)
+    return {
+        "axis.toml": axis_file(rng, drive),
+        "train.npz": (train_ref, *records[0]),
+        "holdout.npz": (hold_ref, *records[1]),
+        "truth.json": {
+            "effects": ["unknown"] if unknown else list(case.effects) or ["none"],
+            "parameters": truth or hidden,
+            "baseline": {name: getattr(drive, name) for name in ("mass", "viscous", "coulomb", "offset")},
+            "floor_closed_loop": floors[1],
+            "baseline_closed_loop": baseline[1],
+            "effect_size_train": sizes[0],
+            "effect_size_holdout": sizes[1],
+            "detectable": not case.effects or baseline[0] > 1.25 * floors[0],
+        },
+    }
+
+
+def write(folder: Path, contents: dict[str, object], period: float = 1e-3) -> None:
+    """Write the folder of one case."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "axis.toml").write_text(contents["axis.toml"], encoding="utf-8")
+    (folder / "truth.json").write_text(json.dumps(contents["truth.json"], indent=1), encoding="utf-8")
+    for name in ("train.npz", "holdout.npz"):
+        q_ref, q, u = contents[name]
+        np.savez_compressed(folder / name, t=np.arange(q.size) * period, q_ref=q_ref, q=q, u=u)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Generate a set of cases from the command line."""
+    parser = argparse.ArgumentParser(prog="python -m tests.hidden.generate", description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--cases", choices=("quick", "all", "healthy"), default="quick")
+    parser.add_argument("--count", type=int, default=8, help="healthy drives")
+    parser.add_argument("--only", default="", help="cases whose name contains this")
+    options = parser.parse_args(arguments)
+    chosen = [case for case in cases(options.cases, options.count) if options.only in case.name]
+    for case in chosen:
+        contents = make(case, options.seed)
+        write(options.folder / case.name, contents)
+        truth = contents["truth.json"]
+        print(
+            f"{case.name:55s} floor {truth['floor_closed_loop']:.3f} N, baseline {truth['baseline_closed_loop']:.3f} N"
+            f"{'' if truth['detectable'] else ', too small'}",
+            file=sys.stderr,
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
