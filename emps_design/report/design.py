@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from emps_design.report.diagrams import velocity_and_force_loop
 from emps_design.report.display import angle, delay, frequency, number, quantity, ratio, symbol
+from emps_design.report.drive import drive_section
 from emps_design.report.footer import inputs_table, versions
 from emps_design.report.force_figures import force_limit_figure, force_loop_figure
 from emps_design.report.loop_figures import bode_figure, nyquist_figure, poles_figure, step_figure
@@ -81,6 +82,7 @@ def design_page(results: DesignResults) -> Page:
         (
             _gains_section(velocity),
             _velocity_section(results),
+            drive_section(velocity),
             _force_section(results.force),
             *results.parts,
             _end_section(results),
@@ -107,14 +109,16 @@ def _stops(results: DesignResults) -> list[Callout]:
     velocity, force = results.velocity, results.force
     stops = []
     if not velocity.sampled.stable:
+        from emps_design.control.specification import in_words
+
         pole = abs(velocity.sampled.poles[0])
         stops.append(
             Callout(
                 "stop",
                 "with these gains the sampled velocity loop is unstable.",
                 f"Its largest pole has magnitude {pole:.4f}, outside the unit circle. The margins of the continuous "
-                "loop below say nothing about this drive: lower the crossover or the phase margin asked "
-                "for, sample faster, or remove delay.",
+                "loop below say nothing about this drive. Sample faster, remove delay, or ask for less: "
+                f"{in_words(velocity.nearest_stable)}.",
             )
         )
     if not force.stable:
