@@ -46,8 +46,8 @@ def _show(report, truth: dict[str, float], record_file: Path) -> None:
     from rich.table import Table
 
     velocity, force, found = report.results.velocity, report.results.force, report.found[0]
-    console = Console(highlight=False)
-    console.print(f"1. A record of {MACHINE}, simulated: {record_file}")
+    console = Console()
+    print(f"1. A record of {MACHINE}, simulated: {record_file}")
     table = Table(title="2. Identified from the record", title_justify="left")
     for heading in ("parameter", "simulated with", "found", "std", "unit"):
         table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
@@ -58,7 +58,7 @@ def _show(report, truth: dict[str, float], record_file: Path) -> None:
     console.print(table)
     design = velocity.to_dict()
     plant_input, sampled = design["plant_input"], design["sampled"]
-    console.print(
+    print(
         f"3. Velocity loop for a crossover of {CROSSOVER:g} rad/s and a phase margin of {PHASE_MARGIN:g} deg:\n"
         f"   k_v1 = {design['k_v1']:.2f} V/(m/s), t_v = {1e3 * design['t_v']:.3f} ms; closed-loop bandwidth "
         f"{design['bandwidth']:.1f} rad/s\n"
@@ -68,7 +68,7 @@ def _show(report, truth: dict[str, float], record_file: Path) -> None:
         + (f"stable, phase margin {sampled['phase_margin_deg']:.1f} deg" if sampled["stable"] else "unstable")
     )
     largest = force.to_dict()["k_e1_max"]["sampled"]
-    console.print(
+    print(
         f"4. Force loop with k_e1 = {force.k_e1:g} (m/s)/N: {'stable' if force.stable else 'unstable'}; "
         f"largest k_e1 for the sampled loop {'unbounded' if largest is None else f'{largest:.4g} (m/s)/N'}"
     )

@@ -49,7 +49,7 @@ def practice_record(axis: Axis, seed: int = 0, laps: int = 3, stroke: float = 0.
     >>> from emps_design.machines import machine
     >>> record = practice_record(machine("emps2019"), laps=1)
     >>> record.name, record.period, len(record)
-    ('practice-emps2019', 0.001, 17406)
+    ('practice-emps2019', 0.001, 18206)
     """
     if axis.controller.kind != "position_pd":
         raise InputError(

@@ -1,0 +1,135 @@
+"""Every command with --json prints one JSON document and nothing else on standard output, with the contract's keys."""
+
+import json
+import math
+
+import pytest
+
+from emps_design.cli import app
+from emps_design.machines import machine
+from emps_design.simulation.practice import practice_record
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a short practice record and the axis it came from."""
+    folder = tmp_path_factory.mktemp("cli")
+    axis = machine("emps2019")
+    practice_record(axis, laps=1).save(folder / "record.npz")
+    (folder / "axis.toml").write_text(axis.to_toml())
+    return folder
+
+
+# command line, keys that the document must have ("a.b": b inside a)
+DOCUMENTS = {
+    "gains": (
+        "gains --crossover 100 --phase-margin 60",
+        "k_v1 t_v K_v omega_0v z_v crossover phase_margin_deg bandwidth plant_input.phase_margin_deg "
+        "plant_input.crossover plant_input.delay_margin sampled.stable sampled.phase_margin_deg sampled.crossover "
+        "sampled.delay_margin sampled.gain_margin feasible_phase_margin_deg warnings",
+    ),
+    "gains-bandwidth": ("gains emps2019 --bandwidth 160 --phase-margin 60", "k_v1 t_v bandwidth"),
+    "force": ("force --k-e1 0.005", "k_e1 k_c stable k_e1_max.continuous k_e1_max.sampled poles warnings"),
+    "impedance": (
+        "impedance --mass 50 --damping 100 --mismatch 0.02",
+        "derived.apparent_mass derived.apparent_damping derived.coulomb_left printed.apparent_mass "
+        "printed.apparent_damping printed.coulomb_left sampled.stable sampled.poles mismatch.creep_speed "
+        "mismatch.dead_band mismatch.worst.parameters mismatch.worst.verdict mismatch.stable_share "
+        "equivalent_loop.k_e1 equivalent_loop.criterion",
+    ),
+    "replay": (
+        "simulate {axis} --scenario replay --record {record}",
+        "relative_error_percent.position relative_error_percent.velocity relative_error_percent.acceleration "
+        "relative_error_percent.force",
+    ),
+    "comanipulation": (
+        "simulate --scenario comanipulation",
+        "verdict transparency.apparent_mass transparency.apparent_damping transparency.r2 transparency.error "
+        "seed plants",
+    ),
+    "identify": (
+        "identify {record} --axis {axis}",
+        "parameters.mass.value parameters.mass.std parameters.mass.relative_std_percent parameters.mass.unit "
+        "parameters.viscous.value parameters.coulomb.value parameters.constant_force.value rms_error "
+        "relative_error_percent condition_number",
+    ),
+    "identify-asymmetric": (
+        "identify {record} --model asymmetric",
+        "parameters.viscous_positive.value parameters.viscous_negative.value parameters.coulomb_positive.value "
+        "parameters.coulomb_negative.value",
+    ),
+    "observe": (
+        "observe {record} --axis {axis}",
+        "smallest_observable_force",
+    ),
+    "derive": ("derive", ""),
+    "report": ("report {axis} --record {record} --crossover 100 --out {out}.html", "warnings"),
+    "demo": ("demo --out {out}.html", "machine record out"),
+    "init": ("init {out}", "directory files"),
+}
+
+
+def run(capsys, line, folder, out):
+    words = line.format(record=folder / "record.npz", axis=folder / "axis.toml", out=out).split()
+    status = app.run([*words, "--json"])
+    return status, capsys.readouterr().out
+
+
+def refuse_constant(name):
+    raise AssertionError(f"{name} in JSON")
+
+
+def at(document, path):
+    for key in path.split("."):
+        assert key in document, f"{path}: {key} is not there"
+        document = document[key]
+    return document
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_one_document_with_the_contract_keys(name, capsys, folder, tmp_path):
+    line, keys = DOCUMENTS[name]
+    status, text = run(capsys, line, folder, tmp_path / "out")
+    assert status == 0
+    document = json.loads(text, parse_constant=refuse_constant)
+    for path in keys.split():
+        at(document, path)
+
+
+@pytest.mark.parametrize("name", ["gains", "identify", "observe", "replay", "comanipulation", "impedance"])
+def test_same_input_same_seed_same_bytes(name, capsys, folder, tmp_path):
+    line, _ = DOCUMENTS[name]
+    first = run(capsys, line, folder, tmp_path / "out")
+    assert run(capsys, line, folder, tmp_path / "out") == first
+
+
+@pytest.mark.parametrize("name", ["gains", "force", "impedance", "identify", "derive"])
+def test_without_json_it_is_read_by_people(name, capsys, folder, tmp_path):
+    line, _ = DOCUMENTS[name]
+    words = line.format(record=folder / "record.npz", axis=folder / "axis.toml", out=tmp_path / "out").split()
+    assert app.run(words) == 0
+    text = capsys.readouterr().out
+    assert len(text.splitlines()) > 3
+    with pytest.raises(ValueError, match="Expecting value|Extra data"):
+        json.loads(text)
+
+
+def test_published_design(capsys, folder, tmp_path):
+    _, text = run(capsys, DOCUMENTS["gains"][0], folder, tmp_path)
+    document = json.loads(text)
+    # Table I, w = 100 rad/s, phi = 60 deg; FACTS: k_v1 = 556.766 V/(m/s), t_v = 8.45505 ms
+    assert math.isclose(document["k_v1"], 556.766, rel_tol=1e-6)
+    assert math.isclose(document["t_v"], 8.45505e-3, rel_tol=1e-6)
+
+
+def test_gains_that_cannot_be_met_exit_3_with_the_nearest(capsys):
+    assert app.run(["gains", "--crossover", "100", "--phase-margin", "90", "--json"]) == 3
+    document = json.loads(capsys.readouterr().out)
+    assert document["nearest"]
+    assert document["reason"]
+
+
+def test_an_unstable_force_loop_exits_4_with_the_nearest(capsys):
+    assert app.run(["force", "--k-e1", "1", "--environment", "10000", "--json"]) == 4
+    document = json.loads(capsys.readouterr().out)
+    assert document["stable"] is False or document["nearest"]
