@@ -1,0 +1,35 @@
+"""The generator's plant and the package's must tell the same story: same physics, other people's numerics."""
+
+import numpy as np
+import pytest
+
+from emps_design.axis import Axis
+from tests.hidden.drives import EFFECTS, draw_drive, draw_effect
+from tests.hidden.generate import SKIP, axis_file, misfit, run
+from tests.hidden.plant import numbers
+from tests.hidden.programs import laps
+
+LEFT = 0.015  # of the Coulomb friction [N rms of G_tau u]: what 20 us steps leave through the encoder's quantisation
+
+
+@pytest.mark.parametrize("name", ["none", *EFFECTS])
+def test_same_force_along_a_lap(name):
+    from emps_design.simulation import Plant
+
+    rng = np.random.default_rng(7)
+    drive = draw_drive(rng)
+    q_ref = laps(rng, drive.travel, list(drive.speeds), drive.acceleration, 1, drive.period)
+    _, healthy = run(drive, q_ref, numbers())
+    values, truth = ({}, {}) if name == "none" else draw_effect(name, rng, drive, 2, np.abs(healthy).max())
+    if name == "mass_change":  # within the one lap
+        values["mass_time"] = truth[name]["time"] = 2.0
+    _, u = run(drive, q_ref, numbers(**values))
+    axis = Axis.from_toml(axis_file(rng, drive)).replace(
+        mechanics={key: getattr(drive, key) for key in ("mass", "viscous", "coulomb", "offset")},
+        effects=[{"kind": kind, **parameters} for kind, parameters in truth.items()],
+    )
+    other = Plant.of(axis).closed_loop(q_ref).u
+    left, size = misfit(drive, u, other), misfit(drive, u, healthy)
+    assert left < LEFT * drive.coulomb
+    assert name == "none" or left < 0.1 * size
+    assert u[SKIP:].std() > 0
