@@ -262,7 +262,9 @@ def _first_line(error: ValidationError) -> str:
     """The first problem of a pydantic error as ``place: found ..., expected ...``; a wrong key comes first."""
     problems = error.errors(include_url=False)
     problem = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
-    path = [str(part) for part in problem["loc"] if part != "parameters"]
+    path = [str(part) for part in problem["loc"]]
+    if path[:1] == ["effects"]:  # an effect's table is flat in the file
+        path = [part for part in path if part != "parameters"]
     place = ".".join(path) or "axis"
     if problem["type"] == "extra_forbidden":
         known = list((TABLES.get(path[0], Axis) if len(path) > 1 else Axis).model_fields)

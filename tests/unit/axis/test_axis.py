@@ -86,6 +86,7 @@ def test_frozen():
         ("mass = 95.1", "", "mechanics.mass: missing, expected a number [kg]: load-side equivalent mass M"),
         ("viscous = 203.5", "viscuos = 203.5", "mechanics.viscuos: unknown key, did you mean 'viscous'?"),
         ("[drive]\nforce_gain = 35.15", "", "drive: missing, expected a table [drive]"),
+        ("[mechanics]", "parameters = []\n[mechanics]", "parameters: unknown key (known: name, mechanics"),
         ("[mechanics]", "colour = 1\n[mechanics]", "colour: unknown key (known: name, mechanics"),
         ("period = 1e-3", "period = 0", "sampling.period: found 0 s, expected a number greater than 0"),
         ("period = 1e-3", "period = 1e-3\ncomputation_delay = 1.5", "computation_delay: found 1.5 samples, expected"),
