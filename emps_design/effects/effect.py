@@ -75,9 +75,9 @@ class Motion:
     """What a regressor sees: the motion of a record or a simulation, filtered alike, one row a sample.
 
     ``q`` [m], ``v`` [m/s], ``a`` [m/s^2], ``t`` [s], ``tau`` [N] (motor force as a model predicts it, never measured:
-    a measured one would put the disturbance on both sides), ``voltage`` [V] the recorded one, ``smooth`` the zero-phase low-pass that was applied (used
-    on functions of ``q`` and ``t`` that must lose what the measured signals lost), ``period`` [s], ``force_gain`` G_tau
-    [N/V], needed where a parameter is a voltage.
+    a measured one would put the disturbance on both sides), ``voltage`` [V] the recorded one, ``smooth`` the
+    zero-phase low-pass that was applied (used on functions of ``q`` and ``t`` that must lose what the measured signals
+    lost), ``period`` [s], ``force_gain`` G_tau [N/V], needed where a parameter is a voltage.
     """
 
     t: np.ndarray
@@ -123,6 +123,12 @@ class Effect:
     ``propose(motion, residual, b, away)`` looks at the force residual (n,) [N] of the inverse model, trusted where
     ``away`` (n,) is True (away from reversals), and returns starting points for a fit: dicts of parameters, in which
     linear ones may be left out. None: every combination of the parameters' ``starts``.
+
+    ``expression(q, v, t, tau, p, b)`` is the SymPy form of :meth:`contribution` (``tau`` stands for the voltage in a
+    static actuator map); None where own states are needed.
+    ``passive``: over a motion that ends where it began, at rest, the effect never gives back more work than it took.
+    ``parity``: of the contribution in ``v``, "odd", "even" or "" for neither.
+    ``checks``: points computed by hand for ``CHECK_BASELINE``, (parameters, arguments of :meth:`contribution`, value).
     """
 
     name: str
@@ -168,7 +174,7 @@ class Effect:
 
     @property
     def linear(self) -> tuple[str, ...]:
-        """Names of the parameters the force is proportional to."""
+        """Names of the parameters that a linear regression gives, one a column."""
         return tuple(p.name for p in self.parameters if p.linear)
 
     @property

@@ -20,7 +20,7 @@ def thin(away: np.ndarray, most: int = THINNED) -> np.ndarray:
 
 
 def absorb(residual: np.ndarray, v: np.ndarray, a: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Residual at ``index`` free of what mass, friction and offset absorb; and the orthonormal basis (k, 4) of those."""
+    """Residual at ``index`` free of what mass, friction and offset absorb; and an orthonormal basis (k, 4) of those."""
     columns = np.column_stack([a[index], v[index], np.sign(v[index]), np.ones(index.size)])
     scale = np.linalg.norm(columns, axis=0)
     basis = np.linalg.svd(columns[:, scale > 0] / scale[scale > 0], full_matrices=False)[0]
