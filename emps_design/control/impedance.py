@@ -82,7 +82,7 @@ class FrictionModel:
         for name, error in both.items():
             if not math.isfinite(error) or error <= -1.0:
                 raise InputError(
-                    f"mismatch: found {error:g} on {name.replace('_', ' ')}, which makes the estimate negative or zero; "
+                    f"mismatch: found {error:g} on {name.replace('_', ' ')}, so the estimate is not positive; "
                     "expected more than -1"
                 )
         return replace(self, **{name: getattr(self, name) * (1.0 + error) for name, error in both.items()})
@@ -256,8 +256,11 @@ class ImpedanceLaw:
 
 
 def default_filter(period: float) -> float:
-    """Low-pass for acceleration and current where none is asked for, 0.2/period: 200 rad/s at 1 kHz."""
-    return 0.2 / period
+    """Low-pass for acceleration and current where none is asked for, 0.5/period: 500 rad/s at 1 kHz.
+
+    Slower, the Coulomb compensation hunts (see ``relay_oscillation``); faster, the smallest safe M_a grows.
+    """
+    return 0.5 / period
 
 
 def impedance_law(axis: Axis, mass: float, damping: float, filter: float | None = None, **options: Any) -> ImpedanceLaw:
@@ -268,7 +271,7 @@ def impedance_law(axis: Axis, mass: float, damping: float, filter: float | None 
 
     >>> from emps_design.machines import machine
     >>> impedance_law(machine("emps2018"), 50.0, 100.0).filter
-    200.0
+    500.0
     """
     if filter is None:
         filter = axis.controller.filter or default_filter(axis.sampling.period)

@@ -1,26 +1,38 @@
-"""What the hand meets at each frequency: the impedance of the sampled loop, and its error against the target."""
+"""What the hand meets at each frequency: the impedance of the sampled loop, its error, and the relay in the law."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from emps_design.control.impedance_sampled import FREE, Clock, Environment, plant_step
+from emps_design.control.impedance import FrictionModel, ImpedanceLaw
+from emps_design.control.impedance_sampled import FREE, Clock, Environment, numbers, plant_step
 
 
-def impedance_response(
+@dataclass(frozen=True)
+class Transfers:
+    """Answers of m loops at w frequencies, (m, w) complex: position to a held force and to a force added to the law's.
+
+    ``mean`` turns position into the mean velocity over a period, ``estimate`` into the velocity the law sees.
+    """
+
+    position_per_force: np.ndarray
+    position_per_command: np.ndarray
+    mean: np.ndarray
+    estimate: np.ndarray
+
+
+def transfers(
     n: dict[str, Any],
     clock: Clock,
     omega: np.ndarray,
     velocity_estimator: str = "two_tap",
     force_sensor: bool = False,
     environment: Environment = FREE,
-) -> np.ndarray:
-    """Impedance tau_e/velocity of many sampled loops (m,) at ``omega`` (w,) [rad/s] -> (m, w) complex [N/(m/s)].
-
-    The z-transform of the recursions above, solved by hand; the same numbers as ``1/SampledLoop.admittance``.
-    """
+) -> Transfers:
+    """Solve the recursions of the sampled law in z for many loops (m,) at ``omega`` (w,) [rad/s]."""
     keys = list(n)
     hand = (environment.mass, environment.damping, environment.stiffness)
     values = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, dtype=float)) for x in (*n.values(), *hand)))
@@ -56,10 +68,24 @@ def impedance_response(
             - r * p["stiffness"]
         )
         of_c, of_e = -p["current_factor"] * (r - 1.0) * slow_tau * g, 0.0
-    # c = late (of_q q + of_c c + of_e tau_e)
+    # c = late (of_q q + of_c c + of_e tau_e + added)
     held = 1.0 - late * of_c
-    position = (from_e + from_c * late * of_e / held) / (1.0 - from_c * late * of_q / held)
-    return period / ((z - 1.0) * position)
+    closed = 1.0 - from_c * late * of_q / held
+    return Transfers(
+        position_per_force=(from_e + from_c * late * of_e / held) / closed,
+        position_per_command=from_c * late / held / closed,
+        mean=(z - 1.0) / period,
+        estimate=taps,
+    )
+
+
+def impedance_response(n: dict[str, Any], clock: Clock, omega: np.ndarray, **options: Any) -> np.ndarray:
+    """Impedance tau_e/velocity of many sampled loops (m,) at ``omega`` (w,) [rad/s] -> (m, w) complex [N/(m/s)].
+
+    The same numbers as ``1/SampledLoop.admittance``; ``options`` as for :func:`transfers`.
+    """
+    t = transfers(n, clock, omega, **options)
+    return 1.0 / (t.mean * t.position_per_force)
 
 
 def impedance_error(
@@ -77,3 +103,44 @@ def impedance_error(
     )
     target = mass * s + damping + stiffness / s
     return np.sqrt(np.mean(np.abs(found / target - 1.0) ** 2, axis=1))
+
+
+def relay_oscillation(law: ImpedanceLaw, plant: FrictionModel, clock: Clock) -> tuple[float, float] | None:
+    """Predict the oscillation the Coulomb compensation can keep up: (frequency [rad/s], velocity amplitude [m/s]).
+
+    The law pushes with ``r c Fh_c sign(v_k)`` at once, but takes back what its current already does only through the
+    filter: after a reversal it over-compensates for a while. Describing function of the two relays, plant and law:
+    a sinusoid of amplitude ``A`` keeps itself up where
+
+        (4/pi) (-F_c Y_e(jw) + r c Fh_c Y_c(jw) e^{j angle(v_k/v)}) = A > 0
+
+    with Y_e, Y_c the mean velocity per force at the hand and per force added to the law's. Looked for between 0.5
+    rad/s and a quarter of the Nyquist frequency; the largest is returned, None if there is none. An approximation:
+    sticking may end the oscillation before it settles, so it explains a limit cycle and does not promise one.
+    """
+    omega = np.geomspace(0.5, 0.25 * np.pi / clock.period, 600)
+    options = {"velocity_estimator": law.velocity_estimator, "force_sensor": law.force_sensor}
+    compensation = law.coulomb_factor * (1.0 if law.force_sensor else law.ratio)
+    found = []
+    for direction in (1, -1) if plant.two_quadrant else (1,):
+        i = 0 if direction > 0 else 1
+        t = transfers(numbers(law, plant, direction), clock, omega, **options)
+        turn = t.estimate / t.mean
+        balance = (
+            (4.0 / np.pi)
+            * t.mean
+            * (
+                compensation * law.estimate.coulomb[i] * t.position_per_command * turn / np.abs(turn)
+                - plant.coulomb[i] * t.position_per_force
+            )
+        )
+        real, imag = balance[0].real, balance[0].imag
+        for k in np.flatnonzero(imag[:-1] * imag[1:] < 0.0):
+            share = imag[k] / (imag[k] - imag[k + 1])
+            amplitude = real[k] + share * (real[k + 1] - real[k])
+            if amplitude > 0.0:
+                found.append((float(amplitude), float(omega[k] + share * (omega[k + 1] - omega[k]))))
+    if not found:
+        return None
+    amplitude, frequency = max(found)
+    return frequency, amplitude

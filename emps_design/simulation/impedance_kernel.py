@@ -229,10 +229,11 @@ def run_plant(plant, law, reference, hand, release, end, trace, measures):
             slope = 0.5 * (y - y1 - y2 + y3) * per_slope
         y3, y2, y1 = y2, y1, y
         if kind == CASCADE:
-            # L_MASS, L_DAMPING, L_STIFFNESS hold k_e1, k_v1, t_v; the integral stops at the voltage limit.
+            # L_MASS, L_DAMPING, L_STIFFNESS hold k_e1, k_v1, t_v; the integral stops where the voltage does.
+            back = law[L_DAMPING] * speed
             integral += (law[L_MASS] * external - speed) * period * law[L_DAMPING] / law[L_STIFFNESS]
-            integral = min(max(integral, -limit), limit)
-            command = gain * (integral - law[L_DAMPING] * speed)
+            integral = min(max(integral, back - limit), back + limit)
+            command = gain * (integral - back)
         else:
             viscous = coulomb = 0.0
             if speed > 0.0:

@@ -1,0 +1,90 @@
+"""The co-manipulation scenario: an operator guides the carriage under the impedance law, then lets it go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from emps_design.axis import Axis
+from emps_design.control.impedance import ImpedanceLaw, impedance_law, left_out
+from emps_design.control.impedance_robustness import VERDICTS
+from emps_design.simulation.impedance_study import MismatchStudy, mismatch_study
+from emps_design.simulation.impedance_task import Task, guided_task, pushed_task
+
+MASS, DAMPING = 50.0, 100.0  # M_a [kg] and B [N/(m/s)] of the paper's experiments, section IV-B
+
+
+@dataclass(frozen=True)
+class Comanipulation:
+    """Result of :func:`run_comanipulation`: the worst plant's verdict, and the transparency of the exact law."""
+
+    law: ImpedanceLaw
+    nominal: MismatchStudy
+    study: MismatchStudy
+    warnings: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Keys of the contract, and under ``study`` all of the mismatch study.
+
+        ``verdict`` is that of the worst plant tried, ``nominal_verdict`` that without mismatch; ``transparency`` is
+        the law's without mismatch: apparent mass [kg] and damping [N/(m/s)] from force regressed on acceleration and
+        velocity in motion, r2 about zero, and error, the rms relative error of the impedance over 0-20 rad/s.
+        """
+        exact = self.nominal.plant(0)
+        return {
+            "scenario": "comanipulation",
+            "verdict": VERDICTS[self.study.verdict.max()],
+            "nominal_verdict": exact["verdict"],
+            "transparency": {name: exact[name] for name in ("apparent_mass", "apparent_damping", "r2", "error")},
+            "peak_voltage": exact["peak_voltage"],
+            "effort": exact["effort"],
+            "seed": self.study.seed,
+            "plants": self.study.plants,
+            "mismatch": self.study.mismatch,
+            "task": self.study.task,
+            "law": self.law.to_dict(),
+            "study": self.study.to_dict(),
+            "warnings": list(self.warnings),
+        }
+
+
+def run_comanipulation(
+    axis: Axis,
+    mismatch: float = 0.02,
+    seed: int = 0,
+    plants: int = 200,
+    mass: float | None = None,
+    damping: float | None = None,
+    filter: float | None = None,
+    force: float | None = None,
+    duration: float = 10.0,
+    two_quadrant: bool | None = None,
+    workers: int = 1,
+    progress: Callable[[str, float], None] | None = None,
+    **options: Any,
+) -> Comanipulation:
+    """Simulate the co-manipulation task on ``axis`` with estimates off by up to ``mismatch``.
+
+    M_a [kg] and B [N/(m/s)] come from the arguments, else from the axis's impedance controller, else they are the 50 kg
+    and 100 N/(m/s) of the paper's experiments. A compliant hand guides the carriage; ``force`` [N] pushes it to and fro
+    instead. ``options`` go to :class:`ImpedanceLaw` (force_sensor, coulomb_factor, ...).
+
+    >>> from emps_design.machines import machine
+    >>> found = run_comanipulation(machine("emps2018"), mismatch=0.02, plants=0).to_dict()
+    >>> found["verdict"], round(found["transparency"]["apparent_mass"])
+    ('creeping', 50)
+    """
+    controller = axis.controller
+    mass = mass if mass is not None else controller.mass or MASS
+    damping = damping if damping is not None else DAMPING if controller.damping is None else controller.damping
+    law = impedance_law(axis, mass, damping, filter, **options)
+    period = axis.sampling.period
+    task: Task = guided_task(period, duration) if force is None else pushed_task(period, duration, force)
+    nominal = mismatch_study(axis, law, 0.0, 0, seed, False, task)
+    study = mismatch_study(axis, law, mismatch, plants, seed, two_quadrant, task, workers, progress)
+    warnings = tuple(
+        f"effect {kind} is not in the co-manipulation plant (mass, viscous and Coulomb friction, current loop)"
+        for kind in left_out(axis)
+    )
+    return Comanipulation(law, nominal, study, warnings)
