@@ -23,8 +23,9 @@ def command(
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     """Identify the parameters of an axis from one record, or from several with their spread."""
-    from emps_design.cli.output import print_json, write_text
+    from emps_design.cli.output import print_json
     from emps_design.errors import InputError, nearest_name
+    from emps_design.files import write_text
     from emps_design.machines import load_axis
     from emps_design.records import read_record
 
@@ -78,12 +79,13 @@ def _one(estimator, record, axis, options):
 
 
 def _show_one(found) -> None:
+    from rich import box
     from rich.console import Console
     from rich.table import Table
 
     console = Console()
-    table = Table(title=f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}")
-    for heading in ("parameter", "value", "std (15)", "std (16)", "std, correlated", "95 % interval", "unit"):
+    table = Table(title=f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}", box=box.SIMPLE)
+    for heading in ("parameter", "value", "std (15)", "% (16)", "std *", "95 % *", "unit"):
         table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
     for name, estimate in found.parameters.items():
         if not estimate.determined:
@@ -94,9 +96,9 @@ def _show_one(found) -> None:
             name,
             f"{estimate.value:.4f}",
             f"{estimate.std:.4f}",
-            f"{estimate.relative_std_percent:.2f} %" if estimate.relative_std_percent is not None else "",
+            f"{estimate.relative_std_percent:.2f}" if estimate.relative_std_percent is not None else "",
             f"{estimate.std_long_run:.4f}",
-            f"{low:.3f} to {high:.3f}",
+            f"{low:.2f}..{high:.2f}",
             estimate.quantity.unit,
         )
     console.print(table)
@@ -105,18 +107,19 @@ def _show_one(found) -> None:
         f"condition number {found.condition_number:.1f}"
     )
     console.print(
-        f"{found.samples} rows count as {found.residual.effective_samples:.0f} independent ones (residual correlated "
+        f"* {found.samples} rows count as {found.residual.effective_samples:.0f} independent ones (residual correlated "
         f"over {1e3 * found.residual.correlation_time:.0f} ms, HAC lag {found.hac_lag:.2f} s)"
     )
     console.print(f"filter {found.chain}: {found.filter_text}")
 
 
 def _show_several(found) -> None:
+    from rich import box
     from rich.console import Console
     from rich.table import Table
 
     console = Console()
-    table = Table(title=f"{len(found.records)} records, {found.model} model")
+    table = Table(box=box.SIMPLE, title=f"{len(found.records)} records, {found.model} model")
     for heading in ("parameter", "mean", "spread (std)", "mean std, correlated", "drift per record", "unit"):
         table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
     for row in found.table():
@@ -129,7 +132,7 @@ def _show_several(found) -> None:
             row["unit"],
         )
     console.print(table)
-    matrix = Table(title="force error [N rms]: identified on the row's record, judged on the column's")
+    matrix = Table(box=box.SIMPLE, title="force error [N rms]: identified on the row's record, judged on the column's")
     matrix.add_column("")
     for name in found.records:
         matrix.add_column(name, justify="right")

@@ -220,8 +220,8 @@ def hold_chain(record: Record, force_gain: float, cutoff_hz: float | None = None
         band_hz=cutoff_hz,
         decimation=factor,
         text=f"Butterworth order 4 at {cutoff_hz:g} Hz, forwards and backwards, on motion and held force alike; second "
-        f"difference; one sample in {factor}; left out: slower than {1e3 * REST_VELOCITY:g} mm/s, or {1e3 * REACH / cutoff_hz:.0f} ms "
-        "from such a moment",
+        f"difference; one sample in {factor}; left out: slower than {1e3 * REST_VELOCITY:g} mm/s, or "
+        f"{1e3 * REACH / cutoff_hz:.0f} ms from such a moment",
     )
 
 
@@ -254,6 +254,7 @@ def median_of_three(signal: np.ndarray) -> np.ndarray:
 def _second_difference(q: np.ndarray, period: float) -> np.ndarray:
     second = np.zeros_like(q)
     second[1:-1] = (q[2:] - 2.0 * q[1:-1] + q[:-2]) / period**2
+    second[0], second[-1] = second[1], second[-2]
     return second
 
 

@@ -276,9 +276,9 @@ def assemble(
 def residual_statistics(
     filtered: Filtered, W: np.ndarray, fit: LeastSquares, Z: np.ndarray | None = None
 ) -> tuple[np.ndarray, LongRun, int, float]:
-    """Residual [N], its long-run statistics, the HAC lag [rows] (four correlation times, at least 0.1 s), row period [s].
+    """Residual [N], its long-run statistics, the HAC lag [rows] and the period of a row [s].
 
-    The autoregressive model is made of rows away from rest, as far apart as the band resolves (half a period).
+    The lag is four correlation times, at least 0.1 s. The autoregressive model is made of rows away from rest, as far apart as the band resolves (half a period).
     """
     band = filtered.band_hz
     steps = max(1, round(0.5 / (band * filtered.period)))

@@ -1,0 +1,371 @@
+"""External force from motor force and motion: off-line (19), on-line sample by sample, and by a Kalman filter.
+
+``tau_e = W X - tau_m`` with the force positive where it pushes towards +q. The drive holds u over a period, so the
+force that belongs to the second difference of the position around t_k is the mean of the two periods that meet there.
+At rest friction takes up whatever is below break-away: no observer sees it, and none here pretends to.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.effects import Motion
+from emps_design.errors import InputError
+
+DEFAULT_CUTOFF_HZ = 20.0
+REST_VELOCITY = 1e-3  # m/s, below it the sign of the velocity is taken as 0
+
+
+def model_force(motion: Motion, axis: Axis, rest_velocity: float = REST_VELOCITY) -> np.ndarray:
+    """W X of (19), shape (n,) [N]: the force that the axis and its effects without states need for ``motion``.
+
+    Raises :class:`InputError` for an effect that has no regressor: its state is not in the record.
+    """
+    m = axis.mechanics
+    sliding = np.where(np.abs(motion.v) > rest_velocity, np.sign(motion.v), 0.0)
+    force = m.mass * motion.a + m.viscous * motion.v + m.coulomb * motion.smooth(sliding) + m.offset
+    for one in axis.effects:
+        effect = one.effect
+        if effect.regressor is None:
+            raise InputError(f"observer: effect {one.kind} has no force that the motion gives, {effect.no_regressor}")
+        shape = {name: one.parameters[name] for name in effect.shape}
+        force = force + effect.regressor(motion, shape, m.array()) @ effect.coefficients(one.parameters)
+    return force
+
+
+def observe_offline(motion: Motion, motor_force: np.ndarray, axis: Axis) -> np.ndarray:
+    """External force by (19), shape (n,) [N]; ``motion`` and ``motor_force`` (n,) [N] filtered alike, no delay.
+
+    >>> from emps_design.machines import machine
+    >>> still = Motion(*(np.zeros(3) for _ in range(5)), period=1e-3)
+    >>> observe_offline(still, np.zeros(3), machine("emps2018")).tolist()
+    [0.0, 0.0, 0.0]
+    """
+    return model_force(motion, axis) - motor_force
+
+
+def force_from_current(axis: Axis, current: np.ndarray) -> np.ndarray:
+    """Motor force k_t r I_m of (29) from the motor's current [A], shape (n,) [N].
+
+    Needs the data sheet (``reduction`` and ``torque_constant``) in the axis's drive.
+
+    >>> from emps_design.machines import machine
+    >>> sheet = {"force_gain": 35.0, "current_gain": 1.0, "reduction": 350.0, "torque_constant": 0.1}
+    >>> force_from_current(machine("emps2018").replace(drive=sheet), np.array([2.0])).round(6).tolist()
+    [70.0]
+    """
+    drive = axis.drive
+    if drive.reduction is None or drive.torque_constant is None:
+        raise InputError(
+            f"{axis.name}: the force from the current needs drive.reduction [rad/m] and drive.torque_constant [N m/A]; "
+            "give the data sheet's, or observe from the voltage"
+        )
+    return drive.reduction * drive.torque_constant * np.asarray(current, dtype=float)
+
+
+class _Friction:
+    """Force of viscous and dry friction, offset and the axis's effects without states, one sample at a time [N]."""
+
+    def __init__(self, axis: Axis):
+        m = axis.mechanics
+        self._b = tuple(float(x) for x in m.array())
+        self._effects = []
+        for one in axis.effects:
+            effect = one.effect
+            if effect.rate is not None or (effect.force is None and effect.dry is None):
+                raise InputError(f"observer: effect {one.kind} is not a force of the motion; observe without it")
+            self._effects.append((effect.force, effect.dry, tuple(float(x) for x in effect.values(one.parameters))))
+
+    def __call__(self, q: float, v: float, t: float, rest_velocity: float) -> float:
+        _, viscous, level, offset = self._b
+        sign = 0.0 if abs(v) <= rest_velocity else math.copysign(1.0, v)
+        force = viscous * v + offset
+        for static, dry, p in self._effects:
+            force += 0.0 if static is None else static(q, v, t, 0.0, (), p, self._b)
+            level += 0.0 if dry is None else dry(q, v, t, 0.0, (), p, self._b)
+        return force + max(level, 0.0) * sign
+
+
+class ForceObserver:
+    """On-line observer of the paper: (19) with a first-order low-pass, one sample at a time, inside a control loop.
+
+    ``cutoff_hz`` [Hz] of the low-pass, which acts on velocity, current and friction alike: ``y += alpha (x - y)`` with
+    ``alpha = 1 - exp(-2 pi cutoff T)``. ``delay`` [s] is what a slow force arrives late by: one period, because the
+    second difference is centred there, and the filter's own ``(1 - alpha)/alpha`` periods.
+
+    >>> from emps_design.machines import machine
+    >>> observer = ForceObserver(machine("emps2018"), cutoff_hz=20.0)
+    >>> for _ in range(200):
+    ...     force = observer.step(q=0.1, u=0.1)  # at rest, 3.5 N of motor force within dry friction
+    >>> round(force, 3), round(1e3 * observer.delay, 2)
+    (-3.515, 8.47)
+    """
+
+    def __init__(self, axis: Axis, cutoff_hz: float = DEFAULT_CUTOFF_HZ, rest_velocity: float = REST_VELOCITY):
+        period = axis.sampling.period
+        if not 0 < cutoff_hz < 0.5 / period:
+            raise InputError(f"cut-off: found {cutoff_hz:g} Hz, expected between 0 and {0.5 / period:g} Hz")
+        self.axis, self.cutoff_hz, self.rest_velocity = axis, cutoff_hz, rest_velocity
+        self._period, self._gain, self._mass = period, axis.drive.force_gain, axis.mechanics.mass
+        self._friction = _Friction(axis)
+        self._alpha = 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * period)
+        self.reset()
+
+    @property
+    def delay(self) -> float:
+        """By how much a slow force arrives late [s]."""
+        return self._period * (1.0 + (1.0 - self._alpha) / self._alpha)
+
+    @property
+    def rise_time(self) -> float:
+        """10 to 90 % of a step of force [s]."""
+        return -math.log(9.0) * self._period / math.log(1.0 - self._alpha)
+
+    def reset(self) -> None:
+        """Forget the past: the next sample is taken as one of rest."""
+        self._samples, self._q, self._v, self._u, self._force = 0, 0.0, 0.0, 0.0, 0.0
+
+    def step(self, q: float, u: float) -> float:
+        """Take the position ``q`` [m] of this sample and the voltage ``u`` [V] of the period that ends with it.
+
+        Returns the external force [N] as of ``delay`` ago.
+        """
+        v = (q - self._q) / self._period if self._samples else 0.0
+        if self._samples < 2:
+            self._u = u
+        a = (v - self._v) / self._period if self._samples else 0.0
+        middle = 0.5 * (v + self._v) if self._samples else 0.0
+        t = (self._samples - 1) * self._period
+        force = self._mass * a + self._friction(self._q if self._samples else q, middle, t, self.rest_velocity)
+        now = force - self._gain * 0.5 * (u + self._u)
+        self._force = now if self._samples == 0 else self._force + self._alpha * (now - self._force)
+        self._samples, self._q, self._v, self._u = self._samples + 1, q, v, u
+        return self._force
+
+
+class KalmanForceObserver:
+    """Kalman filter with the states position, velocity and external force; the force is a random walk.
+
+    Either ``bandwidth_hz`` [Hz], at which the estimate has fallen to half the power of the force, or ``force_rate``
+    [N/sqrt(s)], how fast the force is expected to change: larger is faster and noisier. ``position_noise`` [m]
+    defaults to that of the encoder's quantisation. The gain is the steady one.
+
+    >>> from emps_design.machines import machine
+    >>> observer = KalmanForceObserver(machine("emps2018"), bandwidth_hz=20.0)
+    >>> round(observer.bandwidth_hz, 2), observer.noise_std < 0.1
+    (20.0, True)
+    """
+
+    def __init__(
+        self,
+        axis: Axis,
+        bandwidth_hz: float | None = None,
+        force_rate: float | None = None,
+        position_noise: float | None = None,
+        rest_velocity: float = REST_VELOCITY,
+    ):
+        if bandwidth_hz is not None and force_rate is not None:
+            raise InputError("Kalman observer: give bandwidth_hz or force_rate, not both")
+        quantisation = axis.sampling.encoder_resolution / math.sqrt(12.0)
+        noise = quantisation if position_noise is None else position_noise
+        if not noise > 0:
+            raise InputError(
+                f"{axis.name}: position noise {noise:g} m; give encoder_resolution in the axis, or position_noise > 0"
+            )
+        self.axis, self.rest_velocity, self.position_noise = axis, rest_velocity, noise
+        self._friction, self._gain = _Friction(axis), axis.drive.force_gain
+        self._period, self._viscous = axis.sampling.period, axis.mechanics.viscous
+        if force_rate is None:
+            bandwidth_hz = DEFAULT_CUTOFF_HZ if bandwidth_hz is None else bandwidth_hz
+            force_rate = _force_rate_for(axis, bandwidth_hz, noise)
+        if not force_rate > 0:
+            raise InputError(f"force rate: found {force_rate:g} N/sqrt(s), expected > 0")
+        self.force_rate = force_rate
+        self._design = _SteadyKalman.of(axis, force_rate, noise)
+        self._rows = [tuple(row) for row in self._design.transition.tolist()]
+        self._push = tuple(self._design.push.tolist())
+        self._correct = tuple(self._design.gain.tolist())
+        self.reset()
+
+    @property
+    def bandwidth_hz(self) -> float:
+        """Frequency at which the estimate has fallen to half of the power of the force [Hz]."""
+        return self._design.bandwidth / (2.0 * math.pi)
+
+    @property
+    def delay(self) -> float:
+        """By how much a slow force arrives late [s]: the slope of the phase from force to estimate at low frequency.
+
+        ``response`` is that to a force held from t_k on, which is a force of half a period later.
+        """
+        w = 1e-2 * self._design.bandwidth
+        return -float(np.angle(self.response(np.array([w]))[0])) / w - 0.5 * self._period
+
+    @property
+    def noise_std(self) -> float:
+        """Standard deviation that the encoder's noise gives the estimate [N]."""
+        return self._design.noise_std
+
+    def response(self, w: np.ndarray) -> np.ndarray:
+        """Transfer from external force, held over each period, to its estimate at ``w`` [rad/s], complex (n,)."""
+        return self._design.response(np.asarray(w, dtype=float))
+
+    def reset(self) -> None:
+        """Forget the past: the next sample is taken as one of rest."""
+        self._state, self._samples = (0.0, 0.0, 0.0), 0
+
+    def step(self, q: float, u: float) -> float:
+        """Take the position ``q`` [m] of this sample and the voltage ``u`` [V] of the period that ends with it.
+
+        Returns the external force [N] as of ``delay`` ago.
+        """
+        if self._samples == 0:
+            self._state = (q, 0.0, 0.0)
+        else:
+            x, v, d = self._state
+            t = (self._samples - 1) * self._period
+            # Viscous friction is in the transition matrix already.
+            drive = self._gain * u - self._friction(x, v, t, self.rest_velocity) + self._viscous * v
+            ahead = [
+                row[0] * x + row[1] * v + row[2] * d + push * drive
+                for row, push in zip(self._rows, self._push, strict=True)
+            ]
+            error = q - ahead[0]
+            self._state = tuple(value + gain * error for value, gain in zip(ahead, self._correct, strict=True))
+        self._samples += 1
+        return self._state[2]
+
+
+def observe_online(observer: ForceObserver | KalmanForceObserver, q: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Run ``observer`` over a record's ``q`` [m] and ``u`` [V], both (n,): the same numbers as in a loop, (n,) [N].
+
+    ``u[k]`` is recorded at the sample from which it is held, so sample k is given ``u[k-1]``.
+    """
+    observer.reset()
+    step = observer.step
+    before = np.concatenate([u[:1], u[:-1]]).tolist()
+    return np.array([step(position, voltage) for position, voltage in zip(q.tolist(), before, strict=True)])
+
+
+def kalman_trade_off(axis: Axis, bandwidths_hz: np.ndarray) -> dict[str, np.ndarray]:
+    """Delay [s] and noise [N] of the Kalman observer for each of ``bandwidths_hz`` [Hz]: faster is noisier."""
+    observers = [KalmanForceObserver(axis, bandwidth_hz=float(one)) for one in bandwidths_hz]
+    return {
+        "bandwidth_hz": np.array([one.bandwidth_hz for one in observers]),
+        "force_rate": np.array([one.force_rate for one in observers]),
+        "delay": np.array([one.delay for one in observers]),
+        "noise_std": np.array([one.noise_std for one in observers]),
+    }
+
+
+@dataclass(frozen=True)
+class SmallestForce:
+    """The smallest force that can be seen: ``value`` [N], the ``bound`` that sets it, and all ``bounds`` [N]."""
+
+    value: float
+    bound: str
+    bounds: dict[str, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        return {"value": self.value, "bound": self.bound, "bounds": self.bounds}
+
+
+def smallest_observable_force(axis: Axis, noise: float, parameter: float) -> SmallestForce:
+    """The largest of three bounds: break-away of a carriage at rest, ``noise`` and ``parameter`` errors [N].
+
+    Break-away is Coulomb friction and, where the axis has them, what its effects add to it at rest.
+
+    >>> from emps_design.machines import machine
+    >>> smallest_observable_force(machine("emps2018"), noise=3.0, parameter=4.0).to_dict()["bound"]
+    'break_away'
+    """
+    b = tuple(float(x) for x in axis.mechanics.array())
+    dry = 0.0
+    for one in axis.effects:
+        if one.effect.dry is not None and one.effect.rate is None:
+            dry += one.effect.dry(0.0, 0.0, 0.0, 0.0, (), tuple(one.effect.values(one.parameters)), b)
+    bounds = {"break_away": float(b[2] + dry), "noise": float(noise), "parameter": float(parameter)}
+    bound = max(bounds, key=lambda name: bounds[name])
+    return SmallestForce(bounds[bound], bound, bounds)
+
+
+@dataclass(frozen=True)
+class _SteadyKalman:
+    """Steady gain of the correction for [q, v, d] over a period, computed in units in which all three are near 1."""
+
+    transition: np.ndarray
+    push: np.ndarray
+    gain: np.ndarray
+    noise: float
+    period: float
+    scale: np.ndarray
+
+    @classmethod
+    def of(cls, axis: Axis, force_rate: float, noise: float) -> _SteadyKalman:
+        from scipy.linalg import expm, solve_discrete_are
+
+        m, T = axis.mechanics, axis.sampling.period
+        continuous = np.zeros((4, 4))
+        continuous[0, 1] = 1.0
+        continuous[1, 1:] = -m.viscous / m.mass, 1.0 / m.mass, 1.0 / m.mass
+        step = expm(continuous * T)
+        a, push = step[:3, :3], step[:3, 3].copy()
+        scale = np.array([noise, noise / T, m.mass * noise / T**2])
+        scaled = a * scale / scale[:, None]
+        walk = np.diag([0.0, 0.0, force_rate**2 * T / scale[2] ** 2])
+        seen = np.array([[1.0], [0.0], [0.0]])
+        p = solve_discrete_are(scaled.T, seen, walk, np.eye(1))
+        gain = p[:, 0] / (p[0, 0] + 1.0)
+        return cls(a, push, gain * scale / noise, noise, T, scale)
+
+    @property
+    def _closed(self) -> np.ndarray:
+        return (np.eye(3) - np.outer(self.gain, [1.0, 0.0, 0.0])) @ self.transition
+
+    @property
+    def noise_std(self) -> float:
+        from scipy.linalg import solve_discrete_lyapunov
+
+        closed = self._closed * self.scale / self.scale[:, None]
+        gain = self.gain * self.noise / self.scale
+        return float(math.sqrt(solve_discrete_lyapunov(closed, np.outer(gain, gain))[2, 2]) * self.scale[2])
+
+    def response(self, w: np.ndarray) -> np.ndarray:
+        z = np.exp(1j * w * self.period)[:, None, None]
+        moved = np.linalg.solve(z * np.eye(2) - self.transition[:2, :2], self.push[:2, None])[:, 0, 0]
+        # The estimator sees q alone: x[k+1] = (I - K C) A x[k] + K q[k+1].
+        heard = self.gain[None, :, None] * z * moved[:, None, None]
+        return np.linalg.solve(z * np.eye(3) - self._closed, heard)[:, 2, 0]
+
+    @property
+    def bandwidth(self) -> float:
+        w = np.geomspace(1e-4, 1.0, 600) * math.pi / self.period
+        size = np.abs(self.response(w))
+        below = np.flatnonzero(size < math.sqrt(0.5))
+        if not below.size or below[0] == 0:
+            return float(w[-1])
+        i = int(below[0])
+        share = (size[i - 1] - math.sqrt(0.5)) / (size[i - 1] - size[i])
+        return float(w[i - 1] + share * (w[i] - w[i - 1]))
+
+
+def _force_rate_for(axis: Axis, bandwidth_hz: float, noise: float) -> float:
+    """Random walk of the force [N/sqrt(s)] whose Kalman filter has the bandwidth [Hz]."""
+    from scipy.optimize import brentq
+
+    w, T = 2.0 * math.pi * bandwidth_hz, axis.sampling.period
+    if not 0 < bandwidth_hz < 0.2 / T:
+        raise InputError(f"bandwidth: found {bandwidth_hz:g} Hz, expected between 0 and {0.2 / T:g} Hz")
+    # Continuous filter of a triple integrator: its bandwidth is near (rate / (mass noise sqrt(T)))^(1/3).
+    guess = math.log(axis.mechanics.mass * noise * math.sqrt(T) * w**3)
+
+    def excess(log_rate: float) -> float:
+        return math.log(_SteadyKalman.of(axis, math.exp(log_rate), noise).bandwidth / w)
+
+    return math.exp(brentq(excess, guess - 6.0, guess + 6.0, xtol=1e-6))

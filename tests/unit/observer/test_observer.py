@@ -1,0 +1,182 @@
+"""Observers against forces that are known."""
+
+import numpy as np
+import pytest
+
+from emps_design.errors import InputError, RecordError
+from emps_design.identification.filters import held_force, low_pass, motion
+from emps_design.identification.observation import direct_validation, observe, with_known_push
+from emps_design.machines import machine
+from emps_design.observer import (
+    ForceObserver,
+    KalmanForceObserver,
+    force_from_current,
+    kalman_trade_off,
+    observe_offline,
+    observe_online,
+    smallest_observable_force,
+)
+from emps_design.records import Record
+from emps_design.simulation import Plant
+
+AXIS = machine("emps2019")
+PERIOD = 1e-3
+
+
+@pytest.fixture(scope="module")
+def pushed():
+    """4 s of sine motion with a 30 N square wave from outside."""
+    t = np.arange(4000) * PERIOD
+    q_ref = 0.03 * (1 - np.cos(2 * np.pi * 0.4 * t))
+    push = np.where((t % 0.8) < 0.4, 30.0, 0.0)
+    run = Plant.of(AXIS).closed_loop(q_ref, disturbance=push)
+    return Record(t=t, q_ref=q_ref, q=run.q, u=run.u, f_ext=push, period=PERIOD, name="pushed")
+
+
+@pytest.mark.parametrize("make", [ForceObserver, KalmanForceObserver])
+def test_loop_and_array_give_identical_numbers(pushed, make):
+    observer = make(AXIS)
+    force = observe_online(observer, pushed.q, pushed.u)
+    again = make(AXIS)
+    one_by_one = [again.step(pushed.q[k], pushed.u[max(k - 1, 0)]) for k in range(len(pushed))]
+    assert force.tolist() == one_by_one
+
+
+def test_online_is_causal(pushed):
+    """What comes later changes nothing that was said before."""
+    observer, cut = ForceObserver(AXIS), 2000
+    u, q = pushed.u.copy(), pushed.q.copy()
+    u[cut:], q[cut:] = 5.0, 0.0
+    before = observe_online(observer, pushed.q, pushed.u)[:cut]
+    assert before.tolist() == observe_online(observer, q, u)[:cut].tolist()
+
+
+@pytest.mark.parametrize(
+    "observer",
+    [ForceObserver(AXIS), ForceObserver(AXIS, cutoff_hz=5.0), KalmanForceObserver(AXIS, bandwidth_hz=40.0)],
+    ids=["low-pass 20 Hz", "low-pass 5 Hz", "kalman 40 Hz"],
+)
+def test_stated_delay_is_that_of_a_ramp(observer):
+    """A force that rises steadily is seen late by the delay that the observer states, to a fifth of a sample."""
+    n, slope = 1500, 40.0
+    t = np.arange(n) * PERIOD
+    run = Plant.of(AXIS.replace(sampling={"encoder_resolution": 0.0})).open_loop(
+        np.full(n, 2.0), disturbance=slope * (t + 0.5 * PERIOD), v0=0.15
+    )
+    seen = observe_online(observer, run.position, run.u)[1000:]
+    assert np.mean(t[1000:] - seen / slope) == pytest.approx(observer.delay, abs=0.2 * PERIOD)
+
+
+def test_rise_time_is_that_of_the_step_answer():
+    observer = ForceObserver(AXIS, cutoff_hz=10.0)
+    assert observer.rise_time == pytest.approx(2.2 / (2 * np.pi * 10.0), rel=0.01)
+
+
+def test_observers_find_the_push(pushed):
+    found = observe(pushed, AXIS)
+    # Sliding for 0.1 s and more, and 0.1 s from every edge of the push.
+    calm = np.convolve(np.abs(np.gradient(pushed.q, PERIOD)) < 0.01, np.ones(200), "same") == 0
+    calm &= np.convolve(np.abs(np.gradient(pushed.f_ext)) > 0, np.ones(200), "same") == 0
+    calm[-100:] = False
+    assert np.sum(calm) > 400
+    for name, limit in (("offline", 0.5), ("online", 0.5), ("kalman", 0.5)):
+        steps = found.methods[name].steps
+        error = (found.methods[name].force - pushed.f_ext)[calm]
+        assert np.sqrt(np.mean(error**2)) < limit, name
+        assert abs(steps.plateau_error_percent) < 2.0, name
+    assert abs(found.methods["offline"].steps.delay) < 1e-3
+    assert found.methods["online"].steps.delay > 3e-3
+    assert set(found.to_dict()["online"]) >= {"rms_error", "delay", "smallest_observable_force"}
+
+
+def test_offline_is_the_exact_inverse_of_the_hold(pushed):
+    """Without the hold modelled the error of (19) grows at every edge of the voltage."""
+    gain, seen = AXIS.drive.force_gain, motion(pushed, 60.0)
+    held = observe_offline(seen, held_force(pushed, gain, 60.0), AXIS)
+    late = observe_offline(seen, low_pass(gain * pushed.u, 60.0, PERIOD), AXIS)
+    truth = low_pass(0.5 * (pushed.f_ext + np.roll(pushed.f_ext, 1)), 60.0, PERIOD)
+    away = np.abs(seen.v) > 0.01
+    assert np.std((held - truth)[away]) < np.std((late - truth)[away])
+
+
+def test_two_quadrant_axis_is_observed_with_its_effect():
+    axis = machine("emps2018-two-quadrant").replace(drive={"current_time_constant": 0.0}, controller={
+        "kind": "position_pd", "kp": 100.0, "kv": 300.0})  # fmt: skip
+    t = np.arange(3000) * PERIOD
+    run = Plant.of(axis).closed_loop(0.03 * (1 - np.cos(2 * np.pi * 0.5 * t)))
+    record = Record(t=t, q_ref=run.q_ref, q=run.q, u=run.u, f_ext=np.zeros(3000), period=PERIOD, name="free")
+    for result in observe(record, axis).methods.values():
+        sliding = np.abs(run.v) > 0.02
+        assert np.sqrt(np.mean(result.force[sliding] ** 2)) < 1.0
+
+
+def test_kalman_bandwidth_is_what_was_asked_and_noise_grows_with_it():
+    table = kalman_trade_off(AXIS, np.array([10.0, 30.0, 90.0]))
+    np.testing.assert_allclose(table["bandwidth_hz"], [10.0, 30.0, 90.0], rtol=1e-3)
+    assert np.all(np.diff(table["noise_std"]) > 0)
+    assert np.all(np.diff(table["delay"]) < 0)
+
+
+def test_kalman_noise_is_that_of_simulation():
+    observer = KalmanForceObserver(AXIS, bandwidth_hz=60.0)
+    noise = observer.position_noise * np.random.default_rng(0).standard_normal(60000)
+    # Far above rest velocity in the state, the friction is constant; take it out by observing a sliding carriage.
+    speed, n = 0.1, 60000
+    hold = AXIS.mechanics.viscous * speed + AXIS.mechanics.coulomb + AXIS.mechanics.offset
+    q = speed * PERIOD * np.arange(n) + noise
+    force = observe_online(observer, q, np.full(n, hold / AXIS.drive.force_gain))[5000:]
+    assert np.std(force) == pytest.approx(observer.noise_std, rel=0.05)
+
+
+def test_force_from_current_is_that_from_voltage():
+    sheet = {"force_gain": 35.0, "current_gain": 2.0, "reduction": 250.0, "torque_constant": 0.07}
+    axis = AXIS.replace(drive=sheet)
+    voltage = np.array([0.5, -1.0])
+    np.testing.assert_allclose(force_from_current(axis, 2.0 * voltage), 35.0 * voltage)
+    with pytest.raises(InputError, match=r"needs drive\.reduction"):
+        force_from_current(AXIS, voltage)
+
+
+def test_smallest_force_is_the_largest_bound():
+    stribeck = {"kind": "stribeck_friction", "excess": 3.0, "stribeck_velocity": 0.01, "exponent": 1.0}
+    axis = AXIS.replace(effects=[stribeck])
+    found = smallest_observable_force(axis, noise=5.0, parameter=1.0)
+    assert found.bound == "break_away"
+    assert found.value == pytest.approx(AXIS.mechanics.coulomb + 3.0)
+    assert smallest_observable_force(AXIS, noise=50.0, parameter=1.0).bound == "noise"
+
+
+def test_direct_validation_beats_the_cross_one(pushed):
+    """(21)-(23): parameters from the same record leave less than parameters from elsewhere."""
+    wrong = AXIS.replace(mechanics={"viscous": 230.0})
+    direct = direct_validation(pushed, AXIS, model="symmetric", chain="hold", cutoff_hz=40.0)
+    cross = observe(pushed, wrong, offline_cutoff_hz=40.0).methods["offline"]
+    assert direct.rms_error < cross.steps.rms_error_away_from_edges
+
+
+def test_with_known_push_moves_it_from_the_voltage_to_the_outside(pushed):
+    moved = with_known_push(pushed, np.ones(len(pushed)), 35.0)
+    np.testing.assert_allclose(moved.u, pushed.u - 1.0)
+    np.testing.assert_allclose(moved.f_ext, 35.0)
+
+
+def test_refusals(pushed):
+    with pytest.raises(InputError, match="cut-off: found 600 Hz"):
+        ForceObserver(AXIS, cutoff_hz=600.0)
+    with pytest.raises(InputError, match="bandwidth_hz or force_rate, not both"):
+        KalmanForceObserver(AXIS, bandwidth_hz=20.0, force_rate=1.0)
+    with pytest.raises(InputError, match=r"bandwidth: found 300 Hz"):
+        KalmanForceObserver(AXIS, bandwidth_hz=300.0)
+    with pytest.raises(InputError, match=r"force rate: found -1"):
+        KalmanForceObserver(AXIS, force_rate=-1.0)
+    with pytest.raises(InputError, match="give encoder_resolution"):
+        KalmanForceObserver(AXIS.replace(sampling={"encoder_resolution": 0.0}))
+    flexible = {"kind": "flexible_coupling", "frequency": 40.0, "damping": 0.05, "share": 0.4}
+    with pytest.raises(InputError, match="effect flexible_coupling"):
+        observe(pushed, AXIS.replace(effects=[flexible]))
+    with pytest.raises(InputError, match="flexible_coupling is not a force of the motion"):
+        ForceObserver(AXIS.replace(effects=[flexible]))
+    with pytest.raises(RecordError, match=r"0\.1 s long, expected at least 1 s"):
+        observe(pushed.part(0, 100), AXIS)
+    with pytest.raises(RecordError, match="no measured external force"):
+        direct_validation(with_known_push(pushed, np.zeros(len(pushed)), 1.0), AXIS)
