@@ -14,6 +14,8 @@ from emps_design.errors import SimulationError
 from emps_design.records import Record
 from emps_design.simulation import Plant
 
+LOOSE = 1e5  # times the integrator's tolerance: force within 1e-3 N, a thousandth of any noise here, four times faster
+BOLDEST = 0.5  # largest step of a fit, in scales of the parameter: a period must not jump over its neighbours
 WORST = 1e12  # cost of a model that cannot be simulated: finite, so that a fit steps back from it
 
 
@@ -48,15 +50,21 @@ class Problem:
     def plant(self, model: Candidate) -> Plant:
         """The compiled plant with the effects of ``model``, made once a set."""
         if model.names not in self.plants:
-            smooth = self.axis.replace(sampling={"encoder_resolution": 0.0})
-            self.plants[model.names] = Plant.of(model.to_axis(smooth))
+            self.plants[model.names] = Plant.of(model.to_axis(self.axis))
         return self.plants[model.names]
 
     def runs(self, model: Candidate) -> tuple[Any, ...]:
         """Closed-loop simulations from ``q_ref`` alone, one a record."""
         plant = self.plant(model)
         return tuple(
-            plant.closed_loop(r.q_ref, baseline=model.baseline, parameters=model.parameters(i), q0=float(r.q[0]))
+            plant.closed_loop(
+                r.q_ref,
+                baseline=model.baseline,
+                parameters=model.parameters(i),
+                q0=float(r.q[0]),
+                quantise=False,
+                tolerance=LOOSE,
+            )
             for i, r in enumerate(self.records)
         )
 
@@ -139,7 +147,7 @@ def fit(problem: Problem, start: Candidate, part: str = "fit", frozen: bool = Fa
             lhs = normal[np.ix_(free, free)] + damping * np.diag(np.diag(normal)[free] + 1e-9)
             move = np.zeros_like(x)
             move[free] = -np.linalg.lstsq(lhs, gradient[free], rcond=None)[0]
-            trial_x = np.clip(x + np.clip(move, -2.0, 2.0), lower, upper)
+            trial_x = np.clip(x + np.clip(move, -BOLDEST, BOLDEST), lower, upper)
             trial = model.with_vector(slots, trial_x * scale)
             trial_residual = residual(trial)
             if trial_residual is not None and float(trial_residual @ trial_residual) < cost:

@@ -1,7 +1,8 @@
 """Where to start fitting an effect: shapes from its own proposals or starts, linear parameters by regression.
 
-Every start is judged in closed loop: its whitened residual, free of what the baseline could absorb, is what a refit of
-the baseline would leave to first order. That costs one simulation a start and needs no regressor.
+Every start is judged in closed loop by one simulation. What it changes in the whitened residual is the effect's
+*signature*; free of what re-adjusting the present model absorbs, the share of the residual along the signature is what
+a fit would gain to first order, whatever the amplitude. That needs no regressor.
 """
 
 from __future__ import annotations
@@ -13,62 +14,71 @@ import numpy as np
 
 from emps_design.discrepancy.candidate import Candidate
 from emps_design.discrepancy.missing_force import MissingForce
-from emps_design.discrepancy.problem import Problem
+from emps_design.discrepancy.problem import Fit, Problem
 from emps_design.effects import Effect
 from emps_design.errors import SimulationError
 
 
 @dataclass(frozen=True)
 class Start:
-    """A model to start a fit from, and the whitened cost it leaves once the model before it has been re-adjusted."""
+    """A model to start a fit from, its first-order ``gain`` in whitened cost, and its unit ``signature`` (n,)."""
 
     model: Candidate
-    cost: float
+    gain: float
+    signature: np.ndarray
 
 
 @dataclass(frozen=True)
 class Tangent:
-    """What re-adjusting a fitted model can absorb: an orthonormal basis (n, k) of its whitened sensitivities."""
+    """The whitened residual (n,) of a fitted model and an orthonormal basis (n, k) of what re-adjusting it absorbs."""
 
+    residual: np.ndarray
     basis: np.ndarray
-    masks: tuple[np.ndarray, ...]
 
-    def cost(self, innovations: tuple[np.ndarray, ...]) -> float:
-        """Sum of squares of ``innovations`` outside the basis."""
-        r = np.concatenate([w[m] for w, m in zip(innovations, self.masks, strict=True)])
-        inside = self.basis.T @ r
-        return float(r @ r - inside @ inside)
+    def free(self, vector: np.ndarray) -> np.ndarray:
+        """``vector`` (n,) without its part inside the basis."""
+        return vector - self.basis @ (self.basis.T @ vector)
 
 
-def tangent(problem: Problem, model: Candidate, part: str = "fit") -> Tangent:
-    """Finite-difference sensitivities of the whitened residual to the free numbers of ``model``."""
-    masks, slots = problem.masks(part), model.slots()
+def tangent(problem: Problem, current: Fit, part: str = "fit") -> Tangent:
+    """Finite-difference sensitivities of the whitened residual to the free numbers of ``current``."""
+    model, slots = current.model, current.model.slots()
     x = model.vector(slots)
-    base = problem.whitened(model)
+    base = gather(problem, current.innovations, part)
     columns = []
     for k, slot in enumerate(slots):
         step = 1e-3 * slot.scale * (1 if x[k] + 1e-3 * slot.scale <= slot.quantity.upper else -1)
         moved = x.copy()
         moved[k] += step
-        shifted = problem.whitened(model.with_vector(slots, moved))
-        columns.append(np.concatenate([(s - b)[m] for s, b, m in zip(shifted, base, masks, strict=True)]))
+        columns.append(gather(problem, problem.whitened(model.with_vector(slots, moved)), part) - base)
     u, s, _ = np.linalg.svd(np.column_stack(columns), full_matrices=False)
-    return Tangent(u[:, s > 1e-9 * s[0]], masks)
+    basis = u[:, s > 1e-9 * s[0]]
+    return Tangent(base - basis @ (basis.T @ base), basis)
+
+
+def gather(problem: Problem, signals: tuple[np.ndarray, ...], part: str) -> np.ndarray:
+    """The samples of ``part`` of one signal a record, in one vector."""
+    return np.concatenate([signal[mask] for signal, mask in zip(signals, problem.masks(part), strict=True)])
 
 
 def starts(
-    problem: Problem, model: Candidate, effect: Effect, missing: tuple[MissingForce, ...], absorbed: Tangent, keep: int
+    problem: Problem, current: Fit, effect: Effect, missing: tuple[MissingForce, ...], absorbed: Tangent
 ) -> list[Start]:
-    """Return the ``keep`` best starts of ``model`` with ``effect`` added, best first."""
-    ranked = []
-    for values in _values(problem, model, effect, missing):
-        trial = model.with_effect(effect, values)
+    """Return the starts of ``current`` with ``effect`` added, the one with the largest gain first."""
+    base, found = gather(problem, current.innovations, "fit"), []
+    for values in _values(problem, current.model, effect, missing):
+        trial = current.model.with_effect(effect, values)
         try:
-            ranked.append(Start(trial, absorbed.cost(problem.whitened(trial))))
+            change = absorbed.free(gather(problem, problem.whitened(trial), "fit") - base)
         except SimulationError:
             continue
-    ranked.sort(key=lambda start: start.cost)
-    return ranked[:keep]
+        size = float(np.linalg.norm(change))
+        if size > 0:
+            signature = change / size
+            # The residual falls when the signature points against it; an effect of the wrong sign gains nothing.
+            along = float(absorbed.residual @ signature)
+            found.append(Start(trial, along**2 if along < 0 else 0.0, signature))
+    return sorted(found, key=lambda start: -start.gain)
 
 
 def _values(problem: Problem, model: Candidate, effect: Effect, missing: tuple[MissingForce, ...]) -> list[np.ndarray]:
