@@ -170,7 +170,7 @@ class SampledVelocityLoop:
         """First frequency where the velocity estimate has fallen to -3 dB [rad/s]; None if unstable."""
         if not self.stable:
             return None
-        from emps_design.control.velocity_loop import MINUS_3_DB
+        from emps_design.control.gains import MINUS_3_DB
 
         grid = self.plant.frequencies()
         below = np.nonzero(np.abs(self.closed_loop_response(grid)) < MINUS_3_DB)[0]

@@ -14,93 +14,38 @@ the former and ``bandwidth`` the latter, with -3 dB taken as the ratio 10^(-3/20
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from emps_design.axis import Axis
+from emps_design.control.gains import (
+    binding_limit,
+    crossover_of_bandwidth,
+    feasible_phase_margin,
+    second_order_bandwidth,
+    velocity_gains,
+)
 from emps_design.control.margins import Margins
-from emps_design.errors import InputError, SpecificationError
+from emps_design.control.specification import check_specification, in_words, nearest_that_works
+from emps_design.errors import SpecificationError
 
 if TYPE_CHECKING:
     import control
 
     from emps_design.control.sampled import SampledVelocityLoop
 
-MINUS_3_DB = 10.0 ** (-3.0 / 20.0)
-
-
-def feasible_phase_margin(mass: float, viscous: float, crossover: float) -> tuple[float, float]:
-    """Return the open interval of phase margins [deg] that (7) can give at ``crossover`` [rad/s].
-
-    Below atan(F_v / (M w)) the gain k_v1 would be negative, at 90 deg infinite. ``mass`` [kg], ``viscous`` [N/(m/s)].
-
-    >>> low, high = feasible_phase_margin(115.7315, 474.9727, 100.0)
-    >>> round(low, 3), high
-    (2.35, 90.0)
-    """
-    return math.degrees(math.atan2(viscous, mass * crossover)), 90.0
-
-
-def velocity_gains(
-    mass: float, viscous: float, force_gain: float, crossover: float, phase_margin_deg: float
-) -> tuple[float, float]:
-    """Return k_v1 [V/(m/s)] and t_v [s] that put the crossover and the phase margin of T_vo where asked, (7).
-
-    ``mass`` [kg], ``viscous`` [N/(m/s)], ``force_gain`` [N/V], ``crossover`` [rad/s], ``phase_margin_deg`` [deg]
-    inside :func:`feasible_phase_margin`; :class:`SpecificationError` outside.
-
-    >>> k_v1, t_v = velocity_gains(115.7315, 474.9727, 35.15, 100.0, 60.0)
-    >>> round(k_v1, 3), round(t_v, 8)
-    (556.766, 0.00845505)
-    """
-    low, high = feasible_phase_margin(mass, viscous, crossover)
-    if not low < phase_margin_deg < high:
-        raise _infeasible(mass, viscous, crossover, phase_margin_deg)
-    phase = math.radians(phase_margin_deg)
-    k_v1 = (mass * crossover * math.tan(phase) - viscous) / force_gain
-    return k_v1, k_v1 * force_gain * math.cos(phase) / (mass * crossover**2)
-
-
-def canonical_form(crossover: float, phase_margin_deg: float) -> tuple[float, float]:
-    """Return omega_0v [rad/s] and z_v [-] of (9); they depend on the specification alone, not on the machine.
-
-    >>> w0, z = canonical_form(100.0, 60.0)
-    >>> round(w0, 2), round(z, 5)
-    (141.42, 0.61237)
-    """
-    phase = math.radians(phase_margin_deg)
-    return crossover / math.sqrt(math.cos(phase)), math.sin(phase) / (2.0 * math.sqrt(math.cos(phase)))
-
-
-def second_order_bandwidth(omega_0v: float, z_v: float) -> float:
-    """Return the frequency [rad/s] where (9) has fallen to -3 dB, the ratio 10^(-3/20).
-
-    >>> round(second_order_bandwidth(*canonical_form(100.0, 60.0)), 2)
-    159.9
-    """
-    slope = 1.0 - 2.0 * z_v**2
-    root = math.sqrt(slope**2 + MINUS_3_DB**-2 - 1.0)
-    # Two ways to write the positive root; each keeps its digits on its side.
-    x = slope + root if slope >= 0.0 else (MINUS_3_DB**-2 - 1.0) / (root - slope)
-    return omega_0v * math.sqrt(x)
-
-
-def crossover_of_bandwidth(bandwidth: float, phase_margin_deg: float) -> float:
-    """Return the crossover [rad/s] whose closed loop has the -3 dB ``bandwidth`` [rad/s] at that phase margin.
-
-    >>> round(crossover_of_bandwidth(159.898, 60.0), 2)
-    100.0
-    """
-    return bandwidth / second_order_bandwidth(*canonical_form(1.0, phase_margin_deg))
-
 
 @dataclass(frozen=True)
 class VelocityLoopDesign:
     """Gains of the velocity loop, what was asked, and what is achieved at each place where the loop can be broken.
 
-    ``k_v1`` [V/(m/s)], ``t_v`` [s]; ``requested`` holds the specification as given; ``retuned`` says that the gains
-    come from the sampled loop instead of (7); ``velocity`` [m/s] is where the effects of the axis are linearised.
+    ``k_v1`` [V/(m/s)], ``t_v`` [s]; ``requested`` holds the specification as given; ``retuned_at`` names the place
+    at which the sampled loop meets it, "" for gains from (7); ``velocity`` [m/s] is where the effects of the axis are
+    linearised.
 
     >>> from emps_design.machines import machine
     >>> design = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)
@@ -114,7 +59,7 @@ class VelocityLoopDesign:
     k_v1: float
     t_v: float
     requested: dict[str, float]
-    retuned: bool = False
+    retuned_at: str = ""
     velocity: float = 0.1
 
     @property
@@ -213,6 +158,13 @@ class VelocityLoopDesign:
         mechanics = self.axis.mechanics
         return control.tf([1.0], [mechanics.mass / self.K_v, self.t_v + mechanics.viscous / self.K_v, 1.0])
 
+    @cached_property
+    def nearest_stable(self) -> dict[str, Any]:
+        """The nearest specification whose sampled loop is stable; the request itself where that is."""
+        if self.sampled.stable:
+            return dict(self.requested)
+        return nearest_that_works(_works(self.axis, self.requested, self.velocity), self.requested)
+
     def controller_table(self) -> dict[str, Any]:
         """The ``[controller]`` table of the axis file that runs this design."""
         return {
@@ -222,13 +174,23 @@ class VelocityLoopDesign:
             "velocity_estimator": self.axis.controller.velocity_estimator,
         }
 
+    def _implementation(self) -> dict[str, Any]:
+        from emps_design.control.implementation import difference_equation, encoder_voltage_noise, largest_velocity_step
+
+        stable = self.sampled.stable
+        return {
+            "difference_equation": difference_equation(self.axis, self.k_v1, self.t_v).to_dict(),
+            "largest_velocity_step": largest_velocity_step(self.axis, self.sampled) if stable else None,
+            "encoder_voltage_noise": encoder_voltage_noise(self.axis, self.sampled) if stable else None,
+        }
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data with the keys of the contract."""
-        sampled = self.sampled.to_dict()
         return {
             "axis": self.axis.name,
             "requested": dict(self.requested),
-            "retuned": self.retuned,
+            "retuned": bool(self.retuned_at),
+            "retuned_at": self.retuned_at or None,
             "k_v1": self.k_v1,
             "t_v": self.t_v,
             "K_v": self.K_v,
@@ -240,7 +202,8 @@ class VelocityLoopDesign:
             "feasible_phase_margin_deg": list(self.feasible_phase_margin_deg),
             "velocity_error": self.velocity_error.to_dict(),
             "plant_input": self.plant_input.to_dict(),
-            "sampled": sampled,
+            "sampled": self.sampled.to_dict(),
+            **self._implementation(),
             "warnings": list(self.warnings),
         }
 
@@ -265,29 +228,16 @@ def design_velocity_loop(
     100.0
     """
     requested = check_specification(crossover, bandwidth, phase_margin_deg)
-    mechanics, drive = axis.mechanics, axis.drive
-    if crossover is None:
-        if not 0.0 < phase_margin_deg < 90.0:
-            raise _infeasible(mechanics.mass, mechanics.viscous, float(bandwidth), phase_margin_deg, "bandwidth")
-        crossover = crossover_of_bandwidth(float(bandwidth), phase_margin_deg)
-    low, high = feasible_phase_margin(mechanics.mass, mechanics.viscous, crossover)
-    if "bandwidth" in requested and not low < phase_margin_deg < high:
-        raise _infeasible(mechanics.mass, mechanics.viscous, requested["bandwidth"], phase_margin_deg, "bandwidth")
-    k_v1, t_v = velocity_gains(mechanics.mass, mechanics.viscous, drive.force_gain, crossover, phase_margin_deg)
+    mechanics = axis.mechanics
+    if not 0.0 < phase_margin_deg < 90.0:
+        raise _infeasible(axis, requested)
+    if bandwidth is not None:
+        crossover = crossover_of_bandwidth(bandwidth, phase_margin_deg)
+    w = float(crossover or 0.0)
+    if phase_margin_deg <= feasible_phase_margin(mechanics.mass, mechanics.viscous, w)[0]:
+        raise _infeasible(axis, requested)
+    k_v1, t_v = velocity_gains(mechanics.mass, mechanics.viscous, axis.drive.force_gain, w, phase_margin_deg)
     return VelocityLoopDesign(axis, k_v1, t_v, requested, velocity=velocity)
-
-
-def check_specification(crossover: float | None, bandwidth: float | None, phase_margin_deg: float) -> dict[str, float]:
-    """Return the specification as a dict of what was given, or raise :class:`InputError`."""
-    if (crossover is None) == (bandwidth is None):
-        found = "neither" if crossover is None else "both"
-        raise InputError(f"specification: found {found} of crossover and bandwidth, expected exactly one [rad/s]")
-    name, value = ("crossover", crossover) if crossover is not None else ("bandwidth", bandwidth)
-    if not math.isfinite(value) or value <= 0.0:
-        raise InputError(f"{name}: found {value:g} rad/s, expected a positive number of rad/s")
-    if not math.isfinite(phase_margin_deg):
-        raise InputError(f"phase margin: found {phase_margin_deg:g} deg, expected a number of degrees between 0 and 90")
-    return {name: float(value), "phase_margin_deg": float(phase_margin_deg)}
 
 
 def _positive_root(a: float, b: float, c: float) -> float:
@@ -302,35 +252,31 @@ def _continuous_margins(crossover: float, phase: float) -> Margins:
     )
 
 
-def _infeasible(
-    mass: float, viscous: float, frequency: float, phase_margin_deg: float, name: str = "crossover"
-) -> SpecificationError:
+def _works(
+    axis: Axis, requested: dict[str, float], velocity: float = 0.1
+) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Tell for arrays of pairs like ``requested`` whether (7) has gains and the sampled loop is stable with them."""
+    from emps_design.control.discretisation import sample_axis
+    from emps_design.control.sweeps import sweep_stability, sweep_velocity_loop
+
+    plant = sample_axis(axis, velocity)
+
+    def works(frequency: np.ndarray, phase: np.ndarray) -> np.ndarray:
+        if "bandwidth" in requested:
+            pairs = zip(frequency.tolist(), phase.tolist(), strict=True)
+            frequency = np.array([crossover_of_bandwidth(w, angle) for w, angle in pairs])
+        sweep = sweep_velocity_loop(axis, frequency, phase)
+        return sweep_stability(plant, sweep.k_v1, sweep.t_v)
+
+    return works
+
+
+def _infeasible(axis: Axis, requested: dict[str, float]) -> SpecificationError:
     """The error for a pair outside the feasible range: which limit binds, and the nearest pair that works."""
-
-    def lowest(w: float, phase: float) -> bool:
-        crossover = w if name == "crossover" else crossover_of_bandwidth(w, phase)
-        return feasible_phase_margin(mass, viscous, crossover)[0] < phase
-
-    low = next((phase for phase in (0.1 * n for n in range(1, 900)) if lowest(frequency, phase)), 89.9)
-    nearest: dict[str, Any] = {name: frequency}
-    if phase_margin_deg >= 90.0:
-        nearest["phase_margin_deg"] = 89.0
-        limit = "the upper limit binds: at 90 deg k_v1 is infinite"
-    else:
-        nearest["phase_margin_deg"] = round(low, 1)
-        limit = (
-            f"the lower limit binds: below atan(F_v/(M w)) = {math.degrees(math.atan2(viscous, mass * frequency)):.4g}"
-            " deg k_v1 is not positive"
-            if name == "crossover"
-            else "the lower limit binds: below atan(F_v/(M w)) k_v1 is not positive"
-        )
-    if 0.0 < phase_margin_deg < 90.0:
-        scale = viscous / (mass * math.tan(math.radians(phase_margin_deg)))
-        if name == "bandwidth":
-            scale /= crossover_of_bandwidth(1.0, phase_margin_deg)
-        nearest["or"] = {name: 1.01 * scale, "phase_margin_deg": phase_margin_deg}
+    name, phase = next(iter(requested)), requested["phase_margin_deg"]
+    nearest = nearest_that_works(_works(axis, requested), requested)
     return SpecificationError(
-        f"phase margin: found {phase_margin_deg:g} deg at {name} {frequency:g} rad/s; {limit}; "
-        f"nearest that works: {nearest['phase_margin_deg']:g} deg at {frequency:g} rad/s",
+        f"phase margin: found {phase:g} deg at a {name} of {requested[name]:g} rad/s; {binding_limit(phase)}; "
+        f"{in_words(nearest)} (sampled loop stable)",
         nearest,
     )

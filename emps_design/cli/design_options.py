@@ -1,0 +1,42 @@
+"""Options that the design commands share: the specification, and numbers instead of the axis's own."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from emps_design.axis import Axis
+
+AxisArgument = Annotated[str, typer.Argument(help="TOML file or embedded machine")]
+Crossover = Annotated[float | None, typer.Option(help="crossover w_v of T_vo [rad/s]")]
+Bandwidth = Annotated[float | None, typer.Option(help="closed-loop -3 dB of T_vc [rad/s]")]
+PhaseMargin = Annotated[float, typer.Option(help="phase margin phi_v [deg]")]
+Velocity = Annotated[float, typer.Option(help="where the effects of the axis are linearised [m/s]")]
+AsJson = Annotated[bool, typer.Option("--json", help="one JSON document on standard output")]
+
+Mass = Annotated[float | None, typer.Option(help="instead of the axis's [kg]")]
+Viscous = Annotated[float | None, typer.Option(help="instead of the axis's [N/(m/s)]")]
+Coulomb = Annotated[float | None, typer.Option(help="instead of the axis's [N]")]
+ForceGain = Annotated[float | None, typer.Option(help="instead of the axis's [N/V]")]
+VoltageLimit = Annotated[float | None, typer.Option(help="instead of the axis's [V]")]
+CurrentTimeConstant = Annotated[float | None, typer.Option(help="instead of the axis's [s]")]
+Period = Annotated[float | None, typer.Option(help="instead of the axis's [s]")]
+EncoderResolution = Annotated[float | None, typer.Option(help="instead of the axis's [m]")]
+ComputationDelay = Annotated[int | None, typer.Option(help="instead of the axis's [samples]")]
+Estimator = Annotated[str | None, typer.Option(help="two_tap or backward")]
+
+
+def with_numbers(axis: Axis, **tables: dict[str, Any]) -> Axis:
+    """Return the axis with the numbers given on the command line (those not None), checked like a file's.
+
+    A force gain of one's own takes the place of the data sheet's product.
+    """
+    document = axis.to_dict()
+    for name, table in tables.items():
+        given = {key: value for key, value in table.items() if value is not None}
+        if "force_gain" in given:
+            for key in ("current_gain", "reduction", "torque_constant"):
+                document["drive"].pop(key, None)
+        document[name] = {**document.get(name, {}), **given}
+    return Axis.from_dict(document, axis.name)

@@ -1,0 +1,161 @@
+"""Text output of the design commands: tables with units, what was asked beside what is achieved."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+
+def number(value: float | None, digits: int = 4, nothing: str = "unbounded") -> str:
+    """A number in ``digits`` significant digits, ``nothing`` for None.
+
+    >>> number(556.7656), number(None)
+    ('556.8', 'unbounded')
+    """
+    return nothing if value is None else f"{value:.{digits}g}"
+
+
+def print_gains(document: dict[str, Any]) -> None:
+    """Print what ``gains`` found: stability first, then gains, margins at each place, and what is asked next."""
+    console = Console()
+    sampled = document["sampled"]
+    console.print(_verdict(sampled["stable"], f"{document['axis']}: sampled velocity loop"))
+
+    gains = _table("Velocity loop", "", "value", "unit", "requested")
+    asked = document["requested"]
+    for label, key, unit in (
+        ("k_v1", "k_v1", "V/(m/s)"),
+        ("t_v", "t_v", "s"),
+        ("K_v = k_v1 G_tau / t_v", "K_v", "N/m"),
+        ("natural frequency w_0v", "omega_0v", "rad/s"),
+        ("damping ratio z_v", "z_v", ""),
+        ("crossover of T_vo", "crossover", "rad/s"),
+        ("phase margin of T_vo", "phase_margin_deg", "deg"),
+        ("bandwidth of T_vc, -3 dB", "bandwidth", "rad/s"),
+    ):
+        wanted = number(asked[key]) if key in asked else ""
+        gains.add_row(label, number(document[key], 6), unit, wanted)
+    console.print(gains)
+
+    undefined = "undefined" if not sampled["stable"] else "unbounded"
+    margins = _table("Margins", "", "velocity error", "plant input", "sampled, plant input", "unit")
+    places = (document["velocity_error"], document["plant_input"], sampled)
+    nothing = ("unbounded", "unbounded", undefined)
+    for label, key, unit, scale in (
+        ("phase margin", "phase_margin_deg", "deg", 1.0),
+        ("crossover", "crossover", "rad/s", 1.0),
+        ("", "crossover", "Hz", 0.5 / math.pi),
+        ("delay margin", "delay_margin", "ms", 1e3),
+        ("", "delay_margin_samples", "samples", 1.0),
+        ("gain margin", "gain_margin", "ratio", 1.0),
+        ("", "gain_margin_db", "dB", 1.0),
+    ):
+        cells = [
+            "" if key not in place else number(None if place[key] is None else scale * place[key], nothing=word)
+            for place, word in zip(places, nothing, strict=True)
+        ]
+        margins.add_row(label, *cells, unit)
+    margins.add_row(
+        "bandwidth, -3 dB", number(document["bandwidth"]), "", number(sampled["bandwidth"], nothing=undefined), "rad/s"
+    )
+    console.print(margins)
+    low, high = document["feasible_phase_margin_deg"]
+    console.print(f"feasible phase margin at this crossover: {low:.4g} to {high:.4g} deg (open interval)")
+
+    step, noise = document["largest_velocity_step"], document["encoder_voltage_noise"]
+    if step and noise:
+        console.print(
+            f"largest velocity step before {step['voltage_limit']:g} V: {number(step['value'])} m/s "
+            f"({number(step['peak_voltage_per_unit'])} V per m/s, dry friction takes "
+            f"{number(step['dry_friction_voltage'], 3)} V)"
+        )
+        console.print(
+            f"voltage noise of the encoder: {number(1e3 * noise['rms'], 3)} mV rms, "
+            f"{number(1e3 * noise['one_step'], 3)} mV a step"
+        )
+    if "mismatch" in document:
+        _print_mismatch(console, document["mismatch"])
+    console.print("\ndifference equation, every sample:")
+    for line in document["difference_equation"]["lines"]:
+        console.print(f"    {line}", markup=False, highlight=False)
+    _print_warnings(console, document["warnings"])
+
+
+def print_force(document: dict[str, Any]) -> None:
+    """Print what ``force`` found: stability first, then the limits of k_e1, margins and poles."""
+    console = Console()
+    console.print(_verdict(document["stable"], f"{document['axis']}: sampled force loop"))
+    operator = document["operator"]
+    table = _table("Force loop", "", "value", "unit")
+    rows: list[tuple[str, float | None, str]] = [
+        ("k_e1", document["k_e1"], "(m/s)/N"),
+        ("k_c = 1/k_e1, felt at low frequency", document["k_c"], "N/(m/s)"),
+        ("apparent mass, low-frequency match", document["apparent_mass"], "kg"),
+        ("hand k_h", operator["hand"], "N/(m/s)"),
+        ("environment K_env", operator["environment"], "N/m"),
+    ]
+    for label, value, unit in rows:
+        table.add_row(label, number(value, 5), unit)
+    console.print(table)
+
+    limits = _table("Largest k_e1 [(m/s)/N]", "operator's force on", "continuous, closed form", "sampled, by its poles")
+    for label, key in (("the sensor only", "sensor_only"), ("sensor and carriage", "sensor_and_carriage")):
+        limit = document["k_e1_max"][key]
+        limits.add_row(label, number(limit["continuous"], 5), number(limit["sampled"], 5))
+    console.print(limits)
+
+    margins = document["margins"]
+    word = "unbounded" if document["stable"] else "undefined"
+    console.print(
+        f"margins of the sampled force loop: gain {number(margins['gain_margin'], nothing=word)}, "
+        f"phase {number(margins['phase_margin_deg'], nothing=word)} deg at "
+        f"{number(margins['crossover'], nothing='no crossover')} rad/s"
+    )
+    poles = ", ".join(f"{re:.4g}{im:+.4g}j" for re, im in document["continuous"]["poles"])
+    console.print(f"continuous poles: {poles} rad/s", markup=False)
+    reading = document["paper_reading"]
+    poles = ", ".join(f"{re:.4g}" for re, _ in reading["poles"])
+    console.print(f"the paper's own reading, {reading['loop']}: poles {poles} rad/s; {reading['text']}", markup=False)
+    console.print(f"sign: {operator['sign']}", markup=False)
+    _print_warnings(console, document["warnings"])
+
+
+def _print_mismatch(console: Console, study: dict[str, Any]) -> None:
+    errors = ", ".join(f"{name} +-{100 * share:.3g} %" for name, share in study["errors"].items())
+    table = _table(
+        f"Mismatch: {errors}; {study['corners']} corners", "sampled loop, same gains", "least", "most", "unit"
+    )
+    for label, key, unit, scale in (
+        ("phase margin", "phase_margin_deg", "deg", 1.0),
+        ("crossover", "crossover", "rad/s", 1.0),
+        ("delay margin", "delay_margin", "ms", 1e3),
+        ("gain margin", "gain_margin", "ratio", 1.0),
+        ("bandwidth, -3 dB", "bandwidth", "rad/s", 1.0),
+    ):
+        if study[key]:
+            table.add_row(label, *(number(scale * value) for value in study[key]), unit)
+    if study["gains"]:
+        table.add_row("k_v1 by (7)", *(number(value, 5) for value in study["gains"]["k_v1"]), "V/(m/s)")
+        table.add_row("t_v by (7)", *(number(1e3 * value, 5) for value in study["gains"]["t_v"]), "ms")
+    console.print(table)
+    console.print(f"stable at {100 * study['stable_share']:.4g} % of the corners")
+
+
+def _verdict(stable: bool, what: str) -> str:
+    return f"[bold green]{what} is stable[/]" if stable else f"[bold red]{what} is UNSTABLE[/]"
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, min_width=len(title), title_justify="left", title_style="bold", header_style="")
+    for place, column in enumerate(columns):
+        numeric = place > 0 and column not in ("unit",)
+        table.add_column(column, justify="right" if numeric else "left", no_wrap=True)
+    return table
+
+
+def _print_warnings(console: Console, warnings: list[str]) -> None:
+    for warning in warnings:
+        console.print(f"note: {warning}", markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,101 @@
+"""The force loop around the velocity loop: stability in contact with an operator, margins, largest k_e1."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated, Any
+
+import typer
+
+from emps_design.cli.design_options import (
+    AsJson,
+    AxisArgument,
+    Bandwidth,
+    ComputationDelay,
+    Crossover,
+    CurrentTimeConstant,
+    Estimator,
+    ForceGain,
+    Mass,
+    Period,
+    PhaseMargin,
+    Velocity,
+    Viscous,
+    with_numbers,
+)
+from emps_design.cli.output import print_json
+from emps_design.errors import InputError
+
+
+def command(
+    axis: AxisArgument = "emps2018",
+    k_e1: Annotated[float | None, typer.Option("--k-e1", help="force-loop gain [(m/s)/N]")] = None,
+    hand: Annotated[float | None, typer.Option(help="viscous hand k_h, tau_e = -k_h qd [N/(m/s)]")] = None,
+    environment: Annotated[float | None, typer.Option(help="wall K_env, tau_e = -K_env q [N/m]")] = None,
+    sensor_only: Annotated[
+        bool, typer.Option("--sensor-only", help="the operator's force does not act on the carriage, as in the paper")
+    ] = False,
+    sensor_delay: Annotated[int, typer.Option(help="samples between force and its reading")] = 0,
+    crossover: Crossover = None,
+    bandwidth: Bandwidth = None,
+    phase_margin: PhaseMargin = 60.0,
+    velocity: Velocity = 0.1,
+    mass: Mass = None,
+    viscous: Viscous = None,
+    force_gain: ForceGain = None,
+    current_time_constant: CurrentTimeConstant = None,
+    period: Period = None,
+    computation_delay: ComputationDelay = None,
+    velocity_estimator: Estimator = None,
+    as_json: AsJson = False,
+) -> int:
+    from emps_design.control.force_loop import design_force_loop
+    from emps_design.control.velocity_loop import VelocityLoopDesign, design_velocity_loop
+    from emps_design.machines import load_axis
+
+    machine = with_numbers(
+        load_axis(axis),
+        mechanics={"mass": mass, "viscous": viscous},
+        drive={"force_gain": force_gain, "current_time_constant": current_time_constant},
+        sampling={"period": period, "computation_delay": computation_delay},
+        controller={"velocity_estimator": velocity_estimator},
+    )
+    notes: list[str] = []
+    controller = machine.controller
+    if k_e1 is None:
+        k_e1 = controller.k_e1
+    if k_e1 is None:
+        raise InputError("k_e1: found none, expected --k-e1 in (m/s)/N, or k_e1 in the axis file's [controller]")
+    if hand is None and environment is None:
+        hand = 1.0 / k_e1 if k_e1 > 0.0 else 0.0
+        notes.append(f"no operator given: taken as a viscous hand of k_c = 1/k_e1 = {hand:g} N/(m/s)")
+
+    if crossover is None and bandwidth is None and controller.k_v1 is not None and controller.t_v is not None:
+        loop = VelocityLoopDesign(machine, controller.k_v1, controller.t_v, {}, velocity=velocity)
+        notes.append("velocity loop: k_v1 and t_v of the axis file")
+    else:
+        if crossover is None and bandwidth is None:
+            crossover = 100.0
+            notes.append(f"velocity loop: designed for the paper's 100 rad/s crossover and {phase_margin:g} deg")
+        loop = design_velocity_loop(machine, crossover, bandwidth, phase_margin, velocity)
+    design = design_force_loop(loop, k_e1, hand or 0.0, environment or 0.0, sensor_delay, not sensor_only)
+
+    document: dict[str, Any] = design.to_dict()
+    document["warnings"] += notes
+    if not design.stable:
+        limit = design.k_e1_max_sampled
+        document["nearest"] = {"k_e1": 0.99 * limit} if limit else {}
+        document["reason"] = "the sampled force loop is unstable; " + (
+            f"the largest k_e1 that is stable is {limit:.5g} (m/s)/N"
+            if limit
+            else "no k_e1 is stable, the velocity loop inside needs less bandwidth"
+        )
+    if as_json:
+        print_json(document)
+    else:
+        from emps_design.cli.design_tables import print_force
+
+        print_force(document)
+    if not design.stable:
+        print(f"emps-design: {document['reason']}", file=sys.stderr)
+    return 0 if design.stable else 4

@@ -1,0 +1,139 @@
+"""Velocity-loop gains k_v1 and t_v for a crossover or a bandwidth and a phase margin, and what they achieve."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from emps_design.axis import Axis
+from emps_design.cli.design_options import (
+    AsJson,
+    AxisArgument,
+    Bandwidth,
+    ComputationDelay,
+    Coulomb,
+    Crossover,
+    CurrentTimeConstant,
+    EncoderResolution,
+    Estimator,
+    ForceGain,
+    Mass,
+    Period,
+    PhaseMargin,
+    Velocity,
+    Viscous,
+    VoltageLimit,
+    with_numbers,
+)
+from emps_design.cli.output import print_json
+from emps_design.errors import InputError
+
+
+def command(
+    axis: AxisArgument = "emps2018",
+    crossover: Crossover = None,
+    bandwidth: Bandwidth = None,
+    phase_margin: PhaseMargin = 60.0,
+    retune: Annotated[bool, typer.Option("--retune", help="meet the specification in the sampled loop")] = False,
+    at: Annotated[str, typer.Option(help="with --retune: plant-input or velocity-error")] = "plant-input",
+    mismatch: Annotated[float | None, typer.Option(help="relative error of the parameters, such as 0.02")] = None,
+    sigma_from: Annotated[Path | None, typer.Option(help="JSON of 'identify --json': +-2 std of its values")] = None,
+    velocity: Velocity = 0.1,
+    mass: Mass = None,
+    viscous: Viscous = None,
+    coulomb: Coulomb = None,
+    force_gain: ForceGain = None,
+    voltage_limit: VoltageLimit = None,
+    current_time_constant: CurrentTimeConstant = None,
+    period: Period = None,
+    encoder_resolution: EncoderResolution = None,
+    computation_delay: ComputationDelay = None,
+    velocity_estimator: Estimator = None,
+    as_json: AsJson = False,
+) -> int:
+    from emps_design.control.specification import check_specification, in_words
+    from emps_design.control.velocity_loop import design_velocity_loop
+    from emps_design.machines import load_axis
+
+    check_specification(crossover, bandwidth, phase_margin)
+    machine = with_numbers(
+        load_axis(axis),
+        mechanics={"mass": mass, "viscous": viscous, "coulomb": coulomb},
+        drive={
+            "force_gain": force_gain,
+            "voltage_limit": voltage_limit,
+            "current_time_constant": current_time_constant,
+        },
+        sampling={
+            "period": period,
+            "encoder_resolution": encoder_resolution,
+            "computation_delay": computation_delay,
+        },
+        controller={"velocity_estimator": velocity_estimator},
+    )
+    errors = _errors(machine, mismatch, sigma_from)
+    specification = {
+        "crossover": crossover,
+        "bandwidth": bandwidth,
+        "phase_margin_deg": phase_margin,
+        "velocity": velocity,
+    }
+    if retune:
+        from emps_design.control.retune import retune_velocity_loop
+
+        design = retune_velocity_loop(machine, at=at, **specification)
+    else:
+        design = design_velocity_loop(machine, **specification)
+    document: dict[str, Any] = design.to_dict()
+    if errors is not None:
+        from emps_design.control.sensitivity import mismatch_study
+
+        document["mismatch"] = study = mismatch_study(design, errors)
+        if study["stable_share"] < 1.0:
+            document["warnings"].append(
+                f"unstable at {100 * (1 - study['stable_share']):.3g} % of the mismatch corners"
+            )
+
+    stable = design.sampled.stable
+    if not stable:
+        document["nearest"] = design.nearest_stable
+        document["reason"] = (
+            f"the sampled loop with these gains is unstable, its largest pole is {abs(design.sampled.poles[0]):.4g}; "
+            f"{in_words(design.nearest_stable)}"
+        )
+    if as_json:
+        print_json(document)
+    else:
+        from emps_design.cli.design_tables import print_gains
+
+        print_gains(document)
+    if not stable:
+        print(f"emps-design: {document['reason']}", file=sys.stderr)
+    return 0 if stable else 4
+
+
+def _errors(axis: Axis, mismatch: float | None, sigma_from: Path | None) -> dict[str, float] | None:
+    """The relative errors to study: one share for all, or two standard deviations of an identification."""
+    if mismatch is None and sigma_from is None:
+        return None
+    from emps_design.control.sensitivity import identified_mismatch, relative_mismatch
+
+    if mismatch is not None and sigma_from is not None:
+        raise InputError("found both --mismatch and --sigma-from, expected one of them")
+    if mismatch is not None:
+        return relative_mismatch(mismatch)
+    assert sigma_from is not None
+    try:
+        document = json.loads(sigma_from.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{sigma_from}: {error.strerror}; expected the JSON of 'identify --json'") from error
+    except ValueError as error:
+        raise InputError(f"{sigma_from}: not JSON, expected what 'identify --json' prints") from error
+    parameters = document.get("parameters") if isinstance(document, dict) else None
+    if not isinstance(parameters, dict) or not all(isinstance(entry, dict) for entry in parameters.values()):
+        raise InputError(f"{sigma_from}: no 'parameters' table, expected what 'identify --json' prints")
+    return identified_mismatch(axis, parameters)

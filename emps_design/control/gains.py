@@ -1,0 +1,89 @@
+"""Closed forms of the velocity loop: gains from a specification, (7), and what follows from it alone, (9)."""
+
+from __future__ import annotations
+
+import math
+
+from emps_design.errors import SpecificationError
+
+MINUS_3_DB = 10.0 ** (-3.0 / 20.0)
+
+
+def feasible_phase_margin(mass: float, viscous: float, crossover: float) -> tuple[float, float]:
+    """Return the open interval of phase margins [deg] that (7) can give at ``crossover`` [rad/s].
+
+    Below atan(F_v / (M w)) the gain k_v1 would be negative, at 90 deg infinite. ``mass`` [kg], ``viscous`` [N/(m/s)].
+
+    >>> low, high = feasible_phase_margin(115.7315, 474.9727, 100.0)
+    >>> round(low, 3), high
+    (2.35, 90.0)
+    """
+    return math.degrees(math.atan2(viscous, mass * crossover)), 90.0
+
+
+def velocity_gains(
+    mass: float, viscous: float, force_gain: float, crossover: float, phase_margin_deg: float
+) -> tuple[float, float]:
+    """Return k_v1 [V/(m/s)] and t_v [s] that put the crossover and the phase margin of T_vo where asked, (7).
+
+    ``mass`` [kg], ``viscous`` [N/(m/s)], ``force_gain`` [N/V], ``crossover`` [rad/s], ``phase_margin_deg`` [deg]
+    inside :func:`feasible_phase_margin`; :class:`SpecificationError` outside.
+
+    >>> k_v1, t_v = velocity_gains(115.7315, 474.9727, 35.15, 100.0, 60.0)
+    >>> round(k_v1, 3), round(t_v, 8)
+    (556.766, 0.00845505)
+    """
+    low, high = feasible_phase_margin(mass, viscous, crossover)
+    if not low < phase_margin_deg < high:
+        raise SpecificationError(
+            f"phase margin: found {phase_margin_deg:g} deg at a crossover of {crossover:g} rad/s, expected more than "
+            f"{low:.4g} and less than {high:g} deg; {binding_limit(phase_margin_deg)}",
+            {"crossover": crossover, "phase_margin_deg": min(max(phase_margin_deg, low + 0.5), 89.5)},
+        )
+    phase = math.radians(phase_margin_deg)
+    k_v1 = (mass * crossover * math.tan(phase) - viscous) / force_gain
+    return k_v1, k_v1 * force_gain * math.cos(phase) / (mass * crossover**2)
+
+
+def canonical_form(crossover: float, phase_margin_deg: float) -> tuple[float, float]:
+    """Return omega_0v [rad/s] and z_v [-] of (9); they depend on the specification alone, not on the machine.
+
+    >>> w0, z = canonical_form(100.0, 60.0)
+    >>> round(w0, 2), round(z, 5)
+    (141.42, 0.61237)
+    """
+    phase = math.radians(phase_margin_deg)
+    return crossover / math.sqrt(math.cos(phase)), math.sin(phase) / (2.0 * math.sqrt(math.cos(phase)))
+
+
+def second_order_bandwidth(omega_0v: float, z_v: float) -> float:
+    """Return the frequency [rad/s] where (9) has fallen to -3 dB, the ratio 10^(-3/20).
+
+    >>> round(second_order_bandwidth(*canonical_form(100.0, 60.0)), 2)
+    159.9
+    """
+    slope = 1.0 - 2.0 * z_v**2
+    root = math.sqrt(slope**2 + MINUS_3_DB**-2 - 1.0)
+    # Two ways to write the positive root; each keeps its digits on its side.
+    x = slope + root if slope >= 0.0 else (MINUS_3_DB**-2 - 1.0) / (root - slope)
+    return omega_0v * math.sqrt(x)
+
+
+def crossover_of_bandwidth(bandwidth: float, phase_margin_deg: float) -> float:
+    """Return the crossover [rad/s] whose closed loop has the -3 dB ``bandwidth`` [rad/s] at that phase margin.
+
+    >>> round(crossover_of_bandwidth(159.898, 60.0), 2)
+    100.0
+    """
+    return bandwidth / second_order_bandwidth(*canonical_form(1.0, phase_margin_deg))
+
+
+def binding_limit(phase_margin_deg: float) -> str:
+    """Say which end of the feasible range a phase margin [deg] outside it violates.
+
+    >>> binding_limit(90.0)
+    'the upper limit binds, at 90 deg k_v1 is infinite'
+    """
+    if phase_margin_deg >= 90.0:
+        return "the upper limit binds, at 90 deg k_v1 is infinite"
+    return "the lower limit binds, below atan(F_v/(M w)) k_v1 is not positive"
