@@ -76,10 +76,8 @@ def law_of(axis: Axis, period: float) -> Law:
     controller = axis.controller
     two_tap = float(controller.velocity_estimator == "two_tap")
     if controller.kind == "position_pd":
-        assert controller.kp is not None and controller.kv is not None
         return Law(position_pd, np.array([controller.kp * controller.kv, controller.kv, 1.0 / period, two_tap]), 2)
     if controller.kind == "ip_velocity":
-        assert controller.k_v1 is not None and controller.t_v is not None
         integral = controller.k_v1 * period / controller.t_v
         gains = np.array([controller.k_v1, integral, controller.k_e1 or 0.0, 1.0 / period, two_tap])
         return Law(ip_velocity, gains, 3, follows="velocity")

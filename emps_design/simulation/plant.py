@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dis
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,9 +11,9 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.effects import Effect
 from emps_design.errors import InputError, SimulationError
-from emps_design.simulation import stepper
+from emps_design.simulation import core, stepper
 from emps_design.simulation.compile import address
-from emps_design.simulation.laws import Law, law_of
+from emps_design.simulation.laws import Law, law_of, position_pd
 from emps_design.simulation.run import Run
 
 HOOKS = ("force", "dry", "inertia", "command", "actuator", "delay", "sensor", "rate", "guard", "jump_time")
@@ -52,6 +53,9 @@ class Plant:
         self._x_at = first_own + np.cumsum([0] + [len(effect.states) for effect in self.effects])
         self._states = int(self._x_at[-1])
         self._hooks, self._starts = self._table()
+        dynamic = self._states > 2 or any(effect.guard or effect.jump_time for effect in self.effects)
+        self._exact = self._states == 2 and not any(_touches_motion(effect) for effect in self.effects)
+        self._glides = 0 if dynamic else 1 if any(map(_sees_command, self.effects)) else 2
 
     @classmethod
     def of(cls, axis: Axis) -> Plant:
@@ -90,6 +94,7 @@ class Plant:
         quantise: bool = True,
         signals: tuple[np.ndarray, np.ndarray] | None = None,
         tolerance: float = 1.0,
+        method: str = "auto",
     ) -> Run:
         """Simulate the axis under its controller (or ``law``) and return the :class:`Run`.
 
@@ -109,7 +114,7 @@ class Plant:
         q0 = float(q_ref[0]) if q0 is None else float(q0)
         return self._simulate(
             law, reference, q_ref, baseline, parameters, disturbance, voltage_noise, q0, v0, period, quantise, signals,
-            tolerance,
+            tolerance, method,
         )  # fmt: skip
 
     def open_loop(
@@ -125,6 +130,7 @@ class Plant:
         quantise: bool = True,
         signals: tuple[np.ndarray, np.ndarray] | None = None,
         tolerance: float = 1.0,
+        method: str = "auto",
     ) -> Run:
         """Simulate the axis under the voltage ``u`` (n,) [V], held over each period; the rest as in ``closed_loop``.
 
@@ -134,13 +140,45 @@ class Plant:
         u = _signal(u, "u", "V")
         nothing = np.full(u.size, np.nan)
         return self._simulate(
-            None, u, nothing, baseline, parameters, disturbance, None, q0, v0, period, quantise, signals, tolerance
-        )
+            None, u, nothing, baseline, parameters, disturbance, None, q0, v0, period, quantise, signals, tolerance,
+            method,
+        )  # fmt: skip
 
     def _simulate(
-        self, law, reference, q_ref, baseline, parameters, disturbance, noise, q0, v0, period, quantise, signals, tolerance
+        self, law, reference, q_ref, baseline, parameters, disturbance, noise, q0, v0, period, quantise, signals,
+        tolerance, method,
     ) -> Run:  # fmt: skip
+        b, p = self._numbers(baseline, parameters)
         n = q_ref.size
+        push = _EMPTY if disturbance is None else _signal(disturbance, "disturbance", "N", n)
+        noise = _EMPTY if noise is None else _signal(noise, "voltage_noise", "V", n)
+        resolution = self.axis.sampling.encoder_resolution if quantise else 0.0
+        if method == "auto":
+            method = self._method(law, noise, resolution)
+        events, found = np.empty((n + 1000, 3)), np.array([0, n + 1000])
+        if method == "general":
+            rows = self._general(
+                b, p, law, reference, push, noise, q0, v0, period, resolution, signals, tolerance, events, found
+            )
+        else:
+            rows = self._core(method, b, law, reference, push, noise, (q0, v0), period, resolution, events, found)
+        encoder, position, velocity, u, outside = rows
+        kept = min(int(found[0]), n + 1000)
+        return Run(
+            q_ref=q_ref,
+            q=encoder,
+            position=position,
+            v=velocity,
+            u=u,
+            f_ext=outside,
+            events=events[:kept].copy(),
+            force_gain=self.axis.drive.force_gain,
+            period=period,
+            lost_events=int(found[0]) - kept,
+            name=self.axis.name,
+        )
+
+    def _numbers(self, baseline: Any, parameters: Any) -> tuple[np.ndarray, np.ndarray]:
         b = self.baseline if baseline is None else np.array(baseline, dtype=float)
         p = self._p.copy() if parameters is None else np.concatenate([_EMPTY, *parameters])
         if b.shape != (4,) or not np.isfinite(b).all() or b[0] <= 0 or b[1] < 0 or b[2] < 0:
@@ -149,52 +187,83 @@ class Plant:
             )
         if p.size != self._p.size or not np.isfinite(p).all():
             raise InputError(f"parameters: found {p.tolist()}, expected {self._p.size} finite numbers")
-        settings = np.zeros(stepper.RELATIVE_TOLERANCE + 1)
-        sampling = self.axis.sampling
-        settings[stepper.PERIOD], settings[stepper.GAIN] = period, self.axis.drive.force_gain
-        settings[stepper.LIMIT] = self.axis.drive.voltage_limit
-        settings[stepper.RESOLUTION] = sampling.encoder_resolution if quantise else 0.0
-        settings[stepper.DELAYED], settings[stepper.LAG] = sampling.computation_delay, self._lag
+        return b, p
+
+    def _method(self, law: Law | None, noise: np.ndarray, resolution: float) -> str:
+        """The fastest way that is exact for this axis."""
+        delay = self.axis.sampling.computation_delay
+        if self.effects or self._lag > 0 or (law is not None and law.kernel is not position_pd):
+            return "general"
+        if law is None:
+            return "general" if delay or noise.size else "open"
+        return "plain" if delay or noise.size or resolution > 0 else "folded"
+
+    def _core(self, method, b, law, reference, push, noise, start, period, resolution, events, found):
+        n, drive, delay = reference.size, self.axis.drive, self.axis.sampling.computation_delay
+        rows = np.empty((4, n))
+        position, velocity, u, encoder = rows
+        gains = np.zeros(4) if law is None else law.gains
+        numbers = core.numbers_of(period, drive.force_gain, drive.voltage_limit, resolution, gains)
+        if method == "plain":
+            good = core.run_plain(
+                b, numbers, delay, start, reference, push, noise, position, encoder, velocity, u, events, found
+            )
+        else:
+            run = core.run_folded if method == "folded" else core.run_open
+            good = run(b, numbers, start, reference, push, position, velocity, u, events, found)
+            encoder = position
+            if resolution > 0:
+                encoder = np.floor(position / resolution + 0.5) * resolution
+        if good < n:
+            state = (float(position[good]), float(velocity[good]))
+            raise SimulationError(REASONS[stepper.DIVERGED], good * period, state)
+        return encoder, position, velocity, u, push if push.size else np.zeros(n)
+
+    def _general(
+        self, b, p, law, reference, push, noise, q0, v0, period, resolution, signals, tolerance, events, found
+    ):
+        n, drive = reference.size, self.axis.drive
+        settings = np.zeros(stepper.EXACT + 1)
+        settings[stepper.PERIOD], settings[stepper.GAIN] = period, drive.force_gain
+        settings[stepper.LIMIT], settings[stepper.RESOLUTION] = drive.voltage_limit, resolution
+        settings[stepper.DELAYED], settings[stepper.LAG] = self.axis.sampling.computation_delay, self._lag
         settings[stepper.FREE], settings[stepper.STATES] = self._free, self._states
-        settings[stepper.POSITION_TOLERANCE] = 1e-12 * tolerance
-        settings[stepper.RELATIVE_TOLERANCE] = 1e-9 * tolerance
-        plant = (b, self._hooks, self._starts, p, settings)
+        settings[stepper.TOLERANCE], settings[stepper.GLIDES] = tolerance, self._glides
+        settings[stepper.EXACT] = self._exact
         y = np.zeros(self._states)
         y[0], y[1] = q0, v0
         for i, effect in enumerate(self.effects):
             if effect.initial is not None:
                 own = p[self._p_at[i] : self._p_at[i + 1]]
                 y[self._x_at[i] : self._x_at[i + 1]] = effect.initial(q0, own, b)
-        out, events, found = np.empty((5, n)), np.empty((n + 1000, 3)), np.array([0, n + 1000])
-        scratch = np.zeros(stepper.room(self._states, int(self._starts[stepper.GUARD + 1] - self._starts[stepper.GUARD])))
+        out = np.empty((5, n))
+        guards = int(self._starts[stepper.GUARD + 1] - self._starts[stepper.GUARD])
+        scratch = np.zeros(stepper.room(self._states, guards))
         columns, slots = signals or (_NO_SIGNALS, _NO_SLOTS)
         place, gains, memory = 0, _EMPTY, _EMPTY
         if law is not None:
             place, gains, memory = address(law.kernel, "law"), law.gains, np.zeros(law.memory)
-        push = _EMPTY if disturbance is None else _signal(disturbance, "disturbance", "N", n)
-        noise = _EMPTY if noise is None else _signal(noise, "voltage_noise", "V", n)
+        plant = (b, self._hooks, self._starts, p, settings)
         status, k, within = stepper.run(
             plant, y, place, gains, memory, reference, push, noise, columns, slots, scratch, out, events, found
         )
         if status != stepper.DONE:
             names = ", ".join(effect.name for effect in self.effects) or "none"
             raise SimulationError(REASONS[status], k * period + within, tuple(y.tolist()), names)
-        encoder, position, velocity, u, outside = out
-        kept = min(int(found[0]), events.shape[0])
-        return Run(
-            t=np.arange(n) * period,
-            q_ref=q_ref,
-            q=encoder,
-            position=position,
-            v=velocity,
-            u=u,
-            force=self.axis.drive.force_gain * u,
-            f_ext=outside,
-            events=events[:kept].copy(),
-            period=period,
-            lost_events=int(found[0]) - kept,
-            name=self.axis.name,
-        )
+        return out
+
+
+def _touches_motion(effect: Effect) -> bool:
+    """Whether ``effect`` acts between motor force and motion, not only on the signals around them."""
+    return any((effect.force, effect.dry, effect.inertia, effect.rate, effect.guard, effect.jump_time))
+
+
+def _sees_command(effect: Effect) -> bool:
+    """Whether a force of ``effect`` reads the motor force, or a mass that may change, so that it jumps with it."""
+    if effect.inertia is not None:
+        return True
+    kernels = [kernel for kernel in (effect.force, effect.dry) if kernel is not None]
+    return any("tau" in {step.argval for step in dis.get_instructions(kernel)} for kernel in kernels)
 
 
 def _signal(values: Any, name: str, unit: str, n: int | None = None) -> np.ndarray:

@@ -24,6 +24,7 @@ SIGNALS = {
     "force": ("motor force", "N"),
     "f_ext": ("external force", "N"),
 }
+STORED = ("q_ref", "q", "position", "v", "u", "f_ext")
 EVENTS = ("reversal", "stick", "break-away", "guard")
 
 
@@ -37,22 +38,31 @@ class Run:
     break-away and guard; ``lost_events`` counts those that did not fit. ``energy`` [J] is there where it was asked for.
     """
 
-    t: np.ndarray
     q_ref: np.ndarray
     q: np.ndarray
     position: np.ndarray
     v: np.ndarray
     u: np.ndarray
-    force: np.ndarray
     f_ext: np.ndarray
     events: np.ndarray = field(repr=False)
-    period: float = 1e-3
+    force_gain: float
+    period: float
     lost_events: int = 0
     energy: dict[str, float] | None = None
     name: str = "simulation"
 
+    @cached_property
+    def t(self) -> np.ndarray:
+        """Time of the samples [s]."""
+        return np.arange(len(self)) * self.period
+
+    @cached_property
+    def force(self) -> np.ndarray:
+        """Motor force G_tau u of the recorded voltage [N]."""
+        return self.force_gain * self.u
+
     def __len__(self) -> int:
-        return self.t.size
+        return self.q.size
 
     @cached_property
     def crossings(self) -> np.ndarray:
@@ -88,12 +98,18 @@ class Run:
 
     def save(self, path: str | Path) -> None:
         """Write every signal to ``path`` (.npz, no pickles); :meth:`load` gives the same bits back."""
-        plain = {"period": self.period, "lost_events": self.lost_events, "energy": self.energy, "name": self.name}
+        plain = {
+            "period": self.period,
+            "force_gain": self.force_gain,
+            "lost_events": self.lost_events,
+            "energy": self.energy,
+            "name": self.name,
+        }
         with open(path, "wb") as file:
             np.savez(
                 file,
                 allow_pickle=False,
-                **{name: getattr(self, name) for name in SIGNALS},
+                **{name: getattr(self, name) for name in STORED},
                 events=self.events,
                 run=np.frombuffer(json.dumps(plain).encode(), dtype=np.uint8),
             )
@@ -105,7 +121,7 @@ class Run:
 
         try:
             with np.load(path, allow_pickle=False) as archive:
-                signals = {name: archive[name] for name in (*SIGNALS, "events")}
+                signals = {name: archive[name] for name in (*STORED, "events")}
                 plain = json.loads(archive["run"].tobytes())
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, TypeError) as error:
             reason = " ".join(str(error).split())

@@ -12,7 +12,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from emps_design.simulation.compile import cached, call_actuator, call_kernel, call_law, call_rate, part, pointer, shifted
+from emps_design.simulation import core
+from emps_design.simulation.compile import (
+    cached,
+    call_actuator,
+    call_kernel,
+    call_law,
+    call_rate,
+    part,
+    pointer,
+    shifted,
+)
 
 # Rows of ``hooks``: one list of (address, first own state in y, first parameter) for each.
 FORCE, DRY, INERTIA, COMMAND, ACTUATOR, DELAY, SENSOR, RATE, GUARD, JUMP, TOUCH, TOUCH_MASS = range(12)
@@ -21,8 +31,11 @@ DONE, DIVERGED, NO_STEP, CHATTER, RUNAWAY = range(5)
 # Kinds of events that are recorded.
 REVERSAL, STICK, BREAKAWAY, GUARDED = range(4)
 # Places in ``settings``.
-PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, POSITION_TOLERANCE, RELATIVE_TOLERANCE = range(10)
+PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, GLIDES, EXACT = range(11)
 
+# What one step may be wrong by in position [m], velocity [m/s], and relative to the largest value of an own state.
+_POSITION, _VELOCITY, _OWN = 2e-11, 2e-9, 2e-8
+_BEND, _MISSED = 6e-6, 3e-10  # m/s, the same for a glide: second difference over a step, and what corrections leave
 _INSTANT = 1e-15  # s, shortest rest of a period worth a step
 _APART = 5e-10  # s, how far from a jump in time its two sides are evaluated; above SNAP of the effects
 _CROSSING = 1e-13  # s, a step across a guard at which a force jumps
@@ -113,13 +126,13 @@ def step(y, t, h, tau, push, s, plant, bounds, work, new):
         new[i] = y[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
         wrong = abs(h * (2.0 / 3.0 * k1[i] - 2.0 * (k2[i] + k3[i] + k4[i]) + 16.0 / 3.0 * k5[i]))
         if i == 0:
-            scale = settings[POSITION_TOLERANCE]
+            scale = _POSITION
         elif i == 1:
-            scale = settings[POSITION_TOLERANCE] * 100.0
+            scale = _VELOCITY
         else:
-            scale = settings[RELATIVE_TOLERANCE] * max(largest[i], abs(new[i])) + 1e-300
+            scale = _OWN * max(largest[i], abs(new[i])) + 1e-300
         error = max(error, wrong / scale) if wrong == wrong else np.inf
-    return error
+    return error / settings[TOLERANCE]
 
 
 @part
@@ -180,6 +193,50 @@ def locate(event, sign, y, t, h, tau, push, s, plant, bounds, work, new):
 
 
 @part
+def glide(y, t, h, tau, push, s, plant, work, new):
+    """Slide through ``h`` on two evaluations or few more; returns whether the step is good.
+
+    Simpson's rule over the acceleration at both ends and in the middle (Lobatto IIIA), for axes without own states,
+    guards and jumps. ``work[0][1]`` is the acceleration at the start, known from the end of the last step;
+    ``work[0][0]`` the slope it had there without viscous decay, ``work[1][1]`` the mass. The sweep is repeated until what the
+    acceleration would still feel of the corrections is below the tolerance; where its second difference is large, one
+    step is too long and the general method takes over.
+    """
+    a0, stage, tolerance = work[0][1], work[5], plant[4][TOLERANCE]
+    decay = plant[0][1] / work[1][1]
+    stage[0] = y[0] + 0.5 * h * (y[1] + 0.25 * h * a0)
+    stage[1] = y[1] + 0.5 * h * (a0 + 0.25 * h * (work[0][0] - decay * a0))
+    end = 0.0
+    for sweep in range(4):
+        if s * stage[1] <= 0.0:
+            return False
+        net, level, mass = balance(stage, t + 0.5 * h, tau, push, plant)
+        middle = (net - s * level) / mass
+        if sweep == 0:
+            end = 2.0 * middle - a0
+        new[0] = y[0] + h * (y[1] + h / 6.0 * (a0 + 2.0 * middle))
+        new[1] = y[1] + h / 6.0 * (a0 + 4.0 * middle + end)
+        if s * new[1] <= 0.0:
+            return False
+        used = end
+        net, level, mass = balance(new, t + h, tau, push, plant)
+        end = (net - s * level) / mass
+        if abs(a0 - 2.0 * middle + end) * h > _BEND * tolerance:
+            return False
+        moved = h / 6.0 * (end - used)
+        new[1] += moved
+        missed = y[1] + h / 24.0 * (5.0 * a0 + 8.0 * middle - end) - stage[1]
+        felt = abs(end - a0) / (abs(a0 + end) + 1e-12)
+        if (abs(missed) + 0.25 * abs(moved)) * felt <= _MISSED * tolerance:
+            work[0][0] = 2.0 * (end - middle) / h + 0.5 * decay * (middle + end)
+            work[0][1] = end
+            return s * new[1] > 0.0
+        stage[0] = y[0] + h * (0.5 * y[1] + h / 96.0 * (7.0 * a0 + 6.0 * middle - end))
+        stage[1] += missed
+    return False
+
+
+@part
 def note(events, found, time, kind, place):
     i = found[0]
     if i < found[1]:
@@ -191,10 +248,15 @@ def note(events, found, time, kind, place):
 
 @part
 def segment(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, events, found):
-    """Carry ``y`` over ``span`` seconds of one command; returns direction, step to try next, status, time done."""
+    """Carry ``y`` over ``span`` seconds of one command; returns direction, next step, status, time done."""
     starts, settings = plant[2], plant[4]
     k1, k4, largest = work[0], work[3], work[6]
-    n, free, guards, first = int(settings[STATES]), settings[FREE] > 0.0, starts[GUARD + 1] - starts[GUARD], starts[GUARD]
+    n, free, guards, first = (
+        int(settings[STATES]),
+        settings[FREE] > 0.0,
+        starts[GUARD + 1] - starts[GUARD],
+        starts[GUARD],
+    )
     done, happened, walked = 0.0, 0, 0.0
     if not free and y[1] == 0.0:  # the command has changed: at rest still?
         direction = held(y, clipped(t, bounds), tau, push, plant)
@@ -301,7 +363,7 @@ def applied(j, u, plant):
     return settings[GAIN] * volts
 
 
-@cached("stepper.py")
+@cached("stepper.py", "core.py")
 def run(plant, y, law, gains, memory, reference, push, noise, signals, slots, scratch, out, events, found):
     """Run the loop over ``reference.size`` samples; returns the status, the sample, and the time within its period [s].
 
@@ -332,6 +394,9 @@ def run(plant, y, law, gains, memory, reference, push, noise, signals, slots, sc
     jumps, late = starts[JUMP + 1] > starts[JUMP], starts[DELAY + 1] > starts[DELAY]
     touched, weighs = starts[TOUCH + 1] > starts[TOUCH], starts[TOUCH_MASS + 1] > starts[TOUCH_MASS]
     bounds[0], bounds[1] = -np.inf, np.inf
+    glides, steady = settings[GLIDES] > 0.0, settings[GLIDES] > 1.0
+    exact = settings[EXACT] > 0.0
+    fresh, before_force, before_mass = False, 0.0, 1.0
     tau, s, hint = 0.0, 0.0, period
     if y[1] != 0.0:
         s = 1.0 if y[1] > 0.0 else -1.0
@@ -386,6 +451,32 @@ def run(plant, y, law, gains, memory, reference, push, noise, signals, slots, sc
                     if after <= end:
                         end = max(after, start + 2.0 * _APART)
                         bounds[1] = t + end - _APART
+            h = end - start
+            if exact:
+                speed = y[1]
+                y[0], y[1], at = core.step_exactly(plant[0], y[0], speed, tau + force - plant[0][3], h)
+                if at >= 0.0:
+                    if speed != 0.0:
+                        note(events_, found_, t + start + at, STICK if y[1] == 0.0 else REVERSAL, y[0])
+                    elif y[1] != 0.0:
+                        note(events_, found_, t + start, BREAKAWAY, y[0])
+                if not (abs(y[0]) < 1e3 and abs(y[1]) < 1e3):
+                    return DIVERGED, k, start
+                start = end
+                continue
+            if glides and s * y[1] > 0.0:
+                if fresh:
+                    k1[1] += (tau + force - before_force) / before_mass if steady else 0.0
+                if not (fresh and steady):
+                    net, level, before_mass = balance(y_, t + start, tau, force, plant)
+                    k1[0], k1[1], k2[1] = 0.0, (net - s * level) / before_mass, before_mass
+                before_force = tau + force
+                fresh = glide(y_, t + start, h, tau, force, s, plant, work, new)
+                if fresh:
+                    y[0], y[1] = new[0], new[1]
+                    start = end
+                    continue
+            fresh = False
             s, hint, status, done = segment(
                 y_, t + start, end - start, tau, force, s, hint, plant, bounds, work, new, before, events_, found_
             )
