@@ -54,6 +54,7 @@ EFFECT = Effect(
     regressor=regressor,
     propose=propose,
     expression=expression,
+    over="u",
     where="a step whenever the motor force changes sign, braking as well as reversing",
     confused_with=("stribeck_friction", "presliding_friction", "backlash"),
     experiment="brake along one direction without reversing: the step follows the voltage, not the speed",

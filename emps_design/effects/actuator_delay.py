@@ -43,6 +43,7 @@ EFFECT = Effect(
     delay=delay,
     regressor=regressor,
     expression=expression,
+    over="step",
     where="in proportion to the rate of the motor force: at every change of acceleration and every reversal",
     confused_with=("actuator_lag", "flexible_coupling", "presliding_friction"),
     experiment="a multi-sine from 5 to 100 Hz: a delay turns the phase in proportion to frequency, the gain stays",

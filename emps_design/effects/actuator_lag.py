@@ -50,6 +50,7 @@ EFFECT = Effect(
     initial=initial,
     states=(Quantity("acting_force", "f", "N"),),
     regressor=regressor,
+    over="step",
     where="in proportion to the rate of the motor force: at every change of acceleration and every reversal",
     confused_with=("actuator_delay", "flexible_coupling", "presliding_friction"),
     experiment="a multi-sine from 5 to 100 Hz: a lag loses gain as well as phase, a delay only phase",

@@ -45,6 +45,7 @@ EFFECT = Effect(
     propose=propose,
     no_regressor="the force lost is known only where the command exceeds the limit, from the command itself",
     expression=expression,
+    over="u",
     where="while the command is large, after a fast change of the reference; the command outgrows the acceleration",
     confused_with=("mass_change", "end_stop", "actuator_lag"),
     experiment="the same stroke at half the acceleration: below the limit the misfit is gone",

@@ -44,6 +44,7 @@ EFFECT = Effect(
     force=force,
     regressor=regressor,
     expression=expression,
+    over="v",
     where="in proportion to speed, with the same sign in both directions",
     confused_with=("elastic_force", "friction_drift", "nonlinear_viscous_friction"),
     experiment="constant-velocity strokes at three speeds, each in both directions over the same travel",

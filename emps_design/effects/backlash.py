@@ -77,6 +77,7 @@ EFFECT = Effect(
     guard=guard,
     states=(Quantity("twist", "d", "m"), Quantity("load_velocity", r"\dot q_l", "m/s")),
     no_regressor="the load is a state that no measured signal gives",
+    over="loop",
     where="a knock after every reversal of the transmitted force, then a short free flight",
     confused_with=("flexible_coupling", "presliding_friction", "actuator_deadzone"),
     experiment="slow reversals with a position sensor on the load, or a small square wave about rest: the load stays",

@@ -47,6 +47,7 @@ EFFECT = Effect(
     command=command,
     no_regressor="the recorded voltage contains it: its column is in u minus the controller's law, not in the force",
     expression=expression,
+    over="t",
     where="u minus the controller's law jumps between two levels; the force balance does not notice",
     confused_with=("external_force", "periodic_disturbance"),
     experiment="compute the law from the recorded reference and position and subtract it from the recorded voltage",

@@ -46,6 +46,7 @@ CHECK_BASELINE = (100.0, 200.0, 20.0, -5.0)  # the baseline of every effect's ha
 SNAP = 1e-10  # s, by which an edge in time is seen early, above the rounding of any record's clock
 
 CHANNELS = ("controller", "actuator", "plant", "sensor")
+VIEWS = ("v", "q", "t", "tau", "u", "loop", "step")
 SCALAR_HOOKS = ("force", "dry", "inertia", "command", "sensor", "delay", "guard", "jump_time")
 
 Kernel = Callable[..., float]
@@ -126,6 +127,7 @@ class Effect:
 
     ``expression(q, v, t, tau, p, b)`` is the SymPy form of :meth:`contribution` (``tau`` stands for the voltage in a
     static actuator map); None where own states are needed.
+    ``over``: the variable it is drawn over, "v", "q", "t", "tau", "u", a "loop" of position, or after a "step".
     ``passive``: over a motion that ends where it began, at rest, the effect never gives back more work than it took.
     ``parity``: of the contribution in ``v``, "odd", "even" or "" for neither.
     ``checks``: points computed by hand for ``CHECK_BASELINE``, (parameters, arguments of :meth:`contribution`, value).
@@ -156,6 +158,7 @@ class Effect:
     no_regressor: str = ""
     propose: Callable[..., list[dict[str, float]]] | None = None
     expression: Callable[..., sympy.Expr] | None = None
+    over: str = "v"
     where: str = ""
     confused_with: tuple[str, ...] = ()
     experiment: str = ""
@@ -167,6 +170,8 @@ class Effect:
     def __post_init__(self) -> None:
         if self.channel not in CHANNELS:
             raise AxisError(f"effect {self.name}: channel {self.channel!r}, expected one of {', '.join(CHANNELS)}")
+        if self.over not in VIEWS:
+            raise AxisError(f"effect {self.name}: over {self.over!r}, expected one of {', '.join(VIEWS)}")
         if self.regressor is None and not self.no_regressor:
             raise AxisError(f"effect {self.name}: give a regressor, or say in no_regressor why there is none")
         if (self.rate is None) != (not self.states) or (self.rate is None) != (self.initial is None):

@@ -43,6 +43,7 @@ EFFECT = Effect(
     force=force,
     regressor=regressor,
     expression=expression,
+    over="q",
     where="in proportion to position, the same in both directions and at every speed",
     confused_with=("end_stop", "position_dependent_friction", "asymmetric_viscous_friction"),
     experiment="hold the carriage at several positions and read the voltage, approaching each from both sides",

@@ -71,6 +71,7 @@ EFFECT = Effect(
     to_linear=harmonic.to_linear,
     from_linear=harmonic.from_linear,
     expression=expression,
+    over="q",
     where="one line in the spectrum over position, whose force grows with the square of speed",
     confused_with=("position_ripple", "periodic_disturbance"),
     experiment="constant-velocity strokes at two speeds: an encoder's error quadruples in force at twice the speed",

@@ -67,6 +67,7 @@ EFFECT = Effect(
     regressor=regressor,
     propose=propose,
     expression=expression,
+    over="q",
     where="beyond one position only, at one end of the travel, and growing there",
     confused_with=("elastic_force", "position_dependent_friction"),
     experiment="repeat the record over a shorter travel that stays clear of the suspected end",

@@ -75,6 +75,7 @@ EFFECT = Effect(
     regressor=regressor,
     propose=propose,
     expression=expression,
+    over="t",
     where="within stretches of time, whatever position and speed are",
     confused_with=("periodic_disturbance", "friction_drift", "controller_disturbance"),
     experiment="repeat the same lap: what comes at other places of the lap comes from outside",

@@ -68,9 +68,14 @@ EFFECT = Effect(
     initial=initial,
     states=(Quantity("twist", "d", "m"), Quantity("load_velocity", r"\dot q_l", "m/s")),
     no_regressor="the load is a state that no measured signal gives",
+    over="loop",
     where="a band around the resonance, after every jerk of the reference",
     confused_with=("actuator_delay", "actuator_lag", "backlash"),
     experiment="a multi-sine or chirp across the resonance at small amplitude, without reversals",
     remedy="keep the crossover below a fifth of the resonance, or put a notch there",
+    checks=(
+        ({"frequency": 50.0, "damping": 0.0, "share": 0.5}, {"x": (1e-5, 0.0)}, 25.0 * (100 * pi) ** 2 * 1e-5),
+        ({"frequency": 50.0, "damping": 0.1, "share": 0.5}, {"x": (0.0, 0.0), "v": 0.01}, 5.0 * pi),
+    ),
     passive=True,
 )

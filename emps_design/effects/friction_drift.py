@@ -61,6 +61,7 @@ EFFECT = Effect(
     dry=dry,
     regressor=regressor,
     expression=expression,
+    over="t",
     where="from the start of the record on, in both directions, the laps differing from one another",
     confused_with=("mass_change", "position_dependent_friction", "asymmetric_viscous_friction"),
     experiment="repeat one lap for some minutes from cold: the force of equal strokes settles",

@@ -38,6 +38,7 @@ EFFECT = Effect(
     dry=dry,
     regressor=regressor,
     expression=expression,
+    over="tau",
     where="during acceleration and braking, with opposite apparent change of the mass",
     confused_with=("mass_change", "nonlinear_viscous_friction", "stribeck_friction"),
     experiment="the same strokes at three accelerations, or with a known payload pulling along the axis",

@@ -57,6 +57,7 @@ EFFECT = Effect(
     regressor=regressor,
     propose=propose,
     expression=expression,
+    over="t",
     where="during accelerations after one instant, not before",
     confused_with=("friction_drift", "load_dependent_friction", "actuator_saturation"),
     experiment="the same stroke before and after the suspected instant, at two accelerations",

@@ -42,6 +42,7 @@ EFFECT = Effect(
     force=force,
     regressor=regressor,
     expression=expression,
+    over="v",
     where="at the highest speeds, and with opposite sign between rest and half of them",
     confused_with=("stribeck_friction", "load_dependent_friction", "asymmetric_viscous_friction"),
     experiment="constant-velocity strokes at five or more speeds spread evenly up to the highest",

@@ -67,6 +67,7 @@ EFFECT = Effect(
     to_linear=harmonic.to_linear,
     from_linear=harmonic.from_linear,
     expression=expression,
+    over="t",
     where="one line in the spectrum over time, at every position and speed, at rest as well",
     confused_with=("external_force", "position_ripple", "encoder_error"),
     experiment="a record at standstill: the line is still there",

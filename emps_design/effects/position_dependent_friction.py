@@ -52,6 +52,7 @@ EFFECT = Effect(
     to_linear=harmonic.to_linear,
     from_linear=harmonic.from_linear,
     expression=expression,
+    over="q",
     where="slowly along the travel, with opposite sign in the two directions, at every speed alike",
     confused_with=("position_ripple", "elastic_force", "friction_drift"),
     experiment="one slow constant-velocity stroke over the whole travel in each direction",

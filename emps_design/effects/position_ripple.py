@@ -63,6 +63,7 @@ EFFECT = Effect(
     to_linear=harmonic.to_linear,
     from_linear=harmonic.from_linear,
     expression=expression,
+    over="q",
     where="one line in the spectrum over position, at every speed with the same amplitude",
     confused_with=("encoder_error", "position_dependent_friction", "periodic_disturbance"),
     experiment="two slow constant-velocity strokes at different speeds: the period stays in mm and the force in N",

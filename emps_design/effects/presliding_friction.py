@@ -49,6 +49,7 @@ EFFECT = Effect(
     takes_dry=True,
     states=(Quantity("deflection", "z", "m"),),
     no_regressor="the bend of the contact is a state that remembers the path",
+    over="loop",
     where="the first tenths of a millimetre after every reversal",
     confused_with=("stribeck_friction", "backlash", "actuator_deadzone"),
     experiment="small sine motion of 10 to 100 um about one position: force over position draws a rounded loop",

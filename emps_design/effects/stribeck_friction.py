@@ -65,6 +65,7 @@ EFFECT = Effect(
     dry=dry,
     regressor=regressor,
     expression=expression,
+    over="v",
     where="below a few Stribeck velocities, on both sides of every reversal",
     confused_with=("presliding_friction", "actuator_deadzone", "backlash"),
     experiment="slow constant-velocity strokes at several speeds below 20 mm/s, and a break-away test",

@@ -1,0 +1,213 @@
+"""An axis and its effects as formulas: force that a motion needs, friction at steady speed, symbols.
+
+Everything is evaluated from the kernels of the effects, so whatever an effect's file says holds here too. Sign:
+``tau = M qdd + F_v qd + F_c sign(qd) + offset + sum of the effects``, equation (2) of the paper without external force.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.effects import Effect, Motion
+from emps_design.effects.curve import Resolved, states_along
+from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
+from emps_design.errors import InputError
+
+if TYPE_CHECKING:
+    import sympy
+
+_SETTLED = 1e-9  # N, between two passes of a force that depends on itself
+_PASSES = 200
+_GRID = 20001  # points of the table that inverts a static actuator map
+
+
+def _resolve(axis: Axis, channel: str) -> Resolved:
+    own = [(one.effect, one.effect.values(one.parameters)) for one in axis.effects]
+    return [(effect, p) for effect, p in own if effect.channel == channel]
+
+
+def plant_force(axis: Axis, q: np.ndarray, v: np.ndarray, a: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Force [N] (n,) that must act on the carriage for the motion ``q`` [m], ``v`` [m/s], ``a`` [m/s^2] at ``t`` [s].
+
+    ``q`` is where the carriage is, not what an encoder with an error reports. Own states of effects (a load behind a
+    coupling, a bristle) start at rest and follow the motion. At rest the friction is taken as zero. A force that
+    depends on the motor force (load-dependent friction) is solved by repetition.
+    Raises :class:`InputError` for arrays of different length.
+
+    >>> from emps_design.machines import machine
+    >>> axis = machine("emps2018").replace(effects=[{"kind": "elastic_force", "stiffness": 100, "rest_position": 0}])
+    >>> plant_force(axis, *np.array([[0.1], [0.0], [2.0], [0.0]])).round(3).tolist()
+    [241.463]
+    """
+    q, v, a, t = (np.atleast_1d(np.asarray(x, dtype=float)) for x in (q, v, a, t))
+    if not q.shape == v.shape == a.shape == t.shape or q.ndim != 1:
+        raise InputError(f"motion: found shapes {q.shape}, {v.shape}, {a.shape}, {t.shape}, expected four alike (n,)")
+    b, effects = axis.mechanics.array(), _resolve(axis, "plant")
+    states = [states_along(effect, p, b, effects, q, v, t) for effect, p in effects]
+    free = any(effect.takes_dry for effect, _ in effects)
+    force = np.empty(q.size)
+    for k in range(q.size):
+        tau = b[OFFSET]
+        for _ in range(_PASSES):
+            total, mass, level = b[VISCOUS] * v[k] + b[OFFSET], b[MASS], b[COULOMB]
+            for (effect, p), x in zip(effects, states, strict=True):
+                point = (q[k], v[k], t[k], tau, x[k], p, b)
+                total += effect.force(*point) if effect.force is not None else 0.0
+                mass += effect.inertia(*point) if effect.inertia is not None else 0.0
+                level += effect.dry(*point) if effect.dry is not None else 0.0
+            total += mass * a[k] + (0.0 if free else max(0.0, level) * np.sign(v[k]))
+            settled = abs(total - tau) < _SETTLED
+            tau = total
+            if settled:
+                break
+        force[k] = tau
+    return force
+
+
+def inverse_force(axis: Axis, q: np.ndarray, v: np.ndarray, a: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Motor force G_tau u [N] (n,) that makes the motion: :func:`plant_force` seen through the actuator's effects.
+
+    A lag is undone with the rate of the force, a delay by looking ahead, a static map by its smallest voltage; what
+    no voltage reaches (beyond a saturation) is given as the nearest that acts.
+
+    >>> from emps_design.machines import machine
+    >>> axis = machine("emps2019").replace(effects=[{"kind": "actuator_deadzone", "width": 0.2}])
+    >>> lost = inverse_force(axis, *np.array([[0.0], [0.1], [0.0], [0.0]])) - 0.2 * axis.drive.force_gain
+    >>> lost.round(3).tolist()
+    [37.579]
+    """
+    force = plant_force(axis, q, v, a, t)
+    q, v, a, t = (np.atleast_1d(np.asarray(x, dtype=float)) for x in (q, v, a, t))
+    b, gain = axis.mechanics.array(), axis.drive.force_gain
+    if axis.drive.current_time_constant > 0 and t.size > 1:
+        force = force + axis.drive.current_time_constant * np.gradient(force, t)
+    for effect, p in reversed(_resolve(axis, "actuator")):
+        if effect.actuator is not None:
+            force = gain * _undo(effect, p, force / gain)
+        elif effect.delay is not None and t.size > 1:
+            force = np.interp(t + effect.delay(0.0, 0.0, 0.0, 0.0, (), p, b), t, force)
+        elif effect.regressor is not None and t.size > 1:
+            parameters = dict(zip([one.name for one in effect.parameters], map(float, p), strict=True))
+            motion = Motion(t, q, v, a, force, float(t[1] - t[0]), force_gain=gain)
+            shape = {name: parameters[name] for name in effect.shape}
+            force = force + effect.regressor(motion, shape, b) @ effect.coefficients(parameters)
+    return force
+
+
+def _undo(effect: Effect, p: np.ndarray, acting: np.ndarray) -> np.ndarray:
+    """The smallest voltages that a static actuator map turns into ``acting`` (n,) [V]."""
+    reach = 2.0 * float(np.abs(acting).max(initial=0.0)) + 2.0 * float(np.abs(p).max(initial=0.0)) + 1.0
+    asked = np.linspace(-reach, reach, _GRID)
+    given = np.array([effect.actuator(u, p) for u in asked])
+    order = np.lexsort((np.abs(asked), given))
+    first = np.concatenate(([True], np.diff(given[order]) > 0))
+    return np.interp(acting, given[order][first], asked[order][first])
+
+
+def steady_friction(axis: Axis, v: np.ndarray, q: float = 0.0, t: float = 0.0) -> np.ndarray:
+    """Force [N] (n,) that keeps the carriage at the speeds ``v`` (n,) [m/s] when it passes ``q`` [m] at ``t`` [s].
+
+    The static friction curve of Fig. 3 with whatever effects the axis has. Effects with own states have settled: a
+    bristle carries the Coulomb level, a coupling nothing.
+
+    >>> from emps_design.machines import machine
+    >>> steady_friction(machine("emps2018"), np.array([-0.1, 0.1])).round(4).tolist()
+    [-64.8784, 64.8784]
+    """
+    v = np.atleast_1d(np.asarray(v, dtype=float))
+    settled = axis.replace(effects=[one for one in axis.effects if one.effect.rate is None])
+    still = np.zeros(v.size)
+    return plant_force(settled, still + q, v, still, still + t)
+
+
+@dataclass(frozen=True)
+class TwoQuadrants:
+    """Friction by direction, equation (3): F_v+ v + F_c+ for v > 0, F_v- v - F_c- for v < 0, constant force and all."""
+
+    viscous_positive: float
+    viscous_negative: float
+    coulomb_positive: float
+    coulomb_negative: float
+
+    def to_dict(self) -> dict[str, float]:
+        """The four numbers by name [N/(m/s), N/(m/s), N, N]."""
+        return dict(vars(self))
+
+
+def two_quadrants(axis: Axis, speeds: tuple[float, float] = (0.1, 0.2), q: float = 0.0, t: float = 0.0) -> TwoQuadrants:
+    """F_v+, F_v-, F_c+ and F_c- of Table I: lines through the steady friction at two ``speeds`` [m/s] each way.
+
+    Exact for friction that is linear in each direction. The constant force is counted with the Coulomb friction, from
+    which no motion can tell it.
+
+    >>> from emps_design.machines import machine
+    >>> {name: round(value, 4) for name, value in two_quadrants(machine("emps2018-two-quadrant")).to_dict().items()}
+    ... # doctest: +NORMALIZE_WHITESPACE
+    {'viscous_positive': 474.9727, 'viscous_negative': 563.8568, 'coulomb_positive': 17.3811,
+     'coulomb_negative': 11.5846}
+    """
+    slow, fast = speeds
+    if not 0 < slow < fast:
+        raise InputError(f"speeds: found {slow:g}, {fast:g} m/s, expected two positive ones, the slower first")
+    up_slow, up_fast, down_slow, down_fast = steady_friction(axis, np.array([slow, fast, -slow, -fast]), q, t).tolist()
+    positive, negative = (up_fast - up_slow) / (fast - slow), (down_slow - down_fast) / (fast - slow)
+    return TwoQuadrants(positive, negative, up_slow - positive * slow, -(down_slow + negative * slow))
+
+
+@dataclass(frozen=True)
+class Formula:
+    """The model in symbols: ``force`` = tau, ``values`` of its parameters, and equations of what stands beside it."""
+
+    force: sympy.Expr
+    values: dict[sympy.Symbol, float]
+    motion: dict[str, sympy.Symbol] = field(repr=False)
+    beside: tuple[tuple[str, str], ...] = ()
+
+    def latex(self) -> str:
+        r"""The equation of the force, and one line for every effect that is not part of it, as LaTeX without dollars.
+
+        >>> from emps_design.machines import machine
+        >>> print(formula(machine("emps2018")).latex())
+        \tau = F_{c} \operatorname{sign}{\left(\dot q \right)} + F_{v} \dot q + M \ddot q + \mathrm{offset}
+        """
+        import sympy
+
+        lines = [r"\tau = " + sympy.latex(self.force), *(equation for _, equation in self.beside)]
+        return " \\\\\n".join(lines)
+
+
+def formula(axis: Axis) -> Formula:
+    """Write the inverse dynamic model of ``axis`` in SymPy, its plant's effects included where they have a closed form.
+
+    Effects of actuator, sensor and controller, and those with own states, stand beside it with their equation.
+    Symbols that two effects share get the number of the effect.
+    """
+    import sympy
+
+    names = {"q": "q", "v": r"\dot q", "a": r"\ddot q", "t": "t", "tau": r"\tau"}
+    motion = {key: sympy.Symbol(name, real=True) for key, name in names.items()}
+    b = [sympy.Symbol(name, positive=True) for name in ("M", "F_v", "F_c")] + [
+        sympy.Symbol(r"\mathrm{offset}", real=True)
+    ]
+    values = dict(zip(b, map(float, axis.mechanics.array()), strict=True))
+    free = any(one.effect.takes_dry for one in axis.effects)
+    dry = 0 if free else b[COULOMB] * sympy.sign(motion["v"])
+    force, beside = b[MASS] * motion["a"] + b[VISCOUS] * motion["v"] + dry + b[OFFSET], []
+    for number, one in enumerate(axis.effects, start=1):
+        effect = one.effect
+        if effect.channel != "plant" or effect.expression is None:
+            beside.append((effect.name, effect.equation))
+            continue
+        taken, symbols = {symbol.name for symbol in values}, {}
+        for parameter in effect.parameters:
+            name = parameter.symbol if parameter.symbol not in taken else f"{{{parameter.symbol}}}_{{({number})}}"
+            symbols[parameter.name] = sympy.Symbol(name, real=True)
+            values[symbols[parameter.name]] = one.parameters[parameter.name]
+        term = effect.expression(motion["q"], motion["v"], motion["t"], motion["tau"], symbols, b)
+        is_mass = effect.force is None and effect.dry is None
+        force += term * motion["a"] if is_mass else term
+    return Formula(force, values, motion, tuple(beside))
