@@ -183,7 +183,7 @@ class ImpedanceLaw:
             if math.isfinite(value) and value >= math.pi / period:
                 raise InputError(
                     f"{name}: found {value:g} rad/s, expected less than the Nyquist frequency "
-                    f"{math.pi / period:g} rad/s of the {period:g} s sampling; lower it, or leave it out for none"
+                    f"{math.pi / period:g} rad/s of the {period:g} s sampling; lower it, or give inf for none"
                 )
 
     def motor_force(self, q: float, v: float, a: float, tau: float, tau_e: float | None = None) -> float:

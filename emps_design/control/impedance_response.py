@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.control.impedance import FrictionModel, ImpedanceLaw
-from emps_design.control.impedance_sampled import FREE, Clock, Environment, numbers, plant_step
+from emps_design.control.impedance_sampled import Clock, numbers, plant_step
 
 
 @dataclass(frozen=True)
@@ -30,17 +30,13 @@ def transfers(
     omega: np.ndarray,
     velocity_estimator: str = "two_tap",
     force_sensor: bool = False,
-    environment: Environment = FREE,
 ) -> Transfers:
     """Solve the recursions of the sampled law in z for many loops (m,) at ``omega`` (w,) [rad/s]."""
-    keys = list(n)
-    hand = (environment.mass, environment.damping, environment.stiffness)
-    values = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, dtype=float)) for x in (*n.values(), *hand)))
-    flat = dict(zip(keys, values, strict=False))
+    values = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, dtype=float)) for x in n.values()))
+    flat = dict(zip(n, values, strict=True))
     p = {name: value[:, None] for name, value in flat.items()}
-    mass_e, damping_e, stiffness_e = values[len(keys) :]
     period, lag = clock.period, clock.current_time_constant
-    step = plant_step(flat["mass"] + mass_e, flat["viscous"] + damping_e, stiffness_e, lag, period)[:, :, :, None]
+    step = plant_step(flat["mass"], flat["viscous"], np.zeros_like(flat["mass"]), lag, period)[:, :, :, None]
     z = np.exp(1j * np.asarray(omega, dtype=float) * period)[None, :]
     # q and v from command and held force, through tau = g c: (z - A) [q, v] = b_c c + b_e tau_e.
     g = step[:, 2, 3] / (z - step[:, 2, 2])

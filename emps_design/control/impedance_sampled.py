@@ -173,7 +173,13 @@ def loop_matrices(
     feed = np.zeros(m)
     if force_sensor:
         command += (p["viscous_hat"] - r * p["damping"])[:, None] * taps
-        feed = r - 1.0
+        # The sensor sits between carriage and environment and reads all of its force, inertia included.
+        share = mass_e / (p["mass"] + mass_e)
+        viscous = p["viscous"] + damping_e
+        command[:, q] += (r - 1.0) * (share - 1.0) * stiffness_e
+        command[:, v] += (r - 1.0) * (share * viscous - damping_e)
+        command[:, tau] -= (r - 1.0) * share
+        feed = (r - 1.0) * (1.0 - share)
     else:
         command += (r * (p["viscous_hat"] - p["damping"]))[:, None] * taps
         command += ((r - 1.0) * p["mass_hat"])[:, None] * rows[:, af]

@@ -1,0 +1,102 @@
+"""The impedance law M_a, B without a force sensor: as derived and as printed, sampled, and under mismatch."""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import Annotated, Any
+
+import typer
+
+from emps_design.cli.output import print_json, progress_bar
+
+
+def command(
+    axis: Annotated[str, typer.Argument(help="TOML file or embedded machine")] = "emps2018",
+    mass: Annotated[float, typer.Option(help="apparent mass M_a [kg]")] = ...,
+    damping: Annotated[float, typer.Option(help="apparent damping B [N/(m/s)]")] = ...,
+    mismatch: Annotated[float | None, typer.Option(help="relative error of the estimates, such as 0.02")] = None,
+    filter: Annotated[
+        float | None, typer.Option(help="low-pass of acceleration and current [rad/s]; default 0.5/period, inf: none")
+    ] = None,
+    unfiltered_current: Annotated[
+        bool, typer.Option("--unfiltered-current", help="filter the acceleration alone")
+    ] = False,
+    stiffness: Annotated[float, typer.Option(help="apparent stiffness K [N/m] about 0")] = 0.0,
+    coulomb_factor: Annotated[float, typer.Option(help="factor on the Coulomb compensation")] = 1.0,
+    force_sensor: Annotated[bool, typer.Option("--force-sensor", help="(28) with a measured force")] = False,
+    two_quadrant: Annotated[
+        bool, typer.Option("--two-quadrant", help="let friction err apart in either direction")
+    ] = False,
+    plants: Annotated[int, typer.Option(help="Monte-Carlo plants beside the corners")] = 200,
+    seed: Annotated[int, typer.Option(help="seed of the Monte-Carlo")] = 0,
+    workers: Annotated[int, typer.Option(help="threads; the numbers do not depend on it")] = 1,
+    as_json: Annotated[bool, typer.Option("--json", help="one JSON document on standard output")] = False,
+) -> int:
+    from emps_design.machines import load_axis
+    from emps_design.simulation.impedance_assessment import assess_impedance
+
+    with progress_bar(not as_json or sys.stderr.isatty()) as progress:
+        found = assess_impedance(
+            load_axis(axis),
+            mass,
+            damping,
+            mismatch,
+            filter,
+            plants,
+            seed,
+            True if two_quadrant else None,
+            workers,
+            progress,
+            current_filter=math.inf if unfiltered_current else None,
+            stiffness=stiffness,
+            coulomb_factor=coulomb_factor,
+            force_sensor=force_sensor,
+        )
+        document = found.to_dict()
+    if as_json:
+        print_json(document)
+    else:
+        _print(document)
+    if not found.stable:
+        print(f"emps-design: {found.reason}", file=sys.stderr)
+        return 4
+    return 0
+
+
+def _print(document: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    law, sampled = document["law"], document["sampled"]
+    unit = "unfiltered" if law["filter"] is None else f"{law['filter']:g} rad/s"
+    console.print(
+        f"{document['axis']}: impedance law M_a = {law['mass']:g} kg, B = {law['damping']:g} N/(m/s), filter {unit}"
+    )
+    console.print(f"sampled loop: {'stable' if sampled['stable'] else 'UNSTABLE'}, released: {sampled['verdict']}")
+    table = Table("ideal current loop", "apparent mass, kg", "apparent damping, N/(m/s)", "Coulomb left, N")
+    for name, label in (("derived", "derived"), ("printed", "(30) as printed")):
+        values = document[name]
+        table.add_row(label, *(f"{values[key]:.1f}" for key in ("apparent_mass", "apparent_damping", "coulomb_left")))
+    console.print(table)
+    found = document.get("mismatch")
+    if found is not None:
+        table = Table("mismatch", f"+-{100 * found['mismatch']:g} %")
+        creep = found["creep_speed"]
+        table.add_row("creep speed, mm/s", "unbounded" if math.isinf(creep) else f"{1e3 * creep:.3f}")
+        table.add_row("dead band, N", f"{found['dead_band']:.3f}")
+        table.add_row("Coulomb factor without creep", f"{found['coulomb_factor_without_creep']:.4f}")
+        low, high = found["stable_share_interval"]
+        interval = "" if math.isnan(low) else f" (95 %: {100 * low:.2f} to {100 * high:.2f} %)"
+        table.add_row("stable plants", f"{100 * found['stable_share']:.2f} %{interval}")
+        table.add_row("verdicts", ", ".join(f"{count} {name}" for name, count in found["verdicts"].items() if count))
+        worst = found["worst"]
+        errors = ", ".join(f"{name} {100 * value:+.2f} %" for name, value in worst["errors"].items())
+        table.add_row("worst", f"{worst['verdict']} at {errors}")
+        console.print(table)
+    loop = document["equivalent_loop"]
+    if loop["k_e1"] is not None:
+        console.print(f"equivalent cascaded loop ({loop['criterion']}): k_e1 = {loop['k_e1']:g} (m/s)/N")
+    for warning in document["warnings"]:
+        console.print(f"- {warning}", highlight=False, markup=False)
