@@ -1,0 +1,44 @@
+"""Sphinx settings. The build runs the commands it shows and needs no network."""
+
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent)]
+
+from emps_design import __version__  # noqa: E402
+
+project = "emps_design"
+author = "the emps_design authors"
+release = version = __version__
+extensions = [
+    "myst_parser",
+    "command_output",
+    "mathtext",
+    "effects_catalogue",
+    "measured_tables",
+    "reference_pages",
+]
+if list((HERE.parent / "examples").glob("[0-9]*.py")):
+    extensions.append("sphinx_gallery.gen_gallery")
+    sphinx_gallery_conf = {
+        "examples_dirs": str(HERE.parent / "examples"),
+        "gallery_dirs": "gallery",
+        "filename_pattern": r"/[0-9]",
+        "abort_on_example_error": True,
+        "download_all_examples": False,
+        "show_memory": False,
+        "min_reported_time": 1e9,
+        "reset_modules": ("matplotlib",),
+    }
+
+html_theme = "furo"
+html_title = f"emps_design {release}"
+html_math_renderer = "mathtext"
+html_copy_source = False
+templates_path: list[str] = []
+exclude_patterns = ["_build", "_ext", "sg_execution_times.rst", "gallery/*.ipynb"]
+myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist"]
+myst_heading_anchors = 3
+nitpicky = False
+suppress_warnings = ["config.cache"]
