@@ -22,7 +22,8 @@ def typical(parameter) -> float:
 def page(effect) -> str:
     """The catalogue page of one effect as MyST."""
     rows = [
-        f"| {p.name} | ${p.symbol}$ | {p.unit or '-'} | {bounds(p)} | {p.text}{', belongs to a record' * p.per_record} |"
+        f"| {p.name} | ${p.symbol}$ | {p.unit or '-'} | {bounds(p)} | "
+        f"{p.text}{', belongs to a record' * p.per_record} |"
         for p in effect.parameters
     ]
     others = {other.name: other for other in EFFECTS}

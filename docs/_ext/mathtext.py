@@ -19,7 +19,8 @@ def simplified(source: str) -> str:
     for old, new in (
         (r"\tfrac", r"\frac"), (r"\dfrac", r"\frac"), (r"\operatorname", r"\mathrm"), (r"\text", r"\mathrm"),
         (r"\left", ""), (r"\right", ""), (r"\lVert", r"\Vert"), (r"\rVert", r"\Vert"), (r"\begin{aligned}", ""),
-        (r"\end{aligned}", ""), ("&", ""), (r"\!", ""), (r"\le ", r"\leq "), (r"\ge ", r"\geq "), (r"\top", "T"), (r"\bmod", r"\ \mathrm{mod}\ "),
+        (r"\end{aligned}", ""), ("&", ""), (r"\!", ""), (r"\le ", r"\leq "), (r"\ge ", r"\geq "), (r"\top", "T"),
+        (r"\bmod", r"\ \mathrm{mod}\ "),
     ):  # fmt: skip
         text = text.replace(old, new)
     return re.sub(r"\\mathrm\{([^}]*)\}", lambda m: r"\mathrm{" + m[1].replace(" ", r"\ ") + "}", text)

@@ -75,10 +75,7 @@ def prose(text: str) -> str:
     lines, fence = [], ""
     for line in text.splitlines():
         indented = line.startswith("    ")
-        if fence == ">>>" and not line.strip():
-            lines += ["```", ""]
-            fence = ""
-        elif fence == "::" and line.strip() and not indented:
+        if (fence == ">>>" and not line.strip()) or (fence == "::" and line.strip() and not indented):
             lines += ["```", ""]
             fence = ""
         if not fence and line.startswith(">>>"):
