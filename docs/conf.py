@@ -36,6 +36,7 @@ html_theme = "furo"
 html_title = f"emps_design {release}"
 html_math_renderer = "mathtext"
 html_copy_source = False
+html_show_copyright = False
 templates_path: list[str] = []
 exclude_patterns = ["_build", "_ext", "sg_execution_times.rst", "gallery/*.ipynb"]
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist"]

@@ -25,7 +25,7 @@ class Run(Directive):
     def run(self):
         environment = self.state.document.settings.env
         folder = working_folder(environment)
-        command = " ".join(self.arguments[0].split())
+        command = " ".join(self.arguments[0].split()).replace("{docs}", str(Path(environment.srcdir)))
         done = execute(command, folder)
         if done.returncode != self.options.get("status", 0):
             raise self.error(f"{command}: exit status {done.returncode}\n{done.stderr}")
@@ -34,6 +34,7 @@ class Run(Directive):
         longest = self.options.get("lines", LONGEST)
         if len(lines) > longest:
             lines = [*lines[:longest], f"... ({len(lines) - longest} more lines)"]
+        command = command.replace(f"{environment.srcdir}/", "docs/")
         shown = "\n".join([f"$ {command}", *lines])
         block = nodes.literal_block(shown, shown)
         block["language"] = "text"

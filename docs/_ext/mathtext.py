@@ -17,7 +17,7 @@ def simplified(source: str) -> str:
     """``source`` in the part of LaTeX that mathtext knows."""
     text = " ".join(source.split())
     for old, new in (
-        (r"\tfrac", r"\frac"), (r"\dfrac", r"\frac"), (r"\operatorname", r"\mathrm"), (r"\text", r"\mathrm"),
+        (r"\tfrac", r"\frac"), (r"\operatorname", r"\mathrm"), (r"\text", r"\mathrm"),
         (r"\left", ""), (r"\right", ""), (r"\lVert", r"\Vert"), (r"\rVert", r"\Vert"), (r"\begin{aligned}", ""),
         (r"\end{aligned}", ""), ("&", ""), (r"\!", ""), (r"\le ", r"\leq "), (r"\ge ", r"\geq "), (r"\top", "T"),
         (r"\bmod", r"\ \mathrm{mod}\ "),
@@ -35,7 +35,7 @@ def svg(source: str) -> tuple[str, float]:
     stream = io.StringIO()
     figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     drawing = stream.getvalue()
-    return drawing[drawing.index("<svg") :].replace("#111111", "currentColor"), depth
+    return drawing[drawing.index("<svg") :].strip().replace("#111111", "currentColor"), depth
 
 
 def picture(source: str) -> str:
@@ -60,7 +60,7 @@ def visit_display(self, node):
     from docutils.nodes import SkipNode
 
     lines = [line for line in re.split(r"\\\\", node.astext()) if line.strip()]
-    body = "<br>".join(picture(line) for line in lines)
+    body = "<br>".join(picture(re.sub(r"\\frac", r"\\dfrac", line)) for line in lines)
     number = f'<span style="float:right">({node["number"]})</span>' if node.get("number") else ""
     self.body.append(f'<div class="math" style="text-align:center;margin:1em 0;overflow-x:auto">{number}{body}</div>')
     raise SkipNode
