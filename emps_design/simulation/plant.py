@@ -15,8 +15,10 @@ from emps_design.simulation import core, stepper
 from emps_design.simulation.compile import address
 from emps_design.simulation.laws import Law, law_of, position_pd
 from emps_design.simulation.run import Run
+from emps_design.simulation.surroundings import HAND, Hand, Wall
 
 HOOKS = ("force", "dry", "inertia", "command", "actuator", "delay", "sensor", "rate", "guard", "jump_time")
+METHODS = ("auto", "general", "plain", "folded", "open")
 _EMPTY = np.zeros(0)
 _NO_SIGNALS, _NO_SLOTS = np.zeros((0, 0)), np.zeros(0, np.int64)
 
@@ -62,6 +64,11 @@ class Plant:
         """Resolve an axis and its effects; what was resolved or compiled before is not again."""
         return cls(axis, [(one.effect, one.effect.values(one.parameters)) for one in axis.effects])
 
+    def touched_by(self, *things: Hand | Wall) -> Plant:
+        """Return this plant with a hand, walls, or both at the carriage."""
+        own = [(effect, values) for effect, values in zip(self.effects, self.parameters, strict=True)]
+        return Plant(self.axis, own + [thing.effect() for thing in things], len(things) + self._surroundings)
+
     def _table(self) -> tuple[np.ndarray, np.ndarray]:
         rows: list[list[tuple[int, int, int]]] = [[] for _ in range(stepper.TOUCH_MASS + 1)]
         for i, effect in enumerate(self.effects):
@@ -92,7 +99,8 @@ class Plant:
         law: Law | None = None,
         reference: np.ndarray | None = None,
         quantise: bool = True,
-        signals: tuple[np.ndarray, np.ndarray] | None = None,
+        intention: np.ndarray | None = None,
+        energy: bool = False,
         tolerance: float = 1.0,
         method: str = "auto",
     ) -> Run:
@@ -101,7 +109,10 @@ class Plant:
         ``q_ref`` (n,) [m]; ``baseline`` [mass, viscous, coulomb, offset] and ``parameters`` (one array an effect) in
         place of the axis's; ``disturbance`` (n,) [N] on the carriage, held over each period; ``voltage_noise`` (n,) [V]
         added after the controller; ``q0`` [m] first position (default ``q_ref[0]``) and ``v0`` [m/s]; ``reference`` is
-        what the law follows, by default ``q_ref``, or its backward difference for a law that follows a velocity.
+        what the law follows, by default ``q_ref``, or its backward difference for a law that follows a velocity;
+        ``intention`` (n,) [m] is where a hand means to be; ``energy`` asks for the energy balance; ``quantise=False``
+        takes an exact encoder; ``tolerance`` scales what one step may be wrong by; ``method`` is ``auto``, ``general``,
+        ``plain`` or ``folded``.
         Raises :class:`SimulationError` with time, state and effect where the simulation cannot go on.
         """
         period = self.axis.sampling.period if period is None else float(period)
@@ -113,8 +124,8 @@ class Plant:
             reference = _signal(reference, "reference", "m or m/s", q_ref.size)
         q0 = float(q_ref[0]) if q0 is None else float(q0)
         return self._simulate(
-            law, reference, q_ref, baseline, parameters, disturbance, voltage_noise, q0, v0, period, quantise, signals,
-            tolerance, method,
+            law, reference, q_ref, baseline, parameters, disturbance, voltage_noise, q0, v0, period, quantise,
+            intention, energy, tolerance, method,
         )  # fmt: skip
 
     def open_loop(
@@ -128,7 +139,8 @@ class Plant:
         period: float | None = None,
         *,
         quantise: bool = True,
-        signals: tuple[np.ndarray, np.ndarray] | None = None,
+        intention: np.ndarray | None = None,
+        energy: bool = False,
         tolerance: float = 1.0,
         method: str = "auto",
     ) -> Run:
@@ -140,13 +152,13 @@ class Plant:
         u = _signal(u, "u", "V")
         nothing = np.full(u.size, np.nan)
         return self._simulate(
-            None, u, nothing, baseline, parameters, disturbance, None, q0, v0, period, quantise, signals, tolerance,
-            method,
+            None, u, nothing, baseline, parameters, disturbance, None, q0, v0, period, quantise, intention, energy,
+            tolerance, method,
         )  # fmt: skip
 
     def _simulate(
-        self, law, reference, q_ref, baseline, parameters, disturbance, noise, q0, v0, period, quantise, signals,
-        tolerance, method,
+        self, law, reference, q_ref, baseline, parameters, disturbance, noise, q0, v0, period, quantise, intention,
+        energy, tolerance, method,
     ) -> Run:  # fmt: skip
         b, p = self._numbers(baseline, parameters)
         n = q_ref.size
@@ -154,13 +166,17 @@ class Plant:
         noise = _EMPTY if noise is None else _signal(noise, "voltage_noise", "V", n)
         resolution = self.axis.sampling.encoder_resolution if quantise else 0.0
         if method == "auto":
-            method = self._method(law, noise, resolution)
+            method = "general" if energy else self._method(law, noise, resolution)
+        elif method not in METHODS:
+            raise InputError(f"method: found {method!r}, expected one of {', '.join(METHODS)}")
+        signals = self._intended(intention, n, period)
         events, found = np.empty((n + 1000, 3)), np.array([0, n + 1000])
         if method == "general":
-            rows = self._general(
-                b, p, law, reference, push, noise, q0, v0, period, resolution, signals, tolerance, events, found
+            rows, balance = self._general(
+                b, p, law, reference, push, noise, q0, v0, period, resolution, signals, energy, tolerance, events, found
             )
         else:
+            balance = None
             rows = self._core(method, b, law, reference, push, noise, (q0, v0), period, resolution, events, found)
         encoder, position, velocity, u, outside = rows
         kept = min(int(found[0]), n + 1000)
@@ -175,6 +191,7 @@ class Plant:
             force_gain=self.axis.drive.force_gain,
             period=period,
             lost_events=int(found[0]) - kept,
+            energy=balance,
             name=self.axis.name,
         )
 
@@ -220,17 +237,19 @@ class Plant:
         return encoder, position, velocity, u, push if push.size else np.zeros(n)
 
     def _general(
-        self, b, p, law, reference, push, noise, q0, v0, period, resolution, signals, tolerance, events, found
+        self, b, p, law, reference, push, noise, q0, v0, period, resolution, signals, energy, tolerance, events, found
     ):
         n, drive = reference.size, self.axis.drive
-        settings = np.zeros(stepper.EXACT + 1)
+        settings = np.zeros(stepper.ENERGY + 1)
         settings[stepper.PERIOD], settings[stepper.GAIN] = period, drive.force_gain
         settings[stepper.LIMIT], settings[stepper.RESOLUTION] = drive.voltage_limit, resolution
         settings[stepper.DELAYED], settings[stepper.LAG] = self.axis.sampling.computation_delay, self._lag
-        settings[stepper.FREE], settings[stepper.STATES] = self._free, self._states
-        settings[stepper.TOLERANCE], settings[stepper.GLIDES] = tolerance, self._glides
-        settings[stepper.EXACT] = self._exact
-        y = np.zeros(self._states)
+        states = self._states + (4 if energy else 0)
+        settings[stepper.FREE], settings[stepper.STATES] = self._free, states
+        settings[stepper.TOLERANCE], settings[stepper.ENERGY] = tolerance, self._states if energy else 0
+        if not energy:
+            settings[stepper.GLIDES], settings[stepper.EXACT] = self._glides, self._exact
+        y = np.zeros(states)
         y[0], y[1] = q0, v0
         for i, effect in enumerate(self.effects):
             if effect.initial is not None:
@@ -238,8 +257,8 @@ class Plant:
                 y[self._x_at[i] : self._x_at[i + 1]] = effect.initial(q0, own, b)
         out = np.empty((5, n))
         guards = int(self._starts[stepper.GUARD + 1] - self._starts[stepper.GUARD])
-        scratch = np.zeros(stepper.room(self._states, guards))
-        columns, slots = signals or (_NO_SIGNALS, _NO_SLOTS)
+        scratch = np.zeros(stepper.room(states, guards))
+        columns, slots = signals
         place, gains, memory = 0, _EMPTY, _EMPTY
         if law is not None:
             place, gains, memory = address(law.kernel, "law"), law.gains, np.zeros(law.memory)
@@ -250,7 +269,41 @@ class Plant:
         if status != stepper.DONE:
             names = ", ".join(effect.name for effect in self.effects) or "none"
             raise SimulationError(REASONS[status], k * period + within, tuple(y.tolist()), names)
-        return out
+        return out, self._balance(b, p, y, q0, v0, n * period) if energy else None
+
+    def _balance(self, b, p, y, q0, v0, end) -> dict[str, float]:
+        """Where the energy of a run went [J]; ``residual`` is what the integration, or a jump of the mass, lost or made."""
+
+        def kinetic(q, v, t):
+            mass = b[0]
+            for i, effect in enumerate(self.effects):
+                if effect.inertia is not None:
+                    own, mine = y[self._x_at[i] : self._x_at[i + 1]], p[self._p_at[i] : self._p_at[i + 1]]
+                    mass += effect.inertia(q, v, t, 0.0, own, mine, b)
+            return 0.5 * mass * v * v
+
+        motor, push, friction, effects = (float(work) for work in y[self._states :])
+        parts = {
+            "motor": motor,
+            "external": push,
+            "offset": float(-b[3] * (y[0] - q0)),
+            "friction": -friction,
+            "effects": -effects,
+            "kinetic": float(kinetic(y[0], y[1], end) - kinetic(q0, v0, 0.0)),
+        }
+        return {**parts, "residual": sum(parts.values()) - 2.0 * parts["kinetic"]}
+
+    def _intended(self, intention: Any, n: int, period: float) -> tuple[np.ndarray, np.ndarray]:
+        """Columns that the hand's intention writes to its parameters at every sample, and where."""
+        hands = [i for i, effect in enumerate(self.effects) if effect is HAND]
+        if intention is None and not hands:
+            return _NO_SIGNALS, _NO_SLOTS
+        if len(hands) != 1:
+            raise InputError(f"intention: found {len(hands)} hands at the carriage, expected one; see Plant.touched_by")
+        wanted = np.zeros(n) if intention is None else _signal(intention, "intention", "m", n)
+        columns = np.column_stack([wanted, np.zeros(n), np.arange(n) * period])
+        columns[:-1, 1] = np.diff(wanted) / period
+        return columns, self._p_at[hands[0]] + np.array([3, 4, 5])
 
 
 def _touches_motion(effect: Effect) -> bool:

@@ -1,9 +1,9 @@
 """Step an axis with any effects through a run: hold periods, Runge-Kutta steps inside them, events between them.
 
-State ``y = [q, v, (motor force), own states of the effects ..., work of friction, work of the effects]``; the motor
-force is a state when the current loop is not ideal. Within a hold period the classical Runge-Kutta rule of order 4 with
-Zonneveld's embedded rule of order 3 (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, table II.4.2)
-chooses its steps. Friction stays set-valued: motion has a direction ``s`` of +1 or -1 and at rest ``s = 0``; velocity
+State ``y = [q, v, (motor force), own states of the effects ..., (work of motor, push, friction, effects)]``; the motor
+force is a state when the current loop is not ideal, the work where the energy balance is asked for. Within a hold
+period the classical Runge-Kutta rule of order 4 with Zonneveld's embedded rule of order 3 (Hairer, Norsett, Wanner,
+Solving Ordinary Differential Equations I, table II.4.2) chooses its steps. Friction stays set-valued: motion has a direction ``s`` of +1 or -1 and at rest ``s = 0``; velocity
 zeros, break-away, guards and jumps in time end a step, found by repeating the step with other lengths (Illinois
 method), so no step ever crosses a kink. Everything compiled for the general path is in this file.
 """
@@ -31,7 +31,7 @@ DONE, DIVERGED, NO_STEP, CHATTER, RUNAWAY = range(5)
 # Kinds of events that are recorded.
 REVERSAL, STICK, BREAKAWAY, GUARDED = range(4)
 # Places in ``settings``.
-PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, GLIDES, EXACT = range(11)
+PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, GLIDES, EXACT, ENERGY = range(12)
 
 # What one step may be wrong by in position [m], velocity [m/s], and relative to the largest value of an own state.
 _POSITION, _VELOCITY, _OWN = 2e-11, 2e-9, 2e-8
@@ -94,6 +94,12 @@ def derivative(y, t, tau, push, s, plant, dy):
     for i in range(starts[RATE], starts[RATE + 1]):
         x_at, p_at = hooks[3 * i + 1], hooks[3 * i + 2]
         call_rate(hooks[3 * i], y[0], y[1], t, tau, y, x_at, p, p_at, b, level, dy)
+    if settings[ENERGY] > 0.0:
+        e, v = int(settings[ENERGY]), dy[0]
+        dy[e] = tau * v
+        dy[e + 1] = push * v
+        dy[e + 2] = (b[1] * v + (0.0 if settings[FREE] > 0.0 else s * level)) * v
+        dy[e + 3] = (tau + push - b[1] * y[1] - b[3] - net) * v
 
 
 @part
@@ -122,8 +128,11 @@ def step(y, t, h, tau, push, s, plant, bounds, work, new):
         stage[i] = y[i] + h / 32.0 * (5.0 * k1[i] + 7.0 * k2[i] + 13.0 * k3[i] - k4[i])
     derivative(stage, clipped(t + 0.75 * h, bounds), tau, push, s, plant, k5)
     error = 0.0
+    judged = n if settings[ENERGY] == 0.0 else int(settings[ENERGY])
     for i in range(n):
         new[i] = y[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
+        if i >= judged:
+            continue
         wrong = abs(h * (2.0 / 3.0 * k1[i] - 2.0 * (k2[i] + k3[i] + k4[i]) + 16.0 / 3.0 * k5[i]))
         if i == 0:
             scale = _POSITION
@@ -198,9 +207,9 @@ def glide(y, t, h, tau, push, s, plant, work, new):
 
     Simpson's rule over the acceleration at both ends and in the middle (Lobatto IIIA), for axes without own states,
     guards and jumps. ``work[0][1]`` is the acceleration at the start, known from the end of the last step;
-    ``work[0][0]`` the slope it had there without viscous decay, ``work[1][1]`` the mass. The sweep is repeated until what the
-    acceleration would still feel of the corrections is below the tolerance; where its second difference is large, one
-    step is too long and the general method takes over.
+    ``work[0][0]`` the slope it had there without viscous decay, ``work[1][1]`` the mass. The sweep is repeated until
+    what the acceleration would still feel of the corrections is below the tolerance; where its second difference is
+    large, one step is too long and the general method takes over.
     """
     a0, stage, tolerance = work[0][1], work[5], plant[4][TOLERANCE]
     decay = plant[0][1] / work[1][1]

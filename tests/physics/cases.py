@@ -16,7 +16,7 @@ CASES = {
     "friction_drift": {"change": 0.4, "time_constant": 0.8},
     "position_ripple": {"amplitude": 3.0, "phase": 0.5, "period": 2.5e-3},
     "elastic_force": {"stiffness": 300.0, "rest_position": 0.02},
-    "end_stop": {"stiffness": 2e4, "position": 0.015, "side": 1.0},
+    "end_stop": {"stiffness": 2e4, "position": 0.003, "side": 1.0},
     "mass_change": {"change": 0.3, "time": 0.7773},
     "external_force": {"amplitude": -15.0, "start": 0.2013, "duration": 0.1, "every": 0.4},
     "periodic_disturbance": {"amplitude": 6.0, "phase": 0.2, "frequency": 17.0},

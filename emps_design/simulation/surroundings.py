@@ -1,0 +1,120 @@
+"""What touches the carriage: an operator's hand that means to move somewhere, and a wall.
+
+They join the plant through the hooks of an effect, so the same stepper locates their contacts; the external force
+``f_ext`` that a sensor on the carriage feels is theirs, positive towards +q.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from emps_design.effects import Effect, Parameter
+from emps_design.errors import InputError
+from emps_design.quantities import Quantity
+
+_MASS = Quantity("mass", "M_h", "kg", lower=0.0)
+_DAMPING = Quantity("damping", "B_h", "N/(m/s)", lower=0.0)
+_STIFFNESS = Quantity("stiffness", "K", "N/m", lower=0.0)
+
+
+def _hand_force(q, v, t, tau, x, p, b):
+    return p[1] * (v - p[4]) + p[2] * (q - p[3] - p[4] * (t - p[5]))
+
+
+def _hand_inertia(q, v, t, tau, x, p, b):
+    return p[0]
+
+
+def _wall_force(q, v, t, tau, x, p, b):
+    depth = p[3] * (q - p[0])
+    if depth <= 0.0:
+        return 0.0
+    return p[3] * max(0.0, p[1] * depth * (1.0 + p[2] * p[3] * v))
+
+
+def _wall_guard(q, v, t, tau, x, p, b):
+    return p[3] * (q - p[0])
+
+
+HAND = Effect(
+    name="hand",
+    label="Operator's hand",
+    channel="plant",
+    equation=r"\tau_e = B_h (\dot q_i - \dot q) + K_h (q_i - q) - M_h \ddot q",
+    source="mass, damper and spring towards an intended motion q_i",
+    parameters=(
+        Parameter("mass", "M_h", "kg", lower=0.0),
+        Parameter("damping", "B_h", "N/(m/s)", lower=0.0),
+        Parameter("stiffness", "K_h", "N/m", lower=0.0),
+        Parameter("intended_position", "q_i", "m"),
+        Parameter("intended_velocity", r"\dot q_i", "m/s"),
+        Parameter("since", "t_i", "s"),
+    ),
+    force=_hand_force,
+    inertia=_hand_inertia,
+    no_regressor="its intention is not measured",
+)
+WALL = Effect(
+    name="wall",
+    label="Wall",
+    channel="plant",
+    equation=r"\tau_e = -K d (1 + c \dot d),\ d = \max(0, s (q - q_w))",
+    source="contact with damping that grows with depth; K. Hunt, F. Crossley, J. Appl. Mech. 42 (1975)",
+    parameters=(
+        Parameter("position", "q_w", "m"),
+        Parameter("stiffness", "K", "N/m", lower=0.0),
+        Parameter("damping", "c", "s/m", lower=0.0),
+        Parameter("side", "s", "", lower=-1.0, upper=1.0),
+    ),
+    force=_wall_force,
+    guard=_wall_guard,
+    no_regressor="its contact is not measured",
+)
+
+
+@dataclass(frozen=True)
+class Hand:
+    """A hand on the carriage: ``mass`` [kg] moves with it, ``damping`` [N/(m/s)] and ``stiffness`` [N/m] pull it along.
+
+    Where it means to go is given to the simulation as ``intention`` (n,) [m]; in between the intention moves evenly.
+
+    >>> Hand(mass=1.0, damping=20.0, stiffness=500.0).stiffness
+    500.0
+    """
+
+    mass: float = 0.0
+    damping: float = 0.0
+    stiffness: float = 0.0
+
+    def __post_init__(self) -> None:
+        for quantity in (_MASS, _DAMPING, _STIFFNESS):
+            quantity.check(getattr(self, quantity.name))
+
+    def effect(self) -> tuple[Effect, np.ndarray]:
+        """The hand as the stepper takes it."""
+        return HAND, np.array([self.mass, self.damping, self.stiffness, 0.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A wall at ``position`` [m] on the ``side`` +1 or -1: ``stiffness`` [N/m], ``damping`` [s/m] relative to it."""
+
+    position: float
+    stiffness: float
+    damping: float = 0.0
+    side: float = 1.0
+
+    def __post_init__(self) -> None:
+        _STIFFNESS.check(self.stiffness)
+        Quantity("damping", "c", "s/m", lower=0.0).check(self.damping)
+        if self.side not in (-1.0, 1.0) or not math.isfinite(self.position):
+            raise InputError(
+                f"wall: found side {self.side:g} at {self.position:g} m, expected side +1 or -1, finite place"
+            )
+
+    def effect(self) -> tuple[Effect, np.ndarray]:
+        """The wall as the stepper takes it."""
+        return WALL, np.array([self.position, self.stiffness, self.damping, self.side])
