@@ -85,8 +85,8 @@ def _show_one(found) -> None:
 
     console = Console()
     table = Table(title=f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}", box=box.SIMPLE)
-    for heading in ("parameter", "value", "std (15)", "% (16)", "std *", "95 % *", "unit"):
-        table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
+    for heading in ("parameter", "value", "std (15)", "% (16)", "std *", "95 % ± *", "unit"):
+        table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right", no_wrap=True)
     for name, estimate in found.parameters.items():
         if not estimate.determined:
             table.add_row(name, "not determined", "", "", "", "", estimate.quantity.unit)
@@ -98,7 +98,7 @@ def _show_one(found) -> None:
             f"{estimate.std:.4f}",
             f"{estimate.relative_std_percent:.2f}" if estimate.relative_std_percent is not None else "",
             f"{estimate.std_long_run:.4f}",
-            f"{low:.2f}..{high:.2f}",
+            f"{0.5 * (high - low):.4f}",
             estimate.quantity.unit,
         )
     console.print(table)
@@ -111,6 +111,24 @@ def _show_one(found) -> None:
         f"over {1e3 * found.residual.correlation_time:.0f} ms, HAC lag {found.hac_lag:.2f} s)"
     )
     console.print(f"filter {found.chain}: {found.filter_text}")
+    if "cutoff_from_data" in found.extra:
+        console.print(
+            f"the inverse model explains the force up to {found.extra['cutoff_from_data']['cutoff_hz']:g} Hz "
+            "(--filter hold uses that, --cutoff overrides it)"
+        )
+    if "hausman_test" in found.extra:
+        test = found.extra["hausman_test"]
+        verdict = "biased" if test["least_squares_biased"] else "not shown to be biased"
+        console.print(
+            f"Durbin-Wu-Hausman: least squares is {verdict} (p = {test['p_value']:.2g}), by at most "
+            f"{test['shift_in_std']:.2f} standard deviations"
+        )
+    if "closed_loop" in found.extra:
+        loop = found.extra["closed_loop"]
+        console.print(
+            f"closed loop from q_ref: position {1e6 * loop['position_rms_error']:.3f} um rms, force "
+            f"{loop['force_rms_error']:.3f} N rms ({loop['force_relative_error_percent']:.2f} %)"
+        )
 
 
 def _show_several(found) -> None:
@@ -120,18 +138,19 @@ def _show_several(found) -> None:
 
     console = Console()
     table = Table(box=box.SIMPLE, title=f"{len(found.records)} records, {found.model} model")
-    for heading in ("parameter", "mean", "spread (std)", "mean std, correlated", "drift per record", "unit"):
-        table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
+    for heading in ("parameter", "mean", "spread", "std *", "drift/record", "unit"):
+        table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right", no_wrap=True)
     for row in found.table():
         table.add_row(
             row["name"],
             f"{row['mean']:.4f}",
             f"{row['spread']:.4f}",
             f"{row['std']:.4f}",
-            f"{row['drift']:+.4f}" + (" *" if row["drift_significant"] else ""),
+            f"{row['drift']:+.4f}" + (" **" if row["drift_significant"] else ""),
             row["unit"],
         )
     console.print(table)
+    console.print("spread: std between records; std *: mean within one, for a correlated residual; drift **: p < 1 %")
     matrix = Table(box=box.SIMPLE, title="force error [N rms]: identified on the row's record, judged on the column's")
     matrix.add_column("")
     for name in found.records:

@@ -13,6 +13,7 @@ from emps_design.identification.inverse_model import baseline_columns
 from emps_design.records import Record
 
 LOWEST_HZ = 10.0
+HIGHEST = 0.2  # of the sampling frequency
 EXPLAINED = 0.5
 LONGEST = 400_000  # samples that are looked at
 
@@ -39,6 +40,15 @@ class Cutoff:
         }
 
 
+def can_choose(record: Record) -> bool:
+    """Whether the record is sampled fast enough to choose a cut-off from it.
+
+    >>> can_choose(Record(t=np.zeros(1), q_ref=np.zeros(1), q=np.zeros(1), u=np.zeros(1), period=1e-3))
+    True
+    """
+    return HIGHEST / record.period > LOWEST_HZ
+
+
 def chosen_cutoff(record: Record) -> Cutoff:
     """Read the cut-off from ``record``: the first frequency where the inverse model explains under half of the force.
 
@@ -49,8 +59,8 @@ def chosen_cutoff(record: Record) -> Cutoff:
     from scipy.signal import welch
 
     part = record.part(0, LONGEST) if len(record) > LONGEST else record
-    top = 0.2 / part.period
-    if top <= LOWEST_HZ:
+    top = HIGHEST / part.period
+    if not can_choose(record):
         raise InputError(
             f"{record.name}: sampled at {1 / part.period:g} Hz, too slow to choose a cut-off; give --cutoff"
         )

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import AxisError, InputError, nearest_name
+from emps_design.identification.cutoff import LONGEST, can_choose, chosen_cutoff
 from emps_design.identification.excitation import WEAK_RELIABILITY, check_record, reliability
 from emps_design.identification.filters import CHAINS, Filtered, sliding
 from emps_design.identification.inverse_model import LeastSquares, least_squares, parameters_of, regression
@@ -189,7 +190,8 @@ def identify(
     W, Y = regression(filtered, model)
     names = tuple(p.name for p in parameters_of(model))
     fit = least_squares(W, Y, names, filtered.used)
-    return assemble(record, axis, model, "least_squares", filtered, W, fit, bootstrap=bootstrap, seed=seed)
+    extra = {"cutoff_from_data": chosen_cutoff(record).to_dict()} if can_choose(record) else {}
+    return assemble(record, axis, model, "least_squares", filtered, W, fit, bootstrap=bootstrap, seed=seed, extra=extra)
 
 
 def filter_record(record: Record, axis: Axis, chain: str, cutoff_hz: float | None = None) -> Filtered:
@@ -221,7 +223,7 @@ def assemble(
 
         covariance = block_bootstrap(W, W @ fit.value + fit.residual, fit.value, lag, bootstrap, seed)
         boot = np.sqrt(np.diag(covariance))
-    shares, warnings = _reliability(record, axis, model, filtered, W), list(record.warnings)
+    shares, warnings = _reliability(record, axis, model, filtered), list(record.warnings)
     estimates = {}
     for i, quantity in enumerate(parameters_of(model)):
         if shares is not None and shares[i] < WEAK_RELIABILITY:
@@ -278,7 +280,8 @@ def residual_statistics(
 ) -> tuple[np.ndarray, LongRun, int, float]:
     """Residual [N], its long-run statistics, the HAC lag [rows] and the period of a row [s].
 
-    The lag is four correlation times, at least 0.1 s. The autoregressive model is made of rows away from rest, as far apart as the band resolves (half a period).
+    The lag is four correlation times, at least 0.1 s. The autoregressive model is made of rows away from rest, as far
+    apart as the band resolves (half a period).
     """
     band = filtered.band_hz
     steps = max(1, round(0.5 / (band * filtered.period)))
@@ -294,13 +297,14 @@ def residual_statistics(
     return fit.residual, spread, min(lag, len(W) // 10), filtered.period
 
 
-def _reliability(record: Record, axis: Axis, model: str, filtered: Filtered, W: np.ndarray) -> np.ndarray | None:
+def _reliability(record: Record, axis: Axis, model: str, filtered: Filtered) -> np.ndarray | None:
     """Reliability of each column by the same chain on the reference; None where the motion does not follow it."""
-    from dataclasses import replace
-
-    error, stroke = record.q - record.q_ref, float(np.std(record.q))
-    if float(np.std(error)) > 0.1 * stroke:
+    part = record.part(0, LONGEST) if len(record) > LONGEST else record
+    if float(np.std(part.q - part.q_ref)) > 0.1 * float(np.std(part.q)):
         return None
-    led = filter_record(replace(record, q=record.q_ref), axis, filtered.chain, filtered.cutoff_hz)
+    if part is not record:
+        filtered = filter_record(part, axis, filtered.chain, filtered.cutoff_hz)
+    W, _ = regression(filtered, model)
+    led = filter_record(replace(part, q=part.q_ref), axis, filtered.chain, filtered.cutoff_hz)
     Z, _ = regression(led, model)
     return reliability(W, Z * filtered.used[:, None])

@@ -142,7 +142,7 @@ def least_squares(W: np.ndarray, Y: np.ndarray, names: tuple[str, ...], used: np
         residual=residual,
         rms_error=float(np.sqrt(residual @ residual / n)),
         relative_error_percent=relative_error(residual, Y),
-        condition_number=float(np.linalg.cond(W)),
+        condition_number=float(np.linalg.cond(r)),
     )
 
 

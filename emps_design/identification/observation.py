@@ -106,8 +106,8 @@ def observe(
     """Observe the external force of ``record`` with the parameters of ``axis``.
 
     ``cutoff_hz`` [Hz] of the on-line observer (the Kalman one has twice that bandwidth), ``offline_cutoff_hz``
-    [Hz] of the zero-phase filter off-line; ``parameter_std`` standard deviations of mass, viscous, coulomb, offset for the
-    parameter bound (2 % of each where not given). Raises :class:`RecordError` for a record shorter than 1 s.
+    [Hz] of the zero-phase filter off-line; ``parameter_std`` standard deviations of mass, viscous, coulomb, offset for
+    the parameter bound (2 % of each where not given). Raises :class:`RecordError` for a record shorter than 1 s.
     """
     if record.duration < 4 * SETTLED:
         raise RecordError(f"{record.name}: {record.duration:g} s long, expected at least {4 * SETTLED:g} s to observe")

@@ -1,0 +1,143 @@
+"""Several records of one axis: mean and spread, cross-validation, drift."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.errors import AxisError, InputError
+from emps_design.identification.identify import Identification, filter_record, identify
+from emps_design.identification.inverse_model import parameters_of, regression
+from emps_design.records import Record
+
+DRIFT_LEVEL = 0.01
+
+
+@dataclass(frozen=True)
+class SeveralIdentifications:
+    """Identifications of several records in the order of recording.
+
+    ``cross_validation[i, j]`` [N] is the rms force error on record j with the parameters of record i; its diagonal is
+    each record's own error.
+    """
+
+    identifications: tuple[Identification, ...]
+    cross_validation: np.ndarray
+    warnings: tuple[str, ...]
+    model: str
+    axis: Axis = field(repr=False)
+
+    @property
+    def records(self) -> tuple[str, ...]:
+        """Names of the records."""
+        return tuple(one.record for one in self.identifications)
+
+    @property
+    def values(self) -> np.ndarray:
+        """Parameters, a row a record, shape (records, p)."""
+        return np.array([one.values() for one in self.identifications])
+
+    def table(self) -> list[dict[str, Any]]:
+        """A row a parameter: mean, spread between records, mean deviation within one, drift per record."""
+        from scipy.stats import linregress
+
+        rows = []
+        for i, quantity in enumerate(parameters_of(self.model)):
+            column = self.values[:, i]
+            within = [one.parameters[quantity.name].std_long_run for one in self.identifications]
+            slope, p_value = 0.0, 1.0
+            if len(column) >= 3 and np.ptp(column) > 0:
+                line = linregress(np.arange(len(column)), column)
+                slope, p_value = float(line.slope), float(line.pvalue)
+            rows.append(
+                {
+                    "name": quantity.name,
+                    "unit": quantity.unit,
+                    "mean": float(column.mean()),
+                    "spread": float(column.std(ddof=1)),
+                    "std": float(np.mean(within)),
+                    "drift": slope,
+                    "drift_p_value": p_value,
+                    "drift_significant": p_value < DRIFT_LEVEL / len(parameters_of(self.model)),
+                    "values": column.tolist(),
+                }
+            )
+        return rows
+
+    def mean(self) -> Identification:
+        """The identification whose parameters are the means, with the spread as deviation; from the first record."""
+        from dataclasses import replace
+
+        first = self.identifications[0]
+        parameters = {}
+        for row in self.table():
+            half = 1.96 * row["spread"]
+            parameters[row["name"]] = replace(
+                first.parameters[row["name"]],
+                value=row["mean"],
+                std=row["spread"],
+                std_long_run=row["spread"],
+                interval_95=(row["mean"] - half, row["mean"] + half),
+                std_hac=None,
+                std_bootstrap=None,
+            )
+        return replace(first, record=f"mean of {len(self.records)} records", sha256="", parameters=parameters)
+
+    def to_axis(self, name: str | None = None) -> Axis:
+        """The axis with the mean parameters."""
+        return self.mean().to_axis(name)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, SI."""
+        return {
+            "records": list(self.records),
+            "model": self.model,
+            "axis": self.axis.name,
+            "parameters": {row.pop("name"): row for row in self.table()},
+            "cross_validation": self.cross_validation.tolist(),
+            "cross_validation_unit": "N",
+            "own_rms_error": np.diag(self.cross_validation).tolist(),
+            "identifications": [one.to_dict() for one in self.identifications],
+            "warnings": list(self.warnings),
+        }
+
+
+def identify_several(
+    records: Sequence[Record],
+    axis: Axis | None = None,
+    model: str = "symmetric",
+    progress: Callable[[str, float], None] | None = None,
+    **options: Any,
+) -> SeveralIdentifications:
+    """Identify each of ``records`` and judge every set of parameters on every record.
+
+    ``options`` are those of :func:`emps_design.identification.identify`. Raises :class:`InputError` for fewer than two
+    records, :class:`AxisError` where a record does not determine a parameter.
+    """
+    if len(records) < 2:
+        raise InputError(f"records: found {len(records)}, expected two or more; use identify for one")
+    if axis is None:
+        from emps_design.machines import machine
+
+        axis = machine("emps2019")
+    found, problems = [], []
+    for index, record in enumerate(records):
+        if progress is not None:
+            progress(f"identify {record.name}", index / len(records))
+        one = identify(record, axis, model=model, **options)
+        if not all(estimate.determined for estimate in one.parameters.values()):
+            raise AxisError(f"{record.name}: does not determine every parameter; leave it out or record it anew")
+        found.append(one)
+        filtered = filter_record(record, axis, one.chain, one.cutoff_hz)
+        problems.append((*regression(filtered, model), filtered.used))
+    matrix = np.array(
+        [[float(np.sqrt(np.sum((Y - W @ one.values()) ** 2) / used.sum())) for W, Y, used in problems] for one in found]
+    )
+    warnings = []
+    for one in found:
+        warnings += [f"{one.record}: {text}" for text in one.warnings]
+    return SeveralIdentifications(tuple(found), matrix, tuple(warnings), model, axis)

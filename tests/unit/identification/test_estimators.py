@@ -1,0 +1,114 @@
+"""Instruments, output error, several records, the chosen cut-off: each against a known truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from emps_design.errors import AxisError, InputError
+from emps_design.identification import identify
+from emps_design.identification.cutoff import chosen_cutoff
+from emps_design.identification.instruments import identify_with_instruments
+from emps_design.identification.output_error import identify_by_output_error
+from emps_design.identification.several import identify_several
+from emps_design.machines import machine
+
+AXIS = machine("emps2019")
+CUTOFF = 40.0
+
+
+@pytest.mark.parametrize("estimate", [identify_with_instruments, identify_by_output_error])
+def test_estimators_return_the_truth(simulate, truth, estimate):
+    found = estimate(simulate(2, std=0.0), AXIS, cutoff_hz=CUTOFF)
+    for name, value in truth.items():
+        assert found.parameters[name].value == pytest.approx(value, rel=1e-3)
+
+
+def test_least_squares_is_biased_by_fast_force_noise_and_instruments_are_not(simulate, truth):
+    """Noise that the loop cannot follow moves the carriage: it is in the acceleration, and pulls the mass down."""
+    bias, biased = {"ls": [], "iv": []}, 0
+    for seed in range(6):
+        found = identify_with_instruments(simulate(seed, std=25.0, time=0.005), AXIS, cutoff_hz=60.0)
+        bias["iv"].append(found.parameters["mass"].value - truth["mass"])
+        bias["ls"].append(found.extra["least_squares"]["mass"] - truth["mass"])
+        biased += found.extra["hausman_test"]["bias_matters"]
+    assert np.mean(bias["ls"]) < -1.0
+    assert abs(np.mean(bias["iv"])) < 0.3 * abs(np.mean(bias["ls"]))
+    assert biased >= 5
+
+
+def test_noise_of_the_measured_voltage_biases_nothing(simulate, truth):
+    """Noise on u alone does not reach W: the test says so, and the two estimates agree."""
+    clean = simulate(3, std=0.0)
+    noise = np.random.default_rng(0).standard_normal(len(clean)) * 0.05
+    found = identify_with_instruments(replace(clean, u=clean.u + noise), AXIS, cutoff_hz=CUTOFF)
+    assert not found.extra["hausman_test"]["bias_matters"]
+    assert found.extra["least_squares"]["mass"] == pytest.approx(found.parameters["mass"].value, rel=1e-4)
+
+
+def test_output_error_of_the_asymmetric_model(simulate, truth):
+    p = identify_by_output_error(simulate(4, std=0.0), AXIS, model="asymmetric", cutoff_hz=CUTOFF).parameters
+    assert p["viscous_positive"].value == pytest.approx(truth["viscous"], rel=5e-3)
+    assert p["viscous_negative"].value == pytest.approx(truth["viscous"], rel=5e-3)
+    half = 0.5 * (p["coulomb_positive"].value - p["coulomb_negative"].value)
+    assert half == pytest.approx(truth["constant_force"], abs=0.05)
+
+
+def test_simulated_estimators_need_the_controller(record):
+    bare = AXIS.replace(controller={"kind": "none", "kp": 1.0, "kv": 1.0})
+    with pytest.raises(AxisError, match="instruments need the controller"):
+        identify_with_instruments(record, bare)
+    with pytest.raises(AxisError, match="output error needs the controller"):
+        identify_by_output_error(record, bare)
+
+
+def test_chosen_cutoff_lies_where_the_model_stops_explaining(record):
+    found = chosen_cutoff(record)
+    above = found.frequency > found.cutoff_hz
+    assert 10.0 < found.cutoff_hz < 100.0
+    assert np.all(found.explained[found.frequency < found.cutoff_hz - 0.1] >= 0.5)
+    assert np.mean(found.explained[above]) < 0.0
+    with pytest.raises(InputError, match="too slow to choose a cut-off"):
+        chosen_cutoff(replace(record, period=0.02))
+
+
+def test_several_records_mean_spread_matrix_and_drift(simulate, truth):
+    records = [simulate(seed) for seed in range(5)]
+    found = identify_several(records, AXIS, chain="hold", cutoff_hz=30.0)
+    rows = {row["name"]: row for row in found.table()}
+    for name, value in truth.items():
+        assert rows[name]["mean"] == pytest.approx(value, abs=4 * rows[name]["std"] / np.sqrt(5))
+        assert 0.2 < rows[name]["spread"] / rows[name]["std"] < 2.5
+        assert not rows[name]["drift_significant"]
+    own = np.diag(found.cross_validation)
+    assert np.all(found.cross_validation >= own[None, :] - 1e-12)
+    assert found.to_axis("mean").mechanics.mass == pytest.approx(rows["mass"]["mean"])
+
+
+def test_drift_is_found(simulate, reference_plant):
+    """Coulomb friction that grows by 1 N a record is a drift of 1 N per record."""
+    records = []
+    for index in range(5):
+        b = AXIS.mechanics.array() + np.array([0.0, 0.0, float(index), 0.0])
+        run = reference_plant.closed_loop(simulate(0).q_ref, baseline=b)
+        records.append(replace(simulate(0), q=run.q, u=run.u, name=f"day {index}"))
+    rows = {row["name"]: row for row in identify_several(records, AXIS, chain="hold", cutoff_hz=30.0).table()}
+    assert rows["coulomb"]["drift"] == pytest.approx(1.0, abs=0.05)
+    assert rows["coulomb"]["drift_significant"]
+
+
+def test_one_record_is_not_several(record):
+    with pytest.raises(InputError, match="found 1, expected two or more"):
+        identify_several([record], AXIS)
+
+
+def test_estimators_agree_on_a_noisy_record(record):
+    values = [
+        identify(record, AXIS, chain="hold", cutoff_hz=CUTOFF),
+        identify_with_instruments(record, AXIS, cutoff_hz=CUTOFF),
+        identify_by_output_error(record, AXIS, cutoff_hz=CUTOFF),
+    ]
+    for name in ("mass", "viscous", "coulomb", "constant_force"):
+        spread = values[0].parameters[name].std_long_run
+        for other in values[1:]:
+            assert abs(other.parameters[name].value - values[0].parameters[name].value) < 2.5 * spread
