@@ -124,8 +124,8 @@ def _period(t: np.ndarray, source: str, first_row: int) -> tuple[float, list[str
 def _nominal(period: float) -> float:
     """The round period or round rate that ``period`` is within 1e-4 of, or ``period`` itself.
 
-    >>> _nominal(0.00100000802), _nominal(0.0003333333), _nominal(0.00123456)
-    (0.001, 0.0003333333333333333, 0.00123456)
+    >>> _nominal(0.00100000802), _nominal(0.0003333333), _nominal(0.0012365)
+    (0.001, 0.0003333333333333333, 0.0012365)
     """
     for nominal in (float(f"{period:.3g}"), 1.0 / float(f"{1.0 / period:.3g}")):
         if abs(period / nominal - 1.0) < 1e-4:
@@ -181,7 +181,9 @@ def _notes(named: Mapping[str, np.ndarray]) -> list[str]:
     largest = float(np.max(u))
     if largest < SMALLEST_VOLTAGE:
         notes.append(f"u: at most {largest:.3g} V; check that it is in volts")
-    saturated = float(np.mean(u >= largest * (1 - 1e-6)))
-    if saturated > NOTED_SATURATION:
-        notes.append(f"u: {100 * saturated:.2g} % of the samples sit at the extreme of {largest:.4g} V: saturated")
+    saturated = int(np.count_nonzero(u >= largest * (1 - 1e-6)))
+    if saturated > max(NOTED_SATURATION * u.size, 5):
+        notes.append(
+            f"u: {100 * saturated / u.size:.2g} % of the samples sit at the extreme of {largest:.4g} V: saturated"
+        )
     return notes

@@ -53,7 +53,7 @@ def record_from_bytes(content: bytes, name: str, source: str | None = None, max_
 
     >>> table = "t;q_ref [mm];q [mm];u\\n" + "\\n".join(f"{k / 1000:.3f};{k};{k};1.{k:02d}" for k in range(60))
     >>> record = record_from_bytes(table.encode(), "small.csv")
-    >>> record.period, float(record.q[-1]), record.warnings
+    >>> record.period, round(float(record.q[-1]), 9), record.warnings
     (0.001, 0.059, ('q_ref: converted from mm to m', 'q: converted from mm to m'))
     """
     source = source or name
