@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -35,7 +36,9 @@ class DerivationStep:
         import sympy
 
         def both(expression: Any) -> dict[str, str] | None:
-            return None if expression is None else {"latex": sympy.latex(expression), "text": str(expression)}
+            if expression is None:
+                return None
+            return {"latex": sympy.latex(expression), "text": str(plain_symbols(expression))}
 
         return {
             "title": self.title,
@@ -46,3 +49,24 @@ class DerivationStep:
             "difference": both(self.difference),
             "agrees": self.agrees,
         }
+
+
+def plain_symbols(expression: Any) -> Any:
+    r"""Return ``expression`` with LaTeX names of its symbols made readable as text: qd, qdd, M_hat, sign(qd).
+
+    >>> import sympy
+    >>> plain_symbols(sympy.Symbol(r"\ddot{q}") * sympy.Symbol(r"\hat{F}_v") * sympy.Symbol(r"\tau_e"))
+    Fhat_v*qdd*tau_e
+    """
+    import sympy
+
+    names = {symbol: _plain(symbol.name) for symbol in expression.atoms(sympy.Symbol)}
+    return expression.xreplace({symbol: sympy.Symbol(name) for symbol, name in names.items() if name != symbol.name})
+
+
+def _plain(name: str) -> str:
+    """A LaTeX name in the code's words."""
+    for command, suffix in (("ddot", "dd"), ("dot", "d"), ("hat", "hat")):
+        name = re.sub(rf"\\{command}{{(.*?)}}", rf"\1{suffix}", name)
+    name = re.sub(r"\\operatorname{(.*?)}", r"\1", name)
+    return re.sub(r"[\\{}]", "", name).replace(" ", "_")

@@ -36,8 +36,8 @@ def nearest_that_works(
     """Return the nearest pair for which ``works(frequencies, phase_margins_deg)`` holds, {} where none was found.
 
     Looks along both lines through the request: the same frequency with another phase margin, in steps of 0.5 deg, and
-    the same phase margin with another frequency, in steps of 1 % (of 10 % far below). Where both lines have one, the other is under "or".
-    ``works`` takes and returns arrays (n,).
+    the same phase margin with another frequency, in steps of 1 % (of 10 % far below). Where both lines have one, the
+    other is under "or". ``works`` takes and returns arrays (n,).
 
     >>> nearest_that_works(lambda w, phase: phase < 80.0, {"crossover": 100.0, "phase_margin_deg": 85.2})
     {'crossover': 100.0, 'phase_margin_deg': 79.5}
