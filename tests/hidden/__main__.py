@@ -1,0 +1,51 @@
+"""``python -m tests.hidden``: make cases, diagnose them, write the confusion table to docs/hidden_effects.md."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from pathlib import Path
+
+from tests.hidden import generate
+from tests.hidden.score import score_all, summary, table
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "hidden_effects.md"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Score a set of cases; the counts go to standard output as JSON."""
+    parser = argparse.ArgumentParser(prog="python -m tests.hidden", description=__doc__)
+    parser.add_argument("--cases", choices=("quick", "all", "healthy"), default="all")
+    parser.add_argument("--count", type=int, default=8, help="healthy drives")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", default="", help="cases whose name contains this")
+    parser.add_argument("--folder", type=Path, help="keep the cases here, and use those that are there")
+    parser.add_argument("--page", type=Path, default=PAGE)
+    parser.add_argument("--jobs", type=int, default=1)
+    options = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = options.folder or Path(scratch)
+        if not any(folder.glob("*/truth.json")):
+            wanted = [str(folder), "--seed", str(options.seed), "--cases", options.cases]
+            generate.main([*wanted, "--count", str(options.count), "--only", options.only])
+        scores = []
+        for one in score_all(folder, options.only, options.jobs):
+            scores.append(one)
+            print(
+                f"{one.case:55s} {one.result:9s} {' + '.join(one.named):50s} {one.closed:5.2f} {one.seconds:4.0f} s "
+                f"{one.note}",
+                file=sys.stderr,
+                flush=True,
+            )
+    if not scores:
+        print(f"no case whose name contains {options.only!r}", file=sys.stderr)
+        return 2
+    options.page.write_text(table(scores, options.seed), encoding="utf-8")
+    print(json.dumps({key: None if value != value else value for key, value in summary(scores).items()}))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,55 @@
+"""The judge of hidden-effect answers, on answers whose worth is plain."""
+
+import math
+
+import pytest
+
+from tests.hidden.score import Score, judge, summary, table
+
+
+def finding(effect, *equivalents):
+    return {"effect": effect, "equivalents": list(equivalents)}
+
+
+@pytest.mark.parametrize(
+    ("truth", "verdict", "findings", "result", "exact"),
+    [
+        (["backlash"], "named", [finding("backlash")], "right", True),
+        (["backlash"], "named", [finding("flexible_coupling", "backlash")], "right", False),
+        (["backlash"], "named", [finding("end_stop", "backlash", "a", "b", "c")], "abstained", False),
+        (["backlash"], "nothing-missing", [], "abstained", False),
+        (["backlash"], "named", [finding("backlash"), finding("end_stop")], "wrong", False),
+        (["backlash", "end_stop"], "named", [finding("end_stop"), finding("backlash")], "right", True),
+        (["backlash", "end_stop"], "named", [finding("end_stop", "backlash")], "abstained", False),
+        (["none"], "nothing-missing", [], "right", True),
+        (["none"], "named", [finding("end_stop")], "wrong", False),
+        (["unknown"], "unnamed", [], "right", True),
+        (["unknown"], "nothing-missing", [], "abstained", False),
+        (["unknown"], "named", [finding("end_stop")], "wrong", False),
+    ],
+)
+def test_judge(truth, verdict, findings, result, exact):
+    assert judge({"verdict": verdict, "findings": findings}, {"effects": truth})[:2] == (result, exact)
+
+
+def test_an_effect_below_the_noise_is_too_small_to_ask_for():
+    assert judge({"verdict": "nothing-missing", "findings": []}, {"effects": ["backlash"], "detectable": False}) == (
+        "too small",
+        False,
+        (),
+    )
+
+
+def test_summary_and_page():
+    scores = [
+        Score("a", ("backlash",), ("backlash",), "right", True, (), 0.98, 20.0),
+        Score("b", ("backlash",), ("end_stop",), "wrong", False, ("end_stop",), 0.3, 30.0),
+        Score("c", ("none",), ("nothing-missing",), "right", True, (), math.nan, 10.0),
+        Score("d", ("unknown",), ("unnamed",), "right", True, (), math.nan, 10.0),
+    ]
+    count = summary(scores)
+    assert (count["effects"], count["right"], count["wrong"], count["false_alarms"]) == (2, 1, 1, 0)
+    assert count["unknown_right"] == count["unknown"] == 1
+    page = table(scores, 4)
+    assert "| backlash | 2 | 1 | 0 | 1 | backlash; end_stop |" in page
+    assert "seed 4" in page
