@@ -60,7 +60,8 @@ DOCUMENTS = {
     ),
     "observe": (
         "observe {record} --axis {axis}",
-        "smallest_observable_force",
+        "offline.rms_error offline.delay offline.smallest_observable_force.value offline.smallest_observable_force.bound "
+        "online.rms_error online.delay online.smallest_observable_force.value online.smallest_observable_force.bound",
     ),
     "derive": ("derive", ""),
     "report": ("report {axis} --record {record} --crossover 100 --out {out}.html", "warnings"),

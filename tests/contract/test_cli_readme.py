@@ -1,0 +1,37 @@
+"""The README shows what its commands really print, and its two commands are there."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_the_output_shown_is_the_output_given():
+    check = [sys.executable, str(REPOSITORY / "docs" / "fill_readme.py"), "--check"]
+    done = subprocess.run(check, cwd=REPOSITORY, capture_output=True, text=True, check=False, timeout=600)
+    assert done.returncode == 0, f"run 'python docs/fill_readme.py' and look at the difference\n{done.stderr}"
+
+
+def test_every_command_shown_has_its_output():
+    commands = re.findall(r"<!-- run: (.*) -->", README)
+    assert len(commands) == 5
+    assert all(f"```text\n$ {command}\n" in README for command in commands)
+
+
+def test_links_lead_somewhere():
+    for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", README):
+        assert (REPOSITORY / target).exists(), target
+
+
+def test_the_two_commands_come_first():
+    start = README[:400]
+    makefile = (REPOSITORY / "Makefile").read_text()
+    for target in ("demo", "test"):
+        assert f"make {target}" in start
+        assert re.search(rf"^{target}:", makefile, re.MULTILINE)
