@@ -16,6 +16,7 @@ from emps_design.report.page import Page
 
 if TYPE_CHECKING:
     from emps_design.identification.identify import Identification
+    from emps_design.records import Record
 
 Progress = Callable[[str, float], None]
 DESIGN_ON = ("record", "axis")
@@ -48,7 +49,7 @@ class Report:
 
 def assemble_report(
     axis: str | Axis | None = None,
-    record: str | Path | None = None,
+    record: str | Path | Record | None = None,
     crossover: float | None = None,
     bandwidth: float | None = None,
     phase_margin_deg: float = 60.0,
@@ -63,8 +64,9 @@ def assemble_report(
 ) -> Report:
     """Design ``axis`` (or what ``record`` says about it) and return the page with its results.
 
-    ``axis``: an :class:`Axis`, a TOML file or an embedded machine. ``design_on``: "record" takes the mechanics that
-    the record gives (the default where no axis is named), "axis" leaves them as they are. ``crossover`` or
+    ``axis``: an :class:`Axis`, a TOML file or an embedded machine; ``record``: a :class:`Record` or its file.
+    ``design_on``: "record" takes the mechanics that the record gives (the default where no axis is named), "axis"
+    leaves them as they are. ``crossover`` or
     ``bandwidth`` [rad/s], ``phase_margin_deg`` [deg]; ``k_e1`` [(m/s)/N], ``hand`` [N/(m/s)], ``environment`` [N/m];
     ``mass`` [kg] and ``damping`` [N/(m/s)] add the impedance law.
 
@@ -109,11 +111,11 @@ def assemble_report(
 def _from_record(record, axis, model, design_on, inputs, tell):
     """Identify ``axis`` from ``record``: the axis to design on, what was found, and the section that tells it."""
     from emps_design.identification.identify import identify
-    from emps_design.records import read_record
+    from emps_design.records import Record, read_record
     from emps_design.report.record import record_section
 
-    read = read_record(record)
-    inputs[Path(record).name] = read.sha256
+    read = record if isinstance(record, Record) else read_record(record)
+    inputs[read.name if isinstance(record, Record) else Path(record).name] = read.sha256
     tell("identifying", 0.15)
     others = [name for name in ("symmetric", "asymmetric") if name != model]
     found = tuple(identify(read, axis, model=name) for name in (model, *others))

@@ -33,7 +33,7 @@ def drive_section(velocity: VelocityLoopDesign, mismatch: float = MISMATCH) -> S
                     [
                         "largest velocity step",
                         quantity(step["value"], "m/s"),
-                        f"from rest, before the voltage reaches its limit of {quantity(step['voltage_limit'], 'V', 3)}; "
+                        f"from rest, below the voltage limit of {quantity(step['voltage_limit'], 'V', 3)}; "
                         f"{quantity(step['dry_friction_voltage'], 'V', 3)} of it go into dry friction",
                     ],
                     ["voltage noise of the encoder", quantity(noise["rms"], "V", 3), "rms in closed loop, in motion"],
@@ -71,6 +71,6 @@ def _mismatch_table(study: dict[str, Any], mismatch: float) -> Table | Text:
     return Table(
         ["", "lowest", "highest"],
         rows,
-        f"The same gains on {study['corners']} plants whose mass, viscous friction and force gain are off by ±{percent}; "
-        f"{stable} of them stable.",
+        f"The same gains on {study['corners']} plants with mass, viscous friction and force gain off by "
+        f"±{percent}; {stable} of them stable.",
     )

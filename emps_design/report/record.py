@@ -28,14 +28,27 @@ def record_section(record: Record, found: Sequence[Identification], axis: Axis) 
         Picture(record_figure(record), "Position on the load side and the voltage that the drive was given.", "Record"),
         *(_parameters_table(one, axis) for one in found),
         _quality_table(found),
-        Picture(
-            force_figure(first),
-            f"Force of the motor, measured and by the {first.model} model with the identified parameters. The middle "
-            "picture enlarges the yellow stretch. What is left in the lowest picture and repeats from stroke to stroke "
-            "is physics that the model lacks; `emps-design diagnose` names it.".replace("`", ""),
-            "Measured against identified force",
-        ),
-        Callout("warning", "What the record says about itself", items=warnings) if warnings else None,
+        _force_picture(first),
+        _warnings(warnings),
+    )
+
+
+def identification_blocks(found: Identification, axis: Axis) -> tuple[Any, ...]:
+    """Return tables, picture and warnings of one identification; ``axis`` is what it is compared with."""
+    return (_parameters_table(found, axis), _quality_table((found,)), _force_picture(found), _warnings(found.warnings))
+
+
+def _warnings(warnings: Sequence[str]) -> Callout | None:
+    return Callout("warning", "What the record says about itself", items=tuple(warnings)) if warnings else None
+
+
+def _force_picture(found: Identification) -> Picture:
+    return Picture(
+        force_figure(found),
+        f"Force of the motor, measured and by the {found.model} model with the identified parameters. The middle "
+        "picture enlarges the yellow stretch. What is left in the lowest picture and repeats from stroke to stroke "
+        "is physics that the model lacks; emps-design diagnose names it.",
+        "Measured against identified force",
     )
 
 

@@ -1,0 +1,131 @@
+"""Pictures of the impedance law: what the hand feels, where the law is stable, Fig. 12, and the mismatch study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from emps_design.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED, look, subplots, thin
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from emps_design.control.impedance_robustness import StabilityMap
+    from emps_design.simulation.impedance_run import Run
+    from emps_design.simulation.impedance_study import MismatchStudy
+
+VERDICT_COLORS = {"stable": GREEN, "dead_band": BLUE, "creeping": ORANGE, "limit_cycle": PURPLE, "unstable": RED}
+_COLORS = (BLUE, RED, GREEN, PURPLE)
+
+
+def task_figure(runs: Mapping[str, Run]) -> Figure:
+    """Draw Fig. 12: force of the hand, velocity and position against time, one line for each of ``runs``."""
+    rows = (("force $\\tau_e$ [N]", "tau_e", 1.0), ("velocity [mm/s]", "v", 1e3), ("position [mm]", "q", 1e3))
+    with look():
+        figure, grid = subplots(3, 1, height=5.6, sharex=True)
+        for axes, (label, name, factor) in zip(grid, rows, strict=True):
+            for (run_name, run), color in zip(runs.items(), _COLORS, strict=False):
+                axes.plot(
+                    *thin(run.t, factor * getattr(run, name)),
+                    color=color,
+                    linewidth=1.3,
+                    label=f"{run_name}: {run.verdict}",
+                )
+            axes.set_ylabel(label)
+            axes.axhline(0.0, color=GREY, linewidth=0.8)
+            axes.margins(x=0.01)
+        grid[-1].set_xlabel("time [s]")
+        handles, labels = grid[0].get_legend_handles_labels()
+        figure.legend(handles, [label.replace("_", " ") for label in labels], loc="outside upper right", ncols=2)
+        figure.align_ylabels(grid)
+    return figure
+
+
+def apparent_impedance_figure(omega: np.ndarray, curves: Mapping[str, np.ndarray], target: np.ndarray) -> Figure:
+    """Draw the impedance that the hand meets: ``curves`` (n,) [N/(m/s)] over ``omega`` [rad/s], and the target."""
+    with look():
+        figure, (top, bottom) = subplots(2, 1, height=4.6, sharex=True)
+        top.loglog(omega, np.abs(target), color=BLACK, linestyle="--", label="target $M_a s + B$")
+        bottom.semilogx(omega, np.degrees(np.angle(target)), color=BLACK, linestyle="--")
+        for (name, response), color in zip(curves.items(), _COLORS, strict=False):
+            top.loglog(omega, np.abs(response), color=color, label=name)
+            bottom.semilogx(omega, np.degrees(np.unwrap(np.angle(response))), color=color)
+        for axes in (top, bottom):
+            axes.axvspan(omega[0], 20.0, color="#EEF7FD", linewidth=0, zorder=0)
+        top.set_ylabel("impedance [N/(m/s)]")
+        bottom.set_ylabel("phase [deg]")
+        bottom.set_xlabel("frequency [rad/s]")
+        top.legend(loc="upper left")
+    return figure
+
+
+def stability_map_figure(found: StabilityMap, mass: float, filter: float) -> Figure:
+    """Draw where the law is stable over apparent mass and filter, one line for each mismatch, and the law chosen."""
+    with look():
+        figure, axes = subplots(height=3.7)
+        shades = ("#FDE7D3", "#F9C9A3", "#F3A46F", "#E8834A")
+        handles = []
+        for e, radius, shade, color in zip(
+            found.mismatches, found.radius, shades, (GREEN, BLUE, PURPLE, RED), strict=False
+        ):
+            unstable = (radius > 1.0 + 1e-9).astype(float)
+            axes.contourf(found.masses, found.filters, unstable, levels=[0.5, 1.5], colors=[shade], alpha=0.55)
+            if 0.0 < unstable.mean() < 1.0:
+                axes.contour(found.masses, found.filters, unstable, levels=[0.5], colors=[color], linewidths=1.8)
+            handles.append(_line(color, f"limit at ±{100 * e:g} %"))
+        axes.plot([mass], [filter], "o", color=BLACK, markersize=8, zorder=5)
+        handles.append(_line(BLACK, "this law", marker="o", linestyle="none"))
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_xlim(found.masses[0], found.masses[-1])
+        axes.set_ylim(found.filters[0], found.filters[-1])
+        axes.set_xlabel("apparent mass $M_a$ [kg]")
+        axes.set_ylabel("filter [rad/s]")
+        figure.legend(handles=handles, loc="outside upper right", ncols=4)
+    return figure
+
+
+def _line(color: str, label: str, **options: str):
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], color=color, label=label, **options)
+
+
+def mismatch_figure(study: MismatchStudy) -> Figure:
+    """Draw apparent mass and damping of every plant of ``study``, coloured by its verdict; corners are squares."""
+    from emps_design.control.impedance_robustness import VERDICTS
+
+    mass, damping, _ = study.measures.fit
+    with look():
+        figure, (left, right) = subplots(1, 2, height=3.6)
+        corner = np.arange(len(mass)) < study.corners
+        shown = np.isfinite(mass) & np.isfinite(damping)
+        for place, name in enumerate(VERDICTS):
+            for square in (False, True):
+                rows = (study.verdict == place) & (corner == square) & shown
+                if rows.any():
+                    left.scatter(
+                        mass[rows],
+                        damping[rows],
+                        s=46 if square else 14,
+                        marker="s" if square else "o",
+                        color=VERDICT_COLORS[name],
+                        edgecolors=BLACK if square else "none",
+                        linewidths=0.7,
+                        label=name.replace("_", " ") + (", corner" if square else ""),
+                    )
+        left.set_xlabel("apparent mass [kg]")
+        left.set_ylabel("apparent damping [N/(m/s)]")
+        left.legend(loc="best")
+        counts = [int(np.sum(study.verdict == place)) for place in range(len(VERDICTS))]
+        right.bar(
+            [name.replace("_", "\n") for name in VERDICTS], counts, color=[VERDICT_COLORS[name] for name in VERDICTS]
+        )
+        for k, count in enumerate(counts):
+            right.annotate(str(count), (k, count), ha="center", va="bottom", fontsize=9)
+        right.set_ylabel("plants")
+        right.grid(axis="x", visible=False)
+        right.margins(y=0.12)
+    return figure

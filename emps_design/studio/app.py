@@ -1,0 +1,86 @@
+"""One session of the studio: the tabs, and what passes between them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import panel as pn
+
+from emps_design.axis import Axis
+from emps_design.machines import machine, machine_names
+from emps_design.records import Record
+from emps_design.studio.design_view import DesignView
+from emps_design.studio.page import page
+from emps_design.studio.state import State
+
+TABS = ("Design", "Simulation", "Data", "Files")
+
+
+class Session:
+    """The views of one browser window and the state they share."""
+
+    def __init__(self, axis: Axis, record: Record | None = None):
+        from emps_design.studio.data_view import DataView
+        from emps_design.studio.files_view import FilesView
+        from emps_design.studio.simulation_view import SimulationView
+
+        machines = {name: machine(name) for name in machine_names()}
+        machines[axis.name] = axis
+        self.state = State.of(axis)
+        self.design = DesignView(self.state, machines, self._changed)
+        self.simulation = SimulationView(lambda: self.state)
+        self.data = DataView(lambda: self.state, self.design.add_axis, record)
+        self.files = FilesView(lambda: self.state, lambda: self.data.record, self._loaded)
+        self.tab = pn.widgets.RadioButtonGroup(name="Tab", options=list(TABS), value=TABS[0], button_type="primary")
+        self.views = dict(zip(TABS, (self.design, self.simulation, self.data, self.files), strict=True))
+        for name, view in self.views.items():
+            view.view.visible = name == TABS[0]
+        self.tab.param.watch(self._turn_to, "value")
+        self.root = pn.Column(
+            self.tab, *(view.view for view in self.views.values()), sizing_mode="stretch_width", margin=0
+        )
+
+    def _turn_to(self, event) -> None:
+        for name, view in self.views.items():
+            view.view.visible = name == event.new
+
+    def _changed(self, state: State) -> None:
+        self.state = state
+
+    def _loaded(self, state: State) -> None:
+        self.state = state
+        self.design.machines[state.axis.name] = state.axis
+        self.design.machine.options = list(self.design.machines)
+        self.design.machine.value = state.axis.name
+        self.design.set_state(state)
+        self.state = self.design.state
+
+
+def serve(axis: Axis, record: str | Path | None = None, port: int = 0, ready=None) -> None:
+    """Serve the studio on 127.0.0.1 until it is interrupted; ``ready(address)`` is called once it listens.
+
+    ``port`` 0 takes a free one. Raises :class:`RecordError` for a record that cannot be read, before serving.
+    """
+    from emps_design.records import read_record
+    from emps_design.studio.page import MAX_UPLOAD_MB, TITLE, prepare
+
+    read = None if record is None else read_record(record)
+    prepare()
+    server = pn.serve(
+        lambda: page(Session(axis, read).root),
+        port=port,
+        address="127.0.0.1",
+        title=TITLE,
+        show=False,
+        start=False,
+        verbose=False,
+        websocket_max_message_size=2 * MAX_UPLOAD_MB * 2**20,
+        websocket_origin=None,
+    )
+    server.start()
+    if ready is not None:
+        ready(f"http://127.0.0.1:{server.port}")
+    try:
+        server.io_loop.start()
+    finally:
+        server.stop()

@@ -1,0 +1,67 @@
+"""A control for a number: a field to type in and a slider to turn, both with the same name, kept in step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import panel as pn
+
+from emps_design.studio.state import CHOICES
+
+# The title of the slider stays in the page for screen readers (and for the script that names its handle).
+_QUIET = (
+    ":host { --design-primary-color: #0072B2; } .bk-slider-title { font-size: 0; height: 0; } "
+    ".noUi-handle:focus-visible { outline: 3px solid #E69F00; }"
+)
+
+
+class Knob:
+    """Field and slider of the number ``name``; ``on_change(name, value)`` hears every change made by hand."""
+
+    def __init__(self, name: str, value: float, on_change: Callable[[str, float], None]):
+        choice = CHOICES[name]
+        self.name, self.on_change, self._quiet = name, on_change, False
+        whole = isinstance(choice.step, int)
+        field_type, slider_type = (
+            (pn.widgets.IntInput, pn.widgets.IntSlider) if whole else (pn.widgets.FloatInput, pn.widgets.FloatSlider)
+        )
+        options = {
+            "name": choice.label,
+            "value": value,
+            "start": choice.lower,
+            "end": choice.upper,
+            "step": choice.step,
+        }
+        self.field = field_type(**options, width=112, margin=(2, 6, 2, 6))
+        self.slider = slider_type(
+            **options, show_value=False, sizing_mode="stretch_width", margin=(22, 10, 0, 4), stylesheets=[_QUIET]
+        )
+        self.field.param.watch(self._heard, "value")
+        self.slider.param.watch(self._heard, "value")
+        self.view = pn.Row(self.field, self.slider, sizing_mode="stretch_width", margin=0)
+
+    def _heard(self, event) -> None:
+        if self._quiet or event.new is None:
+            return
+        self.set(event.new)
+        self.on_change(self.name, event.new)
+
+    def set(self, value: float) -> None:
+        """Show ``value`` without telling anybody."""
+        self._quiet = True
+        try:
+            self.field.value = value
+            self.slider.value = value
+        finally:
+            self._quiet = False
+
+    def limit(self, low: float, high: float) -> None:
+        """Let the control reach ``low`` to ``high`` only; a value outside moves to the nearest end."""
+        self._quiet = True
+        try:
+            value = min(max(self.field.value, low), high)
+            high = high if high > low else low + CHOICES[self.name].step
+            for widget in (self.field, self.slider):
+                widget.param.update(start=low, end=high, value=value)
+        finally:
+            self._quiet = False

@@ -1,0 +1,208 @@
+"""The data tab: drop a record, identify, observe, diagnose, and take the better model over into the design."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path, PurePath
+from typing import Any
+
+import panel as pn
+
+from emps_design.axis import Axis
+from emps_design.errors import EmpsError, RecordError
+from emps_design.records import Record
+from emps_design.report.display import quantity
+from emps_design.report.page import inline
+from emps_design.studio.jobs import Job
+from emps_design.studio.panes import html
+from emps_design.studio.state import State
+
+LIMIT_MB = 100
+SUFFIXES = (".mat", ".csv", ".npz")
+
+
+def read_upload(name: str, content: bytes | str) -> Record:
+    """Read an uploaded record as any other file is read: by its suffix, checked, never executed or unpickled.
+
+    Raises :class:`RecordError` for another kind of file, or one above the size limit.
+    """
+    from emps_design.records import read_record
+
+    plain = PurePath(name.replace("\\", "/")).name
+    suffix = PurePath(plain).suffix.lower()
+    data = content.encode() if isinstance(content, str) else bytes(content)
+    if suffix not in SUFFIXES:
+        raise RecordError(f"{plain}: found a {suffix or 'nameless'} file, expected one of {', '.join(SUFFIXES)}")
+    if len(data) > LIMIT_MB * 10**6:
+        raise RecordError(f"{plain}: found {len(data) / 1e6:.0f} MB, expected at most {LIMIT_MB} MB")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / plain
+        path.write_bytes(data)
+        try:
+            return read_record(path)
+        except EmpsError as error:
+            raise type(error)(str(error).replace(str(path), plain)) from error
+
+
+class DataView:
+    """The record, what can be done with it, and what came out; ``take(axis)`` hands a model to the design tab."""
+
+    def __init__(self, state: Callable[[], State], take: Callable[[Axis], None], record: Record | None = None):
+        self._state, self._take = state, take
+        self.record: Record | None = None
+        self.model: Axis | None = None
+        self.drop = pn.widgets.FileDropper(
+            name="Record", max_file_size=f"{LIMIT_MB}MB", multiple=False, height=76, width=360, layout="compact"
+        )
+        self.drop.param.watch(self._dropped, "value")
+        self.friction = pn.widgets.RadioButtonGroup(name="Friction", options=["symmetric", "asymmetric"])
+        self.buttons = {
+            name: pn.widgets.Button(name=name, disabled=True, width=110) for name in ("Identify", "Observe", "Diagnose")
+        }
+        for name, button in self.buttons.items():
+            button.button_type = "primary"
+            button.on_click(lambda event, name=name: self._start(name))
+        self.take = pn.widgets.Button(name="Design on this model", disabled=True, width=200, button_type="success")
+        self.take.on_click(self._taken)
+        self.job = Job()
+        self.message, self.about, self.result = html(), html(), html()
+        self.view = pn.Column(
+            pn.Row(
+                pn.Column(
+                    pn.pane.HTML(
+                        f"Drop a record here, or click to choose one: {', '.join(SUFFIXES)}, at most {LIMIT_MB} MB.",
+                        margin=(4, 5, 0, 5),
+                    ),
+                    self.drop,
+                    margin=0,
+                ),
+                pn.Column(
+                    pn.Row(*self.buttons.values(), self.take, margin=0),
+                    pn.Row(pn.pane.HTML("Friction model", margin=(8, 5)), self.friction, margin=0),
+                    self.job.view,
+                    margin=0,
+                ),
+            ),
+            self.message,
+            self.about,
+            self.result,
+            sizing_mode="stretch_width",
+        )
+        if record is not None:
+            self._show(record)
+
+    def _dropped(self, event: Any) -> None:
+        if not event.new:
+            return
+        name, content = next(iter(event.new.items()))
+        try:
+            self._show(read_upload(name, content))
+        except EmpsError as error:
+            self._say(str(error), "stop")
+
+    def _show(self, record: Record) -> None:
+        from emps_design.report import style
+        from emps_design.report.record_figures import record_figure
+
+        self.record, self.model = record, None
+        self.take.disabled = True
+        for button in self.buttons.values():
+            button.disabled = False
+        notes = "".join(f"<br>{inline(warning)}" for warning in record.warnings)
+        self._say(
+            f"{record.name}: {len(record)} samples of {quantity(record.period, 's')}, "
+            f"{quantity(record.duration, 's', 3)} in all",
+            "warning" if notes else "good",
+            notes,
+        )
+        self.about.object = style.svg(record_figure(record), "record")
+        self.result.object = ""
+
+    def _say(self, text: str, level: str, more: str = "") -> None:
+        role = "alert" if level == "stop" else "status"
+        self.message.object = f'<div class="said {level}" role="{role}">{inline(text)}{more}</div>'
+
+    def _start(self, name: str) -> None:
+        if self.record is None:
+            return
+        work = {"Identify": identify_work, "Observe": observe_work, "Diagnose": diagnose_work}[name]
+        record, axis, friction = self.record, self._state().axis, self.friction.value
+        if self.job.start(lambda progress: work(record, axis, friction, progress), self._done, self._failed):
+            self._say(f"{name} is at work on {record.name}", "note")
+
+    def _failed(self, message: str) -> None:
+        self._say(message, "stop")
+
+    def _done(self, found: dict[str, Any]) -> None:
+        self._say(found["text"], found.get("level", "good"))
+        self.result.object = found["html"]
+        self.model = found.get("model")
+        self.take.disabled = self.model is None
+
+    def _taken(self, event: Any) -> None:
+        if self.model is not None:
+            self._take(self.model)
+            self._say(f"The design tab now works on {self.model.name}.", "good")
+
+
+def _blocks(*blocks: Any) -> str:
+    """Blocks of a report page as HTML, without the page around them."""
+    from emps_design.report import Page, Section
+
+    text = Page("", "", (), (Section("Result", *blocks),)).html()
+    start = text.index("</h2>", text.index('<section id="result">')) + len("</h2>")
+    return text[start : text.index("</section>", start)]
+
+
+def identify_work(record: Record, axis: Axis, friction: str, progress: Callable) -> dict[str, Any]:
+    """Identify ``record`` and return the section of the report about it, and the axis it gives."""
+    from emps_design.identification.identify import identify
+    from emps_design.report.record import identification_blocks
+
+    progress("identifying", 0.2)
+    found = identify(record, axis, model=friction)
+    progress("drawing", 0.7)
+    values = ", ".join(
+        f"{name.replace('_', ' ')} {quantity(e.value, e.quantity.unit)}" for name, e in found.parameters.items()
+    )
+    complete = all(estimate.determined for estimate in found.parameters.values())
+    return {
+        "text": f"Identified: {values}; force error {quantity(found.rms_error, 'N')} rms.",
+        "html": _blocks(*identification_blocks(found, axis)),
+        "model": found.to_axis(name=f"{axis.name.split(' from ')[0]} from {record.name}") if complete else None,
+        "level": "good" if complete else "warning",
+    }
+
+
+def observe_work(record: Record, axis: Axis, friction: str, progress: Callable) -> dict[str, Any]:
+    """Observe the external force of ``record`` with the parameters of the design's axis."""
+    from emps_design.identification.observation import observe
+    from emps_design.report.observation import observation_blocks
+
+    progress("observing", 0.2)
+    found = observe(record, axis)
+    progress("drawing", 0.7)
+    least = min(found.methods.values(), key=lambda method: method.smallest.value).smallest.value
+    return {
+        "text": f"Observed with {axis.name}: forces below {quantity(least, 'N', 3)} cannot be told from errors.",
+        "html": _blocks(*observation_blocks(found)),
+    }
+
+
+def diagnose_work(record: Record, axis: Axis, friction: str, progress: Callable) -> dict[str, Any]:
+    """Find where ``record`` and the design's axis disagree; return the page's summary and the extended model."""
+    from emps_design.discrepancy import diagnose
+    from emps_design.report.diagnosis import diagnosis_page
+
+    found = diagnose(record, axis, progress=progress)
+    progress("drawing", 0.98)
+    page = diagnosis_page(found)
+    blocks = [*page.summary, *(block for section in page.sections for block in section.blocks)]
+    document = found.to_dict()
+    return {
+        "text": document.get("sentence", document["verdict"]),
+        "html": _blocks(*blocks),
+        "model": found.axis,
+        "level": "warning" if document["findings"] else "good",
+    }

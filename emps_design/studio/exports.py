@@ -1,0 +1,72 @@
+"""Files that the studio hands out: the report, the figures, the model, the gains; the same bytes for the same state."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from io import BytesIO
+from typing import TYPE_CHECKING
+
+from emps_design.studio.state import State
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from emps_design.control.velocity_loop import VelocityLoopDesign
+    from emps_design.records import Record
+
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the zip format's first day: an archive carries no clock
+
+
+def velocity_design(state: State) -> VelocityLoopDesign:
+    """The velocity loop that ``state`` asks for."""
+    from emps_design.control.velocity_loop import design_velocity_loop
+
+    return design_velocity_loop(state.axis, **state.requested)
+
+
+def report_html(state: State, record: Record | None = None) -> str:
+    """The page of ``report`` for ``state``, with the section on ``record`` where one is loaded."""
+    from emps_design.report.assemble import assemble_report
+
+    report = assemble_report(
+        state.axis,
+        record,
+        design_on="axis",
+        k_e1=state.k_e1,
+        hand=state.hand,
+        environment=state.wall * 1e3,
+        **state.requested,
+    )
+    return report.page.html()
+
+
+def figures(state: State) -> dict[str, Figure]:
+    """The pictures of ``state`` as matplotlib figures by name."""
+    from emps_design.report.diagrams import velocity_and_force_loop
+    from emps_design.report.loop_figures import velocity_loop_figures
+
+    return {"block_diagram": velocity_and_force_loop(), **velocity_loop_figures(velocity_design(state))}
+
+
+def figures_zip(state: State, kind: str) -> bytes:
+    """All pictures in one archive; ``kind`` is "svg" or "png"."""
+    from emps_design.report import style
+
+    out = BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, figure in figures(state).items():
+            data = style.svg(figure, name).encode() if kind == "svg" else style.png(figure)
+            archive.writestr(zipfile.ZipInfo(f"{name}.{kind}", _EPOCH), data)
+    return out.getvalue()
+
+
+def gains_json(state: State) -> str:
+    """The document that ``gains --json`` prints for ``state``."""
+    document = velocity_design(state).to_dict()
+    return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False, default=float) + "\n"
+
+
+def model_toml(state: State) -> str:
+    """The axis with the controller of the design, ready for every command."""
+    return state.axis.replace(controller=velocity_design(state).controller_table()).to_toml()

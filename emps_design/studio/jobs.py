@@ -1,0 +1,83 @@
+"""Long work beside the page: one thread, its progress shown, and a cancel that the work hears at its next step."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import panel as pn
+
+from emps_design.errors import EmpsError
+from emps_design.report.page import inline
+
+POLL = 150  # ms
+
+
+class Cancelled(Exception):
+    """The person at the page asked to stop."""
+
+
+class Job:
+    """Runs ``work(progress)`` in a thread; ``view`` has the bar and the cancel button; one job at a time.
+
+    ``progress(stage, fraction)`` shows where the work is and raises :class:`Cancelled` once cancel was pressed.
+    """
+
+    def __init__(self) -> None:
+        self.bar = pn.indicators.Progress(name="Progress", value=0, max=100, width=300, visible=False)
+        self.stage = pn.pane.HTML("", margin=(4, 8))
+        self.cancel = pn.widgets.Button(name="Cancel", disabled=True, width=90)
+        self.cancel.on_click(lambda event: self._stop.set())
+        self.view = pn.Row(self.bar, self.stage, self.cancel, margin=0)
+        self._stop = threading.Event()
+        self._now: tuple[str, float] = ("", 0.0)
+        self._outcome: tuple[str, Any] | None = None
+        self._poll: Any = None
+
+    @property
+    def running(self) -> bool:
+        """Whether work is going on."""
+        return self._poll is not None
+
+    def start(
+        self, work: Callable[[Callable], Any], done: Callable[[Any], None], failed: Callable[[str], None]
+    ) -> bool:
+        """Start ``work``; later call ``done(result)`` or ``failed(message)``. False where a job runs already."""
+        if self.running:
+            return False
+        self._stop.clear()
+        self._outcome, self._now = None, ("starting", 0.0)
+        self.bar.visible, self.cancel.disabled = True, False
+
+        def progress(stage: str, fraction: float) -> None:
+            if self._stop.is_set():
+                raise Cancelled
+            self._now = (stage, fraction)
+
+        def run() -> None:
+            try:
+                self._outcome = ("done", work(progress))
+            except Cancelled:
+                self._outcome = ("failed", "Cancelled; nothing was changed.")
+            except EmpsError as error:
+                self._outcome = ("failed", str(error))
+            except Exception as error:  # a defect: say so on the page, the session goes on
+                self._outcome = ("failed", f"{type(error).__name__}: {error}")
+
+        threading.Thread(target=run, daemon=True).start()
+
+        def poll() -> None:
+            stage, fraction = self._now
+            self.bar.value = int(100 * min(max(fraction, 0.0), 1.0))
+            self.stage.object = inline("stopping" if self._stop.is_set() else stage)
+            if self._outcome is None:
+                return
+            self._poll.stop()
+            self._poll = None
+            self.bar.visible, self.cancel.disabled, self.stage.object = False, True, ""
+            kind, value = self._outcome
+            (done if kind == "done" else failed)(value)
+
+        self._poll = pn.state.add_periodic_callback(poll, period=POLL)
+        return True

@@ -1,0 +1,27 @@
+"""A pane of words and tables in the studio's style, which its shadow root would keep out otherwise."""
+
+from __future__ import annotations
+
+import panel as pn
+
+STYLE = """
+.said { padding: 5px 10px; border-left: 5px solid #56b4e9; background: #eef7fd; font-size: 13px; margin: 2px 0 4px; }
+.said.stop { border-color: #b3261e; background: #fdecea; }
+.said.good { border-color: #009e73; background: #e9f7f2; }
+.said.warning { border-color: #e69f00; background: #fff8e6; }
+table { border-collapse: collapse; font-size: 12.5px; font-variant-numeric: tabular-nums; }
+th, td { text-align: left; padding: 2px 9px 2px 4px; border-bottom: 1px solid #e5e7eb; vertical-align: bottom; }
+th { font-weight: 400; }
+table.numbers tr:first-child th { color: #4b5563; font-size: 11px; line-height: 1.15; }
+table.side tr:first-child th[colspan] { font-weight: 600; border-bottom: 2px solid #1a1a1a; }
+b.yes { color: #00664b; }
+b.no { color: #b3261e; }
+p.requirements { margin: 4px 4px 0; font-size: 12.5px; }
+svg { width: 100%; height: auto; max-width: 980px; }
+h3 { margin: 6px 0; font-size: 15px; }
+"""
+
+
+def html(text: str = "", **options) -> pn.pane.HTML:
+    """Return a pane of HTML that stretches over the width it has."""
+    return pn.pane.HTML(text, stylesheets=[STYLE], **{"sizing_mode": "stretch_width", "margin": (0, 5), **options})

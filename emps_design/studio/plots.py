@@ -1,0 +1,261 @@
+"""The pictures that follow the controls: made once, then only their data change, so that a turn shows at once."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from bokeh.models import BoxAnnotation, ColumnDataSource, DataRange1d, HoverTool, Label, LegendItem, Range1d, Span
+from bokeh.plotting import figure
+
+from emps_design.report.loops import broken_loops
+from emps_design.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, RED
+
+if TYPE_CHECKING:
+    from emps_design.control.velocity_loop import VelocityLoopDesign
+
+PLACES = ("plant input", "velocity error")
+TOOLS = "pan,box_zoom,wheel_zoom,reset,save"
+HEIGHT = 262
+_TURN = np.linspace(0.0, 2.0 * np.pi, 120)
+
+
+def blank(title: str, x: str, y: str, height: int = HEIGHT, **options: Any):
+    """An empty figure in the studio's look, its axes named with their units."""
+    plot = figure(
+        title=title,
+        x_axis_label=x,
+        y_axis_label=y,
+        height=height,
+        sizing_mode="stretch_width",
+        tools=TOOLS,
+        active_scroll=None,
+        toolbar_location="above",
+        **options,
+    )
+    plot.toolbar.autohide = True
+    plot.toolbar.logo = None
+    plot.title.text_font_size = "12px"
+    plot.axis.axis_label_text_font_style = "normal"
+    plot.axis.axis_label_text_font_size = "11px"
+    plot.axis.major_label_text_font_size = "10px"
+    plot.grid.grid_line_color = "#E5E7EB"
+    plot.min_border_right = 12
+    return plot
+
+
+def _frame(plot, x: tuple[float, float], y: tuple[float, float]) -> None:
+    """Let ``plot`` show at least these ranges, a circle as a circle, whatever its data are."""
+    corners = plot.scatter(list(x), list(y), alpha=0.0)
+    plot.x_range = DataRange1d(renderers=[corners], range_padding=0.0)
+    plot.y_range = DataRange1d(renderers=[corners], range_padding=0.0)
+
+
+def _source(*names: str) -> ColumnDataSource:
+    return ColumnDataSource({name: [] for name in names})
+
+
+class LoopPlots:
+    """Bode, Nyquist, poles and step of a design, with a pinned design to compare with, and the requirements shaded."""
+
+    def __init__(self) -> None:
+        self.lines = {
+            key: _source("w", "magnitude", "phase", "re", "im") for key in ("continuous", "sampled", "pinned")
+        }
+        self.steps = {key: _source("t", "y") for key in ("continuous", "sampled", "pinned")}
+        self.poles = {key: _source("re", "im") for key in ("inside", "outside", "pinned")}
+        self.marks = _source("w", "phase", "re", "im", "color")
+        self.nyquist_frequency = [Span(dimension="height", line_color=GREEN, line_dash="dashed") for _ in range(2)]
+        self.phase_band = BoxAnnotation(bottom=-180, top=-150, fill_color=RED, fill_alpha=0.10)
+        self.overshoot_band = BoxAnnotation(bottom=1.2, fill_color=RED, fill_alpha=0.10)
+        self.circle = _source("re", "im")
+        self.magnitude, self.phase = self._bode()
+        self.nyquist = self._nyquist()
+        self.step = self._step()
+        self.z_plane = self._z_plane()
+
+    def _bode(self):
+        magnitude = blank("Bode: magnitude", "", "magnitude [dB]", HEIGHT // 2, x_axis_type="log")
+        phase = blank(
+            "Bode: phase",
+            "frequency [rad/s]",
+            "phase [deg]",
+            HEIGHT // 2 + 18,
+            x_axis_type="log",
+            x_range=magnitude.x_range,
+        )
+        for plot, column, level in ((magnitude, "magnitude", 0.0), (phase, "phase", -180.0)):
+            for key, color, dash in _LINES:
+                plot.line("w", column, source=self.lines[key], color=color, line_dash=dash, line_width=2)
+            plot.add_layout(Span(location=level, dimension="width", line_color=BLACK, line_dash="dashed", line_width=1))
+        magnitude.add_layout(self.nyquist_frequency[0])
+        phase.add_layout(self.nyquist_frequency[1])
+        phase.add_layout(self.phase_band)
+        phase.scatter("w", "phase", source=self.marks, color="color", size=8)
+        magnitude.y_range = Range1d(-70, 60)
+        phase.y_range = Range1d(-370, -60)
+        phase.add_tools(HoverTool(tooltips=[("frequency", "@w{0.0} rad/s"), ("phase", "@phase{0.0}°")]))
+        return magnitude, phase
+
+    def _nyquist(self):
+        plot = blank("Nyquist", "real part", "imaginary part", match_aspect=True)
+        plot.patch("re", "im", source=self.circle, fill_color=RED, fill_alpha=0.10, line_color=None)
+        plot.line(np.cos(_TURN), np.sin(_TURN), color=GREY, line_dash="dashed")
+        for key, color, dash in _LINES:
+            plot.line("re", "im", source=self.lines[key], color=color, line_dash=dash, line_width=2)
+        plot.scatter("re", "im", source=self.marks, color="color", size=8)
+        plot.scatter([-1.0], [0.0], marker="cross", size=14, color=BLACK, line_width=3)
+        _frame(plot, (-2.3, 1.2), (-2.2, 1.2))
+        return plot
+
+    def _step(self):
+        plot = blank("Step of the velocity reference", "time [ms]", "velocity / reference")
+        plot.add_layout(self.overshoot_band)
+        plot.add_layout(BoxAnnotation(bottom=0.98, top=1.02, fill_color=GREY, fill_alpha=0.15))
+        items = []
+        for key, color, dash in _LINES:
+            line = plot.line("t", "y", source=self.steps[key], color=color, line_dash=dash, line_width=2)
+            items.append(LegendItem(label=key, renderers=[line]))
+        from bokeh.models import Legend
+
+        plot.add_layout(Legend(items=items, location="bottom_right", label_text_font_size="10px", padding=4, spacing=0))
+        plot.y_range = Range1d(0.0, 1.6)
+        self.unstable_note = Label(
+            x=8, y=60, x_units="screen", y_units="screen", text="", text_color=RED, text_font_size="13px"
+        )
+        plot.add_layout(self.unstable_note)
+        return plot
+
+    def _z_plane(self):
+        plot = blank("Poles of the sampled loop, z plane", "real part", "imaginary part", match_aspect=True)
+        plot.patch(np.cos(_TURN), np.sin(_TURN), fill_color="#EEF7FD", line_color=BLACK)
+        plot.scatter("re", "im", source=self.poles["pinned"], marker="diamond", size=9, color=GREY, fill_alpha=0.3)
+        plot.scatter("re", "im", source=self.poles["inside"], marker="x", size=11, color=BLUE, line_width=3)
+        plot.scatter("re", "im", source=self.poles["outside"], marker="x", size=13, color=RED, line_width=4)
+        _frame(plot, (-1.2, 1.2), (-1.2, 1.2))
+        return plot
+
+    def update(self, design: VelocityLoopDesign, place: str) -> None:
+        """Show ``design``, its loop broken at ``place``."""
+        loop = broken_loops(design, 250)[0 if place == "velocity error" else 1]
+        for key, curve in (("continuous", loop.continuous), ("sampled", loop.sampled)):
+            self.lines[key].data = _curve_data(curve)
+        marks: dict[str, list] = {"w": [], "phase": [], "re": [], "im": [], "color": []}
+        for curve in loop.curves:
+            if curve.margins.stable and curve.margins.crossover is not None:
+                at = complex(curve.response(np.array([curve.margins.crossover]))[0])
+                marks["w"].append(curve.margins.crossover)
+                marks["phase"].append(curve.margins.phase_margin_deg - 180.0)
+                marks["re"].append(at.real)
+                marks["im"].append(at.imag)
+                marks["color"].append(curve.color)
+        self.marks.data = marks
+        for span in self.nyquist_frequency:
+            span.location = math.pi / design.axis.sampling.period
+        continuous, sampled = steps_of(design)
+        self.steps["continuous"].data = {"t": continuous.t * 1e3, "y": continuous.y}
+        self.steps["sampled"].data = {"t": [], "y": []} if sampled is None else {"t": sampled.t * 1e3, "y": sampled.y}
+        self.unstable_note.text = "" if sampled else "sampled loop unstable: no step response"
+        poles = np.asarray(design.sampled.poles)
+        inside = np.abs(poles) < 1.0
+        self.poles["inside"].data = {"re": poles.real[inside], "im": poles.imag[inside]}
+        self.poles["outside"].data = {"re": poles.real[~inside], "im": poles.imag[~inside]}
+
+    def require(self, phase_margin_deg: float, overshoot_percent: float) -> None:
+        """Shade what the requirements forbid."""
+        self.phase_band.top = -180.0 + phase_margin_deg
+        self.overshoot_band.bottom = 1.0 + overshoot_percent / 100.0
+        radius = 2.0 * math.sin(math.radians(phase_margin_deg) / 2.0)  # |1 + L| at a crossover with that margin
+        self.circle.data = {"re": -1.0 + radius * np.cos(_TURN), "im": radius * np.sin(_TURN)}
+
+    def pin(self) -> None:
+        """Keep what is shown now as the thin grey lines to compare with."""
+        stable = len(self.steps["sampled"].data["t"]) > 0
+        self.lines["pinned"].data = dict(self.lines["sampled"].data)
+        self.steps["pinned"].data = dict(self.steps["sampled" if stable else "continuous"].data)
+        both = [self.poles[key].data for key in ("inside", "outside")]
+        self.poles["pinned"].data = {name: np.concatenate([d[name] for d in both]) for name in ("re", "im")}
+
+    def unpin(self) -> None:
+        """Forget the pinned design."""
+        for source in (self.lines["pinned"], self.steps["pinned"], self.poles["pinned"]):
+            source.data = {name: [] for name in source.data}
+
+
+_LINES = (("continuous", BLUE, "solid"), ("sampled", RED, "solid"), ("pinned", GREY, "dotted"))
+
+
+def _curve_data(curve: Any) -> dict[str, np.ndarray]:
+    return {
+        "w": curve.w,
+        "magnitude": curve.magnitude_db,
+        "phase": curve.phase_deg,
+        "re": curve.L.real,
+        "im": curve.L.imag,
+    }
+
+
+def steps_of(design: VelocityLoopDesign) -> tuple[Any, Any]:
+    """Continuous and sampled step response of ``design``; None for a sampled loop that is unstable."""
+    from emps_design.control.step_response import continuous_step, sampled_step
+
+    return continuous_step(design, 301), sampled_step(design) if design.sampled.stable else None
+
+
+class PlanePlot:
+    """The plane of specifications: where (7) has gains, where the sampled loop is stable, where it meets the margin."""
+
+    CLASSES = (
+        ("no gains by (7)", "#9CA3AF"),
+        ("sampled loop unstable", RED),
+        ("below the required margin", ORANGE),
+        ("meets it", "#BFE3D5"),
+    )
+
+    def __init__(self) -> None:
+        from bokeh.models import CategoricalColorMapper, Legend
+
+        self.cells = _source("x", "y", "width", "height", "kind")
+        self.here = _source("x", "y")
+        self.pinned = _source("x", "y")
+        self.plot = blank("Specifications", "crossover [rad/s]", "phase margin [deg]", x_axis_type="log")
+        mapper = CategoricalColorMapper(
+            factors=[name for name, _ in self.CLASSES], palette=[color for _, color in self.CLASSES]
+        )
+        self.plot.rect(
+            "x",
+            "y",
+            "width",
+            "height",
+            source=self.cells,
+            fill_color={"field": "kind", "transform": mapper},
+            line_color=None,
+            fill_alpha=0.75,
+            legend_field="kind",
+        )
+        self.plot.scatter("x", "y", source=self.pinned, marker="diamond", size=12, color=GREY)
+        self.plot.scatter(
+            "x", "y", source=self.here, marker="circle", size=13, color=BLACK, fill_color="white", line_width=3
+        )
+        self.plot.grid.visible = False
+        legend = self.plot.select_one(Legend)
+        legend.location = "bottom_left"
+        legend.label_text_font_size = "9px"
+        legend.glyph_height = legend.glyph_width = 10
+        legend.padding, legend.spacing, legend.margin = 3, -4, 4
+        legend.background_fill_alpha = 0.85
+        self.plot.y_range = Range1d(0.0, 90.0)
+        self.plot.x_range = Range1d(5.0, 600.0)
+
+    def show(self, crossover: float, phase_margin_deg: float) -> None:
+        """Mark where the design is."""
+        self.here.data = {"x": [crossover], "y": [phase_margin_deg]}
+
+    def pin(self) -> None:
+        """Keep the mark."""
+        self.pinned.data = dict(self.here.data)
+
+    def unpin(self) -> None:
+        """Forget the pinned mark."""
+        self.pinned.data = {"x": [], "y": []}

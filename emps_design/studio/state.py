@@ -1,0 +1,138 @@
+"""What the studio's controls hold, as one object that is saved to and loaded from a TOML file."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+from emps_design.axis import Axis
+from emps_design.errors import InputError, nearest_name
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A number that a control sets: its label with the unit, its range and the step of the control."""
+
+    label: str
+    lower: float
+    upper: float
+    step: float
+
+
+CHOICES: dict[str, Choice] = {
+    "frequency": Choice("Frequency [rad/s]", 5.0, 600.0, 1.0),
+    "phase_margin_deg": Choice("Phase margin [deg]", 1.0, 89.0, 0.5),
+    "period_ms": Choice("Sampling period [ms]", 0.1, 5.0, 0.1),
+    "computation_delay": Choice("Computation delay [samples]", 0, 5, 1),
+    "current_ms": Choice("Current loop [ms]", 0.0, 5.0, 0.05),
+    "k_e1": Choice("Force gain k_e1 [(m/s)/N]", 0.0005, 0.1, 0.0005),
+    "hand": Choice("Viscous hand [N/(m/s)]", 0.0, 500.0, 5.0),
+    "wall": Choice("Wall [N/mm]", 0.0, 200.0, 1.0),
+    "mass": Choice("Apparent mass M_a [kg]", 1.0, 200.0, 1.0),
+    "damping": Choice("Apparent damping B [N/(m/s)]", 0.0, 500.0, 5.0),
+    "filter": Choice("Filter of the law [rad/s]", 10.0, 3000.0, 10.0),
+    "mismatch_percent": Choice("Mismatch [%]", 0.0, 20.0, 0.5),
+    "required_phase_deg": Choice("Required phase margin, sampled [deg]", 0.0, 80.0, 1.0),
+    "required_overshoot_percent": Choice("Allowed overshoot [%]", 0.0, 100.0, 1.0),
+}
+SPECIFICATIONS = ("crossover", "bandwidth")
+
+
+@dataclass(frozen=True)
+class State:
+    """Everything the controls hold; ``axis`` has the sampling and the current loop of the controls.
+
+    >>> from emps_design.machines import machine
+    >>> state = State.of(machine("emps2018"))
+    >>> State.from_toml(state.to_toml()) == state
+    True
+    """
+
+    axis: Axis
+    specification: str = "crossover"
+    frequency: float = 100.0
+    phase_margin_deg: float = 60.0
+    k_e1: float = 0.01
+    hand: float = 0.0
+    wall: float = 10.0
+    mass: float = 50.0
+    damping: float = 100.0
+    filter: float = 200.0
+    mismatch_percent: float = 2.0
+    required_phase_deg: float = 30.0
+    required_overshoot_percent: float = 20.0
+    period_ms: float = field(default=1.0)
+    computation_delay: int = 0
+    current_ms: float = 0.0
+
+    @classmethod
+    def of(cls, axis: Axis) -> State:
+        """The controls as they stand for ``axis``."""
+        state = cls(axis)
+        return replace(state, **_clock(axis))
+
+    def with_axis(self, axis: Axis) -> State:
+        """The same specification on another ``axis``."""
+        return replace(self, axis=axis, **_clock(axis))
+
+    def changed(self, **values: Any) -> State:
+        """The state with some numbers changed, each within the range of its control, and the axis kept in step."""
+        for name, value in values.items():
+            check(name, value)
+        state = replace(self, **values)
+        if not {"period_ms", "computation_delay", "current_ms"} & set(values):
+            return state
+        axis = state.axis.replace(
+            sampling={"period": state.period_ms * 1e-3, "computation_delay": int(state.computation_delay)},
+            drive={"current_time_constant": state.current_ms * 1e-3},
+        )
+        return replace(state, axis=axis)
+
+    @property
+    def requested(self) -> dict[str, float]:
+        """Arguments of the velocity-loop design."""
+        return {self.specification: self.frequency, "phase_margin_deg": self.phase_margin_deg}
+
+    def to_toml(self) -> str:
+        """The state as a TOML document."""
+        import tomli_w
+
+        values = {key: value for key, value in asdict(self).items() if key != "axis"}
+        return tomli_w.dumps({"studio": values, "axis": self.axis.to_dict()})
+
+    @classmethod
+    def from_toml(cls, text: str, source: str = "state") -> State:
+        """Read a state; :class:`InputError` in one line names what was found and expected."""
+        try:
+            document = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(f"{source}: not TOML, {error}") from error
+        if not isinstance(document.get("studio"), dict) or not isinstance(document.get("axis"), dict):
+            raise InputError(f"{source}: expected the tables [studio] and [axis] of a state saved by the studio")
+        axis = Axis.from_dict(document["axis"], f"{source}: axis")
+        for name, value in document["studio"].items():
+            check(name, value, source)
+        return replace(cls(axis), **document["studio"])
+
+
+def check(name: str, value: Any, source: str = "studio") -> None:
+    """Refuse a name the controls do not have, or a number outside a control's range, with :class:`InputError`."""
+    if name == "specification":
+        if value not in SPECIFICATIONS:
+            raise InputError(f"{source}: specification: found {value!r}, expected {' or '.join(SPECIFICATIONS)}")
+        return
+    if name not in CHOICES:
+        raise InputError(f"{source}: unknown key {name!r}{nearest_name(name, list(CHOICES))}")
+    choice = CHOICES[name]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not choice.lower <= value <= choice.upper:
+        raise InputError(f"{source}: {name}: found {value!r}, expected {choice.lower:g} to {choice.upper:g}")
+
+
+def _clock(axis: Axis) -> dict[str, Any]:
+    """Sampling and current loop of ``axis`` as the controls show them."""
+    return {
+        "period_ms": round(axis.sampling.period * 1e3, 9),
+        "computation_delay": axis.sampling.computation_delay,
+        "current_ms": round(axis.drive.current_time_constant * 1e3, 9),
+    }
