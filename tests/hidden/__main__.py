@@ -9,9 +9,11 @@ import tempfile
 from pathlib import Path
 
 from tests.hidden import generate
-from tests.hidden.score import score_all, summary, table
+from tests.hidden.score import rows, score_all, summary, table
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "hidden_effects.md"
+REPOSITORY = Path(__file__).resolve().parents[2]
+PAGE = REPOSITORY / "docs" / "hidden_effects.md"
+TABLE = REPOSITORY / "benchmarks" / "hidden.json"
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -23,6 +25,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--only", default="", help="cases whose name contains this")
     parser.add_argument("--folder", type=Path, help="keep the cases here, and use those that are there")
     parser.add_argument("--page", type=Path, default=PAGE)
+    parser.add_argument("--table", type=Path, default=TABLE)
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as scratch:
@@ -34,7 +37,7 @@ def main(arguments: list[str] | None = None) -> int:
         for one in score_all(folder, options.only, options.jobs):
             scores.append(one)
             print(
-                f"{one.case:55s} {one.result:9s} {' + '.join(one.named):50s} {one.closed:5.2f} {one.seconds:4.0f} s "
+                f"{one.case:55s} {one.result:9s} {' + '.join(one.named) or one.verdict:50s} {one.closed:5.2f} {one.seconds:4.0f} s "
                 f"{one.note}",
                 file=sys.stderr,
                 flush=True,
@@ -42,8 +45,11 @@ def main(arguments: list[str] | None = None) -> int:
     if not scores:
         print(f"no case whose name contains {options.only!r}", file=sys.stderr)
         return 2
+    count = {key: None if value != value else value for key, value in summary(scores).items()}
     options.page.write_text(table(scores, options.seed), encoding="utf-8")
-    print(json.dumps({key: None if value != value else value for key, value in summary(scores).items()}))
+    document = {"seed": options.seed, "summary": count, "rows": rows(scores)}
+    options.table.write_text(json.dumps(document, indent=1), encoding="utf-8")
+    print(json.dumps(count))
     return 0
 
 

@@ -28,6 +28,7 @@ class Score:
     case: str
     truth: tuple[str, ...]
     named: tuple[str, ...]
+    verdict: str
     result: str  # right, abstained, wrong, too small
     exact: bool
     false: tuple[str, ...]
@@ -104,9 +105,9 @@ def score(case: Path, timeout: float = 600.0) -> Score:
             closed = gap_closed(case, Path(folder), truth)
         except (subprocess.SubprocessError, ValueError, OSError) as error:
             said = (getattr(error, "stderr", None) or str(error)).strip().splitlines()[-1:]
-            return Score(case.name, hidden, (), "wrong", False, (), math.nan, time.monotonic() - started, *said)
-    named = tuple(f["effect"] for f in answer["findings"]) or (answer["verdict"],)
-    return Score(case.name, hidden, named, result, exact, false, closed, seconds)
+            return Score(case.name, hidden, (), "", "wrong", False, (), math.nan, time.monotonic() - started, *said)
+    named = tuple(f["effect"] for f in answer["findings"])
+    return Score(case.name, hidden, named, answer["verdict"], result, exact, false, closed, seconds)
 
 
 def score_all(folder: Path, only: str = "", jobs: int = 1) -> Iterator[Score]:
@@ -142,6 +143,7 @@ def table(scores: list[Score], seed: int) -> str:
     """The confusion table as a Markdown page."""
     count = summary(scores)
     lines = [
+        *("---", "orphan: true", "---", ""),
         "# Hidden effects: what was hidden, what was named",
         "",
         f"Written by `make hidden` (seed {seed}): cases of `tests/hidden`, made by a simulator of their own, each",
@@ -159,7 +161,24 @@ def table(scores: list[Score], seed: int) -> str:
     ]
     for truth in sorted({s.truth for s in scores}):
         own = [s for s in scores if s.truth == truth]
-        said = "; ".join(" + ".join(s.named) or s.note for s in own)
+        said = "; ".join(" + ".join(s.named) or s.verdict or s.note for s in own)
         results = [sum(s.result in kind for s in own) for kind in (("right",), ("abstained", "too small"), ("wrong",))]
         lines.append(f"| {' + '.join(truth)} | {len(own)} | {results[0]} | {results[1]} | {results[2]} | {said} |")
     return "\n".join(lines) + "\n"
+
+
+def rows(scores: list[Score]) -> list[dict[str, object]]:
+    """One row a case, as the measured tables of the documentation read them."""
+    return [
+        {
+            "case": s.case,
+            "truth": " + ".join(s.truth),
+            "found": " + ".join(s.named),
+            "verdict": s.verdict or s.note,
+            "right": s.result == "right",
+            "result": s.result,
+            "gap_closed": s.closed if math.isfinite(s.closed) else None,
+            "seconds": round(s.seconds, 1),
+        }
+        for s in scores
+    ]

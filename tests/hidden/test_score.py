@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from tests.hidden.score import Score, judge, summary, table
+from tests.hidden.score import Score, judge, rows, summary, table
 
 
 def finding(effect, *equivalents):
@@ -42,14 +42,16 @@ def test_an_effect_below_the_noise_is_too_small_to_ask_for():
 
 def test_summary_and_page():
     scores = [
-        Score("a", ("backlash",), ("backlash",), "right", True, (), 0.98, 20.0),
-        Score("b", ("backlash",), ("end_stop",), "wrong", False, ("end_stop",), 0.3, 30.0),
-        Score("c", ("none",), ("nothing-missing",), "right", True, (), math.nan, 10.0),
-        Score("d", ("unknown",), ("unnamed",), "right", True, (), math.nan, 10.0),
+        Score("a", ("backlash",), ("backlash",), "named", "right", True, (), 0.98, 20.0),
+        Score("b", ("backlash",), ("end_stop",), "named", "wrong", False, ("end_stop",), 0.3, 30.0),
+        Score("c", ("none",), (), "nothing-missing", "right", True, (), math.nan, 10.0),
+        Score("d", ("unknown",), (), "unnamed", "right", True, (), math.nan, 10.0),
     ]
     count = summary(scores)
     assert (count["effects"], count["right"], count["wrong"], count["false_alarms"]) == (2, 1, 1, 0)
     assert count["unknown_right"] == count["unknown"] == 1
     page = table(scores, 4)
     assert "| backlash | 2 | 1 | 0 | 1 | backlash; end_stop |" in page
+    assert "| none | 1 | 1 | 0 | 0 | nothing-missing |" in page
     assert "seed 4" in page
+    assert [row["right"] for row in rows(scores)] == [True, False, True, True]
