@@ -57,14 +57,19 @@ def _response(s, mass, viscous, lag, out):
     if abs(y - x) > 1e-3:
         out[1] = (ea - eb) / (b - a) / mass
         out[4] = (s * p1 + math.expm1(-y) / b) / (b - a) / mass
-    else:  # equal time constants to first order: mean rate, error of second order in y - x
-        z = 0.5 * (x + y)
-        out[1] = s * math.exp(-z) / mass
-        out[4] = (
-            s * s * (0.5 - z * (1.0 / 3.0 - z * (0.125 - z / 30.0))) / mass
-            if z < 1e-2
-            else (s * s * (1.0 - math.exp(-z) * (1.0 + z)) / (z * z) / mass)
-        )
+    else:  # nearly equal time constants: exp(-z) sinh(h)/h about their mean, to the order of h^2
+        z, h2 = 0.5 * (x + y), (0.5 * (y - x)) ** 2 / 6.0
+        ez = math.exp(-z)
+        if z < 0.1:
+            first = 0.5 - z * (
+                1 / 3 - z * (1 / 8 - z * (1 / 30 - z * (1 / 144 - z * (1 / 840 - z * (1 / 5760 - z / 45360)))))
+            )
+            third = 1 / 4 - z * (1 / 5 - z * (1 / 12 - z * (1 / 42 - z / 192)))
+        else:
+            first = (1.0 - ez * (1.0 + z)) / (z * z)
+            third = (6.0 - ez * (6.0 + z * (6.0 + z * (3.0 + z)))) / z**4
+        out[1] = s * ez * (1.0 + h2) / mass
+        out[4] = s * s * (first + h2 * third) / mass
 
 
 @njit(cache=True, nogil=True)
@@ -129,6 +134,7 @@ def step_with_events(state, c, external, plant, out):
     side = 0.0
     for _ in range(_EVENTS):
         v = state[1]
+        breaks_away = False
         if v != 0.0:
             side = 1.0 if v > 0.0 else -1.0
         elif side == 0.0:
@@ -151,11 +157,13 @@ def step_with_events(state, c, external, plant, out):
                 side = 1.0 if c > state[2] else -1.0
                 state[2] = bound
                 rest -= wait
+                breaks_away = True
         viscous = plant[VISCOUS_P] if side > 0.0 else plant[VISCOUS_N]
         dry = plant[COULOMB_P] if side > 0.0 else -plant[COULOMB_N]
         d = state[2] - c if lag > 0.0 else 0.0
         f = c + external - dry
-        s = _first_zero(rest, side, v, d, f, mass, viscous, lag, out)
+        # From rest, with a force that grows from the friction's bound on: the velocity has no zero left.
+        s = -1.0 if breaks_away else _first_zero(rest, side, v, d, f, mass, viscous, lag, out)
         stops = s >= 0.0
         if not stops:
             s = rest

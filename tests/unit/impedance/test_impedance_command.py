@@ -1,0 +1,97 @@
+"""``emps-design impedance``: keys, exit status, and one line for bad input."""
+
+import json
+
+import pytest
+
+from emps_design.cli.app import run
+
+
+def called(capsys, *arguments: str) -> tuple[int, str, str]:
+    status = run(["impedance", *arguments])
+    out, err = capsys.readouterr()
+    return status, out, err
+
+
+def test_json_has_the_contracts_keys(capsys):
+    status, out, _ = called(
+        capsys, "--mass", "50", "--damping", "100", "--mismatch", "0.02", "--plants", "20", "--json"
+    )
+    found = json.loads(out)
+    assert status == 0
+    assert found["derived"] == {"apparent_mass": 50.0, "apparent_damping": 100.0, "coulomb_left": 0.0}
+    assert {k: round(v, 1) for k, v in found["printed"].items()} == {
+        "apparent_mass": 73.8, "apparent_damping": 235.8, "coulomb_left": 6.3
+    }  # fmt: skip
+    assert found["sampled"]["stable"] is True
+    assert all(abs(complex(*pole)) < 1.0 for pole in found["sampled"]["poles"])
+    mismatch = found["mismatch"]
+    assert 1e3 * mismatch["creep_speed"] == pytest.approx(3.84, abs=0.005)
+    assert mismatch["dead_band"] == pytest.approx(0.3476, abs=1e-4)
+    assert mismatch["worst"]["verdict"] == "creeping"
+    assert mismatch["stable_share"] == 1.0
+    assert found["equivalent_loop"]["k_e1"] == 0.01
+    assert found["equivalent_loop"]["criterion"] == "low_frequency"
+    assert any("Coulomb factor of 0.9804" in warning for warning in found["warnings"])
+
+
+def test_same_call_same_bytes(capsys):
+    arguments = ("--mass", "50", "--damping", "100", "--mismatch", "0.02", "--plants", "30", "--json")
+    assert called(capsys, *arguments)[1] == called(capsys, *arguments)[1]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("--mass", "50", "--damping", "100", "--mismatch", "0.02", "--filter", "200", "--unfiltered-current"),
+        ("--mass", "1", "--damping", "5", "--mismatch", "0.02"),
+        ("--mass", "50", "--damping", "100", "--filter", "inf"),
+        ("--mass", "13.1", "--damping", "100", "--filter", "200", "--mismatch", "0.4"),
+    ],
+)
+def test_unstable_law_exits_4_with_the_nearest_stable_one(capsys, arguments):
+    status, out, err = called(capsys, *arguments, "--plants", "5", "--json")
+    found = json.loads(out)
+    assert status == 4
+    assert found["reason"].startswith("unstable: ")
+    assert err.strip().splitlines()[-1] == f"emps-design: {found['reason']}"
+    nearest = found["nearest"]
+    again = [f"--{name}={value!r}" for name, value in nearest.items()]
+    if "--mismatch" in arguments:
+        again += ["--mismatch", arguments[arguments.index("--mismatch") + 1]]
+    assert called(capsys, *again, "--plants", "0", "--json")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--mass", "0", "--damping", "100"), "mass M_a: found 0 kg, expected more than 0 kg"),
+        (("--mass", "50", "--damping", "-1"), "damping B: found -1 N/(m/s), expected at least 0 N/(m/s)"),
+        (("--mass", "50", "--damping", "100", "--mismatch", "1.5"), "mismatch: found 1.5"),
+        (("--mass", "50", "--damping", "100", "--filter", "5000"), "filter: found 5000 rad/s, expected less than the"),
+        (("--mass", "fifty", "--damping", "100"), "--mass"),
+        (("--damping", "100"), "--mass"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_2(capsys, arguments, message):
+    status, out, err = called(capsys, *arguments, "--json")
+    assert status == 2
+    assert out == ""
+    assert len(err.strip().splitlines()) == 1
+    assert message in err
+
+
+def test_text_output_names_what_an_engineer_signs(capsys):
+    status, out, _ = called(capsys, "emps2018-two-quadrant", "--mass", "50", "--damping", "100", "--mismatch", "0.02",
+                            "--plants", "5")  # fmt: skip
+    assert status == 0
+    for words in ("as printed", "creep speed", "dead band", "Coulomb factor", "stable plants", "worst"):
+        assert words in out
+
+
+def test_zero_damping_is_said_to_coast(capsys):
+    status, out, _ = called(capsys, "--mass", "50", "--damping", "0", "--json")
+    found = json.loads(out)
+    assert status == 0
+    assert found["equivalent_loop"]["k_e1"] is None
+    assert any("nothing brings the released carriage to rest" in warning for warning in found["warnings"])

@@ -1,0 +1,263 @@
+"""The sampled loop: matrices against the z-transform and against the compiled plant, poles, contact, passivity."""
+
+import math
+
+import numpy as np
+import pytest
+
+from emps_design.control.impedance import FrictionModel, ImpedanceLaw, impedance_law
+from emps_design.control.impedance_contact import (
+    admittance_polynomials,
+    contact_map,
+    largest_wall,
+    passivity,
+)
+from emps_design.control.impedance_response import impedance_error, impedance_response, relay_oscillation
+from emps_design.control.impedance_robustness import (
+    check_mismatch,
+    coulomb_factor_without_creep,
+    creep_speed,
+    dead_band,
+    drift_speed,
+    nearest_stable,
+    smallest_mass,
+    stability_map,
+    verdict,
+    worst_radius,
+)
+from emps_design.control.impedance_sampled import (
+    Clock,
+    Environment,
+    numbers,
+    plant_step,
+    recursion_poles,
+    sampled_loop,
+    spectral_radius,
+)
+from emps_design.errors import InputError
+from emps_design.simulation.impedance_run import run
+from emps_design.simulation.impedance_task import Task
+
+
+def over(error: float) -> dict[str, float]:
+    return {"mass": error, "viscous": error, "coulomb": error}
+
+
+@pytest.mark.parametrize("estimator", ["two_tap", "backward"])
+@pytest.mark.parametrize("force_sensor", [False, True])
+@pytest.mark.parametrize("clock", [Clock(1e-3, 5e-4), Clock(1e-3, 0.0, 1), Clock(2e-3, 1e-3, 3)])
+@pytest.mark.parametrize("stiffness", [0.0, 50.0])
+def test_matrices_and_z_transform_are_the_same_loop(plant, estimator, force_sensor, clock, stiffness):
+    law = ImpedanceLaw(
+        50.0, 100.0, plant.with_errors(over(0.02)), stiffness, filter=150.0, current_filter=400.0,
+        force_sensor=force_sensor, velocity_estimator=estimator,
+    )  # fmt: skip
+    omega = np.array([0.1, 1.0, 20.0, 300.0, 1500.0])
+    options = {"velocity_estimator": estimator, "force_sensor": force_sensor}
+    found = impedance_response(numbers(law, plant), clock, omega, **options)[0]
+    np.testing.assert_allclose(1.0 / sampled_loop(law, plant, clock).admittance(omega), found, rtol=1e-8)
+
+
+def test_plant_step_is_the_matrix_exponential():
+    from scipy.linalg import expm
+
+    mass, viscous, stiffness = np.array([100.0, 3.0]), np.array([400.0, 0.0]), np.array([0.0, 2e6])
+    step = plant_step(mass, viscous, stiffness, 5e-4, 1e-3)
+    for i in range(2):
+        generator = np.zeros((5, 5))
+        generator[0, 1] = 1.0
+        generator[1, [0, 1, 2, 4]] = (-stiffness[i] / mass[i], -viscous[i] / mass[i], 1 / mass[i], 1 / mass[i])
+        generator[2, [2, 3]] = -2000.0, 2000.0
+        np.testing.assert_allclose(step[i], expm(generator * 1e-3)[:3], rtol=1e-11, atol=1e-17)
+
+
+@pytest.mark.parametrize("force_sensor", [False, True])
+@pytest.mark.parametrize(("lag", "delay"), [(5e-4, 0), (0.0, 0), (5e-4, 2), (0.0, 1)])
+def test_compiled_plant_without_dry_friction_is_the_linear_loop(axis, force_sensor, lag, delay):
+    smooth = axis.replace(
+        mechanics={"coulomb": 0.0},
+        drive={"current_time_constant": lag, "voltage_limit": 1e4},
+        sampling={"encoder_resolution": 0.0, "computation_delay": delay},
+    )
+    plant = FrictionModel.of(smooth)
+    law = impedance_law(smooth, 60.0, 100.0, 300.0, force_sensor=force_sensor).with_errors({"mass": 0.01})
+    n = 400
+    reference = np.zeros((n, 3))
+    reference[:, 0] = 10.0 + 30.0 * np.random.default_rng(1).standard_normal(n)  # white, and mostly one way
+    reference[0, 0] = 500.0  # off and away, so that the velocity keeps its sign
+    found = run(smooth, law, Task("noise", reference, (0.0, 0.0), n - 1, n - 1, 1e-3))
+    assert found.v[1:].min() > 0.0
+    loop = sampled_loop(law, plant, Clock.of(smooth))
+    state, velocity = np.zeros(len(loop.matrix)), []
+    for force in reference[: n - 1, 0]:
+        velocity.append(state[0])
+        state = loop.matrix @ state + loop.column * force
+    np.testing.assert_allclose(found.v[: n - 1], velocity, rtol=1e-9, atol=1e-12)
+
+
+def test_slowest_pole_is_the_apparent_impedance(plant, clock):
+    for error in (-0.02, 0.0, 0.02):
+        law = ImpedanceLaw(50.0, 100.0, plant, filter=1000.0).with_errors(over(error))
+        felt = law.apparent(plant)
+        pole = sampled_loop(law, plant, clock).radius
+        assert -math.log(pole) / clock.period == pytest.approx(felt.damping / felt.mass, rel=0.02)
+
+
+def test_acceleration_filtered_and_current_not_is_unstable(axis, plant, clock):
+    law = impedance_law(axis, 50.0, 100.0, 200.0, current_filter=math.inf)
+    assert sampled_loop(law.with_errors(over(-0.02)), plant, clock).stable
+    assert not sampled_loop(law.with_errors(over(0.02)), plant, clock).stable
+    assert verdict(law.with_errors(over(0.02)), plant, clock) == "unstable"
+
+
+@pytest.mark.parametrize("filter", [50.0, 200.0, 500.0, 1000.0])
+@pytest.mark.parametrize("error", [-0.02, 0.0, 0.02])
+def test_same_filter_on_both_is_stable(axis, plant, clock, filter, error):
+    assert sampled_loop(impedance_law(axis, 50.0, 100.0, filter).with_errors(over(error)), plant, clock).stable
+
+
+def test_recursion_in_its_own_current_without_filter(plant):
+    law = ImpedanceLaw(50.0, 100.0, plant)
+    ideal = Clock(1e-3)
+    assert law.recursion_gain == pytest.approx(plant.mass / 50.0 - 1.0)
+    assert recursion_poles(law, ideal)[0].real == pytest.approx(-law.recursion_gain)  # -1.31: diverges at rest
+    assert abs(recursion_poles(ImpedanceLaw(50.0, 100.0, plant, filter=200.0), ideal)[0]) < 1.0
+    assert verdict(ImpedanceLaw(100.0, 100.0, plant, filter=500.0), plant, ideal) == "stable"
+
+
+def test_creep_and_dead_band_in_closed_form(plant):
+    law = ImpedanceLaw(50.0, 100.0, plant)
+    creep = 0.02 * plant.coulomb_positive / (100.0 - 0.02 * plant.viscous_positive)
+    assert creep_speed(law.with_errors(over(0.02)), plant) == pytest.approx(creep)
+    assert 1e3 * creep == pytest.approx(3.84, abs=0.005)
+    assert dead_band(law.with_errors(over(-0.02)), plant) == pytest.approx(0.02 * plant.coulomb_positive)
+    assert creep_speed(law, plant) == dead_band(law, plant) == 0.0
+    thin = ImpedanceLaw(50.0, 5.0, plant).with_errors(over(0.02))
+    assert creep_speed(thin, plant) == math.inf
+
+
+def test_coulomb_factor_rules_creep_out(plant):
+    law = ImpedanceLaw(50.0, 100.0, plant)
+    factor = coulomb_factor_without_creep(law, plant, 0.02)
+    assert factor == pytest.approx(1 / 1.02)
+    for c, creeps in ((factor, False), (factor + 1e-3, True)):
+        worst = ImpedanceLaw(50.0, 100.0, plant, coulomb_factor=c).with_errors(over(0.02))
+        assert (drift_speed(worst, plant) > 1e-9) is creeps
+
+
+def test_map_and_smallest_mass_agree(axis, plant, clock):
+    law = impedance_law(axis, 50.0, 100.0, 200.0)
+    smallest = smallest_mass(law, plant, clock, 0.02)
+    assert smallest > 0.02 * plant.mass  # necessary: M_a above the error of M
+    assert worst_radius(law, plant, clock, 0.02, smallest, 200.0) <= 1.0 + 1e-9
+    assert worst_radius(law, plant, clock, 0.02, 0.99 * smallest, 200.0) > 1.0
+    found = stability_map(law, plant, clock, masses=[0.5 * smallest, 1.1 * smallest], filters=[200.0])
+    assert found.stable[1, 0].tolist() == [False, True]
+    assert found.to_dict()["smallest_stable_mass"][1] == [pytest.approx(1.1 * smallest)]
+    none = stability_map(law, plant, clock, masses=[1.0], filters=[200.0]).to_dict()
+    assert none["smallest_stable_mass"][1] == [None]
+
+
+def test_nearest_stable_law_is_stable(axis, plant, clock):
+    bad = impedance_law(axis, 1.0, 5.0)
+    nearest = nearest_stable(bad, plant, clock, 0.02)
+    good = impedance_law(axis, nearest["mass"], nearest["damping"], nearest["filter"])
+    assert worst_radius(good, plant, clock, 0.02, good.mass, good.filter) <= 1.0 + 1e-9
+    assert smallest_mass(bad, plant, clock, 0.02) is None  # B within the error of F_v
+
+
+def test_many_loops_at_once_are_the_single_ones(axis, plant, clock):
+    law = impedance_law(axis, 50.0, 100.0)
+    masses = np.array([5.0, 20.0, 50.0, 100.0])
+    together = spectral_radius({**numbers(law, plant), "apparent_mass": masses}, clock)
+    alone = [sampled_loop(impedance_law(axis, mass, 100.0), plant, clock).radius for mass in masses]
+    np.testing.assert_allclose(together, alone, rtol=1e-9)
+
+
+def test_impedance_error_grows_with_a_slower_filter(axis, plant, clock):
+    errors = [
+        float(impedance_error(numbers(impedance_law(axis, 50.0, 100.0, w), plant), clock)[0])
+        for w in (2000.0, 500.0, 200.0, 50.0)
+    ]
+    assert errors == sorted(errors)
+    assert errors[1] < 0.05
+
+
+def test_relay_oscillation_needs_the_filter(axis, plant, clock):
+    frequency, speed = relay_oscillation(impedance_law(axis, 50.0, 100.0, 20.0), plant, clock)
+    assert 3.0 < frequency < 10.0
+    assert 5e-3 < speed < 3e-2
+    assert relay_oscillation(impedance_law(axis, 50.0, 100.0, 1000.0), plant, clock) is None
+    weaker = impedance_law(axis, 50.0, 100.0, 20.0, coulomb_factor=0.3)
+    assert relay_oscillation(weaker, plant, clock) is None
+
+
+def test_polynomials_are_the_continuous_limit_of_the_sampled_loop(axis, plant):
+    fine = Clock(1e-6, 5e-4)
+    omega = np.array([0.5, 5.0, 50.0, 500.0])
+    for options in ({}, {"force_sensor": True}, {"stiffness": 80.0}):
+        law = impedance_law(axis, 50.0, 100.0, 200.0, **options).with_errors(over(0.02))
+        numerator, denominator = admittance_polynomials(law, plant, 5e-4)
+        s = 1j * omega
+        exact = np.polynomial.polynomial.polyval(s, denominator) / np.polynomial.polynomial.polyval(s, numerator)
+        found = impedance_response(numbers(law, plant), fine, omega, force_sensor=law.force_sensor)[0]
+        np.testing.assert_allclose(found, exact, rtol=2e-2)
+
+
+def test_active_bands_are_where_the_real_part_is_negative(axis, plant, clock):
+    law = impedance_law(axis, 50.0, 100.0, 50.0)
+    found = passivity(law, plant, clock)
+    ((low, high),) = found.continuous_bands
+    numerator, denominator = admittance_polynomials(law, plant, clock.current_time_constant)
+
+    def real_part(omega: float) -> float:
+        s = 1j * omega
+        return (np.polynomial.polynomial.polyval(s, numerator) / np.polynomial.polynomial.polyval(s, denominator)).real
+
+    assert real_part(0.99 * low) > 0 > real_part(1.01 * low)
+    assert real_part(0.99 * high) < 0 < real_part(1.01 * high)
+    assert not found.continuous
+    assert not found.sampled
+    assert found.to_dict()["continuous"]["active_bands"] == [[low, high]]
+
+
+def test_plant_alone_is_passive(axis, plant, clock):
+    # M_a = M and B = F_v: the law compensates Coulomb friction and does nothing else.
+    law = ImpedanceLaw(plant.mass, plant.viscous_positive, plant, filter=500.0)
+    found = passivity(law, plant, clock)
+    assert found.continuous
+    assert found.sampled
+    assert contact_map(law, plant, clock).stable.all()
+    assert largest_wall(law, plant, clock) is None
+
+
+def test_wall_limit_is_where_the_poles_cross(axis, plant, clock):
+    law = impedance_law(axis, 50.0, 100.0)
+    wall = largest_wall(law, plant, clock)
+    assert sampled_loop(law, plant, clock, environment=Environment(stiffness=wall)).stable
+    assert not sampled_loop(law, plant, clock, environment=Environment(stiffness=1.01 * wall)).stable
+    grid = contact_map(law, plant, clock, np.array([0.0, 0.5 * wall, 2.0 * wall]), np.array([0.0, 1e4]))
+    assert grid.stable[0].tolist() == [True, True, False]
+    assert grid.to_dict()["stable_share"] == pytest.approx(grid.stable.mean())
+
+
+def test_hand_of_some_mass_is_a_heavier_carriage_for_the_law(axis, plant, clock):
+    # A hand's mass moves with the carriage: the law is that of an under-estimated mass.
+    law = impedance_law(axis, 50.0, 100.0)
+    held = sampled_loop(law, plant, clock, environment=Environment(mass=10.0, damping=20.0))
+    heavier = FrictionModel(plant.mass + 10.0, *(x + 20.0 for x in plant.viscous), *plant.coulomb)
+    np.testing.assert_allclose(held.poles, sampled_loop(law, heavier, clock).poles, rtol=1e-9, atol=1e-9)
+
+
+def test_force_sensor_reads_the_whole_environment(axis, plant):
+    # Measured force (28), fast sampling: the hand's own impedance adds to the apparent one.
+    law = impedance_law(axis, 50.0, 100.0, force_sensor=True)
+    loop = sampled_loop(law, plant, Clock(1e-5), environment=Environment(mass=3.0, damping=20.0, stiffness=400.0))
+    slow = np.log(loop.poles[np.abs(loop.poles - 1.0) < 0.05][:2]) / 1e-5
+    np.testing.assert_allclose(sorted(np.poly(slow)), sorted([1.0, 120.0 / 53.0, 400.0 / 53.0]), rtol=2e-3)
+
+
+@pytest.mark.parametrize("mismatch", [-0.1, 1.0, 1.5, math.nan, math.inf])
+def test_mismatch_that_turns_an_estimate_negative_is_refused(mismatch):
+    with pytest.raises(InputError, match=r"mismatch: found .*, expected a number in \[0, 1\)"):
+        check_mismatch(mismatch)

@@ -1,0 +1,301 @@
+"""The compiled plant against an independent solver, and simulated verdicts against those of the analysis."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from emps_design.control.impedance import FrictionModel, ImpedanceLaw, impedance_law
+from emps_design.control.impedance_response import relay_oscillation
+from emps_design.control.impedance_robustness import VERDICTS, creep_speed, verdict
+from emps_design.errors import InputError
+from emps_design.machines import machine
+from emps_design.simulation import impedance_kernel as kernel
+from emps_design.simulation.comanipulation import run_comanipulation
+from emps_design.simulation.impedance_run import CascadeLaw, law_array, plant_array, run, run_many
+from emps_design.simulation.impedance_study import mismatch_study
+from emps_design.simulation.impedance_task import guided_task, pushed_task
+
+PLANT = np.array([100.0, 400.0, 500.0, 20.0, 12.0, 5e-4, 35.0, 10.0, 0.0, 1e-3])
+
+
+def over(error: float) -> dict[str, float]:
+    return {"mass": error, "viscous": error, "coulomb": error}
+
+
+def stepped(state, command, external, plant, parts=1):
+    """One period in equal parts; the held inputs are the same, so the end must be."""
+    part = plant.copy()
+    part[kernel.PERIOD] /= parts
+    state = np.array(state, dtype=float)
+    for _ in range(parts):
+        kernel.step_with_events(state, command, external, part, np.empty(6))
+    return state
+
+
+@pytest.mark.parametrize("lag", [5e-4, 0.0, 5e-3, 0.25])
+@pytest.mark.parametrize("viscous", [400.0, 0.0])
+def test_a_period_is_the_sum_of_its_parts(lag, viscous):
+    plant = PLANT.copy()
+    plant[kernel.LAG] = lag  # 0.25 s is M/F_v: equal time constants
+    plant[[kernel.VISCOUS_P, kernel.VISCOUS_N]] = viscous
+    random = np.random.default_rng(3)
+    turned = 0
+    for _ in range(400):
+        state = [0.0, 2e-4 * random.standard_normal(), 40.0 * random.standard_normal()]
+        command, external = 60.0 * random.standard_normal(2)
+        whole, parts = stepped(state, command, external, plant), stepped(state, command, external, plant, 7)
+        np.testing.assert_allclose(whole, parts, rtol=1e-9, atol=1e-13)
+        turned += whole[1] * state[1] <= 0.0
+    assert turned > 50
+
+
+def test_events_agree_with_a_fine_integration():
+    # Semi-implicit friction with 20,000 steps a period: first order, error about 1e-4 of the velocity's scale.
+    random = np.random.default_rng(5)
+    steps = 20000
+    h = PLANT[kernel.PERIOD] / steps
+    for _ in range(6):
+        start = [0.0, 1e-4 * random.standard_normal(), 40.0 * random.standard_normal()]
+        command, external = 60.0 * random.standard_normal(2)
+        q, v, tau = start
+        for _ in range(steps):
+            tau += h * (command - tau) / PLANT[kernel.LAG]
+            w = v + h * (tau + external) / PLANT[kernel.MASS]
+            side = 1 if w > 0 else -1
+            reach = h * (PLANT[kernel.COULOMB_P] if w > 0 else PLANT[kernel.COULOMB_N]) / PLANT[kernel.MASS]
+            viscous = PLANT[kernel.VISCOUS_P] if w > 0 else PLANT[kernel.VISCOUS_N]
+            v = 0.0 if abs(w) <= reach else (w - side * reach) / (1.0 + h * viscous / PLANT[kernel.MASS])
+            q += h * v
+        found = stepped(start, command, external, PLANT)
+        np.testing.assert_allclose(found, [q, v, tau], rtol=2e-3, atol=1e-7)
+
+
+def test_carriage_sticks_until_friction_is_overcome():
+    assert stepped([0.0, 0.0, 0.0], 19.9, 0.0, PLANT)[1] == 0.0
+    assert stepped([0.0, 0.0, 0.0], -11.9, 0.0, PLANT)[1] == 0.0
+    assert stepped([0.0, 0.0, 20.0], 25.0, 0.0, PLANT)[1] > 0.0
+    assert stepped([0.0, 0.0, -12.0], -20.0, 0.0, PLANT)[1] < 0.0
+    assert stepped([0.0, 0.0, 0.0], 30.0, -4.0, PLANT)[1] > 0.0  # slips inside the period, at 24 N
+    assert stepped([0.0, 0.0, 0.0], 30.0, -15.0, PLANT)[1] == 0.0
+
+
+def test_energy_is_accounted_for(axis, plant):
+    # Work of motor and hand is kinetic energy plus what friction takes; both per period, from the trace.
+    found = run(axis, impedance_law(axis, 50.0, 100.0), guided_task(1e-3))
+    e = axis.replace(mechanics={"coulomb": 0.0})
+    assert e.mechanics.coulomb == 0.0
+    dq, speed = np.diff(found.q), 0.5 * (found.v[1:] + found.v[:-1])
+    moving = found.v[1:] * found.v[:-1] > 0
+    lag = axis.drive.current_time_constant
+    command = found.u * axis.drive.force_gain
+    mean_tau = command + (found.tau - command) * lag / 1e-3 * (1.0 - math.exp(-1e-3 / lag))
+    dv = np.diff(found.v)
+    friction = plant.viscous_positive * dq / 1e-3 + plant.coulomb_positive * np.sign(speed)
+    residual = plant.mass * dv / 1e-3 - (mean_tau + found.tau_e)[:-1] + friction
+    assert np.abs(residual[moving]).max() < 1e-8
+
+
+@pytest.mark.parametrize("task", [guided_task(1e-3, 20.0), pushed_task(1e-3, 20.0)], ids=["guided", "pushed"])
+def test_simulated_creep_is_the_closed_form(axis, plant, task):
+    law = impedance_law(axis, 50.0, 100.0).with_errors(over(0.02))
+    predicted = creep_speed(law, plant)
+    found = run(axis, law, task)
+    assert found.verdict == "creeping"
+    after = task.release + 8000
+    assert (found.q[after + 1000] - found.q[after]) == pytest.approx(predicted, rel=2e-3)  # m/s over one second
+    assert float(found.measures.drift[0]) == pytest.approx(predicted, rel=2e-3)
+    assert 1e3 * predicted == pytest.approx(3.84, abs=0.005)
+
+
+def test_simulated_dead_band_is_the_closed_form(axis, plant):
+    law = impedance_law(axis, 50.0, 100.0).with_errors(over(-0.02))
+    found = run(axis, law, pushed_task(1e-3))
+    left = law.apparent(plant)
+    assert found.verdict == "dead_band"
+    assert -float(found.measures.drift[0]) * left.damping == pytest.approx(0.02 * plant.coulomb_positive, rel=1e-3)
+
+
+def test_coulomb_factor_rules_creep_out_in_simulation(axis, plant):
+    law = impedance_law(axis, 50.0, 100.0, coulomb_factor=1 / 1.02).with_errors(over(0.02))
+    assert run(axis, law, guided_task(1e-3)).verdict in ("stable", "dead_band")
+
+
+def test_acceleration_filtered_and_current_not_diverges(axis):
+    law = impedance_law(axis, 50.0, 100.0, 200.0, current_filter=math.inf)
+    assert run(axis, law.with_errors(over(0.02)), guided_task(1e-3)).verdict == "unstable"
+    assert run(axis, law.with_errors(over(-0.02)), guided_task(1e-3)).verdict == "dead_band"
+    free = axis.replace(drive={"voltage_limit": 1e15})  # nothing but the divergence itself
+    assert run(free, law.with_errors(over(0.02)), guided_task(1e-3)).measures.diverged[0] == 1.0
+
+
+def test_analysis_and_simulation_agree_on_432_designs(axis, plant, clock):
+    """Every verdict agrees, or the disagreement is one of two stated nonlinearities.
+
+    1. The Coulomb compensation is a relay whose effect is taken back through a filter: the describing function
+       predicts an oscillation, which the simulation then has (or which reaches the voltage limit, or is still dying).
+    2. Encoder and velocity estimate: below 1 mm/s at the end, the two-sample-old sign of a quantised velocity.
+    """
+    designs = [
+        (mass, filter, current, error, estimator)
+        for mass, filter, (current, estimator), error in itertools.product(
+            (1.5, 3.0, 6.0, 10.0, 20.0, 35.0, 50.0, 80.0, 110.0),
+            (20.0, 50.0, 200.0, 500.0, 1500.0, math.inf),
+            ((None, "two_tap"), (None, "backward"), (math.inf, "two_tap")),
+            (-0.02, 0.02),
+        )
+    ]
+    designs += [(mass, filter, None, 0.0, "two_tap") for mass in (6.0, 20.0, 50.0, 90.0) for filter in (50.0, 200.0,
+                500.0, 1500.0, 2500.0, 3000.0, 100.0, 300.0, 400.0, 700.0, 900.0, 1200.0, 2000.0, 2200.0, 2800.0, 30.0,
+                70.0, 150.0, 250.0, 600.0, 800.0, 1000.0, 1800.0, 2600.0, 3100.0, 40.0, 60.0)]  # fmt: skip
+    assert len(designs) == 432
+    laws = [
+        impedance_law(axis, mass, 100.0, filter, current_filter=current, velocity_estimator=estimator).with_errors(
+            over(error)
+        )
+        for mass, filter, current, error, estimator in designs
+    ]
+    measures = run_many(axis, np.array([law_array(axis, law) for law in laws]), guided_task(1e-3))
+    agreed, seen, explained = 0, set(), 0
+    for i, (law, design) in enumerate(zip(laws, designs, strict=True)):
+        expected = verdict(law, plant, clock, axis.sampling.encoder_resolution)
+        simulated = VERDICTS[measures.verdict[i]]
+        if expected == simulated:
+            agreed += 1
+            seen.add(expected)
+            continue
+        assert expected != "unstable", f"{design}: unstable by its poles, simulated {simulated}"
+        relay = relay_oscillation(law, plant, clock)
+        small = max(abs(measures.end_min_v[i]), abs(measures.end_max_v[i])) < 1e-3
+        assert relay is not None or small, f"{design}: analysis {expected}, simulation {simulated}"
+        explained += 1
+    assert seen == {"unstable", "creeping", "dead_band", "stable"}
+    assert explained <= 0.11 * len(designs), f"{agreed} of {len(designs)} agree, {explained} explained"
+
+
+def test_force_regression_returns_the_apparent_impedance(axis, plant):
+    task = guided_task(1e-3)
+    for error in (-0.02, 0.02):
+        law = impedance_law(axis, 50.0, 100.0).with_errors({"mass": error})
+        mass, damping, r2 = (float(x[0]) for x in run(axis, law, task).measures.fit)
+        assert mass == pytest.approx(law.apparent(plant).mass, rel=0.01)
+        assert damping == pytest.approx(100.0, rel=0.03)
+        assert r2 > 0.999
+
+
+def test_sensor_and_cascade_let_the_operator_push_less(axis):
+    # A fine task: the first newtons count. Without a sensor all of F_c has to be overcome at each start.
+    task = guided_task(1e-3, scale=0.1)
+    cascade = CascadeLaw(0.01, 556.7656, 8.45505e-3)
+    sensorless = run(axis, impedance_law(axis, 50.0, 100.0), task).measures.effort
+    sensor = run(axis, impedance_law(axis, 50.0, 100.0, force_sensor=True), task).measures.effort
+    looped = run(axis, cascade, task)
+    assert sensor["rms_force"] < sensorless["rms_force"]
+    assert looped.measures.effort["rms_force"] < 0.6 * sensorless["rms_force"]
+    mass, damping, _ = looped.measures.fit
+    assert float(damping[0]) == pytest.approx(100.0, rel=0.03)
+    assert float(mass[0]) == pytest.approx(0.87, abs=0.5)
+
+
+def test_study_is_the_same_for_any_number_of_workers(axis):
+    law = impedance_law(axis, 50.0, 100.0)
+    task = guided_task(1e-3, 4.0)
+    one = mismatch_study(axis, law, 0.02, 600, seed=7, task=task, workers=1)
+    two = mismatch_study(axis, law, 0.02, 600, seed=7, task=task, workers=2)
+    other = mismatch_study(axis, law, 0.02, 600, seed=8, task=task)
+    assert one.measures.raw.tobytes() == two.measures.raw.tobytes()
+    assert one.to_dict() == two.to_dict()
+    assert not np.array_equal(one.errors, other.errors)
+    assert np.abs(one.errors).max() <= 0.02
+
+
+def test_study_covers_corners_and_interval(axis):
+    law = impedance_law(axis, 50.0, 100.0, 200.0, current_filter=math.inf)
+    study = mismatch_study(axis, law, 0.02, 300, seed=1)
+    found = study.to_dict()
+    assert len(found["corners"]) == 8
+    assert sum(found["verdicts"].values()) == 300
+    share, low, high = study.stable_share
+    assert 0.2 < low < share < high < 0.7  # about half of them: those with an over-estimated mass diverge
+    assert found["worst"]["verdict"] == "unstable"
+    unstable = study.verdict == VERDICTS.index("unstable")
+    assert np.mean(unstable == (study.radius > 1.0)) > 0.95  # poles and simulation, plant by plant
+    assert np.all(np.isnan(study.error[study.radius > 1.0 + 1e-6]))
+    none = mismatch_study(axis, impedance_law(axis, 50.0, 100.0), 0.02, 0)
+    assert none.stable_share[0] == 1.0
+    assert math.isnan(none.stable_share[1])
+
+
+def test_interval_covers_all_stable_as_clopper_pearson(axis):
+    study = mismatch_study(axis, impedance_law(axis, 50.0, 100.0), 0.02, 100, task=guided_task(1e-3, 4.0))
+    share, low, high = study.stable_share
+    assert (share, high) == (1.0, 1.0)
+    assert low == pytest.approx(0.025 ** (1 / 100))
+
+
+def test_two_quadrant_study(axis):
+    machine2 = machine("emps2018-two-quadrant")
+    study = mismatch_study(machine2, impedance_law(machine2, 50.0, 100.0), 0.02, 50)
+    assert study.corners == 32
+    assert set(study.plant(0)["parameters"]) == {
+        "mass", "viscous_positive", "viscous_negative", "coulomb_positive", "coulomb_negative"
+    }  # fmt: skip
+    assert study.to_dict()["worst"]["verdict"] == "creeping"
+    asked = mismatch_study(axis, impedance_law(axis, 50.0, 100.0), 0.02, 0, two_quadrant=True)
+    assert asked.corners == 32
+
+
+def test_comanipulation_has_the_contracts_keys(axis):
+    found = run_comanipulation(axis, mismatch=0.02, seed=3, plants=20).to_dict()
+    assert found["verdict"] == "creeping"
+    assert found["nominal_verdict"] == "stable"
+    assert (found["seed"], found["plants"]) == (3, 20)
+    transparency = found["transparency"]
+    assert transparency["apparent_mass"] == pytest.approx(50.0, rel=0.02)
+    assert transparency["apparent_damping"] == pytest.approx(100.0, rel=0.03)
+    assert transparency["r2"] > 0.999
+    assert 0.0 < transparency["error"] < 0.05
+
+
+def test_comanipulation_takes_the_axis_controller_and_names_what_it_leaves_out(axis):
+    stribeck = {"kind": "stribeck_friction", "excess": 3.0, "stribeck_velocity": 0.01, "exponent": 1.0}
+    own = axis.replace(
+        controller={"kind": "impedance", "mass": 70.0, "damping": 150.0, "filter": 300.0}, effects=[stribeck]
+    )
+    found = run_comanipulation(own, mismatch=0.0, plants=0, force=60.0)
+    assert (found.law.mass, found.law.damping, found.law.filter) == (70.0, 150.0, 300.0)
+    assert found.to_dict()["task"] == "pushed"
+    assert found.warnings[0].startswith("effect stribeck_friction is not in the co-manipulation plant")
+
+
+def test_law_with_stiffness_returns_to_its_rest_position(axis):
+    law = impedance_law(axis, 50.0, 100.0, stiffness=200.0, rest_position=0.05)
+    found = run(axis, law, pushed_task(1e-3))
+    assert abs(found.q[-1] - 0.05) * 200.0 < 18.0  # stops where the spring no longer overcomes dry friction
+
+
+def test_plant_array_holds_the_axis(axis, plant):
+    numbers = plant_array(axis, plant)
+    assert numbers[kernel.PERIOD] == 1e-3
+    assert numbers[kernel.LAG] == 5e-4
+    assert numbers[kernel.COULOMB_N] == plant.coulomb_negative
+
+
+def test_bad_tasks_are_refused(axis):
+    with pytest.raises(InputError, match="force: found 0 N"):
+        pushed_task(1e-3, force=0.0)
+    with pytest.raises(InputError, match="duration: found 0.01 s, expected at least 100 periods"):
+        guided_task(1e-3, 0.01)
+    with pytest.raises(InputError, match="scale: found -1"):
+        guided_task(1e-3, scale=-1.0)
+    with pytest.raises(InputError, match="task: found a period of 0.002 s, expected the axis's 0.001 s"):
+        run(axis, impedance_law(axis, 50.0, 100.0), guided_task(2e-3))
+    with pytest.raises(InputError, match="plants: found -1"):
+        mismatch_study(axis, impedance_law(axis, 50.0, 100.0), 0.02, -1)
+
+
+def test_estimates_of_a_law_do_not_touch_the_plant(axis, plant):
+    law = ImpedanceLaw(50.0, 100.0, plant.with_errors(over(0.5)), filter=500.0)
+    assert FrictionModel.of(axis) == plant
+    assert law.estimate.mass == pytest.approx(1.5 * plant.mass)
