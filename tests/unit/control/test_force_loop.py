@@ -1,0 +1,114 @@
+"""The force loop: closed-form limits, sampled limits, the sign, and the paper's own reading."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from emps_design.control.cascade_derivation import derive_cascade, symbols
+from emps_design.control.force_loop import design_force_loop, largest_force_gain
+from emps_design.control.velocity_loop import design_velocity_loop
+from emps_design.errors import InputError
+from emps_design.machines import machine
+
+LOOP = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)
+
+
+def test_wall_limits_in_closed_form():
+    w0, z, K_v = LOOP.omega_0v, LOOP.z_v, LOOP.K_v
+    wall = 1e5
+    assert largest_force_gain(w0, z, K_v, environment=wall, on_carriage=False) == pytest.approx(2 * z * w0 / wall)
+    expected = 2 * z * w0 * (1 + wall / K_v) / wall
+    assert largest_force_gain(w0, z, K_v, environment=wall) == pytest.approx(expected)
+    # 2 z w0 = w_v tan(phi_v)
+    assert 2 * z * w0 == pytest.approx(100.0 * np.tan(np.radians(60.0)))
+
+
+def test_closed_form_is_the_derived_one():
+    y = symbols()
+    by_title = {step.title: step.equation.rhs for step in derive_cascade()}
+    numbers = {y.w0: LOOP.omega_0v, y.z: LOOP.z_v, y.K_v: LOOP.K_v, y.K: 3e4}
+    derived = float(by_title["Largest gain against a wall"].subs(numbers))
+    assert largest_force_gain(LOOP.omega_0v, LOOP.z_v, LOOP.K_v, environment=3e4) == pytest.approx(derived)
+
+
+def test_viscous_hand_has_a_limit_in_the_sampled_loop_only():
+    design = design_force_loop(LOOP, 0.01, hand=100.0)
+    assert design.k_e1_max_continuous is None
+    assert 0.01 < design.k_e1_max_sampled < 1.0
+    assert not design_force_loop(LOOP, 1.001 * design.k_e1_max_sampled, hand=100.0).stable
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    hand=st.sampled_from([0.0, 20.0, 300.0]),
+    wall=st.sampled_from([0.0, 3e3, 2e5]),
+    on_carriage=st.booleans(),
+    sensor_delay=st.integers(0, 3),
+)
+def test_limits_are_where_the_poles_cross(hand, wall, on_carriage, sensor_delay):
+    if hand + wall == 0.0:
+        return
+    design = design_force_loop(LOOP, 1e-3, hand, wall, sensor_delay, on_carriage)
+    limit = design.k_e1_max_sampled
+    assert np.abs(design.sampled_loop(limit).poles[0]) == pytest.approx(1.0, abs=1e-9)
+    assert not design.sampled_loop(1.0001 * limit).stable
+    if design.stable and design.margins.gain_margin is not None:
+        assert 1e-3 * design.margins.gain_margin == pytest.approx(limit, rel=1e-6)
+    continuous = design.k_e1_max_continuous
+    if continuous is not None:
+        inside = design_force_loop(LOOP, 0.999 * continuous, hand, wall, 0, on_carriage)
+        outside = design_force_loop(LOOP, 1.001 * continuous, hand, wall, 0, on_carriage)
+        assert inside.continuous_poles.real.max() < 0.0 < outside.continuous_poles.real.max()
+
+
+def test_a_late_sensor_costs_gain():
+    limits = [design_force_loop(LOOP, 1e-3, environment=1e4, sensor_delay=n).k_e1_max_sampled for n in range(4)]
+    assert all(later < sooner for sooner, later in pairwise(limits))
+    assert limits[1] < LOOP.omega_0v * 2 * LOOP.z_v / 1e4
+
+
+def test_the_sign_pushed_by_a_hand_the_carriage_moves_along():
+    """A constant force r = tau_ref ends at the velocity k_e1 r when nothing but the sensor answers (k_h small)."""
+    design = design_force_loop(LOOP, 0.01, hand=1e-6)
+    loop = design.sampled_loop()
+    final = loop.velocity @ np.linalg.solve(np.eye(len(loop.S)) - loop.S, loop.R)
+    assert final == pytest.approx(0.01, rel=1e-6)
+    # against a passive hand of 100 N/(m/s) it is k_e1/(1 + k_e1 k_h): negative feedback
+    loop = design_force_loop(LOOP, 0.01, hand=100.0, on_carriage=False).sampled_loop()
+    final = loop.velocity @ np.linalg.solve(np.eye(len(loop.S)) - loop.S, loop.R)
+    assert final == pytest.approx(0.01 / (1 + 0.01 * 100.0), rel=1e-9)
+
+
+def test_the_papers_reading():
+    design = design_force_loop(LOOP, 0.01, environment=1e4)
+    reading = design.paper_reading
+    open_loop = design.open_loop()
+    assert open_loop.dcgain() == pytest.approx(1.0)
+    assert reading["poles"][0] == [0.0, 0.0]
+    closed = (open_loop / (1 - open_loop)).minreal(1e-6)
+    assert sorted(closed.poles().real) == pytest.approx(sorted(re for re, _ in reading["poles"]), abs=1e-3)
+
+
+def test_no_operator_no_loop():
+    design = design_force_loop(LOOP, 0.01)
+    assert design.stable
+    assert design.k_e1_max_sampled is None
+    assert any("no operator" in warning for warning in design.warnings)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"k_e1": 0.0}, r"k_e1: found 0 \(m/s\)/N, expected a positive number"),
+        ({"k_e1": -1.0}, "k_e1: found -1"),
+        ({"k_e1": 1.0, "hand": -1.0}, "hand: found -1"),
+        ({"k_e1": 1.0, "environment": float("nan")}, "environment: found nan"),
+        ({"k_e1": 1.0, "sensor_delay": -1}, "sensor delay: found -1"),
+    ],
+)
+def test_numbers_that_cannot_be_meant(arguments, message):
+    with pytest.raises(InputError, match=message):
+        design_force_loop(LOOP, **arguments)

@@ -1,0 +1,75 @@
+"""Effects in the linear plant: each by the slope of its hooks, whatever its name."""
+
+import math
+
+import numpy as np
+import pytest
+
+from emps_design.control.discretisation import sample_axis
+from emps_design.control.linear_plant import linear_plant
+from emps_design.control.velocity_loop import design_velocity_loop
+from emps_design.effects import EFFECTS
+from emps_design.machines import machine
+
+IDEAL = machine("emps2018").replace(drive={"current_time_constant": 0.0})
+
+
+def with_effect(axis, kind, **parameters):
+    return axis.replace(effects=[{"kind": kind, **parameters}])
+
+
+def test_lag_effect_is_the_current_loop():
+    w = np.geomspace(1.0, 3000.0, 20)
+    found = sample_axis(with_effect(IDEAL, "actuator_lag", time_constant=0.5e-3)).response(w)
+    expected = sample_axis(machine("emps2018")).response(w)
+    assert found == pytest.approx(expected, rel=1e-6)
+
+
+def test_delay_effect_is_a_computation_delay():
+    axis = with_effect(machine("emps2018"), "actuator_delay", delay=1e-3)
+    found = design_velocity_loop(axis, crossover=100.0, phase_margin_deg=60.0)
+    assert found.sampled.margins.phase_margin_deg == pytest.approx(27.6, abs=0.05)
+    half = with_effect(machine("emps2018"), "actuator_delay", delay=0.5e-3)
+    between = design_velocity_loop(half, crossover=100.0, phase_margin_deg=60.0).sampled.margins.phase_margin_deg
+    assert between == pytest.approx(0.5 * (39.18 + 27.62), abs=0.2)
+
+
+def test_quadrants_of_friction():
+    two = machine("emps2018-two-quadrant")
+    assert linear_plant(two, 0.1).viscous == pytest.approx(474.9727)
+    assert linear_plant(two, -0.1).viscous == pytest.approx(563.8568)
+
+
+def test_two_masses_resonate_where_they_should():
+    axis = with_effect(IDEAL, "flexible_coupling", frequency=40.0, damping=0.05, share=0.4)
+    plant = linear_plant(axis.replace(mechanics={"viscous": 0.0}))
+    assert plant.mass == pytest.approx(0.6 * 115.7315)
+    resonance = np.max(np.abs(np.linalg.eigvals(plant.A)))
+    assert resonance == pytest.approx(2 * math.pi * 40.0, rel=1e-9)
+
+
+def test_spring_keeps_the_position_among_the_states():
+    plant = sample_axis(with_effect(IDEAL, "elastic_force", stiffness=2e3, rest_position=0.0))
+    assert 0 in plant.kept
+    assert 0 not in sample_axis(IDEAL).kept
+    # at low frequency the spring holds the carriage: velocity/voltage = s G/K
+    w = 0.05
+    expected = 1j * w * 35.15 / 2e3
+    assert complex(plant.response(np.array(w))) == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
+def test_every_effect_takes_part_or_is_named(effect):
+    """No effect breaks a design; what its slope cannot show is said by name."""
+    values = {}
+    for p in effect.parameters:
+        low = p.lower if math.isfinite(p.lower) else -1.0
+        high = p.upper if math.isfinite(p.upper) else 1.0
+        values[p.name] = p.starts[0] if p.starts else min(max(0.1, low), high)
+    axis = IDEAL.replace(effects=[{"kind": effect.name, **values}])
+    plant = linear_plant(axis)
+    assert np.all(np.isfinite(plant.A))
+    design = design_velocity_loop(axis, crossover=60.0, phase_margin_deg=60.0)
+    assert np.all(np.isfinite(design.sampled.poles))
+    if effect.guard is not None or effect.jump_time is not None or effect.command is not None:
+        assert any(warning.startswith(effect.name) for warning in design.warnings)
