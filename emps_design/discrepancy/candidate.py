@@ -52,14 +52,17 @@ class Candidate:
         return replace(self, effects=tuple(self.effects[i] for i in keep), values=tuple(self.values[i] for i in keep))
 
     def slots(self, frozen: bool = False) -> tuple[Slot, ...]:
-        """The free numbers; with ``frozen`` only those that belong to a record."""
+        """The free numbers; with ``frozen`` only those that belong to a record.
+
+        What acts on the controller's output is known from the controller's law alone and never free here.
+        """
         slots = []
         if not frozen:
             scales = np.maximum(np.abs(self.baseline), (1.0, 10.0, 1.0, 1.0))
             slots += [Slot(-1, i, None, q, s) for i, (q, s) in enumerate(zip(BASELINE, scales, strict=True))]
         for index, (effect, values) in enumerate(zip(self.effects, self.values, strict=True)):
             for place, parameter in enumerate(effect.parameters):
-                if parameter.discrete or (frozen and not parameter.per_record):
+                if parameter.discrete or effect.channel == "controller" or (frozen and not parameter.per_record):
                     continue
                 rows = range(len(values)) if parameter.per_record else (None,)
                 for row in rows:

@@ -15,7 +15,7 @@ from joblib import Parallel, delayed
 
 from emps_design.discrepancy.missing_force import missing_force
 from emps_design.discrepancy.problem import Fit, Problem, fit
-from emps_design.discrepancy.propose import starts, tangent
+from emps_design.discrepancy.propose import Start, Tangent, starts, tangent
 from emps_design.effects import Effect
 
 BEAM = 3
@@ -25,6 +25,8 @@ SMALLEST_GAIN = 30.0  # in whitened cost; below the chance level of a search ove
 WORTH_FITTING = 0.05  # of the largest first-order gain
 FINALISTS = 7  # effects worth a full fit
 MOST_EFFECTS = 6
+ENOUGH_ROUNDS = 3  # after which a search that explained less than LEAST_EXPLAINED of the excess is given up
+LEAST_EXPLAINED = 0.4
 CORES = 2
 
 Progress = Callable[[str, float], None]
@@ -36,6 +38,7 @@ class Search:
 
     path: tuple[Fit, ...]
     tried: dict[frozenset[str], Fit] = field(repr=False)
+    interrupted: bool = False
 
     @property
     def best(self) -> Fit:
@@ -43,22 +46,28 @@ class Search:
         return self.path[-1]
 
 
-def extensions(problem: Problem, current: Fit, library: tuple[Effect, ...]) -> list[Fit]:
-    """Fit ``current`` with those effects of ``library`` added that promise a gain; best first."""
+def screen(problem: Problem, current: Fit, library: tuple[Effect, ...], absorbed: Tangent) -> list[list[Start]]:
+    """Starts of each effect of ``library`` that ``current`` does not have, the most promising of each first."""
     missing = missing_force(problem, current.model)
-    absorbed = tangent(problem, current)
     absent = [effect for effect in library if effect.name not in current.model.names]
     for effect in absent:  # make the plants here: the threads below only read them
         _warm(problem, current, effect)
-    run = Parallel(n_jobs=CORES, prefer="threads")
-    started = run(delayed(starts)(problem, current, effect, missing, absorbed) for effect in absent)
-    best = max((found[0].gain for found in started if found), default=0.0)
+    tried = Parallel(n_jobs=CORES, prefer="threads")(
+        delayed(starts)(problem, current, effect, missing, absorbed) for effect in absent
+    )
+    return [found for found in tried if found]
+
+
+def extensions(problem: Problem, current: Fit, library: tuple[Effect, ...]) -> list[Fit]:
+    """Fit ``current`` with those effects of ``library`` added that promise a gain; best first."""
+    screened = screen(problem, current, library, tangent(problem, current))
+    best = max((found[0].gain for found in screened), default=0.0)
     least = max(SMALLEST_GAIN, WORTH_FITTING * best)
-    worth = [start.model for found in started for start in found[:REFINED] if start.gain >= least]
-    short = run(delayed(fit)(problem, model, steps=3) for model in worth)
+    worth = [start.model for found in screened for start in found[:REFINED] if start.gain >= least]
+    run = Parallel(n_jobs=CORES, prefer="threads")
     by_name = {}
-    for short_fit in sorted(short, key=lambda f: -f.cost_fit):
-        by_name[short_fit.model.names[-1]] = short_fit
+    for short in sorted(run(delayed(fit)(problem, m, steps=3) for m in worth), key=lambda f: -f.cost_fit):
+        by_name[short.model.names[-1]] = short
     ranked = sorted(by_name.values(), key=lambda f: f.cost_fit)
     full = run(delayed(fit)(problem, f.model) for f in ranked[:FINALISTS])
     return sorted([*full, *ranked[FINALISTS:]], key=lambda f: f.cost)
@@ -76,23 +85,46 @@ def search(
     accept: Callable[[Fit, Fit], bool],
     progress: Progress | None = None,
 ) -> Search:
-    """Extend ``baseline`` while ``accept(better, worse)`` holds."""
-    tried: dict[frozenset[str], Fit] = {frozenset(): baseline}
+    """Extend ``baseline`` while ``accept(better, worse)`` holds for the best admissible extension."""
+    tried: dict[frozenset[str], Fit] = {frozenset(baseline.model.names): baseline}
     path, beam = [baseline], [baseline]
-    for depth in range(MOST_EFFECTS):
-        pool: dict[frozenset[str], Fit] = {}
-        for number, member in enumerate(beam):
-            if progress:
-                progress(f"trying {len(library)} effects, round {depth + 1}", number / len(beam))
-            for extended in extensions(problem, member, library):
-                key = frozenset(extended.model.names)
-                if key not in pool or extended.cost < pool[key].cost:
-                    pool[key] = extended
-        tried.update({key: f for key, f in pool.items() if key not in tried or f.cost < tried[key].cost})
-        ranked = sorted(pool.values(), key=lambda f: f.cost)
-        if not ranked or not accept(ranked[0], path[-1]):
-            break
-        path.append(ranked[0])
-        best_gain = path[0].cost - ranked[0].cost
-        beam = [f for f in ranked[:BEAM] if path[0].cost - f.cost >= RIVAL * best_gain]
+    try:
+        while len(path) <= MOST_EFFECTS:
+            pool = _round(problem, beam, library, len(path), progress)
+            tried.update({key: f for key, f in pool.items() if key not in tried or f.cost < tried[key].cost})
+            ranked = sorted((f for f in pool.values() if not on_bound(f)), key=lambda f: f.cost)
+            if not ranked or not accept(ranked[0], path[-1]):
+                break
+            path.append(ranked[0])
+            best_gain = path[0].cost - ranked[0].cost
+            if len(path) > ENOUGH_ROUNDS and best_gain < LEAST_EXPLAINED * (path[0].cost - problem.samples("used")):
+                break
+            beam = [f for f in ranked[:BEAM] if path[0].cost - f.cost >= RIVAL * best_gain]
+    except KeyboardInterrupt:
+        return Search(tuple(path), tried, interrupted=True)
     return Search(tuple(path), tried)
+
+
+def _round(
+    problem: Problem, beam: list[Fit], library: tuple[Effect, ...], number: int, progress: Progress | None
+) -> dict[frozenset[str], Fit]:
+    """Every extension of every model of ``beam``, the best fit of each set of effects."""
+    pool: dict[frozenset[str], Fit] = {}
+    for i, member in enumerate(beam):
+        if progress:
+            names = " + ".join(member.model.names) or "the baseline"
+            progress(f"round {number}: effects on top of {names}", 1 - 0.75 ** (number - 1 + i / len(beam)))
+        for extended in extensions(problem, member, library):
+            key = frozenset(extended.model.names)
+            if key not in pool or extended.cost < pool[key].cost:
+                pool[key] = extended
+    return pool
+
+
+def on_bound(fitted: Fit) -> bool:
+    """Whether a free parameter of an effect ended on its bound, where the physics it stands for ends."""
+    for slot, value in zip(fitted.slots, fitted.model.vector(fitted.slots), strict=True):
+        near = 1e-6 * slot.scale
+        if slot.effect >= 0 and (value <= slot.quantity.lower + near or value >= slot.quantity.upper - near):
+            return True
+    return False

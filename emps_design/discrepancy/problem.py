@@ -81,6 +81,10 @@ class Problem:
         """Boolean samples of ``part``: "fit", "select" or "used"."""
         return tuple(getattr(s, part) for s in self.splits)
 
+    def samples(self, part: str) -> int:
+        """Number of samples of ``part``: the whitened cost that noise alone leaves."""
+        return int(sum(mask.sum() for mask in self.masks(part)))
+
     def with_whitening(self, whitening: Whitening) -> Problem:
         """The same records judged with other noise."""
         return replace(self, whitening=whitening)

@@ -21,11 +21,13 @@ from emps_design.errors import SimulationError
 
 @dataclass(frozen=True)
 class Start:
-    """A model to start a fit from, its first-order ``gain`` in whitened cost, and its unit ``signature`` (n,)."""
+    """A model to start a fit from, its first-order ``gain`` in whitened cost, its unit ``signature`` (n,) and the
+    ``size`` of that signature before it was made unit, in standard deviations of the noise."""
 
     model: Candidate
     gain: float
     signature: np.ndarray
+    size: float
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ def starts(
             signature = change / size
             # The residual falls when the signature points against it; an effect of the wrong sign gains nothing.
             along = float(absorbed.residual @ signature)
-            found.append(Start(trial, along**2 if along < 0 else 0.0, signature))
+            found.append(Start(trial, along**2 if along < 0 else 0.0, signature, size))
     return sorted(found, key=lambda start: -start.gain)
 
 

@@ -7,7 +7,9 @@ voltage contains it, so the force balance holds with it and only the controller'
 
 from math import floor
 
-from emps_design.effects.effect import SNAP, Effect, Parameter
+import numpy as np
+
+from emps_design.effects.effect import SNAP, Effect, Motion, Parameter
 
 
 def command(q, v, t, tau, x, p, b):
@@ -15,6 +17,31 @@ def command(q, v, t, tau, x, p, b):
     if turns - floor(turns) < p[2]:
         return p[0]
     return 0.0
+
+
+def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
+    """Levels and edges of the two-level wave in ``residual``, which for this effect is u minus the law [V]."""
+    low, high = np.quantile(residual, (0.05, 0.95))
+    if abs(low) > abs(high):
+        low, high = high, low
+    up = (residual - low) / (high - low) > 0.5 if high != low else np.zeros(residual.size, bool)
+    steps = np.diff(up.astype(int))
+    rises, falls = np.nonzero(steps == 1)[0] + 1, np.nonzero(steps == -1)[0] + 1
+    if rises.size == 0 or falls.size == 0:
+        return []
+    amplitude = float(np.median(residual[up]) - np.median(residual[~up]))
+    last = residual.size * motion.period
+    if rises.size > 1:
+        turns = np.arange(rises.size)
+        every, first = np.polyfit(turns, motion.t[rises], 1)
+        # A fall belongs to the rise before it; the wave may have been high when the record began.
+        high_time = float(np.median((motion.t[falls] - first) % every))
+    else:
+        first, every = float(motion.t[rises[0]]), 2 * last
+        high_time = float(motion.t[falls[falls > rises[0]][0]] - first) if falls[-1] > rises[0] else last - first
+    return [
+        {"amplitude": amplitude, "frequency": 1 / every, "duty": high_time / every, "start": max(float(first), 0.0)}
+    ]
 
 
 def expression(q, v, t, tau, p, b):
@@ -45,6 +72,7 @@ EFFECT = Effect(
         ),
     ),
     command=command,
+    propose=propose,
     no_regressor="the recorded voltage contains it: its column is in u minus the controller's law, not in the force",
     expression=expression,
     over="t",

@@ -55,7 +55,7 @@ EFFECT = Effect(
             "frequency",
             "f",
             "Hz",
-            lower=0.05,
+            lower=0.25,
             upper=500.0,
             starts=(0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0),
             text="frequency of the force",

@@ -1,0 +1,113 @@
+"""Where simulation and data disagree, which physical effect is missing, and the model with it."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from emps_design.cli.output import print_json, print_warnings, progress_bar, write_aside, write_text
+from emps_design.errors import InputError
+
+
+def command(
+    records: Annotated[list[Path], typer.Argument(metavar="RECORD...", help="records of one axis (.mat, .csv, .npz)")],
+    axis: Annotated[str, typer.Option(help="axis file or embedded machine")] = "emps2019",
+    holdout: Annotated[Path | None, typer.Option(help="a record to confirm on, opened once, at the end")] = None,
+    fit_time: Annotated[str | None, typer.Option(metavar="A:B", help="fit on this stretch only [s]")] = None,
+    confirm_time: Annotated[str | None, typer.Option(metavar="C:D", help="confirm on this stretch [s]")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="folder for model, report, prediction")] = None,
+    seed: Annotated[int, typer.Option(help="seed of the healthy reference")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="one JSON document on standard output")] = False,
+) -> None:
+    from emps_design.discrepancy import diagnose
+    from emps_design.machines import load_axis
+    from emps_design.records import read_record
+
+    if out is not None and out.exists() and not out.is_dir():
+        raise InputError(f"{out}: found a file, expected a folder for the results")
+    if out is not None and not out.parent.is_dir():
+        raise InputError(f"{out}: folder {out.parent} does not exist; make it first")
+    if holdout is not None and confirm_time is not None:
+        raise InputError("give --holdout or --confirm-time, not both")
+    machine = load_axis(axis)
+    read = [read_record(path) for path in records]
+    held_out = None if holdout is None else read_record(holdout)
+    with progress_bar() as progress:
+        diagnosis = diagnose(
+            read,
+            machine,
+            holdout=held_out,
+            fit_time=_window(fit_time, "--fit-time"),
+            confirm_time=_window(confirm_time, "--confirm-time"),
+            seed=seed,
+            progress=progress,
+        )
+    if out is not None:
+        diagnosis = diagnosis.with_file("model.toml")
+        _write(diagnosis, out, axis)
+    document = diagnosis.to_dict()
+    if as_json:
+        print_json(document)
+    else:
+        _show(document, out)
+    print_warnings(document["warnings"])
+
+
+def _window(text: str | None, option: str) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    try:
+        start, stop = (float(part) for part in text.split(":"))
+    except ValueError as error:
+        raise InputError(f"{option}: found {text!r}, expected START:STOP in seconds, such as 0:18.7") from error
+    if not start < stop:
+        raise InputError(f"{option}: found {text!r}, expected a start before the stop")
+    return start, stop
+
+
+def _write(diagnosis: Any, out: Path, axis: str) -> None:
+    """Write everything into ``out``, each file whole or not at all."""
+    import json
+
+    from emps_design.cli.output import plain
+    from emps_design.report.diagnosis import diagnosis_page
+
+    out.mkdir(exist_ok=True)
+    trace = diagnosis.trace
+    write_text(out / "model.toml", f"# {axis}, extended by emps-design diagnose\n{diagnosis.axis.to_toml()}")
+    write_text(out / "diagnosis.json", json.dumps(plain(diagnosis.to_dict()), indent=1, ensure_ascii=False) + "\n")
+    with write_aside(out / "holdout_prediction.csv") as aside, aside.open("w", newline="") as handle:
+        rows = csv.writer(handle)
+        rows.writerow(["t", "force_measured", "force_baseline", "force_extended"])
+        columns = (trace.t, trace.measured, trace.baseline, trace.extended)
+        rows.writerows([f"{value:.9g}" for value in row] for row in zip(*columns, strict=True))
+    write_text(out / "report.html", diagnosis_page(diagnosis).html())
+
+
+def _show(document: dict[str, Any], out: Path | None) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    console.print(f"[bold]{document['verdict']}[/bold]  {document['sentence']}", highlight=False)
+    if document["findings"]:
+        table = Table("effect", "or", "where", "force gap before [N]", "after [N]", "p")
+        for finding in document["findings"]:
+            table.add_row(
+                finding["label"],
+                ", ".join(finding["equivalents"]) or "-",
+                finding["where"]["text"],
+                f"{finding['gap_before']:.3f}",
+                f"{finding['gap_after']:.3f}",
+                f"{finding['p_value']:.3f}",
+            )
+        console.print(table)
+    if document.get("experiment"):
+        console.print(f"Next experiment: {document['experiment']}", highlight=False)
+    for remedy in document["remedies"]:
+        console.print(f"Remedy: {remedy}", highlight=False)
+    if out is not None:
+        console.print(f"Written: {out}/report.html, model.toml, diagnosis.json, holdout_prediction.csv")

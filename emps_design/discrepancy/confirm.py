@@ -1,0 +1,111 @@
+"""Data that nothing was decided on: the gap there, before and after, with what belongs to one record fitted anew."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.discrepancy.candidate import Candidate
+from emps_design.discrepancy.law_check import check_law, propose_command
+from emps_design.discrepancy.missing_force import missing_force
+from emps_design.discrepancy.problem import Problem, evaluate, fit
+from emps_design.discrepancy.split import START_UP
+from emps_design.records import Record
+from emps_design.simulation import Plant
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Rms force error [N] of baseline and extended model, unfiltered closed loop and inverse model at 60 Hz."""
+
+    baseline: float
+    extended: float
+    baseline_60hz: float
+    extended_60hz: float
+
+    def to_dict(self) -> dict[str, float]:
+        """The contract's pair."""
+        return {"baseline": self.baseline, "extended": self.extended}
+
+    def to_dict_60hz(self) -> dict[str, float]:
+        """The contract's pair for the inverse model at 60 Hz."""
+        return {"baseline": self.baseline_60hz, "extended": self.extended_60hz}
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Force of one record [N], (n,) each: measured, and simulated from its reference with both models."""
+
+    record: Record
+    measured: np.ndarray
+    baseline: np.ndarray
+    extended: np.ndarray
+    window: np.ndarray
+
+    def error(self, force: np.ndarray) -> float:
+        """Rms [N] of ``measured - force`` on the window, its mean removed."""
+        return float(np.std((self.measured - force)[self.window]))
+
+
+def refit_per_record(problem: Problem, model: Candidate) -> tuple[Candidate, list[str]]:
+    """Fit what belongs to one record on ``problem``'s own record; returns the model and the names that were fitted.
+
+    Starts are the numbers of the record before and the effect's own proposals here; the old numbers stay unless new
+    ones are clearly better.
+    """
+    names = [
+        f"{effect.name}.{p.name}"
+        for effect in model.effects
+        for p in effect.parameters
+        if p.per_record and not p.discrete
+    ]
+    if not names:
+        return model, []
+    record = problem.records[0]
+    for index, effect in enumerate(model.effects):
+        places = [p.per_record for p in effect.parameters]
+        if not any(places):
+            continue
+        row = model.values[index][0]
+        rows = [row]
+        if effect.channel == "controller":
+            found = propose_command(effect, record, check_law(record, problem.axis, ()).gap)
+            rows += [] if found is None else [np.where(places, found, row)]
+        elif effect.propose is not None:
+            seen = missing_force(problem, model.without(index))[0]
+            for table in effect.propose(seen.motion, seen.force, model.baseline, seen.away):
+                full = [table.get(p.name, old) for p, old in zip(effect.parameters, row, strict=True)]
+                rows.append(np.where(places, full, row))
+        trials = [evaluate(problem, _with_row(model, index, r)) for r in rows]
+        best = min(range(len(rows)), key=lambda i: trials[i].cost)
+        if trials[best].cost < 0.98 * trials[0].cost:
+            model = trials[best].model
+    before, after = evaluate(problem, model), fit(problem, model, part="used", frozen=True)
+    return (after.model if after.cost < 0.995 * before.cost else model), names
+
+
+def _with_row(model: Candidate, index: int, row: np.ndarray) -> Candidate:
+    values = list(model.values)
+    values[index] = np.atleast_2d(row)
+    return Candidate(model.baseline, model.effects, tuple(values))
+
+
+def predict(axis: Axis, record: Record, baseline: Candidate, extended: Candidate, window: np.ndarray) -> Prediction:
+    """Simulate ``record`` from its reference alone with both models, encoder quantised as it is."""
+    forces = []
+    for model in (baseline, extended):
+        forces.append(Plant.of(model.to_axis(axis)).closed_loop(record.q_ref, q0=float(record.q[0])).force)
+    start = window.copy()
+    start[:START_UP] = False
+    return Prediction(record, axis.drive.force_gain * record.u, *forces, start)
+
+
+def gap_of(problem: Problem, prediction: Prediction, baseline: Candidate, extended: Candidate) -> Gap:
+    """Both measures of the gap of ``prediction``, reversals included in both."""
+    inverse = []
+    for model in (baseline, extended):
+        seen = missing_force(problem, model)[0]
+        inverse.append(float(np.std(seen.force[prediction.window])))
+    return Gap(prediction.error(prediction.baseline), prediction.error(prediction.extended), *inverse)

@@ -1,0 +1,247 @@
+"""Findings in words and numbers: where, how large, what it costs, what it could be instead, what was not seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from emps_design.discrepancy.candidate import BASELINE
+
+from emps_design.discrepancy.decide import Search
+from emps_design.discrepancy.diagnosis import Finding
+from emps_design.discrepancy.healthy import LEVEL, RESAMPLES, Healthy
+from emps_design.discrepancy.judge import WORTH, Judge, force_rms
+from emps_design.discrepancy.law_check import LawCheck
+from emps_design.discrepancy.locate import View, extent, views
+from emps_design.discrepancy.missing_force import MissingForce
+from emps_design.discrepancy.noise import Floor
+from emps_design.discrepancy.problem import Fit, Problem, fit
+from emps_design.discrepancy.propose import Start
+from emps_design.effects import get_effect
+
+ASSUMPTIONS = (
+    "the force gain of the drive is known: an error of it scales every mechanical parameter and shows nowhere else",
+    "the drive holds each voltage over the period that follows its sample",
+    "a Coulomb asymmetry and a constant force are one and the same in any record, and both are the constant force here",
+)
+SHOWN_CANDIDATES = 10
+
+
+@dataclass(frozen=True)
+class Work:
+    """What the search leaves for the words: the problem, the rules, all fits, the noise, the checks of the law."""
+
+    problem: Problem
+    judge: Judge
+    found: Search
+    floor: Floor
+    checks: tuple[LawCheck, ...]
+    healthy: Healthy
+    screened: list[list[Start]]
+    warnings: tuple[str, ...]
+
+    @property
+    def unnamed_law(self) -> bool:
+        """Whether the controller's law has a gap with structure that no effect explains."""
+        return any(check.structured and check.effect is None for check in self.checks)
+
+
+def findings(work: Work, extended: Fit, equivalents: dict[str, list[str]]) -> tuple[Finding, ...]:
+    """The accepted effects in the order found, each with the force gap before and after it."""
+    problem, model = work.problem, extended.model
+    order = [name for step in work.found.path for name in step.model.names]
+    names = [name for name in dict.fromkeys(order) if name in model.names]
+    record, used = problem.records[0], problem.splits[0].used
+    v = np.gradient(record.q, record.period)
+    residual = problem.residuals(model)[0]
+    result = []
+    for name in names:
+        index = model.names.index(name)
+        effect, values = model.effects[index], model.values[index][0]
+        # The model without this effect, the rest re-adjusted: what the effect itself is good for.
+        without = fit(problem, model.without(index), part="used", steps=4)
+        improvement = problem.residuals(without.model)[0] ** 2 - residual**2
+        gain = without.cost - extended.cost
+        parameters = {
+            p.name: {
+                "value": float(values[place]),
+                "std": extended.std(index, place),
+                "unit": p.unit,
+                **({"per_record": True} if p.per_record else {}),
+            }
+            for place, p in enumerate(effect.parameters)
+        }
+        result.append(
+            Finding(
+                effect=name,
+                label=effect.label,
+                channel=effect.channel,
+                where=extent(record, v, improvement, used),
+                parameters=parameters,
+                p_value=work.healthy.p_value(gain),
+                gap_before=force_rms(problem, without),
+                gap_after=force_rms(problem, extended),
+                equivalents=tuple(equivalents.get(name, ())),
+                remedy=effect.remedy,
+                experiment=effect.experiment,
+                note=_note(work, effect.channel),
+            )
+        )
+    return tuple(result)
+
+
+def _note(work: Work, channel: str) -> str:
+    if channel != "controller":
+        return "gap of the training record, with the other effects refitted"
+    noise = 1e3 * work.checks[0].noise
+    return f"seen in u minus the controller's law, noise {noise:.2g} mV; the force balance holds with it"
+
+
+def marked_views(
+    before: MissingForce, after: MissingForce, used: np.ndarray, floor: float, found: tuple[Finding, ...]
+) -> tuple[View, ...]:
+    """The residual over each quantity, the extents of the findings marked, the one that shows most first."""
+    drawn = []
+    for view in views(before, after, used, floor):
+        marks = []
+        for finding in found:
+            place = finding.where.get(view.quantity)
+            if place is not None and view.quantity != "frequency":
+                marks.append(tuple(place[0]) if view.quantity == "time" else tuple(place))
+        drawn.append(replace(view, marks=tuple(marks)))
+    head, tail = drawn[:-1], drawn[-1:]
+    head.sort(key=lambda view: -_shown(view))
+    return (*head, *tail)
+
+
+def _shown(view: View) -> float:
+    """How much of the gap a picture shows: rms of what the mean over a bin loses from before to after."""
+    return float(np.sqrt(np.nanmean(view.before**2)) - np.sqrt(np.nanmean(view.after**2)))
+
+
+def details(work: Work, verdict: str, baseline: Fit, extended: Fit, refitted: tuple[str, ...]) -> dict[str, Any]:
+    """What the report shows besides the contract's keys."""
+    problem = work.problem
+    unseen = _not_excluded(work, extended)
+    told = {
+        "candidates": _candidates(work, extended),
+        "parameters": _parameters(work, baseline, extended),
+        "not_excluded": unseen,
+        "experiment": _experiment(work, extended),
+        "records": [{"name": r.name, "role": "train", "sha256": r.sha256} for r in problem.records],
+        "calibration": (
+            f"A finding must gain more than {work.healthy.threshold:.1f} in whitened cost, the largest gain of any "
+            f"candidate in {100 * LEVEL:g} % of {RESAMPLES} healthy references made of resampled noise, and more than "
+            f"{100 * WORTH:g} % of the cost; the noise is "
+            + ("what differs between repeated laps." if work.floor.from_laps else "the residual of the model itself.")
+        ),
+        "assumptions": list(ASSUMPTIONS),
+        "warnings": [*work.warnings, *_warnings(work, verdict, extended, refitted)],
+    }
+    if verdict in ("nothing-missing", "parameters-only") and unseen:
+        told["least_visible"] = f"{unseen[0]['text']} ({unseen[0]['label'].lower()})"
+    if verdict == "parameters-only":
+        told["changed"] = ", ".join(
+            f"{q.name.replace('_', ' ')} {axis:.5g} -> {new:.5g} {q.unit}"
+            for q, axis, new in zip(BASELINE, problem.axis.mechanics.array(), baseline.model.baseline, strict=True)
+            if abs(axis - new) > 0.005 * max(abs(new), 1.0)
+        )
+    if verdict == "unnamed":
+        record = problem.records[0]
+        v = np.gradient(record.q, record.period)
+        residual = problem.residuals(extended.model)[0] ** 2 - work.floor.force**2
+        told["unexplained_where"] = extent(record, v, residual, problem.splits[0].used)["text"]
+    return told
+
+
+def _warnings(work: Work, verdict: str, extended: Fit, refitted: tuple[str, ...]) -> list[str]:
+    said = []
+    if not work.floor.from_laps:
+        said.append("the reference does not repeat: the noise floor is the residual of the baseline, an upper bound")
+    noise = work.problem.samples("used")
+    if verdict in ("named", "ambiguous") and extended.cost > 1.5 * noise:
+        said.append(
+            f"structure remains after the last finding: {force_rms(work.problem, extended):.2f} N where laps repeat to "
+            f"{work.floor.force:.2f} N; no further effect of the library is clear enough to name"
+        )
+    if work.unnamed_law:
+        said.append("the controller's law has a gap that no effect explains: look at u minus the law first")
+    if refitted:
+        said.append(f"fitted anew on the confirming record, because they belong to one record: {', '.join(refitted)}")
+    return said
+
+
+def _candidates(work: Work, extended: Fit) -> list[dict[str, Any]]:
+    """The first round's effects by what each explains alone."""
+    base = work.found.path[0]
+    alone = [f for key, f in work.found.tried.items() if len(key) == len(base.model.names) + 1]
+    alone.sort(key=lambda f: f.cost)
+    return [
+        {
+            "effect": f.model.names[-1],
+            "label": f.model.effects[-1].label,
+            "gap": force_rms(work.problem, f),
+            "statistic": base.cost - f.cost,
+            "threshold": max(work.healthy.threshold, WORTH * base.cost),
+            "accepted": f.model.names[-1] in extended.model.names,
+            "note": "alone, on top of the baseline",
+        }
+        for f in alone[:SHOWN_CANDIDATES]
+    ]
+
+
+def _parameters(work: Work, baseline: Fit, extended: Fit) -> dict[str, Any]:
+    told = work.problem.axis.mechanics.array()
+    table = {}
+    for place, quantity in enumerate(BASELINE):
+        table[quantity.name] = {
+            "unit": quantity.unit,
+            "axis": float(told[place]),
+            "baseline": {"value": float(baseline.model.baseline[place]), "std": baseline.std(-1, place)},
+            "extended": {"value": float(extended.model.baseline[place]), "std": extended.std(-1, place)},
+        }
+    return table
+
+
+def _not_excluded(work: Work, extended: Fit) -> list[dict[str, Any]]:
+    """The smallest size of each effect that would have been a finding, from its signature on the baseline."""
+    gain = (
+        max(work.healthy.threshold, WORTH * work.problem.samples("used"))
+        * len(work.judge.problem.masks("fit"))
+        / len(work.judge.problem.masks("used"))
+    )
+    rows = []
+    for found in work.screened:
+        effect = found[0].model.effects[-1]
+        if effect.name in extended.model.names:
+            continue
+        # The amplitude that scales the signature: the first linear parameter, or the first of all.
+        name = effect.linear[0] if effect.linear else effect.parameters[0].name
+        place = [p.name for p in effect.parameters].index(name)
+        parameter = effect.parameters[place]
+        sizes = [abs(float(s.model.values[-1][0][place])) * np.sqrt(gain) / s.size for s in found if s.size > 0]
+        if not sizes or not effect.linear:
+            continue
+        size = float(np.median(sizes))
+        rows.append(
+            {
+                "effect": effect.name,
+                "label": effect.label,
+                "size": size,
+                "unit": parameter.unit,
+                "text": f"{parameter.name.replace('_', ' ')} {size:.2g} {parameter.unit}".rstrip(),
+            }
+        )
+    return rows
+
+
+def _experiment(work: Work, extended: Fit) -> str:
+    """What to record next: for ambiguous findings what separates them, else what the first finding's file advises."""
+    for names in work.judge.equivalents(work.found).values():
+        if names:
+            return get_effect(names[0]).experiment
+    for name in extended.model.names:
+        return get_effect(name).experiment
+    return ""

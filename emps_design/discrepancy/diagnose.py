@@ -1,0 +1,203 @@
+"""From records and an axis to a diagnosis: check, fit the baseline, calibrate, search, decide, confirm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.discrepancy import describe
+from emps_design.discrepancy.candidate import Candidate
+from emps_design.discrepancy.confirm import Gap, Prediction, gap_of, predict, refit_per_record
+from emps_design.discrepancy.decide import screen, search
+from emps_design.discrepancy.describe import Work
+from emps_design.discrepancy.diagnosis import Diagnosis
+from emps_design.discrepancy.door import check_records, check_same_drive
+from emps_design.discrepancy.healthy import healthy_reference
+from emps_design.discrepancy.judge import Judge, explained
+from emps_design.discrepancy.law_check import LawCheck, check_law
+from emps_design.discrepancy.missing_force import missing_force
+from emps_design.discrepancy.noise import Floor, floor_of_laps, floor_of_residual
+from emps_design.discrepancy.problem import Fit, Problem, Whitening, fit
+from emps_design.discrepancy.propose import tangent
+from emps_design.discrepancy.split import split
+from emps_design.effects import Effect, known_effects
+from emps_design.errors import InputError
+from emps_design.records import Record
+
+Progress = Callable[[str, float], None]
+HELD = 0.5  # of the share explained on the training record must be explained on the confirming one
+
+
+def diagnose(
+    records: Record | Sequence[Record],
+    axis: Axis,
+    holdout: Record | None = None,
+    fit_time: tuple[float, float] | None = None,
+    confirm_time: tuple[float, float] | None = None,
+    library: Sequence[Effect] | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Find where the closed-loop simulation of ``axis`` and ``records`` disagree, and which effect is missing.
+
+    ``records`` of one axis are explained together; ``holdout``, or ``confirm_time`` (start, stop) [s] of the first
+    record, is opened once, at the end. ``fit_time`` [s] limits what is fitted. ``library`` defaults to every known
+    effect. Raises :class:`InputError` for records that cannot be judged, and where the controller of ``axis`` is not
+    the one that made them.
+    """
+    report = progress or (lambda stage, fraction: None)
+    records = (records,) if isinstance(records, Record) else tuple(records)
+    library = tuple(known_effects().values()) if library is None else tuple(library)
+    axis = axis.replace(effects=[])
+    warnings = check_records(records, axis)
+    if holdout is not None:
+        check_same_drive(records[0], holdout)
+        check_records((holdout,), axis)
+
+    report("checking the controller's law", 0.02)
+    checks = tuple(check_law(record, axis, library) for record in records)
+    problem, start = _problem(records, axis, fit_time, confirm_time, checks)
+
+    report("fitting the baseline", 0.05)
+    problem, baseline, floor = _baseline(problem, start)
+    report("healthy reference", 0.1)
+    absorbed = tangent(problem, baseline)
+    candidates = tuple(effect for effect in library if effect.channel != "controller")
+    screened = screen(problem, baseline, candidates, absorbed)
+    healthy = healthy_reference(screened, absorbed, floor.draws, seed)
+    judge = Judge(problem, healthy)
+    found = search(problem, baseline, candidates, judge.accepts, lambda stage, done: report(stage, 0.15 + 0.7 * done))
+    if found.interrupted:
+        warnings.append("interrupted: the search was not finished, what follows is what was known by then")
+
+    report("confirming on data not used so far", 0.9)
+    work = Work(problem, judge, found, floor, checks, healthy, screened, tuple(warnings))
+    return _conclude(work, _confirming(problem, holdout, confirm_time))
+
+
+def _problem(
+    records: tuple[Record, ...],
+    axis: Axis,
+    fit_time: tuple[float, float] | None,
+    confirm_time: tuple[float, float] | None,
+    checks: tuple[LawCheck, ...],
+) -> tuple[Problem, Candidate]:
+    """The problem on what may be fitted, and the axis's own numbers with what the controller's law needs."""
+    allowed = [np.ones(len(r), bool) for r in records]
+    for record, mask in zip(records, allowed, strict=True):
+        if fit_time is not None:
+            mask &= between(record, fit_time, "--fit-time")
+    if confirm_time is not None:
+        allowed[0] &= ~between(records[0], confirm_time, "--confirm-time")
+    splits = tuple(split(r, mask) for r, mask in zip(records, allowed, strict=True))
+    for record, made in zip(records, splits, strict=True):
+        if made.fit.sum() < 500 or made.select.sum() < 200:
+            raise InputError(
+                f"{record.name}: found {made.used.sum()} samples to fit, in {len(made.strokes)} strokes; expected at "
+                "least two strokes to fit and one to select from"
+            )
+    start = Candidate(axis.mechanics.array())
+    named = [check for check in checks if check.effect is not None]
+    if named:
+        effect = named[0].effect
+        rows = [check.values if check.effect is effect else named[0].values for check in checks]
+        start = start.with_effect(effect, np.array(rows))
+    return Problem(axis, records, splits, Whitening(np.array([1.0]), 1.0)), start
+
+
+def between(record: Record, window: tuple[float, float], option: str) -> np.ndarray:
+    """Samples (n,) bool of ``record`` inside ``window`` (start, stop) [s]; refuses an empty one."""
+    inside = (record.t >= window[0]) & (record.t < window[1])
+    if not inside.any():
+        raise InputError(
+            f"{option}: found {window[0]:g}:{window[1]:g} s, expected a stretch of {record.name}, which lasts "
+            f"{record.duration:.3g} s"
+        )
+    return inside
+
+
+def _baseline(problem: Problem, start: Candidate) -> tuple[Problem, Fit, Floor]:
+    """Refit the baseline: plain least squares for a start, then whitened by the floor's noise."""
+    rough = fit(problem, start, steps=20)
+    floor = floor_of_laps(problem.records, problem.splits, problem.axis.drive.force_gain)
+    if floor is None:
+        floor = floor_of_residual(problem.residuals(rough.model), problem.records[0].period)
+    problem = problem.with_whitening(floor.whitening)
+    return problem, fit(problem, rough.model, steps=20), floor
+
+
+def _confirming(
+    problem: Problem, holdout: Record | None, confirm_time: tuple[float, float] | None
+) -> tuple[Problem, np.ndarray] | None:
+    """The confirming record as a problem of its own, and the samples that confirm; None where there is none."""
+    if holdout is None and confirm_time is None:
+        return None
+    record = problem.records[0] if holdout is None else holdout
+    window = np.ones(len(record), bool) if confirm_time is None else between(record, confirm_time, "--confirm-time")
+    return replace(problem, records=(record,), splits=(split(record, window),)), window
+
+
+def _conclude(work: Work, confirming: tuple[Problem, np.ndarray] | None) -> Diagnosis:
+    """Refit the search's best model on everything, open the confirming data, and say what it all means."""
+    problem, found, floor = work.problem, work.found, work.floor
+    baseline = fit(problem, found.path[0].model, part="used")
+    extended = fit(problem, found.best.model, part="used") if len(found.path) > 1 else baseline
+    train = _gap(problem, problem.splits[0].used, baseline.model, extended.model)
+    equivalents = work.judge.equivalents(found)
+    verdict = work.judge.verdict(found, equivalents, explained(train.gap.baseline, train.gap.extended, floor.force))
+    if work.unnamed_law:
+        verdict = "unnamed"
+
+    judged = None
+    if confirming is not None:
+        # A gap that the model closed on its own record only was not understood.
+        judged = _gap(*confirming, baseline.model, extended.model)
+        held = explained(judged.gap.baseline, judged.gap.extended, floor.force)
+        learnt = explained(train.gap.baseline, train.gap.extended, floor.force)
+        if len(found.path) > 1 and held < HELD * learnt:
+            verdict = "unnamed"
+    if verdict == "unnamed" and len(found.path) > 1:
+        extended = baseline
+        train = _gap(problem, problem.splits[0].used, baseline.model, baseline.model)
+        judged = None if confirming is None else _gap(*confirming, baseline.model, baseline.model)
+
+    shown = judged or train
+    findings = describe.findings(work, extended, equivalents)
+    before, after = (missing_force(problem, f.model)[0] for f in (baseline, extended))
+    return Diagnosis(
+        verdict=verdict,
+        findings=findings,
+        axis=shown.extended.to_axis(problem.axis),
+        floor=floor.force,
+        floor_60hz=floor.force_60hz,
+        train=train.gap,
+        holdout=None if judged is None else judged.gap,
+        prediction=shown.prediction,
+        views=describe.marked_views(before, after, problem.splits[0].used, floor.force_60hz, findings),
+        details=describe.details(work, verdict, baseline, extended, shown.refitted),
+    )
+
+
+@dataclass(frozen=True)
+class _Judged:
+    gap: Gap
+    prediction: Prediction
+    extended: Candidate
+    refitted: tuple[str, ...]
+
+
+def _gap(problem: Problem, window: np.ndarray, baseline: Candidate, extended: Candidate) -> _Judged:
+    """Both models on the first record of ``problem``, what belongs to that record fitted anew where it is another."""
+    record, names = problem.records[0], ()
+    models = []
+    for model in (baseline, extended):
+        one = replace(model, values=tuple(v[:1] for v in model.values))
+        if window is not problem.splits[0].used:
+            one, names = refit_per_record(problem, one)
+        models.append(one)
+    single = replace(problem, records=(record,), splits=problem.splits[:1])
+    prediction = predict(problem.axis, record, *models, window)
+    return _Judged(gap_of(single, prediction, *models), prediction, models[1], tuple(names))

@@ -1,0 +1,150 @@
+"""What a diagnosis says: its findings, its gap before and after, its pictures' data, its extended model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.discrepancy.confirm import Gap, Prediction
+from emps_design.discrepancy.locate import View
+
+SCHEMA = "emps-design/diagnosis/1"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One accepted effect: where it acts, its parameters, and the force gap before and after it was added [N]."""
+
+    effect: str
+    label: str
+    channel: str
+    where: Mapping[str, Any]
+    parameters: Mapping[str, Mapping[str, Any]]
+    p_value: float
+    gap_before: float
+    gap_after: float
+    equivalents: tuple[str, ...] = ()
+    remedy: str = ""
+    experiment: str = ""
+    note: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contract's entry of ``findings``."""
+        return {
+            "effect": self.effect,
+            "label": self.label,
+            "equivalents": list(self.equivalents),
+            "where": {"channel": self.channel, **self.where},
+            "parameters": {name: dict(table) for name, table in self.parameters.items()},
+            "p_value": self.p_value,
+            "gap_before": self.gap_before,
+            "gap_after": self.gap_after,
+            "note": self.note,
+        }
+
+    def in_words(self) -> str:
+        """The finding with its parameters, for a sentence."""
+        numbers = ", ".join(
+            f"{name.replace('_', ' ')} {table['value']:.4g} +- {table['std']:.2g} {table['unit']}".rstrip()
+            for name, table in self.parameters.items()
+            if table["std"] > 0 and not table.get("per_record")
+        )
+        others = f" (or {', '.join(e.replace('_', ' ') for e in self.equivalents)})" if self.equivalents else ""
+        return f"{self.where['text']}: {self.label}{others}" + (f", {numbers}" if numbers else "")
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Force [N] of the confirming record over ``t`` [s]: measured, and both closed-loop simulations."""
+
+    name: str
+    t: np.ndarray
+    measured: np.ndarray
+    baseline: np.ndarray
+    extended: np.ndarray
+    window: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The answer of :func:`emps_design.discrepancy.diagnose`."""
+
+    verdict: str
+    findings: tuple[Finding, ...]
+    axis: Axis
+    floor: float
+    floor_60hz: float
+    train: Gap
+    holdout: Gap | None
+    prediction: Prediction
+    views: tuple[View, ...]
+    details: Mapping[str, Any] = field(default_factory=dict)
+    model_file: str | None = None
+
+    @property
+    def sentence(self) -> str:
+        """The answer in one sentence, as on the first screen of the report."""
+        judged, where = (self.holdout, "held-out") if self.holdout else (self.train, "training")
+        gap = f"{where} force error {judged.baseline:.2f} N -> {judged.extended:.2f} N, noise {self.floor:.2f} N"
+        if self.verdict in ("named", "ambiguous"):
+            text = "; ".join(finding.in_words() for finding in self.findings)
+            return f"{text[0].upper()}{text[1:]}; {gap}."
+        if self.verdict == "unnamed":
+            place = self.details.get("unexplained_where", "")
+            return (
+                f"The model misses {judged.baseline:.2f} N (noise {self.floor:.2f} N){' ' + place if place else ''}, "
+                "and no effect of the library explains it."
+            )
+        least = self.details.get("least_visible")
+        rest = f"; an effect of {least} or more would have been seen" if least else ""
+        if self.verdict == "parameters-only":
+            changed = self.details.get("changed", "")
+            return f"Only the numbers of the axis file are off ({changed}); {gap}{rest}."
+        return (
+            f"Nothing is missing from the model: force error {judged.baseline:.2f} N, noise {self.floor:.2f} N{rest}."
+        )
+
+    @property
+    def trace(self) -> Trace:
+        """The force over time of the record that confirms, or of the training record."""
+        p = self.prediction
+        return Trace(p.record.name, p.record.t, p.measured, p.baseline, p.extended, self.details.get("window"))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contract's document, and what the report shows besides."""
+        gap: dict[str, Any] = {"unit": "N", "floor": self.floor, "train": self.train.to_dict()}
+        inverse: dict[str, Any] = {"unit": "N", "floor": self.floor_60hz, "train": self.train.to_dict_60hz()}
+        if self.holdout is not None:
+            gap["holdout"], inverse["holdout"] = self.holdout.to_dict(), self.holdout.to_dict_60hz()
+        shown = {
+            k: v
+            for k, v in self.details.items()
+            if k not in ("window", "unexplained_where", "least_visible", "changed")
+        }
+        return {
+            "schema": SCHEMA,
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "findings": [finding.to_dict() for finding in self.findings],
+            "gap": gap,
+            "gap_inverse_60hz": inverse,
+            "model_file": self.model_file,
+            "remedies": [f.remedy for f in self.findings if f.remedy],
+            **shown,
+        }
+
+    def with_file(self, model_file: str) -> Diagnosis:
+        """The same diagnosis, saying where its model was written."""
+        return replace(self, model_file=model_file)
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><td>{f.label}</td><td>{f.where['text']}</td><td>{f.gap_before:.3f} N</td><td>{f.gap_after:.3f} N</td></tr>"
+            for f in self.findings
+        )
+        head = "<tr><th>effect</th><th>where</th><th>gap before</th><th>gap after</th></tr>"
+        return f"<p><b>{self.verdict}</b>: {self.sentence}</p>" + (f"<table>{head}{rows}</table>" if rows else "")

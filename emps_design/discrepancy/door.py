@@ -1,0 +1,65 @@
+"""What a record must have to be judged, and what it cannot tell: checked before anything is computed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.discrepancy.split import find_strokes
+from emps_design.errors import RecordError
+from emps_design.records import Record
+
+SHORTEST = 2.0  # s
+STILL = 1e-4  # m, a reference that moves less is no motion
+SATURATED = 0.5  # share of samples at the voltage limit beyond which nothing can be said
+PERIODS_ALIKE = 1e-4
+
+
+def check_records(records: tuple[Record, ...], axis: Axis) -> list[str]:
+    """Refuse what cannot be judged; return what can be judged but not everything of it, one sentence each."""
+    said: list[str] = []
+    for record in records:
+        period = axis.sampling.period
+        if abs(record.period / period - 1) > PERIODS_ALIKE:
+            raise RecordError(
+                f"{record.name}: found a sampling period of {1e3 * record.period:g} ms, expected {1e3 * period:g} ms of "
+                "the axis; records and axis must come from one drive"
+            )
+        if record.duration < SHORTEST:
+            raise RecordError(
+                f"{record.name}: found {record.duration:.3g} s, expected at least {SHORTEST:g} s; record whole strokes"
+            )
+        if np.ptp(record.q_ref) < STILL or np.ptp(record.q) < STILL:
+            raise RecordError(f"{record.name}: the axis does not move; record strokes in both directions")
+        limited = float(np.mean(np.abs(record.u) >= 0.999 * axis.drive.voltage_limit))
+        if limited > SATURATED:
+            raise RecordError(
+                f"{record.name}: {100 * limited:.0f} % of the samples are at the voltage limit, expected less than "
+                f"{100 * SATURATED:.0f} %; lower speed or acceleration"
+            )
+        said += [f"{record.name}: {text}" for text in _tame(record)]
+    return said
+
+
+def check_same_drive(record: Record, holdout: Record) -> None:
+    """Refuse a hold-out that was not sampled like the training record."""
+    if abs(record.period / holdout.period - 1) > PERIODS_ALIKE:
+        raise RecordError(
+            f"{holdout.name}: found a sampling period of {1e3 * holdout.period:g} ms, expected {1e3 * record.period:g} ms "
+            f"of {record.name}; train and hold-out must come from one drive"
+        )
+
+
+def _tame(record: Record) -> list[str]:
+    v = np.gradient(record.q_ref, record.period)
+    fastest = float(np.abs(v).max())
+    steady = np.abs(v)[(np.abs(np.gradient(v, record.period)) < 0.01) & (np.abs(v) > 0.02 * fastest)]
+    said = []
+    if len(find_strokes(record.q_ref, record.period)) < 2:
+        said.append("no reversal, so friction that depends on direction, backlash and presliding cannot be judged")
+    if steady.size and np.ptp(steady) < 0.1 * fastest:
+        said.append("one speed only, so viscous friction and its curvature cannot be told from Coulomb friction")
+    moving = np.abs(v) > 0
+    if moving.any() and float(np.mean(np.abs(v[moving]) < 0.02)) < 0.005:
+        said.append("hardly any motion below 20 mm/s, so Stribeck friction is seen at reversals only")
+    return said

@@ -1,0 +1,114 @@
+"""What counts as a finding: beyond chance, on strokes the fit has not seen, in most of them, and worth having."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from emps_design.discrepancy.decide import Search
+from emps_design.discrepancy.healthy import Healthy
+from emps_design.discrepancy.problem import Fit, Problem
+from emps_design.discrepancy.split import START_UP
+
+WORTH = 0.01  # of the whitened cost: what lowers the residual force by less than half a percent is no finding
+STROKES = 0.8  # of the selecting strokes must not get worse
+SEEN_AGAIN = 0.3  # of the gain per sample on the fitting part must be there on the selecting part
+STRUCTURED = 1.5  # whitened cost per sample beyond which a model leaves structure
+AT_FLOOR = 1.2  # whitened cost per sample up to which a model leaves nothing but noise
+EXPLAINED = 0.5  # of the excess over the floor, in force, a model must explain to stand where it does not reach it
+MOST_EQUIVALENTS = 3
+
+
+@dataclass(frozen=True)
+class Judge:
+    """The rules, with the healthy reference they stand on."""
+
+    problem: Problem
+    healthy: Healthy
+
+    def accepts(self, better: Fit, worse: Fit) -> bool:
+        """Whether ``better``, with one effect more, is a finding over ``worse``."""
+        gain_fit, gain_select = worse.cost_fit - better.cost_fit, worse.cost_select - better.cost_select
+        n_fit, n_select = self.problem.samples("fit"), self.problem.samples("select")
+        return (
+            gain_fit > self.healthy.threshold
+            and gain_fit + gain_select > WORTH * worse.cost
+            and gain_select / n_select > SEEN_AGAIN * gain_fit / n_fit
+            and self.share_of_strokes(better, worse) >= STROKES
+        )
+
+    def share_of_strokes(self, better: Fit, worse: Fit) -> float:
+        """Share of the selecting strokes whose cost does not rise beyond chance from ``worse`` to ``better``."""
+        kept = []
+        for i, split in enumerate(self.problem.splits):
+            change = better.innovations[i] ** 2 - worse.innovations[i] ** 2
+            for start, stop in split.strokes:
+                seen = split.select[start:stop]
+                if seen.sum() > START_UP:
+                    kept.append(float(change[start:stop][seen].sum()) <= 2.0 * np.sqrt(2.0 * seen.sum()))
+        return float(np.mean(kept)) if kept else 0.0
+
+    def at_floor(self, fitted: Fit) -> bool:
+        """Whether ``fitted`` leaves nothing but noise on both parts."""
+        parts = (("fit", fitted.cost_fit), ("select", fitted.cost_select))
+        return all(cost <= AT_FLOOR * self.problem.samples(part) for part, cost in parts)
+
+    def verdict(self, search: Search, equivalents: dict[str, list[str]], share: float) -> str:
+        """The verdict before any confirming data: ``share`` is what the best model explains of the force gap."""
+        best, noise = search.best, self.problem.samples("used")
+        if len(best.model.names) == 0:
+            if best.cost > STRUCTURED * noise:
+                return "unnamed"
+            return "parameters-only" if self._numbers_off(best) else "nothing-missing"
+        if len(search.path) > 1 and not self.at_floor(best) and share < EXPLAINED:
+            return "unnamed"
+        if len(search.path) == 1 and best.cost > STRUCTURED * noise:
+            return "unnamed"
+        if any(len(names) > MOST_EQUIVALENTS for names in equivalents.values()):
+            return "unnamed"
+        return "ambiguous" if any(equivalents.values()) else "named"
+
+    def _numbers_off(self, best: Fit) -> bool:
+        """Whether the axis file's numbers lie beyond three standard deviations and half a percent of the fitted ones."""
+        told = self.problem.axis.mechanics.array()
+        for place, slot in enumerate(best.slots[:4]):
+            off = abs(float(best.model.baseline[place] - told[place]))
+            if off > 3 * best.std(-1, slot.place) and off > 0.005 * slot.scale:
+                return True
+        return False
+
+    def equivalents(self, search: Search) -> dict[str, list[str]]:
+        """For each accepted effect, those that could stand in its place as far as these records tell."""
+        best = search.best
+        found: dict[str, list[str]] = {}
+        for name in best.model.names:
+            others = frozenset(best.model.names) - {name}
+            without = [f.cost for key, f in search.tried.items() if key == others]
+            gain = (min(without) if without else search.path[0].cost) - best.cost
+            # At the floor chance is the only excuse; above it, what is missing may favour either by a few percent.
+            margin = self.healthy.threshold if self.at_floor(best) else max(self.healthy.threshold, 0.03 * gain)
+            rivals = [
+                (f.cost, next(iter(key - others)))
+                for key, f in search.tried.items()
+                if len(key) == len(others) + 1 and others < key and name not in key and f.cost <= best.cost + margin
+            ]
+            found[name] = [rival for _, rival in sorted(rivals)]
+        return found
+
+
+def force_rms(problem: Problem, fitted: Fit, part: str = "used") -> float:
+    """Rms [N] of measured minus simulated force on ``part``, its mean removed as the floor's is."""
+    residuals = problem.residuals(fitted.model)
+    kept = np.concatenate([r[m] for r, m in zip(residuals, problem.masks(part), strict=True)])
+    return float(np.std(kept))
+
+
+def explained(before: float, after: float, floor: float) -> float:
+    """Share of the force gap over the floor that is closed: 1 - (after^2 - floor^2)/(before^2 - floor^2).
+
+    >>> explained(5.0, 3.0, 3.0)
+    1.0
+    """
+    excess = before**2 - floor**2
+    return 1 - (after**2 - floor**2) / excess if excess > 0 else 0.0
