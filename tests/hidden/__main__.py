@@ -36,12 +36,9 @@ def main(arguments: list[str] | None = None) -> int:
         scores = []
         for one in score_all(folder, options.only, options.jobs):
             scores.append(one)
-            print(
-                f"{one.case:55s} {one.result:9s} {' + '.join(one.named) or one.verdict:50s} {one.closed:5.2f} {one.seconds:4.0f} s "
-                f"{one.note}",
-                file=sys.stderr,
-                flush=True,
-            )
+            said = " + ".join(one.named) or one.verdict
+            line = f"{one.case:55s} {one.result:9s} {said:50s} {one.closed:5.2f} {one.seconds:4.0f} s {one.note}"
+            print(line, file=sys.stderr, flush=True)
     if not scores:
         print(f"no case whose name contains {options.only!r}", file=sys.stderr)
         return 2
