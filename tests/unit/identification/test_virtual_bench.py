@@ -1,0 +1,87 @@
+"""The virtual bench behaves like the paper's: same order, same ordering, and it says where its numbers come from."""
+
+import numpy as np
+import pytest
+
+from emps_design.identification.section_3 import PRINTED, section_3
+from emps_design.identification.virtual_bench import (
+    CHOSEN,
+    NUMBERS,
+    PAPER,
+    bench_axis,
+    break_away_test,
+    identification_trajectory,
+    operator_force,
+    virtual_bench,
+)
+
+
+@pytest.fixture(scope="module")
+def section():
+    return section_3(seed=0)
+
+
+def test_every_number_says_where_it_comes_from():
+    for number in NUMBERS.values():
+        assert number.origin in (PAPER, CHOSEN)
+        assert number.reason
+    assert {n.origin for n in NUMBERS.values()} == {PAPER, CHOSEN}
+
+
+def test_errors_are_of_the_papers_order_and_ordering(section):
+    assert np.all(section.rms_direct < section.rms_2)
+    for rms, (low, high) in (
+        (section.rms_1, PRINTED["rms_1"]),
+        (section.rms_2, PRINTED["rms_2"]),
+        (section.rms_direct, PRINTED["rms_direct"]),
+    ):
+        assert low <= np.mean(rms) <= high
+        assert np.all((rms > 0.6 * low) & (rms < 1.4 * high))
+
+
+def test_tables_are_near_the_printed_ones(section):
+    for name, (value, two_sigma, percent) in section.table_1.items():
+        printed = PRINTED["table_1"][name]
+        assert value == pytest.approx(printed[0], rel=0.3)
+        assert two_sigma == pytest.approx(printed[1], rel=3.0)
+        assert percent == pytest.approx(100 * two_sigma / abs(value))
+    assert section.table_2["mass"][0] == pytest.approx(PRINTED["table_2"]["mass"][0], rel=0.15)
+
+
+def test_what_is_seen_is_of_the_order_of_the_error(section):
+    """The paper's conclusion: an operator's 5 N are seen with an error of the same order."""
+    seen = section.observed(0)
+    assert np.max(np.abs(seen["sensor"])) < 5.5
+    assert section.rms_2[0] > 0.5 * np.std(seen["sensor"])
+    assert np.std(seen["motor"]) > 3 * np.std(seen["sensor"])
+    np.testing.assert_allclose(seen["direct"], seen["model"] - seen["motor"])
+
+
+def test_break_away_is_found_by_the_ramp(section):
+    axis = bench_axis()
+    m = axis.mechanics
+    forth, back = section.bench.break_away
+    assert forth == pytest.approx(m.coulomb + m.offset + NUMBERS["break_away_excess"].value, abs=0.3)
+    assert back == pytest.approx(m.coulomb - m.offset + NUMBERS["break_away_excess"].value, abs=0.3)
+    assert break_away_test(axis, 1.0, rate=1.0) == pytest.approx(forth, abs=0.2)
+
+
+def test_same_seed_same_bytes(section):
+    again = virtual_bench(0)
+    for one, other in zip(section.bench.identification, again.identification, strict=True):
+        assert one.q.tobytes() == other.q.tobytes()
+        assert one.u.tobytes() == other.u.tobytes()
+    assert again.comanipulation[3].f_ext.tobytes() == section.bench.comanipulation[3].f_ext.tobytes()
+
+
+def test_trajectory_ramps_half_of_the_time():
+    velocity = np.diff(identification_trajectory(1e-3)) / 1e-3
+    moving = np.abs(velocity) > 1e-3
+    constant = moving & (np.abs(np.gradient(velocity)) < 1e-7)
+    assert np.sum(constant) / np.sum(moving) == pytest.approx(0.5, abs=0.08)
+
+
+def test_operator_stays_within_the_sensors_range():
+    force = operator_force(1e-3, np.random.default_rng(1))
+    assert np.max(np.abs(force)) <= NUMBERS["largest_force"].value
+    assert np.min(force) < -2.0 < 2.0 < np.max(force)
