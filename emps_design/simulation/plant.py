@@ -36,8 +36,8 @@ class Plant:
     >>> import numpy as np
     >>> from emps_design.machines import machine
     >>> run = Plant.of(machine("emps2019")).closed_loop(np.linspace(0.0, 0.01, 200))
-    >>> round(float(run.q[-1]), 3)
-    0.009
+    >>> round(float(run.q[-1]), 4)
+    0.0097
     """
 
     def __init__(self, axis: Axis, effects: Sequence[tuple[Effect, np.ndarray]], surroundings: int = 0):
@@ -272,7 +272,7 @@ class Plant:
         return out, self._balance(b, p, y, q0, v0, n * period) if energy else None
 
     def _balance(self, b, p, y, q0, v0, end) -> dict[str, float]:
-        """Where the energy of a run went [J]; ``residual`` is what the integration, or a jump of the mass, lost or made."""
+        """Where the energy went [J]; ``residual`` is what the integration, or a jump of the mass, lost or made."""
 
         def kinetic(q, v, t):
             mass = b[0]

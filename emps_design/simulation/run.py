@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.errors import RecordError
+from emps_design.files import write_aside
 from emps_design.records import Record
 
 # name: (label, unit) of every signal of a run
@@ -105,7 +106,7 @@ class Run:
             "energy": self.energy,
             "name": self.name,
         }
-        with open(path, "wb") as file:
+        with write_aside(path) as aside, open(aside, "wb") as file:
             np.savez(
                 file,
                 allow_pickle=False,
@@ -113,6 +114,13 @@ class Run:
                 events=self.events,
                 run=np.frombuffer(json.dumps(plain).encode(), dtype=np.uint8),
             )
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write every signal to ``path`` as a table whose titles carry the units; 17 digits, so nothing is lost."""
+        titles = ",".join(f"{name} [{unit}]" for name, (_, unit) in SIGNALS.items())
+        with write_aside(path) as aside:
+            columns = np.column_stack([getattr(self, name) for name in SIGNALS])
+            np.savetxt(aside, columns, fmt="%.17g", delimiter=",", header=titles, comments="")
 
     @classmethod
     def load(cls, path: str | Path) -> Run:

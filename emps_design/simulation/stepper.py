@@ -3,9 +3,10 @@
 State ``y = [q, v, (motor force), own states of the effects ..., (work of motor, push, friction, effects)]``; the motor
 force is a state when the current loop is not ideal, the work where the energy balance is asked for. Within a hold
 period the classical Runge-Kutta rule of order 4 with Zonneveld's embedded rule of order 3 (Hairer, Norsett, Wanner,
-Solving Ordinary Differential Equations I, table II.4.2) chooses its steps. Friction stays set-valued: motion has a direction ``s`` of +1 or -1 and at rest ``s = 0``; velocity
-zeros, break-away, guards and jumps in time end a step, found by repeating the step with other lengths (Illinois
-method), so no step ever crosses a kink. Everything compiled for the general path is in this file.
+Solving Ordinary Differential Equations I, table II.4.2) chooses its steps. Friction stays set-valued: motion has a
+direction ``s`` of +1 or -1 and at rest ``s = 0``; velocity zeros, break-away, guards and jumps in time end a step,
+found by repeating the step with other lengths (Illinois method), so no step ever crosses a kink. Everything compiled
+for the general path is in this file.
 """
 
 from __future__ import annotations

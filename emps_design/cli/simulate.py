@@ -1,0 +1,157 @@
+"""Simulate the nonlinear axis: replay a record, follow a reference, co-manipulation, or a break-away test."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import typer
+
+SCENARIOS = ("replay", "reference", "breakaway", "comanipulation")
+
+
+def command(
+    axis: str = typer.Argument(
+        "", metavar="[AXIS]", help="TOML file or embedded machine; emps2019, for co-manipulation emps2018."
+    ),
+    scenario: str = typer.Option("", "--scenario", help="replay, reference, breakaway or comanipulation."),
+    record: Path | None = typer.Option(None, "--record", help="Record to replay: .mat, .csv or .npz."),
+    reference: Path | None = typer.Option(
+        None, "--reference", help="Reference to follow: columns t, q_ref (.csv, .npz)."
+    ),
+    rate: float = typer.Option(1.0, "--rate", help="Break-away: how fast the force rises [N/s]."),
+    peak: float | None = typer.Option(None, "--peak", help="Break-away: largest force [N]."),
+    mismatch: float = typer.Option(0.02, "--mismatch", help="Co-manipulation: relative error of the model."),
+    mass: float | None = typer.Option(None, "--mass", help="Co-manipulation: apparent mass M_a [kg]."),
+    damping: float | None = typer.Option(None, "--damping", help="Co-manipulation: apparent damping B [N/(m/s)]."),
+    plants: int = typer.Option(200, "--plants", help="Co-manipulation: plants drawn within the mismatch."),
+    seed: int = typer.Option(0, "--seed", help="Seed of what is drawn."),
+    out: Path | None = typer.Option(None, "--out", help="Write the signals to this file: .npz (lossless) or .csv."),
+    plot: Path | None = typer.Option(None, "--plot", help="Draw the run into this file: .png, .svg or .pdf."),
+    as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
+) -> None:
+    from emps_design.cli.output import print_json
+    from emps_design.errors import InputError
+
+    scenario = scenario or ("replay" if record else "reference" if reference else "")
+    if scenario not in SCENARIOS:
+        from emps_design.errors import nearest_name
+
+        found = f"found {scenario!r}" if scenario else "nothing to do"
+        raise InputError(
+            f"--scenario: {found}, expected one of {', '.join(SCENARIOS)}{nearest_name(scenario, SCENARIOS)}"
+        )
+    if scenario == "comanipulation" and (out or plot):
+        raise InputError("--out and --plot: not for comanipulation, which simulates many plants; see 'impedance'")
+    if scenario == "comanipulation":
+        result = _comanipulation(axis, mismatch, seed, plants, mass, damping)
+    else:
+        result = _single(scenario, axis, record, reference, rate, peak)
+        if out is not None:
+            _write(out, result.run)
+        if plot is not None:
+            _draw(plot, result)
+    document = result.to_dict()
+    for warning in document.get("warnings", []):
+        print(f"emps-design: {warning}", file=sys.stderr)
+    if as_json:
+        print_json(document)
+    else:
+        _show(document)
+
+
+def _single(
+    scenario: str, name: str, record: Path | None, reference: Path | None, rate: float, peak: float | None
+) -> Any:
+    from emps_design.errors import InputError
+    from emps_design.machines import load_axis
+    from emps_design.simulation import scenarios
+
+    axis = load_axis(name or "emps2019")
+    if scenario == "breakaway":
+        return scenarios.breakaway(axis, rate, peak)
+    if scenario == "replay":
+        if record is None:
+            raise InputError("--scenario replay: found no record, expected --record FILE")
+        from emps_design.records import read_record
+
+        return scenarios.replay(axis, read_record(record))
+    if reference is None:
+        raise InputError("--scenario reference: found no reference, expected --reference FILE")
+    from emps_design.simulation.reference_file import read_reference
+
+    return scenarios.follow(axis, *read_reference(reference, axis.sampling.period))
+
+
+def _comanipulation(
+    name: str, mismatch: float, seed: int, plants: int, mass: float | None, damping: float | None
+) -> Any:
+    from emps_design.cli.output import progress_bar
+    from emps_design.machines import load_axis
+    from emps_design.simulation.comanipulation import run_comanipulation
+
+    with progress_bar() as progress:
+        return run_comanipulation(
+            load_axis(name or "emps2018"),
+            mismatch=mismatch,
+            seed=seed,
+            plants=plants,
+            mass=mass,
+            damping=damping,
+            progress=progress,
+        )
+
+
+def _write(out: Path, run: Any) -> None:
+    from emps_design.errors import InputError
+
+    if out.suffix == ".npz":
+        run.save(out)
+    elif out.suffix == ".csv":
+        run.to_csv(out)
+    else:
+        raise InputError(f"--out: found {out.name!r}, expected a name that ends in .npz or .csv")
+
+
+def _draw(path: Path, result: Any) -> None:
+    from emps_design.errors import InputError
+    from emps_design.files import write_aside
+
+    if path.suffix not in (".png", ".svg", ".pdf"):
+        raise InputError(f"--plot: found {path.name!r}, expected a name that ends in .png, .svg or .pdf")
+    figure = result.run.plot()[0].figure
+    with write_aside(path) as aside:
+        figure.savefig(aside, format=path.suffix[1:])
+
+
+def _show(document: dict[str, Any]) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"{document['scenario']}, axis {document.get('axis', '')}", box=box.SIMPLE)
+    table.add_column("quantity")
+    table.add_column("value", justify="right")
+    for key, value in _rows(document):
+        table.add_row(key, value)
+    Console().print(table)
+
+
+def _rows(document: dict[str, Any], before: str = "") -> list[tuple[str, str]]:
+    rows: list[tuple[str, str]] = []
+    for key, value in document.items():
+        if key in ("run", "study", "law", "task", "units", "warnings", "scenario", "axis", "effort"):
+            continue
+        if isinstance(value, dict):
+            rows += _rows(value, f"{before}{key} ")
+        elif not isinstance(value, list) or value:
+            text = (
+                f"{value:.6g}"
+                if isinstance(value, float)
+                else ", ".join(map(str, value))
+                if isinstance(value, list)
+                else value
+            )
+            rows.append((before + key.replace("_", " "), str(text)))
+    return rows

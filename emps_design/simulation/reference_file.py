@@ -1,0 +1,57 @@
+"""Read a reference of one's own: columns ``t`` [s] and ``q_ref`` [m], optional ``f_ext`` [N], .csv or .npz."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from emps_design.errors import RecordError
+from emps_design.records.archives import read_archive
+from emps_design.records.columns import read_title
+from emps_design.records.tables import read_table
+
+MAX_BYTES = 100_000_000
+MAX_SAMPLES = 20_000_000
+
+
+def read_reference(path: str | Path, period: float) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return ``q_ref`` (n,) [m] and ``f_ext`` (n,) [N] or None, interpolated at multiples of ``period`` [s].
+
+    Raises :class:`RecordError` in one line for a file that has no such columns, is not finite, or runs back in time.
+    """
+    path = Path(path)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise RecordError(f"{path}: {error.strerror}; expected a .csv or .npz reference") from error
+    if len(content) > MAX_BYTES:
+        raise RecordError(f"{path}: found {len(content)} bytes, expected at most {MAX_BYTES}")
+    if content[:2] == b"PK":
+        columns = read_archive(content, str(path), MAX_BYTES)
+    else:
+        columns, _ = read_table(content, str(path))
+    named = {}
+    for text, values in columns.items():
+        title = read_title(text, str(path))
+        if title.name in ("t", "q_ref", "f_ext"):
+            named[title.name] = np.ravel(np.asarray(values)).astype(float) * title.factor
+    missing = [name for name in ("t", "q_ref") if name not in named]
+    if missing:
+        raise RecordError(f"{path}: missing column {', '.join(missing)}; found {', '.join(columns)}; expected t, q_ref")
+    t = named["t"]
+    for name, values in named.items():
+        if values.size != t.size or t.size < 2:
+            raise RecordError(f"{path}: column {name}: found {values.size} samples, expected {max(2, t.size)} as in t")
+        if not np.isfinite(values).all():
+            raise RecordError(f"{path}: column {name}: sample {int(np.argmin(np.isfinite(values)))} is not finite")
+    if not (np.diff(t) > 0).all():
+        raise RecordError(
+            f"{path}: column t: sample {int(np.argmin(np.diff(t) > 0)) + 1} is not later than the one before"
+        )
+    n = int(np.floor((t[-1] - t[0]) / period * (1 + 1e-12))) + 1
+    if not 2 <= n <= MAX_SAMPLES:
+        raise RecordError(f"{path}: {t[-1] - t[0]:g} s at {period:g} s are {n} samples, expected 2 to {MAX_SAMPLES}")
+    grid = t[0] + np.arange(n) * period
+    force = np.interp(grid, t, named["f_ext"]) if "f_ext" in named else None
+    return np.interp(grid, t, named["q_ref"]), force

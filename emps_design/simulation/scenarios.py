@@ -1,0 +1,212 @@
+"""Scenarios of the command ``simulate``: replay a record, follow a reference, raise a force until the axis moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.errors import InputError
+from emps_design.records import Record
+from emps_design.simulation.plant import Plant
+from emps_design.simulation.programs import force_ramp
+from emps_design.simulation.run import Run
+
+DROPPED = 50  # samples left out of the relative errors, as in the report of the data set
+
+
+def relative_error_percent(measured: np.ndarray, simulated: np.ndarray) -> float:
+    """100 |measured - simulated| / |measured|, Euclidean norms, without the first 50 samples; NaN where undefined.
+
+    >>> relative_error_percent(np.full(60, 2.0), np.full(60, 1.9))
+    5.000000000000004
+    """
+    measured, difference = measured[DROPPED:], (measured - simulated)[DROPPED:]
+    scale = float(np.linalg.norm(measured))
+    return 100.0 * float(np.linalg.norm(difference)) / scale if scale > 0 else float("nan")
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A record beside the simulation of its axis from the reference alone (or from ``u``, without a controller).
+
+    ``relative_error_percent`` has position, velocity, acceleration (central differences of the positions) and force
+    (of the voltage that reaches the drive, so a computation delay shifts the simulated one).
+    """
+
+    axis: Axis
+    record: Record
+    run: Run
+    closed_loop: bool
+    relative_error_percent: dict[str, float]
+    rms_error: dict[str, float]
+    warnings: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contract's keys, and what was simulated."""
+        return {
+            "scenario": "replay",
+            "axis": self.axis.name,
+            "record": self.record.name,
+            "closed_loop": self.closed_loop,
+            "samples": len(self.record),
+            "effects": [effect.kind for effect in self.axis.effects],
+            "relative_error_percent": self.relative_error_percent,
+            "rms_error": self.rms_error,
+            "run": self.run.to_dict(),
+            "warnings": list(self.warnings),
+        }
+
+
+def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
+    """Simulate ``axis`` along ``record`` and compare.
+
+    With a controller the loop is closed on ``record.q_ref``; without one the recorded voltage drives the plant. The
+    carriage starts at rest at the record's first position. Raises :class:`InputError` when the record is too short or
+    its period is not the axis's, and :class:`SimulationError` where the simulation cannot go on.
+    """
+    if len(record) <= DROPPED + 2:
+        raise InputError(f"{record.name}: found {len(record)} samples, expected more than {DROPPED + 2} to compare")
+    warnings = []
+    period = axis.sampling.period
+    if abs(record.period / period - 1.0) > 1e-3:
+        raise InputError(
+            f"{record.name}: sampled every {record.period:g} s, axis {axis.name} every {period:g} s; "
+            "expected the same period: change sampling.period or resample the record"
+        )
+    plant = Plant.of(axis)
+    closed = axis.controller.kind != "none"
+    push = record.f_ext
+    if push is not None:
+        warnings.append("the record's f_ext acts on the simulated carriage")
+    start = float(record.q[0])
+    if closed:
+        run = plant.closed_loop(record.q_ref, disturbance=push, q0=start, period=record.period, quantise=quantise)
+    else:
+        run = plant.open_loop(record.u, disturbance=push, q0=start, period=record.period, quantise=quantise)
+        warnings.append("axis without a controller: simulated in open loop from the recorded voltage")
+    delay = axis.sampling.computation_delay if closed else 0
+    given = np.concatenate([np.zeros(delay), run.u[: len(run) - delay]])
+    pairs = {
+        "position": (record.q, run.q),
+        "velocity": (np.gradient(record.q, record.period), np.gradient(run.q, record.period)),
+        "acceleration": tuple(np.gradient(np.gradient(q, record.period), record.period) for q in (record.q, run.q)),
+        "force": (axis.drive.force_gain * record.u, axis.drive.force_gain * given),
+    }
+    relative = {name: relative_error_percent(*pair) for name, pair in pairs.items()}
+    rms = {name: float(np.sqrt(np.mean((a - b)[DROPPED:] ** 2))) for name, (a, b) in pairs.items()}
+    return Replay(axis, record, run, closed, relative, rms, tuple(warnings))
+
+
+@dataclass(frozen=True)
+class Breakaway:
+    """Forces at which a carriage at rest leaves, by a force raised slowly; [N], None where it held to the peak.
+
+    ``forward`` and ``backward`` are what the push had to reach; friction at rest is half their difference, the constant
+    force half their sum (with its sign on the left-hand side of the axis's equation).
+    """
+
+    axis: Axis
+    rate: float
+    peak: float
+    forward: float | None
+    backward: float | None
+    run: Run = field(repr=False)
+    warnings: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Break-away forces with units."""
+        both = self.forward is not None and self.backward is not None
+        return {
+            "scenario": "breakaway",
+            "axis": self.axis.name,
+            "rate": self.rate,
+            "peak": self.peak,
+            "forward": self.forward,
+            "backward": self.backward,
+            "static_friction": 0.5 * (self.forward - self.backward) if both else None,
+            "constant_force": 0.5 * (self.forward + self.backward) if both else None,
+            "units": {"rate": "N/s", "peak": "N", "forward": "N", "backward": "N"},
+            "run": self.run.to_dict(),
+            "warnings": list(self.warnings),
+        }
+
+
+MOVED = 2e-5  # m of travel that count as motion, above the bend of a presliding contact at its start
+
+
+def breakaway(axis: Axis, rate: float = 1.0, peak: float | None = None, q0: float = 0.0) -> Breakaway:
+    """Raise an external force slowly, forward and backward, until the carriage leaves; the motor is off.
+
+    ``rate`` [N/s]; ``peak`` [N], by default three times what the baseline's friction and constant force can hold, plus
+    20 N. With set-valued friction the carriage leaves at the instant of break-away; where friction is a bending
+    contact, the force is that at which it has moved 20 um.
+
+    >>> from emps_design.machines import machine
+    >>> found = breakaway(machine("emps2018"), rate=20.0).to_dict()
+    >>> round(found["static_friction"], 1)
+    17.4
+    """
+    if not (np.isfinite(rate) and rate > 0):
+        raise InputError(f"rate: found {rate:g} N/s, expected a positive number")
+    mechanics = axis.mechanics
+    peak = 3.0 * (mechanics.coulomb + abs(mechanics.offset)) + 20.0 if peak is None else float(peak)
+    plant = Plant.of(axis)
+    limits: list[float | None] = []
+    runs = []
+    for side in (1.0, -1.0):
+        push = force_ramp(axis.sampling.period, rate, side * peak)
+        run = plant.open_loop(np.zeros(push.size), disturbance=push, q0=q0, quantise=False)
+        away = np.flatnonzero(side * (run.position - q0) > MOVED)
+        limit = None
+        if away.size:
+            left = [time for time, kind, _ in run.events if kind == 2 and time <= run.t[away[0]]]
+            at = round(left[-1] / run.period) if left else int(away[0])
+            limit = float(push[min(at, push.size - 1)])
+        limits.append(limit)
+        runs.append(run)
+    warnings = [
+        f"the carriage held to {side * peak:g} N; raise --peak"
+        for side, limit in zip((1.0, -1.0), limits, strict=True)
+        if limit is None
+    ]
+    return Breakaway(axis, rate, peak, limits[0], limits[1], runs[0], tuple(warnings))
+
+
+@dataclass(frozen=True)
+class Followed:
+    """A reference of one's own, followed in closed loop."""
+
+    axis: Axis
+    run: Run
+    warnings: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Tracking error, largest numbers, events."""
+        run, limit = self.run, self.axis.drive.voltage_limit
+        error = run.q_ref - run.position
+        return {
+            "scenario": "reference",
+            "axis": self.axis.name,
+            "effects": [effect.kind for effect in self.axis.effects],
+            "tracking_error": {"rms": float(np.sqrt(np.mean(error**2))), "largest": float(np.abs(error).max())},
+            "largest": {
+                "velocity": float(np.abs(run.v).max()),
+                "voltage": float(np.abs(run.u).max()),
+                "force": float(np.abs(run.force).max()),
+            },
+            "saturated_share": float(np.mean(np.abs(run.u) >= limit)),
+            "units": {"tracking_error": "m", "velocity": "m/s", "voltage": "V", "force": "N"},
+            "run": run.to_dict(),
+            "warnings": list(self.warnings),
+        }
+
+
+def follow(axis: Axis, q_ref: np.ndarray, f_ext: np.ndarray | None = None) -> Followed:
+    """Simulate ``axis`` in closed loop along ``q_ref`` (n,) [m], with ``f_ext`` (n,) [N] on the carriage."""
+    run = Plant.of(axis).closed_loop(q_ref, disturbance=f_ext)
+    clipped = float(np.mean(np.abs(run.u) >= axis.drive.voltage_limit))
+    warnings = (f"the voltage is at its limit {100 * clipped:.1f} % of the time",) if clipped > 0 else ()
+    return Followed(axis, run, warnings)
