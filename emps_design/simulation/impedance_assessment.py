@@ -153,7 +153,7 @@ class ImpedanceAssessment:
             words.append("damping B is 0: nothing brings the released carriage to rest")
         oscillation = document["coulomb_oscillation"]
         threshold = drift_threshold(self.clock.period, self.axis.sampling.encoder_resolution)
-        if oscillation is not None and oscillation["speed"] > 10.0 * threshold:
+        if oscillation is not None and oscillation["speed"] > 2.0 * threshold:
             words.append(
                 f"the Coulomb compensation may hunt at {oscillation['frequency']:.3g} rad/s with "
                 f"{1e3 * oscillation['speed']:.3g} mm/s (describing function); a faster filter or a smaller Coulomb "

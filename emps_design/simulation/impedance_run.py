@@ -54,14 +54,17 @@ class Measures:
 
         Unstable: it diverged, ended against the voltage limit after the release, flipped between the limits ten times
         or more, or its free motion grows. Limit cycle: in the last tenth of the task the velocity still takes both
-        signs, by ten thresholds, or comes to zero ten times. Then by the speed that free motion tends to, which a
+        signs, by two thresholds, or comes to zero ten times. Then by the speed that free motion tends to, which a
         cascaded loop, whose integral rules dry friction out, is not asked for.
         """
-        low, high = -10.0 * self.threshold, 10.0 * self.threshold
+        low, high = -2.0 * self.threshold, 2.0 * self.threshold
+        peak = np.maximum(self.end_max_v, -self.end_min_v)
         with np.errstate(invalid="ignore"):
             grows = (self.ratio > 1.0) & (np.abs(self.end_speed) > 10.0 * high)
             unstable = (self.diverged > 0) | (self.clipped_end > 0) | (self.flips >= 10)
-            cycle = ((self.end_min_v < low) & (self.end_max_v > high)) | (self.end_turns >= 10)
+            cycle = ((self.end_min_v < low) & (self.end_max_v > high)) | (
+                (self.end_turns >= 10) & (peak > self.threshold)
+            )
             unstable |= grows & ~cycle
         at_rest = (self.end_max_v == 0.0) & (self.end_min_v == 0.0)
         creeping = ~at_rest & (self.drift > self.threshold) & ~self.cascade
