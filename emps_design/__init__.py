@@ -10,10 +10,18 @@ __version__ = "0.1.0"
 # Names resolve on first use: importing the package must not cost a second of start-up.
 _HOME = {
     "Axis": "emps_design.axis",
+    "Plant": "emps_design.simulation",
     "Record": "emps_design.records",
-    "read_record": "emps_design.records",
+    "design_force_loop": "emps_design.control.force_loop",
+    "design_velocity_loop": "emps_design.control.velocity_loop",
+    "diagnose": "emps_design.discrepancy",
+    "identify": "emps_design.identification",
+    "impedance_law": "emps_design.control.impedance",
     "load_axis": "emps_design.machines",
     "machine": "emps_design.machines",
+    "observe": "emps_design.identification.observation",
+    "practice_record": "emps_design.simulation.practice",
+    "read_record": "emps_design.records",
 }
 
 __all__ = [*sorted(_HOME)]
