@@ -1,8 +1,24 @@
 """Simulation of the nonlinear axis: exact where the physics is, event-driven everywhere."""
 
+from emps_design.simulation.ensembles import Ensemble, Plants, corners, monte_carlo, simulate_ensemble, sweep
 from emps_design.simulation.laws import Law
 from emps_design.simulation.plant import Plant
 from emps_design.simulation.run import Run
+from emps_design.simulation.scenarios import breakaway, replay
 from emps_design.simulation.surroundings import Hand, Wall
 
-__all__ = ["Hand", "Law", "Plant", "Run", "Wall"]
+__all__ = [
+    "Ensemble",
+    "Hand",
+    "Law",
+    "Plant",
+    "Plants",
+    "Run",
+    "Wall",
+    "breakaway",
+    "corners",
+    "monte_carlo",
+    "replay",
+    "simulate_ensemble",
+    "sweep",
+]

@@ -1,0 +1,322 @@
+"""Simulate many plants: corners, Monte-Carlo, sweeps; side by side, on every core, or on a cluster.
+
+Work goes through joblib, so it runs in threads here and, inside ``joblib.parallel_config(backend="dask")``, on a
+``dask.distributed`` cluster with the same call. Plants are cut into equal parts whatever the number of workers, and
+share nothing: the numbers are the same for any number of workers. A plant that cannot be simulated is flagged and never
+loses the others; an interrupt keeps what is finished.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.errors import InputError, SimulationError, nearest_name
+from emps_design.records import Record
+from emps_design.simulation import core
+from emps_design.simulation.lanes import LANES, ROWS, run_lanes
+from emps_design.simulation.laws import law_of
+from emps_design.simulation.plant import Plant
+from emps_design.simulation.scenarios import DROPPED
+
+BASELINE = ("mass", "viscous", "coulomb", "offset")
+DONE, FAILED, UNFINISHED = 0, 1, 2
+STATUS = ("done", "failed", "unfinished")
+METRICS = {  # name: unit
+    "tracking_rms": "m",
+    "position_rms": "m",
+    "force_rms": "N",
+    "peak_voltage": "V",
+    "rest_share": "",
+}
+_PART = {"lanes": 8 * LANES, "single": 8}  # plants handed out at a time
+
+
+@dataclass(frozen=True, eq=False)
+class Plants:
+    """Parameters of many plants: ``baseline`` (m, 4) and, per effect, ``parameters`` (m, n_parameters).
+
+    ``names`` says what was varied, ``values`` (m, len(names)) how.
+    """
+
+    baseline: np.ndarray
+    parameters: tuple[np.ndarray, ...]
+    names: tuple[str, ...]
+    values: np.ndarray
+
+    def __len__(self) -> int:
+        return self.baseline.shape[0]
+
+
+def monte_carlo(axis: Axis, spread: float | Mapping[str, float], plants: int, seed: int = 0) -> Plants:
+    """Draw ``plants`` plants evenly within +- ``spread`` (relative, of every name given, or of the whole baseline).
+
+    Names are ``mass``, ``viscous``, ``coulomb``, ``offset`` and ``effect.parameter``.
+
+    >>> from emps_design.machines import machine
+    >>> drawn = monte_carlo(machine("emps2019"), 0.02, 100)
+    >>> len(drawn), bool(np.abs(drawn.baseline[:, 0] / 95.1089 - 1).max() <= 0.02)
+    (100, True)
+    """
+    spreads = _spreads(axis, spread)
+    if plants < 1:
+        raise InputError(f"plants: found {plants}, expected at least 1")
+    factors = np.random.default_rng(seed).uniform(-1.0, 1.0, (plants, len(spreads)))
+    return _scaled(axis, tuple(spreads), 1.0 + factors * np.array(list(spreads.values())))
+
+
+def corners(axis: Axis, spread: float | Mapping[str, float]) -> Plants:
+    """Every combination of the ends of +- ``spread`` (relative), and the axis itself first.
+
+    >>> from emps_design.machines import machine
+    >>> len(corners(machine("emps2019"), {"mass": 0.02, "coulomb": 0.1}))
+    5
+    """
+    spreads = _spreads(axis, spread)
+    if len(spreads) > 16:
+        raise InputError(f"corners: found {len(spreads)} parameters, expected at most 16 (2^16 plants)")
+    signs = np.array([(0.0,) * len(spreads), *product((-1.0, 1.0), repeat=len(spreads))])
+    return _scaled(axis, tuple(spreads), 1.0 + signs * np.array(list(spreads.values())))
+
+
+def sweep(axis: Axis, name: str, values: Sequence[float]) -> Plants:
+    """One plant for each of ``values`` of the parameter called ``name`` (its unit is the axis file's).
+
+    >>> from emps_design.machines import machine
+    >>> sweep(machine("emps2019"), "mass", [90.0, 100.0]).baseline[:, 0]
+    array([ 90., 100.])
+    """
+    values = np.asarray(values, dtype=float)
+    if values.ndim != 1 or values.size == 0 or not np.isfinite(values).all():
+        raise InputError(f"sweep of {name}: found {values.tolist()}, expected a row of finite numbers")
+    return _placed(axis, (name,), values[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class Ensemble:
+    """Metrics of many plants, one row a plant: ``metrics`` by name (NaN where a plant did not finish), and ``status``.
+
+    ``tracking_rms`` [m] of reference minus position; ``position_rms`` [m] and ``force_rms`` [N] of record minus
+    simulation where a record was given; ``peak_voltage`` [V]; ``rest_share`` of the samples at rest.
+    """
+
+    plants: Plants
+    metrics: dict[str, np.ndarray]
+    status: np.ndarray
+    reasons: dict[int, str] = field(default_factory=dict)
+    interrupted: bool = False
+
+    def to_dict(self) -> dict[str, Any]:
+        """Counts, quantiles of every metric, and why plants failed."""
+        done = self.status == DONE
+        quantiles = {}
+        for name, values in self.metrics.items():
+            good = values[done & np.isfinite(values)]
+            low, middle, high = np.quantile(good, (0.05, 0.5, 0.95)) if good.size else (np.nan,) * 3
+            quantiles[name] = {
+                "unit": METRICS[name],
+                "q05": float(low),
+                "median": float(middle),
+                "q95": float(high),
+                "worst": float(good.max()) if good.size else float("nan"),
+            }
+        return {
+            "plants": len(self.plants),
+            "varied": list(self.plants.names),
+            "status": {name: int((self.status == code).sum()) for code, name in enumerate(STATUS)},
+            "interrupted": self.interrupted,
+            "metrics": quantiles,
+            "failures": {str(index): reason for index, reason in sorted(self.reasons.items())[:20]},
+        }
+
+
+def simulate_ensemble(
+    axis: Axis,
+    plants: Plants,
+    q_ref: np.ndarray | None = None,
+    record: Record | None = None,
+    disturbance: np.ndarray | None = None,
+    workers: int = -1,
+    quantise: bool = True,
+    progress: Callable[[str, float], None] | None = None,
+) -> Ensemble:
+    """Simulate every plant in closed loop along ``q_ref`` (n,) [m], or along ``record`` and compare with it.
+
+    ``workers`` counts threads (-1: every core), or the cluster's tasks at a time. ``progress`` is called with a stage
+    and a fraction. Ctrl-C returns what is finished, the rest flagged ``unfinished``. Raises :class:`InputError` where
+    neither a reference nor a record is given, or the axis has no controller.
+    """
+    if record is None and q_ref is None:
+        raise InputError("ensemble: found neither q_ref nor record, expected one of them")
+    wanted = np.ascontiguousarray(record.q_ref if q_ref is None else q_ref, dtype=float)
+    if record is not None and len(record) != wanted.size:
+        raise InputError(f"ensemble: q_ref has {wanted.size} samples, the record {len(record)}; expected the same")
+    task = {
+        "axis": axis,
+        "q_ref": wanted,
+        "measured": None if record is None else (np.ascontiguousarray(record.q), np.ascontiguousarray(record.u)),
+        "disturbance": None if disturbance is None else np.ascontiguousarray(disturbance, dtype=float),
+        "quantise": quantise,
+    }
+    law_of(axis, axis.sampling.period)  # refuse an axis without a loop before any work is handed out
+    size = _PART["lanes" if _fits_lanes(axis) else "single"]
+    parts = [(start, min(start + size, len(plants))) for start in range(0, len(plants), size)]
+    table = np.full((len(plants), len(METRICS)), np.nan)
+    status = np.full(len(plants), UNFINISHED)
+    reasons: dict[int, str] = {}
+    interrupted = _collect(task, plants, parts, table, status, reasons, workers, progress)
+    metrics = {name: table[:, i] for i, name in enumerate(METRICS)}
+    if record is None:
+        metrics = {name: values for name, values in metrics.items() if name not in ("position_rms", "force_rms")}
+    return Ensemble(plants, metrics, status, reasons, interrupted)
+
+
+def _collect(task, plants, parts, table, status, reasons, workers, progress) -> bool:
+    """Hand out the parts and gather what comes back, in any order; returns whether it was interrupted."""
+    from joblib import Parallel, delayed
+
+    finished = 0
+    pool = Parallel(n_jobs=workers, prefer="threads", return_as="generator_unordered", batch_size=1)
+    calls = (
+        delayed(simulate_part)(task, start, plants.baseline[start:stop], [p[start:stop] for p in plants.parameters])
+        for start, stop in parts
+    )
+    answers = pool(calls)
+    try:
+        for start, rows, why in answers:
+            stop = start + rows.shape[0]
+            table[start:stop] = rows
+            status[start:stop] = DONE
+            for index, reason in why.items():
+                status[index], reasons[index] = FAILED, reason
+            finished += 1
+            if progress is not None:
+                progress("plants", finished / len(parts))
+    except KeyboardInterrupt:
+        answers.close()
+        return True
+    return False
+
+
+def simulate_part(
+    task: dict[str, Any], start: int, baselines: np.ndarray, parameters: list[np.ndarray]
+) -> tuple[int, np.ndarray, dict[int, str]]:
+    """Metrics of plants ``start`` to ``start + len(baselines)``: the start, one row a plant, reasons of failures."""
+    axis = task["axis"]
+    rows = np.full((len(baselines), len(METRICS)), np.nan)
+    reasons: dict[int, str] = {}
+    good = []
+    for i, b in enumerate(baselines):
+        if not np.isfinite(b).all() or b[0] <= 0 or b[1] < 0 or b[2] < 0:
+            reasons[start + i] = f"baseline {b.tolist()} is not a mass > 0 with friction >= 0, finite"
+        else:
+            good.append(i)
+    if _fits_lanes(axis):
+        rows[good] = _side_by_side(task, baselines[good])
+        for i in good:
+            if not np.isfinite(rows[i]).all():
+                reasons[start + i] = "the motion left every bound or became not a number"
+    else:
+        plant = Plant.of(axis)
+        for i in good:
+            try:
+                rows[i] = _alone(task, plant, baselines[i], [values[i] for values in parameters])
+            except (SimulationError, InputError) as error:
+                reasons[start + i] = str(error)
+    return start, rows, reasons
+
+
+def _fits_lanes(axis: Axis) -> bool:
+    plain = not axis.effects and axis.drive.current_time_constant == 0 and axis.sampling.computation_delay == 0
+    return plain and axis.controller.kind == "position_pd"
+
+
+def _side_by_side(task: dict[str, Any], baselines: np.ndarray) -> np.ndarray:
+    axis, reference = task["axis"], task["q_ref"]
+    m = len(baselines)
+    if m == 0:
+        return np.zeros((0, len(METRICS)))
+    padded = np.concatenate([baselines, np.repeat(baselines[:1], -m % LANES, axis=0)])
+    period, drive = axis.sampling.period, axis.drive
+    resolution = axis.sampling.encoder_resolution if task["quantise"] else 0.0
+    gains = law_of(axis, period).gains
+    numbers = core.numbers_of(period, drive.force_gain, drive.voltage_limit, resolution, gains)
+    nothing = np.zeros(0)
+    push = nothing if task["disturbance"] is None else task["disturbance"]
+    measured_q, measured_u = task["measured"] or (nothing, nothing)
+    q0 = float(measured_q[0] if measured_q.size else reference[0])
+    first = min(DROPPED, reference.size - 1)
+    result = np.empty((len(padded), len(METRICS)))
+    scratch = np.zeros((ROWS, LANES))
+    run_lanes(padded, numbers, (q0, 0.0), reference, push, measured_q, measured_u, first, scratch, result)
+    n = reference.size - first
+    result[:, :3] = np.sqrt(result[:, :3] / n)
+    result[:, 2] *= drive.force_gain
+    result[:, 4] /= n
+    return result[:m]
+
+
+def _alone(task: dict[str, Any], plant: Plant, baseline: np.ndarray, parameters: list[np.ndarray]) -> np.ndarray:
+    reference, measured = task["q_ref"], task["measured"]
+    q0 = float(measured[0][0] if measured else reference[0])
+    run = plant.closed_loop(
+        reference, baseline, parameters, disturbance=task["disturbance"], q0=q0, quantise=task["quantise"]
+    )
+    kept = slice(min(DROPPED, reference.size - 1), None)
+
+    def rms(difference: np.ndarray) -> float:
+        return float(np.sqrt(np.mean(difference[kept] ** 2)))
+
+    gain = plant.axis.drive.force_gain
+    missed = rms(measured[0] - run.q) if measured else 0.0
+    force = gain * rms(measured[1] - run.u) if measured else 0.0
+    rest = float(np.mean(run.v[kept] == 0.0))
+    return np.array([rms(reference - run.position), missed, force, float(np.abs(run.u).max()), rest])
+
+
+def _known(axis: Axis) -> dict[str, tuple[int, int]]:
+    """Names that can be varied: place of the effect (-1: baseline), place in its parameters."""
+    names = {name: (-1, i) for i, name in enumerate(BASELINE)}
+    for place, one in enumerate(axis.effects):
+        for i, parameter in enumerate(one.effect.parameters):
+            names[f"{one.kind}.{parameter.name}"] = (place, i)
+    return names
+
+
+def _spreads(axis: Axis, spread: float | Mapping[str, float]) -> dict[str, float]:
+    spreads = dict(spread) if isinstance(spread, Mapping) else {name: float(spread) for name in BASELINE}
+    for name, value in spreads.items():
+        if not (np.isfinite(value) and 0 <= value < 1):
+            raise InputError(f"spread of {name}: found {value:g}, expected a relative number in [0, 1)")
+    return spreads
+
+
+def _nominal(axis: Axis, names: tuple[str, ...]) -> np.ndarray:
+    known, plant = _known(axis), Plant.of(axis)
+    for name in names:
+        if name not in known:
+            raise InputError(
+                f"parameter: found {name!r}, expected one of {', '.join(known)}{nearest_name(name, list(known))}"
+            )
+    places = [known[name] for name in names]
+    return np.array([(plant.baseline if place < 0 else plant.parameters[place])[i] for place, i in places])
+
+
+def _scaled(axis: Axis, names: tuple[str, ...], factors: np.ndarray) -> Plants:
+    return _placed(axis, names, _nominal(axis, names) * factors)
+
+
+def _placed(axis: Axis, names: tuple[str, ...], values: np.ndarray) -> Plants:
+    _nominal(axis, names)
+    known, plant, m = _known(axis), Plant.of(axis), len(values)
+    baseline = np.tile(plant.baseline, (m, 1))
+    parameters = tuple(np.tile(p, (m, 1)) for p in plant.parameters)
+    for column, name in enumerate(names):
+        place, i = known[name]
+        (baseline if place < 0 else parameters[place])[:, i] = values[:, column]
+    return Plants(baseline, parameters, names, values)
