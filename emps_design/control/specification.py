@@ -8,6 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from emps_design.axis import Axis
+from emps_design.control.discretisation import sample_axis
+from emps_design.control.gains import crossover_of_bandwidth
+from emps_design.control.sweeps import sweep_stability, sweep_velocity_loop
 from emps_design.errors import InputError
 
 
@@ -62,6 +66,30 @@ def nearest_that_works(
     if not pairs:
         return {}
     return {**pairs[0][1], **({"or": pairs[1][1]} if len(pairs) > 1 else {})}
+
+
+def stable_pairs(
+    axis: Axis, requested: dict[str, float], velocity: float = 0.1
+) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Return the question whether (7) has gains for pairs like ``requested`` and the sampled loop is stable with them.
+
+    ``velocity`` [m/s]: where the effects of ``axis`` are linearised.
+
+    >>> from emps_design.machines import machine
+    >>> works = stable_pairs(machine("emps2018"), {"crossover": 100.0, "phase_margin_deg": 60.0})
+    >>> works(np.array([100.0, 1000.0, 100.0]), np.array([60.0, 60.0, 2.0])).tolist()
+    [True, False, False]
+    """
+    plant = sample_axis(axis, velocity)
+
+    def works(frequency: np.ndarray, phase: np.ndarray) -> np.ndarray:
+        if "bandwidth" in requested:
+            pairs = zip(frequency.tolist(), phase.tolist(), strict=True)
+            frequency = np.array([crossover_of_bandwidth(w, angle) for w, angle in pairs])
+        sweep = sweep_velocity_loop(axis, frequency, phase)
+        return sweep_stability(plant, sweep.k_v1, sweep.t_v)
+
+    return works
 
 
 def in_words(nearest: dict[str, Any]) -> str:

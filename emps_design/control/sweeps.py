@@ -111,13 +111,13 @@ def sweep_stability(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> n
 
 
 def sweep_sampled_margins(
-    plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray, frequencies: int = 100
+    plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray, frequencies: int = 100, at: str = "plant-input"
 ) -> dict[str, np.ndarray]:
-    """Return stability and margins at the plant input of the sampled loop for every pair of gains.
+    """Return stability and margins of the sampled loop, broken ``at`` that place, for every pair of gains.
 
     ``k_v1`` [V/(m/s)] and ``t_v`` [s] of one shape. Keys: ``stable`` and those of
     :func:`emps_design.control.margins.margin_arrays`, NaN where the loop is unstable or a margin unbounded.
-    ``frequencies`` is the size of the grid that brackets the crossings.
+    ``frequencies`` is the size of the grid that brackets the crossings; ``at`` is "plant-input" or "velocity-error".
 
     >>> from emps_design.control.discretisation import sample_axis
     >>> from emps_design.machines import machine
@@ -141,7 +141,9 @@ def sweep_sampled_margins(
         def response(w: np.ndarray, rows: np.ndarray, gain=gain, time=time) -> np.ndarray:
             P = plant.response(w)
             integrator = plant.period / (1.0 - np.exp(-1j * w * plant.period))
-            return gain[rows] * P + (gain / time)[rows] * (P * integrator)
+            if at == "plant-input":
+                return gain[rows] * P + (gain / time)[rows] * (P * integrator)
+            return (gain / time)[rows] * (P * integrator) / (1.0 + gain[rows] * P)
 
         for key, values in margin_arrays(response, piece.size, grid, np.pi / plant.period).items():
             found[key][piece] = values

@@ -14,12 +14,9 @@ the former and ``bandwidth`` the latter, with -3 dB taken as the ratio 10^(-3/20
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.gains import (
@@ -30,7 +27,7 @@ from emps_design.control.gains import (
     velocity_gains,
 )
 from emps_design.control.margins import Margins
-from emps_design.control.specification import check_specification, in_words, nearest_that_works
+from emps_design.control.specification import check_specification, in_words, nearest_that_works, stable_pairs
 from emps_design.errors import SpecificationError
 
 if TYPE_CHECKING:
@@ -128,7 +125,7 @@ class VelocityLoopDesign:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a reader of the numbers has to know, instability first."""
-        said = [*self.sampled.warnings]
+        said = [*self.sampled.warnings, *self._effects_in_words()]
         if self.requested.get("bandwidth") is None and self.bandwidth > 1.05 * self.crossover:
             said.append(
                 f"bandwidth has two meanings: the crossover is {self.crossover:.4g} rad/s, "
@@ -136,6 +133,30 @@ class VelocityLoopDesign:
             )
         said.append("the continuous loop's gain margin is unbounded: its phase never reaches -180 deg")
         return tuple(said)
+
+    def _effects_in_words(self) -> list[str]:
+        """What the effects of the axis change: (7) knows mass and viscous friction only, the sampled loop all of it."""
+        if not self.axis.effects:
+            return []
+        said, mechanics, linear = [], self.axis.mechanics, self.sampled.plant.linear
+        if abs(linear.mass - mechanics.mass) > 0.01 * mechanics.mass or (
+            abs(linear.viscous - mechanics.viscous) > 0.01 * mechanics.viscous
+        ):
+            said.append(
+                f"with its effects the carriage has {linear.mass:.4g} kg and a friction slope of {linear.viscous:.4g} "
+                f"N/(m/s) at {self.velocity:g} m/s; (7) takes {mechanics.mass:.4g} kg and {mechanics.viscous:.4g} "
+                "N/(m/s), the sampled loop takes all"
+            )
+        from emps_design.control.discretisation import sample_axis
+
+        back = replace(self.sampled, plant=sample_axis(self.axis, -self.velocity))
+        if self.sampled.stable and not back.stable:
+            said.append(f"the sampled loop is unstable at {-self.velocity:g} m/s")
+        elif self.sampled.stable:
+            here, there = self.sampled.margins.phase_margin_deg, back.margins.phase_margin_deg
+            if here is not None and there is not None and there < here - 0.5:
+                said.append(f"at {-self.velocity:g} m/s the sampled loop has {there:.3g} deg of phase margin only")
+        return said
 
     def velocity_error_loop(self) -> control.TransferFunction:
         """T_vo(s) of (6)."""
@@ -163,7 +184,7 @@ class VelocityLoopDesign:
         """The nearest specification whose sampled loop is stable; the request itself where that is."""
         if self.sampled.stable:
             return dict(self.requested)
-        return nearest_that_works(_works(self.axis, self.requested, self.velocity), self.requested)
+        return nearest_that_works(stable_pairs(self.axis, self.requested, self.velocity), self.requested)
 
     def controller_table(self) -> dict[str, Any]:
         """The ``[controller]`` table of the axis file that runs this design."""
@@ -206,6 +227,23 @@ class VelocityLoopDesign:
             **self._implementation(),
             "warnings": list(self.warnings),
         }
+
+    def _repr_html_(self) -> str:
+        sampled = self.sampled.margins
+        rows = "".join(
+            f"<tr><td>{label}</td><td>{'undefined' if value is None else f'{value:.5g}'}</td><td>{unit}</td></tr>"
+            for label, value, unit in (
+                ("k_v1", self.k_v1, "V/(m/s)"),
+                ("t_v", self.t_v, "s"),
+                ("crossover of T_vo", self.crossover, "rad/s"),
+                ("phase margin of T_vo", self.phase_margin_deg, "deg"),
+                ("bandwidth of T_vc, -3 dB", self.bandwidth, "rad/s"),
+                ("sampled: phase margin at the plant input", sampled.phase_margin_deg, "deg"),
+                ("sampled: crossover at the plant input", sampled.crossover, "rad/s"),
+            )
+        )
+        verdict = "stable" if self.sampled.stable else "<b>UNSTABLE</b>"
+        return f"<p>{self.axis.name}: the sampled loop is {verdict}</p><table>{rows}</table>"
 
 
 def design_velocity_loop(
@@ -252,29 +290,10 @@ def _continuous_margins(crossover: float, phase: float) -> Margins:
     )
 
 
-def _works(
-    axis: Axis, requested: dict[str, float], velocity: float = 0.1
-) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Tell for arrays of pairs like ``requested`` whether (7) has gains and the sampled loop is stable with them."""
-    from emps_design.control.discretisation import sample_axis
-    from emps_design.control.sweeps import sweep_stability, sweep_velocity_loop
-
-    plant = sample_axis(axis, velocity)
-
-    def works(frequency: np.ndarray, phase: np.ndarray) -> np.ndarray:
-        if "bandwidth" in requested:
-            pairs = zip(frequency.tolist(), phase.tolist(), strict=True)
-            frequency = np.array([crossover_of_bandwidth(w, angle) for w, angle in pairs])
-        sweep = sweep_velocity_loop(axis, frequency, phase)
-        return sweep_stability(plant, sweep.k_v1, sweep.t_v)
-
-    return works
-
-
 def _infeasible(axis: Axis, requested: dict[str, float]) -> SpecificationError:
     """The error for a pair outside the feasible range: which limit binds, and the nearest pair that works."""
     name, phase = next(iter(requested)), requested["phase_margin_deg"]
-    nearest = nearest_that_works(_works(axis, requested), requested)
+    nearest = nearest_that_works(stable_pairs(axis, requested), requested)
     return SpecificationError(
         f"phase margin: found {phase:g} deg at a {name} of {requested[name]:g} rad/s; {binding_limit(phase)}; "
         f"{in_words(nearest)} (sampled loop stable)",

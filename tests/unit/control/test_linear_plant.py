@@ -73,3 +73,27 @@ def test_every_effect_takes_part_or_is_named(effect):
     assert np.all(np.isfinite(design.sampled.poles))
     if effect.guard is not None or effect.jump_time is not None or effect.command is not None:
         assert any(warning.startswith(effect.name) for warning in design.warnings)
+
+
+def test_effects_are_announced_beside_the_closed_form():
+    design = design_velocity_loop(machine("emps2018-two-quadrant"), crossover=100.0, phase_margin_deg=60.0)
+    assert any("friction slope of 475 N/(m/s)" in warning for warning in design.warnings)
+
+
+def test_the_other_direction_is_looked_at():
+    """A drive that brakes less one way: the slope of friction is negative there, and the design says so."""
+    axis = machine("emps2018").replace(
+        effects=[{"kind": "asymmetric_viscous_friction", "viscous_difference": 5000.0}],
+        sampling={"computation_delay": 2},
+    )
+    design = design_velocity_loop(axis, crossover=100.0, phase_margin_deg=60.0)
+    assert design.sampled.stable
+    said = [warning for warning in design.warnings if "-0.1 m/s" in warning]
+    assert said
+    assert "of phase margin only" in said[0] or "unstable" in said[0]
+
+
+def test_a_notebook_shows_the_verdict_first():
+    html = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)._repr_html_()
+    assert html.startswith("<p>emps2018: the sampled loop is stable</p><table>")
+    assert "556.77" in html

@@ -58,6 +58,25 @@ def test_what_no_gains_can_do(crossover, phase, reason):
     assert found.sampled.margins.phase_margin_deg == pytest.approx(nearest["phase_margin_deg"], abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("at", "crossover", "reason"),
+    [
+        ("plant-input", 60.0, "crosses 0 dB more than once"),
+        ("velocity-error", 400.0, "the gains would not be positive"),
+    ],
+)
+def test_nearest_pair_of_a_retune_works(at, crossover, reason):
+    axis = AXIS
+    if at == "plant-input":  # a resonance that crosses 0 dB again
+        coupling = {"kind": "flexible_coupling", "frequency": 40.0, "damping": 0.02, "share": 0.7}
+        axis = AXIS.replace(effects=[coupling])
+    with pytest.raises(SpecificationError, match=reason) as caught:
+        retune_velocity_loop(axis, crossover=crossover, phase_margin_deg=75.0, at=at)
+    nearest = dict(caught.value.nearest)
+    for pair in (nearest.pop("or", nearest), nearest):
+        assert retune_velocity_loop(axis, **pair, at=at).sampled.stable
+
+
 def test_place_of_the_margin():
     with pytest.raises(InputError, match="place of the margin: found 'elsewhere'"):
         retune_velocity_loop(AXIS, crossover=100.0, at="elsewhere")
