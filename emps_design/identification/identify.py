@@ -11,7 +11,7 @@ from emps_design.axis import Axis
 from emps_design.errors import AxisError, InputError, nearest_name
 from emps_design.identification.cutoff import LONGEST, can_choose, chosen_cutoff
 from emps_design.identification.excitation import WEAK_RELIABILITY, check_record, reliability
-from emps_design.identification.filters import CHAINS, Filtered, sliding
+from emps_design.identification.filters import CHAINS, Filtered, hold_chain, sliding
 from emps_design.identification.inverse_model import LeastSquares, least_squares, parameters_of, regression
 from emps_design.identification.statistics import LongRun, hac_covariance, long_run
 from emps_design.quantities import Quantity
@@ -22,8 +22,10 @@ from emps_design.records import Record
 class Estimate:
     """One identified parameter: ``value``, ``std`` by (15), ``relative_std_percent`` by (16), and what holds.
 
-    ``std_long_run`` and ``interval_95`` allow for the correlation of the residual; ``std_hac`` is the HAC deviation.
-    All None where the record does not determine the parameter; ``reliability`` says how much of its column is motion.
+    ``std_long_run`` and ``interval_95`` allow for the correlation of the residual; ``std_hac`` is the HAC deviation;
+    ``systematic`` what a chain that models neither hold nor rest is off by, judged by the one that does, and part of
+    the interval. All None where the record does not determine the parameter; ``reliability`` says how much of its
+    column is motion.
     """
 
     quantity: Quantity
@@ -33,6 +35,7 @@ class Estimate:
     interval_95: tuple[float, float] | None = None
     std_hac: float | None = None
     std_bootstrap: float | None = None
+    systematic: float | None = None
     reliability: float | None = None
 
     @property
@@ -58,6 +61,7 @@ class Estimate:
             "interval_95": self.interval_95,
             "std_hac": self.std_hac,
             "std_bootstrap": self.std_bootstrap,
+            "systematic": self.systematic,
             "reliability": self.reliability,
         }
 
@@ -190,8 +194,40 @@ def identify(
     W, Y = regression(filtered, model)
     names = tuple(p.name for p in parameters_of(model))
     fit = least_squares(W, Y, names, filtered.used)
-    extra = {"cutoff_from_data": chosen_cutoff(record).to_dict()} if can_choose(record) else {}
-    return assemble(record, axis, model, "least_squares", filtered, W, fit, bootstrap=bootstrap, seed=seed, extra=extra)
+    extra, systematic = {}, None
+    if can_choose(record):
+        cutoff = chosen_cutoff(record)
+        extra["cutoff_from_data"] = cutoff.to_dict()
+        if chain != "hold":
+            better, systematic = _against_hold(record, axis, model, filtered, fit, cutoff.cutoff_hz)
+            extra["hold_modelled"] = {name: one.to_dict() for name, one in better.parameters.items()}
+    return assemble(
+        record,
+        axis,
+        model,
+        "least_squares",
+        filtered,
+        W,
+        fit,
+        bootstrap=bootstrap,
+        seed=seed,
+        extra=extra,
+        systematic=systematic,
+    )
+
+
+def _against_hold(
+    record: Record, axis: Axis, model: str, filtered: Filtered, fit: LeastSquares, cutoff_hz: float
+) -> tuple[Identification, np.ndarray]:
+    """The same by the chain that models hold and rest, and what ``fit`` is off by; long records in part."""
+    part = record.part(0, LONGEST, record.name) if len(record) > LONGEST else record
+    if part is not record:
+        W, Y = regression(filter_record(part, axis, filtered.chain, filtered.cutoff_hz), model)
+        fit = least_squares(W, Y, fit.names)
+    judge = hold_chain(part, axis.drive.force_gain, cutoff_hz)
+    W, Y = regression(judge, model)
+    better = assemble(part, axis, model, "least_squares", judge, W, least_squares(W, Y, fit.names, judge.used))
+    return better, fit.value - better.values()
 
 
 def filter_record(record: Record, axis: Axis, chain: str, cutoff_hz: float | None = None) -> Filtered:
@@ -213,8 +249,12 @@ def assemble(
     bootstrap: int = 0,
     seed: int = 0,
     extra: dict[str, Any] | None = None,
+    systematic: np.ndarray | None = None,
 ) -> Identification:
-    """Put statistics beside ``fit`` and make an :class:`Identification` of it; ``Z`` are the instruments, if any."""
+    """Put statistics beside ``fit`` and make an :class:`Identification` of it; ``Z`` are the instruments, if any.
+
+    ``systematic`` (p,) is what the chain is off by, where that is known: it widens the intervals.
+    """
     residual, spread, lag, period = residual_statistics(filtered, W, fit, Z)
     hac = np.sqrt(np.diag(hac_covariance(W, fit.residual, lag, Z)))
     boot = np.full(len(fit.value), np.nan)
@@ -233,7 +273,8 @@ def assemble(
             )
             estimates[quantity.name] = Estimate(quantity, None, None, reliability=float(shares[i]))
             continue
-        half = spread.quantile * spread.std[i]
+        bias = 0.0 if systematic is None or np.isnan(systematic[i]) else float(systematic[i])
+        half = spread.quantile * float(np.hypot(spread.std[i], bias))
         if half > abs(fit.value[i]) and quantity.name != "constant_force":
             warnings.append(f"{quantity.name}: its 95 % interval reaches zero; the record hardly determines it")
         estimates[quantity.name] = Estimate(
@@ -244,6 +285,7 @@ def assemble(
             interval_95=(float(fit.value[i] - half), float(fit.value[i] + half)),
             std_hac=float(hac[i]),
             std_bootstrap=float(boot[i]) if bootstrap else None,
+            systematic=None if systematic is None else bias,
             reliability=None if shares is None else float(shares[i]),
         )
     return Identification(

@@ -170,7 +170,7 @@ def identification_experiment(axis: Axis, rng: np.random.Generator, scale: float
 
 
 def comanipulation_experiment(axis: Axis, rng: np.random.Generator, scale: float, name: str) -> Record:
-    """Ramps and floors of an operator's force on the cascaded loop of Fig. 4, with a force reference that is not zero."""
+    """Ramps and floors of an operator's force on the cascaded loop of Fig. 4; the force reference is not zero."""
     loop = design_velocity_loop(
         machine("emps2018"), crossover=value("crossover"), phase_margin_deg=value("phase_margin")
     )
@@ -208,7 +208,7 @@ def operator_force(period: float, rng: np.random.Generator) -> np.ndarray:
 
 
 def break_away_test(axis: Axis, direction: float, rate: float = 0.5) -> float:
-    """F_s [N]: the motor force, rising by ``rate`` [N/s] from rest, at which the carriage leaves its place by 0.05 mm."""
+    """F_s [N]: the motor force, rising from rest by ``rate`` [N/s], at which the carriage has moved by 0.05 mm."""
     period, gain = axis.sampling.period, axis.drive.force_gain
     u = direction * rate / gain * np.arange(int(60.0 / period)) * period
     run = Plant.of(axis).open_loop(u)

@@ -163,3 +163,17 @@ def test_report_chain_keeps_every_tenth_sample_to_the_last(record):
     seen = report_chain(record, 35.0)
     assert len(seen.reduce(seen.motion.q)) == len(seen.used)
     assert decimate(np.arange(95.0), 10).size == 10
+
+
+def test_interval_of_a_chain_that_ignores_the_hold_knows_its_bias(truth):
+    """On a quiet record the report's chain is wrong by more than its statistics; its interval says so."""
+    from emps_design.simulation.practice import practice_record
+
+    quiet = practice_record(AXIS, laps=1)
+    found = identify(quiet, AXIS)
+    mass = found.parameters["mass"]
+    assert abs(mass.value - truth["mass"]) > 2 * mass.std_long_run
+    for name, value in truth.items():
+        low, high = found.parameters[name].interval_95
+        assert low <= value <= high
+    assert identify(quiet, AXIS, chain="hold").parameters["mass"].systematic is None
