@@ -58,9 +58,8 @@ def screen(problem: Problem, current: Fit, library: tuple[Effect, ...], absorbed
     return [found for found in tried if found]
 
 
-def extensions(problem: Problem, current: Fit, library: tuple[Effect, ...]) -> list[Fit]:
-    """Fit ``current`` with those effects of ``library`` added that promise a gain; best first."""
-    screened = screen(problem, current, library, tangent(problem, current))
+def extensions(problem: Problem, current: Fit, screened: list[list[Start]]) -> list[Fit]:
+    """Fit those of the ``screened`` starts on top of ``current`` that promise a gain; best first."""
     best = max((found[0].gain for found in screened), default=0.0)
     least = max(SMALLEST_GAIN, WORTH_FITTING * best)
     worth = [start.model for found in screened for start in found[:REFINED] if start.gain >= least]
@@ -82,15 +81,19 @@ def search(
     problem: Problem,
     baseline: Fit,
     library: tuple[Effect, ...],
+    screened: list[list[Start]],
     accept: Callable[[Fit, Fit], bool],
     progress: Progress | None = None,
 ) -> Search:
-    """Extend ``baseline`` while ``accept(better, worse)`` holds for the best admissible extension."""
+    """Extend ``baseline`` while ``accept(better, worse)`` holds for the best admissible extension.
+
+    ``screened`` are the starts on top of the baseline. An interrupt from the keyboard ends the search where it is.
+    """
     tried: dict[frozenset[str], Fit] = {frozenset(baseline.model.names): baseline}
     path, beam = [baseline], [baseline]
     try:
         while len(path) <= MOST_EFFECTS:
-            pool = _round(problem, beam, library, len(path), progress)
+            pool = _round(problem, beam, library, screened if len(path) == 1 else None, len(path), progress)
             tried.update({key: f for key, f in pool.items() if key not in tried or f.cost < tried[key].cost})
             ranked = sorted((f for f in pool.values() if not on_bound(f)), key=lambda f: f.cost)
             if not ranked or not accept(ranked[0], path[-1]):
@@ -106,7 +109,12 @@ def search(
 
 
 def _round(
-    problem: Problem, beam: list[Fit], library: tuple[Effect, ...], number: int, progress: Progress | None
+    problem: Problem,
+    beam: list[Fit],
+    library: tuple[Effect, ...],
+    screened: list[list[Start]] | None,
+    number: int,
+    progress: Progress | None,
 ) -> dict[frozenset[str], Fit]:
     """Every extension of every model of ``beam``, the best fit of each set of effects."""
     pool: dict[frozenset[str], Fit] = {}
@@ -114,7 +122,8 @@ def _round(
         if progress:
             names = " + ".join(member.model.names) or "the baseline"
             progress(f"round {number}: effects on top of {names}", 1 - 0.75 ** (number - 1 + i / len(beam)))
-        for extended in extensions(problem, member, library):
+        starting = screen(problem, member, library, tangent(problem, member)) if screened is None else screened
+        for extended in extensions(problem, member, starting):
             key = frozenset(extended.model.names)
             if key not in pool or extended.cost < pool[key].cost:
                 pool[key] = extended

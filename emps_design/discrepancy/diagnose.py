@@ -48,10 +48,29 @@ def diagnose(
     effect. Raises :class:`InputError` for records that cannot be judged, and where the controller of ``axis`` is not
     the one that made them.
     """
+    from threadpoolctl import threadpool_limits
+
     report = progress or (lambda stage, fraction: None)
     records = (records,) if isinstance(records, Record) else tuple(records)
     library = tuple(known_effects().values()) if library is None else tuple(library)
-    axis = axis.replace(effects=[])
+    # The matrices here are tall and thin: BLAS threads would only spin, and the fits run side by side already.
+    with threadpool_limits(1):
+        work = _explain(records, axis.replace(effects=[]), library, holdout, fit_time, confirm_time, seed, report)
+        report("confirming on data not used so far", 0.9)
+        return _conclude(work, _confirming(work.problem, holdout, confirm_time))
+
+
+def _explain(
+    records: tuple[Record, ...],
+    axis: Axis,
+    library: tuple[Effect, ...],
+    holdout: Record | None,
+    fit_time: tuple[float, float] | None,
+    confirm_time: tuple[float, float] | None,
+    seed: int,
+    report: Progress,
+) -> Work:
+    """Check, fit the baseline, calibrate and search; the confirming data stay closed."""
     warnings = check_records(records, axis)
     if holdout is not None:
         check_same_drive(records[0], holdout)
@@ -69,13 +88,18 @@ def diagnose(
     screened = screen(problem, baseline, candidates, absorbed)
     healthy = healthy_reference(screened, absorbed, floor.draws, seed)
     judge = Judge(problem, healthy)
-    found = search(problem, baseline, candidates, judge.accepts, lambda stage, done: report(stage, 0.15 + 0.7 * done))
+    found = search(
+        problem,
+        baseline,
+        candidates,
+        screened,
+        judge.accepts,
+        lambda stage, done: report(stage, 0.15 + 0.7 * done),
+    )
     if found.interrupted:
         warnings.append("interrupted: the search was not finished, what follows is what was known by then")
 
-    report("confirming on data not used so far", 0.9)
-    work = Work(problem, judge, found, floor, checks, healthy, screened, tuple(warnings))
-    return _conclude(work, _confirming(problem, holdout, confirm_time))
+    return Work(problem, judge, found, floor, checks, healthy, screened, tuple(warnings))
 
 
 def _problem(

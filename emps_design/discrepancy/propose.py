@@ -16,6 +16,7 @@ from emps_design.discrepancy.candidate import Candidate
 from emps_design.discrepancy.missing_force import MissingForce
 from emps_design.discrepancy.problem import Fit, Problem
 from emps_design.effects import Effect
+from emps_design.effects.search import thin
 from emps_design.errors import SimulationError
 
 
@@ -118,12 +119,13 @@ def _complete(effect: Effect, shape: dict[str, float], seen: MissingForce, model
         m = seen.motion
         sign = np.sign(m.v)
         absorbing = np.column_stack([m.a, m.v, sign, np.ones_like(m.v)])
-        design = np.column_stack([columns, absorbing])[seen.away]
+        kept = thin(seen.away)
+        design = np.column_stack([columns, absorbing])[kept]
         scale = np.sqrt((design**2).mean(axis=0))
         if not np.all(scale[: columns.shape[1]] > 0):
             return None
         scale[scale == 0] = 1.0
-        solution = np.linalg.lstsq(design / scale, seen.force[seen.away], rcond=1e-8)[0] / scale
+        solution = np.linalg.lstsq(design / scale, seen.force[kept], rcond=1e-8)[0] / scale
         shape = {**shape, **effect.from_coefficients(solution[: columns.shape[1]], shape)}
     elif absent:
         return None

@@ -28,11 +28,11 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
 
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
-    def columns(index: np.ndarray, period: float) -> np.ndarray:
-        wave = 2 * pi / period
-        speed, turn = wave * motion.v[index], wave * motion.a[index]
-        sine, cosine = harmonic.columns(wave * motion.q[index]).T
-        return np.column_stack([speed**2 * sine - turn * cosine, speed**2 * cosine + turn * sine])
+    def columns(index: np.ndarray, waves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        angle = motion.q[index][:, None] * waves
+        speed, turn = (motion.v[index][:, None] * waves) ** 2, motion.a[index][:, None] * waves
+        sine, cosine = np.sin(angle), np.cos(angle)
+        return speed * sine - turn * cosine, speed * cosine + turn * sine
 
     found = search.periods(residual, motion.q, motion.v, motion.a, away, columns, shortest=5e-4)
     return [{"period": period} for period in found]

@@ -28,10 +28,7 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
 
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
-    def after(index: np.ndarray, instant: float) -> np.ndarray:
-        return np.where(motion.t[index] > instant, motion.a[index], 0.0)[:, None]
-
-    return [{"time": at} for at in search.instants(residual, motion.t, motion.v, motion.a, away, after)]
+    return [{"time": at} for at in search.instants(residual, motion.t, motion.v, motion.a, away, motion.a)]
 
 
 def expression(q, v, t, tau, p, b):

@@ -21,8 +21,9 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
 
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
-    def columns(index: np.ndarray, period: float) -> np.ndarray:
-        return harmonic.columns(2 * pi * motion.t[index] / period)
+    def columns(index: np.ndarray, waves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        angle = motion.t[index][:, None] * waves
+        return np.sin(angle), np.cos(angle)
 
     found = search.periods(residual, motion.t, motion.v, motion.a, away, columns, shortest=0.025, count=6)
     return [{"frequency": 1.0 / period} for period in found]

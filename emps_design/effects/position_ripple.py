@@ -23,8 +23,9 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
 
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
-    def columns(index: np.ndarray, period: float) -> np.ndarray:
-        return harmonic.columns(2 * pi * motion.q[index] / period)
+    def columns(index: np.ndarray, waves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        angle = motion.q[index][:, None] * waves
+        return np.sin(angle), np.cos(angle)
 
     found = search.periods(residual, motion.q, motion.v, motion.a, away, columns, shortest=5e-4)
     return [{"period": period} for period in found]

@@ -10,7 +10,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-THINNED = 4000  # samples kept for a spectral search; structure up to the filter's band survives
+THINNED = 3000  # samples kept for a search: above 100 Hz of a 25 s record
+CHUNK = 200  # wave numbers at a time, to bound the memory
 
 
 def thin(away: np.ndarray, most: int = THINNED) -> np.ndarray:
@@ -28,12 +29,16 @@ def absorb(residual: np.ndarray, v: np.ndarray, a: np.ndarray, index: np.ndarray
     return kept - basis @ (basis.T @ kept), basis
 
 
-def explained(target: np.ndarray, basis: np.ndarray, pair: np.ndarray) -> float:
-    """Sum of squares of ``target`` (k,) that the columns ``pair`` (k, c) explain beyond ``basis``."""
-    free = pair - basis @ (basis.T @ pair)
-    gram, right = free.T @ free, free.T @ target
-    gram[np.diag_indices_from(gram)] += 1e-12 * np.trace(gram) + 1e-300
-    return float(right @ np.linalg.solve(gram, right))
+def explained(target: np.ndarray, basis: np.ndarray, sine: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    """Sum of squares (m,) of ``target`` (k,) that each pair of columns of ``sine`` and ``cosine`` (k, m) explains."""
+    first = sine - basis @ (basis.T @ sine)
+    second = cosine - basis @ (basis.T @ cosine)
+    aa, bb, ab = (first**2).sum(axis=0), (second**2).sum(axis=0), (first * second).sum(axis=0)
+    ra, rb = target @ first, target @ second
+    determinant = aa * bb - ab**2
+    safe = determinant > 1e-9 * (aa * bb) + 1e-300
+    power = (ra**2 * bb - 2 * ra * rb * ab + rb**2 * aa) / np.where(safe, determinant, 1.0)
+    return np.where(safe, power, 0.0)
 
 
 def strongest(power: np.ndarray, count: int) -> list[int]:
@@ -49,23 +54,24 @@ def periods(
     v: np.ndarray,
     a: np.ndarray,
     away: np.ndarray,
-    columns: Callable[[np.ndarray, float], np.ndarray],
+    columns: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
     shortest: float,
     count: int = 3,
 ) -> list[float]:
-    """Periods of ``coordinate`` (n,) at which ``columns(index, period)`` (k, 2) explain most of ``residual``.
+    """Periods of ``coordinate`` (n,) at which ``columns(index, waves)`` explain most of ``residual``.
 
-    Searched from the span of the coordinate down to ``shortest`` [unit of the coordinate], at half the resolution of
-    the span.
+    ``columns`` returns the two phases of each angular wave number, shape (k, m) both. Searched from the span of the
+    coordinate down to ``shortest`` [unit of the coordinate], at half the resolution of the span.
     """
     index = thin(away)
     span = float(np.ptp(coordinate[index])) if index.size else 0.0
     if index.size < 100 or span <= shortest:
         return []
     target, basis = absorb(residual, v, a, index)
-    wave_numbers = np.arange(1.0 / span, 1.0 / shortest, 0.5 / span)
-    power = np.array([explained(target, basis, columns(index, 1.0 / k)) for k in wave_numbers])
-    return [float(1.0 / wave_numbers[i]) for i in strongest(power, count)]
+    turns = np.arange(1.0 / span, 1.0 / shortest, 0.5 / span)
+    pieces = np.array_split(2 * np.pi * turns, -(-turns.size // CHUNK))
+    power = np.concatenate([explained(target, basis, *columns(index, waves)) for waves in pieces])
+    return [float(1.0 / turns[i]) for i in strongest(power, count)]
 
 
 def instants(
@@ -74,16 +80,19 @@ def instants(
     v: np.ndarray,
     a: np.ndarray,
     away: np.ndarray,
-    after: Callable[[np.ndarray, float], np.ndarray],
+    column: np.ndarray,
     count: int = 3,
 ) -> list[float]:
-    """Instants [s] from which on ``after(index, instant)`` (k, c) explains most of ``residual``."""
-    index = thin(away, 2000)
+    """Instants [s] from which on ``column`` (n,) explains most of ``residual``."""
+    index = thin(away)
     if index.size < 100:
         return []
     target, basis = absorb(residual, v, a, index)
     grid = np.linspace(t[index[0]], t[index[-1]], 62)[1:-1]
-    power = np.array([explained(target, basis, after(index, instant)) for instant in grid])
+    after = np.where(t[index][:, None] > grid, column[index][:, None], 0.0)
+    free = after - basis @ (basis.T @ after)
+    size = (free**2).sum(axis=0)
+    power = np.where(size > 0, (target @ free) ** 2 / np.where(size > 0, size, 1.0), 0.0)
     return [float(grid[i]) for i in strongest(power, count)]
 
 
