@@ -13,6 +13,7 @@ from emps_design.studio.design_view import DesignView
 from emps_design.studio.page import page
 from emps_design.studio.state import State
 
+RECORD_AXIS = "emps2019"  # the machine that records are taken for where no axis of their own is named
 TABS = ("Design", "Simulation", "Data", "Files")
 
 
@@ -29,7 +30,8 @@ class Session:
         self.state = State.of(axis)
         self.design = DesignView(self.state, machines, self._changed)
         self.simulation = SimulationView(lambda: self.state)
-        self.data = DataView(lambda: self.state, self.design.add_axis, record)
+        own = axis.name if axis.name not in machine_names() else RECORD_AXIS
+        self.data = DataView(lambda: self.design.machines, own, self.design.add_axis, record)
         self.files = FilesView(lambda: self.state, lambda: self.data.record, self._loaded)
         self.tab = pn.widgets.RadioButtonGroup(name="Tab", options=list(TABS), value=TABS[0], button_type="primary")
         self.views = dict(zip(TABS, (self.design, self.simulation, self.data, self.files), strict=True))

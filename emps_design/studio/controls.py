@@ -57,11 +57,17 @@ class Knob:
 
     def limit(self, low: float, high: float) -> None:
         """Let the control reach ``low`` to ``high`` only; a value outside moves to the nearest end."""
+        if low <= self.field.value <= high or pn.state.curdoc is None:
+            self._limit(low, high)
+        else:  # the browser is told of a value that replaces the one it has just sent only after this event
+            pn.state.curdoc.add_next_tick_callback(lambda: self._limit(low, high))
+
+    def _limit(self, low: float, high: float) -> None:
         self._quiet = True
         try:
             value = min(max(self.field.value, low), high)
             high = high if high > low else low + CHOICES[self.name].step
-            for widget in (self.field, self.slider):
-                widget.param.update(start=low, end=high, value=value)
+            self.slider.param.update(start=low, end=high, value=value)
+            self.field.value = value  # the field takes any number, so that the page can say why it does not stay
         finally:
             self._quiet = False

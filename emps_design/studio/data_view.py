@@ -16,7 +16,6 @@ from emps_design.report.display import quantity
 from emps_design.report.page import inline
 from emps_design.studio.jobs import Job
 from emps_design.studio.panes import html
-from emps_design.studio.state import State
 
 LIMIT_MB = 100
 SUFFIXES = (".mat", ".csv", ".npz")
@@ -48,15 +47,26 @@ def read_upload(name: str, content: bytes | str) -> Record:
 class DataView:
     """The record, what can be done with it, and what came out; ``take(axis)`` hands a model to the design tab."""
 
-    def __init__(self, state: Callable[[], State], take: Callable[[Axis], None], record: Record | None = None):
-        self._state, self._take = state, take
+    def __init__(
+        self,
+        machines: Callable[[], dict[str, Axis]],
+        axis_name: str,
+        take: Callable[[Axis], None],
+        record: Record | None = None,
+    ):
+        self._machines, self._take = machines, take
         self.record: Record | None = None
         self.model: Axis | None = None
         self.drop = pn.widgets.FileDropper(
             name="Record", max_file_size=f"{LIMIT_MB}MB", multiple=False, height=76, width=360, layout="compact"
         )
         self.drop.param.watch(self._dropped, "value")
-        self.friction = pn.widgets.RadioButtonGroup(name="Friction", options=["symmetric", "asymmetric"])
+        self.machine = pn.widgets.Select(
+            name="Axis of the record", options=list(machines()), value=axis_name, width=200
+        )
+        self.friction = pn.widgets.RadioButtonGroup(
+            name="Friction", options=["symmetric", "asymmetric"], margin=(20, 5)
+        )
         self.buttons = {
             name: pn.widgets.Button(name=name, disabled=True, width=110) for name in ("Identify", "Observe", "Diagnose")
         }
@@ -79,7 +89,7 @@ class DataView:
                 ),
                 pn.Column(
                     pn.Row(*self.buttons.values(), self.take, margin=0),
-                    pn.Row(pn.pane.HTML("Friction model", margin=(8, 5)), self.friction, margin=0),
+                    pn.Row(self.machine, pn.pane.HTML("Friction model", margin=(26, 5)), self.friction, margin=0),
                     self.job.view,
                     margin=0,
                 ),
@@ -127,7 +137,7 @@ class DataView:
         if self.record is None:
             return
         work = {"Identify": identify_work, "Observe": observe_work, "Diagnose": diagnose_work}[name]
-        record, axis, friction = self.record, self._state().axis, self.friction.value
+        record, axis, friction = self.record, self._machines()[self.machine.value], self.friction.value
         if self.job.start(lambda progress: work(record, axis, friction, progress), self._done, self._failed):
             self._say(f"{name} is at work on {record.name}", "note")
 
@@ -143,6 +153,7 @@ class DataView:
     def _taken(self, event: Any) -> None:
         if self.model is not None:
             self._take(self.model)
+            self.machine.options = list(self._machines())
             self._say(f"The design tab now works on {self.model.name}.", "good")
 
 
@@ -176,7 +187,7 @@ def identify_work(record: Record, axis: Axis, friction: str, progress: Callable)
 
 
 def observe_work(record: Record, axis: Axis, friction: str, progress: Callable) -> dict[str, Any]:
-    """Observe the external force of ``record`` with the parameters of the design's axis."""
+    """Observe the external force of ``record`` with the parameters of ``axis``."""
     from emps_design.identification.observation import observe
     from emps_design.report.observation import observation_blocks
 
@@ -191,8 +202,8 @@ def observe_work(record: Record, axis: Axis, friction: str, progress: Callable) 
 
 
 def diagnose_work(record: Record, axis: Axis, friction: str, progress: Callable) -> dict[str, Any]:
-    """Find where ``record`` and the design's axis disagree; return the page's summary and the extended model."""
-    from emps_design.discrepancy import diagnose
+    """Find where ``record`` and ``axis`` disagree; return the page's summary and the extended model."""
+    from emps_design.discrepancy.diagnose import diagnose
     from emps_design.report.diagnosis import diagnosis_page
 
     found = diagnose(record, axis, progress=progress)

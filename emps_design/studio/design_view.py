@@ -61,11 +61,16 @@ class DesignView:
         left = pn.Column(self.machine, *groups, width=330, margin=(0, 8, 0, 0))
         p = self.plots
         grid = pn.GridBox(
-            pn.Column(pn.pane.Bokeh(p.magnitude), pn.pane.Bokeh(p.phase), margin=0, sizing_mode="stretch_width"),
-            pn.pane.Bokeh(p.nyquist, sizing_mode="stretch_width"),
-            pn.pane.Bokeh(p.step, sizing_mode="stretch_width"),
-            pn.pane.Bokeh(self.plane.plot, sizing_mode="stretch_width"),
-            pn.pane.Bokeh(p.z_plane, sizing_mode="stretch_width"),
+            pn.Column(
+                pn.pane.Bokeh(p.magnitude, sizing_mode="scale_width"),
+                pn.pane.Bokeh(p.phase, sizing_mode="scale_width"),
+                margin=0,
+                sizing_mode="stretch_width",
+            ),
+            pn.pane.Bokeh(p.nyquist, sizing_mode="scale_width"),
+            pn.pane.Bokeh(p.step, sizing_mode="scale_width"),
+            pn.pane.Bokeh(self.plane.plot, sizing_mode="scale_width"),
+            pn.pane.Bokeh(p.z_plane, sizing_mode="scale_width"),
             pn.Column(self.side, sizing_mode="stretch_width", margin=0),
             ncols=3,
             sizing_mode="stretch_width",

@@ -23,8 +23,12 @@ function nameHandles(root) {
   }
   const title = root.querySelector('.bk-slider-title');
   if (title) for (const handle of root.querySelectorAll('.noUi-handle')) {
-    const name = title.textContent.trim();
+    const name = title.textContent.trim().replace(/:$/, '');
     if (handle.getAttribute('aria-label') !== name) handle.setAttribute('aria-label', name);
+  }
+  for (const button of root.querySelectorAll('.bk-spin-btn:not([aria-label])')) {
+    button.setAttribute('aria-label', button.classList.contains('bk-spin-btn-up') ? 'more' : 'less');
+    button.tabIndex = -1;  // the arrow keys in the field do the same
   }
   for (const input of root.querySelectorAll('input[type=file]')) {
     if (!input.getAttribute('aria-label') && !input.id) input.setAttribute('aria-label', 'File');

@@ -17,18 +17,18 @@ if TYPE_CHECKING:
 
 PLACES = ("plant input", "velocity error")
 TOOLS = "pan,box_zoom,wheel_zoom,reset,save"
-HEIGHT = 262
+ASPECT = 1.28  # width over height: two rows fit both screens
 _TURN = np.linspace(0.0, 2.0 * np.pi, 120)
 
 
-def blank(title: str, x: str, y: str, height: int = HEIGHT, **options: Any):
+def blank(title: str, x: str, y: str, aspect: float = ASPECT, **options: Any):
     """An empty figure in the studio's look, its axes named with their units."""
     plot = figure(
         title=title,
         x_axis_label=x,
         y_axis_label=y,
-        height=height,
-        sizing_mode="stretch_width",
+        aspect_ratio=aspect,
+        sizing_mode="scale_width",
         tools=TOOLS,
         active_scroll=None,
         toolbar_location="above",
@@ -76,12 +76,12 @@ class LoopPlots:
         self.z_plane = self._z_plane()
 
     def _bode(self):
-        magnitude = blank("Bode: magnitude", "", "magnitude [dB]", HEIGHT // 2, x_axis_type="log")
+        magnitude = blank("Bode: magnitude", "", "magnitude [dB]", 2.8, x_axis_type="log")
         phase = blank(
             "Bode: phase",
             "frequency [rad/s]",
             "phase [deg]",
-            HEIGHT // 2 + 18,
+            2.42,
             x_axis_type="log",
             x_range=magnitude.x_range,
         )

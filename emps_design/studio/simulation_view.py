@@ -42,8 +42,11 @@ class SimulationView:
             ),
             self.job.view,
             self.message,
-            pn.Row(self.table, sizing_mode="stretch_width"),
-            pn.Row(self.picture, self.cloud, sizing_mode="stretch_width"),
+            pn.Row(
+                self.picture,
+                pn.Column(self.table, self.cloud, sizing_mode="stretch_width"),
+                sizing_mode="stretch_width",
+            ),
             sizing_mode="stretch_width",
         )
 
@@ -90,7 +93,7 @@ def simulate(
     worst = study.plant(study.worst)
     runs = {
         "exact estimates": run(axis, law, task),
-        "worst plant": run(axis, law.with_errors(worst["errors"]), task),
+        "worst estimates": run(axis, law.with_errors(worst["errors"]), task),
     }
     progress("drawing", 0.9)
     plant, clock = FrictionModel.of(axis), Clock.of(axis)
@@ -99,7 +102,7 @@ def simulate(
     rows = [
         ("verdict, exact estimates", runs["exact estimates"].verdict.replace("_", " ")),
         (f"verdict, worst within ±{100 * mismatch:g} %", worst["verdict"].replace("_", " ")),
-        ("worst plant has", ", ".join(f"{name} {100 * e:+.1f} %" for name, e in worst["errors"].items())),
+        ("estimates of the worst", ", ".join(f"{name} {100 * e:+.1f} %" for name, e in worst["errors"].items())),
         (
             "neither unstable nor cycling",
             f"{100 * share:.4g} %"

@@ -1,0 +1,197 @@
+"""The studio in a real Chromium: controls move the numbers, records go through, nothing leaves the machine."""
+
+import re
+import time
+import zipfile
+
+import pytest
+
+pytestmark = pytest.mark.browser
+
+NAMELESS = """() => {
+  const found = [];
+  const visit = root => {
+    for (const e of root.querySelectorAll('*')) {
+      if (e.shadowRoot) visit(e.shadowRoot);
+      const control = e.matches('input, select, textarea, [role=slider]') ||
+        (e.matches('button') && !e.closest('.noUi-base') && !e.closest('.filepond--root'));
+      if (!control || !e.checkVisibility() || e.type === 'hidden') continue;
+      const labels = e.labels && e.labels.length ? [...e.labels].map(l => l.textContent).join('') : '';
+      const name = e.getAttribute('aria-label') || e.title || labels || (e.matches('button') ? e.textContent : '');
+      if (!name.trim()) found.push(e.outerHTML.slice(0, 160));
+    }
+  };
+  visit(document);
+  return found;
+}"""
+
+
+def sampled_margin(page) -> str:
+    """The phase margin on the drive that the page shows."""
+    return page.locator("b.margin").first.inner_text()
+
+
+def wait_for_change(page, before: str) -> float:
+    """Seconds until the page shows another margin than ``before``."""
+    start = time.perf_counter()
+    while sampled_margin(page) == before:
+        assert time.perf_counter() - start < 10.0, "the margin did not move"
+        page.wait_for_timeout(10)
+    return time.perf_counter() - start
+
+
+def turn_to(page, tab: str) -> None:
+    page.get_by_role("button", name=tab, exact=True).click()
+
+
+def type_into(page, label: str, value: str) -> None:
+    field = page.get_by_label(label, exact=True).locator("visible=true").first
+    field.fill(value)
+    field.press("Enter")
+
+
+def test_the_page_shows_the_design_and_fits_both_screens(page, picture):
+    assert sampled_margin(page) == "39.2°"
+    page.screenshot(path=picture("studio-design-1280x800"))
+    assert page.evaluate("document.documentElement.scrollWidth") <= 1280
+    page.set_viewport_size({"width": 1920, "height": 1080})
+    page.wait_for_timeout(800)
+    page.screenshot(path=picture("studio-design-1920x1080"))
+    assert page.evaluate("document.documentElement.scrollWidth") <= 1920
+
+
+def test_the_keyboard_moves_slider_and_margin(page):
+    before = sampled_margin(page)
+    handle = page.get_by_role("slider", name="Phase margin [deg]", exact=True)
+    handle.focus()
+    page.keyboard.press("ArrowLeft")
+    assert wait_for_change(page, before) < 2.0
+    assert page.get_by_label("Phase margin [deg]", exact=True).first.input_value() == "59.5"
+
+
+def test_typing_a_frequency_moves_the_margin(page):
+    before = sampled_margin(page)
+    type_into(page, "Frequency [rad/s]", "150")
+    wait_for_change(page, before)
+    assert float(sampled_margin(page).rstrip("°")) < 39.2
+
+
+def test_what_cannot_be_reached_is_out_of_reach_and_says_why(page):
+    type_into(page, "Computation delay [samples]", "3")
+    page.get_by_text("outside 30.5° to 64° the sampled loop is unstable").wait_for()
+    type_into(page, "Phase margin [deg]", "89")
+    page.get_by_text("The phase margin asked for moved from 89° to 64°").wait_for()
+    page.wait_for_timeout(400)
+    assert page.get_by_label("Phase margin [deg]", exact=True).first.input_value() == "64"
+    assert sampled_margin(page).endswith("°")
+
+
+def test_a_pinned_design_stays_beside_the_new_one(page, picture):
+    page.get_by_role("button", name="Pin this design to compare").click()
+    page.get_by_text("pinned", exact=True).first.wait_for()
+    before = sampled_margin(page)
+    type_into(page, "Phase margin [deg]", "45")
+    wait_for_change(page, before)
+    assert page.locator("b.margin").nth(1).inner_text() == before
+    page.screenshot(path=picture("studio-pinned"))
+
+
+def test_every_control_has_a_name_and_the_tabs_answer_the_keyboard(page):
+    page.wait_for_timeout(1500)
+    assert page.evaluate(NAMELESS) == []
+    for tab in ("Simulation", "Data", "Files", "Design"):
+        page.get_by_role("button", name=tab, exact=True).focus()
+        page.keyboard.press("Enter")
+        page.wait_for_timeout(400)
+        assert page.evaluate(NAMELESS) == [], tab
+
+
+def test_a_record_is_identified_and_its_model_designed_on(page, practice, picture):
+    turn_to(page, "Data")
+    page.locator("input[type=file]").locator("visible=true").or_(
+        page.locator(".filepond--browser")
+    ).first.set_input_files(str(practice))
+    page.get_by_text(re.compile("practice: [0-9]+ samples")).wait_for(timeout=20_000)
+    page.get_by_role("button", name="Identify").click()
+    page.get_by_text(re.compile("Identified: mass 9[0-9.]+ kg")).wait_for(timeout=60_000)
+    page.wait_for_timeout(500)
+    page.screenshot(path=picture("studio-data"), full_page=True)
+    page.get_by_role("button", name="Design on this model").click()
+    page.get_by_text("The design tab now works on").wait_for()
+    turn_to(page, "Design")
+    assert "practice" in page.get_by_label("Axis", exact=True).input_value()
+
+
+def test_the_external_force_is_observed(page, practice):
+    turn_to(page, "Data")
+    page.locator(".filepond--browser").first.set_input_files(str(practice))
+    page.get_by_text(re.compile("practice: [0-9]+ samples")).wait_for(timeout=20_000)
+    page.get_by_role("button", name="Observe").click()
+    page.get_by_text(re.compile("cannot be told from errors")).first.wait_for(timeout=60_000)
+
+
+def test_a_bad_file_shows_its_message_and_changes_nothing(page, tmp_path):
+    bad = tmp_path / "empty.csv"
+    bad.write_text("t,q\n0,0\n")
+    turn_to(page, "Data")
+    page.locator(".filepond--browser").first.set_input_files(str(bad))
+    alert = page.get_by_role("alert").filter(has_text="empty.csv").first
+    alert.wait_for(timeout=20_000)
+    assert "column" in alert.inner_text()
+    assert page.get_by_role("button", name="Identify").is_disabled()
+
+
+def test_figure_twelve_is_simulated(page, picture):
+    turn_to(page, "Simulation")
+    page.get_by_role("button", name="Simulate", exact=True).click()
+    page.get_by_text(re.compile("the worst of .* is creeping")).wait_for(timeout=90_000)
+    page.wait_for_timeout(500)
+    page.screenshot(path=picture("studio-simulation"), full_page=True)
+
+
+def test_a_simulation_is_cancelled(page):
+    turn_to(page, "Simulation")
+    type_into(page, "Random plants", "10000")
+    page.get_by_role("button", name="Simulate", exact=True).click()
+    cancel = page.get_by_role("button", name="Cancel").locator("visible=true").first
+    page.wait_for_timeout(300)
+    cancel.click()
+    page.get_by_text("Cancelled; nothing was changed.").wait_for(timeout=30_000)
+
+
+def test_files_are_handed_out_and_a_state_comes_back(page, tmp_path, picture):
+    type_into(page, "Phase margin [deg]", "50")
+    page.wait_for_timeout(500)
+    turn_to(page, "Files")
+    page.screenshot(path=picture("studio-files"))
+    kept = {}
+    for label in ("State (TOML)", "Gains (JSON)", "Model (TOML)", "Figures (SVG)", "Report (HTML)"):
+        with page.expect_download(timeout=60_000) as download:
+            page.get_by_text(label).first.click()
+        kept[label] = tmp_path / download.value.suggested_filename
+        download.value.save_as(kept[label])
+    assert "phase_margin_deg = 50" in kept["State (TOML)"].read_text()
+    assert '"k_v1"' in kept["Gains (JSON)"].read_text()
+    assert 'kind = "ip_velocity"' in kept["Model (TOML)"].read_text()
+    assert kept["Report (HTML)"].read_text().startswith("<!DOCTYPE html>")
+    assert "nyquist.svg" in zipfile.ZipFile(kept["Figures (SVG)"]).namelist()
+    turn_to(page, "Design")
+    type_into(page, "Phase margin [deg]", "70")
+    turn_to(page, "Files")
+    page.locator("input[type=file]").last.set_input_files(str(kept["State (TOML)"]))
+    page.get_by_text("is loaded; the design tab shows it").wait_for()
+    turn_to(page, "Design")
+    assert page.get_by_label("Phase margin [deg]", exact=True).first.input_value() == "50"
+    turn_to(page, "Files")
+    (tmp_path / "wrong.toml").write_text("[studio]\nphase_margin_deg = 500\n[axis]\n")
+    page.locator("input[type=file]").last.set_input_files(str(tmp_path / "wrong.toml"))
+    page.get_by_role("alert").first.wait_for()
+
+
+def test_interrupt_ends_it_cleanly():
+    pytest.importorskip("panel", reason="the extra 'studio' is not installed")
+    from tests.browser.conftest import Studio
+
+    status, said = Studio().interrupt()
+    assert status == 0
+    assert "Traceback" not in said
