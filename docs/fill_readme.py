@@ -18,7 +18,7 @@ MOST_LINES = 34
 
 def filled(text: str) -> str:
     """``text`` with fresh output behind every command."""
-    from command_output import execute
+    from run_command import execute
 
     with tempfile.TemporaryDirectory() as folder:
         execute("emps-design init . --force", Path(folder))

@@ -3,14 +3,11 @@
 Every page has a folder of its own, filled by ``emps-design init``, in which its commands run one after another.
 """
 
-import os
-import shlex
-import subprocess
-import sys
 from pathlib import Path
 
 from docutils import nodes
 from docutils.parsers.rst import Directive, directives
+from run_command import execute
 
 LONGEST = 60  # lines shown
 
@@ -50,18 +47,6 @@ def working_folder(environment) -> Path:
         execute("emps-design init . --force", folder)
         environment.command_output_fresh = environment.docname
     return folder
-
-
-def execute(command: str, folder: Path) -> subprocess.CompletedProcess:
-    """Run ``emps-design`` (or Python) of this environment in ``folder``."""
-    folder.mkdir(parents=True, exist_ok=True)
-    words = shlex.split(command)
-    program = {"emps-design": [sys.executable, "-m", "emps_design.cli"], "python": [sys.executable]}[words[0]]
-    settings = {**os.environ, "COLUMNS": "110", "TERM": "dumb", "NO_COLOR": "1", "MPLBACKEND": "Agg"}
-    settings["PYTHONPATH"] = os.pathsep.join([str(Path(__file__).resolve().parents[2]), settings.get("PYTHONPATH", "")])
-    return subprocess.run(
-        [*program, *words[1:]], cwd=folder, env=settings, capture_output=True, text=True, check=False, timeout=900
-    )
 
 
 def setup(app):

@@ -1,10 +1,13 @@
-"""A folder to start from: a commented axis file, a synthetic record as .npz and .csv, and what to do with them."""
+"""A folder to start from: a commented axis file, synthetic records, and what to do with them."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import typer
+
+# What `puzzle.npz` has and `axis.toml` lacks.
+PUZZLE = ({"kind": "position_ripple", "amplitude": 2.0, "period": 0.0025, "phase": 0.5},)
 
 STARTER = """# Start here
 
@@ -15,7 +18,9 @@ your measurement in the place of the record, and ask:
     emps-design identify record.npz --axis axis.toml          the parameters, with standard deviations
     emps-design gains axis.toml --crossover 100 --phase-margin 60   velocity-loop gains and margins
     emps-design report axis.toml --record record.npz --crossover 100 --out report.html
-    emps-design diagnose record.npz --axis axis.toml --out found   where simulation and data disagree, and why
+    emps-design diagnose puzzle.npz --axis axis.toml --out found    where simulation and data disagree, and why
+
+`puzzle.npz` is a run of the same machine with something in it that `axis.toml` does not know of.
 
 A .csv may use ; , or tab, a decimal comma, and titles with a unit such as `q [mm]`. Every command explains itself with
 `--help` and prints JSON with `--json`.
@@ -29,18 +34,19 @@ def command(
     force: bool = typer.Option(False, "--force", help="Overwrite files of the same names."),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
-    """A folder to start from: a commented axis file, a synthetic record as .npz and .csv, and what to do with them."""
+    """A folder to start from: a commented axis file, synthetic records, and what to do with them."""
     from emps_design.cli.output import print_json, write_text
     from emps_design.errors import InputError
     from emps_design.machines import load_axis
     from emps_design.simulation.practice import practice_record
 
-    names = ("axis.toml", "record.npz", "record.csv", "README.md")
+    names = ("axis.toml", "record.npz", "record.csv", "puzzle.npz", "README.md")
     taken = [name for name in names if (directory / name).exists()]
     if taken and not force:
         raise InputError(f"{directory}: {', '.join(taken)} exist already; choose another folder, or give --force")
     axis = load_axis(machine)
     record = practice_record(axis, seed=seed)
+    puzzle = practice_record(axis.replace(effects=[*axis.effects, *PUZZLE]), seed=seed + 1)
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -48,6 +54,7 @@ def command(
     write_text(directory / "axis.toml", axis.to_toml(comments=True))
     record.save(directory / "record.npz")
     record.save(directory / "record.csv")
+    puzzle.save(directory / "puzzle.npz")
     write_text(directory / "README.md", STARTER)
     if as_json:
         print_json({"directory": str(directory), "files": list(names), "record": record.to_dict(), "seed": seed})
