@@ -1,8 +1,8 @@
 """Many baseline plants side by side under ``position_pd``: 32 lanes a step, metrics only.
 
 The arithmetic is that of :func:`emps_design.simulation.core.run_plain`. All lanes slide in one vector loop; a lane
-whose velocity reaches zero in this period, or is at rest, is stepped again alone. Lanes never share anything, so a plant's
-numbers do not depend on its neighbours.
+whose velocity reaches zero in this period, or is at rest, is stepped again alone. Lanes never share anything, so the
+numbers of a plant do not depend on its neighbours.
 """
 
 from __future__ import annotations

@@ -11,6 +11,8 @@ for the general path is in this file.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from emps_design.simulation import core
@@ -36,7 +38,9 @@ PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, GLIDES, 
 
 # What one step may be wrong by in position [m], velocity [m/s], and relative to the largest value of an own state.
 _POSITION, _VELOCITY, _OWN = 2e-11, 2e-9, 2e-8
-_BEND, _MISSED = 6e-6, 3e-10  # m/s, the same for a glide: second difference over a step, and what corrections leave
+# The same for a glide: second difference of the acceleration times step squared [m], velocity missed [m/s].
+_BEND, _MISSED = 6e-9, 3e-10
+_SPEEDS = 20  # octaves of speed, up to 5 m/s
 _INSTANT = 1e-15  # s, shortest rest of a period worth a step
 _APART = 5e-10  # s, how far from a jump in time its two sides are evaluated; above SNAP of the effects
 _CROSSING = 1e-13  # s, a step across a guard at which a force jumps
@@ -203,19 +207,21 @@ def locate(event, sign, y, t, h, tau, push, s, plant, bounds, work, new):
 
 
 @part
-def glide(y, t, h, tau, push, s, plant, work, new):
+def glide(y, t, h, tau, push, s, feel, plant, work, new):
     """Slide through ``h`` on two evaluations or few more; returns whether the step is good.
 
     Simpson's rule over the acceleration at both ends and in the middle (Lobatto IIIA), for axes without own states,
     guards and jumps. ``work[0][1]`` is the acceleration at the start, known from the end of the last step;
-    ``work[0][0]`` the slope it had there without viscous decay, ``work[1][1]`` the mass. The sweep is repeated until
-    what the acceleration would still feel of the corrections is below the tolerance; where its second difference is
-    large, one step is too long and the general method takes over.
+    ``work[0][0]`` the slope it had there without viscous decay, ``work[1][1]`` the mass. ``feel`` holds the derivative
+    of the acceleration by velocity (see :func:`feeling`): velocities that were off are answered by it, and the sweep is
+    repeated until what that leaves is below the tolerance. Where the second difference of the acceleration is large,
+    one step is too long and the general method takes over.
     """
     a0, stage, tolerance = work[0][1], work[5], plant[4][TOLERANCE]
     decay = plant[0][1] / work[1][1]
-    stage[0] = y[0] + 0.5 * h * (y[1] + 0.25 * h * a0)
-    stage[1] = y[1] + 0.5 * h * (a0 + 0.25 * h * (work[0][0] - decay * a0))
+    slope = work[0][0] - decay * a0
+    stage[0] = y[0] + 0.5 * h * (y[1] + 0.25 * h * (a0 + h / 6.0 * slope))
+    stage[1] = y[1] + 0.5 * h * (a0 + 0.25 * h * slope)
     end = 0.0
     for sweep in range(4):
         if s * stage[1] <= 0.0:
@@ -231,19 +237,46 @@ def glide(y, t, h, tau, push, s, plant, work, new):
         used = end
         net, level, mass = balance(new, t + h, tau, push, plant)
         end = (net - s * level) / mass
-        if abs(a0 - 2.0 * middle + end) * h > _BEND * tolerance:
+        if abs(a0 - 2.0 * middle + end) * h * h > _BEND * tolerance:
             return False
         moved = h / 6.0 * (end - used)
         new[1] += moved
         missed = y[1] + h / 24.0 * (5.0 * a0 + 8.0 * middle - end) - stage[1]
-        felt = abs(end - a0) / (abs(a0 + end) + 1e-12)
-        if (abs(missed) + 0.25 * abs(moved)) * felt <= _MISSED * tolerance:
+        i = 2 * min(max(math.frexp(1e5 * y[1])[1], 0), _SPEEDS - 1) + (2 * _SPEEDS if s > 0.0 else 0)
+        if h * feel[i + 1] * (4.0 * abs(missed) + abs(moved)) <= 6.0 * _MISSED * tolerance:
+            new[1] += h / 6.0 * feel[i] * (4.0 * missed + moved)
             work[0][0] = 2.0 * (end - middle) / h + 0.5 * decay * (middle + end)
             work[0][1] = end
             return s * new[1] > 0.0
         stage[0] = y[0] + h * (0.5 * y[1] + h / 96.0 * (7.0 * a0 + 6.0 * middle - end))
         stage[1] += missed
     return False
+
+
+@part
+def feeling(y, plant, work, feel):
+    """Fill ``feel``, per direction and octave of speed from 10 um/s, with two numbers [1/s].
+
+    The derivative of the acceleration by velocity (at the first position and time), and a bound of what it does not
+    explain: a quarter of the largest one in this and the neighbouring octaves.
+    """
+    stage = work[5]
+    stage[0] = y[0]
+    for side in range(2):
+        sign = 2.0 * side - 1.0
+        row = shifted(feel, 2 * _SPEEDS * side)
+        stage[1] = sign * 0.5e-5
+        net, level, mass = balance(stage, 0.0, 0.0, 0.0, plant)
+        last, speed = (net - sign * level) / mass, stage[1]
+        for i in range(_SPEEDS):
+            stage[1] = sign * 1e-5 * 2.0**i
+            net, level, mass = balance(stage, 0.0, 0.0, 0.0, plant)
+            value = (net - sign * level) / mass
+            row[2 * i] = (value - last) / (stage[1] - speed)
+            last, speed = value, stage[1]
+        for i in range(_SPEEDS):
+            before, after = row[2 * max(i - 1, 0)], row[2 * min(i + 1, _SPEEDS - 1)]
+            row[2 * i + 1] = 0.25 * max(abs(row[2 * i]), max(abs(before), abs(after)))
 
 
 @part
@@ -406,6 +439,9 @@ def run(plant, y, law, gains, memory, reference, push, noise, signals, slots, sc
     bounds[0], bounds[1] = -np.inf, np.inf
     glides, steady = settings[GLIDES] > 0.0, settings[GLIDES] > 1.0
     exact = settings[EXACT] > 0.0
+    feel = shifted(before, starts[GUARD + 1] - starts[GUARD])
+    if glides:
+        feeling(y_, plant, work, feel)
     fresh, before_force, before_mass = False, 0.0, 1.0
     tau, s, hint = 0.0, 0.0, period
     if y[1] != 0.0:
@@ -481,7 +517,7 @@ def run(plant, y, law, gains, memory, reference, push, noise, signals, slots, sc
                     net, level, before_mass = balance(y_, t + start, tau, force, plant)
                     k1[0], k1[1], k2[1] = 0.0, (net - s * level) / before_mass, before_mass
                 before_force = tau + force
-                fresh = glide(y_, t + start, h, tau, force, s, plant, work, new)
+                fresh = glide(y_, t + start, h, tau, force, s, feel, plant, work, new)
                 if fresh:
                     y[0], y[1] = new[0], new[1]
                     start = end
@@ -498,4 +534,4 @@ def run(plant, y, law, gains, memory, reference, push, noise, signals, slots, sc
 
 def room(states: int, guards: int) -> int:
     """Length of ``scratch`` for an axis with so many states and guards."""
-    return 2 + 8 * states + guards
+    return 2 + 8 * states + guards + 4 * _SPEEDS
