@@ -15,7 +15,7 @@ from emps_design.records import Record
 LOWEST_HZ = 10.0
 HIGHEST = 0.2  # of the sampling frequency
 EXPLAINED = 0.5
-LONGEST = 400_000  # samples that are looked at
+LONGEST = 120_000  # samples that are looked at
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from emps_design.records import Record
 REPORT_CUTOFF = 100.0  # Hz, five times the 20 Hz band of interest of the 2019 report
 REPORT_DROPPED = 49  # first samples, spoilt by the ends of filter and differences
 DECIMATION = 10
+BLOCK = 500_000  # samples that are filtered at a time
 REST_VELOCITY = 2e-3  # m/s, below it friction may be that of rest
 REACH = 1.5  # periods of the cut-off over which the low-pass spreads a jump
 
@@ -60,14 +61,15 @@ def low_pass(signal: np.ndarray, cutoff_hz: float, period: float, order: int = 4
     >>> bool(np.abs(slow - np.sin(2 * np.pi * 2 * t))[200:-200].max() < 1e-3)
     True
     """
-    from scipy.signal import butter, sosfiltfilt
+    from scipy.signal import butter
 
     nyquist = 0.5 / period
     if not 0 < cutoff_hz < nyquist:
         raise InputError(
             f"cut-off: found {cutoff_hz:g} Hz, expected between 0 and the Nyquist frequency {nyquist:g} Hz"
         )
-    return sosfiltfilt(butter(order, cutoff_hz / nyquist, output="sos"), signal, padlen=_padding(order, len(signal)))
+    share = cutoff_hz / nyquist
+    return _forwards_and_backwards(butter(order, share, output="sos"), signal, _padding(order, len(signal)), share)
 
 
 def decimate(signal: np.ndarray, factor: int = DECIMATION) -> np.ndarray:
@@ -79,12 +81,14 @@ def decimate(signal: np.ndarray, factor: int = DECIMATION) -> np.ndarray:
     >>> decimate(np.ones(101), 10).size
     11
     """
-    from scipy.signal import cheby1, sosfiltfilt
+    from scipy.signal import cheby1
 
     if factor == 1:
         return signal
-    sections = cheby1(8, 0.05, 0.8 / factor, output="sos")
-    return sosfiltfilt(sections, signal, padlen=_padding(8, len(signal)))[(len(signal) - 1) % factor :: factor]
+    share = 0.8 / factor
+    sections = cheby1(8, 0.05, share, output="sos")
+    smooth = _forwards_and_backwards(sections, signal, _padding(8, len(signal)), share)
+    return smooth[(len(signal) - 1) % factor :: factor].copy()
 
 
 def motion(record: Record, cutoff_hz: float) -> Motion:
@@ -256,6 +260,25 @@ def _second_difference(q: np.ndarray, period: float) -> np.ndarray:
     second[1:-1] = (q[2:] - 2.0 * q[1:-1] + q[:-2]) / period**2
     second[0], second[-1] = second[1], second[-2]
     return second
+
+
+def _forwards_and_backwards(sections: np.ndarray, signal: np.ndarray, padding: int, share: float) -> np.ndarray:
+    """Zero-phase filter of second-order ``sections`` with cut-off ``share`` of the Nyquist frequency.
+
+    Long signals go through in blocks, which saves memory; they overlap by so much that the answer of the filter to what
+    lies outside has fallen below rounding.
+    """
+    from scipy.signal import sosfiltfilt
+
+    n, reach = len(signal), int(200.0 / share)
+    if n <= BLOCK + 2 * reach:
+        return sosfiltfilt(sections, signal, padlen=padding)
+    smooth = np.empty(n)
+    for start in range(0, n, BLOCK):
+        low, stop = max(0, start - reach), min(n, start + BLOCK)
+        part = sosfiltfilt(sections, signal[low : min(n, stop + reach)], padlen=padding)
+        smooth[start:stop] = part[start - low : stop - low]
+    return smooth
 
 
 def _padding(order: int, n: int) -> int:

@@ -327,7 +327,7 @@ def residual_statistics(
     """
     band = filtered.band_hz
     steps = max(1, round(0.5 / (band * filtered.period)))
-    away = filtered.used & (filtered.reduce(sliding(filtered.motion, band).astype(float)) > 0.5)
+    away = filtered.used & (filtered.reduce(sliding(filtered.motion, band).astype(np.float32)) > 0.5)
     spread = long_run(
         W[::steps],
         (fit.residual * away)[::steps],

@@ -16,7 +16,7 @@ from emps_design.records.matlab_v73 import is_v73, read_v73
 from emps_design.records.record import Record
 from emps_design.records.tables import read_table
 
-MAX_BYTES = 100_000_000  # of a file, and again of what it unpacks to
+MAX_BYTES = 250_000_000  # of a file, and again of what it unpacks to: two hours at 1 kHz
 
 _KINDS = {".mat": "MATLAB v5 or v7.3 file", ".npz": "NumPy archive", ".csv": "text table"}
 _TEXT = (".csv", ".txt", ".tsv")

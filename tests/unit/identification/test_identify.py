@@ -159,6 +159,14 @@ def test_second_difference_and_held_force_balance_exactly():
     np.testing.assert_allclose(mass * second, held(force)[1:], rtol=1e-6, atol=1e-6)
 
 
+def test_long_signals_are_filtered_in_blocks_without_a_trace(monkeypatch):
+    signal = np.cumsum(np.random.default_rng(0).standard_normal(30000))
+    whole = low_pass(signal, 60.0, 1e-3), decimate(signal, 10)
+    monkeypatch.setattr("emps_design.identification.filters.BLOCK", 4000)
+    for block, reference in zip((low_pass(signal, 60.0, 1e-3), decimate(signal, 10)), whole, strict=True):
+        np.testing.assert_allclose(block, reference, rtol=0, atol=1e-12 * np.max(np.abs(signal)))
+
+
 def test_report_chain_keeps_every_tenth_sample_to_the_last(record):
     seen = report_chain(record, 35.0)
     assert len(seen.reduce(seen.motion.q)) == len(seen.used)
