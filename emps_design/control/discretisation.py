@@ -17,6 +17,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.linear_plant import POSITION, LinearPlant, linear_plant
+from emps_design.errors import InputError
 
 # Weights of the last two position increments in the velocity estimate, times T.
 ESTIMATORS = {"two_tap": (0.5, 0.5), "backward": (1.0, 0.0)}
@@ -95,12 +96,20 @@ def sample_plant(
 ) -> SampledPlant:
     """Return the exact discretisation of ``linear`` under a held voltage, ``period`` [s], ``delay_samples`` more.
 
+    :class:`InputError` for an unstable plant that grows out of hand within one period.
+
     >>> from emps_design.control.linear_plant import linear_plant
     >>> from emps_design.machines import machine
     >>> plant = sample_plant(linear_plant(machine("emps2019")), 1e-3)
     >>> round(float(plant.Phi[1, 1]), 6)  # exp(-F_v T / M)
     0.997863
     """
+    growth = float(np.max(np.linalg.eigvals(linear.A).real)) * period
+    if growth > 50.0:
+        raise InputError(
+            f"period: found {period:g} s, in which the unstable plant grows e^{growth:.3g} times; expected a period "
+            "that the plant's own motion fits in"
+        )
     whole, fraction = divmod(linear.delay, period)
     if fraction > period * (1.0 - 1e-9):
         whole, fraction = whole + 1.0, 0.0

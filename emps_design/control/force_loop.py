@@ -25,6 +25,7 @@ import numpy as np
 from emps_design.control.discretisation import SampledPlant, sample_axis, sample_plant
 from emps_design.control.margins import Margins, loop_margins
 from emps_design.control.sampled import ClosedLoop, closed_loop
+from emps_design.control.scale import check_scale
 from emps_design.control.velocity_loop import VelocityLoopDesign
 from emps_design.errors import InputError
 
@@ -184,7 +185,7 @@ class ForceLoopDesign:
         elif self.k_e1_max_continuous is None:
             said.append("k_e1_max.continuous is unbounded: the continuous loop has no limit with this operator")
         if self.k_e1_max_sampled is None:
-            said.append("k_e1_max.sampled is unbounded: no gain up to a million times the loop's own scale is unstable")
+            said.append("k_e1_max.sampled is unbounded: no gain up to 1e9 times the loop's own scale is unstable")
         said += self._plant.linear.warnings
         return tuple(said)
 
@@ -253,13 +254,15 @@ def design_force_loop(
     for name, value, unit in (("hand", hand, "N/(m/s)"), ("environment", environment, "N/m")):
         if not math.isfinite(value) or value < 0.0:
             raise InputError(f"{name}: found {value:g} {unit}, expected 0 or a positive number: an operator is passive")
+        check_scale(name, value, unit)
+    check_scale("k_e1", k_e1, "(m/s)/N")
     if not 0 <= sensor_delay <= 1000:
         raise InputError(f"sensor delay: found {sensor_delay} samples, expected 0 to 1000")
     return ForceLoopDesign(velocity_loop, float(k_e1), float(hand), float(environment), sensor_delay, on_carriage)
 
 
 def _first_instability(stable: Callable[[float], bool], start: float) -> float | None:
-    """The gain above ``start`` where ``stable`` first turns false; None below a million starts, 0.0 at once."""
+    """The gain above ``start`` where ``stable`` first turns false; None below 1e9 starts, 0.0 at once."""
     if not stable(start):
         return 0.0
     low, factor = start, 1.15

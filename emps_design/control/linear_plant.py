@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.control.scale import check_axis_scale, check_scale
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
 from emps_design.errors import InputError
 
@@ -61,6 +62,8 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
         raise InputError(
             f"velocity: found {velocity:g} m/s, expected a number other than 0: friction has no slope there"
         )
+    check_scale("velocity", velocity, "m/s")
+    check_axis_scale(axis)
     b = axis.mechanics.array()
     members = [_Member(entry.effect, entry.effect.values(entry.parameters), b) for entry in axis.effects]
     gain, lag = axis.drive.force_gain, axis.drive.current_time_constant

@@ -11,6 +11,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.control.discretisation import sample_axis
 from emps_design.control.gains import crossover_of_bandwidth
+from emps_design.control.scale import check_scale
 from emps_design.control.sweeps import sweep_stability, sweep_velocity_loop
 from emps_design.errors import InputError
 
@@ -29,6 +30,7 @@ def check_specification(crossover: float | None, bandwidth: float | None, phase_
     name, value = ("crossover", crossover) if crossover is not None else ("bandwidth", float(bandwidth or 0.0))
     if not math.isfinite(value) or value <= 0.0:
         raise InputError(f"{name}: found {value:g} rad/s, expected a positive number of rad/s")
+    check_scale(name, value, "rad/s")
     if not math.isfinite(phase_margin_deg):
         raise InputError(f"phase margin: found {phase_margin_deg:g} deg, expected degrees between 0 and 90")
     return {name: float(value), "phase_margin_deg": float(phase_margin_deg)}

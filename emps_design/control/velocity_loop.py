@@ -27,6 +27,7 @@ from emps_design.control.gains import (
     velocity_gains,
 )
 from emps_design.control.margins import Margins
+from emps_design.control.scale import check_axis_scale
 from emps_design.control.specification import check_specification, in_words, nearest_that_works, stable_pairs
 from emps_design.errors import SpecificationError
 
@@ -266,6 +267,7 @@ def design_velocity_loop(
     100.0
     """
     requested = check_specification(crossover, bandwidth, phase_margin_deg)
+    check_axis_scale(axis)
     mechanics = axis.mechanics
     if not 0.0 < phase_margin_deg < 90.0:
         raise _infeasible(axis, requested)

@@ -179,6 +179,24 @@ def test_no_slope_at_zero_velocity():
         linear_plant(PAPER, 0.0)
 
 
+def test_a_period_that_the_plant_outgrows():
+    axis = machine("emps2018-two-quadrant").replace(mechanics={"viscous": 0.0}, sampling={"period": 1000.0})
+    with pytest.raises(InputError, match="period: found 1000 s, in which the unstable plant grows"):
+        sample_axis(axis)
+
+
+@pytest.mark.parametrize(
+    ("tables", "message"),
+    [
+        ({"mechanics": {"mass": 1e300}}, r"emps2018: mechanics.mass: found 1e\+300 kg, expected a size between"),
+        ({"sampling": {"period": 1e-300}}, "emps2018: sampling.period: found 1e-300 s"),
+    ],
+)
+def test_numbers_no_machine_has(tables, message):
+    with pytest.raises(InputError, match=message):
+        design_velocity_loop(PAPER.replace(**tables), crossover=100.0, phase_margin_deg=60.0)
+
+
 def test_sampled_becomes_continuous_with_a_short_period():
     axis = PAPER.replace(drive={"current_time_constant": 0.0}, sampling={"period": 1e-6})
     fast = design_velocity_loop(axis, crossover=100.0, phase_margin_deg=60.0)
