@@ -152,7 +152,7 @@ def _table(title: str, *columns: str) -> Table:
     table = Table(title=title, min_width=len(title), title_justify="left", title_style="bold", header_style="")
     for place, column in enumerate(columns):
         numeric = place > 0 and column not in ("unit",)
-        table.add_column(column, justify="right" if numeric else "left", no_wrap=True)
+        table.add_column(column, justify="right" if numeric else "left")
     return table
 
 
