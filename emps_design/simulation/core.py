@@ -19,6 +19,7 @@ MASS, VISCOUS, COULOMB, OFFSET = range(4)
 # Places in ``numbers``.
 PERIOD, GAIN, LIMIT, RESOLUTION, PROPORTIONAL, DAMPING, TWO_TAP = range(7)
 REVERSAL, STICK, BREAKAWAY = range(3)
+SWINGS = 40.0  # swings of the voltage from limit to limit that make a loop unstable
 
 
 @part
@@ -53,6 +54,20 @@ def turn(q, v, net, dry, mass, a, h):
 
 
 @part
+def swing(volts, k, period, swings):
+    """Count how often in a row the voltage swings from one limit to the other within 0.2 s; 40 times: unstable.
+
+    ``swings`` = (last side, count, sample of the last swing).
+    """
+    side = 1.0 if volts > 0.0 else -1.0
+    last, count, at = swings
+    if side * last < 0.0:
+        count = count + 1.0 if (k - at) * period < 0.2 else 1.0
+        at = float(k)
+    return side, count, at
+
+
+@part
 def note(events, found, time, kind, place):
     if found[0] < events.shape[0]:
         events[found[0], 0] = time
@@ -72,7 +87,9 @@ def note_turn(events, found, t, at, before, after, where):
 
 @cached("core.py")
 def run_plain(b, numbers, delay, start, reference, push, noise, position, encoder, velocity, u, events, found):
-    """Close the loop of ``position_pd`` sample by sample; returns the number of good samples.
+    """Close the loop of ``position_pd`` sample by sample; returns the number of good samples, or -1 - k.
+
+    The latter where the loop is unstable: at sample k the voltage has swung between its limits 40 times.
 
     ``start`` = (q0, v0); ``delay`` whole samples; ``push`` [N] and ``noise`` [V] empty or one value a sample; the
     arrays behind them are filled.
@@ -86,13 +103,19 @@ def run_plain(b, numbers, delay, start, reference, push, noise, position, encode
     q, v = start
     seen = math.floor(q / resolution + 0.5) * resolution if resolution > 0.0 else q
     last, older = seen, seen
+    swings = (0.0, 0.0, 0.0)
     for k in range(reference.size):
         seen = math.floor(q / resolution + 0.5) * resolution if resolution > 0.0 else q
         volts = proportional * (reference[k] - seen) - damping * (seen - (older if two_tap else last))
         older, last = last, seen
         if noise.size:
             volts += noise[k]
-        volts = min(max(volts, -limit), limit)
+        if abs(volts) >= limit:
+            volts = limit if volts > 0.0 else -limit
+            swings = swing(volts, k, period, swings)
+            if swings[1] >= SWINGS:
+                position[k], velocity[k] = q, v
+                return -k - 1
         position[k], encoder[k], velocity[k], u[k] = q, seen, v, volts
         if delay:
             volts = u[k - delay] if k >= delay else 0.0
@@ -138,6 +161,7 @@ def run_folded(b, numbers, start, reference, push, position, velocity, u, events
     q, v = start
     last, older = q, q
     n, k = reference.size, 0
+    swings = (0.0, 0.0, 0.0)
     while k < n:
         if v != 0.0:
             s = 1.0 if v > 0.0 else -1.0
@@ -157,7 +181,12 @@ def run_folded(b, numbers, start, reference, push, position, velocity, u, events
                 if k == n:
                     return n
         volts = proportional * (reference[k] - q) - damping * (q - (older if two_tap else last))
-        volts = min(max(volts, -limit), limit)
+        if abs(volts) >= limit:
+            volts = limit if volts > 0.0 else -limit
+            swings = swing(volts, k, period, swings)
+            if swings[1] >= SWINGS:
+                position[k], velocity[k] = q, v
+                return -k - 1
         position[k], velocity[k], u[k] = q, v, volts
         older, last = last, q
         net = gain * volts - offset

@@ -34,6 +34,7 @@ METRICS = {  # name: unit
     "peak_voltage": "V",
     "rest_share": "",
 }
+PEAK = list(METRICS).index("peak_voltage")
 _PART = {"lanes": 8 * LANES, "single": 8}  # plants handed out at a time
 
 
@@ -218,16 +219,15 @@ def simulate_part(
             good.append(i)
     if _fits_lanes(axis):
         rows[good] = _side_by_side(task, baselines[good])
-        for i in good:
-            if not np.isfinite(rows[i]).all():
-                reasons[start + i] = "the motion left every bound or became not a number"
-    else:
-        plant = Plant.of(axis)
-        for i in good:
-            try:
-                rows[i] = _alone(task, plant, baselines[i], [values[i] for values in parameters])
-            except (SimulationError, InputError) as error:
-                reasons[start + i] = str(error)
+        # Lanes do not look for instability: those that reached the voltage limit or no number are looked at again.
+        limit = axis.drive.voltage_limit
+        good = [i for i in good if not (np.isfinite(rows[i]).all() and rows[i, PEAK] < limit)]
+    plant = Plant.of(axis)
+    for i in good:
+        try:
+            rows[i] = _alone(task, plant, baselines[i], [values[i] for values in parameters])
+        except (SimulationError, InputError) as error:
+            rows[i], reasons[start + i] = np.nan, str(error)
     return start, rows, reasons
 
 

@@ -26,7 +26,7 @@ REASONS = {
     stepper.DIVERGED: "the motion left every bound (1000 m, 1000 m/s) or became not a number",
     stepper.NO_STEP: "no step is short enough for the tolerance",
     stepper.CHATTER: "more than 2000 events in one sampling period",
-    stepper.RUNAWAY: "the loop is unstable: the voltage swings between its limits",
+    stepper.RUNAWAY: "the loop is unstable: the voltage has swung from limit to limit 40 times, each within 0.2 s",
 }
 
 
@@ -232,8 +232,8 @@ class Plant:
             if resolution > 0:
                 encoder = np.floor(position / resolution + 0.5) * resolution
         if good < n:
-            state = (float(position[good]), float(velocity[good]))
-            raise SimulationError(REASONS[stepper.DIVERGED], good * period, state)
+            at, reason = (good, stepper.DIVERGED) if good >= 0 else (-good - 1, stepper.RUNAWAY)
+            raise SimulationError(REASONS[reason], at * period, (float(position[at]), float(velocity[at])))
         return encoder, position, velocity, u, push if push.size else np.zeros(n)
 
     def _general(

@@ -444,6 +444,7 @@ def run(plant, y, law, gains, memory, reference, push, noise, signals, slots, sc
         feeling(y_, plant, work, feel)
     fresh, before_force, before_mass = False, 0.0, 1.0
     tau, s, hint = 0.0, 0.0, period
+    swings = (0.0, 0.0, 0.0)
     if y[1] != 0.0:
         s = 1.0 if y[1] > 0.0 else -1.0
     for k in range(n):
@@ -472,7 +473,13 @@ def run(plant, y, law, gains, memory, reference, push, noise, signals, slots, sc
             volts += noise[k]
         if not abs(volts) < np.inf:
             return DIVERGED, k, 0.0
-        u[k] = min(max(volts, -limit), limit)
+        if abs(volts) >= limit:
+            volts = limit if volts > 0.0 else -limit
+            if law != 0:
+                swings = core.swing(volts, k, period, swings)
+                if swings[1] >= core.SWINGS:
+                    return RUNAWAY, k, 0.0
+        u[k] = volts
 
         whole, first = int(settings[DELAYED]), 0.0
         if late:
