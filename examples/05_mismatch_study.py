@@ -6,12 +6,10 @@ Run: python examples/05_mismatch_study.py [figure.png]
 import sys
 
 from emps_design.control.impedance import FrictionModel, impedance_law
-from emps_design.control.impedance_equivalence import equivalent_impedance
-from emps_design.control.impedance_robustness import VERDICTS, break_away, coulomb_factor_without_creep
+from emps_design.control.impedance_robustness import VERDICTS, coulomb_factor_without_creep
 from emps_design.machines import machine
-from emps_design.simulation.impedance_run import CascadeLaw, run
+from emps_design.simulation.impedance_comparison import compare_sensors
 from emps_design.simulation.impedance_study import mismatch_study
-from emps_design.simulation.impedance_task import guided_task
 
 axis = machine("emps2018")
 plant = FrictionModel.of(axis)
@@ -29,21 +27,15 @@ for label, found in (("c = 1", study), (f"c = {factor:.4f}", careful)):
     errors = ", ".join(f"{name} {100 * value:+.2f} %" for name, value in worst["errors"].items())
     print(f"  worst: {worst['verdict']} at {errors}, drift {1e3 * worst['drift_speed']:.2f} mm/s")
 
-# 2. With and without force sensor: the same hand, a wide and a fine task.
-cascade = equivalent_impedance(axis, 0.01, 100.0, 60.0)
-laws = {
-    "no sensor, (28) and (29)": law,
-    "force sensor, (28)": impedance_law(axis, 50.0, 100.0, force_sensor=True),
-    "force sensor, cascade of II-C": CascadeLaw(cascade.k_e1, cascade.k_v1, cascade.t_v),
-}
-print(f"break-away from rest: {break_away(law, plant):.1f} N without, "
-      f"{break_away(laws['force sensor, (28)'], plant):.1f} N with force sensor")  # fmt: skip
-for scale in (1.0, 0.1):
-    print(f"hand guides +-{120 * scale:g} mm:")
-    for label, one in laws.items():
-        effort = run(axis, one, guided_task(axis.sampling.period, scale=scale)).measures.effort
-        print(f"  {label:30} rms force {effort['rms_force'][0]:6.2f} N, tracking error "
-              f"{1e3 * effort['tracking_error'][0]:5.2f} mm")  # fmt: skip
+# 2. With and without force sensor: the same hand, a wide and a fine movement.
+for name, found in compare_sensors(axis, law).to_dict().items():
+    first = "" if found["break_away"] is None else f", break-away from rest {found['break_away']:.1f} N"
+    print(f"{name}{first}")
+    for move in found["movements"]:
+        print(
+            f"  ±{1e3 * move['amplitude']:.0f} mm: rms force {move['rms_force']:.2f} N, tracking error "
+            f"{1e3 * move['tracking_error']:.2f} mm"
+        )
 
 if len(sys.argv) > 1:
     import matplotlib

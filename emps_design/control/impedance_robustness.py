@@ -8,6 +8,7 @@ leaves a dead band ``F_c - c Fh_c`` [N] below which a push does not keep the car
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -215,11 +216,17 @@ def smallest_mass(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mismatc
     return float(hi)
 
 
-def nearest_stable(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mismatch: float) -> dict[str, float] | None:
+def nearest_stable(
+    law: ImpedanceLaw,
+    plant: FrictionModel,
+    clock: Clock,
+    mismatch: float,
+    accept: Callable[[ImpedanceLaw], bool] | None = None,
+) -> dict[str, float] | None:
     """The law nearest to ``law`` that is stable at every corner of ``mismatch``: damping, then mass and filter.
 
     Acceleration and current share the filter. Distance is that of the logarithms of M_a and filter; the grid has
-    steps of a few percent. None where no such law was found.
+    steps of a few percent. ``accept`` may refuse a candidate for reasons of its own. None where none was found.
     """
     damping = law.damping
     if damping <= mismatch * max(plant.viscous):
@@ -231,8 +238,9 @@ def nearest_stable(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mismat
     grid_mass, grid_filter = np.meshgrid(masses, filters)
     both = replace(law, damping=damping, current_filter=None)
     stable = worst_radius(both, plant, clock, mismatch, grid_mass, grid_filter) <= 1.0 + MARGINAL
-    if not stable.any():
-        return None
     distance = np.hypot(np.log(grid_mass / law.mass), np.log(grid_filter / wanted_filter))
-    best = np.unravel_index(np.argmin(np.where(stable, distance, np.inf)), stable.shape)
-    return {"mass": float(grid_mass[best]), "damping": float(damping), "filter": float(grid_filter[best])}
+    for place in np.argsort(np.where(stable, distance, np.inf), axis=None, kind="stable")[: int(stable.sum())]:
+        mass, filter = float(grid_mass.flat[place]), float(grid_filter.flat[place])
+        if accept is None or accept(replace(both, mass=mass, filter=filter)):
+            return {"mass": mass, "damping": float(damping), "filter": filter}
+    return None

@@ -263,13 +263,13 @@ def plant_step(mass, viscous, stiffness, lag: float, period: float) -> np.ndarra
         generator[:, 2, 2], generator[:, 2, 3] = -1.0 / lag, 1.0 / lag
     else:  # ideal current loop: the command acts at once and is what is measured a period later
         generator[:, 1, 3] = 1.0 / mass
-    step = _exponential(generator * period)[:, :3]
+    step = exponential(generator * period)[:, :3]
     if not lag:
         step[:, 2] = (0.0, 0.0, 0.0, 1.0, 0.0)
     return step
 
 
-def _exponential(matrices: np.ndarray) -> np.ndarray:
+def exponential(matrices: np.ndarray) -> np.ndarray:
     """Exponential of each of (m, n, n) matrices: Taylor series of degree 12 of a scaled matrix, squared back."""
     norm = np.abs(matrices).sum(axis=-1).max()
     squarings = max(0, int(np.ceil(np.log2(norm / 0.1)))) if norm > 0.0 else 0

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from emps_design.axis import Axis
-from emps_design.control.impedance import ImpedanceLaw, impedance_law, left_out
+from emps_design.control.impedance import PARAMETERS, ImpedanceLaw, impedance_law, left_out
 from emps_design.control.impedance_robustness import VERDICTS
 from emps_design.simulation.impedance_study import MismatchStudy, mismatch_study
 from emps_design.simulation.impedance_task import Task, guided_task, pushed_task
@@ -22,6 +24,7 @@ class Comanipulation:
     law: ImpedanceLaw
     nominal: MismatchStudy
     study: MismatchStudy
+    extended: MismatchStudy | None
     warnings: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
@@ -29,12 +32,14 @@ class Comanipulation:
 
         ``verdict`` is that of the worst plant tried, ``nominal_verdict`` that without mismatch; ``transparency`` is
         the law's without mismatch: apparent mass [kg] and damping [N/(m/s)] from force regressed on acceleration and
-        velocity in motion, r2 about zero, and error, the rms relative error of the impedance over 0-20 rad/s.
+        velocity in motion, r2 about zero, and error, the rms relative error of the impedance over 0-20 rad/s. On an
+        axis with effects nominal plant and corners are simulated with them; the Monte-Carlo is without.
         """
         exact = self.nominal.plant(0)
+        judged = self.study if self.extended is None else self.extended
         return {
             "scenario": "comanipulation",
-            "verdict": VERDICTS[self.study.verdict.max()],
+            "verdict": VERDICTS[judged.verdict.max()],
             "nominal_verdict": exact["verdict"],
             "transparency": {name: exact[name] for name in ("apparent_mass", "apparent_damping", "r2", "error")},
             "peak_voltage": exact["peak_voltage"],
@@ -45,6 +50,7 @@ class Comanipulation:
             "task": self.study.task,
             "law": self.law.to_dict(),
             "study": self.study.to_dict(),
+            "corners_with_effects": None if self.extended is None else self.extended.to_dict()["corners"],
             "warnings": list(self.warnings),
         }
 
@@ -80,11 +86,29 @@ def run_comanipulation(
     damping = damping if damping is not None else DAMPING if controller.damping is None else controller.damping
     law = impedance_law(axis, mass, damping, filter, **options)
     period = axis.sampling.period
+    others = left_out(axis)
+    if others and force is None:
+        force = max(40.0, 2.5 * axis.mechanics.coulomb)  # the general simulator has no hand that lets go
     task: Task = guided_task(period, duration) if force is None else pushed_task(period, duration, force)
     nominal = mismatch_study(axis, law, 0.0, 0, seed, False, task)
     study = mismatch_study(axis, law, mismatch, plants, seed, two_quadrant, task, workers, progress)
+    extended = None
+    if others:
+        nominal = _with_effects(axis, nominal, task)
+        extended = _with_effects(axis, mismatch_study(axis, law, mismatch, 0, seed, two_quadrant, task), task)
     warnings = tuple(
-        f"effect {kind} is not in the co-manipulation plant (mass, viscous and Coulomb friction, current loop)"
-        for kind in left_out(axis)
+        f"effect {kind} is in the simulated nominal plant and corners, not in the Monte-Carlo" for kind in others
     )
-    return Comanipulation(law, nominal, study, warnings)
+    return Comanipulation(law, nominal, study, extended, warnings)
+
+
+def _with_effects(axis: Axis, study: MismatchStudy, task: Task) -> MismatchStudy:
+    """The corners of ``study`` simulated again on the axis with all its effects."""
+    from emps_design.simulation.impedance_extended import diverged, run_extended
+
+    rows = []
+    for errors in study.errors[: study.corners]:
+        found = run_extended(axis, study.law.with_errors(dict(zip(PARAMETERS, errors, strict=True))), task)
+        rows.append((diverged(axis) if found is None else found.measures).raw[0])
+    measures = replace(study.measures, raw=np.array(rows), cascade=np.zeros(len(rows), dtype=bool))
+    return replace(study, measures=measures)

@@ -11,6 +11,7 @@ from typing import Any
 from emps_design.axis import Axis
 from emps_design.control.impedance import PRINTED, FrictionModel, ImpedanceLaw, impedance_law, left_out
 from emps_design.control.impedance_contact import largest_wall, passivity
+from emps_design.control.impedance_effects import extended_loop
 from emps_design.control.impedance_equivalence import LOW_FREQUENCY, equivalent_loop, safety_words
 from emps_design.control.impedance_response import relay_oscillation
 from emps_design.control.impedance_robustness import (
@@ -26,7 +27,7 @@ from emps_design.control.impedance_robustness import (
     verdict,
     worst_radius,
 )
-from emps_design.control.impedance_sampled import MARGINAL, Clock, recursion_poles, sampled_loop
+from emps_design.control.impedance_sampled import MARGINAL, Clock, SampledLoop, recursion_poles, sampled_loop
 from emps_design.errors import SpecificationError
 from emps_design.simulation.impedance_study import MismatchStudy, mismatch_study
 
@@ -57,15 +58,26 @@ class ImpedanceAssessment:
             worst_radius(self.law, self.plant, self.clock, self.mismatch or 0.0, self.law.mass, self.law.filter)
         )
 
+    @cached_property
+    def extended(self) -> SampledLoop | None:
+        """The loop with the effects that the friction model cannot hold, linearised; None where there are none."""
+        return extended_loop(self.axis, self.law) if left_out(self.axis) else None
+
     @property
     def stable(self) -> bool:
-        """Whether the sampled loop is stable without mismatch and at every corner of it."""
-        return self.worst_radius <= 1.0 + MARGINAL
+        """Whether the sampled loop is stable, at every corner of the mismatch, and with the axis's effects."""
+        return self.worst_radius <= 1.0 + MARGINAL and (self.extended is None or self.extended.stable)
 
     @cached_property
     def nearest(self) -> dict[str, float] | None:
         """The nearest stable law (mass, damping, filter); None where the law is stable, or none was found."""
-        return None if self.stable else nearest_stable(self.law, self.plant, self.clock, self.mismatch or 0.0)
+        if self.stable:
+            return None
+
+        def accept(law: ImpedanceLaw) -> bool:
+            return self.extended is None or extended_loop(self.axis, law).stable
+
+        return nearest_stable(self.law, self.plant, self.clock, self.mismatch or 0.0, accept)
 
     @property
     def reason(self) -> str:
@@ -76,6 +88,8 @@ class ImpedanceAssessment:
         recursion = abs(recursion_poles(self.law, self.clock)[0])
         if not loop.stable:
             what = f"the sampled loop has a pole of modulus {loop.radius:.5g}"
+        elif self.extended is not None and not self.extended.stable:
+            what = f"with the axis's effects the sampled loop has a pole of modulus {self.extended.radius:.5g}"
         elif recursion > 1.0 + MARGINAL:
             what = f"at rest the recursion in the law's own current has a pole of modulus {recursion:.5g}"
         else:
@@ -99,8 +113,10 @@ class ImpedanceAssessment:
             "derived": ideal.apparent(plant).to_dict(),
             "printed": replace(ideal, current_factor=PRINTED).apparent(plant).to_dict(),
             "sampled": {
-                "stable": loop.stable and abs(recursion_poles(law, clock)[0]) <= 1.0 + MARGINAL,
-                "poles": list(loop.poles),
+                "stable": loop.stable
+                and abs(recursion_poles(law, clock)[0]) <= 1.0 + MARGINAL
+                and (self.extended is None or self.extended.stable),
+                "poles": list((self.extended or loop).poles),
                 "recursion_gain": law.recursion_gain,
                 "recursion_poles": list(recursion_poles(law, clock)),
                 "verdict": verdict(law, plant, clock, self.axis.sampling.encoder_resolution),
@@ -143,7 +159,10 @@ class ImpedanceAssessment:
 
     def _warnings(self, document: dict[str, Any]) -> list[str]:
         words = [self.reason] if not self.stable else []
-        words += [f"effect {kind} is not in this analysis" for kind in left_out(self.axis)]
+        words += [
+            f"effect {kind} is in the poles, linearised, but not in apparent impedance, contact and mismatch"
+            for kind in left_out(self.axis)
+        ]
         words += safety_words(self.axis, self.law.mass, self.law.damping, self.mismatch or 0.0)
         if document["smallest_safe_mass"] is None:
             words.append(

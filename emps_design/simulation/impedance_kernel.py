@@ -86,16 +86,46 @@ def _acceleration(s, v, d, f, mass, viscous, lag):
 
 @njit(cache=True, nogil=True)
 def _zero(lo, hi, side, v0, d, f, mass, viscous, lag, out):
-    """Bisect to the time in (lo, hi] at which side * v falls through zero; side * v(lo) > 0 >= side * v(hi)."""
-    for _ in range(80):
-        mid = 0.5 * (lo + hi)
-        if mid <= lo or mid >= hi:
-            break
-        if side * _velocity(mid, v0, d, f, mass, viscous, lag, out) > 0.0:
-            lo = mid
+    """Time in (lo, hi] at which side * v falls through zero; side * v(lo) > 0 >= side * v(hi). Newton in a bracket."""
+    tiny = 4e-16 * hi
+    s = 0.5 * (lo + hi)
+    for _ in range(100):
+        v = _velocity(s, v0, d, f, mass, viscous, lag, out)
+        if side * v > 0.0:
+            lo = s
         else:
-            hi = mid
-    return hi
+            hi = s
+        slope = _acceleration(s, v, d, f, mass, viscous, lag)
+        following = s - v / slope if slope != 0.0 else lo
+        if not lo < following < hi:
+            following = 0.5 * (lo + hi)
+        if abs(following - s) <= tiny or hi - lo <= tiny:
+            break
+        s = following
+    return s
+
+
+@njit(cache=True, nogil=True)
+def _extremum(rest, v0, d, f, mass, viscous, lag, out):
+    """Time in (0, rest) at which the acceleration changes its sign; it does so once."""
+    a, b = viscous / mass, 1.0 / lag
+    if abs(b - a) * rest > 1e-3:  # M dv/dt = P exp(-a s) + Q exp(-b s)
+        q = d * b / (b - a)
+        p = f + d - viscous * v0 - q
+        if p * q < 0.0:
+            s = math.log(-q / p) / (b - a)
+            if 0.0 < s < rest:
+                return s
+    lo, hi = 0.0, rest
+    start = _acceleration(0.0, v0, d, f, mass, viscous, lag)
+    for _ in range(60):
+        middle = 0.5 * (lo + hi)
+        v = _velocity(middle, v0, d, f, mass, viscous, lag, out)
+        if start * _acceleration(middle, v, d, f, mass, viscous, lag) > 0.0:
+            lo = middle
+        else:
+            hi = middle
+    return 0.5 * (lo + hi)
 
 
 @njit(cache=True, nogil=True)
@@ -104,24 +134,15 @@ def _first_zero(rest, side, v0, d, f, mass, viscous, lag, out):
     v1 = _velocity(rest, v0, d, f, mass, viscous, lag, out)
     start = side * _acceleration(0.0, v0, d, f, mass, viscous, lag)
     end = side * _acceleration(rest, v1, d, f, mass, viscous, lag)
-    if start * end < 0.0:  # an extremum inside
-        lo, hi = 0.0, rest
-        for _ in range(60):
-            mid = 0.5 * (lo + hi)
-            v = _velocity(mid, v0, d, f, mass, viscous, lag, out)
-            if start * side * _acceleration(mid, v, d, f, mass, viscous, lag) > 0.0:
-                lo = mid
-            else:
-                hi = mid
-        top = 0.5 * (lo + hi)
-        extremum = side * _velocity(top, v0, d, f, mass, viscous, lag, out)
-        if start < 0.0 and extremum <= 0.0:  # down, then up again
-            return _zero(0.0, top, side, v0, d, f, mass, viscous, lag, out)
-        if side * v1 <= 0.0:
-            return _zero(top if start > 0.0 else 0.0, rest, side, v0, d, f, mass, viscous, lag, out)
-        return -1.0
+    top = 0.0
+    if start * end < 0.0 and lag > 0.0:
+        top = _extremum(rest, v0, d, f, mass, viscous, lag, out)
+        if start < 0.0:  # down, then up
+            if side * _velocity(top, v0, d, f, mass, viscous, lag, out) <= 0.0:
+                return _zero(0.0, top, side, v0, d, f, mass, viscous, lag, out)
+            top = 0.0
     if side * v1 <= 0.0:
-        return _zero(0.0, rest, side, v0, d, f, mass, viscous, lag, out)
+        return _zero(top, rest, side, v0, d, f, mass, viscous, lag, out)
     return -1.0
 
 
@@ -341,11 +362,11 @@ def run_plant(plant, law, reference, hand, release, end, trace, measures):
     measures[P_DIVERGED] = 0.0 if finite else 1.0
     if finite:
         free[n - release] = q
-        _drift(free, min(stopped, n) - release, period, measures)
+        drift(free, min(stopped, n) - release, period, measures)
 
 
 @njit(cache=True, nogil=True)
-def _drift(free, moving, period, measures):
+def drift(free, moving, period, measures):
     """Speed that the free motion tends to, from its steps over three equal spans (Aitken: exact for one decay).
 
     The first tenth is left out (filters settle). A negative product with the direction of motion means that dry

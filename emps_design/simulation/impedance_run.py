@@ -143,7 +143,7 @@ def run(axis: Axis, law: Law, task: Task, plant: FrictionModel | None = None) ->
         raw[0],
     )
     columns = {name: trace[:, place] for place, name in enumerate(("q", "v", "tau", "tau_e", "u", "encoder"))}
-    return Run(t=task.time, measures=_measures(axis, numbers[None], raw), **columns)
+    return Run(t=task.time, measures=measures_of(axis, raw, numbers[None, kernel.L_KIND] == kernel.CASCADE), **columns)
 
 
 def run_many(
@@ -183,7 +183,7 @@ def run_many(
     for start in finished:
         if progress is not None:
             progress("plants", min(1.0, (start + BLOCK) / m))
-    return _measures(axis, law_rows, raw)
+    return measures_of(axis, raw, law_rows[:, kernel.L_KIND] == kernel.CASCADE)
 
 
 def plant_array(axis: Axis, plant: FrictionModel) -> np.ndarray:
@@ -229,9 +229,10 @@ def law_array(axis: Axis, law: Law) -> np.ndarray:
     )
 
 
-def _measures(axis: Axis, laws: np.ndarray, raw: np.ndarray) -> Measures:
+def measures_of(axis: Axis, raw: np.ndarray, cascade: np.ndarray) -> Measures:
+    """Join the kernel's rows ``raw`` (m, MEASURES) with what a verdict needs to know of the axis."""
     threshold = drift_threshold(axis.sampling.period, axis.sampling.encoder_resolution)
-    return Measures(raw, axis.sampling.period, threshold, laws[:, kernel.L_KIND] == kernel.CASCADE)
+    return Measures(raw, axis.sampling.period, threshold, cascade)
 
 
 def _same_clock(axis: Axis, task: Task) -> None:

@@ -7,15 +7,23 @@ import numpy as np
 import pytest
 
 from emps_design.control.impedance import FrictionModel, ImpedanceLaw, impedance_law
+from emps_design.control.impedance_effects import extended_loop
 from emps_design.control.impedance_response import relay_oscillation
-from emps_design.control.impedance_robustness import VERDICTS, creep_speed, verdict
-from emps_design.errors import InputError
+from emps_design.control.impedance_robustness import VERDICTS, break_away, creep_speed, verdict
+from emps_design.control.impedance_sampled import Clock, sampled_loop
+from emps_design.errors import AxisError, InputError
 from emps_design.machines import machine
 from emps_design.simulation import impedance_kernel as kernel
 from emps_design.simulation.comanipulation import run_comanipulation
-from emps_design.simulation.impedance_run import CascadeLaw, law_array, plant_array, run, run_many
+from emps_design.simulation.impedance import impedance_law as engine_law
+from emps_design.simulation.impedance import law_for
+from emps_design.simulation.impedance_assessment import assess_impedance
+from emps_design.simulation.impedance_comparison import CASCADE, NO_SENSOR, SENSOR, compare_sensors
+from emps_design.simulation.impedance_extended import run_extended
+from emps_design.simulation.impedance_run import law_array, plant_array, run, run_many
 from emps_design.simulation.impedance_study import mismatch_study
-from emps_design.simulation.impedance_task import guided_task, pushed_task
+from emps_design.simulation.impedance_task import Task, guided_task, pushed_task
+from emps_design.simulation.plant import Plant
 
 PLANT = np.array([100.0, 400.0, 500.0, 20.0, 12.0, 5e-4, 35.0, 10.0, 0.0, 1e-3])
 
@@ -185,17 +193,30 @@ def test_force_regression_returns_the_apparent_impedance(axis, plant):
 
 
 def test_sensor_and_cascade_let_the_operator_push_less(axis):
-    # A fine task: the first newtons count. Without a sensor all of F_c has to be overcome at each start.
-    task = guided_task(1e-3, scale=0.1)
-    cascade = CascadeLaw(0.01, 556.7656, 8.45505e-3)
-    sensorless = run(axis, impedance_law(axis, 50.0, 100.0), task).measures.effort
-    sensor = run(axis, impedance_law(axis, 50.0, 100.0, force_sensor=True), task).measures.effort
-    looped = run(axis, cascade, task)
-    assert sensor["rms_force"] < sensorless["rms_force"]
-    assert looped.measures.effort["rms_force"] < 0.6 * sensorless["rms_force"]
-    mass, damping, _ = looped.measures.fit
-    assert float(damping[0]) == pytest.approx(100.0, rel=0.03)
-    assert float(mass[0]) == pytest.approx(0.87, abs=0.5)
+    # In a fine movement the first newtons count: without a sensor all of F_c has to be overcome at each start.
+    comparison = compare_sensors(axis, impedance_law(axis, 50.0, 100.0))
+    found = comparison.to_dict()
+    fine = {name: one["movements"][1] for name, one in found.items()}
+    assert fine[SENSOR]["rms_force"] < 0.8 * fine[NO_SENSOR]["rms_force"]
+    assert fine[CASCADE]["rms_force"] < 0.5 * fine[SENSOR]["rms_force"]
+    assert found[NO_SENSOR]["break_away"] == pytest.approx(17.3811)
+    assert found[SENSOR]["break_away"] == pytest.approx(17.3811 * 50.0 / 115.7315)
+    cascade = fine[CASCADE]
+    assert cascade["apparent_damping"] == pytest.approx(100.0, rel=0.03)
+    assert cascade["apparent_mass"] == pytest.approx(0.87, abs=0.5)
+    assert cascade["verdict"] == "stable"
+    assert CASCADE not in compare_sensors(axis, impedance_law(axis, 50.0, 0.0), scales=(0.1,)).runs
+
+
+def test_break_away_force_is_what_a_ramp_needs(axis, plant):
+    ramp = np.zeros((10000, 3))
+    ramp[:, 0] = np.linspace(0.0, 20.0, 10000)
+    task = Task("ramp", ramp, (0.0, 0.0), 9999, 9999, 1e-3)
+    for force_sensor in (False, True):
+        law = impedance_law(axis, 50.0, 100.0, force_sensor=force_sensor)
+        found = run(axis, law, task)
+        start = found.tau_e[np.argmax(found.v != 0.0)]
+        assert start == pytest.approx(break_away(law, plant), abs=0.02)
 
 
 def test_study_is_the_same_for_any_number_of_workers(axis):
@@ -266,7 +287,7 @@ def test_comanipulation_takes_the_axis_controller_and_names_what_it_leaves_out(a
     found = run_comanipulation(own, mismatch=0.0, plants=0, force=60.0)
     assert (found.law.mass, found.law.damping, found.law.filter) == (70.0, 150.0, 300.0)
     assert found.to_dict()["task"] == "pushed"
-    assert found.warnings[0].startswith("effect stribeck_friction is not in the co-manipulation plant")
+    assert found.warnings[0].startswith("effect stribeck_friction is in the simulated nominal plant and corners")
 
 
 def test_law_with_stiffness_returns_to_its_rest_position(axis):
@@ -299,3 +320,85 @@ def test_estimates_of_a_law_do_not_touch_the_plant(axis, plant):
     law = ImpedanceLaw(50.0, 100.0, plant.with_errors(over(0.5)), filter=500.0)
     assert FrictionModel.of(axis) == plant
     assert law.estimate.mass == pytest.approx(1.5 * plant.mass)
+
+
+@pytest.mark.parametrize("lag", [5e-4, 0.0])
+@pytest.mark.parametrize("delay", [0, 2])
+@pytest.mark.parametrize("force_sensor", [False, True])
+def test_general_simulator_runs_the_same_law(axis, lag, delay, force_sensor):
+    # Two simulators that share no stepper; the law's current from the loop's model, or measured: the same.
+    other = axis.replace(drive={"current_time_constant": lag}, sampling={"computation_delay": delay})
+    law = impedance_law(other, 60.0, 100.0, force_sensor=force_sensor).with_errors(over(0.02))
+    task = pushed_task(1e-3, 4.0)
+    own = run(other, law, task)
+    general = Plant.of(other).closed_loop(
+        np.zeros(len(task.reference)), disturbance=task.reference[:, 0], law=law_for(other, law, 1e-3)
+    )
+    np.testing.assert_allclose(general.position, own.q, atol=1e-9)
+    np.testing.assert_allclose(general.u, own.u, atol=1e-6)
+
+
+def test_general_simulator_gives_the_same_measures(axis):
+    task = pushed_task(1e-3)
+    for error in (-0.02, 0.02):
+        law = impedance_law(axis, 50.0, 100.0).with_errors(over(error))
+        own, general = run(axis, law, task), run_extended(axis, law, task)
+        np.testing.assert_allclose(general.measures.raw, own.measures.raw, rtol=1e-6, atol=1e-9)
+        assert general.verdict == own.verdict
+
+
+@pytest.mark.parametrize(
+    ("frequency", "share", "verdict_"), [(20.0, 0.2, "unstable"), (50.0, 0.6, "unstable"), (200.0, 0.2, "stable")]
+)
+def test_flexible_coupling_in_poles_and_simulation(axis, frequency, share, verdict_):
+    coupling = {"kind": "flexible_coupling", "frequency": frequency, "damping": 0.05, "share": share}
+    other = axis.replace(effects=[coupling])
+    law = impedance_law(other, 50.0, 100.0)
+    assert extended_loop(other, law).stable is (verdict_ != "unstable")
+    found = run_extended(other, law, pushed_task(1e-3))
+    assert (found.verdict if found else "unstable") == verdict_
+
+
+@pytest.mark.parametrize("force_sensor", [False, True])
+@pytest.mark.parametrize(("estimator", "stiffness"), [("two_tap", 0.0), ("backward", 30.0)])
+@pytest.mark.parametrize(("lag", "delay"), [(5e-4, 0), (0.0, 0), (5e-4, 2)])
+def test_loop_with_no_effects_is_the_plain_loop(axis, plant, force_sensor, estimator, stiffness, lag, delay):
+    other = axis.replace(drive={"current_time_constant": lag}, sampling={"computation_delay": delay})
+    law = impedance_law(
+        other, 60.0, 100.0, force_sensor=force_sensor, velocity_estimator=estimator, stiffness=stiffness
+    )
+    plain, extended = sampled_loop(law, plant, Clock.of(other)), extended_loop(other, law)
+    omega = np.array([0.1, 1.0, 20.0, 200.0])
+    assert extended.radius == pytest.approx(plain.radius, abs=1e-10)
+    np.testing.assert_allclose(extended.admittance(omega), plain.admittance(omega), rtol=1e-8)
+
+
+def test_assessment_of_an_axis_with_effects(axis):
+    coupling = {"kind": "flexible_coupling", "frequency": 50.0, "damping": 0.05, "share": 0.2}
+    found = assess_impedance(axis.replace(effects=[coupling]), 50.0, 100.0, 0.02, plants=0)
+    assert not found.stable
+    assert "with the axis's effects the sampled loop has a pole" in found.reason
+    nearest = found.nearest
+    again = assess_impedance(found.axis, nearest["mass"], nearest["damping"], 0.02, nearest["filter"], plants=0)
+    assert again.stable
+    assert any("flexible_coupling is in the poles" in warning for warning in again.to_dict()["warnings"])
+
+
+def test_diverging_axis_with_effects_is_unstable_in_the_scenario(axis):
+    coupling = {"kind": "flexible_coupling", "frequency": 20.0, "damping": 0.05, "share": 0.6}
+    found = run_comanipulation(axis.replace(effects=[coupling]), plants=0).to_dict()
+    assert found["nominal_verdict"] == found["verdict"] == "unstable"
+    assert len(found["corners_with_effects"]) == 8
+
+
+def test_extended_run_takes_no_hand(axis):
+    with pytest.raises(InputError, match="expected a pushed task for an axis with effects"):
+        run_extended(axis, impedance_law(axis, 50.0, 100.0), guided_task(1e-3))
+
+
+def test_axis_file_with_an_impedance_controller_closes_its_loop(axis):
+    own = axis.replace(controller={"kind": "impedance", "mass": 50.0, "damping": 100.0})
+    found = Plant.of(own).closed_loop(np.zeros(600), disturbance=np.full(600, 40.0))
+    assert found.v[-1] == pytest.approx((40.0) / 100.0 * (1 - math.exp(-0.6 * 100 / 50)), rel=0.05)
+    with pytest.raises(AxisError, match="controller: found no mass and damping"):
+        engine_law(axis, 1e-3)
