@@ -6,6 +6,8 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent)]
 
+from gallery_examples import gallery_sources  # noqa: E402
+
 from emps_design import __version__  # noqa: E402
 
 project = "emps_design"
@@ -19,17 +21,18 @@ extensions = [
     "measured_tables",
     "reference_pages",
 ]
-if list((HERE.parent / "examples").glob("[0-9]*.py")):
+EXAMPLES = gallery_sources(HERE.parent / "examples", HERE / "_build" / "examples")
+if EXAMPLES:
     extensions.append("sphinx_gallery.gen_gallery")
     sphinx_gallery_conf = {
-        "examples_dirs": str(HERE.parent / "examples"),
+        "examples_dirs": str(EXAMPLES),
         "gallery_dirs": "gallery",
         "filename_pattern": r"/[0-9]",
         "abort_on_example_error": True,
         "download_all_examples": False,
         "show_memory": False,
         "min_reported_time": 1e9,
-        "reset_modules": ("matplotlib",),
+        "reset_argv": "gallery_examples.arguments",
     }
 
 html_theme = "furo"
@@ -38,7 +41,7 @@ html_math_renderer = "mathtext"
 html_copy_source = False
 html_show_copyright = False
 templates_path: list[str] = []
-exclude_patterns = ["_build", "_ext", "sg_execution_times.rst", "gallery/*.ipynb"]
+exclude_patterns = ["_build", "_ext", "sg_execution_times.rst", "gallery/*.ipynb", "gallery/*.py"]
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3
 nitpicky = False
