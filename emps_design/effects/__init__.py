@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import sys
 from pathlib import Path
 
 from emps_design.effects import (
@@ -109,6 +110,7 @@ def load_file(path: str | Path) -> Effect:
     if spec is None or spec.loader is None:
         raise AxisError(f"{path}: found a name that does not end in .py, expected a Python file with an EFFECT")
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # kernels compiled by another process are found again by their module's name
     try:
         spec.loader.exec_module(module)
     except Exception as error:  # whatever a user's file may raise, told with its name

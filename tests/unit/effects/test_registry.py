@@ -58,6 +58,22 @@ def test_an_axis_may_name_it_and_simulate(own_file):
     assert Plant.of(axis).open_loop(u).v[-1] < 0.9 * Plant.of(machine("emps2019")).open_loop(u).v[-1]
 
 
+def test_another_process_takes_what_one_has_compiled(own_file):
+    environment = {**os.environ, effects.VARIABLE: str(own_file)}
+    code = """
+import numpy as np
+from emps_design.machines import machine
+from emps_design.simulation import Plant
+axis = machine("emps2019").replace(effects=[{"kind": "air_drag", "cubic": 2e4}])
+print(Plant.of(axis).open_loop(np.full(800, 2.0)).v[-1])
+"""
+    said = [
+        subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True).stdout
+        for _ in range(2)
+    ]
+    assert said[0] == said[1]
+
+
 def test_the_environment_names_files(own_file, tmp_path):
     second = tmp_path / "other.py"
     second.write_text(OWN.replace("air_drag", "other_drag"), encoding="utf-8")
