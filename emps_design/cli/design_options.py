@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from emps_design.axis import Axis
+from emps_design.cli.output import write_text
 
 AxisArgument = Annotated[str, typer.Argument(help="TOML file or embedded machine")]
 Crossover = Annotated[float | None, typer.Option(help="crossover w_v of T_vo [rad/s]")]
@@ -14,6 +16,7 @@ Bandwidth = Annotated[float | None, typer.Option(help="closed-loop -3 dB of T_vc
 PhaseMargin = Annotated[float, typer.Option(help="phase margin phi_v [deg]")]
 Velocity = Annotated[float, typer.Option(help="where the effects of the axis are linearised [m/s]")]
 AsJson = Annotated[bool, typer.Option("--json", help="one JSON document on standard output")]
+Out = Annotated[Path | None, typer.Option(help="write the axis file that runs this design, where it is stable")]
 
 Mass = Annotated[float | None, typer.Option(help="instead of the axis's [kg]")]
 Viscous = Annotated[float | None, typer.Option(help="instead of the axis's [N/(m/s)]")]
@@ -40,3 +43,9 @@ def with_numbers(axis: Axis, **tables: dict[str, Any]) -> Axis:
                 document["drive"].pop(key, None)
         document[name] = {**document.get(name, {}), **given}
     return Axis.from_dict(document, axis.name)
+
+
+def write_axis(path: Path, axis: Axis) -> str:
+    """Write ``axis`` as TOML to ``path``, whole or not at all, and return the path for the document."""
+    write_text(path, axis.to_toml())
+    return str(path)

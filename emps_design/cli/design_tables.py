@@ -81,6 +81,8 @@ def print_gains(document: dict[str, Any]) -> None:
     console.print("\ndifference equation, every sample:")
     for line in document["difference_equation"]["lines"]:
         console.print(f"    {line}", markup=False, highlight=False)
+    if "out" in document:
+        console.print(f"axis file with this controller: {document['out']}", markup=False, soft_wrap=True)
     _print_warnings(console, document["warnings"])
 
 
@@ -120,6 +122,8 @@ def print_force(document: dict[str, Any]) -> None:
     poles = ", ".join(f"{re:.4g}" for re, _ in reading["poles"])
     console.print(f"the paper's own reading, {reading['loop']}: poles {poles} rad/s; {reading['text']}", markup=False)
     console.print(f"sign: {operator['sign']}", markup=False)
+    if "out" in document:
+        console.print(f"axis file with this controller: {document['out']}", markup=False, soft_wrap=True)
     _print_warnings(console, document["warnings"])
 
 

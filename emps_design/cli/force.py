@@ -17,11 +17,13 @@ from emps_design.cli.design_options import (
     Estimator,
     ForceGain,
     Mass,
+    Out,
     Period,
     PhaseMargin,
     Velocity,
     Viscous,
     with_numbers,
+    write_axis,
 )
 from emps_design.cli.output import print_json
 from emps_design.errors import InputError
@@ -39,6 +41,7 @@ def command(
     crossover: Crossover = None,
     bandwidth: Bandwidth = None,
     phase_margin: PhaseMargin = 60.0,
+    out: Out = None,
     velocity: Velocity = 0.1,
     mass: Mass = None,
     viscous: Viscous = None,
@@ -82,6 +85,8 @@ def command(
 
     document: dict[str, Any] = design.to_dict()
     document["warnings"] += notes
+    if design.stable and out is not None:
+        document["out"] = write_axis(out, machine.replace(controller={**loop.controller_table(), "k_e1": k_e1}))
     if not design.stable:
         limit = design.k_e1_max_sampled
         document["nearest"] = {"k_e1": 0.99 * limit} if limit else {}

@@ -22,12 +22,14 @@ from emps_design.cli.design_options import (
     Estimator,
     ForceGain,
     Mass,
+    Out,
     Period,
     PhaseMargin,
     Velocity,
     Viscous,
     VoltageLimit,
     with_numbers,
+    write_axis,
 )
 from emps_design.cli.output import print_json
 from emps_design.errors import InputError
@@ -42,6 +44,7 @@ def command(
     at: Annotated[str, typer.Option(help="with --retune: plant-input or velocity-error")] = "plant-input",
     mismatch: Annotated[float | None, typer.Option(help="relative error of the parameters, such as 0.02")] = None,
     sigma_from: Annotated[Path | None, typer.Option(help="JSON of 'identify --json': +-2 std of its values")] = None,
+    out: Out = None,
     velocity: Velocity = 0.1,
     mass: Mass = None,
     viscous: Viscous = None,
@@ -99,6 +102,8 @@ def command(
             )
 
     stable = design.sampled.stable
+    if stable and out is not None:
+        document["out"] = write_axis(out, machine.replace(controller=design.controller_table()))
     if not stable:
         document["nearest"] = design.nearest_stable
         document["reason"] = (

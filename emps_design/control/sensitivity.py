@@ -31,16 +31,19 @@ def relative_mismatch(mismatch: float) -> dict[str, float]:
 def identified_mismatch(axis: Axis, parameters: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
     """Two standard deviations of identified ``parameters`` as shares of the axis's own.
 
-    ``parameters`` is that member of ``identify --json``: name -> {value, std}. Mass and viscous friction count; of an
-    asymmetric model the larger of the two viscous deviations. :class:`InputError` where mass or viscous is missing.
+    ``parameters`` is that member of ``identify --json``: name -> {value, std}. Mass and viscous friction count. Of
+    several deviations (two directions; one for a correlated residual beside (15)) the largest is taken.
+    :class:`InputError` where mass or viscous has none.
+
+    >>> from emps_design.machines import machine
+    >>> found = {"mass": {"std": 0.29}, "viscous": {"std": 8.8, "std_long_run": 9.5}}
+    >>> round(identified_mismatch(machine("emps2018"), found)["viscous"], 3)
+    0.04
     """
     found: dict[str, float] = {}
     for name in ("mass", "viscous"):
-        stds = [
-            entry.get("std")
-            for key, entry in parameters.items()
-            if key in (name, f"{name}_positive", f"{name}_negative")
-        ]
+        entries = [parameters[key] for key in (name, f"{name}_positive", f"{name}_negative") if key in parameters]
+        stds = [value for entry in entries for key, value in entry.items() if key.startswith("std")]
         stds = [std for std in stds if isinstance(std, int | float) and math.isfinite(std) and std >= 0.0]
         if not stds:
             raise InputError(f"identified parameters: {name} has no std, expected the JSON of 'identify --json'")

@@ -131,6 +131,20 @@ def test_force_uses_the_gains_of_the_axis(capsys, tmp_path):
     assert found["operator"]["hand"] == pytest.approx(250.0)
 
 
+def test_designs_become_axis_files(capsys, tmp_path):
+    gains, force = str(tmp_path / "gains.toml"), str(tmp_path / "force.toml")
+    found = document(capsys, "gains", "--crossover", "80", "--out", gains)
+    assert found["out"] == gains
+    again = document(capsys, "force", gains, "--k-e1", "0.004", "--out", force)
+    assert (again["k_v1"], again["t_v"]) == (found["k_v1"], found["t_v"])
+    assert document(capsys, "force", force)["k_e1"] == 0.004
+    unstable = tmp_path / "unstable.toml"
+    document(capsys, "gains", "--crossover", "900", "--out", str(unstable), status=4)
+    assert not unstable.exists()
+    assert run(["gains", "--crossover", "80", "--out", str(tmp_path / "missing" / "x.toml")]) == 2
+    assert "does not exist" in capsys.readouterr().err
+
+
 def test_derive_prints_steps_and_errata(capsys):
     found = document(capsys, "derive")
     numbers = [step["number"] for step in found["cascade"]["steps"] if step["number"]]
