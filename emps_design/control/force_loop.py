@@ -235,6 +235,23 @@ class ForceLoopDesign:
             "warnings": list(self.warnings),
         }
 
+    def _repr_html_(self) -> str:
+        def cell(value: float | None, word: str = "unbounded") -> str:
+            return word if value is None else f"{value:.5g}"
+
+        rows = "".join(
+            f"<tr><td>{label}</td><td>{value}</td><td>{unit}</td></tr>"
+            for label, value, unit in (
+                ("k_e1", cell(self.k_e1), "(m/s)/N"),
+                ("k_c = 1/k_e1", cell(self.k_c), "N/(m/s)"),
+                ("largest k_e1, continuous", cell(self.k_e1_max_continuous), "(m/s)/N"),
+                ("largest k_e1, sampled", cell(self.k_e1_max_sampled), "(m/s)/N"),
+                ("gain margin, sampled", cell(self.margins.gain_margin, "none"), "ratio"),
+            )
+        )
+        verdict = "stable" if self.stable else "<b>UNSTABLE</b>"
+        return f"<p>{self.velocity_loop.axis.name}: the sampled force loop is {verdict}</p><table>{rows}</table>"
+
 
 def design_force_loop(
     velocity_loop: VelocityLoopDesign,

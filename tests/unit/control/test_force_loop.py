@@ -92,6 +92,12 @@ def test_the_papers_reading():
     assert sorted(closed.poles().real) == pytest.approx(sorted(re for re, _ in reading["poles"]), abs=1e-3)
 
 
+def test_a_notebook_shows_the_verdict_first():
+    html = design_force_loop(LOOP, 0.02, environment=1e4)._repr_html_()
+    assert html.startswith("<p>emps2018: the sampled force loop is <b>UNSTABLE</b></p>")
+    assert "0.017395" in html
+
+
 def test_no_operator_no_loop():
     design = design_force_loop(LOOP, 0.01)
     assert design.stable

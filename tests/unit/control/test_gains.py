@@ -116,6 +116,17 @@ def test_gains_put_the_crossover_where_asked(mass, viscous, gain, crossover, sha
 
 
 @settings(max_examples=30, deadline=None)
+@given(scale=st.floats(1e-3, 1e3), speed=st.floats(0.1, 10.0), phase=st.floats(10.0, 85.0))
+def test_scaling(scale, speed, phase):
+    """A gain error of G_tau scales mass and friction and leaves the design; a faster clock and plant scale time."""
+    k_v1, t_v = velocity_gains(MASS, VISCOUS, FORCE_GAIN, 100.0, phase)
+    same = velocity_gains(scale * MASS, scale * VISCOUS, scale * FORCE_GAIN, 100.0, phase)
+    assert same == pytest.approx((k_v1, t_v), rel=1e-9)
+    faster = velocity_gains(MASS, speed * VISCOUS, FORCE_GAIN, speed * 100.0, phase)
+    assert faster == pytest.approx((speed * k_v1, t_v / speed), rel=1e-9)
+
+
+@settings(max_examples=30, deadline=None)
 @given(w0=st.floats(0.1, 1e4), z=st.floats(0.01, 20.0))
 def test_bandwidth_is_where_the_magnitude_is_minus_3_db(w0, z):
     s = 1j * second_order_bandwidth(w0, z) / w0
