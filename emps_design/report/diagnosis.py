@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from emps_design.report import diagnosis_figures as figures
-from emps_design.report.display import NOTHING, angle, probability, quantity, with_std, words
+from emps_design.report.display import NOTHING, angle, interval, probability, quantity, with_std, words
 from emps_design.report.footer import inputs_table, versions
 from emps_design.report.page import Callout, Facts, Html, Page, Picture, Points, Section, Table, Text
 
@@ -96,7 +96,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     findings = document["findings"]
     level, verdict = VERDICTS[document["verdict"]]
     summary: list[Any] = [
-        Callout(level, document.get("sentence") or verdict, verdict if "sentence" in document else "")
+        Callout(level, _typeset(document.get("sentence") or verdict), verdict if "sentence" in document else "")
     ]
     summary.append(_gap_facts(document["gap"]))
     if diagnosis.views:
@@ -130,6 +130,20 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     )
 
 
+def _typeset(text: str) -> str:
+    """ASCII of the command line as a page sets it.
+
+    >>> _typeset("7.4 +- 0.6 N; 1.6 N -> 0.4 N")
+    '7.4 ± 0.6 N; 1.6 N → 0.4 N'
+    """
+    return text.replace("+-", "±").replace("->", "→")
+
+
+def _sentence(text: str) -> str:
+    """``text`` with a capital and a full stop, empty text as it is."""
+    return f"{text[0].upper()}{text[1:]}".rstrip(".") + "." if text else ""
+
+
 def _label(finding: Mapping[str, Any]) -> str:
     return finding.get("label") or words(finding["effect"])
 
@@ -137,7 +151,7 @@ def _label(finding: Mapping[str, Any]) -> str:
 def _where_caption(diagnosis: Diagnosis, findings: Sequence[Mapping[str, Any]]) -> str:
     view = diagnosis.views[0]
     places = "; ".join(f["where"]["text"] for f in findings if f.get("where", {}).get("text"))
-    said = f" {places[0].upper()}{places[1:]}." if places else ""
+    said = f" {_sentence(places)}" if places else ""
     return f"Residual force over {view.quantity}, before (model as it was, refitted) and after.{said}"
 
 
@@ -172,11 +186,11 @@ def _findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
                 " ".join(
                     part
                     for part in (
-                        f"{text[0].upper()}{text[1:]}." if text else "",
+                        _sentence(text),
                         f"These data cannot tell it from: {', '.join(words(e) for e in equivalents)}."
                         if equivalents
                         else "",
-                        finding.get("note", ""),
+                        _sentence(finding.get("note", "")),
                     )
                     if part
                 ),
@@ -187,7 +201,7 @@ def _findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
             _label(finding),
             words(name),
             with_std(entry.get("value"), entry.get("std"), entry.get("unit", "")),
-            _interval(entry),
+            interval(entry.get("value"), entry.get("std"), entry.get("unit", "")),
             "this record" if entry.get("per_record") else "the machine",
         ]
         for finding in findings
@@ -210,14 +224,6 @@ def _findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
         )
     )
     return Section("What is missing", *blocks)
-
-
-def _interval(entry: Mapping[str, Any]) -> str:
-    value, std = entry.get("value"), entry.get("std")
-    if value is None or not std:
-        return NOTHING
-    low, high = value - 1.96 * std, value + 1.96 * std
-    return f"{quantity(low, entry.get('unit', ''), 3)} to {quantity(high, entry.get('unit', ''), 3)}"
 
 
 def _candidates_section(diagnosis: Diagnosis, candidates: Sequence[Mapping[str, Any]]) -> Section | None:
@@ -334,9 +340,9 @@ def _limits_section(document: Mapping[str, Any]) -> Section | None:
 
 def _remedy_section(document: Mapping[str, Any], findings: Sequence[Mapping[str, Any]]) -> Section | None:
     remedies = [r for r in document.get("remedies", ()) if r]
-    blocks: list[Any] = [Points(remedies)] if remedies else []
+    blocks: list[Any] = [Points(map(_sentence, remedies))] if remedies else []
     if document.get("experiment"):
-        blocks.append(Callout("note", "The experiment that would tell more", document["experiment"]))
+        blocks.append(Callout("note", "The experiment that would tell more", _sentence(document["experiment"])))
     if document.get("model_file"):
         blocks.append(
             Text(

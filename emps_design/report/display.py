@@ -127,6 +127,20 @@ def with_std(value: float | None, std: float | None, unit: str = "") -> str:
     return f"{value:.{places}f} ± {std:.{places}f} {unit}".rstrip().replace("-", "−")
 
 
+def interval(value: float | None, std: float | None, unit: str = "") -> str:
+    """Return the 95 % interval of a normal estimate, ``value`` ± 1.96 ``std``, with the digits that differ.
+
+    >>> interval(95.1089, 0.1085, "kg"), interval(0.005, 1.5e-7, "m"), interval(1.0, 0.0)
+    ('94.90 to 95.32 kg', '4.99971 to 5.00029 mm', '—')
+    """
+    if _missing(value) or _missing(std) or std <= 0:
+        return NOTHING
+    unit, factor = scale(value, unit)
+    low, high = factor * (value - 1.96 * std), factor * (value + 1.96 * std)
+    places = min(6, max(0, 1 - math.floor(math.log10(factor * std))))
+    return f"{low:.{places}f} to {high:.{places}f} {unit}".rstrip().replace("-", "−")
+
+
 def probability(p: float | None) -> str:
     """Return a p-value as a reader quotes it.
 

@@ -214,6 +214,6 @@ def diagnose_work(record: Record, axis: Axis, friction: str, progress: Callable)
     return {
         "text": document.get("sentence", document["verdict"]),
         "html": _blocks(*blocks),
-        "model": found.axis,
+        "model": found.axis.replace(name=f"{axis.name} diagnosed on {record.name}"),
         "level": "warning" if document["findings"] else "good",
     }

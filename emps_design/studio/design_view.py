@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import panel as pn
 
 from emps_design.errors import EmpsError
-from emps_design.report.display import angle, delay, frequency, number, quantity, ratio
+from emps_design.report.display import angle, delay, number, quantity, ratio
 from emps_design.report.page import inline
 from emps_design.studio.controls import Knob
 from emps_design.studio.panes import html
@@ -171,26 +171,26 @@ def numbers_table(state: State, design: VelocityLoopDesign, pinned: VelocityLoop
     def row(name: str, shown: VelocityLoopDesign) -> str:
         sampled, m = shown.sampled, shown.sampled.margins
         cells = [
-            f"<b>{quantity(shown.k_v1, 'V/(m/s)')}</b>",
-            f"<b>{quantity(shown.t_v, 's')}</b>",
+            f"<b>{number(shown.k_v1)}</b>",
+            f"<b>{number(shown.t_v * 1e3)}</b>",
             angle(shown.phase_margin_deg),
             angle(shown.plant_input.phase_margin_deg),
             f'<b class="margin">{angle(m.phase_margin_deg)}</b>' if m.stable else '<b class="no">unstable</b>',
             delay(m.delay_margin, m.period) if m.stable else "—",
             ratio(m.gain_margin) if m.stable else "—",
-            frequency(sampled.bandwidth) if m.stable else "—",
+            number(sampled.bandwidth) if m.stable else "—",
         ]
         return f"<tr><th>{name}</th>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
 
     heads = (
-        "k_v1",
-        "t_v",
+        "k_v1 [V/(m/s)]",
+        "t_v [ms]",
         "phase, asked at velocity error",
         "phase, plant input, continuous",
         "phase, plant input, sampled",
         "delay margin, sampled",
         "gain margin, sampled",
-        "closed loop −3 dB, sampled",
+        "closed loop −3 dB, sampled [rad/s]",
     )
     head = "".join(f"<th>{text}</th>" for text in heads)
     rows = row("this design", design) + (row("pinned", pinned) if pinned is not None else "")

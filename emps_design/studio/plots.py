@@ -6,7 +6,17 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from bokeh.models import BoxAnnotation, ColumnDataSource, DataRange1d, HoverTool, Label, LegendItem, Range1d, Span
+from bokeh.models import (
+    BoxAnnotation,
+    ColumnDataSource,
+    DataRange1d,
+    FixedTicker,
+    HoverTool,
+    Label,
+    LegendItem,
+    Range1d,
+    Span,
+)
 from bokeh.plotting import figure
 
 from emps_design.report.loops import broken_loops
@@ -93,6 +103,8 @@ class LoopPlots:
         phase.add_layout(self.nyquist_frequency[1])
         phase.add_layout(self.phase_band)
         phase.scatter("w", "phase", source=self.marks, color="color", size=8)
+        magnitude.yaxis.ticker = FixedTicker(ticks=[-60, -30, 0, 30, 60])
+        phase.yaxis.ticker = FixedTicker(ticks=[-360, -270, -180, -90])
         magnitude.y_range = Range1d(-70, 60)
         phase.y_range = Range1d(-370, -60)
         phase.add_tools(HoverTool(tooltips=[("frequency", "@w{0.0} rad/s"), ("phase", "@phase{0.0}°")]))

@@ -153,7 +153,7 @@ def test_a_simulation_is_cancelled(page):
     turn_to(page, "Simulation")
     type_into(page, "Random plants", "10000")
     page.get_by_role("button", name="Simulate", exact=True).click()
-    cancel = page.get_by_role("button", name="Cancel").locator("visible=true").first
+    cancel = page.get_by_role("button", name="Cancel work").locator("visible=true").first
     page.wait_for_timeout(300)
     cancel.click()
     page.get_by_text("Cancelled; nothing was changed.").wait_for(timeout=30_000)
@@ -195,3 +195,34 @@ def test_interrupt_ends_it_cleanly():
     status, said = Studio().interrupt()
     assert status == 0
     assert "Traceback" not in said
+
+
+@pytest.fixture(scope="module")
+def rippled(tmp_path_factory):
+    """A short simulated record of the embedded machine with a position ripple that its axis file does not have."""
+    from emps_design.machines import machine
+    from emps_design.simulation.practice import practice_record
+
+    path = tmp_path_factory.mktemp("ripple") / "rippled.npz"
+    ripple = {"kind": "position_ripple", "amplitude": 4.0, "period": 5e-3, "phase": 0.3}
+    practice_record(machine("emps2019").replace(effects=[ripple]), seed=2).save(path)
+    return path
+
+
+def test_a_record_is_diagnosed_and_the_work_can_be_cancelled(page, rippled, picture):
+    turn_to(page, "Data")
+    page.locator(".filepond--browser").first.set_input_files(str(rippled))
+    page.get_by_text(re.compile("rippled: [0-9]+ samples")).wait_for(timeout=20_000)
+    page.get_by_role("button", name="Diagnose").click()
+    cancel = page.get_by_role("button", name="Cancel work").locator("visible=true").first
+    page.get_by_text("Diagnose is at work").wait_for()
+    cancel.click()
+    page.get_by_text("Cancelled; nothing was changed.").wait_for(timeout=60_000)
+    page.get_by_role("button", name="Diagnose").click()
+    page.get_by_text(re.compile("Position ripple, amplitude")).first.wait_for(timeout=200_000)
+    page.wait_for_timeout(500)
+    page.screenshot(path=picture("studio-diagnosis"), full_page=True)
+    page.get_by_role("button", name="Design on this model").click()
+    turn_to(page, "Design")
+    assert "diagnosed on rippled" in page.get_by_label("Axis", exact=True).input_value()
+    assert sampled_margin(page).endswith("°")

@@ -138,7 +138,8 @@ def test_the_first_screen_has_the_sentence_then_where_then_before_and_after():
 def test_the_page_tells_everything_the_diagnosis_knows():
     html = diagnosis_page(invented()).html()
     for said in (
-        "7.40 ± 0.60 N", "6.63 mm/s", "presliding friction", "&lt; 0.001", "explains less than half", "96.20 ± 0.20 kg",
+        "7.40 ± 0.60 N", "6.63 to 9.37 mm/s", "presliding friction", "&lt; 0.001", "explains less than half",
+            "96.20 ± 0.20 kg",
         "8.0 µm", "Compensate the friction", "Slow triangles", "39.2°", "ab" * 32,
         "few low speeds", "199 simulated healthy records", "98 %", "model.toml",
     ):  # fmt: skip
