@@ -234,7 +234,7 @@ class Plant:
         if good < n:
             at, reason = (good, stepper.DIVERGED) if good >= 0 else (-good - 1, stepper.RUNAWAY)
             raise SimulationError(REASONS[reason], at * period, (float(position[at]), float(velocity[at])))
-        return encoder, position, velocity, u, push if push.size else np.zeros(n)
+        return encoder, position, velocity, u, push if push.size else np.broadcast_to(0.0, n)
 
     def _general(
         self, b, p, law, reference, push, noise, q0, v0, period, resolution, signals, energy, tolerance, events, found
@@ -324,7 +324,8 @@ def _signal(values: Any, name: str, unit: str, n: int | None = None) -> np.ndarr
     if signal.ndim != 1 or signal.size == 0 or (n is not None and signal.size != n):
         wanted = f"{n} numbers" if n else "a row of numbers"
         raise InputError(f"{name}: found shape {signal.shape}, expected {wanted} [{unit}]")
-    if not np.isfinite(signal).all():
+    # A finite sum proves all finite, in one pass; otherwise look for the culprit (there is none if the sum overflowed).
+    if not np.isfinite(signal.sum()) and not np.isfinite(signal).all():
         first = int(np.argmin(np.isfinite(signal)))
         raise InputError(f"{name}: sample {first} is {signal[first]}, expected finite numbers [{unit}]")
     return signal

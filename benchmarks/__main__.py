@@ -1,0 +1,227 @@
+"""Measure the simulation engine and write benchmarks/latest.json: ``make bench`` or ``python -m benchmarks``.
+
+Times are medians of one process on this machine: processor time where one thread works, so that other work on the machine
+counts little, wall time where several do. What counts are the ratios. Peers that are not there are left out with
+a word. The record is DATA_EMPS where it can be found, otherwise a practice record of the same length.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.peers import compiled_c, python_control
+from emps_design.files import write_text
+from emps_design.machines import machine
+from emps_design.records import Record, read_record
+from emps_design.simulation import Plant, monte_carlo, simulate_ensemble
+from emps_design.simulation.practice import practice_record
+
+FIVE = (
+    {"kind": "asymmetric_viscous_friction", "viscous_difference": -40.0},
+    {"kind": "nonlinear_viscous_friction", "quadratic": -150.0},
+    {"kind": "stribeck_friction", "excess": 5.0, "stribeck_velocity": 0.01, "exponent": 1.0},
+    {"kind": "position_ripple", "amplitude": 1.0, "phase": 0.5, "period": 2.5e-3},
+    {"kind": "position_dependent_friction", "amplitude": 2.0, "phase": 0.3, "length": 0.2},
+)
+
+
+def main() -> int:
+    """Run every measurement, print the table, write the file; 1 when a target is missed."""
+    record, source = _record()
+    axis = machine("emps2019")
+    rows: list[dict] = []
+    print(f"benchmarks: record {source}, {len(record)} samples, {os.cpu_count()} cores", file=sys.stderr)
+    _replays(axis, record, rows)
+    _five(axis, record, rows)
+    _ensembles(axis, record, rows)
+    _hour(axis, rows)
+    _starts(rows)
+    write_text(Path(__file__).with_name("latest.json"), json.dumps({"rows": rows}, indent=1) + "\n")
+    _table(rows)
+    return 0 if all(row["met"] is not False for row in rows) else 1
+
+
+def _record() -> tuple[Record, str]:
+    folder = Path(os.environ.get("EMPS_DESIGN_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+    path = folder / "emps" / "DATA_EMPS.mat"
+    if path.exists():
+        return read_record(path), "DATA_EMPS"
+    record = practice_record(machine("emps2019"), laps=2)
+    return record.part(0, min(len(record), 24841)), "practice (DATA_EMPS is not here)"
+
+
+def _median(call, least: int = 5, seconds: float = 1.0, clock=time.thread_time) -> float:
+    """Median time of ``call`` [s], after one call to warm up: of this thread's processor, unless ``clock`` is another."""
+    call()
+    times = []
+    gc.disable()
+    while len(times) < least or (sum(times) < seconds and len(times) < 500):
+        begun = clock()
+        call()
+        times.append(clock() - begun)
+    gc.enable()
+    return float(np.median(times))
+
+
+def _add(
+    rows: list[dict], work: str, value: float, unit: str, target: float | None = None, least: bool = False
+) -> None:
+    met = None if target is None else bool(value >= target if least else value <= target)
+    rows.append({"work": work, "value": float(f"{value:.4g}"), "unit": unit, "target": target, "met": met})
+
+
+def _skip(rows: list[dict], work: str, why: str) -> None:
+    print(f"benchmarks: {work}: left out, {why}", file=sys.stderr)
+
+
+def _replays(axis, record, rows) -> None:
+    q_ref, q0, plant = np.ascontiguousarray(record.q_ref), float(record.q[0]), Plant.of(axis)
+
+    def ours(method: str):
+        return lambda: plant.closed_loop(q_ref, q0=q0, quantise=False, method=method)
+
+    exact = ours("plain")()
+    plain, folded, general = (_median(ours(method)) for method in ("plain", "folded", "general"))
+    _add(rows, "replay, core model, plain", 1e3 * plain, "ms")
+    _add(rows, "replay, core model, folded", 1e3 * folded, "ms")
+    _add(rows, "replay, core model, general stepper", 1e3 * general, "ms")
+    _add(rows, "folded over plain", folded / plain, "times", 0.5)
+    in_c = compiled_c()
+    if isinstance(in_c, str):
+        _skip(rows, "C", in_c)
+    else:
+        same = in_c(q_ref, axis, q0)
+        _add(
+            rows,
+            "C and plain, largest difference of position",
+            np.abs(same["position"] - exact.position).max(),
+            "m",
+            1e-12,
+        )
+        seconds = _median(lambda: in_c(q_ref, axis, q0))
+        _add(rows, "replay in C, -O3", 1e3 * seconds, "ms")
+        _add(rows, "plain over C", plain / seconds, "times", 1.3)
+        _add(rows, "folded over C", folded / seconds, "times")
+    peer = python_control()
+    if isinstance(peer, str):
+        _skip(rows, "python-control", peer)
+    else:
+        begun = time.thread_time()
+        same = peer(q_ref, axis, q0)
+        seconds = time.thread_time() - begun
+        _add(
+            rows,
+            "python-control and plain, difference of position",
+            np.abs(same["position"] - exact.position).max(),
+            "m",
+            1e-12,
+        )
+        _add(rows, "python-control, one nlsys with the exact step", 1e3 * seconds, "ms")
+        _add(rows, "python-control over plain", seconds / plain, "times", 1000.0, least=True)
+
+
+def _five(axis, record, rows) -> None:
+    q0 = float(record.q[0])
+    for label, effects in (
+        ("friction and ripple", FIVE),
+        ("the same, lag for Stribeck", [*FIVE[:2], *FIVE[3:], {"kind": "actuator_lag", "time_constant": 0.25e-3}]),
+    ):
+        plant = Plant.of(axis.replace(effects=list(effects)))
+        fast = plant.closed_loop(record.q_ref, q0=q0, quantise=False)
+        tight = plant.closed_loop(record.q_ref, q0=q0, quantise=False, tolerance=1e-4)
+        seconds = _median(lambda plant=plant: plant.closed_loop(record.q_ref, q0=q0))
+        _add(
+            rows,
+            f"replay, five effects ({label})",
+            1e3 * seconds,
+            "ms",
+            6.0 if label == "friction and ripple" else None,
+        )
+        difference = float(np.abs(fast.position - tight.position).max())
+        _add(rows, f"five effects ({label}), position against tight steps", difference, "m", 1e-9)
+
+
+def _ensembles(axis, record, rows) -> None:
+    drawn = monte_carlo(axis, 0.02, 10_000)
+    seconds = _median(
+        lambda: simulate_ensemble(axis, drawn, record=record, workers=2), least=3, clock=time.perf_counter
+    )
+    _add(rows, "10,000 plants at +-2 %, metrics, two workers", seconds, "s", 0.3)
+    alone = _median(lambda: simulate_ensemble(axis, drawn, record=record, workers=1), least=3, clock=time.perf_counter)
+    _add(rows, "10,000 plants at +-2 %, metrics, one worker", alone, "s")
+    extended = axis.replace(effects=list(FIVE))
+    few = monte_carlo(extended, 0.02, 400)
+    seconds = _median(
+        lambda: simulate_ensemble(extended, few, record=record, workers=2), least=3, clock=time.perf_counter
+    )
+    _add(rows, "plants with five effects, two workers", len(few) / seconds, "plants/s", 400.0, least=True)
+
+
+def _hour(axis, rows) -> None:
+    """One hour at 1 kHz in a process of its own, whose peak memory is its own."""
+    program = (
+        "import resource, sys, time, numpy as np\n"
+        "from emps_design.machines import machine\n"
+        "from emps_design.simulation import Plant\n"
+        "plant = Plant.of(machine('emps2019'))\n"
+        "plant.closed_loop(np.zeros(10))\n"
+        "for n in (360_000, 3_600_000):\n"
+        "    q_ref = 0.1 * np.sin(2e-3 * np.pi * 0.3 * np.arange(n))\n"
+        "    best = 1e9\n"
+        "    for _ in range(3):\n"
+        "        begun = time.thread_time()\n"
+        "        plant.closed_loop(q_ref)\n"
+        "        best = min(best, time.thread_time() - begun)\n"
+        "    print(best)\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)\n"
+    )
+    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    tenth, whole, kilobytes = map(float, answer.stdout.split())
+    _add(rows, "one hour at 1 kHz, core model", whole, "s")
+    _add(rows, "one hour over ten times six minutes", whole / (10.0 * tenth), "times", 1.5)
+    _add(rows, "one hour, peak memory", kilobytes / 1024.0**2, "GiB", 1.0)
+
+
+def _starts(rows) -> None:
+    """A process that simulates an axis with every kernel it can need, with an empty disk cache and with a full one."""
+    program = (
+        "import numpy as np\n"
+        "from emps_design.machines import machine\n"
+        "from emps_design.simulation import Plant, monte_carlo, simulate_ensemble\n"
+        "axis = machine('emps2019')\n"
+        "q_ref = 1e-3 * np.arange(50.0)\n"
+        "Plant.of(axis).closed_loop(q_ref)\n"
+        "Plant.of(axis.replace(effects=EFFECTS)).closed_loop(q_ref)\n"
+    ).replace("EFFECTS", repr(list(FIVE)))
+    with tempfile.TemporaryDirectory() as folder:
+        environment = {**os.environ, "NUMBA_CACHE_DIR": folder}
+        times = []
+        for _ in range(4):
+            begun = time.perf_counter()
+            subprocess.run([sys.executable, "-c", program], check=True, env=environment)
+            times.append(time.perf_counter() - begun)
+    _add(rows, "whole process, cold: core, general stepper, five effects", times[0], "s", 20.0)
+    _add(rows, "whole process, warm", min(times[1:]), "s", 1.0)
+    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0**2
+    _add(rows, "this process, peak memory", own, "GiB")
+
+
+def _table(rows) -> None:
+    width = max(len(row["work"]) for row in rows)
+    for row in rows:
+        target = "" if row["target"] is None else f"target {row['target']:g} {'met' if row['met'] else 'MISSED'}"
+        print(f"{row['work']:<{width}}  {row['value']:>10.4g} {row['unit']:<9} {target}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
