@@ -245,6 +245,11 @@ def observe_online(observer: ForceObserver | KalmanForceObserver, q: np.ndarray,
     """Run ``observer`` over a record's ``q`` [m] and ``u`` [V], both (n,): the same numbers as in a loop, (n,) [N].
 
     ``u[k]`` is recorded at the sample from which it is held, so sample k is given ``u[k-1]``.
+
+    >>> from emps_design.machines import machine
+    >>> observer = ForceObserver(machine("emps2018"))
+    >>> observe_online(observer, np.zeros(3), np.full(3, 0.1)).round(3).tolist()
+    [-3.515, -3.515, -3.515]
     """
     observer.reset()
     step = observer.step
@@ -253,7 +258,13 @@ def observe_online(observer: ForceObserver | KalmanForceObserver, q: np.ndarray,
 
 
 def kalman_trade_off(axis: Axis, bandwidths_hz: np.ndarray) -> dict[str, np.ndarray]:
-    """Delay [s] and noise [N] of the Kalman observer for each of ``bandwidths_hz`` [Hz]: faster is noisier."""
+    """Delay [s] and noise [N] of the Kalman observer for each of ``bandwidths_hz`` [Hz]: faster is noisier.
+
+    >>> from emps_design.machines import machine
+    >>> table = kalman_trade_off(machine("emps2018"), np.array([10.0, 40.0]))
+    >>> bool(table["delay"][1] < table["delay"][0]), bool(table["noise_std"][1] > table["noise_std"][0])
+    (True, True)
+    """
     observers = [KalmanForceObserver(axis, bandwidth_hz=float(one)) for one in bandwidths_hz]
     return {
         "bandwidth_hz": np.array([one.bandwidth_hz for one in observers]),

@@ -55,6 +55,11 @@ def chosen_cutoff(record: Record) -> Cutoff:
     The baseline is fitted in a band of 0.4 of the Nyquist frequency; the power of its residual is set against that of
     the voltage in bands of a third of an octave. Above that frequency the regression would fit noise, below it a
     filter throws motion away. Between 10 Hz and a fifth of the sampling frequency.
+
+    >>> from emps_design.machines import machine
+    >>> from emps_design.simulation.practice import practice_record
+    >>> 20.0 < chosen_cutoff(practice_record(machine("emps2019"), laps=1)).cutoff_hz < 100.0
+    True
     """
     from scipy.signal import welch
 

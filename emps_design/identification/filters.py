@@ -96,6 +96,13 @@ def motion(record: Record, cutoff_hz: float) -> Motion:
 
     Velocity is the central, acceleration the second difference (see the module's text on the hold). ``tau`` is zero:
     :func:`emps_design.identification.inverse_model.with_predicted_force` fills in a model's.
+
+    >>> from emps_design.machines import machine
+    >>> from emps_design.simulation.practice import practice_record
+    >>> record = practice_record(machine("emps2019"), laps=1)
+    >>> seen = motion(record, 50.0)
+    >>> seen.v.shape == record.q.shape, round(float(abs(seen.v).max()), 1)
+    (True, 0.2)
     """
 
     def smooth(signal: np.ndarray) -> np.ndarray:

@@ -184,6 +184,12 @@ def identify(
     modelled, cut-off chosen from the data); ``cutoff_hz`` [Hz] overrides the chain's. ``external_force_known`` lets a
     measured external force take part as in (21); ``bootstrap`` draws that many samples of blocks. Raises
     :class:`RecordError` for a record that cannot identify, :class:`RankError` for columns it cannot tell apart.
+
+    >>> from emps_design.machines import machine
+    >>> from emps_design.simulation.practice import practice_record
+    >>> found = identify(practice_record(machine("emps2019"), laps=1), chain="hold")
+    >>> round(found.parameters["mass"].value, 0), found.parameters["mass"].quantity.unit
+    (95.0, 'kg')
     """
     if axis is None:
         from emps_design.machines import machine

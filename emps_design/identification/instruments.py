@@ -78,6 +78,13 @@ def identify_with_instruments(
 
     The axis needs its controller (the simulation follows ``q_ref``); :class:`AxisError` otherwise. The least-squares
     values stand in ``extra`` beside the test.
+
+    >>> from emps_design.machines import machine
+    >>> from emps_design.simulation.practice import practice_record
+    >>> axis = machine("emps2019")
+    >>> found = identify_with_instruments(practice_record(axis, laps=1), axis)
+    >>> round(found.parameters["mass"].value, 0), found.extra["hausman_test"]["bias_matters"]
+    (95.0, False)
     """
     if axis.controller.kind == "none":
         raise AxisError(f"{axis.name}: instruments need the controller of the record; give [controller] in the axis")

@@ -108,6 +108,13 @@ def observe(
     ``cutoff_hz`` [Hz] of the on-line observer (the Kalman one has twice that bandwidth), ``offline_cutoff_hz``
     [Hz] of the zero-phase filter off-line; ``parameter_std`` standard deviations of mass, viscous, coulomb, offset for
     the parameter bound (2 % of each where not given). Raises :class:`RecordError` for a record shorter than 1 s.
+
+    >>> from emps_design.machines import machine
+    >>> from emps_design.simulation.practice import practice_record
+    >>> axis = machine("emps2019")
+    >>> found = observe(practice_record(axis, laps=1), axis)
+    >>> sorted(found.methods), found.methods["online"].smallest.bound
+    (['kalman', 'offline', 'online'], 'break_away')
     """
     if record.duration < 4 * SETTLED:
         raise RecordError(f"{record.name}: {record.duration:g} s long, expected at least {4 * SETTLED:g} s to observe")

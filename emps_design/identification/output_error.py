@@ -37,6 +37,13 @@ def identify_by_output_error(
     Starts at the least-squares estimate of the ``hold`` chain; ``cutoff_hz`` [Hz] low-passes the residuals. ``extra``
     holds the errors in position [m] and force [N]. Raises :class:`AxisError` without a controller,
     :class:`InputError` where the search does not converge.
+
+    >>> from emps_design.machines import machine
+    >>> from emps_design.simulation.practice import practice_record
+    >>> axis = machine("emps2019")
+    >>> found = identify_by_output_error(practice_record(axis, laps=1), axis)
+    >>> round(found.parameters["viscous"].value, -1), found.extra["closed_loop"]["position_rms_error"] < 1e-6
+    (200.0, True)
     """
     if axis.controller.kind == "none":
         raise AxisError(f"{axis.name}: output error needs the controller of the record; give [controller] in the axis")

@@ -117,6 +117,13 @@ def identify_several(
 
     ``options`` are those of :func:`emps_design.identification.identify`. Raises :class:`InputError` for fewer than two
     records, :class:`AxisError` where a record does not determine a parameter.
+
+    >>> from emps_design.machines import machine
+    >>> from emps_design.simulation.practice import practice_record
+    >>> axis = machine("emps2019")
+    >>> found = identify_several([practice_record(axis, seed, laps=1) for seed in range(2)], axis, chain="hold")
+    >>> found.cross_validation.shape, round(found.table()[0]["mean"])
+    ((2, 2), 95)
     """
     if len(records) < 2:
         raise InputError(f"records: found {len(records)}, expected two or more; use identify for one")

@@ -59,6 +59,11 @@ def long_run(
     1 to 4, is the one with the least Akaike criterion. The long-run variance of an AR(p) model has a relative
     variance of about 4 p / n_eff, so Student's t has n_eff / (2 p) degrees of freedom. Rows must not be closer than
     the filter resolves, or the model describes the filter.
+
+    >>> white = np.random.default_rng(0).standard_normal(4000)
+    >>> found = long_run(np.ones((4000, 1)), white - white.mean(), np.ones(4000, dtype=bool), 1.0)
+    >>> round(float(found.std[0]) * 4000**0.5, 1), found.effective_samples > 3000
+    (1.0, True)
     """
     from scipy.stats import t as student
 
@@ -91,6 +96,9 @@ def hac_covariance(W: np.ndarray, residual: np.ndarray, lag: int, Z: np.ndarray 
     """HAC covariance (Newey and West, Bartlett weights over ``lag`` rows) of least squares or instruments, (p, p).
 
     Rows that took no part are zero, so that lags are distances in time. The sum is that of statsmodels.
+
+    >>> hac_covariance(np.ones((4, 1)), np.array([1.0, -1.0, 1.0, -1.0]), lag=0).tolist()
+    [[0.25]]
     """
     from statsmodels.stats.sandwich_covariance import S_hac_simple
 
@@ -106,6 +114,10 @@ def block_bootstrap(
 
     Stationary bootstrap of the residuals (Politis and Romano; ``arch``), with the motion kept as it was: the columns
     are the reference's doing, not chance.
+
+    >>> W, Y = np.ones((100, 1)), np.random.default_rng(0).standard_normal(100)
+    >>> 0.05 < float(block_bootstrap(W, Y, np.array([Y.mean()]), block=2, draws=200)) ** 0.5 < 0.15
+    True
     """
     from arch.bootstrap import StationaryBootstrap
 

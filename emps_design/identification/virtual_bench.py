@@ -197,7 +197,12 @@ def identification_trajectory(period: float) -> np.ndarray:
 
 
 def operator_force(period: float, rng: np.random.Generator) -> np.ndarray:
-    """Force of the operator (n,) [N]: ramps and floors of either sign within the sensor's range."""
+    """Force of the operator (n,) [N]: ramps and floors of either sign within the sensor's range.
+
+    >>> force = operator_force(1e-3, np.random.default_rng(0))
+    >>> len(force), bool(abs(force).max() <= value("largest_force"))
+    (16000, True)
+    """
     n, force, level, sign = int(value("duration") / period), [], 0.0, 1.0
     while len(force) < n:
         target = sign * rng.uniform(0.5, 0.95) * value("largest_force")
@@ -208,11 +213,15 @@ def operator_force(period: float, rng: np.random.Generator) -> np.ndarray:
 
 
 def break_away_test(axis: Axis, direction: float, rate: float = 0.5) -> float:
-    """F_s [N]: the motor force, rising from rest by ``rate`` [N/s], at which the carriage has moved by 0.05 mm."""
+    """F_s [N]: the motor force, rising from rest by ``rate`` [N/s], at which the carriage has moved by 2 um.
+
+    >>> round(break_away_test(machine("emps2018"), 1.0), 0)  # Coulomb friction alone: Table I's
+    17.0
+    """
     period, gain = axis.sampling.period, axis.drive.force_gain
     u = direction * rate / gain * np.arange(int(60.0 / period)) * period
     run = Plant.of(axis).open_loop(u)
-    moved = np.flatnonzero(np.abs(run.position - run.position[0]) > 5e-5)
+    moved = np.flatnonzero(np.abs(run.position - run.position[0]) > 2e-6)
     return float(gain * abs(u[moved[0]]))
 
 

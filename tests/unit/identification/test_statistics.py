@@ -12,7 +12,7 @@ RUNS = 200
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("time", [0.1])
+@pytest.mark.parametrize("time", [0.03, 0.1, 0.3])
 def test_intervals_cover_the_truth(truth, simulate, time):
     axis = machine("emps2019")
     inside, plain = np.zeros(4), np.zeros(4)

@@ -1,0 +1,103 @@
+"""The commands identify and observe, from the command line to files and exit status."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from emps_design.axis import Axis
+from emps_design.cli.app import run
+from emps_design.machines import machine
+from emps_design.simulation.practice import practice_record
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("identify")
+    for seed in range(3):
+        practice_record(machine("emps2019"), seed=seed, laps=1).save(folder / f"day{seed}.npz")
+    return folder
+
+
+@pytest.mark.parametrize("options", [[], ["--estimator", "iv"], ["--estimator", "oe"], ["--filter", "hold"]])
+def test_identify_writes_the_axis_it_prints(folder, capsys, options):
+    out = folder / "found.toml"
+    assert run(["identify", str(folder / "day0.npz"), "--json", "--out", str(out), *options]) == 0
+    document = json.loads(capsys.readouterr().out)
+    axis = Axis.load(out)
+    assert axis.name == "found"
+    assert axis.mechanics.mass == pytest.approx(document["parameters"]["mass"]["value"])
+    assert axis.mechanics.offset == pytest.approx(document["parameters"]["constant_force"]["value"])
+
+
+def test_identify_shows_values_and_what_they_are_worth(folder, capsys):
+    assert run(["identify", str(folder / "day0.npz"), "--model", "asymmetric"]) == 0
+    text = capsys.readouterr().out
+    for word in ("viscous_positive", "coulomb_negative", "95 %", "kg", "independent", "Hz"):
+        assert word in text
+
+
+def test_identify_several_records(folder, capsys):
+    paths = [str(folder / f"day{seed}.npz") for seed in range(3)]
+    assert run(["identify", *paths, "--filter", "hold", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert np.shape(document["cross_validation"]) == (3, 3)
+    assert document["parameters"]["mass"]["mean"] == pytest.approx(95.1, abs=0.2)
+    assert run(["identify", *paths]) == 0
+    assert "spread" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--estimator", "olse"], "--estimator: found 'olse'"),
+        (["--external-force", "maybe"], "--external-force: found 'maybe', expected refuse or known"),
+        (["--filter", "holt"], "did you mean 'hold'"),
+        (["--cutoff", "900"], "Nyquist"),
+    ],
+)
+def test_identify_refuses_in_one_line(folder, capsys, options, words):
+    assert run(["identify", str(folder / "day0.npz"), *options]) == 2
+    captured = capsys.readouterr()
+    assert words in captured.err
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""
+
+
+def test_instruments_take_one_record(folder, capsys):
+    paths = [str(folder / f"day{seed}.npz") for seed in range(2)]
+    assert run(["identify", *paths, "--estimator", "iv"]) == 2
+    assert "iv takes one record, found 2" in capsys.readouterr().err
+
+
+def test_observe_writes_a_table_of_forces(folder, capsys):
+    out = folder / "forces.csv"
+    assert run(["observe", str(folder / "day0.npz"), "--axis", "emps2019", "--out", str(out), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["online"]["delay"] > document["offline"]["delay"] == 0.0
+    assert document["online"]["smallest_observable_force"]["bound"] == "break_away"
+    lines = out.read_text().splitlines()
+    assert lines[0] == "t [s],offline [N],online [N],kalman [N]"
+    assert len(lines) == 1 + len(np.load(folder / "day0.npz")["t"])
+
+
+def test_observe_shows_its_bounds(folder, capsys):
+    assert run(["observe", str(folder / "day0.npz")]) == 0
+    text = capsys.readouterr().out
+    assert "break_away" in text
+    assert "kalman" in text
+
+
+def test_identify_is_quick(folder):
+    """At most 2 s as a whole process, of the processor's time: other work on the machine does not count."""
+    command = [sys.executable, "-m", "emps_design.cli", "identify", str(folder / "day0.npz"), "--json"]
+    spent = []
+    for _ in range(2):
+        before = os.times()
+        subprocess.run(command, check=True, capture_output=True)
+        after = os.times()
+        spent.append(after.children_user + after.children_system - before.children_user - before.children_system)
+    assert min(spent) < 2.0
