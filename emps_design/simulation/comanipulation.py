@@ -36,6 +36,7 @@ class Comanipulation:
         axis with effects nominal plant and corners are simulated with them; the Monte-Carlo is without.
         """
         exact = self.nominal.plant(0)
+        nominal_words = [word for word in self.nominal.warnings if not word.startswith("stable_share")]
         judged = self.study if self.extended is None else self.extended
         return {
             "scenario": "comanipulation",
@@ -51,7 +52,7 @@ class Comanipulation:
             "law": self.law.to_dict(),
             "study": self.study.to_dict(),
             "corners_with_effects": None if self.extended is None else self.extended.to_dict()["corners"],
-            "warnings": list(self.warnings),
+            "warnings": [*self.warnings, *dict.fromkeys((*nominal_words, *self.study.warnings))],
         }
 
 

@@ -179,6 +179,10 @@ class ImpedanceAssessment:
                 "factor removes it"
             )
         contact = document["passivity"]
+        if contact is None:
+            words.append("passivity and largest_wall_stiffness are undefined: the free loop is unstable")
+        elif any(high is None for _, high in contact["continuous"]["active_bands"]):
+            words.append("passivity.continuous: the active band is unbounded above")
         if contact is not None and not contact["sampled"]["passive"]:
             low = contact["sampled"]["active_bands"][0][0]
             wall = document["largest_wall_stiffness"]
@@ -189,7 +193,8 @@ class ImpedanceAssessment:
         if contact is not None and document["largest_wall_stiffness"] is None:
             words.append("largest_wall_stiffness is unbounded: stable up to 1 GN/m")
         found = document.get("mismatch")
-        if found is not None:
+        if found is not None and self.study is not None:
+            words += self.study.warnings
             if math.isinf(found["creep_speed"]):
                 words.append("mismatch.creep_speed is unbounded: at a corner the apparent damping is not positive")
             elif found["creep_speed"] > threshold:

@@ -8,7 +8,7 @@ times the plant's number.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -105,6 +105,21 @@ class MismatchStudy:
             "effort": {name: float(values[row]) for name, values in self.measures.effort.items()},
         }
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is not a number in :meth:`to_dict`, and why."""
+        words = []
+        if not self.plants:
+            words.append(
+                "stable_share_interval is undefined: no plants were drawn, stable_share is that of the corners"
+            )
+        if np.isnan(self.error).any():
+            words.append("error is undefined for plants whose sampled loop is unstable")
+        fits = np.column_stack([*self.measures.fit, self.measures.effort["force_per_speed"]])
+        if not np.isfinite(fits).all():
+            words.append("what was felt (mass, damping, r2, force_per_speed) is undefined for plants that never moved")
+        return tuple(words)
+
     def to_dict(self) -> dict[str, Any]:
         """Counts, shares with interval, medians and 5-95 % ranges over the plants, corners, and the worst case."""
         share, low, high = self.stable_share
@@ -150,7 +165,8 @@ def mismatch_study(
 ) -> MismatchStudy:
     """Try ``law`` with estimates off by up to ``mismatch``: every corner, and ``plants`` drawn with ``seed``.
 
-    ``two_quadrant`` lets the five numbers of (5) err apart (None: where the axis's friction differs by direction).
+    ``two_quadrant`` lets the five numbers of (5) err apart (None: where the axis's friction differs by direction); such
+    plants are let go moving either way, and each is judged by the worse of the two runs.
     ``workers`` threads change the time, not the numbers.
 
     >>> from emps_design.machines import machine
@@ -187,6 +203,10 @@ def mismatch_study(
     error[radius > 1.0 + MARGINAL] = np.nan
     task = guided_task(axis.sampling.period) if task is None else task
     measures = run_many(axis, laws, task, plant, workers, progress)
+    if split or plant.two_quadrant:  # let go moving the other way too; each plant is judged by its worse direction
+        other = run_many(axis, laws, replace(task, reference=-task.reference), plant, workers, progress)
+        worse = other.verdict > measures.verdict
+        measures = replace(measures, raw=np.where(worse[:, None], other.raw, measures.raw))
     return MismatchStudy(axis.name, law, mismatch, seed, task.name, len(corners), errors, error, radius, measures)
 
 

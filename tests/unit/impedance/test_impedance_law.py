@@ -68,6 +68,19 @@ def test_program_finds_the_misprints():
     assert steps["30"].to_dict()["difference"]["latex"]
 
 
+def test_covariance_is_that_of_many_least_squares_fits():
+    import sympy as sp
+
+    from emps_design.control.impedance_derivation import least_squares_covariance
+
+    regressor = np.array([[1.0, 0.2], [0.5, -1.0], [2.0, 0.3]])
+    errors = 0.1 * np.random.default_rng(0).standard_normal((3, 20000))
+    fits = np.linalg.lstsq(regressor, errors, rcond=None)[0]
+    sigma = sp.Symbol("s")
+    derived = least_squares_covariance(sp.Matrix(regressor.tolist()), sigma).subs(sigma, 0.1)
+    np.testing.assert_allclose(np.cov(fits), np.array(derived, dtype=float), rtol=0.05, atol=1e-4)
+
+
 def test_cost_of_the_printed_law_is_the_closed_form(plant):
     cost = cost_of_printed(plant, 50.0, 100.0)
     assert cost["derived"] == pytest.approx({"apparent_mass": 50.0, "apparent_damping": 100.0, "coulomb_left": 0.0})

@@ -248,6 +248,17 @@ def test_study_covers_corners_and_interval(axis):
     assert math.isnan(none.stable_share[1])
 
 
+def test_what_is_not_a_number_has_a_word(axis):
+    bad = impedance_law(axis, 50.0, 100.0, 200.0, current_filter=math.inf)
+    words = " ".join(mismatch_study(axis, bad, 0.02, 0).warnings)
+    assert "stable_share_interval is undefined" in words
+    assert "error is undefined" in words
+    weak = mismatch_study(axis, impedance_law(axis, 50.0, 100.0), 0.0, 5, task=pushed_task(1e-3, force=5.0))
+    assert weak.warnings == (
+        "what was felt (mass, damping, r2, force_per_speed) is undefined for plants that never moved",
+    )
+
+
 def test_interval_covers_all_stable_as_clopper_pearson(axis):
     study = mismatch_study(axis, impedance_law(axis, 50.0, 100.0), 0.02, 100, task=guided_task(1e-3, 4.0))
     share, low, high = study.stable_share
@@ -263,6 +274,12 @@ def test_two_quadrant_study(axis):
         "mass", "viscous_positive", "viscous_negative", "coulomb_positive", "coulomb_negative"
     }  # fmt: skip
     assert study.to_dict()["worst"]["verdict"] == "creeping"
+    # Over-estimated only for motion to -: let go moving to +, the carriage would stop.
+    law = impedance_law(machine2, 50.0, 100.0)
+    one_way = law.with_errors({"coulomb_positive": -0.02, "coulomb_negative": 0.02})
+    assert run(machine2, one_way, guided_task(1e-3)).verdict == "dead_band"
+    row = [i for i, e in enumerate(study.errors[:32]) if e[3] < 0 < e[4]]
+    assert set(study.verdict[row]) == {VERDICTS.index("creeping")}
     asked = mismatch_study(axis, impedance_law(axis, 50.0, 100.0), 0.02, 0, two_quadrant=True)
     assert asked.corners == 32
 
