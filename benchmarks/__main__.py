@@ -1,8 +1,8 @@
 """Measure the simulation engine and write benchmarks/latest.json: ``make bench`` or ``python -m benchmarks``.
 
-Times are medians of one process on this machine: processor time where one thread works, so that other work on the machine
-counts little, wall time where several do. What counts are the ratios. Peers that are not there are left out with
-a word. The record is DATA_EMPS where it can be found, otherwise a practice record of the same length.
+Times are medians of one process on this machine: processor time where one thread works, so that other work on the
+machine counts little, wall time where several do. What counts are the ratios. Peers that are not there are left out
+with a word. The record is DATA_EMPS where it can be found, otherwise a practice record of the same length.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def _record() -> tuple[Record, str]:
 
 
 def _median(call, least: int = 5, seconds: float = 1.0, clock=time.thread_time) -> float:
-    """Median time of ``call`` [s], after one call to warm up: of this thread's processor, unless ``clock`` is another."""
+    """Median time of ``call`` [s], after one call to warm up: of this thread's processor unless ``clock`` says else."""
     call()
     times = []
     gc.disable()

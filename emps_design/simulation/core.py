@@ -146,7 +146,7 @@ def run_plain(b, numbers, delay, start, reference, push, noise, position, encode
     return reference.size
 
 
-@cached("core.py")
+@cached("core.py", contract=True)
 def run_folded(b, numbers, start, reference, push, position, velocity, u, events, found):
     """The same without delay, quantisation and noise, sliding folded into one affine map a sample."""
     mass, dry, offset = b[MASS], b[COULOMB], b[OFFSET]
@@ -170,12 +170,13 @@ def run_folded(b, numbers, start, reference, push, position, velocity, u, events
                 drive = proportional * reference[k] + damping * (older if two_tap else last)
                 volts = drive - both * q
                 other = constant - push[k] if push.size else constant
-                new = v * e + v_q * q + (v_u * drive - m1 * other)
+                # The next state is one product and one sum behind this one; the rest does not wait for it.
+                new = v * e + (v_q * q + (v_u * drive - m1 * other))
                 if not (s * new > 0.0 and abs(volts) <= limit):
                     break
                 position[k], velocity[k], u[k] = q, v, volts
                 older, last = last, q
-                q = q_q * q + v * g1 + (q_u * drive - m2 * other)
+                q = q_q * q + (v * g1 + (q_u * drive - m2 * other))
                 v = new
                 k += 1
                 if k == n:
