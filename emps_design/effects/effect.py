@@ -220,7 +220,7 @@ class Effect:
         added [V], the delay [s] or the error of the sensor [m].
 
         >>> from emps_design.effects import get_effect
-        >>> get_effect("nonlinear_viscous_friction").contribution({"quadratic": 900.0}, np.zeros(4), v=-0.1)
+        >>> get_effect("nonlinear_viscous_friction").contribution({"amount": 9.0, "exponent": 1.0}, np.zeros(4), v=-0.1)
         -9.0
         """
         p = self.values(parameters)

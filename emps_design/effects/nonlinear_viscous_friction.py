@@ -1,42 +1,56 @@
-"""Nonlinear viscous friction: the friction curve bends at speed, by quadratic v |v|.
+"""Nonlinear viscous friction: the friction curve bends, by amount sign(v) (|v| / 0.1 m/s)^exponent.
 
-A positive coefficient is drag that grows faster than speed (churning, air), a negative one a curve that flattens
-(shear thinning of the grease); the viscous coefficient of the baseline is then the slope at rest.
+Exponent 2 is drag that grows faster than speed (churning, air), or with a negative amount a curve that flattens at
+the top; exponent 1/2 a curve that rises steeply from rest and flattens (shear thinning of the grease). The viscous
+coefficient of the baseline holds the straight part. Below ``SMOOTH`` the power gives way to a straight line, so that
+the slope at rest stays finite: force = amount (v/V) ((v^2 + SMOOTH^2)/V^2)^((exponent - 1)/2) with V = 0.1 m/s.
 """
 
 import numpy as np
 
 from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
 
+SPEED = 0.1  # m/s, at which the force is the amount
+SMOOTH = 1e-4  # m/s
+
 
 def force(q, v, t, tau, x, p, b):
-    return p[0] * v * abs(v)
+    return p[0] * (v / SPEED) * ((v * v + SMOOTH * SMOOTH) / (SPEED * SPEED)) ** (0.5 * (p[1] - 1.0))
 
 
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
-    return (motion.v * np.abs(motion.v))[:, None]
+    size = (motion.v**2 + SMOOTH**2) / SPEED**2
+    return (motion.v / SPEED * size ** (0.5 * (shape["exponent"] - 1)))[:, None]
 
 
 def expression(q, v, t, tau, p, b):
-    import sympy
-
-    return p["quadratic"] * v * sympy.Abs(v)
+    return p["amount"] * v / SPEED * ((v**2 + SMOOTH**2) / SPEED**2) ** ((p["exponent"] - 1) / 2)
 
 
 EFFECT = Effect(
     name="nonlinear_viscous_friction",
     label="Nonlinear viscous friction",
     channel="plant",
-    equation=r"F = F_{v2}\, \dot q\, |\dot q|",
-    source="friction polynomial; B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30 (1994)",
+    equation=r"F = F_{0.1}\, \mathrm{sign}(\dot q)\, (|\dot q| / 0.1)^{n}",
+    source="friction over speed as a power; B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30 (1994)",
     parameters=(
         Parameter(
-            "quadratic",
-            r"F_{v2}",
-            "N/(m/s)^2",
+            "amount",
+            r"F_{0.1}",
+            "N",
             linear=True,
-            scale=300.0,
-            text="bend of the friction curve; negative where friction flattens with speed",
+            scale=5.0,
+            text="force of the bend at 0.1 m/s; negative where it relieves",
+        ),
+        Parameter(
+            "exponent",
+            "n",
+            "",
+            lower=0.3,
+            upper=4.0,
+            starts=(2.0, 0.5),
+            discrete=True,
+            text="power of the speed: above 1 the curve bends up, below 1 it flattens",
         ),
     ),
     force=force,
@@ -48,8 +62,8 @@ EFFECT = Effect(
     experiment="constant-velocity strokes at five or more speeds spread evenly up to the highest",
     remedy="identify over the speeds of use only, or put the curve in the friction compensation",
     checks=(
-        ({"quadratic": 900.0}, {"v": 0.1}, 9.0),
-        ({"quadratic": -400.0}, {"v": -0.5}, 100.0),
+        ({"amount": 9.0, "exponent": 2.0}, {"v": 0.1}, 9.0 * (1.0 + 1e-6) ** 0.5),
+        ({"amount": -20.0, "exponent": 0.5}, {"v": -0.025}, 10.0 * (1.0 + 1.6e-5) ** -0.25),
     ),
     parity="odd",
 )

@@ -10,7 +10,7 @@ from emps_design.simulation import Plant
 
 TRUE = {
     "asymmetric_viscous_friction": {"viscous_difference": -40.0},
-    "nonlinear_viscous_friction": {"quadratic": 500.0},
+    "nonlinear_viscous_friction": {"amount": 5.0, "exponent": 2.0},
     "stribeck_friction": {"excess": 8.0, "stribeck_velocity": 0.01, "exponent": 1.4},
     "presliding_friction": {"stiffness": 1e5},
     "load_dependent_friction": {"share": 0.1},

@@ -75,7 +75,7 @@ def draw_effect(
         return {"asymmetric": x}, {name: {"viscous_difference": x}}
     if name == "nonlinear_viscous_friction":
         x = (4.4, 7.0)[big] * drive.viscous * (1.0 if sign > 0 else -0.5) * _between(rng, 0.85, 1.2)
-        return {"quadratic": x}, {name: {"quadratic": x}}
+        return {"quadratic": x}, {name: {"amount": 0.01 * x, "exponent": 2.0}}
     if name == "stribeck_friction":
         x, w = drive.coulomb * (0.4, 0.7)[big], _between(rng, 0.006, 0.012)
         return (

@@ -8,7 +8,7 @@ PERIOD = 4e-3
 CASES = {
     "none": {},
     "asymmetric_viscous_friction": {"viscous_difference": -40.0},
-    "nonlinear_viscous_friction": {"quadratic": -150.0},
+    "nonlinear_viscous_friction": {"amount": -1.5, "exponent": 2.0},
     "stribeck_friction": {"excess": 8.0, "stribeck_velocity": 0.01, "exponent": 1.0},
     "presliding_friction": {"stiffness": 1e5},
     "load_dependent_friction": {"share": 0.1},

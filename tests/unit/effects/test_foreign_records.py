@@ -44,7 +44,7 @@ def translate(kind, given, b):
         "friction_drift": lambda: {"change": p["drift_frac"], "time_constant": p["drift_tau"]},
         "load_dependent_friction": lambda: {"share": p["load_mu"]},
         "mass_change": lambda: {"change": p["mass_step"], "time": p["mass_t"]},
-        "nonlinear_viscous_friction": lambda: {"quadratic": p["quad"]},
+        "nonlinear_viscous_friction": lambda: {"amount": 0.01 * p["quad"], "exponent": 2.0},
         "periodic_disturbance": lambda: {"amplitude": p["hum_amp"], "phase": None, "frequency": p["hum_hz"]},
         "position_dependent_friction": lambda: {
             "amplitude": p["posfric_amp"] * b[2],

@@ -10,7 +10,7 @@ from emps_design.simulation import Plant
 
 PLANT = {
     "asymmetric_viscous_friction": {"viscous_difference": -40.0},
-    "nonlinear_viscous_friction": {"quadratic": 500.0},
+    "nonlinear_viscous_friction": {"amount": 5.0, "exponent": 2.0},
     "stribeck_friction": {"excess": 8.0, "stribeck_velocity": 0.1, "exponent": 1.4},
     "load_dependent_friction": {"share": 0.3},
     "position_dependent_friction": {"amplitude": 5.0, "phase": 0.4, "length": 0.13},
