@@ -31,6 +31,7 @@ if EXAMPLES:
         "abort_on_example_error": True,
         "download_all_examples": False,
         "show_memory": False,
+        "within_subsection_order": "FileNameSortKey",
         "min_reported_time": 1e9,
         "reset_argv": "gallery_examples.arguments",
     }
