@@ -30,7 +30,7 @@ def command(
     out: Path | None = typer.Option(None, "--out", help="Write the signals to this file: .npz (lossless) or .csv."),
     plot: Path | None = typer.Option(None, "--plot", help="Draw the run into this file: .png, .svg or .pdf."),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
-) -> None:
+) -> int:
     from emps_design.cli.output import print_json
     from emps_design.errors import InputError
 
@@ -59,6 +59,10 @@ def command(
         print_json(document)
     else:
         _show(document)
+    if "reason" in document:
+        print(f"emps-design: {document['reason']}", file=sys.stderr)
+        return 4
+    return 0
 
 
 def _single(

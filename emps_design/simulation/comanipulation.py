@@ -11,6 +11,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.control.impedance import PARAMETERS, ImpedanceLaw, impedance_law, left_out
 from emps_design.control.impedance_robustness import VERDICTS
+from emps_design.simulation.impedance_assessment import ImpedanceAssessment
 from emps_design.simulation.impedance_study import MismatchStudy, mismatch_study
 from emps_design.simulation.impedance_task import Task, guided_task, pushed_task
 
@@ -19,13 +20,21 @@ MASS, DAMPING = 50.0, 100.0  # M_a [kg] and B [N/(m/s)] of the paper's experimen
 
 @dataclass(frozen=True)
 class Comanipulation:
-    """Result of :func:`run_comanipulation`: the worst plant's verdict, and the transparency of the exact law."""
+    """Result of :func:`run_comanipulation`: the worst plant's verdict, and the transparency of the exact law.
 
-    law: ImpedanceLaw
+    ``nominal`` has no mismatch, ``extended`` the corners with the axis's effects (None where it has none).
+    """
+
+    assessment: ImpedanceAssessment
     nominal: MismatchStudy
     study: MismatchStudy
     extended: MismatchStudy | None
     warnings: tuple[str, ...]
+
+    @property
+    def law(self) -> ImpedanceLaw:
+        """The law that was simulated."""
+        return self.assessment.law
 
     def to_dict(self) -> dict[str, Any]:
         """Keys of the contract, and under ``study`` all of the mismatch study.
@@ -33,12 +42,15 @@ class Comanipulation:
         ``verdict`` is that of the worst plant tried, ``nominal_verdict`` that without mismatch; ``transparency`` is
         the law's without mismatch: apparent mass [kg] and damping [N/(m/s)] from force regressed on acceleration and
         velocity in motion, r2 about zero, and error, the rms relative error of the impedance over 0-20 rad/s. On an
-        axis with effects nominal plant and corners are simulated with them; the Monte-Carlo is without.
+        axis with effects nominal plant and corners are simulated with them; the Monte-Carlo is without. A law with
+        unstable poles adds reason and nearest.
         """
         exact = self.nominal.plant(0)
         nominal_words = [word for word in self.nominal.warnings if not word.startswith("stable_share")]
         judged = self.study if self.extended is None else self.extended
+        refused = self.assessment
         return {
+            **({} if refused.stable else {"reason": refused.reason, "nearest": refused.nearest}),
             "scenario": "comanipulation",
             "verdict": VERDICTS[judged.verdict.max()],
             "nominal_verdict": exact["verdict"],
@@ -100,7 +112,7 @@ def run_comanipulation(
     warnings = tuple(
         f"effect {kind} is in the simulated nominal plant and corners, not in the Monte-Carlo" for kind in others
     )
-    return Comanipulation(law, nominal, study, extended, warnings)
+    return Comanipulation(ImpedanceAssessment(axis, law, mismatch, study), nominal, study, extended, warnings)
 
 
 def _with_effects(axis: Axis, study: MismatchStudy, task: Task) -> MismatchStudy:

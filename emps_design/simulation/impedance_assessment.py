@@ -28,7 +28,7 @@ from emps_design.control.impedance_robustness import (
     worst_radius,
 )
 from emps_design.control.impedance_sampled import MARGINAL, Clock, SampledLoop, recursion_poles, sampled_loop
-from emps_design.errors import SpecificationError
+from emps_design.errors import SpecificationError, UnstableError
 from emps_design.simulation.impedance_study import MismatchStudy, mismatch_study
 
 
@@ -100,6 +100,12 @@ class ImpedanceAssessment:
             f"unstable: {what}; nearest stable: mass {self.nearest['mass']:.4g} kg, damping "
             f"{self.nearest['damping']:.4g} N/(m/s), filter {self.nearest['filter']:.4g} rad/s on both signals"
         )
+
+    def require_stable(self) -> ImpedanceLaw:
+        """Return the law, or refuse it: :class:`UnstableError` with the reason and the nearest stable one."""
+        if not self.stable:
+            raise UnstableError(self.reason, dict(self.nearest or {}))
+        return self.law
 
     def to_dict(self) -> dict[str, Any]:
         """Keys of the contract, and beside them passivity, contact, rest, and the smallest safe M_a."""

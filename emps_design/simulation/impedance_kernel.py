@@ -5,7 +5,8 @@ of sliding is linear, and a period in which the velocity reaches zero is cut the
 rest S takes any value in [-1, 1]; the carriage leaves at the instant the force leaves [-F_c-, F_c+]. Two-quadrant
 friction is the vector X of (5). Command c and external force are held over each period.
 
-One plant is one call, nothing is shared between plants: the numbers are the same for any number of workers.
+All of it is one file, because the compiler's cache does not notice edits in others. One plant is one call, nothing is
+shared between plants: the numbers are the same for any number of workers.
 """
 
 from __future__ import annotations

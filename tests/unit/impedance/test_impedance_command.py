@@ -95,3 +95,17 @@ def test_zero_damping_is_said_to_coast(capsys):
     assert status == 0
     assert found["equivalent_loop"]["k_e1"] is None
     assert any("nothing brings the released carriage to rest" in warning for warning in found["warnings"])
+
+
+def test_scenario_with_an_unstable_law_exits_4(capsys):
+    status = run(
+        ["simulate", "--scenario", "comanipulation", "--mass", "1", "--damping", "100", "--plants", "0", "--json"]
+    )
+    out, err = capsys.readouterr()
+    found = json.loads(out)
+    assert status == 4
+    assert found["verdict"] == "unstable"
+    assert found["nearest"]["mass"] > 1.0
+    assert found["reason"] in err
+    assert run(["simulate", "--scenario", "comanipulation", "--plants", "0", "--json"]) == 0
+    capsys.readouterr()

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from emps_design.control.impedance import FrictionModel, ImpedanceLaw, impedance_law
+from emps_design.control.impedance_contact import largest_wall
 from emps_design.control.impedance_effects import extended_loop
 from emps_design.control.impedance_response import relay_oscillation
 from emps_design.control.impedance_robustness import VERDICTS, break_away, creep_speed, verdict
 from emps_design.control.impedance_sampled import Clock, sampled_loop
-from emps_design.errors import AxisError, InputError
+from emps_design.errors import AxisError, InputError, UnstableError
 from emps_design.machines import machine
 from emps_design.simulation import impedance_kernel as kernel
 from emps_design.simulation.comanipulation import run_comanipulation
@@ -24,6 +25,7 @@ from emps_design.simulation.impedance_run import law_array, plant_array, run, ru
 from emps_design.simulation.impedance_study import mismatch_study
 from emps_design.simulation.impedance_task import Task, guided_task, pushed_task
 from emps_design.simulation.plant import Plant
+from emps_design.simulation.surroundings import Hand
 
 PLANT = np.array([100.0, 400.0, 500.0, 20.0, 12.0, 5e-4, 35.0, 10.0, 0.0, 1e-3])
 
@@ -406,6 +408,30 @@ def test_diverging_axis_with_effects_is_unstable_in_the_scenario(axis):
     found = run_comanipulation(axis.replace(effects=[coupling]), plants=0).to_dict()
     assert found["nominal_verdict"] == found["verdict"] == "unstable"
     assert len(found["corners_with_effects"]) == 8
+
+
+def test_unstable_law_is_refused_with_the_nearest(axis):
+    found = assess_impedance(axis, 50.0, 100.0, 0.02, 200.0, plants=0, current_filter=math.inf)
+    with pytest.raises(UnstableError, match="unstable: the sampled loop has a pole of modulus 1.0014") as refused:
+        found.require_stable()
+    assert refused.value.nearest == {"mass": 50.0, "damping": 100.0, "filter": 200.0}
+    assert assess_impedance(axis, 50.0, 100.0).require_stable().mass == 50.0
+
+
+@pytest.mark.parametrize("filter", [200.0, 500.0])
+def test_wall_limit_holds_in_the_general_simulator(axis, plant, clock, filter):
+    # Without Coulomb friction and encoder steps, so that nothing but the poles decides.
+    smooth = axis.replace(mechanics={"coulomb": 0.0}, sampling={"encoder_resolution": 0.0})
+    law = impedance_law(smooth, 50.0, 100.0, filter)
+    wall = largest_wall(law, FrictionModel.of(smooth), clock)
+    push = np.zeros(3000)
+    push[:20] = 5.0
+    peaks = {}
+    for factor in (0.9, 1.1):
+        touched = Plant.of(smooth).touched_by(Hand(stiffness=factor * wall))
+        v = touched.closed_loop(np.zeros(3000), disturbance=push, law=law_for(smooth, law, 1e-3)).v
+        peaks[factor] = np.abs(v[-300:]).max() / np.abs(v[300:600]).max()
+    assert peaks[0.9] < 1.0 < peaks[1.1]
 
 
 def test_extended_run_takes_no_hand(axis):
