@@ -23,8 +23,9 @@ def command(
     k_e1: float = typer.Option(0.01, "--k-e1", help="Force gain [(m/s)/N]."),
     hand: float = typer.Option(0.0, "--hand", help="Viscous hand [N/(m/s)]."),
     environment: float = typer.Option(1e4, "--environment", help="Stiffness of the wall [N/m]."),
-    mass: float | None = typer.Option(None, "--mass", help="Apparent mass M_a [kg]: adds the impedance law."),
-    damping: float | None = typer.Option(None, "--damping", help="Apparent damping B [N/(m/s)]: with --mass."),
+    mass: float | None = typer.Option(None, "--mass", help="Apparent mass M_a of the impedance law [kg]."),
+    damping: float | None = typer.Option(None, "--damping", help="Apparent damping B [N/(m/s)], with --mass."),
+    mismatch: float = typer.Option(0.02, "--mismatch", help="Error of the impedance law's estimates."),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     """The whole design as one self-contained page: specification against achieved, loops, force loop, record."""
@@ -51,6 +52,7 @@ def command(
             environment=environment,
             mass=mass,
             damping=damping,
+            mismatch=mismatch,
             progress=progress,
         )
         aside.write_text(report.page.html(), encoding="utf-8")
@@ -61,6 +63,8 @@ def command(
         print(out)
     for warning in report.warnings:
         print(f"emps-design: {warning}", file=sys.stderr)
-    if not report.results.velocity.sampled.stable:
-        print("emps-design: the sampled velocity loop is unstable; the page says so first", file=sys.stderr)
+    unstable = [] if report.results.velocity.sampled.stable else ["the sampled velocity loop"]
+    unstable += [] if mass is None or report.impedance.stable else ["the impedance law"]
+    if unstable:
+        print(f"emps-design: unstable: {' and '.join(unstable)}; the page says so first", file=sys.stderr)
         raise typer.Exit(UnstableError.exit_code)

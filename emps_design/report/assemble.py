@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ from emps_design.report.page import Page
 if TYPE_CHECKING:
     from emps_design.identification.identify import Identification
     from emps_design.records import Record
+    from emps_design.simulation.impedance_assessment import ImpedanceAssessment
 
 Progress = Callable[[str, float], None]
 DESIGN_ON = ("record", "axis")
@@ -28,9 +29,9 @@ class Report:
 
     page: Page
     results: DesignResults
+    impedance: ImpedanceAssessment
     found: tuple[Identification, ...] = ()
     warnings: tuple[str, ...] = ()
-    impedance: dict[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Gains, force loop and identification as plain data."""
@@ -40,8 +41,7 @@ class Report:
         }
         if self.found:
             document["identification"] = {one.model: one.to_dict() for one in self.found}
-        if self.impedance:
-            document["impedance"] = self.impedance
+        document["impedance"] = self.impedance.to_dict()
         document["inputs"] = dict(self.results.inputs)
         document["warnings"] = list(self.warnings)
         return document
@@ -60,6 +60,7 @@ def assemble_report(
     environment: float = 1e4,
     mass: float | None = None,
     damping: float | None = None,
+    mismatch: float = 0.02,
     progress: Progress | None = None,
 ) -> Report:
     """Design ``axis`` (or what ``record`` says about it) and return the page with its results.
@@ -68,7 +69,8 @@ def assemble_report(
     ``design_on``: "record" takes the mechanics that the record gives (the default where no axis is named), "axis"
     leaves them as they are. ``crossover`` or
     ``bandwidth`` [rad/s], ``phase_margin_deg`` [deg]; ``k_e1`` [(m/s)/N], ``hand`` [N/(m/s)], ``environment`` [N/m];
-    ``mass`` [kg] and ``damping`` [N/(m/s)] add the impedance law.
+    ``mass`` [kg] and ``damping`` [N/(m/s)] of the impedance law, by default those of the axis's controller or else of
+    the paper's experiments, tried under a relative ``mismatch``.
 
     >>> report = assemble_report("emps2018", crossover=100.0, phase_margin_deg=60.0)
     >>> report.results.velocity.axis.name, round(report.results.velocity.k_v1, 2)
@@ -99,13 +101,19 @@ def assemble_report(
         notes.append(_basis(loaded, found[0], design_on))
     tell("designing the loops", 0.4)
     velocity = design_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg)
-    results = design_results(velocity, k_e1, hand, environment, inputs=inputs, parts=tuple(parts), notes=tuple(notes))
+    tell("trying the impedance law", 0.45)
+    assessed, section = _impedance(loaded, mass, damping, mismatch)
+    parts.append(section)
+    stops = () if assessed.stable else (f"the impedance law is unstable: {assessed.reason}",)
+    results = design_results(
+        velocity, k_e1, hand, environment, inputs=inputs, parts=tuple(parts), notes=tuple(notes), stops=stops
+    )
     tell("drawing", 0.6)
     page = design_page(results)
     warnings = [warning for one in found for warning in one.warnings]
-    warnings += [*velocity.warnings, *results.force.warnings]
+    warnings += [*velocity.warnings, *results.force.warnings, *assessed.to_dict()["warnings"]]
     tell("writing", 0.95)
-    return Report(page, results, tuple(found), tuple(dict.fromkeys(warnings)))
+    return Report(page, results, assessed, tuple(found), tuple(dict.fromkeys(warnings)))
 
 
 def _from_record(record, axis, model, design_on, inputs, tell):
@@ -121,6 +129,22 @@ def _from_record(record, axis, model, design_on, inputs, tell):
     found = tuple(identify(read, axis, model=name) for name in (model, *others))
     section = record_section(read, found, axis)
     return (found[0].to_axis() if design_on == "record" else axis), found, section
+
+
+def _impedance(axis, mass, damping, mismatch):
+    """Assess the impedance law on ``axis``, and the section that tells it."""
+    from emps_design.report.impedance import impedance_section
+    from emps_design.simulation.comanipulation import DAMPING, MASS
+    from emps_design.simulation.impedance_assessment import assess_impedance
+
+    controller, chosen = axis.controller, ""
+    if mass is None and controller.kind == "impedance":
+        mass, damping = controller.mass, controller.damping
+    elif mass is None:
+        mass, damping = MASS, DAMPING
+        chosen = "These are the values of the paper's experiments (section IV-B); --mass and --damping choose others."
+    assessed = assess_impedance(axis, mass, damping, mismatch)
+    return assessed, impedance_section(assessed, chosen)
 
 
 def _basis(axis: Axis, found: Identification, design_on: str) -> str:

@@ -38,7 +38,8 @@ class DesignResults:
     """What the page shows; every number was computed by the library.
 
     ``inputs``: SHA-256 of every input by name, None for what is built in; ``parts``: more sections (a record, an
-    impedance law), each already a :class:`Section`; ``notes``: statements for the summary; ``warnings``: more of them.
+    impedance law), each already a :class:`Section`; ``notes``: statements for the summary; ``stops``: what else is
+    unstable; ``warnings``: more of them.
     """
 
     velocity: VelocityLoopDesign
@@ -48,6 +49,7 @@ class DesignResults:
     inputs: Mapping[str, str | None] = field(default_factory=dict)
     parts: tuple[Section, ...] = ()
     notes: tuple[str, ...] = ()
+    stops: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
 
@@ -125,7 +127,7 @@ def _stops(results: DesignResults) -> list[Callout]:
         limit = force.k_e1_max_sampled
         body = f"The largest stable gain is {number(limit)} (m/s)/N." if limit else "No gain is stable here."
         stops.append(Callout("stop", f"the force loop is unstable at k_e1 = {number(force.k_e1)} (m/s)/N.", body))
-    return stops
+    return [*stops, *(Callout("stop", stop) for stop in results.stops)]
 
 
 def _summary(results: DesignResults) -> tuple[Any, ...]:

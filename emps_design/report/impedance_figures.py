@@ -12,6 +12,7 @@ from emps_design.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, R
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from emps_design.control.impedance_contact import ContactMap
     from emps_design.control.impedance_robustness import StabilityMap
     from emps_design.simulation.impedance_run import Run
     from emps_design.simulation.impedance_study import MismatchStudy
@@ -128,4 +129,24 @@ def mismatch_figure(study: MismatchStudy) -> Figure:
         right.set_ylabel("plants")
         right.grid(axis="x", visible=False)
         right.margins(y=0.12)
+    return figure
+
+
+def contact_map_figure(found: ContactMap) -> Figure:
+    """Draw where law and contact are stable together, over stiffness and damping of hand or wall."""
+    positive_k, positive_b = found.stiffness > 0.0, found.damping > 0.0
+    stiffness, damping = found.stiffness[positive_k], found.damping[positive_b]
+    unstable = (~found.stable[np.ix_(positive_b, positive_k)]).astype(float)
+    with look():
+        figure, axes = subplots(height=3.2)
+        axes.contourf(stiffness, damping, unstable, levels=[0.5, 1.5], colors=["#F9C9A3"], alpha=0.7)
+        if 0.0 < unstable.mean() < 1.0:
+            axes.contour(stiffness, damping, unstable, levels=[0.5], colors=[RED], linewidths=1.8)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_xlabel("stiffness of the contact [N/m]")
+        axes.set_ylabel("damping [N/(m/s)]")
+        places = [(300.0, 20.0, "hand")] + ([(2e6, 3.0, "unstable")] if unstable.any() else [])
+        for x, y, text in places:
+            axes.annotate(text, (x, y), ha="center", color=RED if text == "unstable" else BLACK)
     return figure

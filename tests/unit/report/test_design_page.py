@@ -30,7 +30,28 @@ def test_the_page_shows_the_gains_and_the_margins_of_all_four_loops(page):
 def test_the_page_has_every_picture_with_a_caption(page):
     titles = re.findall(r"<b>Figure \d+\. ([^<]*?)\.</b>", page)
     assert {"Nyquist diagrams", "Closed-loop poles", "Step response", "How large the force gain may be"} <= set(titles)
-    assert len(titles) == page.count("<svg ") == 8
+    assert {"Where the law is stable", "Apparent impedance", "Mismatch of ±2 %"} <= set(titles)
+    assert len(titles) == page.count("<svg ") == 14
+
+
+def test_the_page_tells_what_the_printed_law_costs_and_where_print_and_derivation_differ(page):
+    for said in (
+        "73.81 kg",
+        "235.8 N/(m/s)",
+        "6.296 N",
+        "3.841 mm/s",
+        "(18) is printed with the opposite sign",
+        "17.38 N",
+    ):
+        assert said in page, said
+
+
+def test_an_unstable_impedance_law_is_announced_first():
+    report = assemble_report("emps2018", crossover=100.0, mass=1.0, damping=1.0)
+    html = report.page.html()
+    body = html[html.index("<body>") :]
+    assert not report.impedance.stable
+    assert body.index("the impedance law is unstable") < body.index("phase margin</th>")
 
 
 def test_the_page_is_small_closed_and_repeatable(page):
