@@ -11,7 +11,7 @@ from emps_design.records import Record
 SMALLEST_STROKE = 1e-5  # m, and at least this many encoder steps:
 SMALLEST_STEPS = 200
 LARGEST_SATURATED_SHARE = 0.2
-WEAK_RELIABILITY = 0.1  # share of a column that the reference explains, below which its parameter is not determined
+WEAK_RELIABILITY = 0.5  # share of a column that the reference explains, below which its parameter is not determined
 
 
 def check_record(record: Record, axis: Axis, external_force_known: bool = False) -> None:
@@ -57,12 +57,13 @@ def reverses(q: np.ndarray, share: float = 0.02) -> bool:
     return min(rise, fall) >= share * stroke
 
 
-def reliability(W: np.ndarray, Z: np.ndarray) -> np.ndarray:
+def reliability(W: np.ndarray, Z: np.ndarray, lags: tuple[int, ...] = (0,)) -> np.ndarray:
     """Share of each column of ``W`` that the columns ``Z`` of the reference explain, given the other columns, (p,).
 
-    The partial R^2 of the first stage of instrumental variables. Noise in a column pulls its parameter towards zero
-    by about this factor: near 1 the motion is the reference's, near 0 it is encoder noise and the parameter is not
-    determined, however small the deviation that (15) gives it.
+    The partial R^2 of the first stage of instrumental variables; a column of the reference counts with each of the
+    delays ``lags`` [rows], for a loop follows its reference late. Noise in a column pulls its parameter towards zero by
+    about this factor: near 1 the motion is the reference's, near 0 it is noise and the parameter is not determined,
+    however small the deviation that (15) gives it.
 
     >>> W = np.column_stack([np.ones(100), np.arange(100) - 49.5])
     >>> reliability(W, W).round(3).tolist()
@@ -70,10 +71,11 @@ def reliability(W: np.ndarray, Z: np.ndarray) -> np.ndarray:
     """
     shares = []
     for index in range(W.shape[1]):
-        others = np.delete(Z, index, axis=1)
-        basis = np.linalg.qr(others)[0] if others.shape[1] else np.zeros((len(W), 1))
-        own = W[:, index] - basis @ (basis.T @ W[:, index])
-        lead = Z[:, index] - basis @ (basis.T @ Z[:, index])
-        size = float(np.linalg.norm(own) * np.linalg.norm(lead))
-        shares.append((float(own @ lead) / size) ** 2 if size > 0 else 0.0)
+        others = np.linalg.qr(np.delete(W, index, axis=1))[0] if W.shape[1] > 1 else np.zeros((len(W), 1))
+        own = W[:, index] - others @ (others.T @ W[:, index])
+        lead = np.column_stack([np.roll(Z[:, index], lag) for lag in lags])
+        lead = lead - others @ (others.T @ lead)
+        basis, _, _ = np.linalg.svd(lead / max(float(np.linalg.norm(lead)), 1e-300), full_matrices=False)
+        size = float(own @ own)
+        shares.append(float(np.sum((basis.T @ own) ** 2)) / size if size > 0 else 0.0)
     return np.array(shares)

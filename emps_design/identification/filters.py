@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from emps_design.effects import Motion
-from emps_design.errors import InputError
+from emps_design.errors import InputError, RecordError
 from emps_design.records import Record
 
 REPORT_CUTOFF = 100.0  # Hz, five times the 20 Hz band of interest of the 2019 report
@@ -21,6 +21,7 @@ REPORT_DROPPED = 49  # first samples, spoilt by the ends of filter and differenc
 DECIMATION = 10
 BLOCK = 500_000  # samples that are filtered at a time
 REST_VELOCITY = 2e-3  # m/s, below it friction may be that of rest
+FEWEST_ROWS = 400  # away from rest, for a regression that leaves rest out
 REACH = 1.5  # periods of the cut-off over which the low-pass spreads a jump
 
 
@@ -220,13 +221,19 @@ def hold_chain(record: Record, force_gain: float, cutoff_hz: float | None = None
     def reduce(column: np.ndarray) -> np.ndarray:
         return column[edge : len(column) - edge : factor]
 
+    used = reduce(sliding(seen, cutoff_hz))
+    if int(used.sum()) < FEWEST_ROWS:
+        raise RecordError(
+            f"{record.name}: {int(used.sum())} rows away from rest at a cut-off of {cutoff_hz:g} Hz, expected at least "
+            f"{FEWEST_ROWS}; record longer strokes above {1e3 * REST_VELOCITY:g} mm/s, or use --filter report"
+        )
     return Filtered(
         chain="hold",
         motion=seen,
         force=held_force(record, force_gain, cutoff_hz),
         f_ext=None if record.f_ext is None else low_pass(record.f_ext, cutoff_hz, record.period),
         reduce=reduce,
-        used=reduce(sliding(seen, cutoff_hz)),
+        used=used,
         cutoff_hz=cutoff_hz,
         band_hz=cutoff_hz,
         decimation=factor,

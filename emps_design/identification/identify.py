@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.errors import AxisError, InputError, nearest_name
+from emps_design.errors import AxisError, InputError, RecordError, nearest_name
 from emps_design.identification.cutoff import LONGEST, can_choose, chosen_cutoff
 from emps_design.identification.excitation import WEAK_RELIABILITY, check_record, reliability
 from emps_design.identification.filters import CHAINS, Filtered, hold_chain, sliding
@@ -16,6 +17,9 @@ from emps_design.identification.inverse_model import LeastSquares, least_squares
 from emps_design.identification.statistics import LongRun, hac_covariance, long_run
 from emps_design.quantities import Quantity
 from emps_design.records import Record
+
+LAGS = (0.0, 0.005, 0.01, 0.02, 0.04)  # s by which a loop may follow its reference late
+FEWEST_STEPS = 100  # away from rest, for statistics that leave rest out
 
 
 @dataclass(frozen=True)
@@ -200,13 +204,16 @@ def identify(
     W, Y = regression(filtered, model)
     names = tuple(p.name for p in parameters_of(model))
     fit = least_squares(W, Y, names, filtered.used)
-    extra, systematic = {}, None
+    extra, systematic, notes = {}, None, []
     if can_choose(record):
         cutoff = chosen_cutoff(record)
         extra["cutoff_from_data"] = cutoff.to_dict()
         if chain != "hold":
             better, systematic = _against_hold(record, axis, model, filtered, fit, cutoff.cutoff_hz)
-            extra["hold_modelled"] = {name: one.to_dict() for name, one in better.parameters.items()}
+            if better is None:
+                notes.append("no stretch away from rest: the intervals leave out what friction at rest does to them")
+            else:
+                extra["hold_modelled"] = {name: one.to_dict() for name, one in better.parameters.items()}
     return assemble(
         record,
         axis,
@@ -219,18 +226,25 @@ def identify(
         seed=seed,
         extra=extra,
         systematic=systematic,
+        notes=notes,
     )
 
 
 def _against_hold(
     record: Record, axis: Axis, model: str, filtered: Filtered, fit: LeastSquares, cutoff_hz: float
-) -> tuple[Identification, np.ndarray]:
-    """The same by the chain that models hold and rest, and what ``fit`` is off by; long records in part."""
+) -> tuple[Identification | None, np.ndarray | None]:
+    """The same by the chain that models hold and rest, and what ``fit`` is off by; long records in part.
+
+    None where too little of the record is away from rest for that chain.
+    """
     part = record.part(0, LONGEST, record.name) if len(record) > LONGEST else record
     if part is not record:
         W, Y = regression(filter_record(part, axis, filtered.chain, filtered.cutoff_hz), model)
         fit = least_squares(W, Y, fit.names)
-    judge = hold_chain(part, axis.drive.force_gain, cutoff_hz)
+    try:
+        judge = hold_chain(part, axis.drive.force_gain, cutoff_hz)
+    except RecordError:
+        return None, None
     W, Y = regression(judge, model)
     better = assemble(part, axis, model, "least_squares", judge, W, least_squares(W, Y, fit.names, judge.used))
     return better, fit.value - better.values()
@@ -256,10 +270,14 @@ def assemble(
     seed: int = 0,
     extra: dict[str, Any] | None = None,
     systematic: np.ndarray | None = None,
+    notes: Sequence[str] = (),
+    weakest: float = WEAK_RELIABILITY,
 ) -> Identification:
     """Put statistics beside ``fit`` and make an :class:`Identification` of it; ``Z`` are the instruments, if any.
 
-    ``systematic`` (p,) is what the chain is off by, where that is known: it widens the intervals.
+    ``systematic`` (p,) is what the chain is off by, where that is known (NaN: another chain finds the parameter not
+    determined away from rest): it widens the intervals. ``weakest`` reliability of a column that still determines its parameter;
+    0 where W was simulated, not measured.
     """
     residual, spread, lag, period = residual_statistics(filtered, W, fit, Z)
     hac = np.sqrt(np.diag(hac_covariance(W, fit.residual, lag, Z)))
@@ -269,17 +287,27 @@ def assemble(
 
         covariance = block_bootstrap(W, W @ fit.value + fit.residual, fit.value, lag, bootstrap, seed)
         boot = np.sqrt(np.diag(covariance))
-    shares, warnings = _reliability(record, axis, model, filtered), list(record.warnings)
+    shares = _reliability(record, axis, model, filtered) if weakest > 0 else None
+    warnings = [*record.warnings, *notes]
     estimates = {}
     for i, quantity in enumerate(parameters_of(model)):
-        if shares is not None and shares[i] < WEAK_RELIABILITY:
+        if shares is not None and shares[i] < weakest:
             warnings.append(
                 f"{quantity.name} is not determined: the reference explains {100 * shares[i]:.0f} % of its column, the "
                 "rest is noise; record motion that excites it"
             )
             estimates[quantity.name] = Estimate(quantity, None, None, reliability=float(shares[i]))
             continue
-        bias = 0.0 if systematic is None or np.isnan(systematic[i]) else float(systematic[i])
+        if systematic is not None and np.isnan(systematic[i]):
+            warnings.append(
+                f"{quantity.name} is not determined: only reversals and rests speak of it, which this filter does not "
+                "model; record several constant speeds in both directions, with acceleration between them"
+            )
+            estimates[quantity.name] = Estimate(
+                quantity, None, None, reliability=None if shares is None else float(shares[i])
+            )
+            continue
+        bias = 0.0 if systematic is None else float(systematic[i])
         half = spread.quantile * float(np.hypot(spread.std[i], bias))
         if half > abs(fit.value[i]) and quantity.name != "constant_force":
             warnings.append(f"{quantity.name}: its 95 % interval reaches zero; the record hardly determines it")
@@ -334,6 +362,8 @@ def residual_statistics(
     band = filtered.band_hz
     steps = max(1, round(0.5 / (band * filtered.period)))
     away = filtered.used & (filtered.reduce(sliding(filtered.motion, band).astype(np.float32)) > 0.5)
+    if int(away[::steps].sum()) < FEWEST_STEPS:
+        away = filtered.used
     spread = long_run(
         W[::steps],
         (fit.residual * away)[::steps],
@@ -355,4 +385,5 @@ def _reliability(record: Record, axis: Axis, model: str, filtered: Filtered) -> 
     W, _ = regression(filtered, model)
     led = filter_record(replace(part, q=part.q_ref), axis, filtered.chain, filtered.cutoff_hz)
     Z, _ = regression(led, model)
-    return reliability(W, Z * filtered.used[:, None])
+    lags = tuple(round(delay / filtered.period) for delay in LAGS)
+    return reliability(W, Z * filtered.used[:, None], tuple(sorted(set(lags))))

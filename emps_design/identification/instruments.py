@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.errors import AxisError, InputError
+from emps_design.errors import AxisError, RecordError
 from emps_design.identification.excitation import check_record
 from emps_design.identification.filters import Filtered, hold_chain
 from emps_design.identification.identify import Identification, assemble, residual_statistics
@@ -28,6 +28,7 @@ from emps_design.records import Record
 from emps_design.simulation import Plant
 
 ITERATIONS = 8
+WEAK_INSTRUMENT = 0.1  # share of a column that its instrument explains, below which it says nothing
 SETTLED = 0.02  # of a standard deviation: an iteration that changes less is the last
 
 
@@ -107,7 +108,9 @@ def identify_with_instruments(
         "least_squares": dict(zip(names, map(float, start.value), strict=True)),
         "hausman_test": test.to_dict(),
     }
-    return assemble(record, axis, model, "instrumental_variables", filtered, W, fit, Z=Z, extra=extra)
+    return assemble(
+        record, axis, model, "instrumental_variables", filtered, W, fit, Z=Z, extra=extra, weakest=WEAK_INSTRUMENT
+    )
 
 
 def instruments(record: Record, axis: Axis, model: str, value: np.ndarray, filtered: Filtered) -> np.ndarray:
@@ -131,7 +134,10 @@ def simulate(record: Record, axis: Axis, model: str, value: np.ndarray):
         effects = [{"kind": "asymmetric_viscous_friction", "viscous_difference": extra}]
     for name in ("mass", "viscous", "coulomb"):
         if not p[name] > 0:
-            raise InputError(f"{record.name}: {name} came out as {p[name]:.4g}; no simulation with that, record anew")
+            raise RecordError(
+                f"{record.name}: {name} came out as {p[name]:.4g}, and no simulation starts from that; the record does "
+                "not determine it: record several constant speeds in both directions, with acceleration between them"
+            )
     mechanics = {
         "mass": p["mass"],
         "viscous": p["viscous"],

@@ -124,5 +124,5 @@ def _result(record, axis, model, filtered, value, residual, jacobian, scale, nam
         }
     }
     everywhere = replace(filtered, used=np.ones(n, dtype=bool))
-    found = assemble(record, axis, model, "output_error", everywhere, J, fit, extra=extra)
+    found = assemble(record, axis, model, "output_error", everywhere, J, fit, extra=extra, weakest=0.0)
     return replace(found, series={**found.series, "measured": measured, "model": measured - force})

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from emps_design.axis import Axis
-from emps_design.errors import InputError, RankError, RecordError
+from emps_design.errors import AxisError, InputError, RankError, RecordError
 from emps_design.identification import identify
 from emps_design.identification.filters import decimate, held, hold_chain, low_pass, motion, report_chain
 from emps_design.identification.inverse_model import baseline_columns, least_squares, with_predicted_force
@@ -128,16 +128,42 @@ def test_refusals_name_the_nearest(record):
         low_pass(np.zeros(10), 50.0, 1e-3)
 
 
-def test_a_parameter_of_noise_is_not_determined(record):
-    """An acceleration column that is encoder noise gives no mass, rather than one with a tiny deviation."""
-    from emps_design.identification.excitation import reliability
+def run_along(reference_plant, record, q_ref):
+    run = reference_plant.closed_loop(q_ref, voltage_noise=4e-3 * np.random.default_rng(0).standard_normal(q_ref.size))
+    return replace(record, t=run.t, q_ref=q_ref, q=run.q, u=run.u, name="poor")
 
-    rng = np.random.default_rng(0)
-    Z = np.column_stack([1e-6 * np.sin(np.arange(2000)), np.sign(np.sin(np.arange(2000) / 50))])
-    noisy = Z + np.column_stack([rng.standard_normal(2000), np.zeros(2000)])
-    shares = reliability(noisy, Z)
-    assert shares[0] < 0.05
-    assert shares[1] > 0.95
+
+def test_a_mass_that_nothing_accelerates_is_not_determined(record, reference_plant):
+    """The acceleration of a very slow sine is encoder noise: no mass, rather than one with a tiny deviation."""
+    t = np.arange(20000) * record.period
+    slow = run_along(reference_plant, record, 0.01 * (1 - np.cos(2 * np.pi * 0.05 * t)))
+    found = identify(slow, AXIS)
+    mass = found.parameters["mass"]
+    assert not mass.determined
+    assert mass.value is mass.std is mass.interval_95 is None
+    assert found.parameters["coulomb"].determined
+    assert "mass is not determined: the reference explains" in " ".join(found.warnings)
+    assert np.isnan(found.values()[0])
+    with pytest.raises(AxisError, match=r"mass not determined by the record, the axis needs all"):
+        found.to_axis()
+
+
+def test_friction_from_one_speed_is_not_split(record, reference_plant):
+    """At one speed viscous and Coulomb friction are told apart by reversals alone, which the chain does not model."""
+    t = np.arange(20000) * record.period
+    velocity = np.convolve(np.where((t % 4) < 2, 0.05, -0.05), np.ones(50) / 50, "same")
+    found = identify(run_along(reference_plant, record, np.cumsum(velocity) * record.period), AXIS)
+    assert not found.parameters["coulomb"].determined
+    assert found.parameters["constant_force"].determined
+    assert "only reversals and rests speak of it" in " ".join(found.warnings)
+
+
+def test_a_record_that_never_slides_long_says_so(record, reference_plant):
+    t = np.arange(20000) * record.period
+    shaken = run_along(reference_plant, record, 0.0005 * (1 - np.cos(2 * np.pi * 9 * t)))
+    assert "no stretch away from rest" in " ".join(identify(shaken, AXIS).warnings)
+    with pytest.raises(RecordError, match=r"\d+ rows away from rest .* record longer strokes above 2 mm/s"):
+        identify(shaken, AXIS, chain="hold")
 
 
 def test_motion_is_the_same_filter_on_all(clean):
