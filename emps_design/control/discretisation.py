@@ -84,6 +84,13 @@ class SampledPlant:
         numerator, denominator = self.polynomials
         return np.polyval(numerator, z) / np.polyval(denominator, z)
 
+    def state_response(self, w: np.ndarray) -> np.ndarray:
+        """Frequency response from voltage to every state of ``linear`` at ``w`` [rad/s], shape (*w.shape, n_states)."""
+        z = np.exp(1j * np.asarray(w) * self.period)[..., None]
+        acting = (self.G0 + self.G1 / z) * z**-self.delay
+        matrices = z[..., None] * np.eye(self.C.size) - self.Phi
+        return np.linalg.solve(matrices, acting[..., None])[..., 0]
+
     def frequencies(self, count: int = 400) -> np.ndarray:
         """A grid [rad/s] from far below every motion of the loop up to just below the Nyquist frequency."""
         nyquist = math.pi / self.period

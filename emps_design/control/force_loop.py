@@ -23,8 +23,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from emps_design.control.discretisation import SampledPlant, sample_axis, sample_plant
+from emps_design.control.linear_plant import POSITION, VELOCITY
 from emps_design.control.margins import Margins, loop_margins
-from emps_design.control.sampled import ClosedLoop, closed_loop
+from emps_design.control.sampled import ClosedLoop, SampledVelocityLoop, closed_loop
 from emps_design.control.scale import check_scale
 from emps_design.control.velocity_loop import VelocityLoopDesign
 from emps_design.errors import InputError
@@ -134,19 +135,28 @@ class ForceLoopDesign:
 
     @cached_property
     def k_e1_max_sampled(self) -> float | None:
-        """Largest k_e1 of the sampled loop [(m/s)/N], by bisection on its poles; None: no limit, 0: always unstable."""
+        """Largest k_e1 of the sampled loop [(m/s)/N], by bisection on its poles; None: no limit, 0: always unstable.
+
+        With more than a hundred samples of delay, poles take seconds: there the response at -180 deg gives the limit.
+        """
         loop = self.velocity_loop
         start = 1e-3 / (self.hand + self.environment / loop.omega_0v) if self.hand + self.environment > 0.0 else 1.0
-        return _first_instability(lambda gain: self.sampled_loop(gain).stable, start)
+        if self._plant.delay + self.sensor_delay <= 100 or self.hand + self.environment == 0.0:
+            return _first_instability(lambda gain: self.sampled_loop(gain).stable, start)
+        gently = replace(self, k_e1=start)
+        if not gently.stable:
+            return 0.0
+        factor = gently.margins.gain_margin
+        return None if factor is None else start * factor
 
     def response(self, w: np.ndarray) -> np.ndarray:
         """Sampled force loop, broken at the velocity reference, at ``w`` [rad/s]."""
-        loop = self.velocity_loop
-        inner = closed_loop(self._plant, loop.k_v1, loop.t_v, 0.0, (self.environment, self.hand), self.sensor_delay)
-        z = np.exp(1j * np.atleast_1d(w) * self._plant.period)
-        right = np.broadcast_to(inner.R[:, None].astype(complex), (z.size, inner.R.size, 1))
-        states = np.linalg.solve(z[:, None, None] * np.eye(inner.R.size) - inner.S, right)
-        return (-self.k_e1 * (states[:, :, 0] @ inner.force)).reshape(np.shape(w))
+        plant, loop = self._plant, self.velocity_loop
+        inner = SampledVelocityLoop(plant, loop.k_v1, loop.t_v)
+        voltage = loop.k_v1 / loop.t_v * inner.integrator(w) / (1.0 + inner.plant_input_response(w))
+        states = plant.state_response(w)
+        force = self.environment * states[..., POSITION] + self.hand * states[..., VELOCITY]
+        return self.k_e1 * force * voltage * np.exp(-1j * w * plant.period * self.sensor_delay)
 
     @cached_property
     def margins(self) -> Margins:
@@ -154,11 +164,7 @@ class ForceLoopDesign:
         plant = self._plant
         if self.hand + self.environment == 0.0:  # nothing closes the loop
             return Margins(stable=self.stable, period=plant.period)
-
-        def response(w: np.ndarray) -> np.ndarray:
-            return self.response(np.ravel(w)).reshape(np.shape(w))
-
-        return loop_margins(response, plant.frequencies(), self.stable, plant.period)
+        return loop_margins(self.response, plant.frequencies(), self.stable, plant.period)
 
     @property
     def paper_reading(self) -> dict[str, Any]:

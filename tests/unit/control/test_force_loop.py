@@ -70,6 +70,16 @@ def test_a_late_sensor_costs_gain():
     assert limits[1] < LOOP.omega_0v * 2 * LOOP.z_v / 1e4
 
 
+def test_limit_with_a_long_delay_is_where_the_poles_cross():
+    """Beyond a hundred samples of delay the limit comes from the response; the poles, slower, agree."""
+    slow = machine("emps2018").replace(sampling={"computation_delay": 110})
+    loop = design_velocity_loop(slow, crossover=3.0, phase_margin_deg=70.0)
+    design = design_force_loop(loop, 1e-5, environment=1e4, sensor_delay=5)
+    limit = design.k_e1_max_sampled
+    assert design.sampled_loop(0.999 * limit).stable
+    assert not design.sampled_loop(1.001 * limit).stable
+
+
 def test_the_sign_pushed_by_a_hand_the_carriage_moves_along():
     """A constant force r = tau_ref ends at the velocity k_e1 r when nothing but the sensor answers (k_h small)."""
     design = design_force_loop(LOOP, 0.01, hand=1e-6)
