@@ -9,12 +9,13 @@ from typing import Annotated, Any
 import typer
 
 from emps_design.cli.output import print_json, progress_bar
+from emps_design.errors import InputError
 
 
 def command(
     axis: Annotated[str, typer.Argument(help="TOML file or embedded machine")] = "emps2018",
-    mass: Annotated[float, typer.Option(help="apparent mass M_a [kg]")] = ...,
-    damping: Annotated[float, typer.Option(help="apparent damping B [N/(m/s)]")] = ...,
+    mass: Annotated[float | None, typer.Option(help="apparent mass M_a [kg]; default the axis's controller's")] = None,
+    damping: Annotated[float | None, typer.Option(help="apparent damping B [N/(m/s)]; default likewise")] = None,
     mismatch: Annotated[float | None, typer.Option(help="relative error of the estimates, such as 0.02")] = None,
     filter: Annotated[
         float | None, typer.Option(help="low-pass of acceleration and current [rad/s]; default 0.5/period, inf: none")
@@ -36,9 +37,12 @@ def command(
     from emps_design.machines import load_axis
     from emps_design.simulation.impedance_assessment import assess_impedance
 
+    machine = load_axis(axis)
+    mass = _given("--mass", "M_a [kg]", mass, machine.controller.mass)
+    damping = _given("--damping", "B [N/(m/s)]", damping, machine.controller.damping)
     with progress_bar(not as_json or sys.stderr.isatty()) as progress:
         found = assess_impedance(
-            load_axis(axis),
+            machine,
             mass,
             damping,
             mismatch,
@@ -62,6 +66,12 @@ def command(
         print(f"emps-design: {found.reason}", file=sys.stderr)
         return 4
     return 0
+
+
+def _given(option: str, what: str, asked: float | None, own: float | None) -> float:
+    if asked is None and own is None:
+        raise InputError(f"{option}: found none, expected {what}, here or in the axis's impedance controller")
+    return own if asked is None else asked
 
 
 def _print(document: dict[str, Any]) -> None:

@@ -62,7 +62,8 @@ def measure(task: Task, q: np.ndarray, v: np.ndarray, u: np.ndarray, limit: floa
     raw = np.zeros(kernel.MEASURES)
     force, moved = task.reference[:, 0], np.diff(q)
     clip = np.where(u >= limit, 1.0, np.where(u <= -limit, -1.0, 0.0))
-    signs = clip[clip != 0.0]
+    at = np.flatnonzero(clip)
+    flipped = (clip[at[1:]] * clip[at[:-1]] < 0.0) & (np.diff(at) <= kernel.SWING)
     held, moving = slice(0, release), v[:release] * v[1 : release + 1] > 0.0
     a, w = np.diff(v)[held][moving] / period, moved[held][moving] / period
     f = force[held][moving]
@@ -73,7 +74,7 @@ def measure(task: Task, q: np.ndarray, v: np.ndarray, u: np.ndarray, limit: floa
         kernel.P_PEAK_U: np.abs(u).max(),
         kernel.P_CLIPPED: np.count_nonzero(clip),
         kernel.P_CLIPPED_END: np.count_nonzero(clip[end:]),
-        kernel.P_FLIPS: np.count_nonzero(signs[1:] * signs[:-1] < 0.0),
+        kernel.P_FLIPS: np.count_nonzero(flipped),
         kernel.P_PEAK_FORCE: np.abs(force[held]).max(),
         kernel.P_FORCE2: np.sum(force[held] ** 2),
         kernel.P_IMPULSE: np.sum(np.abs(force[held])) * period,

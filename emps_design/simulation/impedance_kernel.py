@@ -30,6 +30,7 @@ T_POSITION, T_VELOCITY, T_FORCE, T_EXTERNAL, T_VOLTAGE, T_ENCODER = range(6)
  P_DRIFT, P_RATIO, P_MOVING, P_END_SPEED, P_DIVERGED) = range(28)  # fmt: skip
 MEASURES = 28
 
+SWING = 50  # samples within which a voltage that was at one limit must be at the other to count as a flip
 _EVENTS = 32  # zero crossings followed within one period
 
 
@@ -238,7 +239,7 @@ def run_plant(plant, law, reference, hand, release, end, trace, measures):
     y1 = y2 = y3 = 0.0
     slow_a = slow_tau = integral = last_clip = 0.0
     peak_u = peak_force = force2 = impulse = work = path = miss2 = 0.0
-    clipped = clipped_end = flips = turns_end = moving = 0
+    clipped = clipped_end = flips = turns_end = moving = clipped_at = 0
     aa = av = vv = af = vf = ff = end_speed = 0.0
     min_v = min_u = np.inf
     max_v = max_u = -np.inf
@@ -322,8 +323,8 @@ def run_plant(plant, law, reference, hand, release, end, trace, measures):
         if clip != 0.0:
             clipped += 1
             clipped_end += k >= end
-            flips += clip * last_clip < 0.0
-            last_clip = clip
+            flips += clip * last_clip < 0.0 and k - clipped_at <= SWING
+            last_clip, clipped_at = clip, k
         if k < release:
             peak_force = max(peak_force, abs(external))
             force2 += external * external

@@ -52,7 +52,7 @@ class Measures:
     def verdict(self) -> np.ndarray:
         """Places in ``VERDICTS``.
 
-        Unstable: it diverged, ended against the voltage limit after the release, flipped between the limits ten times
+        Unstable: it diverged, ended against the voltage limit after the release, swung from limit to limit ten times
         or more, or its free motion grows. Limit cycle: in the last tenth of the task the velocity still takes both
         signs, by two thresholds, or comes to zero ten times. Then by the speed that free motion tends to, which a
         cascaded loop, whose integral rules dry friction out, is not asked for.

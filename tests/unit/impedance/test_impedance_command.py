@@ -70,7 +70,8 @@ def test_unstable_law_exits_4_with_the_nearest_stable_one(capsys, arguments):
         (("--mass", "50", "--damping", "100", "--mismatch", "1.5"), "mismatch: found 1.5"),
         (("--mass", "50", "--damping", "100", "--filter", "5000"), "filter: found 5000 rad/s, expected less than the"),
         (("--mass", "fifty", "--damping", "100"), "--mass"),
-        (("--damping", "100"), "--mass"),
+        (("--damping", "100"), "--mass: found none, expected M_a [kg]"),
+        (("--mass", "50"), "--damping: found none, expected B [N/(m/s)]"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_2(capsys, arguments, message):
@@ -109,3 +110,13 @@ def test_scenario_with_an_unstable_law_exits_4(capsys):
     assert found["reason"] in err
     assert run(["simulate", "--scenario", "comanipulation", "--plants", "0", "--json"]) == 0
     capsys.readouterr()
+
+
+def test_numbers_of_the_axis_controller_are_the_default(capsys, axis, tmp_path):
+    path = tmp_path / "own.toml"
+    own = axis.replace(controller={"kind": "impedance", "mass": 70.0, "damping": 150.0, "filter": 300.0})
+    path.write_text(own.to_toml(), encoding="utf-8")
+    status, out, _ = called(capsys, str(path), "--json")
+    law = json.loads(out)["law"]
+    assert status == 0
+    assert (law["mass"], law["damping"], law["filter"]) == (70.0, 150.0, 300.0)

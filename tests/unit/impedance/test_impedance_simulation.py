@@ -357,9 +357,19 @@ def test_general_simulator_runs_the_same_law(axis, lag, delay, force_sensor):
     np.testing.assert_allclose(general.u, own.u, atol=1e-6)
 
 
+def test_a_hard_push_is_not_an_instability(axis):
+    # The voltage reaches both limits at every swing of the hand, slowly: that is no flip.
+    tight = axis.replace(drive={"voltage_limit": 2.0})
+    found = run(tight, impedance_law(tight, 50.0, 100.0), guided_task(1e-3))
+    assert found.measures.clipped[0] > 500
+    assert found.measures.flips[0] == 0
+    assert found.verdict == "stable"
+
+
 def test_general_simulator_gives_the_same_measures(axis):
     task = pushed_task(1e-3)
-    for error in (-0.02, 0.02):
+    for error, limit in ((-0.02, 10.0), (0.02, 10.0), (0.0, 2.5)):
+        axis = axis.replace(drive={"voltage_limit": limit})
         law = impedance_law(axis, 50.0, 100.0).with_errors(over(error))
         own, general = run(axis, law, task), run_extended(axis, law, task)
         np.testing.assert_allclose(general.measures.raw, own.measures.raw, rtol=1e-6, atol=1e-9)
