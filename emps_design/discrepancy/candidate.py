@@ -1,4 +1,4 @@
-"""A candidate model: the baseline and a set of effects, with the numbers of each; and its free numbers as one vector."""
+"""A candidate model: the baseline and a set of effects with their numbers, the free ones as one vector."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Slot:
 
 @dataclass(frozen=True)
 class Candidate:
-    """Baseline (4,) and, for each effect, its parameters (n_records, n_parameters); rows differ only where per record."""
+    """Baseline (4,) and, an array an effect, parameters (n_records, n_parameters): rows differ where per record."""
 
     baseline: np.ndarray
     effects: tuple[Effect, ...] = ()

@@ -82,7 +82,7 @@ def refit_per_record(problem: Problem, model: Candidate) -> tuple[Candidate, lis
         best = min(range(len(rows)), key=lambda i: trials[i].cost)
         if trials[best].cost < 0.98 * trials[0].cost:
             model = trials[best].model
-    before, after = evaluate(problem, model), fit(problem, model, part="used", frozen=True)
+    before, after = evaluate(problem, model), fit(problem, model, "used", model.slots(frozen=True))
     return (after.model if after.cost < 0.995 * before.cost else model), names
 
 
@@ -94,9 +94,10 @@ def _with_row(model: Candidate, index: int, row: np.ndarray) -> Candidate:
 
 def predict(axis: Axis, record: Record, baseline: Candidate, extended: Candidate, window: np.ndarray) -> Prediction:
     """Simulate ``record`` from its reference alone with both models, encoder quantised as it is."""
-    forces = []
-    for model in (baseline, extended):
-        forces.append(Plant.of(model.to_axis(axis)).closed_loop(record.q_ref, q0=float(record.q[0])).force)
+    forces = [
+        Plant.of(model.to_axis(axis)).closed_loop(record.q_ref, q0=float(record.q[0])).force
+        for model in (baseline, extended)
+    ]
     start = window.copy()
     start[:START_UP] = False
     return Prediction(record, axis.drive.force_gain * record.u, *forces, start)

@@ -13,17 +13,19 @@ from dataclasses import dataclass, field
 import numpy as np
 from joblib import Parallel, delayed
 
+from emps_design.discrepancy.candidate import Candidate
 from emps_design.discrepancy.missing_force import missing_force
-from emps_design.discrepancy.problem import Fit, Problem, fit
+from emps_design.discrepancy.problem import Descent, Fit, Problem, descend, fit, gather
 from emps_design.discrepancy.propose import Start, Tangent, starts, tangent
 from emps_design.effects import Effect
 
-BEAM = 3
-RIVAL = 0.5  # a set joins the beam only if it explains at least this share of what the best set explains
+BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
+RIVAL = 0.5  # a set joins the beam, an effect the full fits, with this share of what the best one explains
 REFINED = 2  # starts of each effect that are worth a short fit
 SMALLEST_GAIN = 30.0  # in whitened cost; below the chance level of a search over hundreds of shapes
 WORTH_FITTING = 0.05  # of the largest first-order gain
-FINALISTS = 7  # effects worth a full fit
+SHORT_STEPS = 4
+FINALISTS = 4  # effects worth a full fit
 MOST_EFFECTS = 6
 ENOUGH_ROUNDS = 3  # after which a search that explained less than LEAST_EXPLAINED of the excess is given up
 LEAST_EXPLAINED = 0.4
@@ -34,10 +36,12 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Search:
-    """All models that were fitted, by their set of effects, and the ``path`` of best models, baseline first."""
+    """The ``path`` of best models, baseline first; all models fitted in full by their set of effects; and what each
+    effect gained alone in the first round [whitened cost]."""
 
     path: tuple[Fit, ...]
     tried: dict[frozenset[str], Fit] = field(repr=False)
+    alone: dict[str, float] = field(default_factory=dict, repr=False)
     interrupted: bool = False
 
     @property
@@ -58,18 +62,34 @@ def screen(problem: Problem, current: Fit, library: tuple[Effect, ...], absorbed
     return [found for found in tried if found]
 
 
-def extensions(problem: Problem, current: Fit, screened: list[list[Start]]) -> list[Fit]:
-    """Fit those of the ``screened`` starts on top of ``current`` that promise a gain; best first."""
+def extensions(
+    problem: Problem, current: Fit, screened: list[list[Start]], absorbed: Tangent
+) -> tuple[list[Fit], dict[str, float]]:
+    """Fit those of the ``screened`` starts on top of ``current`` that promise a gain; best first.
+
+    A short fit moves the new effect alone and lets the tangent stand for what the rest absorbs; the best few effects
+    are then fitted with everything free. Also returns what each effect gained in its short fit [whitened cost].
+    """
     best = max((found[0].gain for found in screened), default=0.0)
     least = max(SMALLEST_GAIN, WORTH_FITTING * best)
     worth = [start.model for found in screened for start in found[:REFINED] if start.gain >= least]
     run = Parallel(n_jobs=CORES, prefer="threads")
-    by_name = {}
-    for short in sorted(run(delayed(fit)(problem, m, steps=3) for m in worth), key=lambda f: -f.cost_fit):
-        by_name[short.model.names[-1]] = short
-    ranked = sorted(by_name.values(), key=lambda f: f.cost_fit)
-    full = run(delayed(fit)(problem, f.model) for f in ranked[:FINALISTS])
-    return sorted([*full, *ranked[FINALISTS:]], key=lambda f: f.cost)
+    leading: dict[str, Descent] = {}
+    for short in run(delayed(_short_fit)(problem, model, absorbed) for model in worth):
+        name = short.model.names[-1]
+        if name not in leading or short.cost < leading[name].cost:
+            leading[name] = short
+    before = float(absorbed.residual @ absorbed.residual)
+    gains = {found[0].model.names[-1]: found[0].gain for found in screened}
+    gains |= {name: before - short.cost for name, short in leading.items()}
+    ranked = sorted(leading.values(), key=lambda short: short.cost)
+    finalists = [s for s in ranked[:FINALISTS] if before - s.cost >= RIVAL * (before - ranked[0].cost)]
+    return sorted(run(delayed(fit)(problem, s.model) for s in finalists), key=lambda f: f.cost), gains
+
+
+def _short_fit(problem: Problem, model: Candidate, absorbed: Tangent) -> Descent:
+    own = tuple(slot for slot in model.slots() if slot.effect == len(model.effects) - 1)
+    return descend(model, own, lambda m: absorbed.free(gather(problem, problem.whitened(m), "fit")), SHORT_STEPS)
 
 
 def _warm(problem: Problem, current: Fit, effect: Effect) -> None:
@@ -90,44 +110,36 @@ def search(
     ``screened`` are the starts on top of the baseline. An interrupt from the keyboard ends the search where it is.
     """
     tried: dict[frozenset[str], Fit] = {frozenset(baseline.model.names): baseline}
+    alone: dict[str, float] = {}
     path, beam = [baseline], [baseline]
     try:
         while len(path) <= MOST_EFFECTS:
-            pool = _round(problem, beam, library, screened if len(path) == 1 else None, len(path), progress)
+            pool: dict[frozenset[str], Fit] = {}
+            for i, member in enumerate(beam):
+                if progress:
+                    names = " + ".join(member.model.names) or "the baseline"
+                    progress(f"round {len(path)}: {names}, and what else", 1 - 0.75 ** (len(path) - 1 + i / len(beam)))
+                absorbed = tangent(problem, member)
+                starting = screened if member is baseline else screen(problem, member, library, absorbed)
+                fits, gains = extensions(problem, member, starting, absorbed)
+                alone = alone or gains
+                for extended in fits:
+                    key = frozenset(extended.model.names)
+                    if key not in pool or extended.cost < pool[key].cost:
+                        pool[key] = extended
             tried.update({key: f for key, f in pool.items() if key not in tried or f.cost < tried[key].cost})
             ranked = sorted((f for f in pool.values() if not on_bound(f)), key=lambda f: f.cost)
             if not ranked or not accept(ranked[0], path[-1]):
                 break
             path.append(ranked[0])
-            best_gain = path[0].cost - ranked[0].cost
-            if len(path) > ENOUGH_ROUNDS and best_gain < LEAST_EXPLAINED * (path[0].cost - problem.samples("used")):
+            gain = path[0].cost - ranked[0].cost
+            if len(path) > ENOUGH_ROUNDS and gain < LEAST_EXPLAINED * (path[0].cost - problem.samples("used")):
                 break
-            beam = [f for f in ranked[:BEAM] if path[0].cost - f.cost >= RIVAL * best_gain]
+            width = BEAM[min(len(path) - 2, len(BEAM) - 1)]
+            beam = [f for f in ranked[:width] if path[0].cost - f.cost >= RIVAL * gain]
     except KeyboardInterrupt:
-        return Search(tuple(path), tried, interrupted=True)
-    return Search(tuple(path), tried)
-
-
-def _round(
-    problem: Problem,
-    beam: list[Fit],
-    library: tuple[Effect, ...],
-    screened: list[list[Start]] | None,
-    number: int,
-    progress: Progress | None,
-) -> dict[frozenset[str], Fit]:
-    """Every extension of every model of ``beam``, the best fit of each set of effects."""
-    pool: dict[frozenset[str], Fit] = {}
-    for i, member in enumerate(beam):
-        if progress:
-            names = " + ".join(member.model.names) or "the baseline"
-            progress(f"round {number}: effects on top of {names}", 1 - 0.75 ** (number - 1 + i / len(beam)))
-        starting = screen(problem, member, library, tangent(problem, member)) if screened is None else screened
-        for extended in extensions(problem, member, starting):
-            key = frozenset(extended.model.names)
-            if key not in pool or extended.cost < pool[key].cost:
-                pool[key] = extended
-    return pool
+        return Search(tuple(path), tried, alone, interrupted=True)
+    return Search(tuple(path), tried, alone)
 
 
 def on_bound(fitted: Fit) -> bool:

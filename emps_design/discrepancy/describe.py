@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from emps_design.discrepancy.candidate import BASELINE
-
 from emps_design.discrepancy.decide import Search
 from emps_design.discrepancy.diagnosis import Finding
 from emps_design.discrepancy.healthy import LEVEL, RESAMPLES, Healthy
@@ -174,22 +173,24 @@ def _warnings(work: Work, verdict: str, extended: Fit, refitted: tuple[str, ...]
 
 
 def _candidates(work: Work, extended: Fit) -> list[dict[str, Any]]:
-    """The first round's effects by what each explains alone."""
+    """The effects by what each explains alone on top of the baseline."""
     base = work.found.path[0]
-    alone = [f for key, f in work.found.tried.items() if len(key) == len(base.model.names) + 1]
-    alone.sort(key=lambda f: f.cost)
-    return [
-        {
-            "effect": f.model.names[-1],
-            "label": f.model.effects[-1].label,
-            "gap": force_rms(work.problem, f),
-            "statistic": base.cost - f.cost,
-            "threshold": max(work.healthy.threshold, WORTH * base.cost),
-            "accepted": f.model.names[-1] in extended.model.names,
-            "note": "alone, on top of the baseline",
-        }
-        for f in alone[:SHOWN_CANDIDATES]
-    ]
+    ranked = sorted(work.found.alone.items(), key=lambda pair: -pair[1])
+    rows = []
+    for name, gain in ranked[:SHOWN_CANDIDATES]:
+        full = work.found.tried.get(frozenset((*base.model.names, name)))
+        rows.append(
+            {
+                "effect": name,
+                "label": get_effect(name).label,
+                "gap": None if full is None else force_rms(work.problem, full),
+                "statistic": gain if full is None else base.cost_fit - full.cost_fit,
+                "threshold": max(work.healthy.threshold, WORTH * base.cost),
+                "accepted": name in extended.model.names,
+                "note": "first guess only, too poor to be fitted" if full is None else "alone, on top of the baseline",
+            }
+        )
+    return rows
 
 
 def _parameters(work: Work, baseline: Fit, extended: Fit) -> dict[str, Any]:

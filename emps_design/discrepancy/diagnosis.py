@@ -143,7 +143,8 @@ class Diagnosis:
 
     def _repr_html_(self) -> str:
         rows = "".join(
-            f"<tr><td>{f.label}</td><td>{f.where['text']}</td><td>{f.gap_before:.3f} N</td><td>{f.gap_after:.3f} N</td></tr>"
+            f"<tr><td>{f.label}</td><td>{f.where['text']}</td>"
+            f"<td>{f.gap_before:.3f} N</td><td>{f.gap_after:.3f} N</td></tr>"
             for f in self.findings
         )
         head = "<tr><th>effect</th><th>where</th><th>gap before</th><th>gap after</th></tr>"

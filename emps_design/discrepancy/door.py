@@ -22,8 +22,8 @@ def check_records(records: tuple[Record, ...], axis: Axis) -> list[str]:
         period = axis.sampling.period
         if abs(record.period / period - 1) > PERIODS_ALIKE:
             raise RecordError(
-                f"{record.name}: found a sampling period of {1e3 * record.period:g} ms, expected {1e3 * period:g} ms of "
-                "the axis; records and axis must come from one drive"
+                f"{record.name}: found a sampling period of {1e3 * record.period:g} ms, expected the axis's "
+                f"{1e3 * period:g} ms; records and axis must come from one drive"
             )
         if record.duration < SHORTEST:
             raise RecordError(
@@ -45,8 +45,8 @@ def check_same_drive(record: Record, holdout: Record) -> None:
     """Refuse a hold-out that was not sampled like the training record."""
     if abs(record.period / holdout.period - 1) > PERIODS_ALIKE:
         raise RecordError(
-            f"{holdout.name}: found a sampling period of {1e3 * holdout.period:g} ms, expected {1e3 * record.period:g} ms "
-            f"of {record.name}; train and hold-out must come from one drive"
+            f"{holdout.name}: found a sampling period of {1e3 * holdout.period:g} ms, expected "
+            f"{1e3 * record.period:g} ms of {record.name}; train and hold-out must come from one drive"
         )
 
 

@@ -20,13 +20,13 @@ LEVEL = 0.01  # family-wise
 
 @dataclass(frozen=True)
 class Healthy:
-    """Largest gains (n_resamples,) in whitened cost over all candidates, sorted; ``threshold`` at the family-wise level."""
+    """Largest gains (n_resamples,) in whitened cost over all candidates, sorted."""
 
     largest: np.ndarray
 
     @property
     def threshold(self) -> float:
-        """The gain that one healthy record in a hundred reaches: the largest of the resamples where they are too few."""
+        """The gain that a share ``LEVEL`` of healthy records reaches [whitened cost]."""
         return float(self.largest[min(self.largest.size - 1, int(np.ceil((1 - LEVEL) * (self.largest.size + 1))) - 1)])
 
     def p_value(self, gain: float) -> float:

@@ -70,7 +70,7 @@ class Judge:
         return "ambiguous" if any(equivalents.values()) else "named"
 
     def _numbers_off(self, best: Fit) -> bool:
-        """Whether the axis file's numbers lie beyond three standard deviations and half a percent of the fitted ones."""
+        """Whether the axis file's numbers are off by more than three standard deviations and half a percent."""
         told = self.problem.axis.mechanics.array()
         for place, slot in enumerate(best.slots[:4]):
             off = abs(float(best.model.baseline[place] - told[place]))

@@ -125,5 +125,6 @@ def _wrong_law(record: Record, axis: Axis, swing: float, miss: float) -> str:
         position, velocity = np.linalg.lstsq(columns, record.u[START_UP:], rcond=None)[0]
         left = float(np.std(record.u[START_UP:] - columns @ (position, velocity)))
         if left < HOLDS * swing and velocity > 0:
-            return f"{text}; kp = {position / velocity:.5g} 1/s and kv = {velocity:.5g} V/(m/s) fit it, correct the axis file"
+            fitting = f"kp = {position / velocity:.5g} 1/s and kv = {velocity:.5g} V/(m/s)"
+            return f"{text}; {fitting} fit it, correct the axis file"
     return f'{text}; give the controller that made this record, or kind = "none"'

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -21,7 +22,7 @@ WORST = 1e12  # cost of a model that cannot be simulated: finite, so that a fit 
 
 @dataclass(frozen=True)
 class Whitening:
-    """Autoregressive model of the force residual: ``coefficients`` (p + 1,), first 1, and the innovation's ``std`` [N]."""
+    """Autoregressive model of the force noise: ``coefficients`` (p + 1,), first 1; the innovation's ``std`` [N]."""
 
     coefficients: np.ndarray
     std: float
@@ -114,17 +115,35 @@ class Fit:
         return 0.0
 
 
-def fit(problem: Problem, start: Candidate, part: str = "fit", frozen: bool = False, steps: int = 12) -> Fit:
-    """Fit ``start`` to the closed-loop force by Levenberg-Marquardt on the samples of ``part``.
+def fit(
+    problem: Problem, start: Candidate, part: str = "fit", slots: tuple[Slot, ...] | None = None, steps: int = 12
+) -> Fit:
+    """Fit ``start`` to the closed-loop force on the samples of ``part``; ``slots`` (default: all) says what is free."""
+    slots = start.slots() if slots is None else slots
+    found = descend(start, slots, lambda model: gather(problem, problem.whitened(model), part), steps)
+    return evaluate(problem, found.model, slots, found.covariance)
 
-    ``frozen`` frees only what belongs to a record (used on confirming data). Bounds hold at every step.
+
+@dataclass(frozen=True)
+class Descent:
+    """Where a descent ended: the model, its sum of squares, and the covariance of the free numbers."""
+
+    model: Candidate
+    cost: float
+    covariance: np.ndarray
+
+
+def descend(
+    start: Candidate, slots: tuple[Slot, ...], residual: Callable[[Candidate], np.ndarray], steps: int
+) -> Descent:
+    """Minimise the sum of squares of ``residual`` over ``slots`` by Levenberg-Marquardt; bounds hold at every step.
+
+    A model that cannot be simulated counts as infinitely bad: the descent steps back from it.
     """
-    masks = problem.masks(part)
-    slots = start.slots(frozen)
 
-    def residual(model: Candidate) -> np.ndarray | None:
+    def attempt(model: Candidate) -> np.ndarray | None:
         try:
-            return np.concatenate([w[m] for w, m in zip(problem.whitened(model), masks, strict=True)])
+            return residual(model)
         except SimulationError:
             return None
 
@@ -132,38 +151,43 @@ def fit(problem: Problem, start: Candidate, part: str = "fit", frozen: bool = Fa
     lower = np.array([s.quantity.lower for s in slots]) / scale
     upper = np.array([s.quantity.upper for s in slots]) / scale
     model, x = start, start.vector(slots) / scale
-    current = residual(model)
-    if current is None:
-        return Fit(start, slots, np.zeros((len(slots),) * 2), (), WORST, WORST)
+    current = attempt(model)
+    if current is None or not slots:
+        cost = WORST if current is None else float(current @ current)
+        return Descent(start, cost, np.zeros((len(slots),) * 2))
     damping, jacobian = 1e-3, np.zeros((current.size, len(slots)))
-    for _ in range(steps if slots else 0):
+    for _ in range(steps):
         for k in range(len(slots)):
             step = 1e-3 if x[k] + 1e-3 <= upper[k] else -1e-3
             moved = x.copy()
             moved[k] += step
-            shifted = residual(model.with_vector(slots, moved * scale))
+            shifted = attempt(model.with_vector(slots, moved * scale))
             jacobian[:, k] = 0.0 if shifted is None else (shifted - current) / step
         normal, gradient = jacobian.T @ jacobian, jacobian.T @ current
-        cost, improved = float(current @ current), False
+        cost, gain = float(current @ current), 0.0
         for _ in range(6):
-            held = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
-            free = ~held
+            free = ~(((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0)))
             lhs = normal[np.ix_(free, free)] + damping * np.diag(np.diag(normal)[free] + 1e-9)
             move = np.zeros_like(x)
             move[free] = -np.linalg.lstsq(lhs, gradient[free], rcond=None)[0]
             trial_x = np.clip(x + np.clip(move, -BOLDEST, BOLDEST), lower, upper)
             trial = model.with_vector(slots, trial_x * scale)
-            trial_residual = residual(trial)
-            if trial_residual is not None and float(trial_residual @ trial_residual) < cost:
-                gain = cost - float(trial_residual @ trial_residual)
-                model, x, current, improved = trial, trial_x, trial_residual, True
+            reached = attempt(trial)
+            if reached is not None and float(reached @ reached) < cost:
+                gain = cost - float(reached @ reached)
+                model, x, current = trial, trial_x, reached
                 damping = max(damping / 10, 1e-7)
                 break
             damping = min(damping * 10, 1e6)
-        if not improved or gain < 1e-4 * cost + 0.1:
+        if gain < 1e-4 * cost + 0.1:
             break
     covariance = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True) * np.outer(scale, scale)
-    return evaluate(problem, model, slots, covariance)
+    return Descent(model, float(current @ current), covariance)
+
+
+def gather(problem: Problem, signals: tuple[np.ndarray, ...], part: str) -> np.ndarray:
+    """The samples of ``part`` of one signal a record, in one vector."""
+    return np.concatenate([signal[mask] for signal, mask in zip(signals, problem.masks(part), strict=True)])
 
 
 def evaluate(

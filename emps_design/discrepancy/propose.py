@@ -14,7 +14,7 @@ import numpy as np
 
 from emps_design.discrepancy.candidate import Candidate
 from emps_design.discrepancy.missing_force import MissingForce
-from emps_design.discrepancy.problem import Fit, Problem
+from emps_design.discrepancy.problem import Fit, Problem, gather
 from emps_design.effects import Effect
 from emps_design.effects.search import thin
 from emps_design.errors import SimulationError
@@ -57,11 +57,6 @@ def tangent(problem: Problem, current: Fit, part: str = "fit") -> Tangent:
     u, s, _ = np.linalg.svd(np.column_stack(columns), full_matrices=False)
     basis = u[:, s > 1e-9 * s[0]]
     return Tangent(base - basis @ (basis.T @ base), basis)
-
-
-def gather(problem: Problem, signals: tuple[np.ndarray, ...], part: str) -> np.ndarray:
-    """The samples of ``part`` of one signal a record, in one vector."""
-    return np.concatenate([signal[mask] for signal, mask in zip(signals, problem.masks(part), strict=True)])
 
 
 def starts(

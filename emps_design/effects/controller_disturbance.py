@@ -30,18 +30,29 @@ def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarra
     if rises.size == 0 or falls.size == 0:
         return []
     amplitude = float(np.median(residual[up]) - np.median(residual[~up]))
-    last = residual.size * motion.period
     if rises.size > 1:
-        turns = np.arange(rises.size)
-        every, first = np.polyfit(turns, motion.t[rises], 1)
+        every, start = _comb(motion.t[rises], motion.period)
         # A fall belongs to the rise before it; the wave may have been high when the record began.
-        high_time = float(np.median((motion.t[falls] - first) % every))
+        high_time = (_comb(motion.t[falls], motion.period, every)[1] - start) % every
     else:
-        first, every = float(motion.t[rises[0]]), 2 * last
-        high_time = float(motion.t[falls[falls > rises[0]][0]] - first) if falls[-1] > rises[0] else last - first
-    return [
-        {"amplitude": amplitude, "frequency": 1 / every, "duty": high_time / every, "start": max(float(first), 0.0)}
-    ]
+        start, last = float(motion.t[rises[0]]), residual.size * motion.period
+        every = 2 * last
+        high_time = float(motion.t[falls[falls > rises[0]][0]]) - start if falls[-1] > rises[0] else last - start
+    return [{"amplitude": amplitude, "frequency": 1 / every, "duty": high_time / every, "start": max(start, 0.0)}]
+
+
+def _comb(edges: np.ndarray, period: float, every: float | None = None) -> tuple[float, float]:
+    """Interval and start of a comb that each of the sampled ``edges`` (k,) [s] shows at most one ``period`` late."""
+    turns = np.arange(edges.size)
+    if every is None:
+        middle = float(np.polyfit(turns, edges, 1)[0])
+        tried = middle + np.linspace(-1.0, 1.0, 401) * period / max(edges.size - 1, 1)
+    else:
+        tried = np.array([every])
+    offsets = edges - turns * tried[:, None]
+    latest, earliest = offsets.min(axis=1), offsets.max(axis=1) - period
+    best = int(np.argmax(latest - earliest))
+    return float(tried[best]), float(0.5 * (latest[best] + earliest[best]))
 
 
 def expression(q, v, t, tau, p, b):
