@@ -26,6 +26,7 @@ REASONS = {
     stepper.DIVERGED: "the motion left every bound (1000 m, 1000 m/s) or became not a number",
     stepper.NO_STEP: "no step is short enough for the tolerance",
     stepper.CHATTER: "more than 2000 events in one sampling period",
+    stepper.MASSLESS: "the effects leave no mass on the encoder's side",
     stepper.RUNAWAY: "the loop is unstable: the voltage has swung from limit to limit 40 times, each within 0.2 s",
 }
 

@@ -30,7 +30,7 @@ from emps_design.simulation.compile import (
 # Rows of ``hooks``: one list of (address, first own state in y, first parameter) for each.
 FORCE, DRY, INERTIA, COMMAND, ACTUATOR, DELAY, SENSOR, RATE, GUARD, JUMP, TOUCH, TOUCH_MASS = range(12)
 # What a run can end with.
-DONE, DIVERGED, NO_STEP, CHATTER, RUNAWAY = range(5)
+DONE, DIVERGED, NO_STEP, CHATTER, RUNAWAY, MASSLESS = range(6)
 # Kinds of events that are recorded.
 REVERSAL, STICK, BREAKAWAY, GUARDED = range(4)
 # Places in ``settings``.
@@ -44,6 +44,7 @@ _SPEEDS = 20  # octaves of speed, up to 5 m/s
 _INSTANT = 1e-15  # s, shortest rest of a period worth a step
 _APART = 5e-10  # s, how far from a jump in time its two sides are evaluated; above SNAP of the effects
 _CROSSING = 1e-13  # s, a step across a guard at which a force jumps
+ORDER, GLIDE_ORDER = 4, 3  # of convergence, measured in the tests
 _SHORTEST = 1e-12  # s, a step that must be shorter than this does not converge
 
 
@@ -436,6 +437,7 @@ def run(plant, y, law, gains, memory, reference, push, noise, signals, slots, sc
     period, limit, resolution = settings[PERIOD], settings[LIMIT], settings[RESOLUTION]
     jumps, late = starts[JUMP + 1] > starts[JUMP], starts[DELAY + 1] > starts[DELAY]
     touched, weighs = starts[TOUCH + 1] > starts[TOUCH], starts[TOUCH_MASS + 1] > starts[TOUCH_MASS]
+    weighed = starts[INERTIA + 1] > starts[INERTIA]
     bounds[0], bounds[1] = -np.inf, np.inf
     glides, steady = settings[GLIDES] > 0.0, settings[GLIDES] > 1.0
     exact = settings[EXACT] > 0.0
@@ -457,6 +459,8 @@ def run(plant, y, law, gains, memory, reference, push, noise, signals, slots, sc
         if resolution > 0.0:
             seen = np.floor(seen / resolution + 0.5) * resolution
         encoder[k] = seen
+        if weighed and not balance(y_, t, tau, force, plant)[2] > 0.0:
+            return MASSLESS, k, 0.0
         felt = force
         if touched:
             felt -= total(TOUCH, y_, t, tau, plant)

@@ -1,0 +1,57 @@
+"""Each effect, and several together, within 1e-9 m of scipy's solve_ivp with events over 2 s."""
+
+import numpy as np
+import pytest
+
+from emps_design.effects import EFFECTS
+from emps_design.machines import machine
+from emps_design.simulation import Plant
+from tests.physics.cases import CASES, OUTSIDE, axis_with, voltage
+from tests.physics.reference import Reference
+
+TOGETHER = (
+    ("stribeck_friction", "flexible_coupling", "actuator_delay"),
+    ("backlash", "asymmetric_viscous_friction", "external_force"),
+    ("presliding_friction", "position_ripple", "actuator_lag"),
+    ("position_dependent_friction", "end_stop", "mass_change", "periodic_disturbance"),
+)
+
+
+def test_every_effect_has_a_case():
+    assert set(CASES) == {"none", *(effect.name for effect in EFFECTS)}
+
+
+@pytest.mark.parametrize("name", [name for name in CASES if name not in OUTSIDE])
+def test_effect(name):
+    axis, u = axis_with(name), voltage()
+    run = Plant.of(axis).open_loop(u)
+    reference = Reference(axis).positions(u)
+    assert np.ptp(reference) > 5e-3
+    assert np.abs(run.position - reference).max() < 1e-9
+
+
+@pytest.mark.parametrize("names", TOGETHER, ids="+".join)
+def test_effects_together(names):
+    axis, u = axis_with(*names), voltage()
+    run = Plant.of(axis).open_loop(u)
+    assert np.abs(run.position - Reference(axis).positions(u)).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_effect_outside_the_plant_in_closed_loop(name):
+    axis = machine("emps2019").replace(effects=[{"kind": name, **CASES[name]}], sampling={"encoder_resolution": 0.0})
+    t = np.arange(2000) * 1e-3
+    q_ref = 0.02 * np.sin(2 * np.pi * 0.8 * t) ** 2
+    run = Plant.of(axis).closed_loop(q_ref)
+    reference = Reference(axis).positions(q_ref, closed=True)
+    assert np.abs(run.position - reference).max() < 1e-9
+    plain = Plant.of(axis.replace(effects=[])).closed_loop(q_ref)
+    assert np.abs(run.position - plain.position).max() > 1e-6
+
+
+def test_current_loop_is_the_lag_of_the_effect():
+    u = voltage()
+    lag = CASES["actuator_lag"]["time_constant"]
+    as_effect = Plant.of(axis_with("actuator_lag")).open_loop(u)
+    as_drive = Plant.of(axis_with().replace(drive={"current_time_constant": lag})).open_loop(u)
+    assert np.abs(as_effect.position - as_drive.position).max() < 1e-9
