@@ -25,7 +25,7 @@ def print_gains(document: dict[str, Any]) -> None:
     console.print(_verdict(sampled["stable"], f"{document['axis']}: sampled velocity loop"))
 
     gains = _table("Velocity loop", "", "value", "unit", "requested")
-    asked = document["requested"]
+    asked = {} if document["retuned"] else document["requested"]
     for label, key, unit in (
         ("k_v1", "k_v1", "V/(m/s)"),
         ("t_v", "t_v", "s"),
@@ -43,7 +43,7 @@ def print_gains(document: dict[str, Any]) -> None:
     undefined = "undefined" if not sampled["stable"] else "unbounded"
     margins = _table("Margins", "", "velocity error", "plant input", "sampled, plant input", "unit")
     places = (document["velocity_error"], document["plant_input"], sampled)
-    nothing = ("unbounded", "unbounded", undefined)
+    words = {"gain_reduction_margin": "none"}
     for label, key, unit, scale in (
         ("phase margin", "phase_margin_deg", "deg", 1.0),
         ("crossover", "crossover", "rad/s", 1.0),
@@ -52,12 +52,19 @@ def print_gains(document: dict[str, Any]) -> None:
         ("", "delay_margin_samples", "samples", 1.0),
         ("gain margin", "gain_margin", "ratio", 1.0),
         ("", "gain_margin_db", "dB", 1.0),
+        ("least stable gain", "gain_reduction_margin", "ratio", 1.0),
     ):
         cells = [
-            "" if key not in place else number(None if place[key] is None else scale * place[key], nothing=word)
-            for place, word in zip(places, nothing, strict=True)
+            ""
+            if key not in place
+            else number(
+                None if place[key] is None else scale * place[key],
+                nothing=words.get(key, "unbounded") if place["stable"] else undefined,
+            )
+            for place in places
         ]
-        margins.add_row(label, *cells, unit)
+        if key != "gain_reduction_margin" or any(place[key] is not None for place in places):
+            margins.add_row(label, *cells, unit)
     margins.add_row(
         "bandwidth, -3 dB", number(document["bandwidth"]), "", number(sampled["bandwidth"], nothing=undefined), "rad/s"
     )

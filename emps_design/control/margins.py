@@ -3,7 +3,8 @@
 Stability comes from the poles, never from here: an unstable loop has no margins, and every caller says so first.
 The phase margin is the phase *lag* the loop bears at a crossover before its response reaches -1, the smallest over
 all crossovers; the delay margin is the smallest of that lag over its frequency; the gain margin is the smallest
-factor above one that brings the response to -1, the Nyquist frequency included.
+factor above one that brings the response to -1, the Nyquist frequency included, and the gain reduction margin the
+largest factor below one that does (a plant that is unstable by itself needs a least gain).
 """
 
 from __future__ import annotations
@@ -15,6 +16,14 @@ from typing import Any
 
 import numpy as np
 
+KEYS = (
+    "phase_margin_deg",
+    "crossover",
+    "delay_margin",
+    "gain_margin",
+    "gain_margin_frequency",
+    "gain_reduction_margin",
+)
 Response = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
@@ -23,7 +32,8 @@ class Margins:
     """Margins of one loop; None where a margin is unbounded, or where the closed loop is unstable.
 
     ``phase_margin_deg`` [deg], ``crossover`` [rad/s] (where that margin is smallest), ``delay_margin`` [s],
-    ``gain_margin`` [ratio], ``gain_margin_frequency`` [rad/s], ``period`` [s] of a sampled loop (None: continuous).
+    ``gain_margin`` [ratio], ``gain_margin_frequency`` [rad/s], ``gain_reduction_margin`` [ratio], ``period`` [s] of a
+    sampled loop (None: continuous).
     """
 
     stable: bool
@@ -32,6 +42,7 @@ class Margins:
     delay_margin: float | None = None
     gain_margin: float | None = None
     gain_margin_frequency: float | None = None
+    gain_reduction_margin: float | None = None
     period: float | None = None
 
     @property
@@ -54,6 +65,7 @@ class Margins:
             "gain_margin": self.gain_margin,
             "gain_margin_db": self.gain_margin_db,
             "gain_margin_frequency": self.gain_margin_frequency,
+            "gain_reduction_margin": self.gain_reduction_margin,
         }
         if self.period is not None:
             document["delay_margin_samples"] = self.delay_margin_samples
@@ -68,7 +80,7 @@ def margin_arrays(
     ``response(w, rows)`` gives the open loop of the loops numbered ``rows`` at ``w`` [rad/s]; both broadcast.
     ``frequencies`` [rad/s] ascending brackets the crossings, which are then refined to 1e-12; ``nyquist`` [rad/s] is
     the Nyquist frequency of sampled loops, where the response is real and may be -1.
-    Keys: ``phase_margin_deg``, ``crossover``, ``delay_margin``, ``gain_margin``, ``gain_margin_frequency``.
+    Keys: those of ``KEYS``.
 
     >>> found = margin_arrays(lambda w, rows: 1.0 / (1j * w * (1.0 + 0.1j * w) ** 2), 1, np.geomspace(0.1, 100, 50))
     >>> round(float(found["gain_margin"][0]), 6), round(float(found["gain_margin_frequency"][0]), 6)
@@ -78,10 +90,7 @@ def margin_arrays(
     loop = response(frequencies[None, :], rows)
     power = loop.real**2 + loop.imag**2
     inside = power < 1.0
-    found = {
-        key: np.full(count, np.nan)
-        for key in ("phase_margin_deg", "crossover", "delay_margin", "gain_margin", "gain_margin_frequency")
-    }
+    found = {key: np.full(count, np.nan) for key in KEYS}
 
     where, place = np.nonzero(inside[:, 1:] != inside[:, :-1])
     if where.size:
@@ -100,17 +109,11 @@ def margin_arrays(
     where, place = np.nonzero(crossing)
     if where.size:
         w = _refine(lambda w, which: _sine(response(w, where[which])), frequencies[place], frequencies[place + 1])
-        value = response(w, where)
-        at = (value.real < 0.0) & (value.real > -1.0)
-        where, w, factor = where[at], w[at], -1.0 / value.real[at]
-        _keep_smallest(where, factor, {"gain_margin": factor, "gain_margin_frequency": w}, found)
+        _keep_gains(response(w, where).real, where, w, found)
     if nyquist is not None:
-        value = response(np.full(count, nyquist), np.arange(count)).real
-        with np.errstate(divide="ignore"):
-            factor = np.where((value < 0.0) & (value > -1.0), -1.0 / value, np.inf)
-        nearer = factor < np.where(np.isnan(found["gain_margin"]), np.inf, found["gain_margin"])
-        found["gain_margin"][nearer] = factor[nearer]
-        found["gain_margin_frequency"][nearer] = nyquist
+        everything = np.arange(count)
+        at_nyquist = np.full(count, nyquist)
+        _keep_gains(response(at_nyquist, everything).real, everything, at_nyquist, found)
     return found
 
 
@@ -145,6 +148,19 @@ def _keep_smallest(
     order = np.argsort(-key, kind="stable")  # the smallest is written last
     for name, value in values.items():
         found[name][where[order]] = value[order]
+
+
+def _keep_gains(value: np.ndarray, where: np.ndarray, w: np.ndarray, found: dict[str, np.ndarray]) -> None:
+    """Keep the gain margins that real values of the loops ``where`` at ``w`` [rad/s] mean, where they are smaller."""
+    more = (value < 0.0) & (value > -1.0)
+    factor, rows, at = -1.0 / value[more], where[more], w[more]
+    nearer = ~(factor >= found["gain_margin"][rows])  # NaN: none yet
+    values = {"gain_margin": factor[nearer], "gain_margin_frequency": at[nearer]}
+    _keep_smallest(rows[nearer], factor[nearer], values, found)
+    less = value < -1.0
+    factor, rows = -1.0 / value[less], where[less]
+    nearer = ~(factor <= found["gain_reduction_margin"][rows])
+    _keep_smallest(rows[nearer], -factor[nearer], {"gain_reduction_margin": factor[nearer]}, found)
 
 
 def _refine(function: Callable[[np.ndarray, np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray) -> np.ndarray:

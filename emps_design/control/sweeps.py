@@ -10,7 +10,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.control.discretisation import SampledPlant
 from emps_design.control.gains import MINUS_3_DB
-from emps_design.control.margins import margin_arrays
+from emps_design.control.margins import KEYS, margin_arrays
 from emps_design.errors import InputError
 
 
@@ -116,7 +116,7 @@ def sweep_sampled_margins(
     """Return stability and margins of the sampled loop, broken ``at`` that place, for every pair of gains.
 
     ``k_v1`` [V/(m/s)] and ``t_v`` [s] of one shape. Keys: ``stable`` and those of
-    :func:`emps_design.control.margins.margin_arrays`, NaN where the loop is unstable or a margin unbounded.
+    ``emps_design.control.margins.KEYS``, NaN where the loop is unstable or a margin unbounded.
     ``frequencies`` is the size of the grid that brackets the crossings; ``at`` is "plant-input" or "velocity-error".
 
     >>> from emps_design.control.discretisation import sample_axis
@@ -130,10 +130,7 @@ def sweep_sampled_margins(
     stable = sweep_stability(plant, k, t)
     chosen = np.flatnonzero(stable)
     grid = plant.frequencies(frequencies)
-    found = {
-        key: np.full(k.size, np.nan)
-        for key in ("phase_margin_deg", "crossover", "delay_margin", "gain_margin", "gain_margin_frequency")
-    }
+    found = {key: np.full(k.size, np.nan) for key in KEYS}
     for start in range(0, chosen.size, 2000):  # pieces that stay in the cache
         piece = chosen[start : start + 2000]
         gain, time = k[piece], t[piece]

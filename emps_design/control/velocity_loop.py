@@ -127,7 +127,16 @@ class VelocityLoopDesign:
     def warnings(self) -> tuple[str, ...]:
         """What a reader of the numbers has to know, instability first."""
         said = [*self.sampled.warnings, *self._effects_in_words()]
-        if self.requested.get("bandwidth") is None and self.bandwidth > 1.05 * self.crossover:
+        if self.retuned_at:
+            asked = ", ".join(
+                f"{key.removesuffix('_deg').replace('_', ' ')} {value:g} {'deg' if key.endswith('_deg') else 'rad/s'}"
+                for key, value in self.requested.items()
+            )
+            said.append(
+                f"retuned: the sampled loop has what was asked at the {self.retuned_at.replace('-', ' ')} ({asked}); "
+                "crossover, phase margin and bandwidth of T_vo and T_vc are the continuous loop's with these gains"
+            )
+        elif self.requested.get("bandwidth") is None and self.bandwidth > 1.05 * self.crossover:
             said.append(
                 f"bandwidth has two meanings: the crossover is {self.crossover:.4g} rad/s, "
                 f"the closed loop's -3 dB lies at {self.bandwidth:.4g} rad/s"

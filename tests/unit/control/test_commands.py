@@ -43,6 +43,7 @@ def test_retuned_gains(capsys):
     assert found["retuned"]
     assert found["sampled"]["phase_margin_deg"] == pytest.approx(50.0, abs=1e-6)
     assert found["sampled"]["crossover"] == pytest.approx(100.0)
+    assert any("at the plant input (crossover 100 rad/s, phase margin 50 deg)" in text for text in found["warnings"])
 
 
 def test_unstable_design_exits_4_and_still_prints(capsys):

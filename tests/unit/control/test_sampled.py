@@ -133,6 +133,21 @@ def test_gain_margin_at_the_nyquist_frequency():
     assert pole - margins.gain_margin * gain == pytest.approx(-1.0, abs=1e-9)
 
 
+def test_a_plant_that_runs_away_needs_a_least_gain():
+    """Friction that falls with speed makes the plant unstable: the loop bears less gain only down to a limit."""
+    axis = PAPER.replace(
+        mechanics={"viscous": 0.0}, effects=[{"kind": "asymmetric_viscous_friction", "viscous_difference": -3000.0}]
+    )
+    loop = design_velocity_loop(axis, crossover=100.0, phase_margin_deg=60.0).sampled
+    assert loop.plant.linear.viscous == pytest.approx(-3000.0)
+    assert loop.stable
+    factor = loop.margins.gain_reduction_margin
+    assert 0.0 < factor < 1.0
+    assert SampledVelocityLoop(loop.plant, 1.0001 * factor * loop.k_v1, loop.t_v).stable
+    assert not SampledVelocityLoop(loop.plant, 0.9999 * factor * loop.k_v1, loop.t_v).stable
+    assert design().sampled.margins.gain_reduction_margin is None
+
+
 def test_unstable_loop_has_no_margins():
     assert (
         loop_margins(lambda w: 2.0 / (1j * w), np.geomspace(0.1, 10, 20), stable=False).to_dict()["phase_margin_deg"]
