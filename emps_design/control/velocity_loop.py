@@ -14,7 +14,7 @@ the former and ``bandwidth`` the latter, with -3 dB taken as the ratio 10^(-3/20
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -126,7 +126,9 @@ class VelocityLoopDesign:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a reader of the numbers has to know, instability first."""
-        said = [*self.sampled.warnings, *self._effects_in_words()]
+        from emps_design.control.assumptions import effects_in_words
+
+        said = [*self.sampled.warnings, *effects_in_words(self.axis, self.sampled, self.velocity)]
         if self.retuned_at:
             asked = ", ".join(
                 f"{key.removesuffix('_deg').replace('_', ' ')} {value:g} {'deg' if key.endswith('_deg') else 'rad/s'}"
@@ -143,30 +145,6 @@ class VelocityLoopDesign:
             )
         said.append("the continuous loop's gain margin is unbounded: its phase never reaches -180 deg")
         return tuple(said)
-
-    def _effects_in_words(self) -> list[str]:
-        """What the effects of the axis change: (7) knows mass and viscous friction only, the sampled loop all of it."""
-        if not self.axis.effects:
-            return []
-        said, mechanics, linear = [], self.axis.mechanics, self.sampled.plant.linear
-        if abs(linear.mass - mechanics.mass) > 0.01 * mechanics.mass or (
-            abs(linear.viscous - mechanics.viscous) > 0.01 * mechanics.viscous
-        ):
-            said.append(
-                f"with its effects the carriage has {linear.mass:.4g} kg and a friction slope of {linear.viscous:.4g} "
-                f"N/(m/s) at {self.velocity:g} m/s; (7) takes {mechanics.mass:.4g} kg and {mechanics.viscous:.4g} "
-                "N/(m/s), the sampled loop takes all"
-            )
-        from emps_design.control.discretisation import sample_axis
-
-        back = replace(self.sampled, plant=sample_axis(self.axis, -self.velocity))
-        if self.sampled.stable and not back.stable:
-            said.append(f"the sampled loop is unstable at {-self.velocity:g} m/s")
-        elif self.sampled.stable:
-            here, there = self.sampled.margins.phase_margin_deg, back.margins.phase_margin_deg
-            if here is not None and there is not None and there < here - 0.5:
-                said.append(f"at {-self.velocity:g} m/s the sampled loop has {there:.3g} deg of phase margin only")
-        return said
 
     def velocity_error_loop(self) -> control.TransferFunction:
         """T_vo(s) of (6)."""
