@@ -14,7 +14,7 @@ from emps_design.control.impedance_robustness import VERDICTS, break_away, creep
 from emps_design.control.impedance_sampled import Clock, sampled_loop
 from emps_design.errors import AxisError, InputError, UnstableError
 from emps_design.machines import machine
-from emps_design.simulation import impedance_kernel as kernel
+from emps_design.simulation import impedance_period as one_period
 from emps_design.simulation.comanipulation import run_comanipulation
 from emps_design.simulation.impedance import impedance_law as engine_law
 from emps_design.simulation.impedance import law_for
@@ -37,10 +37,10 @@ def over(error: float) -> dict[str, float]:
 def stepped(state, command, external, plant, parts=1):
     """One period in equal parts; the held inputs are the same, so the end must be."""
     part = plant.copy()
-    part[kernel.PERIOD] /= parts
+    part[one_period.PERIOD] /= parts
     state = np.array(state, dtype=float)
     for _ in range(parts):
-        kernel.step_with_events(state, command, external, part, np.empty(6))
+        one_period.step_with_events(state, command, external, part, np.empty(6))
     return state
 
 
@@ -48,8 +48,8 @@ def stepped(state, command, external, plant, parts=1):
 @pytest.mark.parametrize("viscous", [400.0, 0.0])
 def test_a_period_is_the_sum_of_its_parts(lag, viscous):
     plant = PLANT.copy()
-    plant[kernel.LAG] = lag  # 0.25 s is M/F_v: equal time constants
-    plant[[kernel.VISCOUS_P, kernel.VISCOUS_N]] = viscous
+    plant[one_period.LAG] = lag  # 0.25 s is M/F_v: equal time constants
+    plant[[one_period.VISCOUS_P, one_period.VISCOUS_N]] = viscous
     random = np.random.default_rng(3)
     turned = 0
     for _ in range(400):
@@ -65,18 +65,18 @@ def test_events_agree_with_a_fine_integration():
     # Semi-implicit friction with 20,000 steps a period: first order, error about 1e-4 of the velocity's scale.
     random = np.random.default_rng(5)
     steps = 20000
-    h = PLANT[kernel.PERIOD] / steps
+    h = PLANT[one_period.PERIOD] / steps
     for _ in range(6):
         start = [0.0, 1e-4 * random.standard_normal(), 40.0 * random.standard_normal()]
         command, external = 60.0 * random.standard_normal(2)
         q, v, tau = start
         for _ in range(steps):
-            tau += h * (command - tau) / PLANT[kernel.LAG]
-            w = v + h * (tau + external) / PLANT[kernel.MASS]
+            tau += h * (command - tau) / PLANT[one_period.LAG]
+            w = v + h * (tau + external) / PLANT[one_period.MASS]
             side = 1 if w > 0 else -1
-            reach = h * (PLANT[kernel.COULOMB_P] if w > 0 else PLANT[kernel.COULOMB_N]) / PLANT[kernel.MASS]
-            viscous = PLANT[kernel.VISCOUS_P] if w > 0 else PLANT[kernel.VISCOUS_N]
-            v = 0.0 if abs(w) <= reach else (w - side * reach) / (1.0 + h * viscous / PLANT[kernel.MASS])
+            reach = h * (PLANT[one_period.COULOMB_P] if w > 0 else PLANT[one_period.COULOMB_N]) / PLANT[one_period.MASS]
+            viscous = PLANT[one_period.VISCOUS_P] if w > 0 else PLANT[one_period.VISCOUS_N]
+            v = 0.0 if abs(w) <= reach else (w - side * reach) / (1.0 + h * viscous / PLANT[one_period.MASS])
             q += h * v
         found = stepped(start, command, external, PLANT)
         np.testing.assert_allclose(found, [q, v, tau], rtol=2e-3, atol=1e-7)
@@ -317,9 +317,9 @@ def test_law_with_stiffness_returns_to_its_rest_position(axis):
 
 def test_plant_array_holds_the_axis(axis, plant):
     numbers = plant_array(axis, plant)
-    assert numbers[kernel.PERIOD] == 1e-3
-    assert numbers[kernel.LAG] == 5e-4
-    assert numbers[kernel.COULOMB_N] == plant.coulomb_negative
+    assert numbers[one_period.PERIOD] == 1e-3
+    assert numbers[one_period.LAG] == 5e-4
+    assert numbers[one_period.COULOMB_N] == plant.coulomb_negative
 
 
 def test_bad_tasks_are_refused(axis):
