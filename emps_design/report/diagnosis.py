@@ -96,7 +96,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     findings = document["findings"]
     level, verdict = VERDICTS[document["verdict"]]
     summary: list[Any] = [
-        Callout(level, _typeset(document.get("sentence") or verdict), verdict if "sentence" in document else "")
+        Callout(level, typeset(document.get("sentence") or verdict), verdict if "sentence" in document else "")
     ]
     summary.append(_gap_facts(document["gap"]))
     if diagnosis.views:
@@ -130,10 +130,10 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     )
 
 
-def _typeset(text: str) -> str:
+def typeset(text: str) -> str:
     """ASCII of the command line as a page sets it.
 
-    >>> _typeset("7.4 +- 0.6 N; 1.6 N -> 0.4 N")
+    >>> typeset("7.4 +- 0.6 N; 1.6 N -> 0.4 N")
     '7.4 ± 0.6 N; 1.6 N → 0.4 N'
     """
     return text.replace("+-", "±").replace("->", "→")
@@ -396,4 +396,4 @@ def _method_section(document: Mapping[str, Any]) -> Section:
     return Section("Method, warnings and inputs", *blocks)
 
 
-__all__ = ["Diagnosis", "Trace", "View", "diagnosis_page"]
+__all__ = ["Diagnosis", "Trace", "View", "diagnosis_page", "typeset"]

@@ -33,7 +33,7 @@ class Session:
         own = axis.name if axis.name not in machine_names() else RECORD_AXIS
         self.data = DataView(lambda: self.design.machines, own, self.design.add_axis, record)
         self.files = FilesView(lambda: self.state, lambda: self.data.record, self._loaded)
-        self.tab = pn.widgets.RadioButtonGroup(name="Tab", options=list(TABS), value=TABS[0], button_type="primary")
+        self.tab = pn.widgets.RadioButtonGroup(label="Tab", options=list(TABS), value=TABS[0], button_type="primary")
         self.views = dict(zip(TABS, (self.design, self.simulation, self.data, self.files), strict=True))
         for name, view in self.views.items():
             view.view.visible = name == TABS[0]

@@ -26,7 +26,7 @@ class Knob:
             (pn.widgets.IntInput, pn.widgets.IntSlider) if whole else (pn.widgets.FloatInput, pn.widgets.FloatSlider)
         )
         options = {
-            "name": choice.label,
+            "label": choice.label,
             "value": value,
             "start": choice.lower,
             "end": choice.upper,

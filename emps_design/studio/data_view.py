@@ -15,7 +15,7 @@ from emps_design.records import Record
 from emps_design.report.display import quantity
 from emps_design.report.page import inline
 from emps_design.studio.jobs import Job
-from emps_design.studio.panes import html
+from emps_design.studio.panes import blocks, html
 
 LIMIT_MB = 100
 SUFFIXES = (".mat", ".csv", ".npz")
@@ -58,25 +58,26 @@ class DataView:
         self.record: Record | None = None
         self.model: Axis | None = None
         self.drop = pn.widgets.FileDropper(
-            name="Record", max_file_size=f"{LIMIT_MB}MB", multiple=False, height=76, width=360, layout="compact"
+            label="Record", max_file_size=f"{LIMIT_MB}MB", multiple=False, height=76, width=360, layout="compact"
         )
         self.drop.param.watch(self._dropped, "value")
         self.machine = pn.widgets.Select(
-            name="Axis of the record", options=list(machines()), value=axis_name, width=200
+            label="Axis of the record", options=list(machines()), value=axis_name, width=200
         )
         self.friction = pn.widgets.RadioButtonGroup(
-            name="Friction", options=["symmetric", "asymmetric"], margin=(20, 5)
+            label="Friction", options=["symmetric", "asymmetric"], margin=(20, 5)
         )
         self.buttons = {
-            name: pn.widgets.Button(name=name, disabled=True, width=110) for name in ("Identify", "Observe", "Diagnose")
+            name: pn.widgets.Button(label=name, disabled=True, width=110)
+            for name in ("Identify", "Observe", "Diagnose")
         }
         for name, button in self.buttons.items():
             button.button_type = "primary"
             button.on_click(lambda event, name=name: self._start(name))
-        self.take = pn.widgets.Button(name="Design on this model", disabled=True, width=200, button_type="success")
+        self.take = pn.widgets.Button(label="Design on this model", disabled=True, width=200, button_type="success")
         self.take.on_click(self._taken)
         self.job = Job()
-        self.message, self.about, self.result = html(), html(), html()
+        self.message, self.about, self.result = html(), html(), blocks()
         self.view = pn.Column(
             pn.Row(
                 pn.Column(
@@ -204,16 +205,16 @@ def observe_work(record: Record, axis: Axis, friction: str, progress: Callable) 
 def diagnose_work(record: Record, axis: Axis, friction: str, progress: Callable) -> dict[str, Any]:
     """Find where ``record`` and ``axis`` disagree; return the page's summary and the extended model."""
     from emps_design.discrepancy.diagnose import diagnose
-    from emps_design.report.diagnosis import diagnosis_page
+    from emps_design.report.diagnosis import diagnosis_page, typeset
 
     found = diagnose(record, axis, progress=progress)
     progress("drawing", 0.98)
     page = diagnosis_page(found)
-    blocks = [*page.summary, *(block for section in page.sections for block in section.blocks)]
+    shown = [*page.summary, *(block for section in page.sections for block in section.blocks)]
     document = found.to_dict()
     return {
-        "text": document.get("sentence", document["verdict"]),
-        "html": _blocks(*blocks),
+        "text": typeset(document.get("sentence", document["verdict"])),
+        "html": _blocks(*shown),
         "model": found.axis.replace(name=f"{axis.name} diagnosed on {record.name}"),
         "level": "warning" if document["findings"] else "good",
     }

@@ -37,15 +37,15 @@ class DesignView:
         self.pinned: VelocityLoopDesign | None = None
         self.plots, self.plane = LoopPlots(), PlanePlot()
         self._plane_of: Any = None
-        self.machine = pn.widgets.Select(name="Axis", options=list(machines), value=state.axis.name, width=300)
+        self.machine = pn.widgets.Select(label="Axis", options=list(machines), value=state.axis.name, width=300)
         self.machine.param.watch(self._machine_chosen, "value")
         self.specification = pn.widgets.RadioButtonGroup(
-            name="Frequency means", options=list(SPECIFICATIONS), value=state.specification, width=300
+            label="Frequency means", options=list(SPECIFICATIONS), value=state.specification, width=300
         )
         self.specification.param.watch(lambda event: self._turned("specification", event.new), "value")
-        self.place = pn.widgets.RadioButtonGroup(name="Loop broken at", options=list(PLACES), value=PLACES[0])
+        self.place = pn.widgets.RadioButtonGroup(label="Loop broken at", options=list(PLACES), value=PLACES[0])
         self.place.param.watch(lambda event: self.refresh(), "value")
-        self.pin = pn.widgets.Toggle(name="Pin this design to compare", width=210)
+        self.pin = pn.widgets.Toggle(label="Pin this design to compare", width=210)
         self.pin.param.watch(self._pinned, "value")
         self.knobs = {name: Knob(name, getattr(state, name), self._turned) for _, names in GROUPS for name in names}
         self.message, self.numbers, self.side = html(), html(), html()

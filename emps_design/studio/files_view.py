@@ -38,7 +38,7 @@ class FilesView:
             )
             for label, (filename, make) in made.items()
         }
-        self.load = pn.widgets.FileInput(name="Load a state", accept=".toml", multiple=False)
+        self.load = pn.widgets.FileInput(label="Load a state", accept=".toml", multiple=False)
         self.load.param.watch(self._load, "value")
         self.view = pn.Column(
             html("<h3>Export what the design tab shows</h3>"),

@@ -25,9 +25,9 @@ class Job:
     """
 
     def __init__(self) -> None:
-        self.bar = pn.indicators.Progress(name="Progress", value=0, max=100, width=300, visible=False)
+        self.bar = pn.indicators.Progress(label="Progress", value=0, max=100, width=300, visible=False)
         self.stage = pn.pane.HTML("", margin=(4, 8))
-        self.cancel = pn.widgets.Button(name="Cancel work", disabled=True, width=110)
+        self.cancel = pn.widgets.Button(label="Cancel work", disabled=True, width=110)
         self.cancel.on_click(lambda event: self._stop.set())
         self.view = pn.Row(self.bar, self.stage, self.cancel, margin=0)
         self._stop = threading.Event()

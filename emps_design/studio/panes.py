@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
+from importlib.resources import files
+
 import panel as pn
 
 STYLE = """
@@ -25,3 +28,15 @@ h3 { margin: 6px 0; font-size: 15px; }
 def html(text: str = "", **options) -> pn.pane.HTML:
     """Return a pane of HTML that stretches over the width it has."""
     return pn.pane.HTML(text, stylesheets=[STYLE], **{"sizing_mode": "stretch_width", "margin": (0, 5), **options})
+
+
+@cache
+def _page_style() -> str:
+    """The style of the report's pages, for blocks of a page inside a pane."""
+    css = (files("emps_design.report") / "templates" / "page.css").read_text(encoding="utf-8")
+    return css.replace(":root", ":host")
+
+
+def blocks() -> pn.pane.HTML:
+    """Return a pane for blocks of a report's page, in the look of the reports."""
+    return pn.pane.HTML("", stylesheets=[_page_style()], sizing_mode="stretch_width", margin=(0, 5))

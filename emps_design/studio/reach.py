@@ -41,7 +41,7 @@ def reach(state: State) -> Reach:
     >>> from emps_design.machines import machine
     >>> found = reach(State.of(machine("emps2018")).changed(computation_delay=1))
     >>> found.low, found.high
-    (2.5, 77.5)
+    (15.0, 77.5)
     """
     from emps_design.control.discretisation import sample_axis
     from emps_design.control.gains import canonical_form, second_order_bandwidth

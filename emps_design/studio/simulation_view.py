@@ -21,18 +21,18 @@ class SimulationView:
 
     def __init__(self, state: Callable[[], State]):
         self._state = state
-        self.task = pn.widgets.Select(name="Task", options=list(TASKS), width=250)
-        self.force = pn.widgets.FloatInput(name="Push [N]", value=40.0, start=1.0, end=500.0, step=5.0, width=110)
+        self.task = pn.widgets.Select(label="Task", options=list(TASKS), width=250)
+        self.force = pn.widgets.FloatInput(label="Push [N]", value=40.0, start=1.0, end=500.0, step=5.0, width=110)
         self.stiffness = pn.widgets.FloatInput(
-            name="Hand stiffness [N/m]", value=1000.0, start=0.0, end=20000.0, step=100.0, width=140
+            label="Hand stiffness [N/m]", value=1000.0, start=0.0, end=20000.0, step=100.0, width=140
         )
         self.damping = pn.widgets.FloatInput(
-            name="Hand damping [N/(m/s)]", value=100.0, start=0.0, end=2000.0, step=10.0, width=160
+            label="Hand damping [N/(m/s)]", value=100.0, start=0.0, end=2000.0, step=10.0, width=160
         )
-        self.mismatch = pn.widgets.FloatInput(name="Mismatch [%]", value=2.0, start=0.0, end=20.0, step=0.5, width=110)
-        self.plants = pn.widgets.IntInput(name="Random plants", value=200, start=0, end=10000, step=100, width=120)
-        self.seed = pn.widgets.IntInput(name="Seed", value=0, start=0, end=10**6, width=90)
-        self.run = pn.widgets.Button(name="Simulate", button_type="primary", width=120, margin=(24, 5, 5, 5))
+        self.mismatch = pn.widgets.FloatInput(label="Mismatch [%]", value=2.0, start=0.0, end=20.0, step=0.5, width=110)
+        self.plants = pn.widgets.IntInput(label="Random plants", value=200, start=0, end=10000, step=100, width=120)
+        self.seed = pn.widgets.IntInput(label="Seed", value=0, start=0, end=10**6, width=90)
+        self.run = pn.widgets.Button(label="Simulate", button_type="primary", width=120, margin=(24, 5, 5, 5))
         self.run.on_click(self._start)
         self.job = Job()
         self.message, self.table, self.picture, self.cloud = html(), html(), html(), html()

@@ -58,7 +58,7 @@ class State:
     wall: float = 10.0
     mass: float = 50.0
     damping: float = 100.0
-    filter: float = 200.0
+    filter: float = 500.0
     mismatch_percent: float = 2.0
     required_phase_deg: float = 30.0
     required_overshoot_percent: float = 20.0

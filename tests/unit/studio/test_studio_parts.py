@@ -1,0 +1,167 @@
+"""The studio without a browser: its state, what can be reached, what it hands out, what it lets in."""
+
+import json
+import time
+import zipfile
+from io import BytesIO
+
+import numpy as np
+import pytest
+
+pytest.importorskip("panel", reason="the extra 'studio' is not installed")
+
+from emps_design.axis import Axis
+from emps_design.control.velocity_loop import design_velocity_loop
+from emps_design.errors import InputError, RecordError
+from emps_design.machines import machine, machine_names
+from emps_design.studio import exports
+from emps_design.studio.data_view import LIMIT_MB, read_upload
+from emps_design.studio.design_view import DesignView
+from emps_design.studio.jobs import Job
+from emps_design.studio.reach import plane, reach
+from emps_design.studio.state import CHOICES, State
+
+
+def state(**values) -> State:
+    return State.of(machine("emps2018")).changed(**values)
+
+
+def test_a_state_goes_to_a_file_and_comes_back():
+    saved = state(phase_margin_deg=47.5, computation_delay=2, current_ms=0.75, specification="bandwidth")
+    back = State.from_toml(saved.to_toml())
+    assert back == saved
+    assert back.axis.sampling.computation_delay == 2
+    assert back.axis.drive.current_time_constant == pytest.approx(0.75e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[studio", "not TOML"),
+        ("x = 1", r"expected the tables \[studio\] and \[axis\]"),
+        ("[studio]\nphase = 1\n", "unknown key 'phase'"),
+        ("[studio]\nphase_margin_deg = 90.0\n", "phase_margin_deg: found 90.0, expected 1 to 89"),
+        ("[studio]\nphase_margin_deg = true\n", "phase_margin_deg: found True"),
+        ('[studio]\nspecification = "speed"\n', "specification: found 'speed', expected crossover or bandwidth"),
+    ],
+)
+def test_a_damaged_state_is_refused_in_one_line(text, message):
+    axis = "\n".join(f"[axis.{k[1:]}" if (k := line).startswith("[") else line for line in _axis_lines())
+    with pytest.raises(InputError, match=message) as caught:
+        State.from_toml(text if "x = 1" in text or text == "[studio" else f"{text}[axis]\n{axis}")
+    assert "\n" not in str(caught.value)
+
+
+def _axis_lines() -> list[str]:
+    lines = machine("emps2018").to_toml().splitlines()
+    return [line for line in lines if not line.startswith("#")]
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_the_ends_of_the_reach_are_where_stability_ends(delay):
+    now = state(computation_delay=delay)
+    found = reach(now)
+    choice = CHOICES["phase_margin_deg"]
+    for phase, inside in ((found.low, True), (found.high, True), (found.low - 1, False), (found.high + 1, False)):
+        if not choice.lower < phase < choice.upper:
+            continue
+        stable = design_velocity_loop(now.axis, crossover=100.0, phase_margin_deg=phase).sampled.stable
+        assert stable == inside, (phase, stable)
+    assert found.nearest(89.0) == found.high
+
+
+def test_where_nothing_can_be_reached_the_reason_is_said():
+    found = reach(state(frequency=600.0, computation_delay=5, period_ms=5.0))
+    assert found.empty
+    assert "unstable with every phase margin" in found.text
+    assert found.nearest(60.0) is None
+
+
+def test_the_plane_agrees_with_single_designs():
+    names = ("none", "unstable", "below", "meets")
+    axis = machine("emps2018")
+    cells = plane(axis, 30.0, names, columns=6, rows=6)
+    for w, phase, kind in zip(cells["x"], cells["y"], cells["kind"], strict=True):
+        if kind == "none":
+            with pytest.raises(Exception, match="phase margin"):
+                design_velocity_loop(axis, crossover=float(w), phase_margin_deg=float(phase))
+            continue
+        margins = design_velocity_loop(axis, crossover=float(w), phase_margin_deg=float(phase)).sampled.margins
+        expected = "unstable" if not margins.stable else "meets" if margins.phase_margin_deg >= 30.0 else "below"
+        assert kind == expected, (w, phase)
+
+
+def test_a_turn_is_answered_within_the_time_allowed_and_shows_the_librarys_numbers():
+    view = DesignView(state(), {name: machine(name) for name in machine_names()}, lambda state: None)
+    took = []
+    for frequency in np.linspace(60.0, 140.0, 9):
+        start = time.perf_counter()
+        view.knobs["frequency"].field.value = float(frequency)
+        took.append(time.perf_counter() - start)
+    assert np.median(took) < 0.15
+    design = design_velocity_loop(machine("emps2018"), crossover=140.0, phase_margin_deg=60.0)
+    assert view.design.k_v1 == design.k_v1
+    assert f"{design.sampled.margins.phase_margin_deg:.1f}°" in view.numbers.object
+    assert view.knobs["frequency"].slider.value == 140.0
+
+
+def test_pinning_keeps_the_design_beside_the_new_one():
+    view = DesignView(state(), {name: machine(name) for name in machine_names()}, lambda state: None)
+    view.pin.value = True
+    kept = list(view.plots.lines["pinned"].data["w"])
+    view.knobs["frequency"].field.value = 150.0
+    assert "pinned" in view.numbers.object
+    assert list(view.plots.lines["pinned"].data["w"]) == kept
+    view.pin.value = False
+    assert len(view.plots.lines["pinned"].data["w"]) == 0
+
+
+def test_exports_are_whole_repeatable_and_read_by_the_library():
+    now = state(phase_margin_deg=50.0)
+    assert json.loads(exports.gains_json(now))["k_v1"] == exports.velocity_design(now).k_v1
+    model = Axis.from_toml(exports.model_toml(now))
+    assert model.controller.kind == "ip_velocity"
+    archive = exports.figures_zip(now, "svg")
+    assert archive == exports.figures_zip(now, "svg")
+    assert "bode_plant_input.svg" in zipfile.ZipFile(BytesIO(archive)).namelist()
+
+
+def test_an_upload_is_read_like_a_file_and_its_name_leads_nowhere(tmp_path):
+    lines = ["t,q_ref,q,u"] + [f"{k * 1e-3:.3f},{k * 1e-5},{k * 1e-5},{np.sin(k):.6f}" for k in range(500)]
+    record = read_upload("../../etc/passwd/run.csv", "\n".join(lines))
+    assert len(record) == 500
+    assert record.name == "run"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("run.pkl", b"x", "run.pkl: found a .pkl file, expected one of .mat, .csv, .npz"),
+        ("run", b"x", "found a nameless file"),
+        ("run.npz", b"not a zip", "run.npz"),
+        ("run.csv", b"", "run.csv"),
+        ("run.csv", b"0" * (LIMIT_MB * 10**6 + 1), f"expected at most {LIMIT_MB} MB"),
+    ],
+)
+def test_bad_uploads_are_refused_without_a_path(name, content, message):
+    with pytest.raises(RecordError, match=message) as caught:
+        read_upload(name, content)
+    assert "/tmp" not in str(caught.value)
+
+
+def test_a_pickle_inside_an_archive_is_not_opened():
+    class Trap:
+        def __reduce__(self):
+            return (print, ("opened",))
+
+    out = BytesIO()
+    np.savez(out, t=np.array([Trap()], dtype=object), q=np.zeros(1))
+    with pytest.raises(RecordError, match=r"trap\.npz"):
+        read_upload("trap.npz", out.getvalue())
+
+
+def test_a_job_that_runs_refuses_a_second_one():
+    job = Job()
+    job._poll = object()
+    assert job.running
+    assert not job.start(lambda progress: None, print, print)
