@@ -270,7 +270,7 @@ def _first_line(error: ValidationError) -> str:
         known = list((TABLES.get(path[0], Axis) if len(path) > 1 else Axis).model_fields)
         return f"{place}: unknown key{nearest_name(path[-1], known)} (known: {', '.join(known)})"
     if problem["type"] == "value_error":
-        return f"{place}: {problem['msg'].removeprefix('Value error, ')}"
+        return f"{place}: {problem['msg'].removeprefix('Value error, ').removeprefix('effects: ')}"
     field = TABLES[path[0]].model_fields.get(path[1]) if len(path) == 2 and path[0] in TABLES else None
     extra = field.json_schema_extra if field and isinstance(field.json_schema_extra, dict) else {}
     unit = str(extra.get("unit", ""))
