@@ -112,7 +112,8 @@ def relay_oscillation(law: ImpedanceLaw, plant: FrictionModel, clock: Clock) -> 
 
     with Y_e, Y_c the mean velocity per force at the hand and per force added to the law's. Looked for between 0.5
     rad/s and a quarter of the Nyquist frequency; the largest is returned, None if there is none. An approximation:
-    sticking may end the oscillation before it settles, so it explains a limit cycle and does not promise one.
+    simulated speeds are up to twice as large and, since the carriage lingers near rest, frequencies two to six times
+    lower; sticking may end the oscillation before it settles. It explains a limit cycle and does not promise one.
     """
     omega = np.geomspace(0.5, 0.25 * np.pi / clock.period, 600)
     options = {"velocity_estimator": law.velocity_estimator, "force_sensor": law.force_sensor}

@@ -180,8 +180,8 @@ class ImpedanceAssessment:
         threshold = drift_threshold(self.clock.period, self.axis.sampling.encoder_resolution)
         if oscillation is not None and oscillation["speed"] > 2.0 * threshold:
             words.append(
-                f"the Coulomb compensation may hunt at {oscillation['frequency']:.3g} rad/s with "
-                f"{1e3 * oscillation['speed']:.3g} mm/s (describing function); a faster filter or a smaller Coulomb "
+                f"the Coulomb compensation may hunt, at {1e3 * oscillation['speed']:.2g} mm/s or more and below "
+                f"{oscillation['frequency']:.2g} rad/s (describing function); a faster filter or a smaller Coulomb "
                 "factor removes it"
             )
         contact = document["passivity"]

@@ -184,6 +184,20 @@ def test_analysis_and_simulation_agree_on_432_designs(axis, plant, clock):
     assert explained <= 0.11 * len(designs), f"{agreed} of {len(designs)} agree, {explained} explained"
 
 
+@pytest.mark.parametrize(
+    ("mass", "filter", "error"), [(20.0, 50.0, 0.0), (20.0, 50.0, -0.02), (35.0, 20.0, 0.0), (50.0, 20.0, -0.02)]
+)
+def test_predicted_oscillation_of_the_relay_is_there(axis, plant, clock, mass, filter, error):
+    law = impedance_law(axis, mass, 100.0, filter).with_errors(over(error))
+    frequency, speed = relay_oscillation(law, plant, clock)
+    found = run(axis, law, guided_task(1e-3, 20.0))
+    v = found.v[-6000:]
+    rising = np.flatnonzero((v[:-1] <= 0.0) & (v[1:] > 0.0))
+    assert found.verdict == "limit_cycle"
+    assert speed < np.abs(v).max() < 2.0 * speed
+    assert frequency / 6.0 < 2.0 * np.pi / (1e-3 * np.diff(rising).mean()) < frequency
+
+
 def test_force_regression_returns_the_apparent_impedance(axis, plant):
     task = guided_task(1e-3)
     for error in (-0.02, 0.02):
