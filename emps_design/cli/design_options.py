@@ -34,6 +34,10 @@ def with_numbers(axis: Axis, **tables: dict[str, Any]) -> Axis:
     """Return the axis with the numbers given on the command line (those not None), checked like a file's.
 
     A force gain of one's own takes the place of the data sheet's product.
+
+    >>> from emps_design.machines import machine
+    >>> with_numbers(machine("emps2018"), mechanics={"mass": 90.0, "viscous": None}).mechanics.viscous
+    474.9727
     """
     document = axis.to_dict()
     for name, table in tables.items():

@@ -23,7 +23,11 @@ if TYPE_CHECKING:
 
 @cache
 def symbols() -> SimpleNamespace:
-    """The symbols of the derivation, real and positive where they stand for positive quantities."""
+    """The symbols of the derivation, real and positive where they stand for positive quantities.
+
+    >>> symbols().k, symbols().w0
+    (k_v1, omega_0v)
+    """
     import sympy
 
     positive = {

@@ -271,6 +271,14 @@ def design_force_loop(
 
     ``hand`` [N/(m/s)] and ``environment`` [N/m] are the operator's; :class:`InputError` for a gain that is not
     positive, an operator that is not passive, or a negative ``sensor_delay`` [samples].
+
+    >>> from emps_design.control.velocity_loop import design_velocity_loop
+    >>> from emps_design.machines import machine
+    >>> loop = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)
+    >>> design_force_loop(loop, k_e1=0.0)
+    Traceback (most recent call last):
+        ...
+    emps_design.errors.InputError: k_e1: found 0 (m/s)/N, expected a positive number
     """
     if not math.isfinite(k_e1) or k_e1 <= 0.0:
         raise InputError(f"k_e1: found {k_e1:g} (m/s)/N, expected a positive number")

@@ -34,6 +34,10 @@ class Margins:
     ``phase_margin_deg`` [deg], ``crossover`` [rad/s] (where that margin is smallest), ``delay_margin`` [s],
     ``gain_margin`` [ratio], ``gain_margin_frequency`` [rad/s], ``gain_reduction_margin`` [ratio], ``period`` [s] of a
     sampled loop (None: continuous).
+
+    >>> margins = Margins(stable=True, delay_margin=2e-3, gain_margin=10.0, period=1e-3)
+    >>> margins.delay_margin_samples, margins.gain_margin_db
+    (2.0, 20.0)
     """
 
     stable: bool

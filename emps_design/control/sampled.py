@@ -63,6 +63,12 @@ def closed_loop(
 
     With ``k_e1`` [(m/s)/N] the reference is k_e1 (r + f) with f = -(K q + k_h v), ``force`` = (K [N/m], k_h [N/(m/s)]),
     read ``sensor_delay`` samples late; else it is r. ``extra_delay``: more samples between law and voltage.
+
+    >>> from emps_design.control.discretisation import sample_axis
+    >>> from emps_design.machines import machine
+    >>> plant = sample_axis(machine("emps2018"))
+    >>> [closed_loop(plant, 556.766, 8.45505e-3, extra_delay=n).stable for n in (3, 4)]
+    [True, False]
     """
     keep = np.arange(plant.C.size) if force[0] else plant.kept
     row, d0, d1 = plant.increment
