@@ -157,5 +157,5 @@ def _rows(document: dict[str, Any], before: str = "") -> list[tuple[str, str]]:
                 if isinstance(value, list)
                 else value
             )
-            rows.append((before + key.replace("_", " "), str(text)))
+            rows.append(((before + key).replace("_", " "), str(text)))
     return rows

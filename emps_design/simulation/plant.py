@@ -18,7 +18,6 @@ from emps_design.simulation.run import Run
 from emps_design.simulation.surroundings import HAND, Hand, Wall
 
 HOOKS = ("force", "dry", "inertia", "command", "actuator", "delay", "sensor", "rate", "guard", "jump_time")
-METHODS = ("auto", "general", "plain", "folded", "open")
 _EMPTY = np.zeros(0)
 _NO_SIGNALS, _NO_SLOTS = np.zeros((0, 0)), np.zeros(0, np.int64)
 
@@ -116,7 +115,7 @@ class Plant:
         ``plain`` or ``folded``.
         Raises :class:`SimulationError` with time, state and effect where the simulation cannot go on.
         """
-        period = self.axis.sampling.period if period is None else float(period)
+        period = self.axis.sampling.period if period is None else _positive(period)
         q_ref = _signal(q_ref, "q_ref", "m")
         law = law or law_of(self.axis, period)
         if reference is None:
@@ -149,7 +148,7 @@ class Plant:
 
         The voltage limit applies; ``command`` effects add to ``u``. ``q_ref`` of the run is not a number.
         """
-        period = self.axis.sampling.period if period is None else float(period)
+        period = self.axis.sampling.period if period is None else _positive(period)
         u = _signal(u, "u", "V")
         nothing = np.full(u.size, np.nan)
         return self._simulate(
@@ -162,14 +161,22 @@ class Plant:
         energy, tolerance, method,
     ) -> Run:  # fmt: skip
         b, p = self._numbers(baseline, parameters)
+        if not (np.isfinite(q0) and np.isfinite(v0)):
+            raise InputError(f"q0, v0: found {q0:g} m, {v0:g} m/s, expected finite numbers")
         n = q_ref.size
         push = _EMPTY if disturbance is None else _signal(disturbance, "disturbance", "N", n)
         noise = _EMPTY if noise is None else _signal(noise, "voltage_noise", "V", n)
         resolution = self.axis.sampling.encoder_resolution if quantise else 0.0
-        if method == "auto":
-            method = "general" if energy else self._method(law, noise, resolution)
-        elif method not in METHODS:
-            raise InputError(f"method: found {method!r}, expected one of {', '.join(METHODS)}")
+        fastest = "general" if energy else self._method(law, noise, resolution)
+        possible = (
+            "general",
+            *{"general": (), "plain": ("plain",), "folded": ("plain", "folded")}.get(fastest, ("open",)),
+        )
+        method = fastest if method == "auto" else method
+        if method not in possible:
+            raise InputError(
+                f"method: found {method!r}, expected one of {', '.join(('auto', *possible))} for this axis"
+            )
         signals = self._intended(intention, n, period)
         events, found = np.empty((n + 1000, 3)), np.array([0, n + 1000])
         if method == "general":
@@ -232,6 +239,8 @@ class Plant:
             encoder = position
             if resolution > 0:
                 encoder = np.floor(position / resolution + 0.5) * resolution
+        if good == n and not abs(position[-1]) < 1e3:
+            good = int(np.argmin(np.abs(position) < 1e3))
         if good < n:
             at, reason = (good, stepper.DIVERGED) if good >= 0 else (-good - 1, stepper.RUNAWAY)
             raise SimulationError(REASONS[reason], at * period, (float(position[at]), float(velocity[at])))
@@ -318,6 +327,12 @@ def _sees_command(effect: Effect) -> bool:
         return True
     kernels = [kernel for kernel in (effect.force, effect.dry) if kernel is not None]
     return any("tau" in {step.argval for step in dis.get_instructions(kernel)} for kernel in kernels)
+
+
+def _positive(period: Any) -> float:
+    if not (np.isfinite(period) and period > 0):
+        raise InputError(f"period: found {period:g} s, expected a positive number")
+    return float(period)
 
 
 def _signal(values: Any, name: str, unit: str, n: int | None = None) -> np.ndarray:

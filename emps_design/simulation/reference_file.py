@@ -9,7 +9,6 @@ import numpy as np
 from emps_design.errors import RecordError
 from emps_design.records.archives import read_archive
 from emps_design.records.columns import read_title
-from emps_design.records.tables import read_table
 
 MAX_BYTES = 100_000_000
 MAX_SAMPLES = 20_000_000
@@ -30,7 +29,7 @@ def read_reference(path: str | Path, period: float) -> tuple[np.ndarray, np.ndar
     if content[:2] == b"PK":
         columns = read_archive(content, str(path), MAX_BYTES)
     else:
-        columns, _ = read_table(content, str(path))
+        columns = _table(content, path)
     named = {}
     for text, values in columns.items():
         title = read_title(text, str(path))
@@ -55,3 +54,20 @@ def read_reference(path: str | Path, period: float) -> tuple[np.ndarray, np.ndar
     grid = t[0] + np.arange(n) * period
     force = np.interp(grid, t, named["f_ext"]) if "f_ext" in named else None
     return np.interp(grid, t, named["q_ref"]), force
+
+
+def _table(content: bytes, path: Path) -> dict[str, np.ndarray]:
+    """Columns of a text table by title; commas or semicolons between them."""
+    try:
+        head, *lines = content.decode("utf-8-sig").splitlines()
+    except (UnicodeDecodeError, ValueError) as error:
+        raise RecordError(f"{path}: not a text table; expected columns t, q_ref (.csv or .npz)") from error
+    between = ";" if ";" in head else ","
+    titles = head.split(between)
+    try:
+        rows = np.loadtxt(lines, delimiter=between, ndmin=2)
+    except ValueError as error:
+        raise RecordError(f"{path}: {' '.join(str(error).split())}; expected numbers below the titles") from error
+    if rows.shape[1] != len(titles):
+        raise RecordError(f"{path}: found {rows.shape[1]} columns below {len(titles)} titles, expected as many")
+    return dict(zip(titles, rows.T, strict=True))

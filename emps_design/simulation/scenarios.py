@@ -134,7 +134,7 @@ class Breakaway:
         }
 
 
-MOVED = 2e-5  # m of travel that count as motion, above the bend of a presliding contact at its start
+MOVED = 1e-3  # m of travel that count as motion where friction is a bending contact, which moves from the start
 
 
 def breakaway(axis: Axis, rate: float = 1.0, peak: float | None = None, q0: float = 0.0) -> Breakaway:
@@ -142,7 +142,7 @@ def breakaway(axis: Axis, rate: float = 1.0, peak: float | None = None, q0: floa
 
     ``rate`` [N/s]; ``peak`` [N], by default three times what the baseline's friction and constant force can hold, plus
     20 N. With set-valued friction the carriage leaves at the instant of break-away; where friction is a bending
-    contact, the force is that at which it has moved 20 um.
+    contact, the force is that at which it has moved 1 mm.
 
     >>> from emps_design.machines import machine
     >>> found = breakaway(machine("emps2018"), rate=20.0).to_dict()

@@ -1,0 +1,141 @@
+"""Kernels by address: compiled one by one, cached by content, a user's own as good as the package's."""
+
+import os
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+
+from emps_design.effects import Effect, Parameter, effect, get_effect, register
+from emps_design.errors import SimulationError
+from emps_design.machines import machine
+from emps_design.simulation import Plant
+from emps_design.simulation.compile import address
+
+
+@pytest.fixture
+def registry(monkeypatch):
+    """Effects registered in a test are forgotten after it."""
+    import emps_design.effects as effects
+
+    monkeypatch.setattr(effects, "_added", {})
+
+
+def spring(**hooks):
+    return Effect(
+        name="test_spring",
+        label="Spring of a test",
+        channel="plant",
+        equation="k q",
+        source="this test",
+        parameters=(Parameter("stiffness", "k", "N/m", lower=0.0),),
+        no_regressor="only for the test",
+        **hooks,
+    )
+
+
+def positions(effects, n=400):
+    axis = machine("emps2019").replace(effects=effects, sampling={"encoder_resolution": 0.0})
+    return Plant.of(axis).open_loop(np.full(n, 2.0)).position
+
+
+def test_a_users_effect_from_a_session_compiles_and_acts(registry):
+    space = {}
+    exec("def force(q, v, t, tau, x, p, b):\n    return p[0] * q\n", space)  # has no file, so no cache
+    register(spring(force=space["force"]))
+    own = positions([{"kind": "test_spring", "stiffness": 300.0}])
+    packaged = positions([{"kind": "elastic_force", "stiffness": 300.0, "rest_position": 0.0}])
+    np.testing.assert_array_equal(own, packaged)
+
+
+def helper(q, k):
+    return k * q
+
+
+def force_with_helper(q, v, t, tau, x, p, b):
+    return helper(q, p[0])
+
+
+def test_a_kernel_may_call_functions_of_its_own_file(registry):
+    register(spring(force=force_with_helper))
+    own = positions([{"kind": "test_spring", "stiffness": 300.0}])
+    assert np.abs(own - positions([])).max() > 1e-4
+
+
+def broken(q, v, t, tau, x, p, b):
+    return open("no such thing")
+
+
+def test_a_kernel_that_is_not_arithmetic_is_refused_by_name():
+    with pytest.raises(SimulationError, match="test_kernels.broken does not compile"):
+        address(broken)
+
+
+def test_every_kernel_has_one_address_that_stays():
+    kernel = get_effect("stribeck_friction").dry
+    assert address(kernel) == address(kernel) != 0
+
+
+PROGRAM = """
+    import sys
+    sys.path.insert(0, {folder!r})
+    import numpy as np
+    import mine
+    from emps_design.effects import register
+    from emps_design.machines import machine
+    from emps_design.simulation import Plant
+    register(mine.EFFECT)
+    axis = machine("emps2019").replace(effects=[{{"kind": "mine", "stiffness": 300.0}}])
+    print(Plant.of(axis).open_loop(np.full(400, 2.0)).position[-1].hex())
+"""
+EFFECT_FILE = """
+    from emps_design.effects import Effect, Parameter
+    def force(q, v, t, tau, x, p, b):
+        return {factor} * p[0] * q
+    EFFECT = Effect(name="mine", label="Mine", channel="plant", equation="k q", source="test", force=force,
+                    parameters=(Parameter("stiffness", "k", "N/m"),), no_regressor="only for the test")
+"""
+
+
+def test_editing_an_effects_file_renews_its_cache_and_no_other(tmp_path):
+    """Same size, same second: only the content tells."""
+
+    def run():
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
+        code = textwrap.dedent(PROGRAM).format(folder=str(tmp_path))
+        return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+
+    cache, file = tmp_path / "cache", tmp_path / "mine.py"
+
+    def write(factor):
+        file.write_text(textwrap.dedent(EFFECT_FILE).format(factor=factor))
+        os.utime(file, (1_700_000_000, 1_700_000_000))
+
+    def stepper_cache():
+        return {path: path.stat().st_mtime_ns for path in cache.rglob("stepper.run*.nbc")}
+
+    write("1.0")
+    first, before = run().stdout, stepper_cache()
+    assert run().stdout == first
+    write("2.0")
+    second = run().stdout
+    assert second != first
+    assert stepper_cache() == before != {}
+    write("1.0")
+    assert run().stdout == first
+
+
+def test_the_steppers_cache_depends_on_every_file_it_is_built_from():
+    from emps_design.simulation import core, lanes, stepper
+
+    stamps = [d._cache._cache_file._source_stamp for d in (stepper.run, core.run_plain, lanes.run_lanes)]
+    assert len(set(stamps)) == 3
+    assert all(isinstance(stamp, bytes) and len(stamp) == 32 for stamp in stamps)
+
+
+def test_hooks_of_the_effect_module_are_those_of_the_stepper():
+    from emps_design.simulation.plant import HOOKS
+
+    assert set(HOOKS) == {*effect.SCALAR_HOOKS, "actuator", "rate"}
