@@ -20,10 +20,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.peers import compiled_c, python_control
+from emps_design.control.impedance import impedance_law
 from emps_design.files import write_text
 from emps_design.machines import machine
 from emps_design.records import Record, read_record
 from emps_design.simulation import Plant, monte_carlo, simulate_ensemble
+from emps_design.simulation.impedance_study import mismatch_study
 from emps_design.simulation.practice import practice_record
 
 FIVE = (
@@ -44,6 +46,7 @@ def main() -> int:
     _replays(axis, record, rows)
     _five(axis, record, rows)
     _ensembles(axis, record, rows)
+    _comanipulation(rows)
     _hour(axis, rows)
     _starts(rows)
     write_text(Path(__file__).with_name("latest.json"), json.dumps({"rows": rows}, indent=1) + "\n")
@@ -165,6 +168,14 @@ def _ensembles(axis, record, rows) -> None:
         lambda: simulate_ensemble(extended, few, record=record, workers=2), least=3, clock=time.perf_counter
     )
     _add(rows, "plants with five effects, two workers", len(few) / seconds, "plants/s", 400.0, least=True)
+
+
+def _comanipulation(rows) -> None:
+    """The mismatch study of the impedance law: tasks of 10 s at 1 kHz, verdicts, transparency and poles included."""
+    axis = machine("emps2018")
+    law = impedance_law(axis, 50.0, 100.0)
+    seconds = _median(lambda: mismatch_study(axis, law, 0.02, 10_000, workers=2), least=3, clock=time.perf_counter)
+    _add(rows, "10,000 co-manipulations of 10 s at +-2 %, two workers", seconds, "s", 20.0)
 
 
 def _hour(axis, rows) -> None:
