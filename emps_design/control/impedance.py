@@ -302,7 +302,8 @@ def _viscous_slopes(axis: Axis, entry: Any) -> tuple[float, float] | None:
         if max(found) - min(found) > 1e-9 * (1.0 + abs(found[0])):
             return None
         slopes.append(float(found[0]))
-    return slopes[0], slopes[1]
+    # No force at any probe: an end stop, or something that happens at another time; not viscous friction.
+    return (slopes[0], slopes[1]) if any(slopes) else None
 
 
 def _finite(name: str, value: float, unit: str, lower: float = -math.inf, open_below: bool = False) -> None:

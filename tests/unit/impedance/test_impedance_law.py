@@ -15,6 +15,7 @@ from emps_design.control.impedance_equivalence import (
     equivalent_loop,
     safety_words,
 )
+from emps_design.effects import known_effects
 from emps_design.errors import InputError, SpecificationError
 from emps_design.machines import machine
 
@@ -119,6 +120,12 @@ def test_effects_that_are_not_viscous_are_named(axis):
     stribeck = {"kind": "stribeck_friction", "excess": 3.0, "stribeck_velocity": 0.01, "exponent": 1.0}
     assert left_out(axis.replace(effects=[stribeck])) == ("stribeck_friction",)
     assert left_out(machine("emps2018-two-quadrant")) == ()
+    kinds = known_effects()
+    for kind in kinds:
+        effect = kinds[kind]
+        values = {p.name: p.starts[0] if p.starts else max(p.lower, min(p.upper, 0.01)) for p in effect.parameters}
+        viscous = kind == "asymmetric_viscous_friction"
+        assert left_out(axis.replace(effects=[{"kind": kind, **values}])) == (() if viscous else (kind,))
 
 
 @pytest.mark.parametrize(
