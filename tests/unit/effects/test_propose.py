@@ -1,0 +1,51 @@
+"""Starting points that effects propose from what a model leaves."""
+
+import numpy as np
+import pytest
+
+from emps_design.effects import EFFECTS, Motion, get_effect
+from emps_design.effects.effect import CHECK_BASELINE
+
+B = np.array(CHECK_BASELINE)
+
+
+def still(count=24000, period=1e-3):
+    t = np.arange(count) * period
+    w = 2 * np.pi * 0.31
+    q, v, a = 0.1 * (1 - np.cos(w * t)), 0.1 * w * np.sin(w * t), 0.1 * w**2 * np.cos(w * t)
+    return Motion(t, q, v, a, B[0] * a + B[1] * v, period, 0.05 * a)
+
+
+@pytest.mark.parametrize("blanked", [0, 50])
+@pytest.mark.parametrize(
+    "true",
+    [
+        {"amplitude": 0.9, "frequency": 0.59, "duty": 0.5, "start": 1.5968},
+        {"amplitude": -0.6, "frequency": 0.7, "duty": 0.3, "start": 0.8},
+        {"amplitude": 5.07, "frequency": 1.0, "duty": 0.5, "start": 0.344},
+    ],
+)
+def test_a_wave_in_the_law_is_read_to_a_sample(true, blanked):
+    effect, motion = get_effect("controller_disturbance"), still()
+    p = effect.values(true)
+    wave = np.array([effect.command(0.0, 0.0, t, 0.0, (), p, B) for t in motion.t])
+    gap = wave + 4e-3 * np.random.default_rng(1).standard_normal(wave.size)
+    gap[:blanked] = 0.0
+    found = effect.propose(motion, gap, B, np.ones(gap.size, bool))[0]
+    seen = np.array([effect.command(0.0, 0.0, t, 0.0, (), effect.values(found), B) for t in motion.t])
+    assert found["amplitude"] == pytest.approx(true["amplitude"], rel=1e-3)
+    assert found["frequency"] == pytest.approx(true["frequency"], rel=1e-4)
+    assert np.mean(np.abs(seen - wave)[blanked:] > 0.1 * abs(true["amplitude"])) < 0.003
+
+
+@pytest.mark.parametrize("effect", [e for e in EFFECTS if e.propose is not None], ids=lambda effect: effect.name)
+def test_proposals_are_parameters_within_bounds(effect):
+    motion = still()
+    noise = np.random.default_rng(2).standard_normal(motion.t.size)
+    known = {p.name: p for p in effect.parameters}
+    for residual in (noise, np.zeros_like(noise), 3.0 * np.sin(2 * np.pi * motion.q / 0.02) + noise):
+        for table in effect.propose(motion, residual, B, np.abs(motion.v) > 1e-3):
+            assert set(table) <= set(known)
+            missing = [name for name, p in known.items() if name not in table and not p.linear]
+            assert not missing
+            assert all(np.isfinite(value) for value in table.values())
