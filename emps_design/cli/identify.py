@@ -17,6 +17,7 @@ def command(
     external_force: str = typer.Option(
         "refuse", "--external-force", help="refuse a record with one, or known: let the measured force take part."
     ),
+    holdout: Path | None = typer.Option(None, "--holdout", help="Judge the parameters on this record too."),
     bootstrap: int = typer.Option(0, "--bootstrap", min=0, help="Samples of the block bootstrap, 0: none."),
     seed: int = typer.Option(0, "--seed", help="Seed of the bootstrap."),
     out: Path | None = typer.Option(None, "--out", help="Write the identified axis to this TOML file."),
@@ -36,6 +37,8 @@ def command(
         raise InputError(
             f"--estimator: found {estimator!r}, expected {', '.join(estimators)}{nearest_name(estimator, estimators)}"
         )
+    if holdout is not None and (estimator != "ls" or len(records) > 1):
+        raise InputError("--holdout: goes with one record and --estimator ls; several records judge one another")
     loaded = load_axis(axis)
     options = {
         "model": model,
@@ -45,7 +48,8 @@ def command(
     }
     read = [read_record(path) for path in records]
     if len(read) == 1:
-        found = _one(estimator, read[0], loaded, {**options, "bootstrap": bootstrap, "seed": seed})
+        judge = None if holdout is None else read_record(holdout)
+        found = _one(estimator, read[0], loaded, {**options, "bootstrap": bootstrap, "seed": seed, "holdout": judge})
     else:
         from emps_design.identification.several import identify_several
 
@@ -111,6 +115,11 @@ def _show_one(found) -> None:
         f"over {1e3 * found.residual.correlation_time:.0f} ms, HAC lag {found.hac_lag:.2f} s)"
     )
     console.print(f"filter {found.chain}: {found.filter_text}")
+    if found.extra.get("held_out"):
+        judged = found.extra["held_out"]
+        console.print(
+            f"held out, {judged['on']}: {judged['rms_error']:.4f} N rms, {judged['relative_error_percent']:.4f} %"
+        )
     if "cutoff_from_data" in found.extra:
         console.print(
             f"the inverse model explains the force up to {found.extra['cutoff_from_data']['cutoff_hz']:g} Hz "

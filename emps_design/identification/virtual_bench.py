@@ -69,6 +69,7 @@ def value(name: str) -> float:
 
 
 def friction_noise(q, v, t, tau, x, p, b):
+    """Kernel of a force [N] that follows samples ``p[2:]`` at a rate ``p[0]`` [Hz] and grows with speed over ``p[1]``."""
     k = int(t * p[0])
     share = t * p[0] - k
     return ((1.0 - share) * p[2 + k] + share * p[3 + k]) * (1.0 + abs(v) / p[1])
@@ -236,8 +237,9 @@ def _run(axis, rng, scale, name, q_ref=None, force=None) -> Record:
     turned = []
     for one in axis.effects:
         p = dict(one.parameters)
-        if one.kind == "position_ripple":
-            p["phase"] = float(rng.uniform(-np.pi, np.pi))
+        for parameter in one.effect.parameters:
+            if parameter.per_record and parameter.unit == "rad":
+                p[parameter.name] = float(rng.uniform(-np.pi, np.pi))
         turned.append((get_effect(one.kind), get_effect(one.kind).values(p)))
     samples = np.concatenate([[1.0 / period, value("friction_noise_speed")], noise, noise[-1:], noise[-1:]])
     plant = Plant(axis, [*turned, (_NOISE, samples)])

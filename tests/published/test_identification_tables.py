@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 
 from emps_design.identification import identify
-from emps_design.identification.filters import report_chain
-from emps_design.identification.inverse_model import regression, relative_error
 from emps_design.records import read_record
 
 SYMMETRIC = {
@@ -45,8 +43,9 @@ def test_report_chain_gives_the_published_table(laps, model, table, error):
 
 
 def test_symmetric_parameters_judged_on_pulses(laps, pulses):
-    W, Y = regression(report_chain(pulses, 35.15065188), "symmetric")
-    assert relative_error(Y - W @ identify(laps).values(), Y) == pytest.approx(5.9824, abs=1e-3)
+    held_out = identify(laps, holdout=pulses).extra["held_out"]
+    assert held_out["on"] == "DATA_EMPS_PULSES"
+    assert held_out["relative_error_percent"] == pytest.approx(5.9824, abs=1e-3)
 
 
 def test_published_deviations_are_too_small(laps):

@@ -57,6 +57,7 @@ def test_identify_several_records(folder, capsys):
         (["--external-force", "maybe"], "--external-force: found 'maybe', expected refuse or known"),
         (["--filter", "holt"], "did you mean 'hold'"),
         (["--cutoff", "900"], "Nyquist"),
+        (["--estimator", "iv", "--holdout", "other.npz"], "--holdout: goes with one record"),
     ],
 )
 def test_identify_refuses_in_one_line(folder, capsys, options, words):

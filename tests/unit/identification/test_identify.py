@@ -211,3 +211,20 @@ def test_interval_of_a_chain_that_ignores_the_hold_knows_its_bias(truth):
         low, high = found.parameters[name].interval_95
         assert low <= value <= high
     assert identify(quiet, AXIS, chain="hold").parameters["mass"].systematic is None
+
+
+def test_fit_is_judged_on_what_took_no_part(record, simulate):
+    """On a healthy machine the held-out error is the fit's own; on one whose friction changed it is not."""
+    own = identify(record, AXIS, chain="hold", cutoff_hz=30.0)
+    assert own.extra["held_out"]["on"] == "last third"
+    assert own.extra["held_out"]["rms_error"] == pytest.approx(own.rms_error, rel=0.3)
+    other = identify(record, AXIS, chain="hold", cutoff_hz=30.0, holdout=simulate(9))
+    assert other.extra["held_out"]["on"] == "simulated-9"
+    assert other.extra["held_out"]["rms_error"] == pytest.approx(own.rms_error, rel=0.3)
+
+
+def test_effects_of_the_axis_are_named_as_left_out(record):
+    axis = AXIS.replace(effects=[{"kind": "asymmetric_viscous_friction", "viscous_difference": -20.0}])
+    found = identify(record, axis)
+    assert "take no part and are not in the identified one: asymmetric_viscous_friction" in " ".join(found.warnings)
+    assert found.to_axis().effects == ()

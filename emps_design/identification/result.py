@@ -1,0 +1,162 @@
+"""What an identification returns: parameters with their deviations, and the axis they make."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.errors import AxisError
+from emps_design.identification.statistics import LongRun
+from emps_design.quantities import Quantity
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One identified parameter: ``value``, ``std`` by (15), ``relative_std_percent`` by (16), and what holds.
+
+    ``std_long_run`` and ``interval_95`` allow for the correlation of the residual; ``std_hac`` is the HAC deviation;
+    ``systematic`` what a chain that models neither hold nor rest is off by, judged by the one that does, and part of
+    the interval. All None where the record does not determine the parameter; ``reliability`` says how much of its
+    column is motion.
+    """
+
+    quantity: Quantity
+    value: float | None
+    std: float | None
+    std_long_run: float | None = None
+    interval_95: tuple[float, float] | None = None
+    std_hac: float | None = None
+    std_bootstrap: float | None = None
+    systematic: float | None = None
+    reliability: float | None = None
+
+    @property
+    def determined(self) -> bool:
+        """Whether the record says anything about the parameter."""
+        return self.value is not None
+
+    @property
+    def relative_std_percent(self) -> float | None:
+        """100 |std / value| [%], (16); the tables of the 2018 paper print twice this."""
+        return abs(100.0 * self.std / self.value) if self.value and self.std is not None else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, SI."""
+        return {
+            "value": self.value,
+            "std": self.std,
+            "relative_std_percent": self.relative_std_percent,
+            "unit": self.quantity.unit,
+            "symbol": self.quantity.symbol,
+            "determined": self.determined,
+            "std_long_run": self.std_long_run,
+            "interval_95": self.interval_95,
+            "std_hac": self.std_hac,
+            "std_bootstrap": self.std_bootstrap,
+            "systematic": self.systematic,
+            "reliability": self.reliability,
+        }
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Parameters of one record with their deviations, and how they were found."""
+
+    record: str
+    sha256: str
+    model: str
+    estimator: str
+    chain: str
+    filter_text: str
+    cutoff_hz: float | None
+    parameters: dict[str, Estimate]
+    rms_error: float
+    relative_error_percent: float
+    condition_number: float
+    samples: int
+    residual: LongRun
+    hac_lag: float
+    warnings: tuple[str, ...]
+    axis: Axis = field(repr=False)
+    period: float = field(repr=False)
+    series: dict[str, np.ndarray] = field(repr=False, compare=False)
+    extra: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    def values(self) -> np.ndarray:
+        """The parameters in the order of the model, NaN where not determined."""
+        return np.array([np.nan if e.value is None else e.value for e in self.parameters.values()])
+
+    def baseline(self) -> np.ndarray:
+        """Mass, viscous, coulomb, offset, with an asymmetric model's means; raises where one is not determined."""
+        self._need_all("the axis")
+        p = {name: float(e.value) for name, e in self.parameters.items()}
+        if self.model == "symmetric":
+            return np.array([p["mass"], p["viscous"], p["coulomb"], p["constant_force"]])
+        return np.array(
+            [
+                p["mass"],
+                0.5 * (p["viscous_positive"] + p["viscous_negative"]),
+                0.5 * (p["coulomb_positive"] + p["coulomb_negative"]),
+                0.5 * (p["coulomb_positive"] - p["coulomb_negative"]),
+            ]
+        )
+
+    def to_axis(self, name: str | None = None) -> Axis:
+        """The axis with the identified mechanics; the asymmetry of the viscous friction becomes an effect."""
+        mass, viscous, coulomb, offset = (float(f"{x:.10g}") for x in self.baseline())
+        effects = []
+        if self.model == "asymmetric":
+            positive, negative = self.parameters["viscous_positive"].value, self.parameters["viscous_negative"].value
+            half = float(f"{0.5 * (positive - negative):.10g}")
+            effects = [{"kind": "asymmetric_viscous_friction", "viscous_difference": half}]
+        data = self.axis.to_dict()
+        data["name"] = name or self.axis.name
+        data["mechanics"] = {"mass": mass, "viscous": viscous, "coulomb": coulomb, "offset": offset}
+        data["sampling"] = {**data["sampling"], "period": self.period}
+        data["effects"] = effects
+        return Axis.from_dict(data, f"identified from {self.record}")
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contract's ``identify --json``, and what stands beside it."""
+        return {
+            "record": self.record,
+            "sha256": self.sha256,
+            "axis": self.axis.name,
+            "model": self.model,
+            "estimator": self.estimator,
+            "parameters": {name: estimate.to_dict() for name, estimate in self.parameters.items()},
+            "rms_error": self.rms_error,
+            "relative_error_percent": self.relative_error_percent,
+            "condition_number": self.condition_number,
+            "samples": self.samples,
+            "filter": {"chain": self.chain, "cutoff_hz": self.cutoff_hz, "text": self.filter_text},
+            "residual": {**self.residual.to_dict(), "hac_lag": self.hac_lag},
+            **self.extra,
+            "warnings": list(self.warnings),
+        }
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><td>{name}</td><td>{_number(e.value)}</td><td>{_number(e.std)}</td><td>{_number(e.std_long_run)}</td>"
+            f"<td>{e.quantity.unit}</td></tr>"
+            for name, e in self.parameters.items()
+        )
+        return (
+            "<table><tr><th>parameter</th><th>value</th><th>std, (15)</th><th>std, correlated residual</th>"
+            f"<th>unit</th></tr>{rows}</table>"
+        )
+
+    def _need_all(self, purpose: str) -> None:
+        missing = [name for name, estimate in self.parameters.items() if not estimate.determined]
+        if missing:
+            raise AxisError(
+                f"{self.record}: {', '.join(missing)} not determined by the record, {purpose} needs all; record motion "
+                "that excites them"
+            )
+
+
+def _number(value: float | None) -> str:
+    return "not determined" if value is None else f"{value:.4f}"
