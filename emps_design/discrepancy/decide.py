@@ -17,7 +17,7 @@ from emps_design.discrepancy.candidate import Candidate
 from emps_design.discrepancy.missing_force import missing_force
 from emps_design.discrepancy.problem import Descent, Fit, Problem, descend, fit, gather
 from emps_design.discrepancy.propose import Start, Tangent, starts, tangent
-from emps_design.effects import Effect
+from emps_design.effects import Effect, Motion
 
 BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
 RIVAL = 0.5  # a set joins the beam, an effect the full fits, with this share of what the best one explains
@@ -26,7 +26,7 @@ SMALLEST_GAIN = 30.0  # in whitened cost; below the chance level of a search ove
 WORTH_FITTING = 0.05  # of the largest first-order gain
 SHORT_STEPS = 4
 FINALISTS = 4  # effects worth a full fit
-MOST_EFFECTS = 6
+MOST_EFFECTS = 7
 ENOUGH_ROUNDS = 3  # after which a search that explained less than LEAST_EXPLAINED of the excess is given up
 LEAST_EXPLAINED = 0.4
 CORES = 2
@@ -36,8 +36,8 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Search:
-    """The ``path`` of best models, baseline first; all models fitted in full by their set of effects; and what each
-    effect gained alone in the first round [whitened cost]."""
+    """The ``path`` of best models, baseline first; all sound models fitted in full by their set of effects; and what
+    each effect gained alone in the first round [whitened cost]."""
 
     path: tuple[Fit, ...]
     tried: dict[frozenset[str], Fit] = field(repr=False)
@@ -82,7 +82,7 @@ def extensions(
     before = float(absorbed.residual @ absorbed.residual)
     gains = {found[0].model.names[-1]: found[0].gain for found in screened}
     gains |= {name: before - short.cost for name, short in leading.items()}
-    ranked = sorted(leading.values(), key=lambda short: short.cost)
+    ranked = sorted((s for s in leading.values() if plausible(problem, s.model)), key=lambda short: short.cost)
     finalists = [s for s in ranked[:FINALISTS] if before - s.cost >= RIVAL * (before - ranked[0].cost)]
     return sorted(run(delayed(fit)(problem, s.model) for s in finalists), key=lambda f: f.cost), gains
 
@@ -127,9 +127,10 @@ def search(
                     key = frozenset(extended.model.names)
                     if key not in pool or extended.cost < pool[key].cost:
                         pool[key] = extended
-            tried.update({key: f for key, f in pool.items() if key not in tried or f.cost < tried[key].cost})
-            ranked = sorted((f for f in pool.values() if not on_bound(f)), key=lambda f: f.cost)
-            if not ranked or not accept(ranked[0], path[-1]):
+            sound = {key: f for key, f in pool.items() if not on_bound(f) and plausible(problem, f.model)}
+            tried.update({key: f for key, f in sound.items() if key not in tried or f.cost < tried[key].cost})
+            ranked = [f for f in sorted(sound.values(), key=lambda f: f.cost) if accept(f, path[-1])]
+            if not ranked:
                 break
             path.append(ranked[0])
             gain = path[0].cost - ranked[0].cost
@@ -140,6 +141,18 @@ def search(
     except KeyboardInterrupt:
         return Search(tuple(path), tried, alone, interrupted=True)
     return Search(tuple(path), tried, alone)
+
+
+def plausible(problem: Problem, model: Candidate) -> bool:
+    """Whether the numbers of every effect still mean that effect on the motion of each record."""
+    for i, record in enumerate(problem.records):
+        v = np.gradient(record.q, record.period)
+        motion = Motion(record.t, record.q, v, np.gradient(v, record.period), v, record.period, record.u)
+        for effect, row in zip(model.effects, model.parameters(i), strict=True):
+            table = {p.name: float(value) for p, value in zip(effect.parameters, row, strict=True)}
+            if effect.plausible is not None and not effect.plausible(table, motion):
+                return False
+    return True
 
 
 def on_bound(fitted: Fit) -> bool:

@@ -121,6 +121,9 @@ class Effect:
     ``to_linear``/``from_linear`` translate between parameters and the coefficients of those columns; by default the
     coefficients are the linear parameters themselves.
 
+    ``plausible(parameters, motion)`` says whether numbers that fit still mean this effect on that motion: a stop that
+    acts on most of the stroke is a spring, a ripple longer than a third of it is no ripple. None: they always do.
+
     ``propose(motion, residual, b, away)`` looks at the force residual (n,) [N] of the inverse model, trusted where
     ``away`` (n,) is True (away from reversals), and returns starting points for a fit: dicts of parameters, in which
     linear ones may be left out. None: every combination of the parameters' ``starts``.
@@ -157,6 +160,7 @@ class Effect:
     from_linear: Callable[[np.ndarray, Parameters], dict[str, float]] | None = None
     no_regressor: str = ""
     propose: Callable[..., list[dict[str, float]]] | None = None
+    plausible: Callable[[Parameters, Motion], bool] | None = None
     expression: Callable[..., sympy.Expr] | None = None
     over: str = "v"
     where: str = ""

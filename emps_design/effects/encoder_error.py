@@ -38,6 +38,10 @@ def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarra
     return [{"period": period} for period in found]
 
 
+def plausible(parameters: Parameters, motion: Motion) -> bool:
+    return parameters["period"] < float(np.ptp(motion.q)) / 3  # longer is a matter of scale, not of a line
+
+
 def expression(q, v, t, tau, p, b):
     import sympy
 
@@ -70,6 +74,7 @@ EFFECT = Effect(
     propose=propose,
     to_linear=harmonic.to_linear,
     from_linear=harmonic.from_linear,
+    plausible=plausible,
     expression=expression,
     over="q",
     where="one line in the spectrum over position, whose force grows with the square of speed",

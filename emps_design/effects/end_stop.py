@@ -28,6 +28,11 @@ def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarra
     return [{"position": end - side * depth, "side": side} for side, end in ends for depth in depths]
 
 
+def plausible(parameters: Parameters, motion: Motion) -> bool:
+    pressed = parameters["side"] * (motion.q - parameters["position"]) > 0
+    return 0.0 < float(np.mean(pressed)) < 0.4  # more is a spring, not a stop
+
+
 def expression(q, v, t, tau, p, b):
     import sympy
 
@@ -66,6 +71,7 @@ EFFECT = Effect(
     guard=guard,
     regressor=regressor,
     propose=propose,
+    plausible=plausible,
     expression=expression,
     over="q",
     where="beyond one position only, at one end of the travel, and growing there",

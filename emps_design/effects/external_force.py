@@ -48,6 +48,11 @@ def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarra
     return search.pulses(-residual, motion.t, motion.period)
 
 
+def plausible(parameters: Parameters, motion: Motion) -> bool:
+    every = parameters["every"] or float(motion.t[-1])
+    return parameters["duration"] < 0.5 * every  # longer is a constant force with gaps
+
+
 def expression(q, v, t, tau, p, b):
     import sympy
 
@@ -74,6 +79,7 @@ EFFECT = Effect(
     jump_time=jump_time,
     regressor=regressor,
     propose=propose,
+    plausible=plausible,
     expression=expression,
     over="t",
     where="within stretches of time, whatever position and speed are",

@@ -23,6 +23,11 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
     return (friction * -np.expm1(-motion.t / shape["time_constant"]))[:, None]
 
 
+def plausible(parameters: Parameters, motion: Motion) -> bool:
+    span = float(motion.t[-1])
+    return 0.05 * span < parameters["time_constant"] < 20 * span  # faster is a start-up, slower a straight line
+
+
 def expression(q, v, t, tau, p, b):
     import sympy
 
@@ -60,6 +65,7 @@ EFFECT = Effect(
     force=force,
     dry=dry,
     regressor=regressor,
+    plausible=plausible,
     expression=expression,
     over="t",
     where="from the start of the record on, in both directions, the laps differing from one another",

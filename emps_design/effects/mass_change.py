@@ -31,6 +31,10 @@ def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarra
     return [{"time": at} for at in search.instants(residual, motion.t, motion.v, motion.a, away, motion.a)]
 
 
+def plausible(parameters: Parameters, motion: Motion) -> bool:
+    return 0.05 < parameters["time"] / float(motion.t[-1]) < 0.95  # outside, the record has one mass only
+
+
 def expression(q, v, t, tau, p, b):
     import sympy
 
@@ -53,6 +57,7 @@ EFFECT = Effect(
     jump_time=jump_time,
     regressor=regressor,
     propose=propose,
+    plausible=plausible,
     expression=expression,
     over="t",
     where="during accelerations after one instant, not before",

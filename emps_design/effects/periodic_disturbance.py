@@ -29,6 +29,10 @@ def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarra
     return [{"frequency": 1.0 / period} for period in found]
 
 
+def plausible(parameters: Parameters, motion: Motion) -> bool:
+    return parameters["frequency"] * float(motion.t[-1]) > 8  # fewer turns are a drift, or follow the program
+
+
 def expression(q, v, t, tau, p, b):
     import sympy
 
@@ -67,6 +71,7 @@ EFFECT = Effect(
     propose=propose,
     to_linear=harmonic.to_linear,
     from_linear=harmonic.from_linear,
+    plausible=plausible,
     expression=expression,
     over="t",
     where="one line in the spectrum over time, at every position and speed, at rest as well",

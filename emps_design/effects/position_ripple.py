@@ -31,6 +31,10 @@ def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarra
     return [{"period": period} for period in found]
 
 
+def plausible(parameters: Parameters, motion: Motion) -> bool:
+    return parameters["period"] < float(np.ptp(motion.q)) / 3  # longer is a force over the stroke, not a ripple
+
+
 def expression(q, v, t, tau, p, b):
     import sympy
 
@@ -63,6 +67,7 @@ EFFECT = Effect(
     propose=propose,
     to_linear=harmonic.to_linear,
     from_linear=harmonic.from_linear,
+    plausible=plausible,
     expression=expression,
     over="q",
     where="one line in the spectrum over position, at every speed with the same amplitude",

@@ -20,6 +20,10 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
     return (decay * np.sign(motion.v))[:, None]
 
 
+def plausible(parameters: Parameters, motion: Motion) -> bool:
+    return parameters["stribeck_velocity"] < 0.25 * float(np.abs(motion.v).max())  # wider is a curved viscous friction
+
+
 def expression(q, v, t, tau, p, b):
     import sympy
 
@@ -64,6 +68,7 @@ EFFECT = Effect(
     ),
     dry=dry,
     regressor=regressor,
+    plausible=plausible,
     expression=expression,
     over="v",
     where="below a few Stribeck velocities, on both sides of every reversal",
