@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -100,11 +101,9 @@ def _impedance_picture(found: ImpedanceAssessment) -> Picture:
         for sign, word in ((1.0, "over"), (-1.0, "under")):
             off = law.with_errors({name: sign * e for name in ("mass", "viscous", "coulomb")})
             curves[f"estimates {100 * e:g} % {word}"] = felt(off)
-    try:
+    with suppress(SpecificationError):  # where no such loop exists the section's warnings say so
         loop = equivalent_loop(found.axis, law.mass, law.damping, LOW_FREQUENCY, mismatch=found.mismatch or 0.0)
         curves["equivalent force loop"] = loop.impedance(below)
-    except SpecificationError:
-        pass  # no such loop exists; the section's warnings say so
     target = 1j * below * law.mass + law.damping
     return Picture(
         apparent_impedance_figure(below, curves, target),

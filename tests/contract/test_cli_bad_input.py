@@ -178,7 +178,9 @@ def test_init_does_not_overwrite(capsys, folder):
     assert app.run(["init", str(start)]) == 0
     (start / "axis.toml").write_text("mine")
     capsys.readouterr()
-    assert "axis.toml, record.npz, record.csv, puzzle.npz, README.md exist already" in refused(capsys, folder, f"init {start}")
+    assert "axis.toml, record.npz, record.csv, puzzle.npz, README.md exist already" in refused(
+        capsys, folder, f"init {start}"
+    )
     assert (start / "axis.toml").read_text() == "mine"
     assert app.run(["init", str(start), "--force"]) == 0
     assert (start / "axis.toml").read_text() != "mine"
