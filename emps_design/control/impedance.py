@@ -308,5 +308,9 @@ def _viscous_slopes(axis: Axis, entry: Any) -> tuple[float, float] | None:
 
 def _finite(name: str, value: float, unit: str, lower: float = -math.inf, open_below: bool = False) -> None:
     if not math.isfinite(value) or value < lower or (open_below and value == lower):
-        bound = f"{'more than' if open_below else 'at least'} {lower:g}" if math.isfinite(lower) else "a finite number"
+        if not math.isfinite(value):
+            raise InputError(
+                f"{name}: found {value:g}, expected a finite number {f'[{unit}]' if unit else ''}".rstrip()
+            )
+        bound = f"{'more than' if open_below else 'at least'} {lower:g}"
         raise InputError(f"{name}: found {value:g} {unit}".rstrip() + f", expected {bound} {unit}".rstrip())

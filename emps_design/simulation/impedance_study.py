@@ -24,6 +24,7 @@ from emps_design.simulation import impedance_kernel as kernel
 from emps_design.simulation.impedance_run import Measures, law_array, run_many
 from emps_design.simulation.impedance_task import Task, guided_task
 
+MOST = 1_000_000  # plants; more would not fit into memory
 STABLE = (0, 1, 2)  # places in VERDICTS that are neither a limit cycle nor unstable
 _ESTIMATES = (
     kernel.L_MASS_HAT,
@@ -177,8 +178,9 @@ def mismatch_study(
     'creeping'
     """
     check_mismatch(mismatch)
-    if plants < 0:
-        raise InputError(f"plants: found {plants}, expected 0 or more")
+    for name, value, low, high in (("plants", plants, 0, MOST), ("seed", seed, 0, 2**63), ("workers", workers, 1, 256)):
+        if not low <= value <= high:
+            raise InputError(f"{name}: found {value}, expected a whole number from {low} to {high}")
     plant = FrictionModel.of(axis)
     split = plant.two_quadrant if two_quadrant is None else two_quadrant
     corners = corner_errors(mismatch, split)

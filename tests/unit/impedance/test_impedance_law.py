@@ -133,11 +133,11 @@ def test_effects_that_are_not_viscous_are_named(axis):
     [
         ({"mass": 0.0}, r"mass M_a: found 0 kg, expected more than 0 kg"),
         ({"mass": -1.0}, r"mass M_a: found -1 kg"),
-        ({"mass": math.nan}, r"mass M_a: found nan kg"),
+        ({"mass": math.nan}, r"mass M_a: found nan, expected a finite number \[kg\]"),
         ({"damping": -1.0}, r"damping B: found -1 N/\(m/s\), expected at least 0"),
         ({"stiffness": -1.0}, r"stiffness K: found -1 N/m"),
         ({"coulomb_factor": -0.1}, r"Coulomb factor: found -0.1"),
-        ({"rest_position": math.inf}, r"rest position q_0: found inf m, expected a finite number"),
+        ({"rest_position": math.inf}, r"rest position q_0: found inf, expected a finite number \[m\]"),
         ({"filter": 0.0}, r"filter: found 0 rad/s, expected more than 0"),
         ({"current_filter": -5.0}, r"current filter: found -5 rad/s"),
         ({"current_factor": 3.0}, r"current factor: found 3, expected 1 \(derived\) or 2 \(printed\)"),

@@ -345,8 +345,10 @@ def test_bad_tasks_are_refused(axis):
         guided_task(1e-3, scale=-1.0)
     with pytest.raises(InputError, match="task: found a period of 0.002 s, expected the axis's 0.001 s"):
         run(axis, impedance_law(axis, 50.0, 100.0), guided_task(2e-3))
-    with pytest.raises(InputError, match="plants: found -1"):
-        mismatch_study(axis, impedance_law(axis, 50.0, 100.0), 0.02, -1)
+    for wrong in ({"plants": -1}, {"plants": 10**9}, {"seed": -1}, {"workers": 0}):
+        ((name, value),) = wrong.items()
+        with pytest.raises(InputError, match=f"{name}: found {value}, expected a whole number from"):
+            mismatch_study(axis, impedance_law(axis, 50.0, 100.0), 0.02, **wrong)
 
 
 def test_estimates_of_a_law_do_not_touch_the_plant(axis, plant):
