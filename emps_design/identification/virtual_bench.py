@@ -69,7 +69,7 @@ def value(name: str) -> float:
 
 
 def friction_noise(q, v, t, tau, x, p, b):
-    """Kernel of a force [N] that follows samples ``p[2:]`` at a rate ``p[0]`` [Hz] and grows with speed over ``p[1]``."""
+    """Kernel of a force [N] that follows samples ``p[2:]`` at ``p[0]`` Hz and grows with speed over ``p[1]`` m/s."""
     k = int(t * p[0])
     share = t * p[0] - k
     return ((1.0 - share) * p[2 + k] + share * p[3 + k]) * (1.0 + abs(v) / p[1])
@@ -233,13 +233,12 @@ def _run(axis, rng, scale, name, q_ref=None, force=None) -> Record:
     # The size of the noise differs from one experiment to the next, like the lubrication.
     size = value("friction_noise") * rng.uniform(0.95, 1.15)
     noise = _autoregressive(size * np.sqrt(1.0 - decay**2) * rng.standard_normal(n), decay)
-    # The encoder's zero is another one at every start: so are the phases of what depends on position.
+    # The encoder's zero is another one at every start: so is the phase of what repeats with its turns.
     turned = []
     for one in axis.effects:
         p = dict(one.parameters)
-        for parameter in one.effect.parameters:
-            if parameter.per_record and parameter.unit == "rad":
-                p[parameter.name] = float(rng.uniform(-np.pi, np.pi))
+        if {"period", "phase"} <= set(p):
+            p["phase"] = float(rng.uniform(-np.pi, np.pi))
         turned.append((get_effect(one.kind), get_effect(one.kind).values(p)))
     samples = np.concatenate([[1.0 / period, value("friction_noise_speed")], noise, noise[-1:], noise[-1:]])
     plant = Plant(axis, [*turned, (_NOISE, samples)])
