@@ -52,6 +52,7 @@ class Comanipulation:
         return {
             **({} if refused.stable else {"reason": refused.reason, "nearest": refused.nearest}),
             "scenario": "comanipulation",
+            "axis": refused.axis.name,
             "verdict": VERDICTS[judged.verdict.max()],
             "nominal_verdict": exact["verdict"],
             "transparency": {name: exact[name] for name in ("apparent_mass", "apparent_damping", "r2", "error")},
@@ -63,7 +64,7 @@ class Comanipulation:
             "task": self.study.task,
             "law": self.law.to_dict(),
             "study": self.study.to_dict(),
-            "corners_with_effects": None if self.extended is None else self.extended.to_dict()["corners"],
+            **({} if self.extended is None else {"corners_with_effects": self.extended.to_dict()["corners"]}),
             "warnings": [*self.warnings, *dict.fromkeys((*nominal_words, *self.study.warnings))],
         }
 
