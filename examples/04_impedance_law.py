@@ -56,17 +56,18 @@ if len(sys.argv) > 1:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    stable = stability_map(law, plant, clock, mismatches=(0.0, 0.02, 0.05))
+    masses, filters = np.geomspace(1.0, 150.0, 90), np.geomspace(10.0, 3100.0, 70)
+    stable = stability_map(law, plant, clock, masses, filters, (0.0, 0.02, 0.05))
     contact = contact_map(law, plant, clock)
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
     for mismatch, radius, colour in zip(stable.mismatches, stable.radius, ("C0", "C1", "C3"), strict=True):
-        left.contour(stable.masses, stable.filters, radius, levels=[1.0], colors=colour)
+        left.contour(stable.masses, stable.filters, radius > 1.0 + 1e-9, levels=[0.5], colors=colour)
         left.plot([], [], colour, label=f"limit at ±{100 * mismatch:g} %")
     left.plot(50.0, 500.0, "k*", label="50 kg, 500 rad/s")
     left.set(xscale="log", yscale="log", xlabel="apparent mass $M_a$ [kg]", ylabel="filter [rad/s]")
     left.set_title("Stable to the right of each line, B = 100 N/(m/s)")
-    left.legend()
-    shown = right.pcolormesh(contact.stiffness[1:], contact.damping[1:], contact.stable[1:, 1:], cmap="RdYlGn")
+    left.legend(loc="upper left")
+    shown = right.pcolormesh(contact.stiffness[1:], contact.damping[1:], contact.stable[1:, 1:], cmap="RdYlBu")
     right.set(xscale="log", yscale="log", xlabel="wall or hand stiffness [N/m]", ylabel="its damping [N/(m/s)]")
-    right.set_title("Coupled stability (green: stable)")
+    right.set_title("Coupled stability (blue: stable)")
     figure.savefig(sys.argv[1], dpi=120)
