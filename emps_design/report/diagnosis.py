@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from emps_design.report import diagnosis_figures as figures
+from emps_design.report.diagnosis_design import axis_before, design_change
 from emps_design.report.display import NOTHING, angle, interval, probability, quantity, with_std, words
 from emps_design.report.footer import inputs_table, versions
 from emps_design.report.page import Callout, Facts, Html, Page, Picture, Points, Section, Table, Text
@@ -70,6 +71,7 @@ class Diagnosis(Protocol):
     | ``calibration`` | str, how the threshold was found |
     | ``assumptions``, ``warnings`` | [str] |
 
+    ``axis``, where there is one, is the extended axis: without ``design`` the page designs on it and on the baseline.
     ``views``: the first is the picture of *where*; ``trace``: None where no record confirms.
     """
 
@@ -82,7 +84,7 @@ class Diagnosis(Protocol):
 
 
 VERDICTS = {
-    "named": ("warning", "An effect is missing from the model, and it has a name"),
+    "named": ("warning", "What is missing from the model has a name"),
     "parameters-only": ("note", "Nothing is missing: only the numbers of the axis file are off"),
     "nothing-missing": ("good", "Nothing is missing from the model"),
     "ambiguous": ("warning", "Something is missing, and these data cannot tell which of several effects it is"),
@@ -118,7 +120,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
         _views_section(diagnosis),
         _limits_section(document),
         _remedy_section(document, findings),
-        _design_section(document.get("design", ())),
+        _design_section(document.get("design") or _design_rows(diagnosis, document)),
         _method_section(document),
     ]
     names = ", ".join(record["name"] for record in document.get("records", ()))
@@ -150,7 +152,7 @@ def _label(finding: Mapping[str, Any]) -> str:
 
 def _where_caption(diagnosis: Diagnosis, findings: Sequence[Mapping[str, Any]]) -> str:
     view = diagnosis.views[0]
-    places = "; ".join(f["where"]["text"] for f in findings if f.get("where", {}).get("text"))
+    places = "; ".join(dict.fromkeys(f["where"]["text"] for f in findings if f.get("where", {}).get("text")))
     said = f" {_sentence(places)}" if places else ""
     return f"Residual force over {view.quantity}, before (model as it was, refitted) and after.{said}"
 
@@ -352,6 +354,13 @@ def _remedy_section(document: Mapping[str, Any], findings: Sequence[Mapping[str,
             )
         )
     return Section("What to do", *blocks) if blocks else None
+
+
+def _design_rows(diagnosis: Diagnosis, document: Mapping[str, Any]) -> list[dict[str, Any]]:
+    axis, parameters = getattr(diagnosis, "axis", None), document.get("parameters")
+    if axis is None or not parameters or not document["findings"]:
+        return []
+    return design_change(axis_before(axis, parameters), axis)
 
 
 def _design_section(rows: Sequence[Mapping[str, Any]]) -> Section | None:

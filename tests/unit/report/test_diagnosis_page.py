@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from emps_design.machines import machine
 from emps_design.report.diagnosis import VERDICTS, diagnosis_page
+from emps_design.report.diagnosis_design import axis_before, design_change
 
 
 @dataclass
@@ -160,3 +162,31 @@ def test_same_diagnosis_same_bytes_and_small():
     html = diagnosis_page(invented()).html()
     assert html == diagnosis_page(invented()).html()
     assert len(html.encode()) < 3_000_000
+
+
+def test_the_page_says_what_the_better_model_changes_in_the_design():
+    delayed = machine("emps2019").replace(effects=[{"kind": "actuator_delay", "delay": 1.6e-3}])
+    diagnosis = invented()
+    diagnosis.document.pop("design")
+    diagnosis.axis = delayed
+    html = diagnosis_page(diagnosis).html()
+    lost = np.degrees(1.6e-3 * 204.0)  # crossover at the plant input times the delay
+    rows = {row["quantity"]: row for row in design_change(machine("emps2019"), delayed)}
+    margins = [float(rows["phase margin of the old gains"][key].rstrip("°")) for key in ("before", "after")]
+    assert margins[0] - margins[1] == pytest.approx(lost, abs=0.3)
+    assert "phase margin of the old gains" in html
+    before = axis_before(delayed, diagnosis.document["parameters"])
+    assert before.effects == ()
+    assert before.mechanics.mass == 96.2
+
+
+def test_gains_that_the_better_model_makes_unstable_are_named():
+    slow = machine("emps2019").replace(effects=[{"kind": "actuator_delay", "delay": 9e-3}])
+    rows = design_change(machine("emps2019"), slow)
+    assert {"quantity": "the old gains", "before": "stable", "after": "unstable"}.items() <= rows[2].items()
+
+
+def test_a_model_without_gains_for_the_specification_says_why():
+    stiff = machine("emps2019").replace(mechanics={"viscous": 1e6})
+    rows = design_change(machine("emps2019"), stiff)
+    assert "lower limit binds" in rows[0]["note"]
