@@ -361,8 +361,10 @@ def test_estimates_of_a_law_do_not_touch_the_plant(axis, plant):
 @pytest.mark.parametrize("delay", [0, 2])
 @pytest.mark.parametrize("force_sensor", [False, True])
 def test_general_simulator_runs_the_same_law(axis, lag, delay, force_sensor):
-    # Two simulators that share no stepper; the law's current from the loop's model, or measured: the same.
-    other = axis.replace(drive={"current_time_constant": lag}, sampling={"computation_delay": delay})
+    # Two simulators that share no stepper; the law's current from the loop's model, or measured: the same. An exact
+    # encoder: a position between two steps may be read either way.
+    sampling = {"computation_delay": delay, "encoder_resolution": 0.0}
+    other = axis.replace(drive={"current_time_constant": lag}, sampling=sampling)
     law = impedance_law(other, 60.0, 100.0, force_sensor=force_sensor).with_errors(over(0.02))
     task = pushed_task(1e-3, 4.0)
     own = run(other, law, task)
@@ -370,7 +372,7 @@ def test_general_simulator_runs_the_same_law(axis, lag, delay, force_sensor):
         np.zeros(len(task.reference)), disturbance=task.reference[:, 0], law=law_for(other, law, 1e-3)
     )
     np.testing.assert_allclose(general.position, own.q, atol=1e-9)
-    np.testing.assert_allclose(general.u, own.u, atol=1e-6)
+    np.testing.assert_allclose(general.u, own.u, atol=1e-5)
 
 
 def test_a_hard_push_is_not_an_instability(axis):
@@ -385,10 +387,10 @@ def test_a_hard_push_is_not_an_instability(axis):
 def test_general_simulator_gives_the_same_measures(axis):
     task = pushed_task(1e-3)
     for error, limit in ((-0.02, 10.0), (0.02, 10.0), (0.0, 2.5)):
-        axis = axis.replace(drive={"voltage_limit": limit})
+        axis = axis.replace(drive={"voltage_limit": limit}, sampling={"encoder_resolution": 0.0})
         law = impedance_law(axis, 50.0, 100.0).with_errors(over(error))
         own, general = run(axis, law, task), run_extended(axis, law, task)
-        np.testing.assert_allclose(general.measures.raw, own.measures.raw, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(general.measures.raw, own.measures.raw, rtol=1e-5, atol=1e-7)
         assert general.verdict == own.verdict
 
 
