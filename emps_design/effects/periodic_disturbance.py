@@ -30,7 +30,7 @@ def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarra
 
 
 def plausible(parameters: Parameters, motion: Motion) -> bool:
-    return parameters["frequency"] * float(motion.t[-1]) > 8  # fewer turns are a drift, or follow the program
+    return parameters["frequency"] * float(motion.t[-1]) > 20  # fewer turns are a drift, or follow the program
 
 
 def expression(q, v, t, tau, p, b):

@@ -1,0 +1,137 @@
+"""The whole way from a record to a verdict on small simulated records, and everything that is refused."""
+
+import json
+
+import numpy as np
+import pytest
+
+from emps_design.cli.output import plain
+from emps_design.discrepancy import diagnose
+from emps_design.effects import get_effect
+from emps_design.errors import InputError, RecordError
+from emps_design.machines import machine
+from emps_design.records import Record
+from emps_design.simulation import Plant
+from emps_design.simulation.practice import trapezoid_laps
+
+AXIS = machine("emps2019")
+Q_REF = trapezoid_laps(1e-3, stroke=0.1, speed=0.2, laps=3)
+SHORT = tuple(
+    get_effect(name)
+    for name in ("stribeck_friction", "actuator_delay", "actuator_lag", "elastic_force", "controller_disturbance")
+)
+
+
+def record(*effects, q_ref=Q_REF, seed=0, name="run") -> Record:
+    noise = 4e-3 * np.random.default_rng(seed).standard_normal(q_ref.size)
+    run = Plant.of(AXIS.replace(effects=list(effects))).closed_loop(q_ref, voltage_noise=noise)
+    return Record(t=run.t, q_ref=q_ref, q=run.q, u=run.u, period=1e-3, name=name)
+
+
+DELAYED = {"kind": "actuator_delay", "delay": 1.6e-3}
+
+
+@pytest.fixture(scope="module")
+def delayed():
+    return diagnose(record(DELAYED), AXIS, holdout=record(DELAYED, seed=1, name="other"), library=SHORT)
+
+
+def test_a_delay_is_named_and_confirmed(delayed):
+    assert delayed.verdict == "named"
+    assert [f.effect for f in delayed.findings] == ["actuator_delay"]
+    found = delayed.findings[0].parameters["delay"]
+    assert found["value"] == pytest.approx(1.6e-3, abs=5 * found["std"])
+    assert delayed.holdout.extended < 0.3 * delayed.holdout.baseline
+    assert delayed.findings[0].p_value <= 0.005
+
+
+def test_the_document_has_what_the_contract_asks(delayed):
+    document = plain(delayed.to_dict())
+    assert json.loads(json.dumps(document, allow_nan=False)) == document
+    assert document["schema"] == "emps-design/diagnosis/1"
+    assert set(document["gap"]) == {"unit", "floor", "train", "holdout"}
+    assert set(document["gap_inverse_60hz"]) == set(document["gap"])
+    finding = document["findings"][0]
+    assert {"effect", "equivalents", "where", "parameters", "p_value", "gap_before", "gap_after", "note"} <= set(
+        finding
+    )
+    assert {"channel", "text", "velocity", "position", "time", "frequency"} <= set(finding["where"])
+
+
+def test_the_extended_axis_replays_the_prediction(delayed):
+    prediction = delayed.prediction
+    run = Plant.of(delayed.axis).closed_loop(prediction.record.q_ref)
+    assert np.allclose(run.force, prediction.extended)
+
+
+def test_the_same_seed_gives_the_same_document(delayed):
+    again = diagnose(record(DELAYED), AXIS, holdout=record(DELAYED, seed=1, name="other"), library=SHORT)
+    assert json.dumps(plain(again.to_dict())) == json.dumps(plain(delayed.to_dict()))
+
+
+def test_a_healthy_record_has_nothing_missing():
+    answer = diagnose(record(), AXIS, library=SHORT)
+    assert answer.verdict == "nothing-missing"
+    assert answer.findings == ()
+    assert answer.to_dict()["not_excluded"]
+
+
+def test_wrong_numbers_are_only_numbers():
+    answer = diagnose(record(), AXIS.replace(mechanics={"mass": 100.0, "offset": 0.0}), library=SHORT)
+    assert answer.verdict == "parameters-only"
+    assert answer.axis.mechanics.mass == pytest.approx(AXIS.mechanics.mass, rel=0.01)
+    assert "mass 100 -> 95" in answer.sentence
+
+
+def test_a_disturbance_of_the_controller_is_named_in_the_controller_and_nowhere_else():
+    pulses = {"kind": "controller_disturbance", "amplitude": 2.0, "frequency": 1.0, "duty": 0.5, "start": 0.3437}
+    answer = diagnose(record(pulses), AXIS, library=SHORT)
+    assert [f.effect for f in answer.findings] == ["controller_disturbance"]
+    found = {name: table["value"] for name, table in answer.findings[0].parameters.items()}
+    assert answer.findings[0].channel == "controller"
+    assert found["amplitude"] == pytest.approx(2.0, rel=0.02)
+    assert found["frequency"] == pytest.approx(1.0, rel=1e-3)
+    assert found["start"] == pytest.approx(0.3437, abs=2e-3)
+
+
+def test_what_no_effect_explains_is_unnamed():
+    answer = diagnose(record(DELAYED), AXIS, library=(get_effect("elastic_force"),))
+    assert answer.verdict == "unnamed"
+    assert answer.findings == ()
+
+
+@pytest.mark.parametrize("gains", [{"kp": 100.0}, {"kv": 300.0}])
+def test_a_wrong_controller_is_recognised_with_the_gains_that_fit(gains):
+    with pytest.raises(InputError, match=r"law nowhere .* kp = 160\.\d+ 1/s and kv = 243\.\d+ V/\(m/s\) fit it"):
+        diagnose(record(), AXIS.replace(controller=gains), library=SHORT)
+
+
+def test_records_that_cannot_be_judged_say_what_to_record():
+    whole = record()
+    with pytest.raises(RecordError, match="expected at least 2 s"):
+        diagnose(whole.part(0, 1500), AXIS)
+    still = Record(whole.t, np.zeros(len(whole)), np.zeros(len(whole)), whole.u, 1e-3)
+    with pytest.raises(RecordError, match="does not move"):
+        diagnose(still, AXIS)
+    full = Record(whole.t, whole.q_ref, whole.q, np.full(len(whole), 10.0), 1e-3)
+    with pytest.raises(RecordError, match="at the voltage limit"):
+        diagnose(full, AXIS)
+    with pytest.raises(RecordError, match="sampling period of 2 ms"):
+        diagnose(Record(2 * whole.t, whole.q_ref, whole.q, whole.u, 2e-3), AXIS)
+    with pytest.raises(RecordError, match="one drive"):
+        diagnose(whole, AXIS, holdout=Record(2 * whole.t, whole.q_ref, whole.q, whole.u, 2e-3))
+    with pytest.raises(InputError, match="--confirm-time"):
+        diagnose(whole, AXIS, confirm_time=(1e4, 2e4))
+
+
+def test_an_effect_of_a_user_takes_part():
+    from emps_design.effects import _added, register
+
+    own = get_effect("actuator_delay")
+    mine = type(own)(**{**own.__dict__, "name": "my_delay"})
+    register(mine)
+    try:
+        answer = diagnose(record(DELAYED), AXIS, library=(get_effect("elastic_force"), mine))
+        assert [f.effect for f in answer.findings] == ["my_delay"]
+    finally:
+        _added.pop("my_delay")

@@ -1,0 +1,71 @@
+"""The closed-loop fit gives back what a simulation was made with; its deviations hold; whitening whitens."""
+
+import numpy as np
+import pytest
+
+from emps_design.discrepancy.candidate import Candidate
+from emps_design.discrepancy.noise import floor_of_laps
+from emps_design.discrepancy.problem import Problem, descend, evaluate, fit, whitening_of
+from emps_design.discrepancy.split import split
+from emps_design.effects import get_effect
+from emps_design.machines import machine
+from emps_design.records import Record
+from emps_design.simulation import Plant
+from emps_design.simulation.practice import trapezoid_laps
+
+AXIS = machine("emps2019")
+Q_REF = trapezoid_laps(1e-3, stroke=0.1, speed=0.2, laps=3)
+
+
+def problem(effects=(), noise=4e-3, seed=0) -> Problem:
+    voltage = noise * np.random.default_rng(seed).standard_normal(Q_REF.size)
+    run = Plant.of(AXIS.replace(effects=list(effects))).closed_loop(Q_REF, voltage_noise=voltage)
+    record = Record(t=run.t, q_ref=Q_REF, q=run.q, u=run.u, period=1e-3)
+    splits = (split(record),)
+    floor = floor_of_laps((record,), splits, AXIS.drive.force_gain)
+    return Problem(AXIS, (record,), splits, floor.whitening)
+
+
+def test_the_baseline_comes_back_within_its_deviations():
+    judged = problem()
+    fitted = fit(judged, Candidate(np.array([100.0, 180.0, 24.0, 0.0])), part="used")
+    truth = AXIS.mechanics.array()
+    deviations = [fitted.std(-1, place) for place in range(4)]
+    assert np.all(np.abs(fitted.model.baseline - truth) < 4 * np.array(deviations))
+    assert deviations[0] < 0.5
+    assert fitted.cost / judged.samples("used") == pytest.approx(1.0, abs=0.1)
+
+
+def test_an_effect_comes_back_with_the_baseline():
+    hidden = {"kind": "actuator_lag", "time_constant": 2e-3}
+    start = Candidate(AXIS.mechanics.array()).with_effect(get_effect("actuator_lag"), np.array([[1e-3]]))
+    fitted = fit(problem([hidden]), start)
+    assert fitted.model.values[0][0, 0] == pytest.approx(2e-3, abs=4 * fitted.std(0, 0))
+    assert fitted.std(0, 0) < 1e-4
+
+
+def test_bounds_hold_and_a_model_that_cannot_run_costs_a_lot():
+    model = Candidate(AXIS.mechanics.array()).with_effect(get_effect("actuator_delay"), np.array([[1e-3]]))
+    slots = model.slots()
+    moved = model.with_vector(slots, np.array([100.0, -5.0, 20.0, 0.0, 1.0]))
+    assert moved.baseline[1] == 0.0
+    assert moved.values[0][0, 0] == get_effect("actuator_delay").parameters[0].upper
+    unstable = evaluate(problem(), moved)
+    assert unstable.cost > 1e6 * problem().samples("used") or unstable.innovations
+
+
+def test_a_descent_finds_the_foot_of_a_bowl():
+    slots = Candidate(AXIS.mechanics.array()).slots()
+    target = np.array([90.0, 210.0, 19.0, 1.0])
+    found = descend(Candidate(AXIS.mechanics.array()), slots, lambda m: 10 * (m.baseline - target), steps=20)
+    assert found.model.baseline == pytest.approx(target, rel=1e-4)
+
+
+def test_whitening_makes_coloured_noise_white():
+    random = np.random.default_rng(3)
+    coloured = np.zeros(20000)
+    for k in range(1, coloured.size):
+        coloured[k] = 0.9 * coloured[k - 1] + random.standard_normal()
+    innovations = whitening_of((coloured,)).apply(coloured)[100:]
+    assert innovations.std() == pytest.approx(1.0, abs=0.05)
+    assert abs(np.mean(innovations[1:] * innovations[:-1])) < 0.05

@@ -1,0 +1,50 @@
+"""Strokes and laps, and what fits and what selects."""
+
+import numpy as np
+import pytest
+
+from emps_design.discrepancy.split import START_UP, find_lap, find_strokes, split
+from emps_design.records import Record
+from emps_design.simulation.practice import trapezoid_laps
+
+
+def record(q_ref: np.ndarray) -> Record:
+    zero = np.zeros(q_ref.size)
+    return Record(t=np.arange(q_ref.size) * 1e-3, q_ref=q_ref, q=q_ref, u=zero, period=1e-3)
+
+
+def test_a_lap_is_found_to_the_sample():
+    q_ref = trapezoid_laps(1e-3, stroke=0.1, laps=3)
+    assert find_lap(q_ref) == q_ref.size // 3
+
+
+def test_what_does_not_repeat_has_no_lap():
+    t = np.arange(20000) * 1e-3
+    assert find_lap(np.sin(t) + np.sin(np.sqrt(2) * t)) == 0
+
+
+def test_strokes_end_where_the_direction_changes():
+    q_ref = trapezoid_laps(1e-3, stroke=0.1, laps=2)
+    strokes = find_strokes(q_ref, 1e-3)
+    assert len(strokes) == 12
+    assert strokes[0][0] == 0
+    assert strokes[-1][1] == q_ref.size
+    for start, stop in strokes:
+        moving = np.sign(np.diff(q_ref[start:stop]))
+        assert abs(moving.sum()) == np.abs(moving).sum()
+
+
+@pytest.mark.parametrize("laps", [1, 3])
+def test_every_allowed_sample_fits_or_selects_and_none_does_both(laps):
+    q_ref = trapezoid_laps(1e-3, stroke=0.1, laps=laps)
+    made = split(record(q_ref))
+    assert not (made.fit & made.select).any()
+    assert made.used[START_UP:].all()
+    assert not made.used[:START_UP].any()
+    assert made.fit.sum() > made.select.sum() > 0
+
+
+def test_what_is_not_allowed_is_not_used():
+    q_ref = trapezoid_laps(1e-3, stroke=0.1, laps=3)
+    allowed = np.arange(q_ref.size) < q_ref.size // 2
+    assert not split(record(q_ref), allowed).used[~allowed].any()
