@@ -1,9 +1,11 @@
 """Put into README.md what its commands really print: behind every ``<!-- run: ... -->`` the output of that command.
 
-``python docs/fill_readme.py`` rewrites the file; ``--check`` only says whether it is as it should be. A test does the
-latter, so the page cannot say what the program does not.
+``python docs/fill_readme.py`` rewrites the file, ``--bench`` its table of speeds too, from what ``make bench`` wrote
+last; ``--check`` only says whether it is as it should be. A test does that, so the page cannot say what the program
+does not.
 """
 
+import json
 import re
 import sys
 import tempfile
@@ -13,6 +15,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parent / "_ext"))
 
 README = Path(__file__).resolve().parents[1] / "README.md"
 BLOCK = re.compile(r"<!-- run: (?P<command>[^\n]*) -->\n(?:\n```text\n.*?\n```\n)?", re.DOTALL)
+BENCH = re.compile(r"<!-- bench -->\n(?:\n\|.*?\n\n)?", re.DOTALL)
+ROWS = (
+    "plain over C",
+    "C and plain, largest difference of position",
+    "python-control over plain",
+    "python-control and plain, difference of position",
+    "one hour at 1 kHz, core model",
+    "10,000 plants at +-2 %, metrics, two workers",
+)
 MOST_LINES = 34
 
 
@@ -35,6 +46,13 @@ def filled(text: str) -> str:
         return BLOCK.sub(block, text)
 
 
+def measured() -> str:
+    """The rows of the last `make bench` that compare with what people use now."""
+    rows = {row["work"]: row for row in json.loads((README.parent / "benchmarks" / "latest.json").read_text())["rows"]}
+    lines = [f"| {name} | {rows[name]['value']:.3g} {rows[name]['unit']} |" for name in ROWS if name in rows]
+    return "\n".join(["| work | measured |", "|---|---|", *lines])
+
+
 def without_numbers_tail(text: str) -> str:
     """``text`` with numbers cut to three digits: processors differ in the last ones."""
     return re.sub(r"\d+\.\d+(?:e[-+]?\d+)?", lambda m: f"{float(m[0]):.3g}", re.sub(r" +", " ", text))
@@ -43,6 +61,8 @@ def without_numbers_tail(text: str) -> str:
 if __name__ == "__main__":
     before = README.read_text(encoding="utf-8")
     after = filled(before)
+    if "--bench" in sys.argv:
+        after = BENCH.sub(lambda _: f"<!-- bench -->\n\n{measured()}\n\n", after)
     if "--check" in sys.argv:
         sys.exit(without_numbers_tail(before) != without_numbers_tail(after))
     README.write_text(after, encoding="utf-8")
