@@ -19,6 +19,10 @@ def rate(q, v, t, tau, x, p, b, level, dx):
     dx[0] = (tau - x[0]) / p[0]
 
 
+def lag(q, v, t, tau, x, p, b):
+    return p[0]
+
+
 def initial(q0, p, b):
     return (0.0,)
 
@@ -47,6 +51,7 @@ EFFECT = Effect(
     ),
     force=force,
     rate=rate,
+    lag=lag,
     initial=initial,
     states=(Quantity("acting_force", "f", "N"),),
     regressor=regressor,

@@ -108,6 +108,8 @@ class Effect:
     ``command``    V, added to the controller's output (the recorded ``u`` contains it)
     ``actuator``   ``actuator(u, p) -> V``, static map from the recorded voltage to the one that acts
     ``delay``      s, between the recorded voltage and the one that acts
+    ``lag``        s, time constant: the effect is a first-order lag of the motor force and nothing else. ``force`` and
+                   ``rate`` say the same; the simulation knows the solution and need not step them
     ``sensor``     m, added to the position that the encoder reports
     ``rate``       ``rate(q, v, t, tau, x, p, b, level, dx)`` fills ``dx`` with the derivative of the own states;
                    ``level`` is the Coulomb level L of the moment [N]
@@ -148,6 +150,7 @@ class Effect:
     command: Kernel | None = None
     actuator: Kernel | None = None
     delay: Kernel | None = None
+    lag: Kernel | None = None
     sensor: Kernel | None = None
     rate: Callable[..., None] | None = None
     initial: Callable[..., tuple[float, ...]] | None = None

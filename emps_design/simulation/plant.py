@@ -18,6 +18,8 @@ from emps_design.simulation.run import Run
 from emps_design.simulation.surroundings import HAND, Hand, Wall
 
 HOOKS = ("force", "dry", "inertia", "command", "actuator", "delay", "sensor", "rate", "guard", "jump_time")
+# Own states smaller than this need not be known relatively: a load that has hardly begun to move, by unit.
+FLOORS = {"m": 1e-6, "m/s": 1e-4, "N": 1e-2}
 _EMPTY = np.zeros(0)
 _NO_SIGNALS, _NO_SLOTS = np.zeros((0, 0)), np.zeros(0, np.int64)
 
@@ -48,16 +50,27 @@ class Plant:
         self.parameters = tuple(values for _, values in effects)
         self._surroundings = surroundings
         self._lag = axis.drive.current_time_constant
+        # An effect that is a lag of the motor force takes the place of an ideal current loop.
+        lags = [i for i, effect in enumerate(self.effects) if effect.lag]
+        self._lagging = lags[0] if lags and self._lag == 0 else -1
         self._free = any(effect.takes_dry for effect in self.effects)
         self._p = np.concatenate([_EMPTY, *self.parameters])
         self._p_at = np.cumsum([0] + [len(values) for values in self.parameters])
-        first_own = 3 if self._lag > 0 else 2
-        self._x_at = first_own + np.cumsum([0] + [len(effect.states) for effect in self.effects])
+        own = [0 if i == self._lagging else len(effect.states) for i, effect in enumerate(self.effects)]
+        self._x_at = 2 + np.cumsum([0, *own])
         self._states = int(self._x_at[-1])
+        self._floors = [
+            FLOORS.get(state.unit, 1e-6)
+            for i, effect in enumerate(self.effects)
+            for state in effect.states
+            if i != self._lagging
+        ]
         self._hooks, self._starts = self._table()
         dynamic = self._states > 2 or any(effect.guard or effect.jump_time for effect in self.effects)
-        self._exact = self._states == 2 and not any(_touches_motion(effect) for effect in self.effects)
-        self._glides = 0 if dynamic else 1 if any(map(_sees_command, self.effects)) else 2
+        lagged = self._lag > 0 or self._lagging >= 0
+        self._exact = not lagged and not any(_touches_motion(effect) for effect in self.effects)
+        seen = any(_sees_command(effect) for i, effect in enumerate(self.effects) if i != self._lagging)
+        self._glides = 0 if dynamic else 1 if seen else 2
 
     @classmethod
     def of(cls, axis: Axis) -> Plant:
@@ -73,6 +86,8 @@ class Plant:
         rows: list[list[tuple[int, int, int]]] = [[] for _ in range(stepper.TOUCH_MASS + 1)]
         for i, effect in enumerate(self.effects):
             place = (int(self._x_at[i]), int(self._p_at[i]))
+            if i == self._lagging:
+                continue
             for row, hook in enumerate(HOOKS):
                 kernel = getattr(effect, hook)
                 if kernel is not None:
@@ -250,10 +265,14 @@ class Plant:
         self, b, p, law, reference, push, noise, q0, v0, period, resolution, signals, energy, tolerance, events, found
     ):
         n, drive = reference.size, self.axis.drive
-        settings = np.zeros(stepper.ENERGY + 1)
+        settings = np.zeros(stepper.SERIES + 1)
         settings[stepper.PERIOD], settings[stepper.GAIN] = period, drive.force_gain
         settings[stepper.LIMIT], settings[stepper.RESOLUTION] = drive.voltage_limit, resolution
         settings[stepper.DELAYED], settings[stepper.LAG] = self.axis.sampling.computation_delay, self._lag
+        if self._lagging >= 0:
+            at = self._lagging
+            mine = p[self._p_at[at] : self._p_at[at + 1]]
+            settings[stepper.LAG] = self.effects[at].lag(q0, v0, 0.0, 0.0, _EMPTY, mine, b)
         states = self._states + (4 if energy else 0)
         settings[stepper.FREE], settings[stepper.STATES] = self._free, states
         settings[stepper.TOLERANCE], settings[stepper.ENERGY] = tolerance, self._states if energy else 0
@@ -262,7 +281,7 @@ class Plant:
         y = np.zeros(states)
         y[0], y[1] = q0, v0
         for i, effect in enumerate(self.effects):
-            if effect.initial is not None:
+            if effect.initial is not None and i != self._lagging:
                 own = p[self._p_at[i] : self._p_at[i + 1]]
                 y[self._x_at[i] : self._x_at[i + 1]] = effect.initial(q0, own, b)
         out = np.empty((5, n))
@@ -272,9 +291,26 @@ class Plant:
         place, gains, memory = 0, _EMPTY, _EMPTY
         if law is not None:
             place, gains, memory = address(law.kernel, "law"), law.gains, np.zeros(law.memory)
+        settings[stepper.SERIES] = self._lag > 0 and any(effect.lag for effect in self.effects)
+        floors = np.zeros(states)
+        floors[2 : self._states] = self._floors
         plant = (b, self._hooks, self._starts, p, settings)
         status, k, within = stepper.run(
-            plant, y, place, gains, memory, reference, push, noise, columns, slots, scratch, out, events, found
+            plant,
+            y,
+            place,
+            gains,
+            memory,
+            reference,
+            push,
+            noise,
+            columns,
+            slots,
+            floors,
+            scratch,
+            out,
+            events,
+            found,
         )
         if status != stepper.DONE:
             names = ", ".join(effect.name for effect in self.effects) or "none"

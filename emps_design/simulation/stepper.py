@@ -1,7 +1,8 @@
 """Step an axis with any effects through a run: hold periods, Runge-Kutta steps inside them, events between them.
 
-State ``y = [q, v, (motor force), own states of the effects ..., (work of motor, push, friction, effects)]``; the motor
-force is a state when the current loop is not ideal, the work where the energy balance is asked for. Within a hold
+State ``y = [q, v, own states of the effects ..., (work of motor, push, friction, effects)]``, the work where the energy
+balance is asked for. Under a current loop that is not ideal the motor force decays towards its command, a known
+function of time within a hold period. Within a hold
 period the classical Runge-Kutta rule of order 4 with Zonneveld's embedded rule of order 3 (Hairer, Norsett, Wanner,
 Solving Ordinary Differential Equations I, table II.4.2) chooses its steps. Friction stays set-valued: motion has a
 direction ``s`` of +1 or -1 and at rest ``s = 0``; velocity zeros, break-away, guards and jumps in time end a step,
@@ -34,7 +35,7 @@ DONE, DIVERGED, NO_STEP, CHATTER, RUNAWAY, MASSLESS = range(6)
 # Kinds of events that are recorded.
 REVERSAL, STICK, BREAKAWAY, GUARDED = range(4)
 # Places in ``settings``.
-PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, GLIDES, EXACT, ENERGY = range(12)
+PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, GLIDES, EXACT, ENERGY, SERIES = range(13)
 
 # What one step may be wrong by in position [m], velocity [m/s], and relative to the largest value of an own state.
 _POSITION, _VELOCITY, _OWN = 2e-11, 2e-9, 2e-8
@@ -49,9 +50,24 @@ _SHORTEST = 1e-12  # s, a step that must be shorter than this does not converge
 
 
 @part
+def motor(t, tau, plant):
+    """Motor force at ``t`` under the command ``tau``: behind a lag, what is left of the gap there was."""
+    lag, drive = plant[4][LAG], plant[5]
+    if lag == 0.0:
+        return tau
+    return tau + drive[0] * math.exp(-(t - drive[1]) / lag)
+
+
+@part
+def told(t, tau, plant):
+    """Motor force that kernels are told: the command, but what is behind the current loop for a second lag."""
+    return motor(t, tau, plant) if plant[4][SERIES] > 0.0 else tau
+
+
+@part
 def total(row, y, t, tau, plant):
     """Sum of the kernels of one hook."""
-    b, hooks, starts, p, _ = plant
+    b, hooks, starts, p, _, _ = plant
     value = 0.0
     for i in range(starts[row], starts[row + 1]):
         value += call_kernel(hooks[3 * i], y[0], y[1], t, tau, y, hooks[3 * i + 1], p, hooks[3 * i + 2], b)
@@ -61,10 +77,9 @@ def total(row, y, t, tau, plant):
 @part
 def balance(y, t, tau, push, plant):
     """Force without dry friction [N], level of dry friction [N], and mass [kg]."""
-    b, settings = plant[0], plant[4]
-    if settings[LAG] > 0.0:
-        tau = y[2]
-    net = tau + push - b[1] * y[1] - b[3] - total(FORCE, y, t, tau, plant)
+    b, acting = plant[0], motor(t, tau, plant)
+    tau = told(t, tau, plant)
+    net = acting + push - b[1] * y[1] - b[3] - total(FORCE, y, t, tau, plant)
     level = max(0.0, b[2] + total(DRY, y, t, tau, plant))
     return net, level, b[0] + total(INERTIA, y, t, tau, plant)
 
@@ -81,7 +96,7 @@ def held(y, t, tau, push, plant):
 @part
 def derivative(y, t, tau, push, s, plant, dy):
     """Time derivative of the whole state in motion with direction ``s``, or at rest."""
-    b, hooks, starts, p, settings = plant
+    b, hooks, starts, p, settings, _ = plant
     net, level, mass = balance(y, t, tau, push, plant)
     if settings[FREE] > 0.0:
         dy[0] = y[1]
@@ -94,18 +109,16 @@ def derivative(y, t, tau, push, s, plant, dy):
         dy[1] = (net - s * level) / mass
     if settings[STATES] == 2.0:
         return
-    if settings[LAG] > 0.0:
-        dy[2] = (tau - y[2]) / settings[LAG]
-        tau = y[2]
+    seen = told(t, tau, plant)
     for i in range(starts[RATE], starts[RATE + 1]):
         x_at, p_at = hooks[3 * i + 1], hooks[3 * i + 2]
-        call_rate(hooks[3 * i], y[0], y[1], t, tau, y, x_at, p, p_at, b, level, dy)
+        call_rate(hooks[3 * i], y[0], y[1], t, seen, y, x_at, p, p_at, b, level, dy)
     if settings[ENERGY] > 0.0:
-        e, v = int(settings[ENERGY]), dy[0]
-        dy[e] = tau * v
+        e, v, acting = int(settings[ENERGY]), dy[0], motor(t, tau, plant)
+        dy[e] = acting * v
         dy[e + 1] = push * v
         dy[e + 2] = (b[1] * v + (0.0 if settings[FREE] > 0.0 else s * level)) * v
-        dy[e + 3] = (tau + push - b[1] * y[1] - b[3] - net) * v
+        dy[e + 3] = (acting + push - b[1] * y[1] - b[3] - net) * v
 
 
 @part
@@ -153,13 +166,14 @@ def step(y, t, h, tau, push, s, plant, bounds, work, new):
 @part
 def margin(event, sign, y, t, tau, push, plant):
     """A number that is positive before the event and negative after it."""
-    b, hooks, _, p, _ = plant
+    b, hooks, _, p, _, _ = plant
     if event == 0:
         return sign * y[1]
     if event == 1:
         net, level, _ = balance(y, t, tau, push, plant)
         return level * (1.0 + 1e-14) + 1e-12 - abs(net)
     i = event - 2  # entry of the table of hooks
+    tau = told(t, tau, plant)
     return sign * call_kernel(hooks[3 * i], y[0], y[1], t, tau, y, hooks[3 * i + 1], p, hooks[3 * i + 2], b)
 
 
@@ -218,40 +232,59 @@ def glide(y, t, h, tau, push, s, feel, plant, work, new):
     repeated until what that leaves is below the tolerance. Where the second difference of the acceleration is large,
     one step is too long and the general method takes over.
     """
-    a0, stage, tolerance = work[0][1], work[5], plant[4][TOLERANCE]
+    stage, tolerance = work[5], plant[4][TOLERANCE]
     decay = plant[0][1] / work[1][1]
+    # What the gap of the motor force does on its way to zero is known: to acceleration, velocity and position.
+    gap, lag = plant[5][0] / work[1][1], plant[4][LAG]
+    half_a, half_v, half_q = fading(gap, lag, decay, 0.5 * h)
+    full_a, full_v, full_q = fading(gap, lag, decay, h)
+    a0 = work[0][1] - gap
     slope = work[0][0] - decay * a0
-    stage[0] = y[0] + 0.5 * h * (y[1] + 0.25 * h * (a0 + h / 6.0 * slope))
-    stage[1] = y[1] + 0.5 * h * (a0 + 0.25 * h * slope)
+    stage[0] = y[0] + half_q + 0.5 * h * (y[1] + 0.25 * h * (a0 + h / 6.0 * slope))
+    stage[1] = y[1] + half_v + 0.5 * h * (a0 + 0.25 * h * slope)
     end = 0.0
     for sweep in range(4):
         if s * stage[1] <= 0.0:
             return False
         net, level, mass = balance(stage, t + 0.5 * h, tau, push, plant)
-        middle = (net - s * level) / mass
+        middle = (net - s * level) / mass - half_a
         if sweep == 0:
             end = 2.0 * middle - a0
-        new[0] = y[0] + h * (y[1] + h / 6.0 * (a0 + 2.0 * middle))
-        new[1] = y[1] + h / 6.0 * (a0 + 4.0 * middle + end)
+        new[0] = y[0] + full_q + h * (y[1] + h / 6.0 * (a0 + 2.0 * middle))
+        new[1] = y[1] + full_v + h / 6.0 * (a0 + 4.0 * middle + end)
         if s * new[1] <= 0.0:
             return False
         used = end
         net, level, mass = balance(new, t + h, tau, push, plant)
-        end = (net - s * level) / mass
+        end = (net - s * level) / mass - full_a
         if abs(a0 - 2.0 * middle + end) * h * h > _BEND * tolerance:
             return False
         moved = h / 6.0 * (end - used)
         new[1] += moved
-        missed = y[1] + h / 24.0 * (5.0 * a0 + 8.0 * middle - end) - stage[1]
+        missed = y[1] + half_v + h / 24.0 * (5.0 * a0 + 8.0 * middle - end) - stage[1]
         i = 2 * min(max(math.frexp(1e5 * y[1])[1], 0), _SPEEDS - 1) + (2 * _SPEEDS if s > 0.0 else 0)
         if h * feel[i + 1] * (4.0 * abs(missed) + abs(moved)) <= 6.0 * _MISSED * tolerance:
             new[1] += h / 6.0 * feel[i] * (4.0 * missed + moved)
             work[0][0] = 2.0 * (end - middle) / h + 0.5 * decay * (middle + end)
-            work[0][1] = end
+            work[0][1] = end + full_a
             return s * new[1] > 0.0
-        stage[0] = y[0] + h * (0.5 * y[1] + h / 96.0 * (7.0 * a0 + 6.0 * middle - end))
+        stage[0] = y[0] + half_q + h * (0.5 * y[1] + h / 96.0 * (7.0 * a0 + 6.0 * middle - end))
         stage[1] += missed
     return False
+
+
+@part
+def fading(gap, lag, decay, h):
+    """What a force that fades with ``lag`` adds after ``h``, under viscous ``decay``: acceleration, velocity, position.
+
+    ``gap`` [m/s^2] is what it adds to the acceleration at first.
+    """
+    if gap == 0.0:
+        return 0.0, 0.0, 0.0
+    gone = -math.expm1(-h / lag)
+    v = gap * lag * gone
+    q = lag * (gap * h - v)
+    return gap * (1.0 - gone) - decay * v, v - decay * q, q - decay * lag * (0.5 * gap * h * h - q)
 
 
 @part
@@ -398,7 +431,7 @@ def segment(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, ev
 @part
 def applied(j, u, plant):
     """Motor force commanded by the voltage of sample ``j``, through the actuator's static maps; 0 before the first."""
-    _, hooks, starts, p, settings = plant
+    _, hooks, starts, p, settings, _ = plant
     if j < 0:
         return 0.0
     volts = u[j]
@@ -408,28 +441,31 @@ def applied(j, u, plant):
 
 
 @cached("stepper.py", "core.py")
-def run(plant, y, law, gains, memory, reference, push, noise, signals, slots, scratch, out, events, found):
+def run(
+    plant, y, law, gains, memory, reference, push, noise, signals, slots, floors, scratch, out, events, found
+):  # fmt: skip
     """Run the loop over ``reference.size`` samples; returns the status, the sample, and the time within its period [s].
 
     ``plant`` = arrays (baseline, table of hooks, start of each row of the table, parameters, settings); ``law`` is the
     address of the controller, 0: the reference is the voltage. ``push`` [N] and ``noise`` [V] are empty or one value a
-    sample; column i of ``signals`` is written to ``p[slots[i]]`` at every sample. ``out`` has a row each for encoder,
-    position, velocity, voltage and external force, ``events`` three columns; both are filled, and ``found`` [0] counts
-    the events. ``scratch`` has room for :func:`room` numbers.
+    sample; column i of ``signals`` is written to ``p[slots[i]]`` at every sample. ``floors`` are the sizes below which
+    own states need not be known relatively. ``out`` has a row each for encoder, position, velocity, voltage and
+    external force, ``events`` three columns; both are filled, and ``found`` [0] counts the events. ``scratch`` has room
+    for :func:`room` numbers.
     """
     # Pointers from here on: arrays in tuples would be counted, at ten times the cost of the arithmetic.
-    plant = (pointer(plant[0]), pointer(plant[1]), pointer(plant[2]), pointer(plant[3]), pointer(plant[4]))
-    _, hooks, starts, p, settings = plant
+    drive = pointer(scratch)  # gap between motor force and command, and since when
+    plant = (pointer(plant[0]), pointer(plant[1]), pointer(plant[2]), pointer(plant[3]), pointer(plant[4]), drive)
+    _, hooks, starts, p, settings, _ = plant
     n, size = reference.size, y.size
     y_, gains_, memory_, events_, found_ = pointer(y), pointer(gains), pointer(memory), pointer(events), pointer(found)
-    free_row = pointer(scratch)
-    bounds = free_row
+    bounds, free_row = shifted(drive, 2), shifted(drive, 2)
     k1, k2, k3 = shifted(free_row, 2), shifted(free_row, 2 + size), shifted(free_row, 2 + 2 * size)
     k4, k5, stage = shifted(k3, size), shifted(k3, 2 * size), shifted(k3, 3 * size)
     largest, new, before = shifted(stage, size), shifted(stage, 2 * size), shifted(stage, 3 * size)
     work = (k1, k2, k3, k4, k5, stage, largest)
     for i in range(size):
-        largest[i] = abs(y[i])
+        largest[i] = max(abs(y[i]), floors[i])
     encoder = pointer(out)
     position, velocity, u, outside = (
         shifted(encoder, n), shifted(encoder, 2 * n), shifted(encoder, 3 * n), shifted(encoder, 4 * n),
@@ -440,12 +476,13 @@ def run(plant, y, law, gains, memory, reference, push, noise, signals, slots, sc
     weighed = starts[INERTIA + 1] > starts[INERTIA]
     bounds[0], bounds[1] = -np.inf, np.inf
     glides, steady = settings[GLIDES] > 0.0, settings[GLIDES] > 1.0
-    exact = settings[EXACT] > 0.0
+    exact, lagged = settings[EXACT] > 0.0, settings[LAG] > 0.0
     feel = shifted(before, starts[GUARD + 1] - starts[GUARD])
     if glides:
         feeling(y_, plant, work, feel)
     fresh, before_force, before_mass = False, 0.0, 1.0
-    tau, s, hint = 0.0, 0.0, period
+    tau, reached, s, hint = 0.0, 0.0, 0.0, period
+    drive[0], drive[1] = 0.0, 0.0
     swings = (0.0, 0.0, 0.0)
     if y[1] != 0.0:
         s = 1.0 if y[1] > 0.0 else -1.0
@@ -509,6 +546,11 @@ def run(plant, y, law, gains, memory, reference, push, noise, signals, slots, sc
                         end = max(after, start + 2.0 * _APART)
                         bounds[1] = t + end - _APART
             h = end - start
+            if lagged:
+                drive[0], drive[1] = reached - tau, t + start
+                reached = motor(t + end, tau, plant)
+            else:
+                reached = tau
             if exact:
                 speed = y[1]
                 y[0], y[1], at = core.step_exactly(plant[0], y[0], speed, tau + force - plant[0][3], h)
@@ -522,12 +564,12 @@ def run(plant, y, law, gains, memory, reference, push, noise, signals, slots, sc
                 start = end
                 continue
             if glides and s * y[1] > 0.0:
-                if fresh:
-                    k1[1] += (tau + force - before_force) / before_mass if steady else 0.0
-                if not (fresh and steady):
+                if fresh and steady:
+                    k1[1] += (tau + drive[0] + force - before_force) / before_mass
+                else:
                     net, level, before_mass = balance(y_, t + start, tau, force, plant)
                     k1[0], k1[1], k2[1] = 0.0, (net - s * level) / before_mass, before_mass
-                before_force = tau + force
+                before_force = reached + force
                 fresh = glide(y_, t + start, h, tau, force, s, feel, plant, work, new)
                 if fresh:
                     y[0], y[1] = new[0], new[1]
@@ -545,4 +587,4 @@ def run(plant, y, law, gains, memory, reference, push, noise, signals, slots, sc
 
 def room(states: int, guards: int) -> int:
     """Length of ``scratch`` for an axis with so many states and guards."""
-    return 2 + 8 * states + guards + 4 * _SPEEDS
+    return 4 + 8 * states + guards + 4 * _SPEEDS

@@ -55,3 +55,21 @@ def test_current_loop_is_the_lag_of_the_effect():
     as_effect = Plant.of(axis_with("actuator_lag")).open_loop(u)
     as_drive = Plant.of(axis_with().replace(drive={"current_time_constant": lag})).open_loop(u)
     assert np.abs(as_effect.position - as_drive.position).max() < 1e-9
+
+
+@pytest.mark.parametrize("lag", [1e-5, 0.25e-3, 5e-3])
+@pytest.mark.parametrize("other", ["none", "flexible_coupling", "load_dependent_friction", "actuator_delay"])
+def test_lag_of_any_length_with_others(lag, other):
+    axis, u = axis_with(other), voltage(0.8)
+    axis = axis.replace(effects=[*axis.effects, {"kind": "actuator_lag", "time_constant": lag}])
+    run = Plant.of(axis).open_loop(u)
+    assert np.abs(run.position - Reference(axis).positions(u)).max() < 1e-9
+
+
+def test_two_lags_act_one_behind_the_other():
+    """A current loop and a lag found in the record: the slower by far hides the faster, whichever it is."""
+    u = voltage()
+    slow, fast = {"kind": "actuator_lag", "time_constant": 5e-3}, 1e-5
+    both = Plant.of(axis_with().replace(effects=[slow], drive={"current_time_constant": fast})).open_loop(u)
+    alone = Plant.of(axis_with().replace(effects=[slow])).open_loop(u)
+    assert np.abs(both.position - alone.position).max() < 1e-5
