@@ -12,7 +12,8 @@ from emps_design.discrepancy.problem import Fit, Problem
 from emps_design.discrepancy.split import START_UP
 
 WORTH = 0.01  # of the whitened cost: what lowers the residual force by less than half a percent is no finding
-STROKES = 0.8  # of the selecting strokes must not get worse
+STROKES = 0.8  # of what the selecting strokes change must be improvement
+CHANCE = 2.0  # standard deviations of a stroke's cost
 SEEN_AGAIN = 0.3  # of the gain per sample on the fitting part must be there on the selecting part
 STRUCTURED = 1.5  # whitened cost per sample beyond which a model leaves structure
 AT_FLOOR = 1.2  # whitened cost per sample up to which a model leaves nothing but noise
@@ -39,15 +40,20 @@ class Judge:
         )
 
     def share_of_strokes(self, better: Fit, worse: Fit) -> float:
-        """Share of the selecting strokes whose cost does not rise beyond chance from ``worse`` to ``better``."""
-        kept = []
+        """Share of improvement in what the selecting strokes change: gains over gains and losses, stroke by stroke.
+
+        Weighted, because a record may have two selecting strokes only; a loss within chance is none.
+        """
+        gains, losses = 0.0, 0.0
         for i, split in enumerate(self.problem.splits):
-            change = better.innovations[i] ** 2 - worse.innovations[i] ** 2
+            change = worse.innovations[i] ** 2 - better.innovations[i] ** 2
             for start, stop in split.strokes:
                 seen = split.select[start:stop]
                 if seen.sum() > START_UP:
-                    kept.append(float(change[start:stop][seen].sum()) <= 2.0 * np.sqrt(2.0 * seen.sum()))
-        return float(np.mean(kept)) if kept else 0.0
+                    gain = float(change[start:stop][seen].sum())
+                    gains += max(gain, 0.0)
+                    losses += max(-gain - CHANCE * np.sqrt(2.0 * seen.sum()), 0.0)
+        return gains / (gains + losses) if gains > 0 else 0.0
 
     def at_floor(self, fitted: Fit) -> bool:
         """Whether ``fitted`` leaves nothing but noise on both parts."""
