@@ -35,3 +35,21 @@ def test_the_two_commands_come_first():
     for target in ("demo", "test"):
         assert f"make {target}" in start
         assert re.search(rf"^{target}:", makefile, re.MULTILINE)
+
+
+@pytest.mark.slow
+def test_the_python_shown_runs(tmp_path):
+    code = "\n".join(re.findall(r"```python\n(.*?)```", README, re.DOTALL))
+    assert "identify(" in code
+    prepare = [sys.executable, "-m", "emps_design.cli", "init", str(tmp_path)]
+    subprocess.run(prepare, capture_output=True, check=True, timeout=300)
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "TransferFunction" in done.stdout or "s^2" in done.stdout
