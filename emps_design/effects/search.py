@@ -88,12 +88,19 @@ def instants(
     if index.size < 100:
         return []
     target, basis = absorb(residual, v, a, index)
-    grid = np.linspace(t[index[0]], t[index[-1]], 62)[1:-1]
-    after = np.where(t[index][:, None] > grid, column[index][:, None], 0.0)
-    free = after - basis @ (basis.T @ after)
-    size = (free**2).sum(axis=0)
-    power = np.where(size > 0, (target @ free) ** 2 / np.where(size > 0, size, 1.0), 0.0)
-    return [float(grid[i]) for i in strongest(power, count)]
+
+    def power(grid: np.ndarray) -> np.ndarray:
+        after = np.where(t[index][:, None] > grid, column[index][:, None], 0.0)
+        free = after - basis @ (basis.T @ after)
+        size = (free**2).sum(axis=0)
+        return np.where(size > 0, (target @ free) ** 2 / np.where(size > 0, size, 1.0), 0.0)
+
+    coarse = np.linspace(t[index[0]], t[index[-1]], 62)
+    step, found = coarse[1] - coarse[0], []
+    for best in strongest(power(coarse[1:-1]), count):  # then to a fiftieth of the step: an edge guides no refinement
+        fine = coarse[1 + best] + np.linspace(-step, step, 101)
+        found.append(float(fine[int(np.argmax(power(fine)))]))
+    return found
 
 
 def pulses(residual: np.ndarray, t: np.ndarray, period: float) -> list[dict[str, float]]:
