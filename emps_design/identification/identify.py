@@ -251,8 +251,7 @@ def residual_statistics(
     The lag is four correlation times, at least 0.1 s. The autoregressive model is made of rows away from rest, as far
     apart as the band resolves (half a period).
     """
-    band = filtered.band_hz
-    steps = max(1, round(0.5 / (band * filtered.period)))
+    band, steps = filtered.band_hz, resolved_steps(filtered)
     away = filtered.used & (filtered.reduce(sliding(filtered.motion, band).astype(np.float32)) > 0.5)
     if int(away[::steps].sum()) < FEWEST_STEPS:
         away = filtered.used
@@ -265,6 +264,11 @@ def residual_statistics(
     )
     lag = int(max(0.1, 4.0 * spread.correlation_time) / filtered.period)
     return fit.residual, spread, min(lag, len(W) // 10), filtered.period
+
+
+def resolved_steps(filtered: Filtered) -> int:
+    """Rows between two that the filter's band lets differ: half a period of its upper end."""
+    return max(1, round(0.5 / (filtered.band_hz * filtered.period)))
 
 
 def _reliability(record: Record, axis: Axis, model: str, filtered: Filtered) -> np.ndarray | None:

@@ -16,7 +16,7 @@ from emps_design.axis import Axis
 from emps_design.errors import AxisError, RecordError
 from emps_design.identification.excitation import check_record
 from emps_design.identification.filters import Filtered, hold_chain
-from emps_design.identification.identify import Identification, assemble, residual_statistics
+from emps_design.identification.identify import Identification, assemble, residual_statistics, resolved_steps
 from emps_design.identification.inverse_model import (
     LeastSquares,
     least_squares,
@@ -24,6 +24,7 @@ from emps_design.identification.inverse_model import (
     regression,
     relative_error,
 )
+from emps_design.identification.statistics import long_run
 from emps_design.records import Record
 from emps_design.simulation import Plant
 
@@ -155,6 +156,9 @@ def hausman_test(W: np.ndarray, Y: np.ndarray, Z: np.ndarray, filtered: Filtered
     """
     from scipy.stats import chi2
 
+    # Rows as far apart as the band resolves: what is nonzero between them alone is no evidence.
+    steps = resolved_steps(filtered)
+    W, Y, Z, used = W[::steps], Y[::steps], Z[::steps], filtered.used[::steps]
     basis = np.linalg.qr(Z)[0]
     missed = W - basis @ (basis.T @ W)
     kept = np.linalg.norm(missed, axis=0) > 1e-3 * np.linalg.norm(W, axis=0)
@@ -170,8 +174,8 @@ def hausman_test(W: np.ndarray, Y: np.ndarray, Z: np.ndarray, filtered: Filtered
         return HausmanTest(0.0, 0, 1.0, shift)
     both = np.column_stack([W, missed])
     names = tuple(f"column {i}" for i in range(both.shape[1]))
-    fit = least_squares(both, Y, names, filtered.used)
-    _, spread, _, _ = residual_statistics(filtered, both, fit)
+    fit = least_squares(both, Y, names, used)
+    spread = long_run(both, fit.residual, used, filtered.period * steps)
     extra = slice(W.shape[1], None)
     statistic = float(fit.value[extra] @ np.linalg.solve(spread.covariance[extra, extra], fit.value[extra]))
     return HausmanTest(statistic, missed.shape[1], float(chi2.sf(statistic, missed.shape[1])), shift)

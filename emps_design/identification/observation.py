@@ -53,11 +53,15 @@ class Steps:
 
 @dataclass(frozen=True)
 class MethodResult:
-    """One method on one record: ``force`` (n,) [N], its ``delay`` [s] as designed, and how it did."""
+    """One method on one record: ``force`` (n,) [N], its ``delay`` [s] as designed, and how it did.
+
+    ``rms_error`` [N] is against the force at the same moment, ``rms_error_aligned`` [N] against that of ``delay`` ago.
+    """
 
     force: np.ndarray = field(repr=False)
     delay: float
     rms_error: float | None
+    rms_error_aligned: float | None
     steps: Steps | None
     smallest: SmallestForce
     settings: dict[str, float]
@@ -66,6 +70,7 @@ class MethodResult:
         """The contract's keys, and what stands beside them."""
         return {
             "rms_error": self.rms_error,
+            "rms_error_aligned": self.rms_error_aligned,
             "delay": self.delay,
             "smallest_observable_force": self.smallest.to_dict(),
             "steps": None if self.steps is None else self.steps.to_dict(),
@@ -184,15 +189,17 @@ def _parameter_bound(seen, axis: Axis, std: np.ndarray | None) -> float:
 def _judge(record: Record, axis: Axis, force: np.ndarray, delay: float, parameter: float, settings) -> MethodResult:
     start = int(SETTLED / record.period)
     inner = slice(start, len(record) - start)
-    truth, rms, steps, error = record.f_ext, None, None, force
+    truth, rms, aligned, steps, error = record.f_ext, None, None, None, force
     if truth is not None:
         error = force - truth
         rms = float(np.sqrt(np.mean(error[inner] ** 2)))
+        late = np.interp(record.t - delay, record.t, truth)
+        aligned = float(np.sqrt(np.mean((force - late)[inner] ** 2)))
         steps = _step_answer(force, truth, record.period)
     # Noise is what is quick in the error: a median keeps reversals and edges, which are few, out of it.
     quick = np.diff(error[inner][:: max(1, int(NOISE_STEP / record.period))])
     noise = 1.96 * 1.4826 * float(np.median(np.abs(quick))) / np.sqrt(2.0)
-    return MethodResult(force, delay, rms, steps, smallest_observable_force(axis, noise, parameter), settings)
+    return MethodResult(force, delay, rms, aligned, steps, smallest_observable_force(axis, noise, parameter), settings)
 
 
 def _step_answer(force: np.ndarray, truth: np.ndarray, period: float) -> Steps | None:

@@ -84,6 +84,7 @@ def test_observers_find_the_push(pushed):
         error = (found.methods[name].force - pushed.f_ext)[calm]
         assert np.sqrt(np.mean(error**2)) < limit, name
         assert abs(steps.plateau_error_percent) < 2.0, name
+        assert found.methods[name].rms_error_aligned <= found.methods[name].rms_error
     assert abs(found.methods["offline"].steps.delay) < 1e-3
     assert found.methods["online"].steps.delay > 3e-3
     assert set(found.to_dict()["online"]) >= {"rms_error", "delay", "smallest_observable_force"}
