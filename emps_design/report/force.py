@@ -53,7 +53,7 @@ def force_section(force: ForceLoopDesign) -> Section:
         Table(
             ["quantity", "value", "meaning"], rows, "Force loop of Fig. 4, (10) and (11), with an explicit operator."
         ),
-        Callout("note", "The paper's own reading of (10), (11)", f"{reading[0].upper()}{reading[1:]}."),
+        Callout("note", "The paper's own reading of (10), (11)", f"{reading}."),
         Picture(
             force_limit_figure(force),
             "Above the dashed line the loop as implemented is unstable (shaded): the “too high gain” of the paper. The "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import threading
 from contextlib import contextmanager
 from io import BytesIO, StringIO
 from typing import TYPE_CHECKING, Any
@@ -54,12 +55,15 @@ RC = {
 }
 
 
+_SETTINGS = threading.RLock()  # matplotlib's settings belong to the process; the studio draws in several threads
+
+
 @contextmanager
 def look() -> Iterator[None]:
     """Draw with the package's settings, whatever the user's own matplotlib settings are."""
     import matplotlib as mpl
 
-    with mpl.rc_context():
+    with _SETTINGS, mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(RC)
         yield

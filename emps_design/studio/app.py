@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from pathlib import Path
 
 import panel as pn
@@ -14,6 +15,7 @@ from emps_design.studio.page import page
 from emps_design.studio.state import State
 
 RECORD_AXIS = "emps2019"  # the machine that records are taken for where no axis of their own is named
+HOST = "127.0.0.1"
 TABS = ("Design", "Simulation", "Data", "Files")
 
 
@@ -61,17 +63,21 @@ class Session:
 def serve(axis: Axis, record: str | Path | None = None, port: int = 0, ready=None) -> None:
     """Serve the studio on 127.0.0.1 until it is interrupted; ``ready(address)`` is called once it listens.
 
-    ``port`` 0 takes a free one. Raises :class:`RecordError` for a record that cannot be read, before serving.
+    ``port`` 0 takes a free one. Raises :class:`RecordError` for a record that cannot be read and :class:`OSError` for
+    a port that is taken, before serving.
     """
     from emps_design.records import read_record
     from emps_design.studio.page import MAX_UPLOAD_MB, TITLE, prepare
 
     read = None if record is None else read_record(record)
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.bind((HOST, port))
     prepare()
     server = pn.serve(
         lambda: page(Session(axis, read).root),
         port=port,
-        address="127.0.0.1",
+        address=HOST,
         title=TITLE,
         show=False,
         start=False,
@@ -81,7 +87,7 @@ def serve(axis: Axis, record: str | Path | None = None, port: int = 0, ready=Non
     )
     server.start()
     if ready is not None:
-        ready(f"http://127.0.0.1:{server.port}")
+        ready(f"http://{HOST}:{server.port}")
     try:
         server.io_loop.start()
     finally:

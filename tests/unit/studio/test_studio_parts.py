@@ -1,6 +1,8 @@
 """The studio without a browser: its state, what can be reached, what it hands out, what it lets in."""
 
 import json
+import socket
+import threading
 import time
 import zipfile
 from io import BytesIO
@@ -11,6 +13,7 @@ import pytest
 pytest.importorskip("panel", reason="the extra 'studio' is not installed")
 
 from emps_design.axis import Axis
+from emps_design.cli.app import run
 from emps_design.control.velocity_loop import design_velocity_loop
 from emps_design.errors import InputError, RecordError
 from emps_design.machines import machine, machine_names
@@ -165,3 +168,33 @@ def test_a_job_that_runs_refuses_a_second_one():
     job._poll = object()
     assert job.running
     assert not job.start(lambda progress: None, print, print)
+
+
+def test_a_port_that_is_taken_is_told_in_one_line(capsys):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert run(["studio", "--port", str(port)]) == 2
+    said = capsys.readouterr().err.strip()
+    assert f"--port: cannot listen on 127.0.0.1:{port}" in said
+    assert "\n" not in said
+
+
+def test_a_record_that_cannot_be_read_is_told_before_anything_is_served(capsys):
+    assert run(["studio", "--record", "nowhere.mat"]) == 2
+    assert "nowhere.mat" in capsys.readouterr().err
+
+
+def test_two_threads_draw_what_one_does():
+    from emps_design.report import style
+    from emps_design.report.diagrams import impedance_law
+
+    alone = style.svg(impedance_law())
+    drawn = []
+    threads = [threading.Thread(target=lambda: drawn.append(style.svg(impedance_law()))) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert drawn == [alone] * 3
