@@ -11,12 +11,13 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
-from types import FunctionType
+from types import FunctionType, ModuleType
 from typing import Any
 
 import numba
 from llvmlite import ir
 from numba import cfunc, njit, types
+from numba.core.dispatcher import Dispatcher
 from numba.extending import intrinsic
 
 from emps_design.errors import SimulationError
@@ -92,22 +93,42 @@ def _with_compiled_neighbours(function: Callable[..., Any]) -> Callable[..., Any
     return linked
 
 
-def cached(*files: str, contract: bool = False) -> Callable[[Callable[..., Any]], Any]:
-    """Compile a stepper with a disk cache that is renewed when one of ``files`` of this folder changes.
+def cached(contract: bool = False) -> Callable[[Callable[..., Any]], Any]:
+    """Compile a stepper with a disk cache that is renewed when any file it is built from changes.
 
     ``contract`` lets the compiler round a product and a sum once instead of twice, as C compilers do.
     """
-    folder = Path(__file__).parent
-    digest = hashlib.sha256(b"".join((folder / name).read_bytes() for name in (Path(__file__).name, *files))).digest()
 
     def decorate(function: Callable[..., Any]) -> Any:
         fastmath = {"contract"} if contract else False
         dispatcher = njit(cache=True, fastmath=fastmath, **_OPTIONS)(function)
         # numba stamps a cache with the content of the function's own file only.
-        dispatcher._cache._cache_file._source_stamp = digest
+        content = b"".join(file.read_bytes() for file in sorted(source_files(function)))
+        dispatcher._cache._cache_file._source_stamp = hashlib.sha256(content).digest()
         return dispatcher
 
     return decorate
+
+
+def source_files(function: Callable[..., Any]) -> set[Path]:
+    """Files of ``function``, of this module, and of every compiled part that is called, however far down."""
+    found, open_ends = {Path(__file__)}, [function]
+    seen = set()
+    while open_ends:
+        code, space = (one := open_ends.pop()).__code__, one.__globals__
+        if code in seen:
+            continue
+        seen.add(code)
+        found.add(Path(code.co_filename))
+        reached = [space.get(name) for name in code.co_names]
+        reached += [
+            getattr(module, name, None)
+            for module in reached
+            if isinstance(module, ModuleType)
+            for name in code.co_names
+        ]
+        open_ends += [value.py_func for value in reached if isinstance(value, Dispatcher)]
+    return found
 
 
 part = njit(**_OPTIONS)  # a piece of a stepper: compiled into whatever calls it, cached with that

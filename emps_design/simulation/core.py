@@ -4,7 +4,7 @@ With ``a = F_v/M`` and ``n`` the net force over mass, motion over ``h`` is ``v' 
 with ``e = exp(-a h)``, ``g1 = (1 - e)/a``, ``g2 = (h - g1)/a``. Velocity is zero at ``log(1 - a v/n)/a``; there the
 carriage stays where dry friction holds the force, or turns. :func:`run_plain` does this sample by sample;
 :func:`run_folded` folds controller and motion into one affine map for as long as the carriage slides and the voltage
-is inside its limit. Everything compiled for the core path is in this file.
+is inside its limit.
 """
 
 from __future__ import annotations
@@ -69,6 +69,7 @@ def swing(volts, k, period, swings):
 
 @part
 def note(events, found, time, kind, place):
+    """Record an event where there is room; count it in any case."""
     if found[0] < events.shape[0]:
         events[found[0], 0] = time
         events[found[0], 1] = kind
@@ -85,7 +86,7 @@ def note_turn(events, found, t, at, before, after, where):
         note(events, found, t + at, BREAKAWAY, where)
 
 
-@cached("core.py")
+@cached()
 def run_plain(b, numbers, delay, start, reference, push, noise, position, encoder, velocity, u, events, found):
     """Close the loop of ``position_pd`` sample by sample; returns the number of good samples, or -1 - k.
 
@@ -146,7 +147,7 @@ def run_plain(b, numbers, delay, start, reference, push, noise, position, encode
     return reference.size
 
 
-@cached("core.py", contract=True)
+@cached(contract=True)
 def run_folded(b, numbers, start, reference, push, position, velocity, u, events, found):
     """The same without delay, quantisation and noise, sliding folded into one affine map a sample."""
     mass, dry, offset = b[MASS], b[COULOMB], b[OFFSET]
@@ -213,7 +214,7 @@ def run_folded(b, numbers, start, reference, push, position, velocity, u, events
     return n
 
 
-@cached("core.py")
+@cached()
 def run_open(b, numbers, start, voltage, push, position, velocity, u, events, found):
     """Drive the baseline with ``voltage`` (n,) [V]; returns the number of good samples."""
     mass, dry, offset = b[MASS], b[COULOMB], b[OFFSET]

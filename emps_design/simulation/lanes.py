@@ -33,7 +33,7 @@ ROWS = 20
 METRICS = 5  # columns of the result
 
 
-@cached("lanes.py", "core.py")
+@cached()
 def run_lanes(baselines, numbers, start, reference, push, measured_q, measured_u, first, scratch, result):
     """Simulate ``baselines`` (m, 4), m a multiple of 32, and fill ``result`` (m, 5).
 

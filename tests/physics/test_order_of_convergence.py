@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from emps_design.simulation import Plant, stepper
+from emps_design.simulation import Plant, glide, motion
 from tests.physics.cases import axis_with
 
 
@@ -24,12 +24,12 @@ def measured_order(axis, steps, duration=0.24, speed=0.2):
 
 def test_runge_kutta_has_the_order_it_declares():
     order = measured_order(axis_with("flexible_coupling"), [96, 120, 160, 200, 240])
-    assert order == pytest.approx(stepper.ORDER, abs=0.4)
+    assert order == pytest.approx(motion.ORDER, abs=0.4)
 
 
 def test_glide_has_the_order_it_declares():
     order = measured_order(axis_with("nonlinear_viscous_friction", "elastic_force"), [16, 24, 48, 96])
-    assert order == pytest.approx(stepper.GLIDE_ORDER, abs=0.3)
+    assert order == pytest.approx(glide.ORDER, abs=0.3)
 
 
 @pytest.mark.parametrize("name", ["stribeck_friction", "flexible_coupling", "presliding_friction", "backlash"])

@@ -1,5 +1,6 @@
 """Kernels by address: compiled one by one, cached by content, a user's own as good as the package's."""
 
+import hashlib
 import os
 import subprocess
 import sys
@@ -129,10 +130,17 @@ def test_editing_an_effects_file_renews_its_cache_and_no_other(tmp_path):
 
 def test_the_steppers_cache_depends_on_every_file_it_is_built_from():
     from emps_design.simulation import core, lanes, stepper
+    from emps_design.simulation.compile import source_files
 
-    stamps = [d._cache._cache_file._source_stamp for d in (stepper.run, core.run_plain, lanes.run_lanes)]
-    assert len(set(stamps)) == 3
-    assert all(isinstance(stamp, bytes) and len(stamp) == 32 for stamp in stamps)
+    files = {
+        stepper.run: {"compile", "core", "glide", "motion", "stepper", "stretch"},
+        core.run_folded: {"compile", "core"},
+        lanes.run_lanes: {"compile", "core", "lanes"},
+    }
+    for dispatcher, names in files.items():
+        assert {path.stem for path in source_files(dispatcher.py_func)} == names
+        content = b"".join(path.read_bytes() for path in sorted(source_files(dispatcher.py_func)))
+        assert dispatcher._cache._cache_file._source_stamp == hashlib.sha256(content).digest()
 
 
 def test_hooks_of_the_effect_module_are_those_of_the_stepper():
