@@ -39,6 +39,8 @@ if EXAMPLES:
 html_theme = "furo"
 html_title = f"emps_design {release}"
 html_math_renderer = "mathtext"
+html_static_path = ["_static"]
+html_css_files = ["pages.css"]
 html_copy_source = False
 html_show_copyright = False
 templates_path: list[str] = []

@@ -18,7 +18,7 @@ class Measured(Directive):
     def run(self):
         path = ROOT / self.arguments[0]
         if not path.exists():
-            text = f"Not measured in this tree: `{self.options['command']}` writes {self.arguments[0]}."
+            text = f"Not measured in this tree; {self.options['command']} writes {self.arguments[0]}."
             return [nodes.paragraph(text, text)]
         columns = self.options["columns"].split()
         return [
