@@ -100,7 +100,7 @@ def _gap_facts(gap: Mapping[str, Any]) -> Facts:
         ("force error after", quantity(after, unit, 3), f"{word}, closed loop"),
         ("noise floor", quantity(floor, unit, 3), "what repeats of the record differ by"),
     ]
-    if None not in (before, after, floor) and before > floor:
+    if None not in (before, after, floor) and before > max(floor, after):
         share = f"{100 * (before - after) / (before - floor):.0f} %"
         items.append(("of the gap closed", share, "100 % reaches the floor"))
     return Facts(tuple(items))
@@ -178,8 +178,7 @@ def _candidates_section(diagnosis: Diagnosis, candidates: Sequence[Mapping[str, 
         "Candidates",
         Picture(
             figures.candidates_figure(candidates, diagnosis.to_dict()["gap"]),
-            "Force error left by each candidate after a refit in closed loop; shorter is better. The dashed line is "
-            "the model as it was, the dotted line the noise floor. A candidate near the dashed line explains nothing.",
+            _candidates_caption(candidates),
             "What was tried",
         ),
         Table(
@@ -188,6 +187,18 @@ def _candidates_section(diagnosis: Diagnosis, candidates: Sequence[Mapping[str, 
             "The best candidates, refitted in closed loop on the selection part; the statistic must exceed the largest "
             "that healthy records give.",
         ),
+    )
+
+
+def _candidates_caption(candidates: Sequence[Mapping[str, Any]]) -> str:
+    if all(candidate.get("gap") is None for candidate in candidates):
+        return (
+            "No candidate explained enough to be fitted. The bars are the statistics of their first guesses; the "
+            "dashed line is the largest that healthy records give."
+        )
+    return (
+        "Force error left by each candidate after a refit in closed loop; shorter is better. The dashed line is the "
+        "model as it was, the dotted line the noise floor. A candidate near the dashed line explains nothing."
     )
 
 

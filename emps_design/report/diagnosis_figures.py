@@ -106,33 +106,43 @@ def _stretch(t: np.ndarray, error: np.ndarray) -> tuple[float, float]:
 
 
 def candidates_figure(candidates: Sequence[Mapping[str, Any]], gap: Mapping[str, Any]) -> Figure:
-    """Draw the force error that each of the best twelve candidates leaves, with the baseline and the noise floor."""
-    shown = [c for c in candidates if c.get("gap") is not None][:12]
-    baseline = (gap.get("train") or {}).get("baseline")
+    """Draw the force error that each of the best twelve candidates leaves, or its statistic where none was fitted."""
+    fitted = [c for c in candidates if c.get("gap") is not None]
+    if not fitted:
+        tried = [c for c in candidates if c.get("statistic") is not None][:12]
+        threshold = max((c["threshold"] for c in tried if c.get("threshold") is not None), default=None)
+        lines = [(threshold, RED, "--", "to beat")]
+        return _bars(tried, [c["statistic"] for c in tried], "statistic of the first guess", "", None, lines)
+    shown, baseline = fitted[:12], (gap.get("train") or {}).get("baseline")
     limit = 1.5 * max([baseline or 0.0, *(c["gap"] for c in shown if c.get("accepted"))]) or None
-    bars = [min(c["gap"], limit) if limit else c["gap"] for c in shown]
+    lines = [(baseline, RED, "--", "model as it was"), (gap.get("floor"), GREY, ":", "noise floor")]
+    return _bars(shown, [c["gap"] for c in shown], "force error left [N rms]", " N", limit, lines)
+
+
+def _bars(
+    shown: Sequence[Mapping[str, Any]],
+    values: Sequence[float],
+    axis_label: str,
+    unit: str,
+    limit: float | None,
+    lines: Sequence[tuple[float | None, str, str, str]],
+) -> Figure:
+    """Bars with their values, cut at ``limit``, and vertical lines (where, colour, style, label) to compare with."""
+    bars = [min(value, limit) if limit else value for value in values]
     with look():
         figure, axes = subplots(height=1.1 + 0.27 * max(len(shown), 2))
-        names = [c.get("label") or words(c["effect"]) for c in shown]
         colors = [BLUE if c.get("accepted") else "#B8BFC9" for c in shown]
         axes.barh(range(len(shown)), bars, color=colors, height=0.68, zorder=2)
-        axes.set_yticks(range(len(shown)), names)
+        axes.set_yticks(range(len(shown)), [c.get("label") or words(c["effect"]) for c in shown])
         axes.invert_yaxis()
-        for row, candidate in enumerate(shown):
-            axes.annotate(
-                f"{candidate['gap']:.3g} N" + (" (bar cut)" if bars[row] < candidate["gap"] else ""),
-                (bars[row], row),
-                xytext=(4, 0),
-                textcoords="offset points",
-                va="center",
-                fontsize=8.5,
-            )
-        if baseline is not None:
-            axes.axvline(baseline, color=RED, linestyle="--", linewidth=1.3, label="model as it was")
-        if gap.get("floor") is not None:
-            axes.axvline(gap["floor"], color=GREY, linestyle=":", linewidth=1.5, label="noise floor")
+        for row, (bar, value) in enumerate(zip(bars, values, strict=True)):
+            text = f"{value:.3g}{unit}" + (" (bar cut)" if bar < value else "")
+            axes.annotate(text, (bar, row), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8.5)
+        for where, color, style, label in lines:
+            if where is not None:
+                axes.axvline(where, color=color, linestyle=style, linewidth=1.4, label=label)
         axes.grid(axis="y", visible=False)
-        axes.set_xlabel("force error left [N rms]")
+        axes.set_xlabel(axis_label)
         axes.margins(x=0.12)
         axes.set_xlim(left=0)
         if axes.get_legend_handles_labels()[0]:

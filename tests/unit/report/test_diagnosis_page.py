@@ -190,3 +190,12 @@ def test_a_model_without_gains_for_the_specification_says_why():
     stiff = machine("emps2019").replace(mechanics={"viscous": 1e6})
     rows = design_change(machine("emps2019"), stiff)
     assert "lower limit binds" in rows[0]["note"]
+
+
+def test_candidates_that_were_never_fitted_are_drawn_by_their_statistic():
+    diagnosis = invented("nothing-missing")
+    diagnosis.document["findings"] = []
+    for candidate in diagnosis.document["candidates"]:
+        candidate.update(gap=None, accepted=False)
+    html = diagnosis_page(diagnosis).html()
+    assert "No candidate explained enough to be fitted" in html
