@@ -68,7 +68,7 @@ if len(sys.argv) > 1:
         units = ("motor force [N]", "velocity [m/s]", "acceleration [m/s²]")
         for panel, measured, kept, unit in zip(panels, raw, smooth, units, strict=True):
             panel.plot(record.t, measured, "b", lw=0.4, label="measured")
-            panel.plot(filtered.reduce(filtered.motion.t), filtered.reduce(kept), "r", lw=0.8, label="filtered")
+            panel.plot(filtered.t, filtered.reduce(kept), "r", lw=0.8, label="filtered")
             panel.set(ylabel=unit)
         panels[0].set_title("Fig. 5: measured and filtered")
         panels[0].legend()

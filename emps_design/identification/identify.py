@@ -233,7 +233,7 @@ def assemble(
         axis=axis,
         period=record.period,
         series={
-            "t": filtered.reduce(filtered.motion.t),
+            "t": filtered.t,
             "measured": W @ fit.value + fit.residual,
             "model": W @ fit.value,
             "residual": residual,
@@ -252,7 +252,7 @@ def residual_statistics(
     apart as the band resolves (half a period).
     """
     band, steps = filtered.band_hz, resolved_steps(filtered)
-    away = filtered.used & (filtered.reduce(sliding(filtered.motion, band).astype(np.float32)) > 0.5)
+    away = filtered.used & sliding(filtered.motion, band)[filtered.rows]
     if int(away[::steps].sum()) < FEWEST_STEPS:
         away = filtered.used
     spread = long_run(

@@ -181,4 +181,4 @@ def check_rank(W: np.ndarray, names: tuple[str, ...]) -> None:
 def predicted_force(filtered: Filtered, model: str, value: np.ndarray) -> dict[str, Any]:
     """Time [s], measured and modelled force [N] at the regression's rate, for tables and pictures."""
     W, Y = regression(filtered, model)
-    return {"t": filtered.reduce(filtered.motion.t), "measured": Y, "model": W @ value}
+    return {"t": filtered.t, "measured": Y, "model": W @ value}

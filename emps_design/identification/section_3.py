@@ -74,7 +74,7 @@ class SectionThree:
         mean = self.identification.values.mean(axis=0)
         own = self.direct[index].values()
         return {
-            "t": filtered.reduce(filtered.motion.t),
+            "t": filtered.t,
             "sensor": sensor,
             "cross": W @ mean - motor,
             "direct": W @ own - motor,

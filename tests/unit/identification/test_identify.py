@@ -197,6 +197,10 @@ def test_report_chain_keeps_every_tenth_sample_to_the_last(record):
     seen = report_chain(record, 35.0)
     assert len(seen.reduce(seen.motion.q)) == len(seen.used)
     assert decimate(np.arange(95.0), 10).size == 10
+    assert seen.t[-1] == record.t[-1]
+    np.testing.assert_allclose(np.diff(seen.t), 10 * record.period)
+    whole = identify(record, AXIS, chain="hold").series["t"]
+    assert record.t[0] < whole[0] < whole[-1] < record.t[-1]
 
 
 def test_interval_of_a_chain_that_ignores_the_hold_knows_its_bias(truth):
