@@ -60,10 +60,11 @@ def _parse(
     rows: list[str], delimiter: str, wanted: list[int], titles: list[str], source: str, first_row: int
 ) -> np.ndarray:
     """Numbers of the ``wanted`` columns, shape (rows, wanted); the slow way is for naming the cell that is wrong."""
-    plain = not any('"' in row or not row.strip() for row in rows)
-    if plain and not (delimiter != "," and any("," in row for row in islice(rows, 100))):
+    if not any('"' in row or not row.strip() for row in rows):
+        decimal_comma = delimiter != "," and any("," in row for row in islice(rows, 100))
+        points = (row.replace(",", ".") for row in rows) if decimal_comma else rows
         with suppress(ValueError):  # a cell is no number, or a decimal comma comes late: cell by cell finds it
-            return np.loadtxt(rows, delimiter=delimiter, comments=None, usecols=wanted, ndmin=2)
+            return np.loadtxt(points, delimiter=delimiter, comments=None, usecols=wanted, ndmin=2)
     table = np.empty((len(rows), len(wanted)))
     for i, row in enumerate(rows):
         cells = next(csv.reader([row], delimiter=delimiter), []) if '"' in row else row.split(delimiter)
