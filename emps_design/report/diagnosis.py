@@ -13,7 +13,7 @@ from emps_design.report.diagnosis_design import axis_before, design_change
 from emps_design.report.diagnosis_protocol import Diagnosis, Trace, View
 from emps_design.report.display import NOTHING, angle, interval, probability, quantity, with_std, words
 from emps_design.report.footer import inputs_table, versions
-from emps_design.report.page import Callout, Facts, Html, Page, Picture, Points, Section, Table, Text
+from emps_design.report.page import Callout, Facts, Html, Page, Picture, Points, Section, Table, Text, inline
 
 VERDICTS = {
     "named": ("warning", "What is missing from the model has a name"),
@@ -109,27 +109,27 @@ def _gap_facts(gap: Mapping[str, Any]) -> Facts:
 def _findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
     if not findings:
         return None
-    blocks: list[Any] = []
-    for finding in findings:
-        equivalents = finding.get("equivalents") or ()
-        text = finding.get("where", {}).get("text", "")
-        blocks.append(
-            Callout(
-                "note",
-                f"{_label(finding)} ({finding.get('where', {}).get('channel', 'plant')})",
-                " ".join(
-                    part
-                    for part in (
-                        _sentence(text),
-                        f"These data cannot tell it from: {', '.join(words(e) for e in equivalents)}."
-                        if equivalents
-                        else "",
-                        _sentence(finding.get("note", "")),
-                    )
-                    if part
-                ),
-            )
+    alike = any(finding.get("equivalents") for finding in findings)
+    headers = ["effect", "p-value", "gap without it [N]", "gap with it [N]", "acts in the", "where", "remark"]
+    blocks: list[Any] = [
+        Table(
+            [*headers, *(["cannot be told from"] if alike else [])],
+            [
+                [
+                    Html(f"<b>{inline(_label(f))}</b>"),
+                    probability(f.get("p_value")),
+                    f.get("gap_before"),
+                    f.get("gap_after"),
+                    f.get("where", {}).get("channel", "plant"),
+                    f.get("where", {}).get("text", ""),
+                    f.get("note", ""),
+                    *([", ".join(words(e) for e in f.get("equivalents") or ()) or "—"] if alike else []),
+                ]
+                for f in findings
+            ],
+            "Findings in the order they were accepted; the gap is the rms error of the closed-loop force.",
         )
+    ]
     rows = [
         [
             _label(finding),
@@ -150,13 +150,6 @@ def _findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
                 "an event) is fitted anew on every other record.",
             )
         )
-    blocks.append(
-        Table(
-            ["effect", "p-value", "gap before [N]", "gap after [N]"],
-            [[_label(f), probability(f.get("p_value")), f.get("gap_before"), f.get("gap_after")] for f in findings],
-            "Findings in the order they were accepted; the gap is the rms error of the closed-loop force.",
-        )
-    )
     return Section("What is missing", *blocks)
 
 

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+START_UP = 50  # samples that no figure counts: the loop's own transient, as in the published figures
 EVERYWHERE = 0.5  # a mark over more than this share of a view points at nothing
 _SCALE = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s")}
 
@@ -68,7 +69,9 @@ def before_after_figure(diagnosis: Any) -> Figure:
     """Draw the confirming record: force measured and simulated, then what each model leaves."""
     trace = diagnosis.trace
     t = np.asarray(trace.t)
-    low, high = trace.window or _stretch(t, np.asarray(trace.measured) - np.asarray(trace.baseline))
+    settled = np.arange(t.size) >= START_UP
+    miss = np.where(settled, np.asarray(trace.measured) - np.asarray(trace.baseline), 0.0)
+    low, high = trace.window or _stretch(t, miss)
     inside = (t >= low) & (t <= high)
     with look():
         figure, (top, bottom) = subplots(2, 1, height=5.0, sharex=False)
@@ -84,7 +87,7 @@ def before_after_figure(diagnosis: Any) -> Figure:
         top.legend(ncols=3, loc="upper right")
         for y, color, label in ((trace.baseline, RED, "baseline model"), (trace.extended, BLUE, "extended model")):
             error = np.asarray(trace.measured) - np.asarray(y)
-            bottom.plot(*thin(t, error), color=color, linewidth=0.9, label=label)
+            bottom.plot(*thin(t[settled], error[settled]), color=color, linewidth=0.9, label=label)
         bottom.axhline(0.0, color=GREY, linewidth=0.8)
         bottom.axvspan(low, high, color=YELLOW, alpha=0.3, linewidth=0)
         bottom.set_ylabel("measured − simulated [N]")
