@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from emps_design.simulation.compile import part, shifted
-from emps_design.simulation.motion import LAG, TOLERANCE, balance
+from emps_design.simulation.motion import LAG, TOLERANCE, balance, weigh
 
 ORDER = 3  # of convergence, measured in the tests
 # Second difference of the acceleration times step squared [m], and velocity missed [m/s], of a step that is good.
@@ -27,9 +27,12 @@ def glide(y, t, h, tau, push, s, feel, plant, work, new):
     stage, tolerance = work[5], plant[4][TOLERANCE]
     decay = plant[0][1] / work[1][1]
     # What the gap of the motor force does on its way to zero is known: to acceleration, velocity and position.
-    gap, lag = plant[5][0] / work[1][1], plant[4][LAG]
-    half_a, half_v, half_q = fading(gap, lag, decay, 0.5 * h)
-    full_a, full_v, full_q = fading(gap, lag, decay, h)
+    drive, lag = plant[5], plant[4][LAG]
+    gap = drive[0] / work[1][1]
+    if lag > 0.0 and drive[2] != h:  # the same for every period of one length
+        drive[2], drive[3], drive[4] = h, -math.expm1(-0.5 * h / lag), -math.expm1(-h / lag)
+    half_a, half_v, half_q = fading(gap, lag, decay, 0.5 * h, drive[3])
+    full_a, full_v, full_q = fading(gap, lag, decay, h, drive[4])
     a0 = work[0][1] - gap
     slope = work[0][0] - decay * a0
     stage[0] = y[0] + half_q + 0.5 * h * (y[1] + 0.25 * h * (a0 + h / 6.0 * slope))
@@ -38,7 +41,7 @@ def glide(y, t, h, tau, push, s, feel, plant, work, new):
     for sweep in range(4):
         if s * stage[1] <= 0.0:
             return False
-        net, level, mass = balance(stage, t + 0.5 * h, tau, push, plant)
+        net, level, mass = weigh(stage, t + 0.5 * h, tau, tau + drive[0] * (1.0 - drive[3]), push, plant)
         middle = (net - s * level) / mass - half_a
         if sweep == 0:
             end = 2.0 * middle - a0
@@ -47,7 +50,7 @@ def glide(y, t, h, tau, push, s, feel, plant, work, new):
         if s * new[1] <= 0.0:
             return False
         used = end
-        net, level, mass = balance(new, t + h, tau, push, plant)
+        net, level, mass = weigh(new, t + h, tau, tau + drive[0] * (1.0 - drive[4]), push, plant)
         end = (net - s * level) / mass - full_a
         if abs(a0 - 2.0 * middle + end) * h * h > _BEND * tolerance:
             return False
@@ -66,14 +69,13 @@ def glide(y, t, h, tau, push, s, feel, plant, work, new):
 
 
 @part
-def fading(gap, lag, decay, h):
+def fading(gap, lag, decay, h, gone):
     """What a force that fades with ``lag`` adds after ``h``, under viscous ``decay``: acceleration, velocity, position.
 
-    ``gap`` [m/s^2] is what it adds to the acceleration at first.
+    ``gap`` [m/s^2] is what it adds to the acceleration at first, ``gone`` = 1 - exp(-h/lag).
     """
     if gap == 0.0:
         return 0.0, 0.0, 0.0
-    gone = -math.expm1(-h / lag)
     v = gap * lag * gone
     q = lag * (gap * h - v)
     return gap * (1.0 - gone) - decay * v, v - decay * q, q - decay * lag * (0.5 * gap * h * h - q)

@@ -55,13 +55,18 @@ def total(row, y, t, tau, plant):
 
 
 @part
-def balance(y, t, tau, push, plant):
-    """Force without dry friction [N], level of dry friction [N], and mass [kg]."""
-    b, acting = plant[0], motor(t, tau, plant)
-    tau = told(t, tau, plant)
+def weigh(y, t, tau, acting, push, plant):
+    """What :func:`balance` gives, for a motor force ``acting`` while kernels are told ``tau``."""
+    b = plant[0]
     net = acting + push - b[1] * y[1] - b[3] - total(FORCE, y, t, tau, plant)
     level = max(0.0, b[2] + total(DRY, y, t, tau, plant))
     return net, level, b[0] + total(INERTIA, y, t, tau, plant)
+
+
+@part
+def balance(y, t, tau, push, plant):
+    """Force without dry friction [N], level of dry friction [N], and mass [kg]."""
+    return weigh(y, t, told(t, tau, plant), motor(t, tau, plant), push, plant)
 
 
 @part

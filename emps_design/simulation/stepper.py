@@ -73,12 +73,12 @@ def run(
     for :func:`room` numbers.
     """
     # Pointers from here on: arrays in tuples would be counted, at ten times the cost of the arithmetic.
-    drive = pointer(scratch)  # gap between motor force and command, and since when
+    drive = pointer(scratch)  # gap between motor force and command, since when, and what a glide keeps
     plant = (pointer(plant[0]), pointer(plant[1]), pointer(plant[2]), pointer(plant[3]), pointer(plant[4]), drive)
     _, hooks, starts, p, settings, _ = plant
     n, size = reference.size, y.size
     y_, gains_, memory_, events_, found_ = pointer(y), pointer(gains), pointer(memory), pointer(events), pointer(found)
-    bounds, free_row = shifted(drive, 2), shifted(drive, 2)
+    bounds, free_row = shifted(drive, 5), shifted(drive, 5)
     k1, k2, k3 = shifted(free_row, 2), shifted(free_row, 2 + size), shifted(free_row, 2 + 2 * size)
     k4, k5, stage = shifted(k3, size), shifted(k3, 2 * size), shifted(k3, 3 * size)
     largest, new, before = shifted(stage, size), shifted(stage, 2 * size), shifted(stage, 3 * size)
@@ -101,7 +101,7 @@ def run(
         feeling(y_, plant, work, feel)
     fresh, before_force, before_mass = False, 0.0, 1.0
     tau, reached, s, hint = 0.0, 0.0, 0.0, period
-    drive[0], drive[1] = 0.0, 0.0
+    drive[0], drive[1], drive[2], drive[3], drive[4] = 0.0, 0.0, 0.0, 0.0, 0.0
     swings = (0.0, 0.0, 0.0)
     if y[1] != 0.0:
         s = 1.0 if y[1] > 0.0 else -1.0
@@ -167,9 +167,6 @@ def run(
             h = end - start
             if lagged:
                 drive[0], drive[1] = reached - tau, t + start
-                reached = motor(t + end, tau, plant)
-            else:
-                reached = tau
             if exact:
                 speed = y[1]
                 y[0], y[1], at = core.step_exactly(plant[0], y[0], speed, tau + force - plant[0][3], h)
@@ -188,13 +185,15 @@ def run(
                 else:
                     net, level, before_mass = balance(y_, t + start, tau, force, plant)
                     k1[0], k1[1], k2[1] = 0.0, (net - s * level) / before_mass, before_mass
-                before_force = reached + force
                 fresh = glide(y_, t + start, h, tau, force, s, feel, plant, work, new)
                 if fresh:
                     y[0], y[1] = new[0], new[1]
+                    reached = tau + drive[0] * (1.0 - drive[4])
+                    before_force = reached + force
                     start = end
                     continue
             fresh = False
+            reached = motor(t + end, tau, plant)
             s, hint, status, done = stretch(
                 y_, t + start, end - start, tau, force, s, hint, plant, bounds, work, new, before, events_, found_
             )
@@ -206,7 +205,7 @@ def run(
 
 def room(states: int, guards: int) -> int:
     """Length of ``scratch`` for an axis with so many states and guards."""
-    return 4 + 8 * states + guards + 4 * SPEEDS
+    return 7 + 8 * states + guards + 4 * SPEEDS
 
 
 __all__ = [
