@@ -8,7 +8,7 @@ At rest friction takes up whatever is below break-away: no observer sees it, and
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,9 +22,10 @@ REST_VELOCITY = 1e-3  # m/s, below it the sign of the velocity is taken as 0
 
 
 def model_force(motion: Motion, axis: Axis, rest_velocity: float = REST_VELOCITY) -> np.ndarray:
-    """W X of (19), shape (n,) [N]: the force that the axis and its effects without states need for ``motion``.
+    """W X of (19), shape (n,) [N]: the force that the axis and its effects need for ``motion``.
 
-    Raises :class:`InputError` for an effect that has no regressor: its state is not in the record.
+    Effects without a regressor are left out, :func:`left_out` names them: the motion does not give their force.
+    ``motion.tau`` [N] is used by those of the actuator.
     """
     m = axis.mechanics
     sliding = np.where(np.abs(motion.v) > rest_velocity, np.sign(motion.v), 0.0)
@@ -32,7 +33,7 @@ def model_force(motion: Motion, axis: Axis, rest_velocity: float = REST_VELOCITY
     for one in axis.effects:
         effect = one.effect
         if effect.regressor is None:
-            raise InputError(f"observer: effect {one.kind} has no force that the motion gives, {effect.no_regressor}")
+            continue
         shape = {name: one.parameters[name] for name in effect.shape}
         force = force + effect.regressor(motion, shape, m.array()) @ effect.coefficients(one.parameters)
     return force
@@ -46,7 +47,26 @@ def observe_offline(motion: Motion, motor_force: np.ndarray, axis: Axis) -> np.n
     >>> observe_offline(still, np.zeros(3), machine("emps2018")).tolist()
     [0.0, 0.0, 0.0]
     """
-    return model_force(motion, axis) - motor_force
+    return model_force(replace(motion, tau=motor_force, force_gain=axis.drive.force_gain), axis) - motor_force
+
+
+def left_out(axis: Axis) -> dict[str, tuple[str, ...]]:
+    """Effects of ``axis`` that the observers cannot use, by method: ``offline``, ``online``, ``kalman``.
+
+    >>> from emps_design.machines import machine
+    >>> flexible = {"kind": "flexible_coupling", "frequency": 40.0, "damping": 0.05, "share": 0.4}
+    >>> left_out(machine("emps2019").replace(effects=[flexible]))["online"]
+    ('flexible_coupling',)
+    """
+    effects = [(one.kind, one.effect) for one in axis.effects]
+    instant = {kind for kind, effect in effects if effect.rate is None}
+    forces = {kind for kind, effect in effects if kind in instant and (effect.force or effect.dry)}
+    masses = {kind for kind, effect in effects if kind in instant and effect.inertia}
+    return {
+        "offline": tuple(kind for kind, effect in effects if effect.regressor is None),
+        "online": tuple(kind for kind, _ in effects if kind not in forces | masses),
+        "kalman": tuple(kind for kind, _ in effects if kind not in forces - masses),
+    }
 
 
 def force_from_current(axis: Axis, current: np.ndarray) -> np.ndarray:
@@ -68,27 +88,30 @@ def force_from_current(axis: Axis, current: np.ndarray) -> np.ndarray:
     return drive.reduction * drive.torque_constant * np.asarray(current, dtype=float)
 
 
-class _Friction:
-    """Force of viscous and dry friction, offset and the axis's effects without states, one sample at a time [N]."""
+class _Resistance:
+    """What the axis and its effects without states oppose to motion, one sample at a time."""
 
-    def __init__(self, axis: Axis):
-        m = axis.mechanics
-        self._b = tuple(float(x) for x in m.array())
-        self._effects = []
-        for one in axis.effects:
-            effect = one.effect
-            if effect.rate is not None or (effect.force is None and effect.dry is None):
-                raise InputError(f"observer: effect {one.kind} is not a force of the motion; observe without it")
-            self._effects.append((effect.force, effect.dry, tuple(float(x) for x in effect.values(one.parameters))))
+    def __init__(self, axis: Axis, skipped: tuple[str, ...]):
+        self._b = tuple(float(x) for x in axis.mechanics.array())
+        self._effects = [
+            (one.effect, tuple(float(x) for x in one.effect.values(one.parameters)))
+            for one in axis.effects
+            if one.kind not in skipped
+        ]
 
-    def __call__(self, q: float, v: float, t: float, rest_velocity: float) -> float:
+    def force(self, q: float, v: float, t: float, tau: float, rest_velocity: float) -> float:
+        """Viscous and dry friction, offset and effects [N]; ``tau`` [N] is the motor force of the moment."""
         _, viscous, level, offset = self._b
         sign = 0.0 if abs(v) <= rest_velocity else math.copysign(1.0, v)
         force = viscous * v + offset
-        for static, dry, p in self._effects:
-            force += 0.0 if static is None else static(q, v, t, 0.0, (), p, self._b)
-            level += 0.0 if dry is None else dry(q, v, t, 0.0, (), p, self._b)
+        for effect, p in self._effects:
+            force += effect.force(q, v, t, tau, (), p, self._b) if effect.force else 0.0
+            level += effect.dry(q, v, t, tau, (), p, self._b) if effect.dry else 0.0
         return force + max(level, 0.0) * sign
+
+    def mass(self, q: float, v: float, t: float, tau: float) -> float:
+        """Mass and what effects add to it [kg]."""
+        return self._b[0] + sum(e.inertia(q, v, t, tau, (), p, self._b) for e, p in self._effects if e.inertia)
 
 
 class ForceObserver:
@@ -111,8 +134,8 @@ class ForceObserver:
         if not 0 < cutoff_hz < 0.5 / period:
             raise InputError(f"cut-off: found {cutoff_hz:g} Hz, expected between 0 and {0.5 / period:g} Hz")
         self.axis, self.cutoff_hz, self.rest_velocity = axis, cutoff_hz, rest_velocity
-        self._period, self._gain, self._mass = period, axis.drive.force_gain, axis.mechanics.mass
-        self._friction = _Friction(axis)
+        self._period, self._gain = period, axis.drive.force_gain
+        self._resistance = _Resistance(axis, left_out(axis)["online"])
         self._alpha = 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * period)
         self.reset()
 
@@ -140,9 +163,11 @@ class ForceObserver:
             self._u = u
         a = (v - self._v) / self._period if self._samples else 0.0
         middle = 0.5 * (v + self._v) if self._samples else 0.0
-        t = (self._samples - 1) * self._period
-        force = self._mass * a + self._friction(self._q if self._samples else q, middle, t, self.rest_velocity)
-        now = force - self._gain * 0.5 * (u + self._u)
+        t = max(self._samples - 1, 0) * self._period
+        before = self._q if self._samples else q
+        motor = self._gain * 0.5 * (u + self._u)
+        force = self._resistance.force(before, middle, t, motor, self.rest_velocity)
+        now = force + self._resistance.mass(before, middle, t, motor) * a - motor
         self._force = now if self._samples == 0 else self._force + self._alpha * (now - self._force)
         self._samples, self._q, self._v, self._u = self._samples + 1, q, v, u
         return self._force
@@ -178,7 +203,7 @@ class KalmanForceObserver:
                 f"{axis.name}: position noise {noise:g} m; give encoder_resolution in the axis, or position_noise > 0"
             )
         self.axis, self.rest_velocity, self.position_noise = axis, rest_velocity, noise
-        self._friction, self._gain = _Friction(axis), axis.drive.force_gain
+        self._resistance, self._gain = _Resistance(axis, left_out(axis)["kalman"]), axis.drive.force_gain
         self._period, self._viscous = axis.sampling.period, axis.mechanics.viscous
         if force_rate is None:
             bandwidth_hz = DEFAULT_CUTOFF_HZ if bandwidth_hz is None else bandwidth_hz
@@ -230,7 +255,8 @@ class KalmanForceObserver:
             x, v, d = self._state
             t = (self._samples - 1) * self._period
             # Viscous friction is in the transition matrix already.
-            drive = self._gain * u - self._friction(x, v, t, self.rest_velocity) + self._viscous * v
+            motor = self._gain * u
+            drive = motor - self._resistance.force(x, v, t, motor, self.rest_velocity) + self._viscous * v
             ahead = [
                 row[0] * x + row[1] * v + row[2] * d + push * drive
                 for row, push in zip(self._rows, self._push, strict=True)

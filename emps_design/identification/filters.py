@@ -8,7 +8,7 @@ regresses one on the other. A regression of u[k] on the motion at t_k sees half 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -171,6 +171,7 @@ def report_chain(record: Record, force_gain: float, cutoff_hz: float | None = No
         a=np.gradient(v, record.period)[kept],
         tau=np.zeros(len(q) - REPORT_DROPPED),
         period=record.period,
+        force_gain=force_gain,
     )
     return Filtered(
         chain="report",
@@ -206,6 +207,7 @@ def paper_chain(record: Record, force_gain: float, cutoff_hz: float | None = Non
         a=median_of_three(np.gradient(v, record.period))[kept],
         tau=np.zeros(len(v) - REPORT_DROPPED),
         period=record.period,
+        force_gain=force_gain,
     )
     return Filtered(
         chain="paper",
@@ -232,7 +234,7 @@ def hold_chain(record: Record, force_gain: float, cutoff_hz: float | None = None
         from emps_design.identification.cutoff import chosen_cutoff
 
         cutoff_hz = chosen_cutoff(record).cutoff_hz
-    seen = motion(record, cutoff_hz)
+    seen = replace(motion(record, cutoff_hz), force_gain=force_gain)
     # One sample per half period of four times the cut-off: what is left above it is under 1e-5 of the amplitude.
     factor = max(1, int(0.125 / (cutoff_hz * record.period)))
     edge = int(1.0 / (cutoff_hz * record.period))

@@ -16,6 +16,7 @@ from emps_design.observer import (
     ForceObserver,
     KalmanForceObserver,
     SmallestForce,
+    left_out,
     model_force,
     observe_offline,
     observe_online,
@@ -132,6 +133,9 @@ def observe(
     force = observe_online(online, record.q, record.u)
     methods["online"] = _judge(record, axis, force, online.delay, parameter, {"cutoff_hz": cutoff_hz})
     warnings = list(record.warnings)
+    for method, kinds in left_out(axis).items():
+        if kinds:
+            warnings.append(f"{method}: left out, their force is not in the motion: {', '.join(kinds)}")
     if axis.sampling.encoder_resolution > 0:
         kalman = KalmanForceObserver(axis, bandwidth_hz=KALMAN_BANDWIDTH * cutoff_hz)
         settings = {
