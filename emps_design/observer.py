@@ -50,6 +50,34 @@ def observe_offline(motion: Motion, motor_force: np.ndarray, axis: Axis) -> np.n
     return model_force(replace(motion, tau=motor_force, force_gain=axis.drive.force_gain), axis) - motor_force
 
 
+def acting_voltage(axis: Axis, u: np.ndarray) -> tuple[np.ndarray, Axis]:
+    """Voltage that acts, (n,) [V], of the recorded ``u``, and the axis without what was used up on the way.
+
+    Static maps of the actuator and delays are known from ``u`` alone, and a disturbance of the controller is in ``u``
+    already: with them taken care of here, every observer, on-line ones too, sees the force that reaches the carriage.
+
+    >>> from emps_design.machines import machine
+    >>> dead = machine("emps2019").replace(effects=[{"kind": "actuator_deadzone", "width": 0.5}])
+    >>> voltage, rest = acting_voltage(dead, np.array([0.2, 1.0]))
+    >>> voltage.tolist(), rest.effects
+    ([0.0, 0.5], ())
+    """
+    b, kept = tuple(float(x) for x in axis.mechanics.array()), []
+    for one in axis.effects:
+        effect, p = one.effect, tuple(float(x) for x in one.effect.values(one.parameters))
+        if effect.actuator is not None:
+            u = np.array([effect.actuator(float(voltage), p) for voltage in u])
+        elif effect.delay is not None:
+            late = effect.delay(0.0, 0.0, 0.0, 0.0, (), p, b) / axis.sampling.period
+            whole, share = int(late), late - int(late)
+            # The mean over a period of a held signal that arrives late.
+            padded = np.concatenate([np.full(whole + 1, u[0]), u])
+            u = (1.0 - share) * padded[1 : len(u) + 1] + share * padded[: len(u)]
+        elif effect.command is None:
+            kept.append(one)
+    return u, axis.replace(effects=kept)
+
+
 def left_out(axis: Axis) -> dict[str, tuple[str, ...]]:
     """Effects of ``axis`` that the observers cannot use, by method: ``offline``, ``online``, ``kalman``.
 

@@ -16,6 +16,7 @@ from emps_design.observer import (
     ForceObserver,
     KalmanForceObserver,
     SmallestForce,
+    acting_voltage,
     left_out,
     model_force,
     observe_offline,
@@ -124,7 +125,8 @@ def observe(
     """
     if record.duration < 4 * SETTLED:
         raise RecordError(f"{record.name}: {record.duration:g} s long, expected at least {4 * SETTLED:g} s to observe")
-    axis = axis.replace(sampling={"period": record.period})
+    voltage, axis = acting_voltage(axis.replace(sampling={"period": record.period}), record.u)
+    record = replace(record, u=voltage)
     seen = motion(record, offline_cutoff_hz)
     offline = observe_offline(seen, held_force(record, axis.drive.force_gain, offline_cutoff_hz), axis)
     parameter = _parameter_bound(seen, axis, parameter_std)
