@@ -29,6 +29,8 @@ FINALISTS = 4  # effects worth a full fit
 MOST_EFFECTS = 7
 ENOUGH_ROUNDS = 3  # after which a search that explained less than LEAST_EXPLAINED of the excess is given up
 LEAST_EXPLAINED = 0.4
+MOST_WALKS = 8
+STILL_PAYS = 0.005  # of the cost
 CORES = 2
 
 Progress = Callable[[str, float], None]
@@ -72,10 +74,10 @@ def extensions(
     """
     best = max((found[0].gain for found in screened), default=0.0)
     least = max(SMALLEST_GAIN, WORTH_FITTING * best)
-    worth = [start.model for found in screened for start in found[:REFINED] if start.gain >= least]
+    worth = [start for found in screened for start in found[:REFINED] if start.gain >= least]
     run = Parallel(n_jobs=CORES, prefer="threads")
     leading: dict[str, Descent] = {}
-    for short in run(delayed(_short_fit)(problem, model, absorbed) for model in worth):
+    for short in run(delayed(_short_fit)(problem, start, absorbed) for start in worth):
         name = short.model.names[-1]
         if name not in leading or short.cost < leading[name].cost:
             leading[name] = short
@@ -87,9 +89,21 @@ def extensions(
     return sorted(run(delayed(fit)(problem, s.model) for s in finalists), key=lambda f: f.cost), gains
 
 
-def _short_fit(problem: Problem, model: Candidate, absorbed: Tangent) -> Descent:
-    own = tuple(slot for slot in model.slots() if slot.effect == len(model.effects) - 1)
-    return descend(model, own, lambda m: absorbed.free(gather(problem, problem.whitened(m), "fit")), SHORT_STEPS)
+def _settled(problem: Problem, fitted: Fit) -> Fit:
+    """Fit on until it pays no more: a valley that is not walked to its end looks like another effect."""
+    for _ in range(MOST_WALKS):
+        further = fit(problem, fitted.model)
+        if further.cost > (1 - STILL_PAYS) * fitted.cost:
+            return min(fitted, further, key=lambda f: f.cost)
+        fitted = further
+    return fitted
+
+
+def _short_fit(problem: Problem, start: Start, absorbed: Tangent) -> Descent:
+    own = tuple(slot for slot in start.model.slots() if slot.effect == len(start.model.effects) - 1)
+    if not start.anchored:
+        return descend(start.model, own, lambda m: gather(problem, problem.whitened(m), "fit"), SHORT_STEPS)
+    return descend(start.model, own, lambda m: absorbed.free(gather(problem, problem.whitened(m), "fit")), SHORT_STEPS)
 
 
 def _warm(problem: Problem, current: Fit, effect: Effect) -> None:
@@ -132,12 +146,12 @@ def search(
             ranked = [f for f in sorted(sound.values(), key=lambda f: f.cost) if accept(f, path[-1])]
             if not ranked:
                 break
-            path.append(ranked[0])
+            path.append(_settled(problem, ranked[0]))
             gain = path[0].cost - ranked[0].cost
             if len(path) > ENOUGH_ROUNDS and gain < LEAST_EXPLAINED * (path[0].cost - problem.samples("used")):
                 break
             width = BEAM[min(len(path) - 2, len(BEAM) - 1)]
-            beam = [f for f in ranked[:width] if path[0].cost - f.cost >= RIVAL * gain]
+            beam = [path[-1], *(f for f in ranked[1:width] if path[0].cost - f.cost >= RIVAL * gain)]
     except KeyboardInterrupt:
         return Search(tuple(path), tried, alone, interrupted=True)
     return Search(tuple(path), tried, alone)

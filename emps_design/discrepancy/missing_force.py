@@ -45,7 +45,7 @@ def missing_force(problem: Problem, model: Candidate, cutoff_hz: float = CUTOFF_
             held_force(record, gain, cutoff_hz) - predicted - mass * (moved.a - told.a) - viscous * (moved.v - told.v)
         )
         away = away_from_reversals(moved.v, record.period) & split.used
-        result.append(MissingForce(replace(moved, tau=predicted, voltage=record.u), force, away))
+        result.append(MissingForce(replace(moved, tau=predicted, voltage=record.u, force_gain=gain), force, away))
     return tuple(result)
 
 

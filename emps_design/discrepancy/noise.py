@@ -11,6 +11,8 @@ from emps_design.discrepancy.split import START_UP, Split
 from emps_design.records import Record
 
 BAND_HZ = 60.0
+PIECE = 500  # samples
+UNUSUAL = 2.5  # times the typical deviation of a piece
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ def floor_of_laps(records: tuple[Record, ...], splits: tuple[Split, ...], force_
             smooth.append((slow[start + split.lap : stop + split.lap] - slow[start:stop]) / np.sqrt(2))
     if not differences:
         return None
-    return _floor(differences, smooth, True)
+    return _floor(*_steady(differences, smooth), from_laps=True)
 
 
 def floor_of_residual(residuals: tuple[np.ndarray, ...], period: float) -> Floor:
@@ -56,7 +58,7 @@ def floor_of_residual(residuals: tuple[np.ndarray, ...], period: float) -> Floor
     from emps_design.identification.filters import low_pass
 
     kept = [r[START_UP:] for r in residuals]
-    return _floor(kept, [low_pass(r, BAND_HZ, period) for r in kept], False)
+    return _floor(kept, [low_pass(r, BAND_HZ, period) for r in kept], from_laps=False)
 
 
 def _floor(raw: list[np.ndarray], smooth: list[np.ndarray], from_laps: bool) -> Floor:
@@ -65,6 +67,27 @@ def _floor(raw: list[np.ndarray], smooth: list[np.ndarray], from_laps: bool) -> 
     return Floor(_rms(raw), _rms(smooth), whitening, draws / draws.std(), from_laps)
 
 
+def _steady(raw: list[np.ndarray], smooth: list[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Leave out the pieces in which laps differ far more than they usually do.
+
+    An event that happens in one lap only (a push, a mass put on) differs between laps without being noise. Pieces, not
+    samples, so that what is kept still has the noise's correlation.
+    """
+    typical = np.median([np.std(piece) for part in raw for piece in _pieces(part)])
+    kept_raw, kept_smooth = [], []
+    for part, slow in zip(raw, smooth, strict=True):
+        usual = [np.std(piece) <= UNUSUAL * typical for piece in _pieces(part)]
+        if any(usual):
+            mask = np.repeat(usual, PIECE)
+            kept_raw.append(part[: mask.size][mask])
+            kept_smooth.append(slow[: mask.size][mask])
+    return kept_raw, kept_smooth
+
+
+def _pieces(part: np.ndarray) -> np.ndarray:
+    return part[: part.size // PIECE * PIECE].reshape(-1, PIECE)
+
+
 def _rms(parts: list[np.ndarray]) -> float:
-    """Typical deviation of ``parts``: the median of those of 0.5 s pieces would miss bursts, their mean would not."""
+    """Rms [N] of ``parts``, the mean of each removed."""
     return float(np.sqrt(np.mean(np.concatenate([(p - p.mean()) ** 2 for p in parts]))))

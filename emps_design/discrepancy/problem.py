@@ -16,6 +16,7 @@ from emps_design.records import Record
 from emps_design.simulation import Plant
 
 LOOSE = 1e5  # times the integrator's tolerance: force within 1e-3 N, a thousandth of any noise here, four times faster
+NUDGE = 2e-4  # finite difference, in scales of the parameter
 BOLDEST = 0.5  # largest step of a fit, in scales of the parameter: a period must not jump over its neighbours
 WORST = 1e12  # cost of a model that cannot be simulated: finite, so that a fit steps back from it
 
@@ -158,7 +159,7 @@ def descend(
     damping, jacobian = 1e-3, np.zeros((current.size, len(slots)))
     for _ in range(steps):
         for k in range(len(slots)):
-            step = 1e-3 if x[k] + 1e-3 <= upper[k] else -1e-3
+            step = NUDGE if x[k] + NUDGE <= upper[k] else -NUDGE
             moved = x.copy()
             moved[k] += step
             shifted = attempt(model.with_vector(slots, moved * scale))

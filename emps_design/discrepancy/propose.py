@@ -7,7 +7,7 @@ a fit would gain to first order, whatever the amplitude. That needs no regressor
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -19,16 +19,20 @@ from emps_design.effects import Effect
 from emps_design.effects.search import thin
 from emps_design.errors import SimulationError
 
+BENT = 20.0  # whitened cost per sample beyond which a fitted baseline may have been bent by what is missing
+
 
 @dataclass(frozen=True)
 class Start:
     """A model to start a fit from, its first-order ``gain`` in whitened cost, its unit ``signature`` (n,) and the
-    ``size`` of that signature before it was made unit, in standard deviations of the noise."""
+    ``size`` of that signature before it was made unit, in standard deviations of the noise. ``anchored``: the rest of
+    the model is the fitted one, whose tangent tells what it absorbs."""
 
     model: Candidate
     gain: float
     signature: np.ndarray
     size: float
+    anchored: bool
 
 
 @dataclass(frozen=True)
@@ -62,20 +66,32 @@ def tangent(problem: Problem, current: Fit, part: str = "fit") -> Tangent:
 def starts(
     problem: Problem, current: Fit, effect: Effect, missing: tuple[MissingForce, ...], absorbed: Tangent
 ) -> list[Start]:
-    """Return the starts of ``current`` with ``effect`` added, the one with the largest gain first."""
+    """Return the starts of ``current`` with ``effect`` added, the one with the largest gain first.
+
+    A gap so large that it bent the fitted baseline is looked at from the axis file's numbers too: there the gain is
+    what the start itself explains.
+    """
     base, found = gather(problem, current.innovations, "fit"), []
+    told = replace(current.model, baseline=problem.axis.mechanics.array())
+    far = float(base @ base) > BENT * base.size and not current.model.effects
     for values in _values(problem, current.model, effect, missing):
         trial = current.model.with_effect(effect, values)
         try:
             change = absorbed.free(gather(problem, problem.whitened(trial), "fit") - base)
-        except SimulationError:
-            continue
-        size = float(np.linalg.norm(change))
-        if size > 0:
+            size = float(np.linalg.norm(change))
+            if size == 0:
+                continue
             signature = change / size
             # The residual falls when the signature points against it; an effect of the wrong sign gains nothing.
             along = float(absorbed.residual @ signature)
-            found.append(Start(trial, along**2 if along < 0 else 0.0, signature, size))
+            found.append(Start(trial, along**2 if along < 0 else 0.0, signature, size, anchored=True))
+            if far:
+                other = told.with_effect(effect, values)
+                left = gather(problem, problem.whitened(other), "fit")
+                gain = max(0.0, float(base @ base - left @ left))
+                found.append(Start(other, gain, signature, size, anchored=False))
+        except SimulationError:
+            continue
     return sorted(found, key=lambda start: -start.gain)
 
 
