@@ -11,6 +11,7 @@ from emps_design.control.step_response import measure_step, second_order_step
 from emps_design.control.velocity_loop import design_velocity_loop
 from emps_design.errors import InputError
 from emps_design.machines import machine
+from emps_design.report import Page, Section
 from emps_design.report.assemble import assemble_report
 from emps_design.report.design import design_page, design_results
 from emps_design.report.loop_figures import velocity_loop_figures
@@ -20,6 +21,15 @@ from emps_design.report.loops import broken_loops
 @pytest.fixture(scope="module")
 def page():
     return assemble_report("emps2018", crossover=100.0, phase_margin_deg=60.0).page.html()
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Reports without their pictures: for tests of what is decided, not of what is drawn."""
+    empty = Section("Left out")
+    monkeypatch.setattr("emps_design.report.assemble.design_page", lambda results: Page("title", "", (), ()))
+    monkeypatch.setattr("emps_design.report.record.record_section", lambda *arguments: empty)
+    monkeypatch.setattr("emps_design.report.impedance.impedance_section", lambda *arguments: empty)
 
 
 def test_the_page_shows_the_gains_and_the_margins_of_all_four_loops(page):
@@ -111,8 +121,13 @@ def test_a_record_gives_the_mechanics_unless_told_otherwise(emps_data):
     assert "identified from DATA_EMPS" in html
     assert report.found[0].sha256 in html
     assert "4.08 %" in html
-    other = assemble_report("emps2018", record, crossover=100.0, design_on="axis", model="asymmetric")
-    assert other.results.velocity.axis == machine("emps2018")
+
+
+def test_an_axis_that_is_named_stays_as_it_is(emps_data, undrawn):
+    report = assemble_report("emps2018", emps_data / "DATA_EMPS.mat", crossover=100.0, model="asymmetric")
+    assert report.results.velocity.axis == machine("emps2018")
+    assert [one.model for one in report.found] == ["asymmetric", "symmetric"]
+    assert "as it is written" in report.results.notes[0]
 
 
 def test_bad_combinations_are_refused():
@@ -133,7 +148,7 @@ def test_command_writes_the_page_and_one_json_document(tmp_path, capsys):
     assert [p.name for p in tmp_path.iterdir()] == ["r.html"]
 
 
-def test_command_exits_four_for_an_unstable_loop_and_still_writes_the_page(tmp_path, capsys):
+def test_command_exits_four_for_an_unstable_loop_and_still_writes_the_page(tmp_path, capsys, undrawn):
     axis, out = tmp_path / "slow.toml", tmp_path / "r.html"
     axis.write_text(machine("emps2018").replace(sampling={"computation_delay": 1}).to_toml())
     assert run(["report", str(axis), "--crossover", "100", "--phase-margin", "80", "--out", str(out), "--json"]) == 4
