@@ -186,13 +186,18 @@ def test_effects_that_the_motion_does_not_give_are_named(pushed):
 
 
 @pytest.mark.parametrize(
-    "effect",
-    [{"kind": "actuator_delay", "delay": 2.4e-3}, {"kind": "actuator_deadzone", "width": 0.3}],
-    ids=lambda effect: effect["kind"],
+    "fault",
+    [
+        {"effects": [{"kind": "actuator_delay", "delay": 2.4e-3}]},
+        {"effects": [{"kind": "actuator_deadzone", "width": 0.3}]},
+        {"sampling": {"computation_delay": 2}},
+        {"drive": {"current_time_constant": 2e-3}},
+    ],
+    ids=["delay", "dead zone", "computation", "current loop"],
 )
-def test_what_the_actuator_does_is_allowed_for(effect):
+def test_what_the_actuator_does_is_allowed_for(fault):
     """With the actuator's fault in the axis no observer takes it for an external force."""
-    faulty = AXIS.replace(effects=[effect])
+    faulty = AXIS.replace(**fault)
     t = np.arange(4000) * PERIOD
     run = Plant.of(faulty).closed_loop(0.03 * (1 - np.cos(2 * np.pi * 1.5 * t)))
     record = Record(t=t, q_ref=run.q_ref, q=run.q, u=run.u, f_ext=np.zeros(4000), period=PERIOD, name="faulty")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -50,34 +50,6 @@ def observe_offline(motion: Motion, motor_force: np.ndarray, axis: Axis) -> np.n
     return model_force(replace(motion, tau=motor_force, force_gain=axis.drive.force_gain), axis) - motor_force
 
 
-def acting_voltage(axis: Axis, u: np.ndarray) -> tuple[np.ndarray, Axis]:
-    """Voltage that acts, (n,) [V], of the recorded ``u``, and the axis without what was used up on the way.
-
-    Static maps of the actuator and delays are known from ``u`` alone, and a disturbance of the controller is in ``u``
-    already: with them taken care of here, every observer, on-line ones too, sees the force that reaches the carriage.
-
-    >>> from emps_design.machines import machine
-    >>> dead = machine("emps2019").replace(effects=[{"kind": "actuator_deadzone", "width": 0.5}])
-    >>> voltage, rest = acting_voltage(dead, np.array([0.2, 1.0]))
-    >>> voltage.tolist(), rest.effects
-    ([0.0, 0.5], ())
-    """
-    b, kept = tuple(float(x) for x in axis.mechanics.array()), []
-    for one in axis.effects:
-        effect, p = one.effect, tuple(float(x) for x in one.effect.values(one.parameters))
-        if effect.actuator is not None:
-            u = np.array([effect.actuator(float(voltage), p) for voltage in u])
-        elif effect.delay is not None:
-            late = effect.delay(0.0, 0.0, 0.0, 0.0, (), p, b) / axis.sampling.period
-            whole, share = int(late), late - int(late)
-            # The mean over a period of a held signal that arrives late.
-            padded = np.concatenate([np.full(whole + 1, u[0]), u])
-            u = (1.0 - share) * padded[1 : len(u) + 1] + share * padded[: len(u)]
-        elif effect.command is None:
-            kept.append(one)
-    return u, axis.replace(effects=kept)
-
-
 def left_out(axis: Axis) -> dict[str, tuple[str, ...]]:
     """Effects of ``axis`` that the observers cannot use, by method: ``offline``, ``online``, ``kalman``.
 
@@ -116,7 +88,7 @@ def force_from_current(axis: Axis, current: np.ndarray) -> np.ndarray:
     return drive.reduction * drive.torque_constant * np.asarray(current, dtype=float)
 
 
-class _Resistance:
+class Resistance:
     """What the axis and its effects without states oppose to motion, one sample at a time."""
 
     def __init__(self, axis: Axis, skipped: tuple[str, ...]):
@@ -163,7 +135,7 @@ class ForceObserver:
             raise InputError(f"cut-off: found {cutoff_hz:g} Hz, expected between 0 and {0.5 / period:g} Hz")
         self.axis, self.cutoff_hz, self.rest_velocity = axis, cutoff_hz, rest_velocity
         self._period, self._gain = period, axis.drive.force_gain
-        self._resistance = _Resistance(axis, left_out(axis)["online"])
+        self._resistance = Resistance(axis, left_out(axis)["online"])
         self._alpha = 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * period)
         self.reset()
 
@@ -201,101 +173,17 @@ class ForceObserver:
         return self._force
 
 
-class KalmanForceObserver:
-    """Kalman filter with the states position, velocity and external force; the force is a random walk.
-
-    Either ``bandwidth_hz`` [Hz], at which the estimate has fallen to half the power of the force, or ``force_rate``
-    [N/sqrt(s)], how fast the force is expected to change: larger is faster and noisier. ``position_noise`` [m]
-    defaults to that of the encoder's quantisation. The gain is the steady one.
-
-    >>> from emps_design.machines import machine
-    >>> observer = KalmanForceObserver(machine("emps2018"), bandwidth_hz=20.0)
-    >>> round(observer.bandwidth_hz, 2), observer.noise_std < 0.1
-    (20.0, True)
-    """
-
-    def __init__(
-        self,
-        axis: Axis,
-        bandwidth_hz: float | None = None,
-        force_rate: float | None = None,
-        position_noise: float | None = None,
-        rest_velocity: float = REST_VELOCITY,
-    ):
-        if bandwidth_hz is not None and force_rate is not None:
-            raise InputError("Kalman observer: give bandwidth_hz or force_rate, not both")
-        quantisation = axis.sampling.encoder_resolution / math.sqrt(12.0)
-        noise = quantisation if position_noise is None else position_noise
-        if not noise > 0:
-            raise InputError(
-                f"{axis.name}: position noise {noise:g} m; give encoder_resolution in the axis, or position_noise > 0"
-            )
-        self.axis, self.rest_velocity, self.position_noise = axis, rest_velocity, noise
-        self._resistance, self._gain = _Resistance(axis, left_out(axis)["kalman"]), axis.drive.force_gain
-        self._period, self._viscous = axis.sampling.period, axis.mechanics.viscous
-        if force_rate is None:
-            bandwidth_hz = DEFAULT_CUTOFF_HZ if bandwidth_hz is None else bandwidth_hz
-            force_rate = _force_rate_for(axis, bandwidth_hz, noise)
-        if not force_rate > 0:
-            raise InputError(f"force rate: found {force_rate:g} N/sqrt(s), expected > 0")
-        self.force_rate = force_rate
-        self._design = _SteadyKalman.of(axis, force_rate, noise)
-        self._rows = [tuple(row) for row in self._design.transition.tolist()]
-        self._push = tuple(self._design.push.tolist())
-        self._correct = tuple(self._design.gain.tolist())
-        self.reset()
-
-    @property
-    def bandwidth_hz(self) -> float:
-        """Frequency at which the estimate has fallen to half of the power of the force [Hz]."""
-        return self._design.bandwidth / (2.0 * math.pi)
-
-    @property
-    def delay(self) -> float:
-        """By how much a slow force arrives late [s]: the slope of the phase from force to estimate at low frequency.
-
-        ``response`` is that to a force held from t_k on, which is a force of half a period later.
-        """
-        w = 1e-2 * self._design.bandwidth
-        return -float(np.angle(self.response(np.array([w]))[0])) / w - 0.5 * self._period
-
-    @property
-    def noise_std(self) -> float:
-        """Standard deviation that the encoder's noise gives the estimate [N]."""
-        return self._design.noise_std
-
-    def response(self, w: np.ndarray) -> np.ndarray:
-        """Transfer from external force, held over each period, to its estimate at ``w`` [rad/s], complex (n,)."""
-        return self._design.response(np.asarray(w, dtype=float))
+class OnlineObserver(Protocol):
+    """What a loop calls: ``reset`` once, then ``step`` at every sample."""
 
     def reset(self) -> None:
-        """Forget the past: the next sample is taken as one of rest."""
-        self._state, self._samples = (0.0, 0.0, 0.0), 0
+        """Forget the past."""
 
     def step(self, q: float, u: float) -> float:
-        """Take the position ``q`` [m] of this sample and the voltage ``u`` [V] of the period that ends with it.
-
-        Returns the external force [N] as of ``delay`` ago.
-        """
-        if self._samples == 0:
-            self._state = (q, 0.0, 0.0)
-        else:
-            x, v, d = self._state
-            t = (self._samples - 1) * self._period
-            # Viscous friction is in the transition matrix already.
-            motor = self._gain * u
-            drive = motor - self._resistance.force(x, v, t, motor, self.rest_velocity) + self._viscous * v
-            ahead = [
-                row[0] * x + row[1] * v + row[2] * d + push * drive
-                for row, push in zip(self._rows, self._push, strict=True)
-            ]
-            error = q - ahead[0]
-            self._state = tuple(value + gain * error for value, gain in zip(ahead, self._correct, strict=True))
-        self._samples += 1
-        return self._state[2]
+        """External force [N] from position ``q`` [m] and the voltage ``u`` [V] of the period that ends with it."""
 
 
-def observe_online(observer: ForceObserver | KalmanForceObserver, q: np.ndarray, u: np.ndarray) -> np.ndarray:
+def observe_online(observer: OnlineObserver, q: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Run ``observer`` over a record's ``q`` [m] and ``u`` [V], both (n,): the same numbers as in a loop, (n,) [N].
 
     ``u[k]`` is recorded at the sample from which it is held, so sample k is given ``u[k-1]``.
@@ -309,23 +197,6 @@ def observe_online(observer: ForceObserver | KalmanForceObserver, q: np.ndarray,
     step = observer.step
     before = np.concatenate([u[:1], u[:-1]]).tolist()
     return np.array([step(position, voltage) for position, voltage in zip(q.tolist(), before, strict=True)])
-
-
-def kalman_trade_off(axis: Axis, bandwidths_hz: np.ndarray) -> dict[str, np.ndarray]:
-    """Delay [s] and noise [N] of the Kalman observer for each of ``bandwidths_hz`` [Hz]: faster is noisier.
-
-    >>> from emps_design.machines import machine
-    >>> table = kalman_trade_off(machine("emps2018"), np.array([10.0, 40.0]))
-    >>> bool(table["delay"][1] < table["delay"][0]), bool(table["noise_std"][1] > table["noise_std"][0])
-    (True, True)
-    """
-    observers = [KalmanForceObserver(axis, bandwidth_hz=float(one)) for one in bandwidths_hz]
-    return {
-        "bandwidth_hz": np.array([one.bandwidth_hz for one in observers]),
-        "force_rate": np.array([one.force_rate for one in observers]),
-        "delay": np.array([one.delay for one in observers]),
-        "noise_std": np.array([one.noise_std for one in observers]),
-    }
 
 
 @dataclass(frozen=True)
@@ -358,79 +229,3 @@ def smallest_observable_force(axis: Axis, noise: float, parameter: float) -> Sma
     bounds = {"break_away": float(b[2] + dry), "noise": float(noise), "parameter": float(parameter)}
     bound = max(bounds, key=lambda name: bounds[name])
     return SmallestForce(bounds[bound], bound, bounds)
-
-
-@dataclass(frozen=True)
-class _SteadyKalman:
-    """Steady gain of the correction for [q, v, d] over a period, computed in units in which all three are near 1."""
-
-    transition: np.ndarray
-    push: np.ndarray
-    gain: np.ndarray
-    noise: float
-    period: float
-    scale: np.ndarray
-
-    @classmethod
-    def of(cls, axis: Axis, force_rate: float, noise: float) -> _SteadyKalman:
-        from scipy.linalg import expm, solve_discrete_are
-
-        m, T = axis.mechanics, axis.sampling.period
-        continuous = np.zeros((4, 4))
-        continuous[0, 1] = 1.0
-        continuous[1, 1:] = -m.viscous / m.mass, 1.0 / m.mass, 1.0 / m.mass
-        step = expm(continuous * T)
-        a, push = step[:3, :3], step[:3, 3].copy()
-        scale = np.array([noise, noise / T, m.mass * noise / T**2])
-        scaled = a * scale / scale[:, None]
-        walk = np.diag([0.0, 0.0, force_rate**2 * T / scale[2] ** 2])
-        seen = np.array([[1.0], [0.0], [0.0]])
-        p = solve_discrete_are(scaled.T, seen, walk, np.eye(1))
-        gain = p[:, 0] / (p[0, 0] + 1.0)
-        return cls(a, push, gain * scale / noise, noise, T, scale)
-
-    @property
-    def _closed(self) -> np.ndarray:
-        return (np.eye(3) - np.outer(self.gain, [1.0, 0.0, 0.0])) @ self.transition
-
-    @property
-    def noise_std(self) -> float:
-        from scipy.linalg import solve_discrete_lyapunov
-
-        closed = self._closed * self.scale / self.scale[:, None]
-        gain = self.gain * self.noise / self.scale
-        return float(math.sqrt(solve_discrete_lyapunov(closed, np.outer(gain, gain))[2, 2]) * self.scale[2])
-
-    def response(self, w: np.ndarray) -> np.ndarray:
-        z = np.exp(1j * w * self.period)[:, None, None]
-        moved = np.linalg.solve(z * np.eye(2) - self.transition[:2, :2], self.push[:2, None])[:, 0, 0]
-        # The estimator sees q alone: x[k+1] = (I - K C) A x[k] + K q[k+1].
-        heard = self.gain[None, :, None] * z * moved[:, None, None]
-        return np.linalg.solve(z * np.eye(3) - self._closed, heard)[:, 2, 0]
-
-    @property
-    def bandwidth(self) -> float:
-        w = np.geomspace(1e-4, 1.0, 600) * math.pi / self.period
-        size = np.abs(self.response(w))
-        below = np.flatnonzero(size < math.sqrt(0.5))
-        if not below.size or below[0] == 0:
-            return float(w[-1])
-        i = int(below[0])
-        share = (size[i - 1] - math.sqrt(0.5)) / (size[i - 1] - size[i])
-        return float(w[i - 1] + share * (w[i] - w[i - 1]))
-
-
-def _force_rate_for(axis: Axis, bandwidth_hz: float, noise: float) -> float:
-    """Random walk of the force [N/sqrt(s)] whose Kalman filter has the bandwidth [Hz]."""
-    from scipy.optimize import brentq
-
-    w, T = 2.0 * math.pi * bandwidth_hz, axis.sampling.period
-    if not 0 < bandwidth_hz < 0.2 / T:
-        raise InputError(f"bandwidth: found {bandwidth_hz:g} Hz, expected between 0 and {0.2 / T:g} Hz")
-    # Continuous filter of a triple integrator: its bandwidth is near (rate / (mass noise sqrt(T)))^(1/3).
-    guess = math.log(axis.mechanics.mass * noise * math.sqrt(T) * w**3)
-
-    def excess(log_rate: float) -> float:
-        return math.log(_SteadyKalman.of(axis, math.exp(log_rate), noise).bandwidth / w)
-
-    return math.exp(brentq(excess, guess - 6.0, guess + 6.0, xtol=1e-6))

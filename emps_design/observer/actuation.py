@@ -1,0 +1,55 @@
+"""From the voltage a record holds to the voltage that acts: maps, delays and the lag of the current loop."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from emps_design.axis import Axis
+
+
+def acting_voltage(axis: Axis, u: np.ndarray) -> tuple[np.ndarray, Axis]:
+    """Voltage that acts, (n,) [V], of the recorded ``u``, and the axis without what was used up on the way.
+
+    Static maps of the actuator, delays and the lag of the current loop are known from ``u`` alone, and a disturbance of
+    the controller is in ``u`` already: with them taken care of here, every observer, on-line ones too, sees the force
+    that reaches the carriage.
+
+    >>> from emps_design.machines import machine
+    >>> dead = machine("emps2019").replace(effects=[{"kind": "actuator_deadzone", "width": 0.5}])
+    >>> voltage, rest = acting_voltage(dead, np.array([0.2, 1.0]))
+    >>> voltage.tolist(), rest.effects
+    ([0.0, 0.5], ())
+    """
+    b, kept = tuple(float(x) for x in axis.mechanics.array()), []
+    late = float(axis.sampling.computation_delay)
+    for one in axis.effects:
+        effect, p = one.effect, tuple(float(x) for x in one.effect.values(one.parameters))
+        if effect.actuator is not None:
+            u = np.array([effect.actuator(float(voltage), p) for voltage in u])
+        elif effect.delay is not None:
+            late += effect.delay(0.0, 0.0, 0.0, 0.0, (), p, b) / axis.sampling.period
+        elif effect.command is None:
+            kept.append(one)
+    u = _lagged(_delayed(u, late), axis.drive.current_time_constant / axis.sampling.period)
+    used_up = {"drive": {"current_time_constant": 0.0}, "sampling": {"computation_delay": 0}}
+    return u, axis.replace(effects=kept, **used_up)
+
+
+def _delayed(u: np.ndarray, late: float) -> np.ndarray:
+    """Means over each period of the held signal ``u`` that arrives ``late`` periods later."""
+    whole, share = int(late), late - int(late)
+    padded = np.concatenate([np.full(whole + 1, u[0]), u])
+    return (1.0 - share) * padded[1 : len(u) + 1] + share * padded[: len(u)]
+
+
+def _lagged(u: np.ndarray, constant: float) -> np.ndarray:
+    """Means over each period of the held ``u`` behind a first-order lag of ``constant`` periods, settled at u[0]."""
+    if constant <= 0.0:
+        return u
+    from scipy.signal import lfilter
+
+    decay = math.exp(-1.0 / constant)
+    begin, _ = lfilter([0.0, 1.0 - decay], [1.0, -decay], u, zi=[u[0]])
+    return u + (begin - u) * constant * (1.0 - decay)
