@@ -16,6 +16,7 @@ def command(
     crossover: float | None = typer.Option(None, "--crossover", help="Crossover of the velocity loop [rad/s]."),
     bandwidth: float | None = typer.Option(None, "--bandwidth", help="Closed-loop -3 dB bandwidth [rad/s]."),
     phase_margin: float = typer.Option(60.0, "--phase-margin", help="Phase margin [deg]."),
+    retune: bool = typer.Option(False, "--retune", help="Meet the specification in the sampled loop."),
     design_on: str | None = typer.Option(
         None, "--design-on", help="record: design on what the record gives; axis: on the axis as it is."
     ),
@@ -53,6 +54,7 @@ def command(
             mass=mass,
             damping=damping,
             mismatch=mismatch,
+            retune=retune,
             progress=progress,
         )
         aside.write_text(report.page.html(), encoding="utf-8")

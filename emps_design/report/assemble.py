@@ -61,6 +61,7 @@ def assemble_report(
     mass: float | None = None,
     damping: float | None = None,
     mismatch: float = 0.02,
+    retune: bool = False,
     progress: Progress | None = None,
 ) -> Report:
     """Design ``axis`` (or what ``record`` says about it) and return the page with its results.
@@ -70,7 +71,7 @@ def assemble_report(
     leaves them as they are. ``crossover`` or
     ``bandwidth`` [rad/s], ``phase_margin_deg`` [deg]; ``k_e1`` [(m/s)/N], ``hand`` [N/(m/s)], ``environment`` [N/m];
     ``mass`` [kg] and ``damping`` [N/(m/s)] of the impedance law, by default those of the axis's controller or else of
-    the paper's experiments, tried under a relative ``mismatch``.
+    the paper's experiments, tried under a relative ``mismatch``; ``retune`` meets the specification when sampled.
 
     >>> report = assemble_report("emps2018", crossover=100.0, phase_margin_deg=60.0)
     >>> report.results.velocity.axis.name, round(report.results.velocity.k_v1, 2)
@@ -100,7 +101,12 @@ def assemble_report(
         parts.append(section)
         notes.append(_basis(loaded, found[0], design_on))
     tell("designing the loops", 0.4)
-    velocity = design_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg)
+    if retune:
+        from emps_design.control.retune import retune_velocity_loop
+
+        velocity = retune_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg)
+    else:
+        velocity = design_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg)
     tell("trying the impedance law", 0.45)
     assessed, section = _impedance(loaded, mass, damping, mismatch)
     parts.append(section)

@@ -176,3 +176,9 @@ def test_bad_input_is_one_line_and_leaves_nothing_behind(tmp_path, monkeypatch, 
     ]
     assert any(message in line for line in said)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_retuned_gains_meet_the_specification_on_the_drive(undrawn):
+    velocity = assemble_report("emps2018", crossover=150.0, phase_margin_deg=50.0, retune=True).results.velocity
+    assert velocity.sampled.margins.phase_margin_deg == pytest.approx(50.0, abs=1e-6)
+    assert velocity.sampled.margins.crossover == pytest.approx(150.0, abs=1e-6)
