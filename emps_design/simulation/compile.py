@@ -101,7 +101,12 @@ def cached(contract: bool = False) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         fastmath = {"contract"} if contract else False
-        dispatcher = njit(cache=True, fastmath=fastmath, **_OPTIONS)(function)
+        try:
+            dispatcher = njit(cache=True, fastmath=fastmath, **_OPTIONS)(function)
+        except RuntimeError as error:  # nowhere to write a cache: compile in every process
+            if "cannot cache" not in str(error):
+                raise
+            return njit(fastmath=fastmath, **_OPTIONS)(function)
         # numba stamps a cache with the content of the function's own file only.
         content = b"".join(file.read_bytes() for file in sorted(source_files(function)))
         dispatcher._cache._cache_file._source_stamp = hashlib.sha256(content).digest()

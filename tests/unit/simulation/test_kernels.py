@@ -143,6 +143,19 @@ def test_the_steppers_cache_depends_on_every_file_it_is_built_from():
         assert dispatcher._cache._cache_file._source_stamp == hashlib.sha256(content).digest()
 
 
+def test_nowhere_to_write_a_cache_is_no_obstacle():
+    code = """
+        import numpy as np
+        from numba.core.caching import CacheImpl
+        CacheImpl._locator_classes = []
+        from emps_design.machines import machine
+        from emps_design.simulation import Plant
+        print(Plant.of(machine("emps2019")).closed_loop(np.linspace(0.0, 0.01, 200)).q[-1])
+    """
+    answer = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, check=True)
+    assert float(answer.stdout) > 0.009
+
+
 def test_hooks_of_the_effect_module_are_those_of_the_stepper():
     from emps_design.simulation.plant import HOOKS
 
