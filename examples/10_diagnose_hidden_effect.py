@@ -41,7 +41,8 @@ for finding in diagnosis.findings:
     for name, found in finding.parameters.items():
         hidden = f"{HIDDEN[name]:.4g}" if finding.effect == HIDDEN["kind"] else "not hidden"
         print(
-            f"{finding.effect}.{name}: found {found['value']:.4g} +- {found['std']:.1g} {found['unit']}, hidden {hidden}"
+            f"{finding.effect}.{name}: found {found['value']:.4g} +- {found['std']:.1g} {found['unit']}, "
+            f"hidden {hidden}"
         )
 
 # 4. The better axis goes on to every other part of the package: this is the file.
