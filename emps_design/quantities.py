@@ -33,3 +33,24 @@ class Quantity:
                 f"{self.name}: found {number:g}{unit}, expected a number in [{self.lower:g}, {self.upper:g}]{unit}"
             )
         return number
+
+
+# unit of the library -> (below this size, display unit, factor), smallest first
+_SMALL = {
+    "s": ((1e-4, "µs", 1e6), (1.0, "ms", 1e3)),
+    "m": ((1e-7, "nm", 1e9), (1e-4, "µm", 1e6), (1.0, "mm", 1e3)),
+    "m/s": ((1e-4, "µm/s", 1e6), (1.0, "mm/s", 1e3)),
+    "V": ((1.0, "mV", 1e3),),
+}
+
+
+def display_unit(size: float, unit: str) -> tuple[str, float]:
+    """Return the unit in which ``size`` [``unit``] is shown to a reader, and the factor to it.
+
+    >>> display_unit(5e-8, "m"), display_unit(0.25, "m"), display_unit(12.0, "N")
+    (('nm', 1000000000.0), ('mm', 1000.0), ('N', 1.0))
+    """
+    for limit, small, factor in _SMALL.get(unit, ()):
+        if 0 < abs(size) < limit:
+            return small, factor
+    return unit, 1.0

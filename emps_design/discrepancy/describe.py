@@ -11,7 +11,7 @@ from emps_design.discrepancy.candidate import BASELINE
 from emps_design.discrepancy.decide import Search
 from emps_design.discrepancy.diagnosis import Finding
 from emps_design.discrepancy.healthy import LEVEL, RESAMPLES, Healthy
-from emps_design.discrepancy.judge import WORTH, Judge, force_rms
+from emps_design.discrepancy.judge import WORTH, WORTH_AT_FLOOR, Judge, force_rms
 from emps_design.discrepancy.law_check import LawCheck
 from emps_design.discrepancy.locate import View, extent, views
 from emps_design.discrepancy.missing_force import MissingForce
@@ -19,6 +19,7 @@ from emps_design.discrepancy.noise import Floor
 from emps_design.discrepancy.problem import Fit, Problem, fit
 from emps_design.discrepancy.propose import Start
 from emps_design.effects import get_effect
+from emps_design.quantities import display_unit
 
 ASSUMPTIONS = (
     "the force gain of the drive is known: an error of it scales every mechanical parameter and shows nowhere else",
@@ -133,7 +134,7 @@ def details(work: Work, verdict: str, baseline: Fit, extended: Fit, refitted: tu
         "calibration": (
             f"A finding must gain more than {work.healthy.threshold:.1f} in whitened cost, the largest gain of any "
             f"candidate in {100 * LEVEL:g} % of {RESAMPLES} healthy references made of resampled noise, and more than "
-            f"{100 * WORTH:g} % of the cost; the noise is "
+            f"{100 * WORTH:g} % of the cost ({100 * WORTH_AT_FLOOR:g} % where it is noise already); the noise is "
             + ("what differs between repeated laps." if work.floor.from_laps else "the residual of the model itself.")
         ),
         "assumptions": list(ASSUMPTIONS),
@@ -208,31 +209,28 @@ def _parameters(work: Work, baseline: Fit, extended: Fit) -> dict[str, Any]:
 
 def _not_excluded(work: Work, extended: Fit) -> list[dict[str, Any]]:
     """The smallest size of each effect that would have been a finding, from its signature on the baseline."""
-    gain = (
-        max(work.healthy.threshold, WORTH * work.problem.samples("used"))
-        * len(work.judge.problem.masks("fit"))
-        / len(work.judge.problem.masks("used"))
-    )
+    gain = max(work.healthy.threshold, WORTH_AT_FLOOR * work.problem.samples("fit"))
     rows = []
     for found in work.screened:
         effect = found[0].model.effects[-1]
         if effect.name in extended.model.names:
             continue
-        # The amplitude that scales the signature: the first linear parameter, or the first of all.
-        name = effect.linear[0] if effect.linear else effect.parameters[0].name
-        place = [p.name for p in effect.parameters].index(name)
-        parameter = effect.parameters[place]
-        sizes = [abs(float(s.model.values[-1][0][place])) * np.sqrt(gain) / s.size for s in found if s.size > 0]
-        if not sizes or not effect.linear:
+        if not effect.linear:
             continue
-        size = float(np.median(sizes))
+        place = [p.name for p in effect.parameters].index(effect.linear[0])
+        parameter = effect.parameters[place]
+        # Of the shapes that were tried, the middle one: some hide completely, such as an event at the record's end.
+        size = float(np.median([abs(s.model.values[-1][0][place]) * np.sqrt(gain) / s.size for s in found]))
+        if size == 0.0:
+            continue
+        unit, factor = display_unit(size, parameter.unit)
         rows.append(
             {
                 "effect": effect.name,
                 "label": effect.label,
                 "size": size,
                 "unit": parameter.unit,
-                "text": f"{parameter.name.replace('_', ' ')} {size:.2g} {parameter.unit}".rstrip(),
+                "text": f"{parameter.name.replace('_', ' ')} {size * factor:.2g} {unit}".rstrip(),
             }
         )
     return rows

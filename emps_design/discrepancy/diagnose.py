@@ -28,7 +28,7 @@ from emps_design.errors import InputError
 from emps_design.records import Record
 
 Progress = Callable[[str, float], None]
-HELD = 0.5  # of the share explained on the training record must be explained on the confirming one
+HELD = 0.8  # of the share explained on the training record must be explained on the confirming one
 
 
 def diagnose(

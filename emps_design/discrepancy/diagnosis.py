@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.discrepancy.confirm import Gap, Prediction
 from emps_design.discrepancy.locate import View
+from emps_design.quantities import display_unit
 
 SCHEMA = "emps-design/diagnosis/1"
 
@@ -49,12 +51,23 @@ class Finding:
     def in_words(self) -> str:
         """The finding with its parameters, for a sentence."""
         numbers = ", ".join(
-            f"{name.replace('_', ' ')} {table['value']:.4g} +- {table['std']:.2g} {table['unit']}".rstrip()
+            f"{name.replace('_', ' ')} {in_unit(table['value'], table['std'], table['unit'])}"
             for name, table in self.parameters.items()
             if table["std"] > 0 and not table.get("per_record")
         )
         others = f" (or {', '.join(e.replace('_', ' ') for e in self.equivalents)})" if self.equivalents else ""
         return f"{self.where['text']}: {self.label}{others}" + (f", {numbers}" if numbers else "")
+
+
+def in_unit(value: float, std: float, unit: str) -> str:
+    """``value +- std`` in the unit a reader would choose.
+
+    >>> in_unit(0.0016, 2e-6, "s")
+    '1.600 +- 0.002 ms'
+    """
+    shown, factor = display_unit(value, unit)
+    places = max(0, -math.floor(math.log10(std * factor)))
+    return f"{value * factor:.{places}f} +- {std * factor:.{places}f} {shown}".rstrip()
 
 
 @dataclass(frozen=True)

@@ -8,16 +8,18 @@ import numpy as np
 
 from emps_design.discrepancy.decide import Search
 from emps_design.discrepancy.healthy import Healthy
-from emps_design.discrepancy.problem import Fit, Problem
+from emps_design.discrepancy.problem import Fit, Problem, gather
 from emps_design.discrepancy.split import START_UP
 
 WORTH = 0.01  # of the whitened cost: what lowers the residual force by less than half a percent is no finding
+WORTH_AT_FLOOR = 0.1  # the same where only noise is left to explain: five percent of its force
 STROKES = 0.8  # of what the selecting strokes change must be improvement
+BURST = 5.0  # standard deviations
 CHANCE = 2.0  # standard deviations of a stroke's cost
 SEEN_AGAIN = 0.3  # of the gain per sample on the fitting part must be there on the selecting part
 STRUCTURED = 1.5  # whitened cost per sample beyond which a model leaves structure
 AT_FLOOR = 1.2  # whitened cost per sample up to which a model leaves nothing but noise
-EXPLAINED = 0.5  # of the excess over the floor, in force, a model must explain to stand where it does not reach it
+EXPLAINED = 0.75  # of the excess over the floor, in force, a model must explain to stand where it does not reach it
 MOST_EQUIVALENTS = 3
 
 
@@ -30,14 +32,23 @@ class Judge:
 
     def accepts(self, better: Fit, worse: Fit) -> bool:
         """Whether ``better``, with one effect more, is a finding over ``worse``."""
-        gain_fit, gain_select = worse.cost_fit - better.cost_fit, worse.cost_select - better.cost_select
+        gain_fit = self._bulk(worse, "fit") - self._bulk(better, "fit")
+        gain_select = self._bulk(worse, "select") - self._bulk(better, "select")
         n_fit, n_select = self.problem.samples("fit"), self.problem.samples("select")
+        worth = WORTH_AT_FLOOR if self.at_floor(worse) else WORTH
         return (
-            gain_fit > self.healthy.threshold
-            and gain_fit + gain_select > WORTH * worse.cost
+            worse.cost_fit - better.cost_fit > self.healthy.threshold
+            and gain_fit + gain_select > worth * (self._bulk(worse, "fit") + self._bulk(worse, "select"))
             and gain_select / n_select > SEEN_AGAIN * gain_fit / n_fit
             and self.share_of_strokes(better, worse) >= STROKES
         )
+
+    def _bulk(self, fitted: Fit, part: str) -> float:
+        """Whitened cost on ``part`` in which no sample counts more than ``BURST`` deviations.
+
+        Play that bounces, or an instant missed by a sample, leaves bursts that any effect can rearrange by luck.
+        """
+        return float(np.sum(np.minimum(gather(self.problem, fitted.innovations, part) ** 2, BURST**2)))
 
     def share_of_strokes(self, better: Fit, worse: Fit) -> float:
         """Share of improvement in what the selecting strokes change: gains over gains and losses, stroke by stroke.
@@ -57,8 +68,7 @@ class Judge:
 
     def at_floor(self, fitted: Fit) -> bool:
         """Whether ``fitted`` leaves nothing but noise on both parts."""
-        parts = (("fit", fitted.cost_fit), ("select", fitted.cost_select))
-        return all(cost <= AT_FLOOR * self.problem.samples(part) for part, cost in parts)
+        return all(self._bulk(fitted, part) <= AT_FLOOR * self.problem.samples(part) for part in ("fit", "select"))
 
     def verdict(self, search: Search, equivalents: dict[str, list[str]], share: float) -> str:
         """The verdict before any confirming data: ``share`` is what the best model explains of the force gap."""

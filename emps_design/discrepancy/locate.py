@@ -14,7 +14,8 @@ from emps_design.discrepancy.missing_force import MissingForce
 from emps_design.records import Record
 
 SHARE = 0.8  # of the improvement that an extent holds
-LOCAL = 0.5  # an extent is worth words when it covers less than this share of what the record visits
+LOCAL = 0.6  # an extent is worth words when it covers less than this share of what the record visits
+SLOW = 1e-3  # m/s, from which on an extent of velocity begins at rest
 REVERSAL_TIME = 0.1  # s on both sides of a reversal
 
 
@@ -94,9 +95,12 @@ def extent(record: Record, v: np.ndarray, improvement: np.ndarray, window: np.nd
     if around > SHARE and turning[window].mean() < LOCAL:
         words.append("around reversals")
     elif slow < LOCAL:
-        words.append(f"between {velocity[0]:.3g} and {velocity[1]:.3g} m/s")
+        fast = f"{1e3 * velocity[1]:.3g} mm/s"
+        words.append(f"below {fast}" if velocity[0] < SLOW else f"between {1e3 * velocity[0]:.3g} and {fast}")
     if forwards > SHARE or forwards < 1 - SHARE:
         words.append("moving forwards" if forwards > 0.5 else "moving backwards")
+    elif words:
+        words.append("both ways")
     if near < LOCAL:
         words.append(f"between {1e3 * position[0]:.4g} and {1e3 * position[1]:.4g} mm")
     if when < LOCAL:

@@ -19,6 +19,7 @@ from emps_design.effects import Effect
 from emps_design.effects.search import thin
 from emps_design.errors import SimulationError
 
+LEAST_AMPLITUDE = 0.05  # of a parameter's typical size
 BENT = 20.0  # whitened cost per sample beyond which a fitted baseline may have been bent by what is missing
 
 
@@ -140,4 +141,10 @@ def _complete(effect: Effect, shape: dict[str, float], seen: MissingForce, model
         shape = {**shape, **effect.from_coefficients(solution[: columns.shape[1]], shape)}
     elif absent:
         return None
-    return np.array([min(max(shape[p.name], p.lower), p.upper) for p in effect.parameters])
+    values = []
+    for p in effect.parameters:
+        value = min(max(shape[p.name], p.lower), p.upper)
+        # A signature needs some of the effect, even where the regression wants none.
+        least = LEAST_AMPLITUDE * p.scale if p.linear and p.scale and not p.per_record else 0.0
+        values.append(value if abs(value) >= least else float(np.copysign(least, value)))
+    return np.array(values)

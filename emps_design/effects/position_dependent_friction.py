@@ -20,6 +20,10 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
     return harmonic.columns(2 * pi * motion.q / shape["length"]) * np.sign(motion.v)[:, None]
 
 
+def plausible(parameters: Parameters, motion: Motion) -> bool:
+    return parameters["length"] < 3 * float(np.ptp(motion.q))  # longer is a straight line over the stroke
+
+
 def expression(q, v, t, tau, p, b):
     import sympy
 
@@ -51,6 +55,7 @@ EFFECT = Effect(
     regressor=regressor,
     to_linear=harmonic.to_linear,
     from_linear=harmonic.from_linear,
+    plausible=plausible,
     expression=expression,
     over="q",
     where="slowly along the travel, with opposite sign in the two directions, at every speed alike",

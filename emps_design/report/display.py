@@ -1,34 +1,17 @@
-"""Numbers as a reader sees them: SI inside, display units here and nowhere else."""
+"""Numbers as a reader sees them: SI inside, display units at the border."""
 
 from __future__ import annotations
 
 import math
 from html import escape
 
-# unit of the library -> (below this size, display unit, factor), smallest first
-_SMALL = {
-    "s": ((1e-4, "µs", 1e6), (1.0, "ms", 1e3)),
-    "m": ((1e-7, "nm", 1e9), (1e-4, "µm", 1e6), (1.0, "mm", 1e3)),
-    "m/s": ((1e-4, "µm/s", 1e6), (1.0, "mm/s", 1e3)),
-    "V": ((1.0, "mV", 1e3),),
-}
+from emps_design.quantities import display_unit
+
 NOTHING = "—"
 
 
 def _missing(value: float | None) -> bool:
     return value is None or not math.isfinite(value)
-
-
-def scale(size: float, unit: str) -> tuple[str, float]:
-    """Return the unit in which ``size`` [``unit``] is shown, and the factor to it.
-
-    >>> scale(5e-8, "m"), scale(0.25, "m"), scale(12.0, "N")
-    (('nm', 1000000000.0), ('mm', 1000.0), ('N', 1.0))
-    """
-    for limit, small, factor in _SMALL.get(unit, ()):
-        if 0 < abs(size) < limit:
-            return small, factor
-    return unit, 1.0
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -59,7 +42,7 @@ def quantity(value: float | None, unit: str, digits: int = 4) -> str:
     """
     if _missing(value):
         return NOTHING
-    unit, factor = scale(value, unit)
+    unit, factor = display_unit(value, unit)
     value = value * factor
     return f"{number(value, digits)} {unit}".rstrip()
 
@@ -119,7 +102,7 @@ def with_std(value: float | None, std: float | None, unit: str = "") -> str:
         return NOTHING
     if _missing(std) or std <= 0:
         return quantity(value, unit)
-    unit, factor = scale(value, unit)
+    unit, factor = display_unit(value, unit)
     value, std = value * factor, std * factor
     places = max(0, 1 - math.floor(math.log10(std)))
     if places > 6:
@@ -135,7 +118,7 @@ def interval(value: float | None, std: float | None, unit: str = "") -> str:
     """
     if _missing(value) or _missing(std) or std <= 0:
         return NOTHING
-    unit, factor = scale(value, unit)
+    unit, factor = display_unit(value, unit)
     low, high = factor * (value - 1.96 * std), factor * (value + 1.96 * std)
     places = min(6, max(0, 1 - math.floor(math.log10(factor * std))))
     return f"{low:.{places}f} to {high:.{places}f} {unit}".rstrip().replace("-", "−")
