@@ -87,7 +87,7 @@ def _explain(
     candidates = tuple(effect for effect in library if effect.channel != "controller")
     screened = screen(problem, baseline, candidates, absorbed)
     healthy = healthy_reference(screened, absorbed, floor.draws, seed)
-    judge = Judge(problem, healthy)
+    judge = Judge(problem, healthy, floor.force)
     found = search(
         problem,
         baseline,

@@ -12,7 +12,8 @@ from emps_design.discrepancy.problem import Fit, Problem, gather
 from emps_design.discrepancy.split import START_UP
 
 WORTH = 0.01  # of the whitened cost: what lowers the residual force by less than half a percent is no finding
-WORTH_AT_FLOOR = 0.1  # the same where only noise is left to explain: five percent of its force
+WORTH_AT_FLOOR = 0.03  # the same where only noise is left to explain
+AUDIBLE = 0.3  # of the floor: amplitudes of force below it are not findings
 STROKES = 0.8  # of what the selecting strokes change must be improvement
 BURST = 5.0  # standard deviations
 CHANCE = 2.0  # standard deviations of a stroke's cost
@@ -25,10 +26,11 @@ MOST_EQUIVALENTS = 3
 
 @dataclass(frozen=True)
 class Judge:
-    """The rules, with the healthy reference they stand on."""
+    """The rules, with the healthy reference they stand on and the ``floor`` [N] of what repeats."""
 
     problem: Problem
     healthy: Healthy
+    floor: float
 
     def accepts(self, better: Fit, worse: Fit) -> bool:
         """Whether ``better``, with one effect more, is a finding over ``worse``."""
@@ -41,7 +43,16 @@ class Judge:
             and gain_fit + gain_select > worth * (self._bulk(worse, "fit") + self._bulk(worse, "select"))
             and gain_select / n_select > SEEN_AGAIN * gain_fit / n_fit
             and self.share_of_strokes(better, worse) >= STROKES
+            and not self._lost_in_noise(better)
         )
+
+    def _lost_in_noise(self, fitted: Fit) -> bool:
+        """Whether an effect's amplitude is a force far below what does not repeat."""
+        for effect, values in zip(fitted.model.effects, fitted.model.values, strict=True):
+            for place, parameter in enumerate(effect.parameters):
+                if parameter.linear and parameter.unit == "N" and abs(values[0, place]) < AUDIBLE * self.floor:
+                    return True
+        return False
 
     def _bulk(self, fitted: Fit, part: str) -> float:
         """Whitened cost on ``part`` in which no sample counts more than ``BURST`` deviations.
