@@ -20,7 +20,7 @@ from emps_design.discrepancy.judge import Judge, explained
 from emps_design.discrepancy.law_check import LawCheck, check_law
 from emps_design.discrepancy.missing_force import missing_force
 from emps_design.discrepancy.noise import Floor, floor_of_laps, floor_of_residual
-from emps_design.discrepancy.problem import Fit, Problem, Whitening, fit
+from emps_design.discrepancy.problem import Fit, Problem, Whitening, evaluate, fit
 from emps_design.discrepancy.propose import tangent
 from emps_design.discrepancy.split import split
 from emps_design.effects import Effect, known_effects
@@ -146,9 +146,8 @@ def between(record: Record, window: tuple[float, float], option: str) -> np.ndar
 def _baseline(problem: Problem, start: Candidate) -> tuple[Problem, Fit, Floor]:
     """Refit the baseline: plain least squares for a start, then whitened by the floor's noise."""
     rough = fit(problem, start, steps=20)
-    floor = floor_of_laps(problem.records, problem.splits, problem.axis.drive.force_gain)
-    if floor is None:
-        floor = floor_of_residual(problem.residuals(rough.model), problem.records[0].period)
+    residuals, period = problem.residuals(rough.model), problem.records[0].period
+    floor = floor_of_laps(residuals, problem.splits, period) or floor_of_residual(residuals, period)
     problem = problem.with_whitening(floor.whitening)
     return problem, fit(problem, rough.model, steps=20), floor
 
@@ -167,9 +166,11 @@ def _confirming(
 def _conclude(work: Work, confirming: tuple[Problem, np.ndarray] | None) -> Diagnosis:
     """Refit the search's best model on everything, open the confirming data, and say what it all means."""
     problem, found, floor = work.problem, work.found, work.floor
-    baseline = fit(problem, found.path[0].model, part="used")
-    extended = fit(problem, found.best.model, part="used") if len(found.path) > 1 else baseline
-    train = _gap(problem, problem.splits[0].used, baseline.model, extended.model)
+    start = fit(problem, found.path[0].model, part="used")
+    # The baseline knows nothing of the controller's disturbance, which the search took as known from the law.
+    baseline = evaluate(problem, replace(start.model, effects=(), values=()), start.slots, start.covariance)
+    extended = fit(problem, found.best.model, part="used") if len(found.path) > 1 else start
+    train = _gap(problem, problem.splits[0].used, baseline.model, extended.model, confirms=False)
     equivalents = work.judge.equivalents(found)
     verdict = work.judge.verdict(found, equivalents, explained(train.gap.baseline, train.gap.extended, floor.force))
     if work.unnamed_law:
@@ -184,9 +185,9 @@ def _conclude(work: Work, confirming: tuple[Problem, np.ndarray] | None) -> Diag
         if len(found.path) > 1 and held < HELD * learnt:
             verdict = "unnamed"
     if verdict == "unnamed" and len(found.path) > 1:
-        extended = baseline
-        train = _gap(problem, problem.splits[0].used, baseline.model, baseline.model)
-        judged = None if confirming is None else _gap(*confirming, baseline.model, baseline.model)
+        extended = start
+        train = _gap(problem, problem.splits[0].used, baseline.model, start.model, confirms=False)
+        judged = None if confirming is None else _gap(*confirming, baseline.model, start.model)
 
     shown = judged or train
     findings = describe.findings(work, extended, equivalents)
@@ -213,13 +214,15 @@ class _Judged:
     refitted: tuple[str, ...]
 
 
-def _gap(problem: Problem, window: np.ndarray, baseline: Candidate, extended: Candidate) -> _Judged:
+def _gap(
+    problem: Problem, window: np.ndarray, baseline: Candidate, extended: Candidate, confirms: bool = True
+) -> _Judged:
     """Both models on the first record of ``problem``, what belongs to that record fitted anew where it is another."""
     record, names = problem.records[0], ()
     models = []
     for model in (baseline, extended):
         one = replace(model, values=tuple(v[:1] for v in model.values))
-        if window is not problem.splits[0].used:
+        if confirms:
             one, names = refit_per_record(problem, one)
         models.append(one)
     single = replace(problem, records=(record,), splits=problem.splits[:1])

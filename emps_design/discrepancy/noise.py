@@ -8,7 +8,6 @@ import numpy as np
 
 from emps_design.discrepancy.problem import Whitening, whitening_of
 from emps_design.discrepancy.split import START_UP, Split
-from emps_design.records import Record
 
 BAND_HZ = 60.0
 PIECE = 500  # samples
@@ -30,17 +29,20 @@ class Floor:
     from_laps: bool
 
 
-def floor_of_laps(records: tuple[Record, ...], splits: tuple[Split, ...], force_gain: float) -> Floor | None:
-    """Floor from repeated laps of any record, or None where no reference repeats."""
+def floor_of_laps(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], period: float) -> Floor | None:
+    """Floor from repeated laps of any record, or None where no reference repeats.
+
+    ``residuals`` (n,) [N] are what a fitted model leaves: what it knows of one lap and not of another, such as a
+    disturbance of the controller, is then not taken for noise.
+    """
     from emps_design.identification.filters import low_pass
 
     differences, smooth = [], []
-    for record, split in zip(records, splits, strict=True):
+    for force, split in zip(residuals, splits, strict=True):
         used = np.nonzero(split.used)[0]
         if split.lap == 0 or used.size < 2 * split.lap - START_UP:
             continue
-        force = force_gain * record.u
-        slow = low_pass(force, BAND_HZ, record.period)
+        slow = low_pass(force, BAND_HZ, period)
         first, last = int(used[0]), int(used[-1]) + 1
         # The first lap starts from rest unlike the others: leave it out where there are laps to spare.
         begin = first + split.lap if last - first > 2.5 * split.lap else first

@@ -22,7 +22,7 @@ def problem(effects=(), noise=4e-3, seed=0) -> Problem:
     run = Plant.of(AXIS.replace(effects=list(effects))).closed_loop(Q_REF, voltage_noise=voltage)
     record = Record(t=run.t, q_ref=Q_REF, q=run.q, u=run.u, period=1e-3)
     splits = (split(record),)
-    floor = floor_of_laps((record,), splits, AXIS.drive.force_gain)
+    floor = floor_of_laps((AXIS.drive.force_gain * record.u,), splits, record.period)
     return Problem(AXIS, (record,), splits, floor.whitening)
 
 
