@@ -11,7 +11,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.discrepancy.confirm import Gap, Prediction
-from emps_design.discrepancy.locate import View
+from emps_design.discrepancy.locate import EVERYWHERE, View
 from emps_design.quantities import display_unit
 
 SCHEMA = "emps-design/diagnosis/1"
@@ -53,10 +53,11 @@ class Finding:
         numbers = ", ".join(
             f"{name.replace('_', ' ')} {in_unit(table['value'], table['std'], table['unit'])}"
             for name, table in self.parameters.items()
-            if table["std"] > 0 and not table.get("per_record")
+            if (table["std"] > 0 or self.channel == "controller") and not table.get("per_record")
         )
         others = f" (or {', '.join(e.replace('_', ' ') for e in self.equivalents)})" if self.equivalents else ""
-        return f"{self.where['text']}: {self.label}{others}" + (f", {numbers}" if numbers else "")
+        place = "" if self.where["text"] == EVERYWHERE else f"{self.where['text']}: "
+        return f"{place}{self.label}{others}" + (f", {numbers}" if numbers else "")
 
 
 def in_unit(value: float, std: float, unit: str) -> str:
@@ -66,6 +67,8 @@ def in_unit(value: float, std: float, unit: str) -> str:
     '1.600 +- 0.002 ms'
     """
     shown, factor = display_unit(value, unit)
+    if std <= 0:
+        return f"{value * factor:.4g} {shown}".rstrip()
     places = max(0, -math.floor(math.log10(std * factor)))
     return f"{value * factor:.{places}f} +- {std * factor:.{places}f} {shown}".rstrip()
 

@@ -16,6 +16,7 @@ from emps_design.records import Record
 SHARE = 0.8  # of the improvement that an extent holds
 LOCAL = 0.6  # an extent is worth words when it covers less than this share of what the record visits
 SLOW = 1e-3  # m/s, from which on an extent of velocity begins at rest
+EVERYWHERE = "everywhere the record goes"
 REVERSAL_TIME = 0.1  # s on both sides of a reversal
 
 
@@ -108,7 +109,7 @@ def extent(record: Record, v: np.ndarray, improvement: np.ndarray, window: np.nd
     lower = -velocity[1] if forwards < SHARE else velocity[0]
     upper = velocity[1] if forwards > 1 - SHARE else -velocity[0]
     return {
-        "text": ", ".join(words) or "everywhere the record goes",
+        "text": ", ".join(words) or EVERYWHERE,
         "velocity": [float(lower), float(upper)],
         "position": [float(x) for x in position],
         "time": [[float(x) for x in time]],
