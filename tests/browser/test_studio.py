@@ -211,5 +211,7 @@ def test_a_record_is_diagnosed_and_the_work_can_be_cancelled(page, rippled, pict
     page.screenshot(path=picture("studio-diagnosis"), full_page=True)
     page.get_by_role("button", name="Design on this model").click()
     turn_to(page, "Design")
-    assert "diagnosed on rippled" in page.get_by_label("Axis", exact=True).input_value()
+    from playwright.sync_api import expect
+
+    expect(page.get_by_label("Axis", exact=True)).to_have_value(re.compile("diagnosed on rippled"), timeout=20_000)
     assert sampled_margin(page).endswith("°")
