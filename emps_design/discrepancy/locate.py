@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.discrepancy.missing_force import MissingForce
+from emps_design.discrepancy.missing_force import MissingForce, near_reversals
 from emps_design.records import Record
 
 SHARE = 0.8  # of the improvement that an extent holds
@@ -90,7 +90,7 @@ def extent(record: Record, v: np.ndarray, improvement: np.ndarray, window: np.nd
     position, near = _shortest(record.q, gain, window)
     time, when = _shortest(record.t, gain, window)
     forwards = float(gain[v > 0].sum() / max(gain.sum(), 1e-30))
-    turning = near_reversals(v, record.period)
+    turning = near_reversals(v, record.period, REVERSAL_TIME)
     around = float(gain[turning].sum() / max(gain.sum(), 1e-30))
     words = []
     if around > SHARE and turning[window].mean() < LOCAL:
@@ -115,15 +115,6 @@ def extent(record: Record, v: np.ndarray, improvement: np.ndarray, window: np.nd
         "time": [[float(x) for x in time]],
         "frequency": _band(improvement, window, record.period),
     }
-
-
-def near_reversals(v: np.ndarray, period: float) -> np.ndarray:
-    """Samples (n,) bool within ``REVERSAL_TIME`` of a change of sign of ``v`` (n,)."""
-    near = np.zeros(v.size, bool)
-    reach = round(REVERSAL_TIME / period)
-    for edge in np.nonzero(np.diff(np.sign(v)) != 0)[0]:
-        near[max(0, edge - reach) : edge + reach + 1] = True
-    return near
 
 
 def _shortest(x: np.ndarray, gain: np.ndarray, window: np.ndarray, bins: int = 40) -> tuple[tuple[float, float], float]:

@@ -52,8 +52,13 @@ def missing_force(problem: Problem, model: Candidate, cutoff_hz: float = CUTOFF_
 def away_from_reversals(v: np.ndarray, period: float, margin: float = REVERSAL_MARGIN) -> np.ndarray:
     """Samples (n,) bool in which ``v`` (n,) [m/s] keeps its sign for ``margin`` [s] on both sides."""
     sliding = np.abs(v) > max(SLOWEST, 0.01 * float(np.abs(v).max()))
-    reach = max(1, round(margin / period))
+    return sliding & ~near_reversals(v, period, margin)
+
+
+def near_reversals(v: np.ndarray, period: float, margin: float) -> np.ndarray:
+    """Samples (n,) bool within ``margin`` [s] of a change of sign of ``v`` (n,)."""
     near = np.zeros(v.size, bool)
+    reach = max(1, round(margin / period))
     for edge in np.nonzero(np.diff(np.sign(v)) != 0)[0]:
         near[max(0, edge - reach) : edge + reach + 1] = True
-    return sliding & ~near
+    return near
