@@ -372,7 +372,7 @@ def test_general_simulator_runs_the_same_law(axis, lag, delay, force_sensor):
         np.zeros(len(task.reference)), disturbance=task.reference[:, 0], law=law_for(other, law, 1e-3)
     )
     np.testing.assert_allclose(general.position, own.q, atol=1e-9)
-    np.testing.assert_allclose(general.u, own.u, atol=1e-5)
+    np.testing.assert_allclose(general.u, own.u, atol=1e-6)
 
 
 def test_a_hard_push_is_not_an_instability(axis):
