@@ -46,6 +46,7 @@ bench: $(call MARK,$(EXTRAS))
 
 docs: $(call MARK,docs)
 	@$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	@test -f docs/_build/html/index.html || { echo "make docs: something ended the build before it wrote a page" >&2; exit 1; }
 	@echo "docs/_build/html/index.html"
 
 clean:

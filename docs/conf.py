@@ -6,7 +6,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent)]
 
-from gallery_examples import gallery_sources  # noqa: E402
+from gallery_examples import gallery_sources, needs_nothing  # noqa: E402
 
 from emps_design import __version__  # noqa: E402
 
@@ -20,21 +20,19 @@ extensions = [
     "effects_catalogue",
     "measured_tables",
     "reference_pages",
+    "sphinx_gallery.gen_gallery",
 ]
-EXAMPLES = gallery_sources(HERE.parent / "examples", HERE / "_build" / "examples")
-if EXAMPLES:
-    extensions.append("sphinx_gallery.gen_gallery")
-    sphinx_gallery_conf = {
-        "examples_dirs": str(EXAMPLES),
-        "gallery_dirs": "gallery",
-        "filename_pattern": r"/[0-9]",
-        "abort_on_example_error": True,
-        "download_all_examples": False,
-        "show_memory": False,
-        "within_subsection_order": "FileNameSortKey",
-        "min_reported_time": 1e9,
-        "reset_argv": "gallery_examples.arguments",
-    }
+sphinx_gallery_conf = {
+    "examples_dirs": str(gallery_sources(HERE.parent / "examples", HERE / "_build" / "examples")),
+    "gallery_dirs": "gallery",
+    "filename_pattern": needs_nothing(HERE.parent / "examples"),
+    "abort_on_example_error": True,
+    "download_all_examples": False,
+    "show_memory": False,
+    "within_subsection_order": "FileNameSortKey",
+    "min_reported_time": 1e9,
+    "reset_argv": "gallery_examples.arguments",
+}
 
 html_theme = "furo"
 html_title = f"emps_design {release}"

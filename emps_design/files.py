@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import platform
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from glob import escape
 from pathlib import Path
 
 from emps_design.errors import InputError
@@ -15,8 +17,9 @@ from emps_design.errors import InputError
 def write_aside(path: str | Path) -> Iterator[Path]:
     """Give a temporary path beside ``path`` to write to, and rename it when the block ends well.
 
-    A failure or an interrupt leaves neither a half-written file nor a changed old one. Raises :class:`InputError`
-    when the folder does not exist or cannot be written.
+    A failure, an interrupt or a kill leaves neither a half-written file nor a changed old one. What a killed process
+    leaves aside, a hidden file that ends in ``.part``, goes with the next writing of ``path``. Raises
+    :class:`InputError` when the folder does not exist or cannot be written.
 
     >>> import tempfile
     >>> folder = Path(tempfile.mkdtemp())
@@ -30,8 +33,9 @@ def write_aside(path: str | Path) -> Iterator[Path]:
         raise InputError(f"{path}: folder {path.parent} does not exist; make it first")
     if path.is_dir():
         raise InputError(f"{path}: is a folder, expected the name of a file to write")
+    _remove_abandoned(path)
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f"{_aside(path)}.{os.getpid()}.", suffix=".part")
     except OSError as error:
         raise InputError(f"{path}: cannot write there, {error.strerror}") from error
     os.close(handle)
@@ -48,6 +52,31 @@ def write_text(path: str | Path, text: str) -> None:
     """Write ``text`` to ``path`` as UTF-8, whole or not at all."""
     with write_aside(path) as aside:
         aside.write_text(text, encoding="utf-8")
+
+
+def _aside(path: Path) -> str:
+    """How the names of files beside ``path`` start that this machine writes; the process number follows."""
+    return f".{path.name}.{platform.node()}"
+
+
+def _remove_abandoned(path: Path) -> None:
+    """Remove what processes of this machine that are no more have left beside ``path``."""
+    for left in path.parent.glob(f"{escape(_aside(path))}.*.part"):
+        process = left.name.removeprefix(f"{_aside(path)}.").split(".")[0]
+        if process.isdigit() and not _lives(int(process)):
+            left.unlink(missing_ok=True)
+
+
+def _lives(process: int) -> bool:
+    if os.name != "posix":  # no signal 0 elsewhere, it would end the process
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
 
 
 def _umask() -> int:

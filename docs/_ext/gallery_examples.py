@@ -5,15 +5,11 @@ import re
 from pathlib import Path
 
 
-def gallery_sources(examples: Path, target: Path) -> Path | None:
-    """Copy the scripts to ``target`` with their titles underlined; None where there are none."""
-    scripts = sorted(examples.glob("[0-9]*.py"))
-    if not scripts:
-        return None
+def gallery_sources(examples: Path, target: Path) -> Path:
+    """Copy the scripts to ``target`` with their titles underlined."""
     target.mkdir(parents=True, exist_ok=True)
-    for script in scripts:
-        text = script.read_text(encoding="utf-8")
-        docstring = ast.get_docstring(ast.parse(text), clean=False) or script.stem
+    for script in scripts(examples):
+        text, docstring = script.read_text(encoding="utf-8"), docstring_of(script)
         title, _, rest = docstring.partition("\n")
         title = title.strip().rstrip(".")
         heading = f"{title}\n{'=' * len(title)}\n{rest}"
@@ -28,11 +24,30 @@ def gallery_sources(examples: Path, target: Path) -> Path | None:
     return target
 
 
+def needs_nothing(examples: Path) -> str:
+    """A pattern of the scripts that the gallery runs: all but those which cannot do without a file of the reader's."""
+    return "/(" + "|".join(script.stem for script in scripts(examples) if not required(script)) + r")\.py$"
+
+
+def scripts(examples: Path) -> list[Path]:
+    """The examples in their order."""
+    return sorted(examples.glob("[0-9]*.py"))
+
+
+def required(script: Path) -> bool:
+    """Whether the docstring of ``script`` shows an argument without brackets."""
+    return re.search(r"\.py\s+[A-Z]", docstring_of(script)) is not None
+
+
+def docstring_of(script: Path) -> str:
+    """The docstring as it is written."""
+    return ast.get_docstring(ast.parse(script.read_text(encoding="utf-8")), clean=False) or script.stem
+
+
 def arguments(gallery_conf: dict, script_vars: dict) -> list[str]:
     """A name for the figure where that is a script's first argument."""
     source = Path(script_vars["src_file"])
-    docstring = ast.get_docstring(ast.parse(source.read_text(encoding="utf-8"))) or ""
-    return figure_argument(docstring, source.stem)
+    return figure_argument(docstring_of(source), source.stem)
 
 
 def figure_argument(docstring: str, stem: str) -> list[str]:

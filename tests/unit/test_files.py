@@ -1,0 +1,69 @@
+"""Files are whole or absent, and what a killed process leaves aside goes with the next writing."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from emps_design.errors import InputError
+from emps_design.files import write_aside, write_text
+
+HALF_WAY = """
+import sys, time
+from emps_design.files import write_aside
+with write_aside(sys.argv[1]) as aside:
+    aside.write_text("half")
+    print("half", flush=True)
+    time.sleep(60)
+"""
+
+
+def killed_half_way(path) -> int:
+    """Kill a process while it writes ``path``; its number."""
+    with subprocess.Popen([sys.executable, "-c", HALF_WAY, str(path)], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "half\n"
+        process.kill()
+    assert process.returncode == -signal.SIGKILL
+    return process.pid
+
+
+def test_a_kill_leaves_the_old_file_and_the_next_writing_cleans_up(tmp_path):
+    path = tmp_path / "[a] model.toml"  # brackets mean something to glob
+    write_text(path, "old")
+    process = killed_half_way(path)
+    assert path.read_text() == "old"
+    assert [str(process) in left.name for left in tmp_path.glob(".*.part")] == [True]
+    write_text(path, "new")
+    assert [left.name for left in tmp_path.iterdir()] == [path.name]
+    assert path.read_text() == "new"
+
+
+def test_what_another_writes_at_this_moment_stays(tmp_path):
+    path = tmp_path / "model.toml"
+    with write_aside(path) as aside:
+        aside.write_text("first")
+        write_text(path, "second")
+        assert aside.exists()
+    assert path.read_text() == "first"
+
+
+def test_a_failure_leaves_nothing(tmp_path):
+    with pytest.raises(ZeroDivisionError), write_aside(tmp_path / "model.toml") as aside:
+        aside.write_text(str(1 / 0))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_folder_is_told_before_the_work(tmp_path):
+    with pytest.raises(InputError, match="folder .* does not exist; make it first"):
+        write_text(tmp_path / "nowhere" / "model.toml", "")
+    with pytest.raises(InputError, match="is a folder, expected the name of a file to write"):
+        write_text(tmp_path, "")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root writes everywhere")
+def test_a_folder_that_cannot_be_written(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(InputError, match="cannot write there"):
+        write_text(tmp_path / "model.toml", "")
