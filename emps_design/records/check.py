@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.errors import RecordError
-from emps_design.records.columns import UNITS, read_titles
+from emps_design.records.columns import UNITS, Title, read_titles
 
 SHORTEST = 50  # samples; less than this says nothing about an axis
 LONGEST = 5_000_000  # samples; keeps what works on a record well under 1 GiB
@@ -25,33 +25,36 @@ SMALLEST_STROKE = 1e-5  # m
 SMALLEST_VOLTAGE = 1e-3  # V
 
 
-def checked(columns: Mapping[str, Any], source: str, first_row: int = 0, period: float = 0.0) -> dict[str, Any]:
+def checked(columns: dict[str, Any], source: str, first_row: int = 0, period: float = 0.0) -> dict[str, Any]:
     """Return the signals of a record from ``columns`` (title to values), or raise :class:`RecordError`.
 
     ``source`` names the file and ``first_row`` the row of the first sample in messages. ``period`` [s] overrules the
-    one found in the time column.
+    one found in the time column. ``columns`` is emptied on the way: no signal of a long record is in memory twice.
     """
     titles = read_titles(list(columns), source)
     named: dict[str, np.ndarray] = {}
     extra: dict[str, Any] = {}
     notes: list[str] = []
-    for title, values in zip(titles, columns.values(), strict=True):
+    for title, key in zip(titles, list(columns), strict=True):
+        values = columns.pop(key)
         if not title.name:
             extra[title.text] = values
             continue
-        named[title.name] = _vector(values, title.text, source) * title.factor
+        named[title.name] = _vector(values, title, source)
         if title.factor != 1.0:
             notes.append(f"{title.name}: converted from {title.unit} to {UNITS[title.name]}")
     _same_length(named, source)
     for column, values in named.items():
         _finite(values, column, source, first_row)
-    found, jitter_notes = _period(named["t"], source, first_row)
+    found, jitter_notes = _period(named.pop("t"), source, first_row)
     notes += jitter_notes
     period = period or found
     _moving(named, source)
     _plausible(named, period, source)
+    t = np.arange(named["q"].size, dtype=float)
+    t *= period
     return {
-        "t": np.arange(named["t"].size) * period,
+        "t": t,
         "q_ref": named["q_ref"],
         "q": named["q"],
         "u": named["u"],
@@ -62,15 +65,17 @@ def checked(columns: Mapping[str, Any], source: str, first_row: int = 0, period:
     }
 
 
-def _vector(values: Any, title: str, source: str) -> np.ndarray:
+def _vector(values: Any, title: Title, source: str) -> np.ndarray:
     array = np.asarray(values)
     if array.dtype.kind not in "buif":
-        raise RecordError(f"{source}: column {title!r}: found {array.dtype} values, expected real numbers")
+        raise RecordError(f"{source}: column {title.text!r}: found {array.dtype} values, expected real numbers")
     if array.ndim > 1 and array.size != max(array.shape):
-        raise RecordError(f"{source}: column {title!r}: found shape {array.shape}, expected one value a sample")
+        raise RecordError(f"{source}: column {title.text!r}: found shape {array.shape}, expected one value a sample")
     if array.size > LONGEST:
-        raise RecordError(f"{source}: column {title!r}: found {array.size} samples, expected at most {LONGEST}; cut it")
-    return np.array(array.ravel(), dtype=float)
+        raise RecordError(
+            f"{source}: column {title.text!r}: found {array.size} samples, expected at most {LONGEST}; cut it"
+        )
+    return np.multiply(array.ravel(), title.factor, dtype=float)
 
 
 def _same_length(named: Mapping[str, np.ndarray], source: str) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Iterator
+from typing import BinaryIO
 
 import numpy as np
 
@@ -27,12 +28,12 @@ def is_v5(content: bytes) -> bool:
     return len(content) >= HEADER and content[126:128] in (b"IM", b"MI")
 
 
-def read_v5(content: bytes, source: str, max_bytes: int) -> dict[str, np.ndarray]:
+def read_v5(file: BinaryIO, source: str, max_bytes: int) -> dict[str, np.ndarray]:
     """Return the real numeric arrays of a MATLAB v5 file by name; together they may take ``max_bytes`` unpacked."""
-    order = "<" if content[126:128] == b"IM" else ">"
+    order = "<" if file.read(HEADER)[126:128] == b"IM" else ">"
     columns: dict[str, np.ndarray] = {}
     left = max_bytes
-    for kind, data in _elements(memoryview(content)[HEADER:], order, source):
+    for kind, data in _variables(file, order, source, max_bytes):
         unpacked = _unpacked(data, source, left) if kind == COMPRESSED else data
         left -= len(unpacked)
         if left < 0:
@@ -42,6 +43,23 @@ def read_v5(content: bytes, source: str, max_bytes: int) -> dict[str, np.ndarray
             if part == ARRAY:
                 columns.update(_array(array, order, source))
     return columns
+
+
+def _variables(file: BinaryIO, order: str, source: str, max_bytes: int) -> Iterator[tuple[int, memoryview]]:
+    """Type and data of each element of the file, one at a time."""
+    while tag := file.read(8):
+        if len(tag) < 8:
+            raise _damaged(source, "it ends inside a variable")
+        kind, size = (int(word) for word in np.frombuffer(tag, dtype=f"{order}u4"))
+        if kind >> 16:  # a small element, whose data is in its tag
+            yield from _elements(memoryview(tag), order, source)
+            continue
+        data = file.read(min(size, max_bytes + 1))
+        if len(data) < size:
+            raise _damaged(source, "it ends inside a variable")
+        yield kind, memoryview(data)
+        if kind != COMPRESSED:
+            file.read(-size % 8)
 
 
 def _elements(data: memoryview, order: str, source: str) -> Iterator[tuple[int, memoryview]]:

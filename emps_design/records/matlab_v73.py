@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import math
+from typing import BinaryIO
 
 import numpy as np
 
@@ -18,18 +18,18 @@ def is_v73(content: bytes) -> bool:
     return any(content[at : at + 8] == HDF5 for at in HDF5_OFFSETS)
 
 
-def read_v73(content: bytes, source: str, max_bytes: int) -> dict[str, np.ndarray]:
+def read_v73(file: BinaryIO, source: str, max_bytes: int) -> dict[str, np.ndarray]:
     """Return the numeric arrays of a MATLAB v7.3 file by name; together they may take ``max_bytes`` unpacked."""
     import h5py
 
     try:
-        with h5py.File(io.BytesIO(content), "r") as file:
+        with h5py.File(file, "r") as opened:
             columns: dict[str, np.ndarray] = {}
             unpacked = 0
-            for name in file:
-                if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+            for name in opened:
+                if not isinstance(opened.get(name, getlink=True), h5py.HardLink):
                     continue  # a soft or external link may lead anywhere
-                data = file[name]
+                data = opened[name]
                 if not isinstance(data, h5py.Dataset) or data.dtype.kind not in "buif":
                     continue
                 if data.external or data.is_virtual:

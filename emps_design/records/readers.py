@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import stat
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
-from emps_design.errors import RecordError
+from emps_design.errors import InputError, RecordError
 from emps_design.records.archives import read_archive
 from emps_design.records.check import checked
 from emps_design.records.matlab_v5 import is_v5, read_v5
@@ -17,6 +19,8 @@ from emps_design.records.record import Record
 from emps_design.records.tables import read_table
 
 MAX_BYTES = 250_000_000  # of a file, and again of what it unpacks to: two hours at 1 kHz
+
+HEAD = 4096  # bytes that say what a file is
 
 _KINDS = {".mat": "MATLAB v5 or v7.3 file", ".npz": "NumPy archive", ".csv": "text table"}
 _TEXT = (".csv", ".txt", ".tsv")
@@ -39,13 +43,12 @@ def read_record(path: str | Path, max_bytes: int = MAX_BYTES) -> Record:
             raise RecordError(f"{path}: is not an ordinary file, expected a .mat, .csv or .npz record")
         _refuse_large(status.st_size, str(path), max_bytes)
         with path.open("rb") as file:
-            content = file.read(max_bytes + 1)
+            return _read(file, path.name, str(path), max_bytes)
     except (OSError, ValueError) as error:
-        if isinstance(error, RecordError):
+        if isinstance(error, InputError):
             raise
         reason = getattr(error, "strerror", None) or str(error)
         raise RecordError(f"{path}: {reason}; expected a .mat, .csv or .npz record") from error
-    return record_from_bytes(content, path.name, str(path), max_bytes)
 
 
 def record_from_bytes(content: bytes, name: str, source: str | None = None, max_bytes: int = MAX_BYTES) -> Record:
@@ -58,39 +61,47 @@ def record_from_bytes(content: bytes, name: str, source: str | None = None, max_
     """
     source = source or name
     _refuse_large(len(content), source, max_bytes)
-    if not content.strip():
+    return _read(io.BytesIO(content), name, source, max_bytes)
+
+
+def _read(file: BinaryIO, name: str, source: str, max_bytes: int) -> Record:
+    """Read the open ``file``: readers go through it piece by piece, it is never in memory as a whole."""
+    head = file.read(HEAD)
+    if not head.strip():
         raise RecordError(f"{source}: is empty, expected a .mat, .csv or .npz record")
     suffix = Path(name).suffix.lower()
-    found = _kind(content)
+    found = _kind(head)
     expected = ".csv" if suffix in _TEXT else suffix if suffix in _KINDS else found
     if found != expected:
         raise RecordError(
-            f"{source}: found {_described(content, found)}, expected a {_KINDS[expected]} as its name says"
+            f"{source}: found {_described(head, found)}, expected a {_KINDS[expected]} as its name says"
             f"{'; save it with save -v7' if expected == '.mat' else ''}"
         )
+    file.seek(0)
+    digest = hashlib.file_digest(file, "sha256").hexdigest()
+    file.seek(0)
     first_row = 0
     columns: dict[str, np.ndarray]
     if found == ".npz":
-        columns = read_archive(content, source, max_bytes)
+        columns = read_archive(file, source, max_bytes)
     elif found == ".mat":
-        reader = read_v5 if is_v5(content) and not is_v73(content) else read_v73
-        columns = {n: v for n, v in reader(content, source, max_bytes).items() if not n.startswith("__")}
+        reader = read_v5 if is_v5(head) and not is_v73(head) else read_v73
+        columns = {n: v for n, v in reader(file, source, max_bytes).items() if not n.startswith("__")}
     else:
-        columns, first_row = read_table(content, source)
-    signals = checked(columns, source, first_row)
-    return Record(name=Path(name).stem, sha256=hashlib.sha256(content).hexdigest(), **signals)
+        columns, first_row = read_table(file, source)
+    return Record(name=Path(name).stem, sha256=digest, **checked(columns, source, first_row))
 
 
-def _kind(content: bytes) -> str:
-    if content[:4] == b"PK\x03\x04":
+def _kind(head: bytes) -> str:
+    if head[:4] == b"PK\x03\x04":
         return ".npz"
-    return ".mat" if is_v73(content) or is_v5(content) else ".csv"
+    return ".mat" if is_v73(head) or is_v5(head) else ".csv"
 
 
-def _described(content: bytes, kind: str) -> str:
+def _described(head: bytes, kind: str) -> str:
     if kind != ".csv":
         return f"a {_KINDS[kind]}"
-    return "text" if b"\0" not in content[:4096] else "something else"
+    return "text" if b"\0" not in head else "something else"
 
 
 def _refuse_large(size: int, source: str, max_bytes: int) -> None:

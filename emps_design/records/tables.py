@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import csv
+import io
+from collections.abc import Iterator
 from contextlib import suppress
 from itertools import islice
+from typing import BinaryIO, TextIO
 
 import numpy as np
 
@@ -13,47 +16,75 @@ from emps_design.records.check import LONGEST
 from emps_design.records.columns import read_titles
 
 DELIMITERS = (";", "\t", ",")
+PIECE = 1 << 20  # characters that are looked through at a time
+BLOCK = 50_000  # rows that are read at a time
 
 
-def read_table(content: bytes, source: str) -> tuple[dict[str, np.ndarray], int]:
-    """Return the columns of a text table by title, and the row of the file in which its first sample stands."""
-    text = _text(content, source)
-    if text.count("\n") > LONGEST:
-        raise RecordError(
-            f"{source}: found more than {LONGEST} rows, expected fewer; cut the record or save it as .npz"
-        )
-    lines = text.splitlines()
-    del text
-    start = next((i for i, line in enumerate(lines) if line.strip() and not line.startswith("#")), None)
-    if start is None:
+def read_table(file: BinaryIO, source: str) -> tuple[dict[str, np.ndarray], int]:
+    """Return the columns of a text table by title, and the row of the file in which its first sample stands.
+
+    It is gone through twice, to count its rows and to read them block by block: its text is never whole in memory.
+    """
+    encoding = "utf-16" if file.read(2) in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    file.seek(0)
+    text = io.TextIOWrapper(file, encoding=encoding)
+    try:
+        return _read(text, _rows(text, source), source)
+    except UnicodeDecodeError as error:
+        place = file.tell() - len(error.object) + error.start
+        raise RecordError(f"{source}: byte {place}: not {encoding[:6].rstrip('-')} text, expected a table") from error
+    finally:
+        text.detach()
+
+
+def _rows(text: TextIO, source: str) -> int:
+    """How many rows there are at most; binary data and too many are refused."""
+    rows = 1
+    while piece := text.read(PIECE):
+        if "\0" in piece:
+            raise RecordError(f"{source}: found binary data, expected a text table")
+        rows += piece.count("\n")
+        if rows > LONGEST + 1:
+            raise RecordError(
+                f"{source}: found more than {LONGEST} rows, expected fewer; cut the record or save it as .npz"
+            )
+    text.seek(0)
+    return rows
+
+
+def _read(text: TextIO, rows: int, source: str) -> tuple[dict[str, np.ndarray], int]:
+    start, header = next(((i, line) for i, line in enumerate(text) if line.strip() and line[0] != "#"), (0, ""))
+    if not header:
         raise RecordError(f"{source}: found no rows, expected a header and samples")
-    delimiter = max(DELIMITERS, key=lines[start].count)
-    titles = [cell.strip() for cell in next(csv.reader([lines[start]], delimiter=delimiter))]
+    delimiter = max(DELIMITERS, key=header.count)
+    titles = [cell.strip() for cell in next(csv.reader([header], delimiter=delimiter))]
     while titles and not titles[-1]:
         titles.pop()
     if all(_number(title) is not None for title in titles):
         raise RecordError(f"{source}: row {start + 1}: found numbers, expected a header such as t;q_ref;q;u")
     wanted = [i for i, title in enumerate(read_titles(titles, source)) if title.name]
-    rows = lines[start + 1 :]
-    while rows and not rows[-1].strip():
-        rows.pop()
-    if not rows:
+    columns, filled, first = [np.empty(rows) for _ in wanted], 0, start + 2
+    for block in _blocks(text):
+        numbers = _parse(block, delimiter, wanted, titles, source, first + filled)
+        for k, column in enumerate(columns):
+            column[filled : filled + len(block)] = numbers[:, k]
+        filled += len(block)
+    if not filled:
         raise RecordError(f"{source}: found a header and no samples")
-    table = _parse(rows, delimiter, wanted, titles, source, start + 2)
-    return {titles[i]: table[:, k] for k, i in enumerate(wanted)}, start + 2
+    return {titles[i]: column[:filled] for i, column in zip(wanted, columns, strict=True)}, first
 
 
-def _text(content: bytes, source: str) -> str:
-    encoding = "utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-    try:
-        text = content.decode(encoding)
-    except UnicodeDecodeError as error:
-        raise RecordError(
-            f"{source}: byte {error.start}: not {encoding[:6].rstrip('-')} text, expected a table"
-        ) from error
-    if "\0" in text:
-        raise RecordError(f"{source}: found binary data, expected a text table")
-    return text
+def _blocks(text: TextIO) -> Iterator[list[str]]:
+    """The rows that are left, some at a time; blank ones at the end of the file are left out."""
+    blank: list[str] = []
+    while rows := list(islice(text, BLOCK)):
+        rows = blank + rows
+        kept = len(rows)
+        while kept and not rows[kept - 1].strip():
+            kept -= 1
+        rows, blank = rows[:kept], rows[kept:]
+        if rows:
+            yield rows
 
 
 def _parse(

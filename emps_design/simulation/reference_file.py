@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,7 @@ def read_reference(path: str | Path, period: float) -> tuple[np.ndarray, np.ndar
     if len(content) > MAX_BYTES:
         raise RecordError(f"{path}: found {len(content)} bytes, expected at most {MAX_BYTES}")
     if content[:2] == b"PK":
-        columns = read_archive(content, str(path), MAX_BYTES)
+        columns = read_archive(io.BytesIO(content), str(path), MAX_BYTES)
     else:
         columns = _table(content, path)
     named = {}
