@@ -22,7 +22,7 @@ CALM = 0.8  # a swing that shrinks to this share of itself within a second calms
 class WallContact:
     """A push of ``force`` [N] into a wall of ``stiffness`` [N/m] at ``position`` [m], let go at ``release`` [s].
 
-    ``t`` [s], ``q`` [m], ``v`` [m/s], ``push`` [N], ``wall_force`` [N] on the carriage, negative against q: arrays (n,),
+    ``t`` [s], ``q`` [m], ``v`` [m/s], ``push`` [N], ``wall_force`` [N] (negative): arrays (n,),
     empty where the simulation found the loop unstable and gave up; ``reason`` says so.
     """
 

@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
 
@@ -126,16 +127,20 @@ def test_same_input_same_seed_same_bytes(name, capsys, folder, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["gains", "identify"])
+@pytest.mark.parametrize("name", [*DOCUMENTS, "diagnose"])
 def test_same_bytes_in_another_process(name, folder, tmp_path):
-    line, _ = DOCUMENTS[name]
-    words = line.format(record=folder / "record.npz", axis=folder / "axis.toml", out=tmp_path / "out").split()
+    line = "diagnose {record} --axis {axis} --out {out}" if name == "diagnose" else DOCUMENTS[name][0]
+    out = tmp_path / "out"
+    words = line.format(record=folder / "record.npz", axis=folder / "axis.toml", out=out).split()
     command = [sys.executable, "-m", "emps_design.cli", *words, "--json"]
-    outputs = []
+    outcomes = []
     for seed in ("1", "2"):
         environment = {**os.environ, "PYTHONHASHSEED": seed}
-        outputs.append(subprocess.run(command, env=environment, capture_output=True, check=True, timeout=120).stdout)
-    assert outputs[0] == outputs[1]
+        said = subprocess.run(command, env=environment, capture_output=True, check=True, timeout=250).stdout
+        files = {path.name: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+        outcomes.append((said, files))
+        shutil.rmtree(out, ignore_errors=True)
+    assert outcomes[0] == outcomes[1]
 
 
 def test_gains_start_fast():
