@@ -64,11 +64,11 @@ if len(sys.argv) > 1:
         figure, panels = plt.subplots(3, 1, sharex=True, layout="constrained")
         velocity = np.diff(record.q, prepend=record.q[0]) / record.period
         raw = (gain * record.u, velocity, np.gradient(velocity, record.period))
-        smooth = (filtered.force, filtered.motion.v, filtered.motion.a)
+        smooth = (filtered.force, *map(filtered.reduce, (filtered.motion.v, filtered.motion.a)))
         units = ("motor force [N]", "velocity [m/s]", "acceleration [m/s²]")
         for panel, measured, kept, unit in zip(panels, raw, smooth, units, strict=True):
             panel.plot(record.t, measured, "b", lw=0.4, label="measured")
-            panel.plot(filtered.t, filtered.reduce(kept), "r", lw=0.8, label="filtered")
+            panel.plot(filtered.t, kept, "r", lw=0.8, label="filtered")
             panel.set(ylabel=unit)
         panels[0].set_title("Fig. 5: measured and filtered")
         panels[0].legend()

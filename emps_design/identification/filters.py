@@ -19,7 +19,7 @@ from emps_design.records import Record
 REPORT_CUTOFF = 100.0  # Hz, five times the 20 Hz band of interest of the 2019 report
 REPORT_DROPPED = 49  # first samples, spoilt by the ends of filter and differences
 DECIMATION = 10
-BLOCK = 500_000  # samples that are filtered at a time
+BLOCK = 200_000  # samples that are filtered at a time
 REST_VELOCITY = 2e-3  # m/s, below it friction may be that of rest
 FEWEST_ROWS = 400  # away from rest, for a regression that leaves rest out
 REACH = 1.5  # periods of the cut-off over which the low-pass spreads a jump
@@ -29,33 +29,25 @@ REACH = 1.5  # periods of the cut-off over which the low-pass spreads a jump
 class Filtered:
     """A record after its chain of filters.
 
-    ``motion`` and ``force`` [N] have one row a sample of the record that was kept; ``reduce`` brings one such column
-    to the rate of the regression, ``rows`` picks the same samples unfiltered, and ``used`` says which take part.
-    ``cutoff_hz`` [Hz] is the low-pass of the position (None: the chain has none), ``band_hz`` [Hz] what the regression
-    sees.
+    ``motion`` has one row a sample of the record that was kept (None once W is made of it), and ``reduce`` brings such
+    a column to the rate of the regression. At that rate are ``t`` [s], ``force`` [N] and ``f_ext`` [N], which rows are
+    ``used``, and which lie ``away`` from rest; ``period`` [s] is the time between two rows. ``cutoff_hz`` [Hz] is the
+    low-pass of the position (None: the chain has none), ``band_hz`` [Hz] what the regression sees.
     """
 
     chain: str
-    motion: Motion
+    motion: Motion | None = field(repr=False)
+    t: np.ndarray = field(repr=False)
     force: np.ndarray
     f_ext: np.ndarray | None
     reduce: Callable[[np.ndarray], np.ndarray] = field(repr=False)
-    rows: slice
     used: np.ndarray = field(repr=False)
+    away: np.ndarray = field(repr=False)
+    period: float
     cutoff_hz: float | None
     band_hz: float
     decimation: int
     text: str
-
-    @property
-    def t(self) -> np.ndarray:
-        """Time of the rows of the regression [s]."""
-        return self.motion.t[self.rows]
-
-    @property
-    def period(self) -> float:
-        """Time between two rows of the regression [s]."""
-        return self.motion.period * self.decimation
 
 
 def low_pass(signal: np.ndarray, cutoff_hz: float, period: float, order: int = 4) -> np.ndarray:
@@ -96,8 +88,8 @@ def decimate(signal: np.ndarray, factor: int = DECIMATION) -> np.ndarray:
         return signal
     share = 0.8 / factor
     sections = cheby1(8, 0.05, share, output="sos")
-    smooth = _forwards_and_backwards(sections, signal, _padding(8, len(signal)), share)
-    return smooth[decimated_rows(len(signal), factor)].copy()
+    rows = decimated_rows(len(signal), factor)
+    return _forwards_and_backwards(sections, signal, _padding(8, len(signal)), share, rows)
 
 
 def decimated_rows(n: int, factor: int = DECIMATION) -> slice:
@@ -130,7 +122,7 @@ def motion(record: Record, cutoff_hz: float) -> Motion:
     return Motion(
         t=record.t,
         q=q,
-        v=np.gradient(q, record.period),
+        v=_central_difference(q, record.period),
         a=_second_difference(q, record.period),
         tau=np.zeros_like(q),
         period=record.period,
@@ -161,30 +153,19 @@ def report_chain(record: Record, force_gain: float, cutoff_hz: float | None = No
     dropped, columns and raw force decimated by 10. It sees the hold as half a sample of delay.
     """
     cutoff_hz = cutoff_hz or REPORT_CUTOFF
+    force = _decimated(record.u, force_gain)
     q = low_pass(record.q, cutoff_hz, record.period)
-    v = np.gradient(q, record.period)
-    kept = slice(REPORT_DROPPED, None)
-    seen = Motion(
-        t=record.t[kept],
-        q=q[kept],
-        v=v[kept],
-        a=np.gradient(v, record.period)[kept],
-        tau=np.zeros(len(q) - REPORT_DROPPED),
-        period=record.period,
-        force_gain=force_gain,
-    )
-    return Filtered(
-        chain="report",
-        motion=seen,
-        force=force_gain * record.u[kept],
-        f_ext=None if record.f_ext is None else record.f_ext[kept],
-        reduce=decimate,
-        rows=decimated_rows(len(seen.t)),
-        used=np.ones(-(-len(seen.t) // DECIMATION), dtype=bool),
-        cutoff_hz=cutoff_hz,
-        band_hz=min(cutoff_hz, 0.8 * 0.5 / (DECIMATION * record.period)),
-        decimation=DECIMATION,
-        text=f"position: Butterworth order 4 at {cutoff_hz:g} Hz, forwards and backwards; central differences; "
+    v = _central_difference(q, record.period)
+    a = _central_difference(v, record.period)
+    return _decimating(
+        "report",
+        record,
+        (q, v, a),
+        force_gain,
+        force,
+        None if record.f_ext is None else _decimated(record.f_ext),
+        cutoff_hz,
+        f"position: Butterworth order 4 at {cutoff_hz:g} Hz, forwards and backwards; central differences; "
         f"first {REPORT_DROPPED} samples dropped; all columns decimated by {DECIMATION}",
     )
 
@@ -198,29 +179,56 @@ def paper_chain(record: Record, force_gain: float, cutoff_hz: float | None = Non
     """
     if cutoff_hz is not None:
         raise InputError("cut-off: the paper's chain has none, its low-pass is the decimation's; use --filter hold")
+    force = _decimated(median_of_three(record.u), force_gain)
     v = median_of_three(np.diff(record.q, prepend=record.q[0]) / record.period)
-    kept = slice(REPORT_DROPPED, None)
-    seen = Motion(
-        t=record.t[kept],
-        q=median_of_three(record.q)[kept],
-        v=v[kept],
-        a=median_of_three(np.gradient(v, record.period))[kept],
-        tau=np.zeros(len(v) - REPORT_DROPPED),
-        period=record.period,
-        force_gain=force_gain,
+    a = median_of_three(_central_difference(v, record.period))
+    return _decimating(
+        "paper",
+        record,
+        (median_of_three(record.q), v, a),
+        force_gain,
+        force,
+        None if record.f_ext is None else _decimated(median_of_three(record.f_ext)),
+        None,
+        f"backward difference, median of 3, central difference of that velocity, decimated by {DECIMATION}",
     )
+
+
+def _decimated(signal: np.ndarray, gain: float = 1.0) -> np.ndarray:
+    return gain * decimate(signal[REPORT_DROPPED:])
+
+
+def _decimating(
+    chain: str,
+    record: Record,
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
+    force_gain: float,
+    force: np.ndarray,
+    f_ext: np.ndarray | None,
+    cutoff_hz: float | None,
+    text: str,
+) -> Filtered:
+    """The chains that drop the first samples and decimate every column."""
+    kept = slice(REPORT_DROPPED, None)
+    q, v, a = (signal[kept] for signal in motion)
+    seen = Motion(record.t[kept], q, v, a, np.zeros(len(q)), record.period, force_gain=force_gain)
+    rows = decimated_rows(len(q))
+    band = 0.8 * 0.5 / (DECIMATION * record.period)
+    band = band if cutoff_hz is None else min(cutoff_hz, band)
     return Filtered(
-        chain="paper",
+        chain=chain,
         motion=seen,
-        force=force_gain * median_of_three(record.u)[kept],
-        f_ext=None if record.f_ext is None else median_of_three(record.f_ext)[kept],
+        t=seen.t[rows],
+        force=force,
+        f_ext=f_ext,
         reduce=decimate,
-        rows=decimated_rows(len(seen.t)),
-        used=np.ones(-(-len(seen.t) // DECIMATION), dtype=bool),
-        cutoff_hz=None,
-        band_hz=0.8 * 0.5 / (DECIMATION * record.period),
+        used=np.ones(len(force), dtype=bool),
+        away=sliding(seen, band)[rows],
+        period=DECIMATION * record.period,
+        cutoff_hz=cutoff_hz,
+        band_hz=band,
         decimation=DECIMATION,
-        text=f"backward difference, median of 3, central difference of that velocity, decimated by {DECIMATION}",
+        text=text,
     )
 
 
@@ -234,7 +242,6 @@ def hold_chain(record: Record, force_gain: float, cutoff_hz: float | None = None
         from emps_design.identification.cutoff import chosen_cutoff
 
         cutoff_hz = chosen_cutoff(record).cutoff_hz
-    seen = replace(motion(record, cutoff_hz), force_gain=force_gain)
     # One sample per half period of four times the cut-off: what is left above it is under 1e-5 of the amplitude.
     factor = max(1, int(0.125 / (cutoff_hz * record.period)))
     edge = int(1.0 / (cutoff_hz * record.period))
@@ -243,6 +250,9 @@ def hold_chain(record: Record, force_gain: float, cutoff_hz: float | None = None
     def reduce(column: np.ndarray) -> np.ndarray:
         return column[rows]
 
+    force = reduce(held_force(record, force_gain, cutoff_hz)).copy()
+    f_ext = None if record.f_ext is None else reduce(low_pass(record.f_ext, cutoff_hz, record.period)).copy()
+    seen = replace(motion(record, cutoff_hz), force_gain=force_gain)
     used = reduce(sliding(seen, cutoff_hz))
     if int(used.sum()) < FEWEST_ROWS:
         raise RecordError(
@@ -252,11 +262,13 @@ def hold_chain(record: Record, force_gain: float, cutoff_hz: float | None = None
     return Filtered(
         chain="hold",
         motion=seen,
-        force=held_force(record, force_gain, cutoff_hz),
-        f_ext=None if record.f_ext is None else low_pass(record.f_ext, cutoff_hz, record.period),
+        t=reduce(record.t),
+        force=force,
+        f_ext=f_ext,
         reduce=reduce,
-        rows=rows,
         used=used,
+        away=used,
+        period=factor * record.period,
         cutoff_hz=cutoff_hz,
         band_hz=cutoff_hz,
         decimation=factor,
@@ -272,10 +284,13 @@ def sliding(motion: Motion, cutoff_hz: float) -> np.ndarray:
     False where it is slower than 2 mm/s, and within 1.5 periods of the cut-off [Hz] of such a moment: a zero-phase
     filter spreads the jump of friction at a reversal that far to both sides.
     """
-    from scipy.ndimage import maximum_filter1d
-
-    slow = (np.abs(motion.v) < REST_VELOCITY).astype(np.uint8)
-    return maximum_filter1d(slow, 2 * int(REACH / (cutoff_hz * motion.period)) + 1) == 0
+    slow = (motion.v < REST_VELOCITY) & (motion.v > -REST_VELOCITY)
+    reach, n = int(REACH / (cutoff_hz * motion.period)), len(slow)
+    # Slow samples before each moment, so that those within reach are a difference.
+    before = np.zeros(n + 2 * reach + 1, dtype=np.int32)
+    np.cumsum(slow, out=before[reach + 1 : reach + n + 1])
+    before[reach + n + 1 :] = before[reach + n]
+    return before[2 * reach + 1 :] == before[:n]
 
 
 CHAINS: dict[str, Callable[..., Filtered]] = {"report": report_chain, "paper": paper_chain, "hold": hold_chain}
@@ -287,20 +302,37 @@ def median_of_three(signal: np.ndarray) -> np.ndarray:
     >>> median_of_three(np.array([1.0, 9.0, 2.0, 3.0])).tolist()
     [1.0, 2.0, 3.0, 2.0]
     """
-    before = np.concatenate([[0.0], signal[:-1]])
-    after = np.concatenate([signal[1:], [0.0]])
-    return np.maximum(np.minimum(before, signal), np.minimum(np.maximum(before, signal), after))
+    padded = np.concatenate([[0.0], signal, [0.0]])
+    before, after = padded[:-2], padded[2:]
+    median = np.maximum(before, signal)
+    np.minimum(median, after, out=median)
+    return np.maximum(np.minimum(before, signal), median, out=median)
+
+
+# Both differences work in the array that they return: a long record's is not there twice.
+def _central_difference(signal: np.ndarray, period: float) -> np.ndarray:
+    slope = np.empty_like(signal)
+    np.subtract(signal[2:], signal[:-2], out=slope[1:-1])
+    slope[1:-1] /= 2.0 * period
+    slope[0], slope[-1] = (signal[1] - signal[0]) / period, (signal[-1] - signal[-2]) / period
+    return slope
 
 
 def _second_difference(q: np.ndarray, period: float) -> np.ndarray:
-    second = np.zeros_like(q)
-    second[1:-1] = (q[2:] - 2.0 * q[1:-1] + q[:-2]) / period**2
+    second = np.empty_like(q)
+    inner = second[1:-1]
+    np.multiply(q[1:-1], -2.0, out=inner)
+    inner += q[2:]
+    inner += q[:-2]
+    inner /= period**2
     second[0], second[-1] = second[1], second[-2]
     return second
 
 
-def _forwards_and_backwards(sections: np.ndarray, signal: np.ndarray, padding: int, share: float) -> np.ndarray:
-    """Zero-phase filter of second-order ``sections`` with cut-off ``share`` of the Nyquist frequency.
+def _forwards_and_backwards(
+    sections: np.ndarray, signal: np.ndarray, padding: int, share: float, rows: slice = slice(None)
+) -> np.ndarray:
+    """Zero-phase filter of second-order ``sections`` with cut-off ``share`` of the Nyquist frequency; only ``rows``.
 
     Long signals go through in blocks, which saves memory; they overlap by so much that the answer of the filter to what
     lies outside has fallen below rounding.
@@ -309,12 +341,16 @@ def _forwards_and_backwards(sections: np.ndarray, signal: np.ndarray, padding: i
 
     n, reach = len(signal), int(200.0 / share)
     if n <= BLOCK + 2 * reach:
-        return sosfiltfilt(sections, signal, padlen=padding)
-    smooth = np.empty(n)
+        return sosfiltfilt(sections, signal, padlen=padding)[rows].copy()
+    wanted = range(n)[rows]
+    smooth, filled = np.empty(len(wanted)), 0
     for start in range(0, n, BLOCK):
         low, stop = max(0, start - reach), min(n, start + BLOCK)
         part = sosfiltfilt(sections, signal[low : min(n, stop + reach)], padlen=padding)
-        smooth[start:stop] = part[start - low : stop - low]
+        first = wanted.start - low + -(-max(0, start - wanted.start) // wanted.step) * wanted.step
+        kept = part[first : stop - low : wanted.step]
+        smooth[filled : filled + len(kept)] = kept
+        filled += len(kept)
     return smooth
 
 

@@ -12,7 +12,7 @@ from emps_design.axis import Axis
 from emps_design.errors import InputError, RankError, RecordError, nearest_name
 from emps_design.identification.cutoff import LONGEST, can_choose, chosen_cutoff
 from emps_design.identification.excitation import WEAK_RELIABILITY, check_record, reliability
-from emps_design.identification.filters import CHAINS, Filtered, hold_chain, sliding
+from emps_design.identification.filters import CHAINS, Filtered, hold_chain
 from emps_design.identification.inverse_model import (
     LeastSquares,
     least_squares,
@@ -61,6 +61,7 @@ def identify(
     check_record(record, axis, external_force_known)
     filtered = filter_record(record, axis, chain, cutoff_hz)
     W, Y = regression(filtered, model)
+    filtered = replace(filtered, motion=None)  # three columns of the whole record, which nothing after this needs
     names = tuple(p.name for p in parameters_of(model))
     fit = least_squares(W, Y, names, filtered.used)
     extra: dict[str, Any] = {"held_out": _held_out(filtered, W, Y, fit, axis, model, holdout)}
@@ -179,7 +180,7 @@ def assemble(
 
         covariance = block_bootstrap(W, W @ fit.value + fit.residual, fit.value, lag, bootstrap, seed)
         boot = np.sqrt(np.diag(covariance))
-    shares = _reliability(record, axis, model, filtered) if weakest > 0 else None
+    shares = _reliability(record, axis, model, filtered, W) if weakest > 0 else None
     warnings = [*record.warnings, *notes]
     estimates = {}
     for i, quantity in enumerate(parameters_of(model)):
@@ -251,8 +252,8 @@ def residual_statistics(
     The lag is four correlation times, at least 0.1 s. The autoregressive model is made of rows away from rest, as far
     apart as the band resolves (half a period).
     """
-    band, steps = filtered.band_hz, resolved_steps(filtered)
-    away = filtered.used & sliding(filtered.motion, band)[filtered.rows]
+    steps = resolved_steps(filtered)
+    away = filtered.used & filtered.away
     if int(away[::steps].sum()) < FEWEST_STEPS:
         away = filtered.used
     spread = long_run(
@@ -271,14 +272,14 @@ def resolved_steps(filtered: Filtered) -> int:
     return max(1, round(0.5 / (filtered.band_hz * filtered.period)))
 
 
-def _reliability(record: Record, axis: Axis, model: str, filtered: Filtered) -> np.ndarray | None:
+def _reliability(record: Record, axis: Axis, model: str, filtered: Filtered, W: np.ndarray) -> np.ndarray | None:
     """Reliability of each column by the same chain on the reference; None where the motion does not follow it."""
     part = record.part(0, LONGEST) if len(record) > LONGEST else record
     if float(np.std(part.q - part.q_ref)) > 0.1 * float(np.std(part.q)):
         return None
     if part is not record:
         filtered = filter_record(part, axis, filtered.chain, filtered.cutoff_hz)
-    W, _ = regression(filtered, model)
+        W, _ = regression(filtered, model)
     led = filter_record(replace(part, q=part.q_ref), axis, filtered.chain, filtered.cutoff_hz)
     Z, _ = regression(led, model)
     lags = tuple(round(delay / filtered.period) for delay in LAGS)

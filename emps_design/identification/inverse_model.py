@@ -13,7 +13,7 @@ import numpy as np
 
 from emps_design.effects import Motion
 from emps_design.errors import InputError, RankError, nearest_name
-from emps_design.identification.filters import Filtered
+from emps_design.identification.filters import BLOCK, Filtered
 from emps_design.quantities import Quantity
 
 MODELS: dict[str, tuple[Quantity, ...]] = {
@@ -59,12 +59,13 @@ def column(motion: Motion, name: str) -> np.ndarray:
         return np.where(v > 0, v, 0.0)
     if name == "viscous_negative":
         return np.where(v < 0, v, 0.0)
+    # Signs take a byte each: beside the columns of a long record they are nothing.
     if name == "coulomb":
-        return motion.smooth(np.sign(v))
+        return motion.smooth(np.sign(v).astype(np.int8))
     if name == "coulomb_positive":
-        return motion.smooth(np.where(v > 0, 1.0, 0.0))
+        return motion.smooth((v > 0).astype(np.int8))
     if name == "coulomb_negative":
-        return motion.smooth(np.where(v < 0, -1.0, 0.0))
+        return motion.smooth(-(v < 0).astype(np.int8))
     if name == "constant_force":
         return np.ones_like(v)
     raise InputError(f"column: found {name!r}, expected a parameter of {' or '.join(MODELS)}")
@@ -90,9 +91,12 @@ def regression(filtered: Filtered, model: str) -> tuple[np.ndarray, np.ndarray]:
 
     Rows that take no part (``filtered.used``) are zero, so that the rest keep their distance in time.
     """
-    columns = [filtered.reduce(column(filtered.motion, p.name)) * filtered.used for p in parameters_of(model)]
+    quantities = parameters_of(model)
+    W = np.empty((len(filtered.used), len(quantities)))
+    for i, quantity in enumerate(quantities):
+        np.multiply(filtered.reduce(column(filtered.motion, quantity.name)), filtered.used, out=W[:, i])
     force = filtered.force if filtered.f_ext is None else filtered.force + filtered.f_ext
-    return np.column_stack(columns), filtered.reduce(force) * filtered.used
+    return W, force * filtered.used
 
 
 @dataclass(frozen=True)
@@ -129,9 +133,10 @@ def least_squares(W: np.ndarray, Y: np.ndarray, names: tuple[str, ...], used: np
     n, p = (len(W) if used is None else int(used.sum())), W.shape[1]
     if n <= p:
         raise InputError(f"regression: found {n} rows for {p} parameters, expected more; record longer")
-    check_rank(W, names)
-    q, r = np.linalg.qr(W)
-    value = np.linalg.solve(r, q.T @ Y)
+    r = _triangle(W, Y)
+    r, target = r[:p, :p], r[:p, p]
+    check_rank(r, names)
+    value = np.linalg.solve(r, target)
     residual = Y - W @ value
     inverse = np.linalg.inv(r)
     variance = residual @ residual / (n - p)  # (14)
@@ -146,6 +151,15 @@ def least_squares(W: np.ndarray, Y: np.ndarray, names: tuple[str, ...], used: np
     )
 
 
+def _triangle(W: np.ndarray, Y: np.ndarray) -> np.ndarray:
+    """Triangular factor of ``[W Y]``, a block of rows at a time: a long record's Q is never in memory."""
+    r = np.zeros((0, W.shape[1] + 1))
+    for start in range(0, len(W), BLOCK):
+        block = slice(start, start + BLOCK)
+        r = np.linalg.qr(np.vstack([r, np.column_stack([W[block], Y[block]])]), mode="r")
+    return r
+
+
 def relative_error(residual: np.ndarray, force: np.ndarray) -> float:
     """100 ||residual|| / ||force|| [%]."""
     norm = float(np.linalg.norm(force))
@@ -153,7 +167,7 @@ def relative_error(residual: np.ndarray, force: np.ndarray) -> float:
 
 
 def check_rank(W: np.ndarray, names: tuple[str, ...]) -> None:
-    """Raise :class:`RankError` naming the columns of ``W`` that a linear relation ties together.
+    """Raise :class:`RankError` naming the columns of ``W``, or of its triangular factor, that a relation ties together.
 
     >>> W = np.array([[1.0, 1.0], [-1.0, -1.0], [1.0, 1.0]])
     >>> check_rank(W, ("coulomb", "constant_force"))  # doctest: +ELLIPSIS

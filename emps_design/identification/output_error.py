@@ -106,7 +106,7 @@ def _result(record, axis, model, filtered, value, residual, jacobian, scale, nam
     stacked = (residual / scale).ravel()
     variance = float(stacked @ stacked) / (2 * n - len(value))
     force = residual[1]
-    measured = filtered.reduce(filtered.force)
+    measured = filtered.force
     fit = LeastSquares(
         names=names,
         value=value,

@@ -119,7 +119,7 @@ def section_3(seed: int = 0, progress: Callable[[str, float], None] | None = Non
 def _prepared(record: Record, bench: Bench):
     filtered = paper_chain(record, bench.axis.drive.force_gain)
     W, _ = regression(filtered, MODEL)
-    return filtered, W, filtered.reduce(filtered.force), filtered.reduce(filtered.f_ext)
+    return filtered, W, filtered.force, filtered.f_ext
 
 
 def _table(found: Identification) -> dict[str, tuple[float, float, float]]:

@@ -139,7 +139,9 @@ def _absorbed(model: np.ndarray, basis: np.ndarray, n: int) -> np.ndarray:
     taken = []
     for lag in range(LAGS):
         head, tail = slice(0, len(basis) - lag), slice(lag, None)
-        taken.append(np.sum(basis[head] * seen[tail] + seen[head] * basis[tail] - basis[head] * back[tail]))
+        pairs = ((basis[head], seen[tail]), (seen[head], basis[tail]), (basis[head], back[tail]))
+        once, mirrored, twice = (float(np.einsum("ij,ij->", *pair)) for pair in pairs)
+        taken.append(once + mirrored - twice)
     return np.array(taken) / n
 
 
@@ -173,8 +175,8 @@ def _model(autocovariance: np.ndarray, order: int, n: int) -> np.ndarray:
 
 def _convolve(model: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Product of the Toeplitz matrix of ``model`` with ``columns`` (n, p), without the matrix."""
-    from scipy.signal import fftconvolve
+    from scipy.signal import oaconvolve
 
     kernel = np.concatenate([model[:0:-1], model])[:, None]
     start = len(model) - 1
-    return fftconvolve(columns, kernel, axes=0)[start : start + len(columns)]
+    return oaconvolve(columns, kernel, axes=0)[start : start + len(columns)]

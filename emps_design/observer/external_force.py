@@ -8,6 +8,7 @@ At rest friction takes up whatever is below break-away: no observer sees it, and
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -18,6 +19,7 @@ from emps_design.effects import Motion
 from emps_design.errors import InputError
 
 DEFAULT_CUTOFF_HZ = 20.0
+BLOCK = 50_000  # samples of a record between two words of progress
 REST_VELOCITY = 1e-3  # m/s, below it the sign of the velocity is taken as 0
 
 
@@ -183,10 +185,13 @@ class OnlineObserver(Protocol):
         """External force [N] from position ``q`` [m] and the voltage ``u`` [V] of the period that ends with it."""
 
 
-def observe_online(observer: OnlineObserver, q: np.ndarray, u: np.ndarray) -> np.ndarray:
+def observe_online(
+    observer: OnlineObserver, q: np.ndarray, u: np.ndarray, progress: Callable[[float], None] | None = None
+) -> np.ndarray:
     """Run ``observer`` over a record's ``q`` [m] and ``u`` [V], both (n,): the same numbers as in a loop, (n,) [N].
 
-    ``u[k]`` is recorded at the sample from which it is held, so sample k is given ``u[k-1]``.
+    ``u[k]`` is recorded at the sample from which it is held, so sample k is given ``u[k-1]``. ``progress`` hears the
+    share that is done, now and then.
 
     >>> from emps_design.machines import machine
     >>> observer = ForceObserver(machine("emps2018"))
@@ -194,9 +199,15 @@ def observe_online(observer: OnlineObserver, q: np.ndarray, u: np.ndarray) -> np
     [-3.515, -3.515, -3.515]
     """
     observer.reset()
-    step = observer.step
-    before = np.concatenate([u[:1], u[:-1]]).tolist()
-    return np.array([step(position, voltage) for position, voltage in zip(q.tolist(), before, strict=True)])
+    step, before, force = observer.step, float(u[0]), np.empty(len(q))
+    for start in range(0, len(q), BLOCK):
+        stop = min(start + BLOCK, len(q))
+        voltages = [before, *u[start : stop - 1].tolist()]
+        force[start:stop] = [step(x, voltage) for x, voltage in zip(q[start:stop].tolist(), voltages, strict=True)]
+        before = float(u[stop - 1])
+        if progress is not None:
+            progress(stop / len(q))
+    return force
 
 
 @dataclass(frozen=True)

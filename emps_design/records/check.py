@@ -31,30 +31,33 @@ def checked(columns: dict[str, Any], source: str, first_row: int = 0, period: fl
     ``source`` names the file and ``first_row`` the row of the first sample in messages. ``period`` [s] overrules the
     one found in the time column. ``columns`` is emptied on the way: no signal of a long record is in memory twice.
     """
-    titles = read_titles(list(columns), source)
+    titles = dict(zip(list(columns), read_titles(list(columns), source), strict=True))
+    n = next(np.size(columns[key]) for key, title in titles.items() if title.name == "t")
+    _fits(n, source)
+    # One block for all signals: memory that is freed beside it goes back, however long the record.
+    signals = iter(np.empty((sum(1 for title in titles.values() if title.name), n)))
     named: dict[str, np.ndarray] = {}
     extra: dict[str, Any] = {}
     notes: list[str] = []
-    for title, key in zip(titles, list(columns), strict=True):
+    for key, title in titles.items():
         values = columns.pop(key)
         if not title.name:
             extra[title.text] = values
             continue
-        named[title.name] = _vector(values, title, source)
+        named[title.name] = np.multiply(_vector(values, title, n, source), title.factor, out=next(signals))
         if title.factor != 1.0:
             notes.append(f"{title.name}: converted from {title.unit} to {UNITS[title.name]}")
-    _same_length(named, source)
     for column, values in named.items():
         _finite(values, column, source, first_row)
-    found, jitter_notes = _period(named.pop("t"), source, first_row)
+    found, jitter_notes = _period(named["t"], source, first_row)
     notes += jitter_notes
     period = period or found
     _moving(named, source)
     _plausible(named, period, source)
-    t = np.arange(named["q"].size, dtype=float)
-    t *= period
+    named["t"][:] = np.arange(n)
+    named["t"] *= period
     return {
-        "t": t,
+        "t": named["t"],
         "q_ref": named["q_ref"],
         "q": named["q"],
         "u": named["u"],
@@ -65,26 +68,22 @@ def checked(columns: dict[str, Any], source: str, first_row: int = 0, period: fl
     }
 
 
-def _vector(values: Any, title: Title, source: str) -> np.ndarray:
+def _fits(n: int, source: str) -> None:
+    if n > LONGEST:
+        raise RecordError(f"{source}: found {n} samples, expected at most {LONGEST}; cut it")
+    if n < SHORTEST:
+        raise RecordError(f"{source}: found {n} sample{'' if n == 1 else 's'}, expected at least {SHORTEST}")
+
+
+def _vector(values: Any, title: Title, n: int, source: str) -> np.ndarray:
     array = np.asarray(values)
     if array.dtype.kind not in "buif":
         raise RecordError(f"{source}: column {title.text!r}: found {array.dtype} values, expected real numbers")
     if array.ndim > 1 and array.size != max(array.shape):
         raise RecordError(f"{source}: column {title.text!r}: found shape {array.shape}, expected one value a sample")
-    if array.size > LONGEST:
-        raise RecordError(
-            f"{source}: column {title.text!r}: found {array.size} samples, expected at most {LONGEST}; cut it"
-        )
-    return np.multiply(array.ravel(), title.factor, dtype=float)
-
-
-def _same_length(named: Mapping[str, np.ndarray], source: str) -> None:
-    n = named["t"].size
-    for column, values in named.items():
-        if values.size != n:
-            raise RecordError(f"{source}: column {column}: found {values.size} samples, expected {n} as in column t")
-    if n < SHORTEST:
-        raise RecordError(f"{source}: found {n} sample{'' if n == 1 else 's'}, expected at least {SHORTEST}")
+    if array.size != n:
+        raise RecordError(f"{source}: column {title.name}: found {array.size} samples, expected {n} as in column t")
+    return array.ravel()
 
 
 def _finite(values: np.ndarray, column: str, source: str, first_row: int) -> None:
@@ -98,22 +97,23 @@ def _finite(values: np.ndarray, column: str, source: str, first_row: int) -> Non
 
 def _period(t: np.ndarray, source: str, first_row: int) -> tuple[float, list[str]]:
     """The nominal period [s] of the time column, which may be quantised: steps of a 1 kHz clock need not be equal."""
+    # One array of steps at a time: a record of an hour has 29 MB of them.
     step = np.diff(t)
-    back = np.flatnonzero(step <= 0)
-    if back.size:
-        i = int(back[0])
+    if float(np.min(step)) <= 0:
+        i = int(np.argmax(step <= 0))
         what = "the same time twice" if step[i] == 0 else "time going backwards"
         raise RecordError(
             f"{source}: column t, row {first_row + i + 1}: found {what} ({t[i]:.9g} s, then {t[i + 1]:.9g} s), "
             "expected increasing time"
         )
-    typical = float(np.median(step))
-    deviation = np.abs(step - typical)
-    i = int(np.argmax(deviation))
-    if deviation[i] > LARGEST_JITTER * typical:
-        first = int(np.flatnonzero(deviation > LARGEST_JITTER * typical)[0])
+    typical = float(np.median(step, overwrite_input=True))
+    np.subtract(t[1:], t[:-1], out=step)
+    step -= typical
+    jitter = float(np.sqrt(np.mean(np.square(step, out=step)))) / typical
+    if np.max(step) > (LARGEST_JITTER * typical) ** 2:
+        i = int(np.argmax(step > (LARGEST_JITTER * typical) ** 2))
         raise RecordError(
-            f"{source}: column t, row {first_row + first + 1}: found a step of {step[first]:.6g} s, expected "
+            f"{source}: column t, row {first_row + i + 1}: found a step of {t[i + 1] - t[i]:.6g} s, expected "
             f"{typical:.6g} s as elsewhere; sampling must be uniform: resample, or cut the record there"
         )
     if not SHORTEST_PERIOD <= typical <= LONGEST_PERIOD:
@@ -121,7 +121,6 @@ def _period(t: np.ndarray, source: str, first_row: int) -> tuple[float, list[str
             f"{source}: column t: found a sampling period of {typical:.6g} s, expected {SHORTEST_PERIOD:g} to "
             f"{LONGEST_PERIOD:g} s; if time is in ms or a sample count, convert it or title it 't [ms]'"
         )
-    jitter = float(np.sqrt(np.mean((step - typical) ** 2))) / typical
     notes = [f"t: sampling jitter of {100 * jitter:.2g} % rms of the period"] if jitter > NOTED_JITTER else []
     return _nominal(float(t[-1] - t[0]) / step.size), notes
 
@@ -150,7 +149,8 @@ def _plausible(named: Mapping[str, np.ndarray], period: float, source: str) -> N
     hint = "in mm: divide it by 1000, or title the column '{0} [mm]'"
     for column in ("q", "q_ref"):
         stroke = float(np.ptp(named[column]))
-        speed = float(np.quantile(np.abs(np.diff(named[column])), 0.99)) / period
+        step = np.diff(named[column])
+        speed = float(np.quantile(np.abs(step, out=step), 0.99, overwrite_input=True)) / period
         if stroke > LONGEST_STROKE or speed > HIGHEST_SPEED:
             found = f"a stroke of {stroke:.4g} m" if stroke > LONGEST_STROKE else f"a speed of {speed:.4g} m/s"
             most = f"{LONGEST_STROKE:g} m" if stroke > LONGEST_STROKE else f"{HIGHEST_SPEED:g} m/s"

@@ -59,7 +59,7 @@ def test_quantised_time_gives_the_nominal_period():
         ({"q": Q / 1000}, r"columns q_ref and q: found ranges of 0\.\d+ and 0\.000\d+ m, expected the same unit"),
         ({"u": 2000 * U}, r"column u: found .* V, expected at most 1000 V; .*'u \[mV\]'"),
         ({"f_ext": 1e9 * U}, r"column f_ext: found .* N, expected at most 1e\+06 N"),
-        ({"q": np.zeros(5_000_001, dtype=np.int8)}, "found 5000001 samples, expected at most 5000000; cut it"),
+        ({"t": np.zeros(5_000_001, dtype=np.int8)}, "found 5000001 samples, expected at most 5000000; cut it"),
         ({"q": Q + 0j}, "column 'q': found complex128 values"),
     ],
 )
