@@ -36,7 +36,7 @@ def trapezoid_laps(
     pause = np.zeros(round(0.1 / period))
     lap = [pause]
     for share in SPEEDS:
-        there = _stroke(period, stroke, share * speed, acceleration)
+        there = point_to_point(period, stroke, share * speed, acceleration)
         lap += [there, np.full(pause.size, stroke), stroke - there, pause]
     return np.tile(np.concatenate(lap), int(laps))
 
@@ -67,8 +67,14 @@ def practice_record(axis: Axis, seed: int = 0, laps: int = 3, stroke: float = 0.
     return Record.from_arrays(period, run.q_ref, run.q, run.u, name=f"practice-{axis.name}")
 
 
-def _stroke(period: float, stroke: float, speed: float, acceleration: float) -> np.ndarray:
-    """Positions from 0 to ``stroke``, both ends at rest, on a grid of ``period``."""
+def point_to_point(period: float, stroke: float, speed: float, acceleration: float) -> np.ndarray:
+    """Positions (n,) [m] from 0 to ``stroke`` [m], both ends at rest, with a trapezoid of velocity.
+
+    ``period`` [s], highest ``speed`` [m/s], reached or not, ``acceleration`` [m/s^2].
+
+    >>> point_to_point(0.25, 1.0, 1.0, 2.0).round(4).tolist()
+    [0.0, 0.0625, 0.25, 0.5, 0.75, 0.9375, 1.0]
+    """
     speed = min(speed, np.sqrt(stroke * acceleration))
     ramp = speed / acceleration
     duration = stroke / speed + ramp

@@ -1,0 +1,125 @@
+"""Programs stay inside what the record shows; the one that is chosen tells two models apart, as far as it says."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from emps_design.discrepancy.candidate import Candidate
+from emps_design.discrepancy.experiment import choose
+from emps_design.discrepancy.menu import PROGRAMS, Envelope, in_words, menu
+from emps_design.discrepancy.noise import floor_of_laps
+from emps_design.discrepancy.problem import Problem, Whitening, fit
+from emps_design.discrepancy.split import split
+from emps_design.effects import _added, get_effect, register
+from emps_design.machines import machine
+from emps_design.records import Record
+from emps_design.simulation import Plant
+from emps_design.simulation.practice import trapezoid_laps
+from emps_design.simulation.programs import multi_sine
+
+AXIS = machine("emps2019")
+THRESHOLD = 15.0  # gain in whitened cost, as a healthy reference gives it
+REFERENCES = {
+    "trapezoids": 0.05 + trapezoid_laps(1e-3, stroke=0.1, speed=0.2, laps=1),
+    "long stroke": trapezoid_laps(1e-3, stroke=0.5, speed=0.1, acceleration=0.5, laps=1),
+    "multi-sine": 0.2 + multi_sine(1e-3, 12.0),
+    "triangles": 0.1 * np.abs((np.arange(12000) * 1e-3 + 1) % 2 - 1),
+    "2 ms": trapezoid_laps(2e-3, stroke=0.2, laps=1),
+}
+
+
+def record(axis=AXIS, q_ref=REFERENCES["trapezoids"], seed=0) -> Record:
+    noise = 4e-3 * np.random.default_rng(seed).standard_normal(q_ref.size)
+    run = Plant.of(axis).closed_loop(q_ref, voltage_noise=noise)
+    return Record(t=run.t, q_ref=q_ref, q=run.q, u=run.u, period=axis.sampling.period)
+
+
+def test_the_envelope_is_what_the_record_shows():
+    seen = Envelope.of([record()])
+    assert seen.home == 0.05
+    assert 0.05 < seen.low < 0.053
+    assert 0.147 < seen.high < 0.15
+    assert seen.speed == pytest.approx(0.9 * 0.2, rel=1e-3)
+    assert seen.acceleration == pytest.approx(0.9, rel=1e-3)
+    # A reference that turns at once asks for 200 m/s^2; the machine does not.
+    assert Envelope.of([record(q_ref=REFERENCES["triangles"])]).acceleration < 20
+
+
+@pytest.mark.parametrize("reference", REFERENCES)
+def test_programs_stay_inside_the_record_and_begin_and_end_at_rest_where_it_began(reference):
+    period = 2e-3 if reference == "2 ms" else 1e-3
+    seen = Envelope.of([record(AXIS.replace(sampling={"period": period}), REFERENCES[reference])])
+    programs = menu(seen)
+    assert list(programs) == [program.__name__ for program in PROGRAMS]
+    for name, q_ref in programs.items():
+        derivatives = [np.diff(q_ref, order) / period**order for order in (1, 2, 3)]
+        limits = (seen.speed, seen.acceleration, seen.jerk)
+        for derivative, limit in zip(derivatives, limits, strict=True):
+            assert np.abs(derivative).max() <= 1.001 * limit, name
+        assert min(seen.home, seen.low) - 1e-9 <= q_ref.min(), name
+        assert q_ref.max() <= max(seen.home, seen.high) + 1e-9, name
+        assert q_ref[[0, -1]] == pytest.approx(seen.home, abs=1e-6), name
+        assert np.abs(derivatives[0][[0, -1]]).max() < 1e-9, name
+        assert 10 <= q_ref.size * period <= 40, name
+        assert in_words(name)[0].islower()
+
+
+def problem_of(effect: dict, q_ref: np.ndarray) -> Problem:
+    made = record(AXIS.replace(effects=[effect]), q_ref)
+    problem = Problem(AXIS, (made,), (split(made),), Whitening(np.array([1.0]), 1.0))
+    floor = floor_of_laps(problem.residuals(Candidate(AXIS.mechanics.array())), problem.splits, made.period)
+    return problem.with_whitening(floor.whitening)
+
+
+def fitted(problem: Problem, effect, **parameters: float):
+    values = np.array([[parameters[p.name] for p in effect.parameters]])
+    return fit(problem, Candidate(AXIS.mechanics.array()).with_effect(effect, values))
+
+
+RIPPLE = {"amplitude": 0.1, "phase": 0.3, "period": 0.0025}
+PAIRS = {
+    "delay or lag": (("actuator_delay", {"delay": 3e-4}), ("actuator_lag", {"time_constant": 3e-4})),
+    "force or encoder": (("position_ripple", RIPPLE), ("encoder_error", {**RIPPLE, "amplitude": 5e-8})),
+}
+
+
+@pytest.mark.parametrize("pair", PAIRS)
+def test_a_record_of_the_chosen_program_tells_the_two_apart_by_as_much_as_was_promised(pair):
+    (true, numbers), (other, guess) = PAIRS[pair]
+    problem = problem_of({"kind": true, **numbers}, trapezoid_laps(1e-3, stroke=0.1, laps=3))
+    rivals = fitted(problem, get_effect(true), **numbers), fitted(problem, get_effect(other), **guess)
+    chosen = choose(problem, rivals, THRESHOLD)
+    assert chosen.between == (true, other)
+    assert chosen.over_noise > chosen.needed
+    assert [row["over_noise"] for row in chosen.menu] == sorted(
+        (row["over_noise"] for row in chosen.menu), reverse=True
+    )
+    for index, truth in enumerate(rivals):
+        new = record(truth.model.to_axis(AXIS), chosen.q_ref, seed=7)
+        both = replace(problem, records=(*problem.records, new), splits=(*problem.splits, split(new)))
+        costs = [
+            fit(both, replace(f.model, values=tuple(np.vstack((v, v)) for v in f.model.values)), "used").cost - f.cost
+            for f in rivals
+        ]
+        gain = max(costs) - min(costs)
+        assert costs.index(min(costs)) == index
+        assert gain > chosen.over_noise**2 - 4 * chosen.over_noise
+
+
+@pytest.fixture
+def same_delay():
+    """The delay under another name."""
+    yield register(replace(get_effect("actuator_delay"), name="same_delay", label="Same delay"))
+    _added.pop("same_delay")
+
+
+def test_no_program_separates_a_model_from_itself(same_delay):
+    problem = problem_of({"kind": "actuator_delay", "delay": 3e-4}, trapezoid_laps(1e-3, stroke=0.1, laps=3))
+    rivals = tuple(fitted(problem, effect, delay=3e-4) for effect in (get_effect("actuator_delay"), same_delay))
+    chosen = choose(problem, rivals, THRESHOLD)
+    assert chosen.over_noise < 0.5
+    assert chosen.distance < 1e-3
+    assert (chosen.program, chosen.q_ref) == (None, None)
+    assert "no program" in chosen.text
+    assert same_delay.experiment in chosen.text
