@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 
-from emps_design.identification.filters import paper_chain
+from emps_design.identification.chains import paper_chain
 from emps_design.identification.section_3 import PRINTED, section_3
 from emps_design.identification.virtual_bench import NUMBERS
 

@@ -9,7 +9,11 @@ import typer
 
 def command(
     records: list[Path] = typer.Argument(..., metavar="RECORD...", help="Record file(s): .mat, .csv or .npz."),
-    axis: str = typer.Option("emps2019", "--axis", help="TOML file or embedded machine: G_tau, limits, controller."),
+    axis: str = typer.Option(
+        "emps2019",
+        "--axis",
+        help="TOML file or embedded machine: G_tau, limits, controller, and effects that are known already.",
+    ),
     model: str = typer.Option("symmetric", "--model", help="symmetric or asymmetric friction."),
     chain: str = typer.Option("report", "--filter", help="report (2019 report), paper (2018 paper) or hold."),
     cutoff: float | None = typer.Option(None, "--cutoff", help="Low-pass of the position [Hz] instead of the chain's."),
@@ -88,7 +92,11 @@ def _show_one(found) -> None:
     from rich.table import Table
 
     console = Console()
-    table = Table(title=f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}", box=box.SIMPLE)
+    table = Table(
+        title=f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}",
+        box=box.SIMPLE,
+        pad_edge=False,
+    )
     for heading in ("parameter", "value", "std (15)", "% (16)", "std *", "95 % ± *", "unit"):
         table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right", no_wrap=True)
     for name, estimate in found.parameters.items():

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.errors import InputError, RankError, RecordError, nearest_name
+from emps_design.errors import InputError, RankError, RecordError
+from emps_design.identification.chains import Filtered
 from emps_design.identification.cutoff import LONGEST, can_choose, chosen_cutoff
 from emps_design.identification.excitation import WEAK_RELIABILITY, check_record, reliability
-from emps_design.identification.filters import CHAINS, Filtered, hold_chain
 from emps_design.identification.inverse_model import (
     LeastSquares,
     least_squares,
@@ -20,6 +20,8 @@ from emps_design.identification.inverse_model import (
     regression,
     relative_error,
 )
+from emps_design.identification.known import acting, filter_record, known_part
+from emps_design.identification.known import notes as notes_on
 from emps_design.identification.result import Estimate, Identification
 from emps_design.identification.statistics import LongRun, hac_covariance, long_run
 from emps_design.records import Record
@@ -41,11 +43,13 @@ def identify(
 ) -> Identification:
     """Identify ``axis`` from ``record`` by least squares on the inverse dynamic model.
 
-    ``axis`` gives G_tau and the voltage limit (default: the embedded emps2019); ``model`` is ``symmetric`` or
-    ``asymmetric``; ``chain`` the filters: ``report`` (2019 report), ``paper`` (2018 paper) or ``hold`` (the hold
-    modelled, cut-off chosen from the data); ``cutoff_hz`` [Hz] overrides the chain's. ``external_force_known`` lets a
-    measured external force take part as in (21); ``bootstrap`` draws that many samples of blocks. The fit is judged on
-    ``holdout``, or, without one, on the last third of the record with parameters from the rest. Raises
+    ``axis`` (default: the embedded emps2019) gives G_tau, the voltage limit and what is known already: delays and lags
+    of its drive, and its effects, whose force is taken out and which stay in the identified axis; ``model`` is
+    ``symmetric`` or ``asymmetric``; ``chain`` the filters: ``report`` (2019 report), ``paper`` (2018 paper) or ``hold``
+    (the hold modelled, cut-off chosen from the data); ``cutoff_hz`` [Hz] overrides the chain's.
+    ``external_force_known`` lets a measured external force take part as in (21); ``bootstrap`` draws that many samples
+    of blocks. The fit is judged on ``holdout``, or, without one, on the last third of the record with parameters from
+    the rest. Raises
     :class:`RecordError` for a record that cannot identify, :class:`RankError` for columns it cannot tell apart.
 
     >>> from emps_design.machines import machine
@@ -59,18 +63,18 @@ def identify(
 
         axis = machine("emps2019")
     check_record(record, axis, external_force_known)
+    axis, notes = known_part(axis, model), notes_on(known_part(axis, model))
+    cutoff = chosen_cutoff(acting(record, axis)) if can_choose(record) else None
+    if chain == "hold" and cutoff is not None:
+        cutoff_hz = cutoff_hz or cutoff.cutoff_hz
     filtered = filter_record(record, axis, chain, cutoff_hz)
     W, Y = regression(filtered, model)
     filtered = replace(filtered, motion=None)  # three columns of the whole record, which nothing after this needs
     names = tuple(p.name for p in parameters_of(model))
     fit = least_squares(W, Y, names, filtered.used)
     extra: dict[str, Any] = {"held_out": _held_out(filtered, W, Y, fit, axis, model, holdout)}
-    systematic, notes = None, []
-    if axis.effects:
-        kinds = ", ".join(one.kind for one in axis.effects)
-        notes.append(f"the effects of the axis take no part and are not in the identified one: {kinds}")
-    if can_choose(record):
-        cutoff = chosen_cutoff(record)
+    systematic = None
+    if cutoff is not None:
         extra["cutoff_from_data"] = cutoff.to_dict()
         if chain != "hold":
             better, systematic = _against_hold(record, axis, model, filtered, fit, cutoff.cutoff_hz)
@@ -106,7 +110,7 @@ def _against_hold(
         W, Y = regression(filter_record(part, axis, filtered.chain, filtered.cutoff_hz), model)
         fit = least_squares(W, Y, fit.names)
     try:
-        judge = hold_chain(part, axis.drive.force_gain, cutoff_hz)
+        judge = filter_record(part, axis, "hold", cutoff_hz)
         W, Y = regression(judge, model)
         better = assemble(part, axis, model, "least_squares", judge, W, least_squares(W, Y, fit.names, judge.used))
     except (RecordError, RankError):
@@ -141,13 +145,6 @@ def _held_out(
         "rms_error": float(np.sqrt(error @ error / max(rows, 1))),
         "relative_error_percent": relative_error(error, force),
     }
-
-
-def filter_record(record: Record, axis: Axis, chain: str, cutoff_hz: float | None = None) -> Filtered:
-    """Run ``record`` through ``chain``; :class:`InputError` names the nearest chain."""
-    if chain not in CHAINS:
-        raise InputError(f"filter: found {chain!r}, expected {', '.join(CHAINS)}{nearest_name(chain, list(CHAINS))}")
-    return CHAINS[chain](record, axis.drive.force_gain, cutoff_hz)
 
 
 def assemble(

@@ -14,8 +14,8 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import AxisError, RecordError
+from emps_design.identification.chains import Filtered, hold_chain
 from emps_design.identification.excitation import check_record
-from emps_design.identification.filters import Filtered, hold_chain
 from emps_design.identification.identify import Identification, assemble, residual_statistics, resolved_steps
 from emps_design.identification.inverse_model import (
     LeastSquares,
@@ -24,6 +24,7 @@ from emps_design.identification.inverse_model import (
     regression,
     relative_error,
 )
+from emps_design.identification.known import ASYMMETRY, filter_record, known_part, notes
 from emps_design.identification.statistics import long_run
 from emps_design.records import Record
 from emps_design.simulation import Plant
@@ -91,7 +92,8 @@ def identify_with_instruments(
     if axis.controller.kind == "none":
         raise AxisError(f"{axis.name}: instruments need the controller of the record; give [controller] in the axis")
     check_record(record, axis, external_force_known)
-    filtered = hold_chain(record, axis.drive.force_gain, cutoff_hz)
+    axis = known_part(axis, model)
+    filtered = filter_record(record, axis, "hold", cutoff_hz)
     names = tuple(p.name for p in parameters_of(model))
     W, Y = regression(filtered, model)
     start = least_squares(W, Y, names, filtered.used)
@@ -110,7 +112,17 @@ def identify_with_instruments(
         "hausman_test": test.to_dict(),
     }
     return assemble(
-        record, axis, model, "instrumental_variables", filtered, W, fit, Z=Z, extra=extra, weakest=WEAK_INSTRUMENT
+        record,
+        axis,
+        model,
+        "instrumental_variables",
+        filtered,
+        W,
+        fit,
+        Z=Z,
+        extra=extra,
+        notes=notes(axis),
+        weakest=WEAK_INSTRUMENT,
     )
 
 
@@ -125,14 +137,13 @@ def instruments(record: Record, axis: Axis, model: str, value: np.ndarray, filte
 def simulate(record: Record, axis: Axis, model: str, value: np.ndarray):
     """Closed-loop run of ``record`` from its reference and measured external force with parameters ``value``."""
     p = dict(zip((q.name for q in parameters_of(model)), map(float, value), strict=True))
-    effects, extra = [], None
+    effects = list(known_part(axis, model).effects)
     if model == "asymmetric":
         positive, negative = p["viscous_positive"], p["viscous_negative"]
         p["viscous"] = 0.5 * (positive + negative)
         p["coulomb"] = 0.5 * (p["coulomb_positive"] + p["coulomb_negative"])
         p["constant_force"] = 0.5 * (p["coulomb_positive"] - p["coulomb_negative"])
-        extra = 0.5 * (positive - negative)
-        effects = [{"kind": "asymmetric_viscous_friction", "viscous_difference": extra}]
+        effects = [{"kind": ASYMMETRY, "viscous_difference": 0.5 * (positive - negative)}, *effects]
     for name in ("mass", "viscous", "coulomb"):
         if not p[name] > 0:
             raise RecordError(

@@ -13,7 +13,8 @@ import numpy as np
 
 from emps_design.effects import Motion
 from emps_design.errors import InputError, RankError, nearest_name
-from emps_design.identification.filters import BLOCK, Filtered
+from emps_design.identification.chains import Filtered
+from emps_design.identification.filters import BLOCK
 from emps_design.quantities import Quantity
 
 MODELS: dict[str, tuple[Quantity, ...]] = {

@@ -14,10 +14,11 @@ from emps_design.axis import Axis
 from emps_design.errors import AxisError, InputError
 from emps_design.identification.cutoff import chosen_cutoff
 from emps_design.identification.excitation import check_record
-from emps_design.identification.filters import hold_chain, low_pass
+from emps_design.identification.filters import low_pass
 from emps_design.identification.identify import Identification, assemble
 from emps_design.identification.instruments import simulate
 from emps_design.identification.inverse_model import LeastSquares, least_squares, parameters_of, regression
+from emps_design.identification.known import acting, filter_record, known_part, notes
 from emps_design.records import Record
 
 ITERATIONS = 12
@@ -48,8 +49,9 @@ def identify_by_output_error(
     if axis.controller.kind == "none":
         raise AxisError(f"{axis.name}: output error needs the controller of the record; give [controller] in the axis")
     check_record(record, axis, external_force_known)
-    cutoff_hz = cutoff_hz or chosen_cutoff(record).cutoff_hz
-    filtered = hold_chain(record, axis.drive.force_gain, cutoff_hz)
+    axis = known_part(axis, model)
+    cutoff_hz = cutoff_hz or chosen_cutoff(acting(record, axis)).cutoff_hz
+    filtered = filter_record(record, axis, "hold", cutoff_hz)
     names = tuple(p.name for p in parameters_of(model))
     W, Y = regression(filtered, model)
     value = least_squares(W, Y, names, filtered.used).value
@@ -124,5 +126,16 @@ def _result(record, axis, model, filtered, value, residual, jacobian, scale, nam
         }
     }
     everywhere = replace(filtered, used=np.ones(n, dtype=bool))
-    found = assemble(record, axis, model, "output_error", everywhere, J, fit, extra=extra, weakest=0.0)
+    found = assemble(
+        record,
+        axis,
+        model,
+        "output_error",
+        everywhere,
+        J,
+        fit,
+        extra=extra,
+        notes=notes(axis, simulated=True),
+        weakest=0.0,
+    )
     return replace(found, series={**found.series, "measured": measured, "model": measured - force})

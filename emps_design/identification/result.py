@@ -9,6 +9,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import AxisError
+from emps_design.identification.known import ASYMMETRY
 from emps_design.identification.statistics import LongRun
 from emps_design.quantities import Quantity
 
@@ -105,18 +106,17 @@ class Identification:
         )
 
     def to_axis(self, name: str | None = None) -> Axis:
-        """The axis with the identified mechanics; the asymmetry of the viscous friction becomes an effect."""
+        """The axis with the identified mechanics and its known effects; asymmetric viscous friction is one more."""
         mass, viscous, coulomb, offset = (float(f"{x:.10g}") for x in self.baseline())
-        effects = []
+        data = self.axis.to_dict()
         if self.model == "asymmetric":
             positive, negative = self.parameters["viscous_positive"].value, self.parameters["viscous_negative"].value
             half = float(f"{0.5 * (positive - negative):.10g}")
-            effects = [{"kind": "asymmetric_viscous_friction", "viscous_difference": half}]
-        data = self.axis.to_dict()
+            asymmetry = {"kind": ASYMMETRY, "viscous_difference": half}
+            data["effects"] = [asymmetry, *data.get("effects", [])]
         data["name"] = name or self.axis.name
         data["mechanics"] = {"mass": mass, "viscous": viscous, "coulomb": coulomb, "offset": offset}
         data["sampling"] = {**data["sampling"], "period": self.period}
-        data["effects"] = effects
         return Axis.from_dict(data, f"identified from {self.record}")
 
     def to_dict(self) -> dict[str, Any]:

@@ -10,8 +10,9 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import AxisError, InputError
-from emps_design.identification.identify import Identification, filter_record, identify
+from emps_design.identification.identify import Identification, identify
 from emps_design.identification.inverse_model import parameters_of, regression
+from emps_design.identification.known import filter_record, known_part
 from emps_design.records import Record
 
 DRIFT_LEVEL = 0.01
@@ -139,7 +140,7 @@ def identify_several(
         if not all(estimate.determined for estimate in one.parameters.values()):
             raise AxisError(f"{record.name}: does not determine every parameter; leave it out or record it anew")
         found.append(one)
-        filtered = filter_record(record, axis, one.chain, one.cutoff_hz)
+        filtered = filter_record(record, known_part(axis, model), one.chain, one.cutoff_hz)
         problems.append((*regression(filtered, model), filtered.used))
     matrix = np.array(
         [[float(np.sqrt(np.sum((Y - W @ one.values()) ** 2) / used.sum())) for W, Y, used in problems] for one in found]

@@ -12,9 +12,9 @@ from emps_design.axis import Axis
 def acting_voltage(axis: Axis, u: np.ndarray) -> tuple[np.ndarray, Axis]:
     """Voltage that acts, (n,) [V], of the recorded ``u``, and the axis without what was used up on the way.
 
-    Static maps of the actuator, delays and the lag of the current loop are known from ``u`` alone, and a disturbance of
-    the controller is in ``u`` already: with them taken care of here, every observer, on-line ones too, sees the force
-    that reaches the carriage.
+    Static maps of the actuator, delays and lags, that of the current loop too, are known from ``u`` alone, and a
+    disturbance of the controller is in ``u`` already: with them taken care of here, every observer, on-line ones too,
+    sees the force that reaches the carriage.
 
     >>> from emps_design.machines import machine
     >>> dead = machine("emps2019").replace(effects=[{"kind": "actuator_deadzone", "width": 0.5}])
@@ -23,22 +23,28 @@ def acting_voltage(axis: Axis, u: np.ndarray) -> tuple[np.ndarray, Axis]:
     ([0.0, 0.5], ())
     """
     b, kept = tuple(float(x) for x in axis.mechanics.array()), []
-    late = float(axis.sampling.computation_delay)
+    late, lags = float(axis.sampling.computation_delay), [axis.drive.current_time_constant]
     for one in axis.effects:
         effect, p = one.effect, tuple(float(x) for x in one.effect.values(one.parameters))
         if effect.actuator is not None:
             u = np.array([effect.actuator(float(voltage), p) for voltage in u])
         elif effect.delay is not None:
             late += effect.delay(0.0, 0.0, 0.0, 0.0, (), p, b) / axis.sampling.period
+        elif effect.lag is not None:
+            lags.append(effect.lag(0.0, 0.0, 0.0, 0.0, (), p, b))
         elif effect.command is None:
             kept.append(one)
-    u = _lagged(_delayed(u, late), axis.drive.current_time_constant / axis.sampling.period)
+    u = _delayed(u, late)
+    for constant in lags:
+        u = _lagged(u, constant / axis.sampling.period)
     used_up = {"drive": {"current_time_constant": 0.0}, "sampling": {"computation_delay": 0}}
     return u, axis.replace(effects=kept, **used_up)
 
 
 def _delayed(u: np.ndarray, late: float) -> np.ndarray:
     """Means over each period of the held signal ``u`` that arrives ``late`` periods later."""
+    if late == 0.0:
+        return u
     whole, share = int(late), late - int(late)
     padded = np.concatenate([np.full(whole + 1, u[0]), u])
     return (1.0 - share) * padded[1 : len(u) + 1] + share * padded[: len(u)]

@@ -32,12 +32,24 @@ def model_force(motion: Motion, axis: Axis, rest_velocity: float = REST_VELOCITY
     m = axis.mechanics
     sliding = np.where(np.abs(motion.v) > rest_velocity, np.sign(motion.v), 0.0)
     force = m.mass * motion.a + m.viscous * motion.v + m.coulomb * motion.smooth(sliding) + m.offset
+    return force + effects_force(motion, axis)
+
+
+def effects_force(motion: Motion, axis: Axis) -> np.ndarray:
+    """What the effects of ``axis`` that have a regressor add to the force for ``motion``, shape (n,) [N].
+
+    >>> from emps_design.machines import machine
+    >>> asymmetric = machine("emps2018-two-quadrant")
+    >>> round(float(effects_force(Motion(*(np.ones(3) for _ in range(5)), period=1.0), asymmetric)[0]), 2)
+    -44.44
+    """
+    force = np.zeros_like(motion.v)
     for one in axis.effects:
         effect = one.effect
         if effect.regressor is None:
             continue
         shape = {name: one.parameters[name] for name in effect.shape}
-        force = force + effect.regressor(motion, shape, m.array()) @ effect.coefficients(one.parameters)
+        force += effect.regressor(motion, shape, axis.mechanics.array()) @ effect.coefficients(one.parameters)
     return force
 
 

@@ -8,7 +8,8 @@ import pytest
 from emps_design.axis import Axis
 from emps_design.errors import AxisError, InputError, RankError, RecordError
 from emps_design.identification import identify
-from emps_design.identification.filters import decimate, held, held_force, hold_chain, low_pass, motion, report_chain
+from emps_design.identification.chains import hold_chain, report_chain
+from emps_design.identification.filters import decimate, held, held_force, low_pass, motion
 from emps_design.identification.inverse_model import baseline_columns, least_squares, with_predicted_force
 from emps_design.machines import machine
 
@@ -225,10 +226,3 @@ def test_fit_is_judged_on_what_took_no_part(record, simulate):
     other = identify(record, AXIS, chain="hold", cutoff_hz=30.0, holdout=simulate(9))
     assert other.extra["held_out"]["on"] == "simulated-9"
     assert other.extra["held_out"]["rms_error"] == pytest.approx(own.rms_error, rel=0.3)
-
-
-def test_effects_of_the_axis_are_named_as_left_out(record):
-    axis = AXIS.replace(effects=[{"kind": "asymmetric_viscous_friction", "viscous_difference": -20.0}])
-    found = identify(record, axis)
-    assert "take no part and are not in the identified one: asymmetric_viscous_friction" in " ".join(found.warnings)
-    assert found.to_axis().effects == ()

@@ -1,0 +1,203 @@
+"""From a record to motion and force that were filtered alike: three chains, each says what it does to the signals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from emps_design.effects import Motion
+from emps_design.errors import InputError, RecordError
+from emps_design.identification.filters import (
+    DECIMATION,
+    central_difference,
+    decimate,
+    decimated_rows,
+    held_force,
+    low_pass,
+    median_of_three,
+    motion,
+)
+from emps_design.records import Record
+
+REPORT_CUTOFF = 100.0  # Hz, five times the 20 Hz band of interest of the 2019 report
+REPORT_DROPPED = 49  # first samples, spoilt by the ends of filter and differences
+REST_VELOCITY = 2e-3  # m/s, below it friction may be that of rest
+FEWEST_ROWS = 400  # away from rest, for a regression that leaves rest out
+REACH = 1.5  # periods of the cut-off over which the low-pass spreads a jump
+
+
+@dataclass(frozen=True)
+class Filtered:
+    """A record after its chain of filters.
+
+    ``motion`` has one row a sample of the record that was kept (None once W is made of it), and ``reduce`` brings such
+    a column to the rate of the regression. At that rate are ``t`` [s], ``force`` [N] and ``f_ext`` [N], which rows are
+    ``used``, and which lie ``away`` from rest; ``period`` [s] is the time between two rows. ``cutoff_hz`` [Hz] is the
+    low-pass of the position (None: the chain has none), ``band_hz`` [Hz] what the regression sees.
+    """
+
+    chain: str
+    motion: Motion | None = field(repr=False)
+    t: np.ndarray = field(repr=False)
+    force: np.ndarray
+    f_ext: np.ndarray | None
+    reduce: Callable[[np.ndarray], np.ndarray] = field(repr=False)
+    used: np.ndarray = field(repr=False)
+    away: np.ndarray = field(repr=False)
+    period: float
+    cutoff_hz: float | None
+    band_hz: float
+    decimation: int
+    text: str
+
+
+def report_chain(record: Record, force_gain: float, cutoff_hz: float | None = None) -> Filtered:
+    """The chain of the 2019 report: what its tables were made with.
+
+    Position low-passed at 100 Hz (4th order, forwards and backwards), central differences twice, first 49 samples
+    dropped, columns and raw force decimated by 10. It sees the hold as half a sample of delay.
+    """
+    cutoff_hz = cutoff_hz or REPORT_CUTOFF
+    force = _decimated(record.u, force_gain)
+    q = low_pass(record.q, cutoff_hz, record.period)
+    v = central_difference(q, record.period)
+    a = central_difference(v, record.period)
+    return _decimating(
+        "report",
+        record,
+        (q, v, a),
+        force_gain,
+        force,
+        None if record.f_ext is None else _decimated(record.f_ext),
+        cutoff_hz,
+        f"position: Butterworth order 4 at {cutoff_hz:g} Hz, forwards and backwards; central differences; "
+        f"first {REPORT_DROPPED} samples dropped; all columns decimated by {DECIMATION}",
+    )
+
+
+def paper_chain(record: Record, force_gain: float, cutoff_hz: float | None = None) -> Filtered:
+    """The chain of the 2018 paper, section III-A: medfilt1, decimate, backward and central differences.
+
+    Velocity is the backward difference of the measured position, acceleration the central difference of the filtered
+    velocity; a median of three, then decimation by 10 (the paper does not give its factor). ``cutoff_hz`` is refused:
+    the chain's low-pass is the decimation's.
+    """
+    if cutoff_hz is not None:
+        raise InputError("cut-off: the paper's chain has none, its low-pass is the decimation's; use --filter hold")
+    force = _decimated(median_of_three(record.u), force_gain)
+    v = median_of_three(np.diff(record.q, prepend=record.q[0]) / record.period)
+    a = median_of_three(central_difference(v, record.period))
+    return _decimating(
+        "paper",
+        record,
+        (median_of_three(record.q), v, a),
+        force_gain,
+        force,
+        None if record.f_ext is None else _decimated(median_of_three(record.f_ext)),
+        None,
+        f"backward difference, median of 3, central difference of that velocity, decimated by {DECIMATION}",
+    )
+
+
+def _decimated(signal: np.ndarray, gain: float = 1.0) -> np.ndarray:
+    return gain * decimate(signal[REPORT_DROPPED:])
+
+
+def _decimating(
+    chain: str,
+    record: Record,
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
+    force_gain: float,
+    force: np.ndarray,
+    f_ext: np.ndarray | None,
+    cutoff_hz: float | None,
+    text: str,
+) -> Filtered:
+    """The chains that drop the first samples and decimate every column."""
+    kept = slice(REPORT_DROPPED, None)
+    q, v, a = (signal[kept] for signal in motion)
+    seen = Motion(record.t[kept], q, v, a, np.zeros(len(q)), record.period, force_gain=force_gain)
+    rows = decimated_rows(len(q))
+    band = 0.8 * 0.5 / (DECIMATION * record.period)
+    band = band if cutoff_hz is None else min(cutoff_hz, band)
+    return Filtered(
+        chain=chain,
+        motion=seen,
+        t=seen.t[rows],
+        force=force,
+        f_ext=f_ext,
+        reduce=decimate,
+        used=np.ones(len(force), dtype=bool),
+        away=sliding(seen, band)[rows],
+        period=DECIMATION * record.period,
+        cutoff_hz=cutoff_hz,
+        band_hz=band,
+        decimation=DECIMATION,
+        text=text,
+    )
+
+
+def hold_chain(record: Record, force_gain: float, cutoff_hz: float | None = None) -> Filtered:
+    """This package's chain: the hold modelled, one zero-phase low-pass on motion and force, decimation without more.
+
+    Rows near rest are left out (see :func:`sliding`): friction at rest is any force up to the break-away.
+    ``cutoff_hz`` [Hz] defaults to the one :func:`emps_design.identification.cutoff.chosen_cutoff` finds in the data.
+    """
+    if cutoff_hz is None:
+        from emps_design.identification.cutoff import chosen_cutoff
+
+        cutoff_hz = chosen_cutoff(record).cutoff_hz
+    # One sample per half period of four times the cut-off: what is left above it is under 1e-5 of the amplitude.
+    factor = max(1, int(0.125 / (cutoff_hz * record.period)))
+    edge = int(1.0 / (cutoff_hz * record.period))
+    rows = slice(edge, len(record) - edge, factor)
+
+    def reduce(column: np.ndarray) -> np.ndarray:
+        return column[rows]
+
+    force = reduce(held_force(record, force_gain, cutoff_hz)).copy()
+    f_ext = None if record.f_ext is None else reduce(low_pass(record.f_ext, cutoff_hz, record.period)).copy()
+    seen = replace(motion(record, cutoff_hz), force_gain=force_gain)
+    used = reduce(sliding(seen, cutoff_hz))
+    if int(used.sum()) < FEWEST_ROWS:
+        raise RecordError(
+            f"{record.name}: {int(used.sum())} rows away from rest at a cut-off of {cutoff_hz:g} Hz, expected at least "
+            f"{FEWEST_ROWS}; record longer strokes above {1e3 * REST_VELOCITY:g} mm/s, or use --filter report"
+        )
+    return Filtered(
+        chain="hold",
+        motion=seen,
+        t=reduce(record.t),
+        force=force,
+        f_ext=f_ext,
+        reduce=reduce,
+        used=used,
+        away=used,
+        period=factor * record.period,
+        cutoff_hz=cutoff_hz,
+        band_hz=cutoff_hz,
+        decimation=factor,
+        text=f"Butterworth order 4 at {cutoff_hz:g} Hz, forwards and backwards, on motion and held force alike; second "
+        f"difference; one sample in {factor}; left out: slower than {1e3 * REST_VELOCITY:g} mm/s, or "
+        f"{1e3 * REACH / cutoff_hz:.0f} ms from such a moment",
+    )
+
+
+def sliding(motion: Motion, cutoff_hz: float) -> np.ndarray:
+    """Where the carriage slides for certain: shape (n,) of bool.
+
+    False where it is slower than 2 mm/s, and within 1.5 periods of the cut-off [Hz] of such a moment: a zero-phase
+    filter spreads the jump of friction at a reversal that far to both sides.
+    """
+    slow = (motion.v < REST_VELOCITY) & (motion.v > -REST_VELOCITY)
+    reach, n = int(REACH / (cutoff_hz * motion.period)), len(slow)
+    # Slow samples before each moment, so that those within reach are a difference.
+    before = np.zeros(n + 2 * reach + 1, dtype=np.int32)
+    np.cumsum(slow, out=before[reach + 1 : reach + n + 1])
+    before[reach + n + 1 :] = before[reach + n]
+    return before[2 * reach + 1 :] == before[:n]
+
+
+CHAINS: dict[str, Callable[..., Filtered]] = {"report": report_chain, "paper": paper_chain, "hold": hold_chain}

@@ -1,0 +1,74 @@
+"""What an axis file knows besides the parameters that are sought: what its drive does to the voltage, its effects."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.errors import InputError, nearest_name
+from emps_design.identification.chains import CHAINS, Filtered
+from emps_design.identification.inverse_model import with_predicted_force
+from emps_design.observer import acting_voltage, effects_force, left_out
+from emps_design.records import Record
+
+ASYMMETRY = "asymmetric_viscous_friction"
+
+
+def known_part(axis: Axis, model: str) -> Axis:
+    """The axis without the effects that ``model`` identifies itself.
+
+    >>> from emps_design.machines import machine
+    >>> [len(known_part(machine("emps2018-two-quadrant"), model).effects) for model in ("symmetric", "asymmetric")]
+    [1, 0]
+    """
+    if model != "asymmetric":
+        return axis
+    return axis.replace(effects=[one for one in axis.effects if one.kind != ASYMMETRY])
+
+
+def acting(record: Record, axis: Axis) -> Record:
+    """The record with the voltage that acts in place of the recorded one: see :func:`acting_voltage`."""
+    voltage, _ = acting_voltage(axis.replace(sampling={"period": record.period}), record.u)
+    return replace(record, u=voltage)
+
+
+def filter_record(record: Record, axis: Axis, chain: str, cutoff_hz: float | None = None) -> Filtered:
+    """Run ``record`` through ``chain``, less what the axis' drive and effects account for.
+
+    Delays, lags and maps of the drive go into the voltage; the force of effects that have a regressor is taken out of
+    the motor force, with the parameters of the axis and its present mechanics where an effect depends on them.
+    Raises :class:`InputError`, which names the nearest chain.
+    """
+    if chain not in CHAINS:
+        raise InputError(f"filter: found {chain!r}, expected {', '.join(CHAINS)}{nearest_name(chain, list(CHAINS))}")
+    voltage, rest = acting_voltage(axis.replace(sampling={"period": record.period}), record.u)
+    filtered = CHAINS[chain](replace(record, u=voltage), axis.drive.force_gain, cutoff_hz)
+    if not rest.effects:
+        return filtered
+    moved = with_predicted_force(filtered.motion, axis.mechanics.array())
+    return replace(filtered, force=filtered.force - filtered.reduce(effects_force(moved, rest)))
+
+
+def notes(axis: Axis, simulated: bool = False) -> list[str]:
+    """One line for each thing about the effects of ``axis`` that whoever identifies with it should know.
+
+    ``simulated``: the estimator simulates them all, and needs no regressor.
+
+    >>> from emps_design.machines import machine
+    >>> notes(machine("emps2019"))
+    []
+    """
+    found = []
+    _, rest = acting_voltage(axis, np.zeros(1))
+    unused = () if simulated else left_out(rest)["offline"]
+    taken = [one.kind for one in axis.effects if one.kind not in unused]
+    if taken:
+        found.append(f"taken as known from {axis.name}, and kept in the identified axis: {', '.join(taken)}")
+    if unused:
+        found.append(f"left out of the regression, for the motion does not give their force: {', '.join(unused)}")
+    own = [one.kind for one in axis.effects if any(p.per_record for p in one.effect.parameters)]
+    if own:
+        found.append(f"right only if the axis was made from this record, by phase or time: {', '.join(own)}")
+    return found
