@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -79,12 +80,19 @@ def _write(diagnosis: Any, out: Path, axis: str) -> None:
     trace = diagnosis.trace
     write_text(out / "model.toml", f"# {axis}, extended by emps-design diagnose\n{diagnosis.axis.to_toml()}")
     write_text(out / "diagnosis.json", json.dumps(plain(diagnosis.to_dict()), indent=1, ensure_ascii=False) + "\n")
-    with write_aside(out / "holdout_prediction.csv") as aside, aside.open("w", newline="") as handle:
-        rows = csv.writer(handle)
-        rows.writerow(["t", "force_measured", "force_baseline", "force_extended"])
-        columns = (trace.t, trace.measured, trace.baseline, trace.extended)
-        rows.writerows([f"{value:.9g}" for value in row] for row in zip(*columns, strict=True))
+    columns = (trace.t, trace.measured, trace.baseline, trace.extended)
+    _table(out / "holdout_prediction.csv", ("t", "force_measured", "force_baseline", "force_extended"), columns)
+    if diagnosis.experiment is not None and diagnosis.experiment.q_ref is not None:
+        experiment = diagnosis.experiment
+        _table(out / experiment.file, ("t", "q_ref"), (experiment.t, experiment.q_ref))
     write_text(out / "report.html", diagnosis_page(diagnosis).html())
+
+
+def _table(path: Path, titles: Sequence[str], columns: Sequence[Any]) -> None:
+    with write_aside(path) as aside, aside.open("w", newline="") as handle:
+        rows = csv.writer(handle)
+        rows.writerow(titles)
+        rows.writerows([f"{value:.9g}" for value in row] for row in zip(*columns, strict=True))
 
 
 def _show(document: dict[str, Any], out: Path | None) -> None:
@@ -106,8 +114,13 @@ def _show(document: dict[str, Any], out: Path | None) -> None:
             )
         console.print(table)
     if document.get("experiment"):
-        console.print(f"Next experiment: {document['experiment']}", highlight=False)
+        console.print(f"Next experiment: {document['experiment']['text']}", highlight=False)
     for remedy in document["remedies"]:
         console.print(f"Remedy: {remedy}", highlight=False)
     if out is not None:
-        console.print(f"Written: {out}/report.html, model.toml, diagnosis.json, holdout_prediction.csv")
+        reference = (document["experiment"] or {}).get("file")
+        written = ["model.toml", "diagnosis.json", "holdout_prediction.csv", *([reference] if reference else [])]
+        console.print(f"Written: {out}/report.html, {', '.join(written)}")
+        if reference:
+            try_it = f"emps-design simulate {out}/model.toml --reference {out}/{reference}"
+            console.print(f"Try the experiment first: {try_it}", highlight=False, soft_wrap=True)

@@ -85,7 +85,6 @@ def findings(work: Work, extended: Fit, equivalents: dict[str, list[str]]) -> tu
                 gap_after=force_rms(problem, extended),
                 equivalents=tuple(equivalents.get(name, ())),
                 remedy=effect.remedy,
-                experiment=effect.experiment,
                 note=_note(work, effect.channel),
             )
         )
@@ -129,7 +128,6 @@ def details(work: Work, verdict: str, baseline: Fit, extended: Fit, refitted: tu
         "candidates": _candidates(work, extended),
         "parameters": _parameters(work, baseline, extended),
         "not_excluded": unseen,
-        "experiment": _experiment(work, extended),
         "records": [{"name": r.name, "role": "train", "sha256": r.sha256} for r in problem.records],
         "calibration": (
             f"A finding must gain more than {work.healthy.threshold:.1f} in whitened cost, the largest gain of any "
@@ -234,13 +232,3 @@ def _not_excluded(work: Work, extended: Fit) -> list[dict[str, Any]]:
             }
         )
     return rows
-
-
-def _experiment(work: Work, extended: Fit) -> str:
-    """What to record next: for ambiguous findings what separates them, else what the first finding's file advises."""
-    for names in work.judge.equivalents(work.found).values():
-        if names:
-            return get_effect(names[0]).experiment
-    for name in extended.model.names:
-        return get_effect(name).experiment
-    return ""

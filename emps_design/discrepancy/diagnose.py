@@ -15,6 +15,7 @@ from emps_design.discrepancy.decide import screen, search
 from emps_design.discrepancy.describe import Work
 from emps_design.discrepancy.diagnosis import Diagnosis
 from emps_design.discrepancy.door import check_records, check_same_drive
+from emps_design.discrepancy.experiment import experiment
 from emps_design.discrepancy.healthy import healthy_reference
 from emps_design.discrepancy.judge import Judge, explained
 from emps_design.discrepancy.law_check import LawCheck, check_law
@@ -203,6 +204,7 @@ def _conclude(work: Work, confirming: tuple[Problem, np.ndarray] | None) -> Diag
         prediction=shown.prediction,
         views=describe.marked_views(before, after, problem.splits[0].used, floor.force_60hz, findings),
         details=describe.details(work, verdict, baseline, extended, shown.refitted),
+        experiment=experiment(problem, found, extended.model.names, equivalents, work.judge.healthy.threshold),
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.discrepancy.confirm import Gap, Prediction
+from emps_design.discrepancy.experiment import Experiment
 from emps_design.discrepancy.locate import EVERYWHERE, View
 from emps_design.quantities import display_unit
 
@@ -31,7 +32,6 @@ class Finding:
     gap_after: float
     equivalents: tuple[str, ...] = ()
     remedy: str = ""
-    experiment: str = ""
     note: str = ""
 
     def to_dict(self) -> dict[str, Any]:
@@ -99,6 +99,7 @@ class Diagnosis:
     prediction: Prediction
     views: tuple[View, ...]
     details: Mapping[str, Any] = field(default_factory=dict)
+    experiment: Experiment | None = None
     model_file: str | None = None
 
     @property
@@ -150,12 +151,14 @@ class Diagnosis:
             "gap_inverse_60hz": inverse,
             "model_file": self.model_file,
             "remedies": [f.remedy for f in self.findings if f.remedy],
+            "experiment": None if self.experiment is None else self.experiment.to_dict(),
             **shown,
         }
 
     def with_file(self, model_file: str) -> Diagnosis:
-        """The same diagnosis, saying where its model was written."""
-        return replace(self, model_file=model_file)
+        """The same diagnosis, saying where its model was written, and beside it the reference of the experiment."""
+        written = None if self.experiment is None else self.experiment.written()
+        return replace(self, model_file=model_file, experiment=written)
 
     def _repr_html_(self) -> str:
         rows = "".join(

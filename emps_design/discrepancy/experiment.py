@@ -8,7 +8,7 @@ more than the right one, give or take 2 D.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -26,6 +26,7 @@ from emps_design.effects import Effect, get_effect
 from emps_design.errors import SimulationError
 from emps_design.simulation import Run
 
+FILE = "experiment.csv"
 LUCK = 2.0  # standard deviations of a difference in cost that chance may take from the right model
 SLACK = 0.05  # by which a program may exceed what the same model does on the records
 PULSE = 1e-6  # m, small enough for no voltage limit
@@ -69,28 +70,37 @@ class Experiment:
             "units": {"duration": "s", "distance": "N", "over_noise": "standard deviations"},
         }
 
-    def table(self) -> Iterator[tuple[float, float]]:
-        """Rows ``t`` [s], ``q_ref`` [m] of the reference."""
-        for k, q in enumerate(() if self.q_ref is None else self.q_ref):
-            yield k * self.period, float(q)
+    @property
+    def t(self) -> np.ndarray:
+        """Time (n,) [s] of the samples of ``q_ref``."""
+        return np.arange(0 if self.q_ref is None else self.q_ref.size) * self.period
+
+    def written(self) -> Experiment:
+        """The same, saying where the reference was written, if there is one."""
+        return self if self.q_ref is None else replace(self, file=FILE)
 
 
 def experiment(
-    problem: Problem, search: Search, equivalents: dict[str, list[str]], threshold: float
+    problem: Problem, search: Search, named: tuple[str, ...], equivalents: dict[str, list[str]], threshold: float
 ) -> Experiment | None:
     """What to record next: a program where findings have ``equivalents``, else what the first finding's file advises.
 
-    ``threshold`` is the gain in whitened cost that counts. None where nothing was found.
+    ``named`` are the findings; too many equivalents leave a finding without a name and with the same question.
+    ``threshold`` is the gain in whitened cost that counts. None where nothing is asked.
     """
-    best = search.best.model
-    pairs = [(name, other) for name, others in equivalents.items() for other in others]
-    rivals = [search.tried[frozenset((*best.names, other)) - {name}] for name, other in pairs]
+    best = search.best
+    rivals = [
+        search.tried[frozenset((*best.model.names, other)) - {name}]
+        for name, others in equivalents.items()
+        for other in others
+        if name in named or len(others) > MOST_EQUIVALENTS
+    ]
     if rivals and problem.axis.controller.kind != "none":
-        left = search.best.cost / problem.samples("used")  # structure that nothing explains blurs like noise
-        chosen = choose(problem, (search.best, *rivals[:MOST_EQUIVALENTS]), threshold, np.sqrt(max(1.0, left)))
+        left = best.cost / problem.samples("used")  # structure that nothing explains blurs like noise
+        chosen = choose(problem, (best, *rivals[:MOST_EQUIVALENTS]), threshold, np.sqrt(max(1.0, left)))
         if chosen is not None:
             return chosen
-    return Experiment(get_effect(best.names[0]).experiment) if best.names else None
+    return Experiment(get_effect(named[0]).experiment) if named else None
 
 
 def choose(problem: Problem, rivals: tuple[Fit, ...], threshold: float, noise: float = 1.0) -> Experiment | None:

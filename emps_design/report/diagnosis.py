@@ -51,7 +51,8 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
         _gap_section(document),
         _views_section(diagnosis),
         _limits_section(document),
-        _remedy_section(document, findings),
+        _remedy_section(document),
+        _experiment_section(document.get("experiment")),
         _design_section(document.get("design") or _design_rows(diagnosis, document)),
         _method_section(document),
     ]
@@ -276,11 +277,9 @@ def _limits_section(document: Mapping[str, Any]) -> Section | None:
     )
 
 
-def _remedy_section(document: Mapping[str, Any], findings: Sequence[Mapping[str, Any]]) -> Section | None:
+def _remedy_section(document: Mapping[str, Any]) -> Section | None:
     remedies = [r for r in document.get("remedies", ()) if r]
     blocks: list[Any] = [Points(map(_sentence, remedies))] if remedies else []
-    if document.get("experiment"):
-        blocks.append(Callout("note", "The experiment that would tell more", _sentence(document["experiment"])))
     if document.get("model_file"):
         blocks.append(
             Text(
@@ -290,6 +289,35 @@ def _remedy_section(document: Mapping[str, Any], findings: Sequence[Mapping[str,
             )
         )
     return Section("What to do", *blocks) if blocks else None
+
+
+def _experiment_section(experiment: Mapping[str, Any] | None) -> Section | None:
+    if not experiment:
+        return None
+    blocks: list[Any] = [Text(_sentence(experiment["text"]))]
+    if experiment.get("file"):
+        blocks.append(
+            Text(
+                Html(
+                    f"Its reference is <code>{experiment['file']}</code>, columns t [s] and q_ref [m]. Try it first: "
+                    f"<code>emps-design simulate model.toml --reference {experiment['file']}</code>."
+                )
+            )
+        )
+    if experiment.get("menu"):
+        between = " and ".join(words(name) for name in experiment["between"])
+        blocks.append(
+            Table(
+                ["program", "what it does", "apart [N rms]", "apart [std of the noise]"],
+                [
+                    [words(row["program"]), row["text"], row["distance"], row["over_noise"]]
+                    for row in experiment["menu"]
+                ],
+                f"How far apart {between} are on each program that stays within what the records show, both fitted as "
+                f"well as they can be; {quantity(experiment['needed'], '', 2)} standard deviations decide.",
+            )
+        )
+    return Section("What to record next", *blocks)
 
 
 def _design_rows(diagnosis: Diagnosis, document: Mapping[str, Any]) -> list[dict[str, Any]]:

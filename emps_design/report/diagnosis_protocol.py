@@ -55,7 +55,8 @@ class Diagnosis(Protocol):
     | ``parameters`` | {name: {unit, axis, baseline: {value, std}, extended: {value, std}}} |
     | ``not_excluded`` | [{effect, label, size, unit, text}]: the smallest size that would have been seen |
     | ``remedies`` | [str], what a control engineer does about it |
-    | ``experiment`` | str, the program that would separate what these data cannot |
+    | ``experiment`` | {text, program, file, between, distance [N], over_noise, needed, menu: [{program, text, |
+    |  | distance [N], over_noise}]}: what would separate what these data cannot; all but ``text`` may be None |
     | ``design`` | [{quantity, unit, before, after, note}], what the better model changes in margins and gains |
     | ``records`` | [{name, role, sha256}] with role "train" or "holdout" |
     | ``inputs`` | {name: sha256} of every file read, the axis file included |

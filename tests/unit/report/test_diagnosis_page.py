@@ -90,7 +90,11 @@ def document(verdict="named"):
         },
         "not_excluded": [{"effect": "backlash", "label": "Backlash", "size": 8e-6, "unit": "m", "text": ""}],
         "remedies": ["Compensate the friction at low speed, or dither."],
-        "experiment": "Slow triangles of 2 to 20 mm/s.",
+        "experiment": {
+            "text": "slow triangles of 2 to 20 mm/s", "program": "slow_triangles", "file": "experiment.csv",
+            "between": ["stribeck_friction", "presliding_friction"], "distance": 0.7, "over_noise": 38.2, "needed": 6.4,
+            "menu": [{"program": "slow_triangles", "text": "triangles", "distance": 0.7, "over_noise": 38.2}],
+        },
         "design": [{"quantity": "sampled phase margin", "unit": "deg", "before": 39.2, "after": 35.0, "note": ""}],
         "records": [{"name": "train.npz", "role": "train", "sha256": "ab" * 32}],
         "warnings": ["The record has few low speeds."],
@@ -142,7 +146,8 @@ def test_the_page_tells_everything_the_diagnosis_knows():
     for said in (
         "7.40 ± 0.60 N", "6.63 to 9.37 mm/s", "presliding friction", "&lt; 0.001", "explains less than half",
             "96.20 ± 0.20 kg",
-        "8.0 µm", "Compensate the friction", "Slow triangles", "39.2°", "ab" * 32,
+        "8.0 µm", "Compensate the friction", "Slow triangles", "38.2", "6.4 standard deviations",
+        "--reference experiment.csv", "39.2°", "ab" * 32,
         "few low speeds", "199 simulated healthy records", "98 %", "model.toml",
     ):  # fmt: skip
         assert said in html, said
