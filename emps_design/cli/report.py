@@ -26,6 +26,7 @@ def command(
     environment: float = typer.Option(1e4, "--environment", help="Stiffness of the wall [N/m]."),
     mass: float | None = typer.Option(None, "--mass", help="Apparent mass M_a of the impedance law [kg]."),
     damping: float | None = typer.Option(None, "--damping", help="Apparent damping B [N/(m/s)], with --mass."),
+    filter: float | None = typer.Option(None, "--filter", help="Filter of the impedance law [rad/s]."),
     mismatch: float = typer.Option(0.02, "--mismatch", help="Error of the impedance law's estimates."),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
@@ -53,6 +54,7 @@ def command(
             environment=environment,
             mass=mass,
             damping=damping,
+            filter=filter,
             mismatch=mismatch,
             retune=retune,
             progress=progress,

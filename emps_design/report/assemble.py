@@ -60,6 +60,7 @@ def assemble_report(
     environment: float = 1e4,
     mass: float | None = None,
     damping: float | None = None,
+    filter: float | None = None,
     mismatch: float = 0.02,
     retune: bool = False,
     progress: Progress | None = None,
@@ -71,7 +72,8 @@ def assemble_report(
     leaves them as they are. ``crossover`` or
     ``bandwidth`` [rad/s], ``phase_margin_deg`` [deg]; ``k_e1`` [(m/s)/N], ``hand`` [N/(m/s)], ``environment`` [N/m];
     ``mass`` [kg] and ``damping`` [N/(m/s)] of the impedance law, by default those of the axis's controller or else of
-    the paper's experiments, tried under a relative ``mismatch``; ``retune`` meets the specification when sampled.
+    the paper's experiments, and its ``filter`` [rad/s], tried under a relative ``mismatch``; ``retune`` meets the
+    specification when sampled.
 
     >>> report = assemble_report("emps2018", crossover=100.0, phase_margin_deg=60.0)
     >>> report.results.velocity.axis.name, round(report.results.velocity.k_v1, 2)
@@ -108,7 +110,7 @@ def assemble_report(
     else:
         velocity = design_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg)
     tell("trying the impedance law", 0.45)
-    assessed, section = _impedance(loaded, mass, damping, mismatch)
+    assessed, section = _impedance(loaded, mass, damping, mismatch, filter)
     parts.append(section)
     stops = () if assessed.stable else (f"the impedance law is unstable: {assessed.reason}",)
     results = design_results(
@@ -137,7 +139,7 @@ def _from_record(record, axis, model, design_on, inputs, tell):
     return (found[0].to_axis() if design_on == "record" else axis), found, section
 
 
-def _impedance(axis, mass, damping, mismatch):
+def _impedance(axis, mass, damping, mismatch, filter):
     """Assess the impedance law on ``axis``, and the section that tells it."""
     from emps_design.report.impedance import impedance_section
     from emps_design.simulation.comanipulation import DAMPING, MASS
@@ -149,7 +151,7 @@ def _impedance(axis, mass, damping, mismatch):
     elif mass is None:
         mass, damping = MASS, DAMPING
         chosen = "These are the values of the paper's experiments (section IV-B); --mass and --damping choose others."
-    assessed = assess_impedance(axis, mass, damping, mismatch)
+    assessed = assess_impedance(axis, mass, damping, mismatch, filter)
     return assessed, impedance_section(assessed, chosen)
 
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from emps_design.control.impedance_robustness import StabilityMap
     from emps_design.simulation.impedance_run import Run
     from emps_design.simulation.impedance_study import MismatchStudy
+    from emps_design.simulation.wall_contact import WallContact
 
 VERDICT_COLORS = {"stable": GREEN, "dead_band": BLUE, "creeping": ORANGE, "limit_cycle": PURPLE, "unstable": RED}
 _COLORS = (BLUE, RED, GREEN, PURPLE)
@@ -119,7 +120,7 @@ def mismatch_figure(study: MismatchStudy) -> Figure:
                     )
         left.set_xlabel("apparent mass [kg]")
         left.set_ylabel("apparent damping [N/(m/s)]")
-        left.legend(loc="best")
+        figure.legend(loc="outside upper left", ncols=3, markerscale=0.9)
         counts = [int(np.sum(study.verdict == place)) for place in range(len(VERDICTS))]
         right.bar(
             [name.replace("_", "\n") for name in VERDICTS], counts, color=[VERDICT_COLORS[name] for name in VERDICTS]
@@ -129,6 +130,29 @@ def mismatch_figure(study: MismatchStudy) -> Figure:
         right.set_ylabel("plants")
         right.grid(axis="x", visible=False)
         right.margins(y=0.12)
+    return figure
+
+
+def wall_figure(contact: WallContact) -> Figure:
+    """Draw a push into a wall: position with the wall, force of the hand and force of the wall against time."""
+    with look():
+        figure, (top, bottom) = subplots(2, 1, height=4.0, sharex=True)
+        wall = 1e3 * contact.position
+        top.plot(*thin(contact.t, 1e3 * contact.q), color=BLUE, linewidth=1.3, label="carriage")
+        bottom.plot(*thin(contact.t, contact.push), color=BLACK, linewidth=1.3, label="push of the hand")
+        bottom.plot(*thin(contact.t, contact.wall_force), color=RED, linewidth=1.3, label="force of the wall")
+        if contact.reason:
+            top.text(0.5, 0.5, "unstable: the simulation gave up", transform=top.transAxes, ha="center", color=RED)
+        top.set_ylim(top=max(top.get_ylim()[1], 1.25 * wall))
+        top.axhspan(wall, top.get_ylim()[1], facecolor=GREY, alpha=0.25, label="wall")
+        top.axhline(wall, color=GREY, linewidth=0.8)
+        top.set_ylabel("position [mm]")
+        bottom.set_ylabel("force [N]")
+        bottom.set_xlabel("time [s]")
+        for axes, place in ((top, "upper right"), (bottom, "lower right")):
+            axes.margins(x=0.01)
+            axes.legend(loc=place)
+        figure.align_ylabels()
     return figure
 
 

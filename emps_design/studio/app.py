@@ -11,6 +11,7 @@ from emps_design.axis import Axis
 from emps_design.machines import machine, machine_names
 from emps_design.records import Record
 from emps_design.studio.design_view import DesignView
+from emps_design.studio.exports import velocity_design
 from emps_design.studio.page import page
 from emps_design.studio.state import State
 
@@ -31,11 +32,15 @@ class Session:
         machines[axis.name] = axis
         self.state = State.of(axis)
         self.design = DesignView(self.state, machines, self._changed)
-        self.simulation = SimulationView(lambda: self.state)
+        self.simulation = SimulationView(lambda: self.state, self.design.turn)
         own = axis.name if axis.name not in machine_names() else RECORD_AXIS
-        self.data = DataView(lambda: self.design.machines, own, self.design.add_axis, record)
+        self.data = DataView(
+            lambda: self.design.machines, own, lambda: self.state, self.design.turn, self.design.add_axis, record
+        )
         self.files = FilesView(lambda: self.state, lambda: self.data.record, self._loaded)
-        self.tab = pn.widgets.RadioButtonGroup(label="Tab", options=list(TABS), value=TABS[0], button_type="primary")
+        self.tab = pn.widgets.RadioButtonGroup(
+            label="Tab", options=list(TABS), value=TABS[0], color="primary", margin=6
+        )
         self.views = dict(zip(TABS, (self.design, self.simulation, self.data, self.files), strict=True))
         for name, view in self.views.items():
             view.view.visible = name == TABS[0]
@@ -50,14 +55,17 @@ class Session:
 
     def _changed(self, state: State) -> None:
         self.state = state
+        self.simulation.show(state)
 
     def _loaded(self, state: State) -> None:
-        self.state = state
+        if state.pinned is not None:
+            velocity_design(state.pinned)  # what cannot be designed is refused before anything changes
         self.design.machines[state.axis.name] = state.axis
         self.design.machine.options = list(self.design.machines)
         self.design.machine.value = state.axis.name
         self.design.set_state(state)
-        self.state = self.design.state
+        self._changed(self.design.state)
+        self.data.show(self.state)
 
 
 def serve(axis: Axis, record: str | Path | None = None, port: int = 0, ready=None) -> None:

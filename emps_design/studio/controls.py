@@ -1,4 +1,4 @@
-"""A control for a number: a field to type in and a slider to turn, both with the same name, kept in step."""
+"""Controls for one number of the state: a field to type in, alone or with a slider to turn, kept in step."""
 
 from __future__ import annotations
 
@@ -15,30 +15,24 @@ _QUIET = (
 )
 
 
-class Knob:
-    """Field and slider of the number ``name``; ``on_change(name, value)`` hears every change made by hand."""
+class Field:
+    """A field for the number ``name``; ``on_change(name, value)`` hears every change made by hand."""
 
-    def __init__(self, name: str, value: float, on_change: Callable[[str, float], None]):
-        choice = CHOICES[name]
+    def __init__(self, name: str, value: float, on_change: Callable[[str, float], None], width: int = 112):
         self.name, self.on_change, self._quiet = name, on_change, False
-        whole = isinstance(choice.step, int)
-        field_type, slider_type = (
-            (pn.widgets.IntInput, pn.widgets.IntSlider) if whole else (pn.widgets.FloatInput, pn.widgets.FloatSlider)
-        )
-        options = {
+        choice = CHOICES[name]
+        self.options = {
             "label": choice.label,
             "value": value,
             "start": choice.lower,
             "end": choice.upper,
             "step": choice.step,
         }
-        self.field = field_type(**options, width=112, margin=(2, 6, 2, 6))
-        self.slider = slider_type(
-            **options, show_value=False, sizing_mode="stretch_width", margin=(22, 10, 0, 4), stylesheets=[_QUIET]
-        )
+        self.whole = isinstance(choice.step, int)
+        widget = pn.widgets.IntInput if self.whole else pn.widgets.FloatInput
+        self.field = widget(**self.options, width=width, margin=(2, 6, 2, 6))
+        self.shown = (self.field,)
         self.field.param.watch(self._heard, "value")
-        self.slider.param.watch(self._heard, "value")
-        self.view = pn.Row(self.field, self.slider, sizing_mode="stretch_width", margin=0)
 
     def _heard(self, event) -> None:
         if self._quiet or event.new is None:
@@ -50,10 +44,24 @@ class Knob:
         """Show ``value`` without telling anybody."""
         self._quiet = True
         try:
-            self.field.value = value
-            self.slider.value = value
+            for widget in self.shown:
+                widget.value = value
         finally:
             self._quiet = False
+
+
+class Knob(Field):
+    """A field and a slider of the number ``name``."""
+
+    def __init__(self, name: str, value: float, on_change: Callable[[str, float], None]):
+        super().__init__(name, value, on_change)
+        slider = pn.widgets.IntSlider if self.whole else pn.widgets.FloatSlider
+        self.slider = slider(
+            **self.options, show_value=False, sizing_mode="stretch_width", margin=(22, 10, 0, 4), stylesheets=[_QUIET]
+        )
+        self.shown = (self.field, self.slider)
+        self.slider.param.watch(self._heard, "value")
+        self.view = pn.Row(self.field, self.slider, sizing_mode="stretch_width", margin=0)
 
     def limit(self, low: float, high: float) -> None:
         """Let the control reach ``low`` to ``high`` only; a value outside moves to the nearest end."""

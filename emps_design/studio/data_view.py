@@ -16,9 +16,22 @@ from emps_design.report.display import quantity
 from emps_design.report.page import inline
 from emps_design.studio.jobs import Job
 from emps_design.studio.panes import blocks, html
+from emps_design.studio.state import FRICTIONS, State
 
 LIMIT_MB = 100
 SUFFIXES = (".mat", ".csv", ".npz")
+INTRODUCTION = """
+<h3>What a record tells</h3>
+<table class="about">
+<tr><th><b>Identify</b></th><td>mass and friction of the axis with their standard deviations: seconds</td></tr>
+<tr><th><b>Observe</b></th><td>the external force on the carriage, and the smallest that shows: seconds</td></tr>
+<tr><th><b>Diagnose</b></th><td>where simulation and record disagree, which effect explains it, and how much of the gap
+is gone with it: a minute or more, with a bar and a button to cancel</td></tr>
+<tr><th><b>Design on this model</b></th><td>take what was identified or diagnosed over into the design tab</td></tr>
+</table>
+<p>A record has the columns t [s], q_ref [m], q [m], u [V], and f_ext [N] where a force was measured; a .mat may use the
+names of the EMPS data set. It stays on this machine. To practise, <code>emps-design init start</code> writes three.</p>
+"""
 
 
 def read_upload(name: str, content: bytes | str) -> Record:
@@ -51,6 +64,8 @@ class DataView:
         self,
         machines: Callable[[], dict[str, Axis]],
         axis_name: str,
+        state: Callable[[], State],
+        turn: Callable[[str, Any], None],
         take: Callable[[Axis], None],
         record: Record | None = None,
     ):
@@ -59,43 +74,45 @@ class DataView:
         self.model: Axis | None = None
         self._dropped_last: tuple[str, bytes | str] | None = None
         self.drop = pn.widgets.FileDropper(
-            label="Record", max_file_size=f"{LIMIT_MB}MB", multiple=False, height=76, width=360, layout="compact"
+            label=f"Record: drop it here or click to choose one; {', '.join(SUFFIXES)}, at most {LIMIT_MB} MB",
+            max_file_size=f"{LIMIT_MB}MB",
+            multiple=False,
+            height=76,
+            width=400,
+            layout="compact",
+            margin=(4, 6),
         )
         self.drop.param.watch(self._dropped, "value")
         self.machine = pn.widgets.Select(
-            label="Axis of the record", options=list(machines()), value=axis_name, width=200
+            label="Axis of the record", options=list(machines()), value=axis_name, width=230, margin=(4, 6)
         )
         self.friction = pn.widgets.RadioButtonGroup(
-            label="Friction", options=["symmetric", "asymmetric"], margin=(20, 5)
+            label="Friction", options=list(FRICTIONS), value=state().friction, margin=(22, 6, 4, 6)
         )
+        self.friction.param.watch(lambda event: turn("friction", event.new), "value")
         self.buttons = {
-            name: pn.widgets.Button(label=name, disabled=True, width=110)
-            for name in ("Identify", "Observe", "Diagnose")
+            name: pn.widgets.Button(label=name, disabled=True, width=110, margin=(24, 6, 4, 6)) for name in WORK
         }
         for name, button in self.buttons.items():
-            button.button_type = "primary"
+            button.color = "primary"
             button.on_click(lambda event, name=name: self._start(name))
-        self.take = pn.widgets.Button(label="Design on this model", disabled=True, width=200, button_type="success")
+        self.take = pn.widgets.Button(
+            label="Design on this model", disabled=True, width=180, color="success", margin=(24, 6, 4, 6)
+        )
         self.take.on_click(self._taken)
         self.job = Job()
-        self.message, self.about, self.result = html(), html(), blocks()
+        self.message, self.about, self.result = html(), html(INTRODUCTION), blocks()
         self.view = pn.Column(
-            pn.Row(
+            pn.FlexBox(
+                self.drop,
                 pn.Column(
-                    pn.pane.HTML(
-                        f"Drop a record here, or click to choose one: {', '.join(SUFFIXES)}, at most {LIMIT_MB} MB.",
-                        margin=(4, 5, 0, 5),
-                    ),
-                    self.drop,
+                    pn.Row(self.machine, pn.pane.HTML("Friction model", margin=(29, 0, 0, 6)), self.friction, margin=0),
+                    pn.Row(*self.buttons.values(), self.take, margin=(-14, 0, 0, 0)),
                     margin=0,
                 ),
-                pn.Column(
-                    pn.Row(*self.buttons.values(), self.take, margin=0),
-                    pn.Row(self.machine, pn.pane.HTML("Friction model", margin=(26, 5)), self.friction, margin=0),
-                    self.job.view,
-                    margin=0,
-                ),
+                align_items="flex-start",
             ),
+            self.job.view,
             self.message,
             self.about,
             self.result,
@@ -103,6 +120,10 @@ class DataView:
         )
         if record is not None:
             self._show(record)
+
+    def show(self, state: State) -> None:
+        """Show the friction model of ``state``."""
+        self.friction.value = state.friction
 
     def _dropped(self, event: Any) -> None:
         if not event.new:
@@ -141,7 +162,7 @@ class DataView:
     def _start(self, name: str) -> None:
         if self.record is None:
             return
-        work = {"Identify": identify_work, "Observe": observe_work, "Diagnose": diagnose_work}[name]
+        work = WORK[name]
         record, axis, friction = self.record, self._machines()[self.machine.value], self.friction.value
         if self.job.start(lambda progress: work(record, axis, friction, progress), self._done, self._failed):
             self._say(f"{name} is at work on {record.name}", "note")
@@ -222,3 +243,6 @@ def diagnose_work(record: Record, axis: Axis, friction: str, progress: Callable)
         "model": found.axis.replace(name=f"{axis.name} diagnosed on {record.name}"),
         "level": "warning" if document["findings"] else "good",
     }
+
+
+WORK = {"Identify": identify_work, "Observe": observe_work, "Diagnose": diagnose_work}

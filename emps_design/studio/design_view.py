@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import panel as pn
@@ -12,9 +13,9 @@ from emps_design.report.display import angle, delay, number, quantity, ratio
 from emps_design.report.page import inline
 from emps_design.studio.controls import Knob
 from emps_design.studio.panes import html
-from emps_design.studio.plots import PLACES, LoopPlots, PlanePlot
+from emps_design.studio.plots import LoopPlots, PlanePlot
 from emps_design.studio.reach import plane, reach
-from emps_design.studio.state import SPECIFICATIONS, State
+from emps_design.studio.state import PLACES, SPECIFICATIONS, State
 
 if TYPE_CHECKING:
     from emps_design.control.velocity_loop import VelocityLoopDesign
@@ -37,74 +38,100 @@ class DesignView:
         self.pinned: VelocityLoopDesign | None = None
         self.plots, self.plane = LoopPlots(), PlanePlot()
         self._plane_of: Any = None
-        self.machine = pn.widgets.Select(label="Axis", options=list(machines), value=state.axis.name, width=300)
-        self.machine.param.watch(self._machine_chosen, "value")
-        self.specification = pn.widgets.RadioButtonGroup(
-            label="Frequency means", options=list(SPECIFICATIONS), value=state.specification, width=300
+        self.machine = pn.widgets.Select(
+            label="Axis", options=list(machines), value=state.axis.name, width=306, margin=(4, 6)
         )
-        self.specification.param.watch(lambda event: self._turned("specification", event.new), "value")
-        self.place = pn.widgets.RadioButtonGroup(label="Loop broken at", options=list(PLACES), value=PLACES[0])
-        self.place.param.watch(lambda event: self.refresh(), "value")
-        self.pin = pn.widgets.Toggle(label="Pin this design to compare", width=210)
+        self.machine.param.watch(self._machine_chosen, "value")
+        self.words = {
+            "specification": pn.widgets.RadioButtonGroup(
+                label="Frequency means",
+                options=list(SPECIFICATIONS),
+                value=state.specification,
+                width=306,
+                margin=(2, 6),
+            ),
+            "place": pn.widgets.RadioButtonGroup(
+                label="Loop broken at", options=list(PLACES), value=state.place, margin=(2, 8)
+            ),
+        }
+        for name, group in self.words.items():
+            group.param.watch(lambda event, name=name: self._heard(name, event.new), "value")
+        self.pin = pn.widgets.Toggle(label="Pin this design to compare", width=210, margin=(2, 8))
         self.pin.param.watch(self._pinned, "value")
-        self.knobs = {name: Knob(name, getattr(state, name), self._turned) for _, names in GROUPS for name in names}
-        self.message, self.numbers, self.side = html(), html(), html()
+        self.knobs = {name: Knob(name, getattr(state, name), self.turn) for _, names in GROUPS for name in names}
+        self.message, self.numbers, self.laws = html(), html(), html()
+        self._quiet = False
         self.view = self._layout()
-        self.refresh()
+        self.set_state(state)
 
     def _layout(self) -> pn.Row:
         groups: list[Any] = []
         for title, names in GROUPS:
-            groups.append(html(f"<h3>{title}</h3>", margin=(6, 5, 0, 5)))
-            groups += [self.specification] if title == "Velocity loop" else []
+            groups.append(html(f"<h3>{title}</h3>", margin=(6, 6, 0, 6)))
+            groups += [self.words["specification"]] if title == "Velocity loop" else []
             groups += [self.knobs[name].view for name in names]
         left = pn.Column(self.machine, *groups, width=330, margin=(0, 8, 0, 0))
         p = self.plots
-        grid = pn.GridBox(
-            pn.Column(
-                pn.pane.Bokeh(p.magnitude, sizing_mode="scale_width"),
-                pn.pane.Bokeh(p.phase, sizing_mode="scale_width"),
-                margin=0,
-                sizing_mode="stretch_width",
+        columns = ((p.magnitude, p.phase), (p.nyquist, self.plane.plot), (p.step, p.z_plane))
+        pictures = pn.Row(
+            *(
+                pn.Column(
+                    *(pn.pane.Bokeh(plot, sizing_mode="scale_width") for plot in column),
+                    margin=0,
+                    sizing_mode="stretch_width",
+                )
+                for column in columns
             ),
-            pn.pane.Bokeh(p.nyquist, sizing_mode="scale_width"),
-            pn.pane.Bokeh(p.step, sizing_mode="scale_width"),
-            pn.pane.Bokeh(self.plane.plot, sizing_mode="scale_width"),
-            pn.pane.Bokeh(p.z_plane, sizing_mode="scale_width"),
-            pn.Column(self.side, sizing_mode="stretch_width", margin=0),
-            ncols=3,
+            margin=0,
             sizing_mode="stretch_width",
         )
-        bar = pn.Row(pn.pane.HTML("Loop broken at", margin=(8, 5)), self.place, self.pin, margin=0)
-        return pn.Row(
-            left,
-            pn.Column(self.message, self.numbers, bar, grid, sizing_mode="stretch_width", margin=0),
-            sizing_mode="stretch_width",
-        )
+        bar = pn.Row(pn.pane.HTML("Loop broken at", margin=(6, 0, 0, 5)), self.words["place"], self.pin, margin=(4, 0))
+        right = pn.Column(self.message, self.numbers, bar, pictures, self.laws, sizing_mode="stretch_width", margin=0)
+        right.styles = {"position": "sticky", "top": "0", "align-self": "flex-start"}  # in sight of the lowest knob
+        return pn.Row(left, right, sizing_mode="stretch_width")
 
     def _machine_chosen(self, event) -> None:
         self.set_state(self.state.with_axis(self.machines[event.new]))
         self._changed(self.state)
 
-    def _turned(self, name: str, value: Any) -> None:
+    def _heard(self, name: str, value: Any) -> None:
+        if not self._quiet:
+            self.turn(name, value)
+
+    def turn(self, name: str, value: Any) -> None:
+        """Change one number or word of the state, from whichever tab, and show what comes of it."""
         try:
             self.state = self.state.changed(**{name: value})
         except EmpsError as error:
             self._say(str(error), "stop")
             return
-        self.refresh()
+        if name in self.knobs:
+            self.knobs[name].set(value)
+        if name == "place":
+            self._show_pinned()
+        elif name in self.knobs or name in self.words:
+            self.refresh()
         self._changed(self.state)
 
     def _pinned(self, event) -> None:
-        if event.new and self.design is not None:
-            self.pinned = self.design
-            self.plots.pin()
-            self.plane.pin()
-        else:
-            self.pinned = None
+        if self._quiet:
+            return
+        self.state = replace(self.state, pinned=replace(self.state, pinned=None) if event.new else None)
+        self._show_pinned()
+        self._changed(self.state)
+
+    def _show_pinned(self) -> None:
+        """Draw the pinned design as the grey lines to compare with, or take them away."""
+        from emps_design.studio.exports import velocity_design
+
+        kept = self.state.pinned
+        self.pinned = None if kept is None else velocity_design(kept)
+        if self.pinned is None:
             self.plots.unpin()
-            self.plane.unpin()
-        self._show_numbers()
+        else:
+            self.plots.update(self.pinned, self.state.place)
+            self.plots.pin()
+        self.refresh()
 
     def add_axis(self, axis: Any) -> None:
         """Offer ``axis`` in the list, choose it, and design on it."""
@@ -119,39 +146,61 @@ class DesignView:
     def set_state(self, state: State) -> None:
         """Show ``state`` in every control, and design on it."""
         self.state = state
-        for name, knob in self.knobs.items():
-            knob.set(getattr(state, name))
-        self.specification.value = state.specification
-        self.refresh()
+        self._quiet = True
+        try:
+            for name, knob in self.knobs.items():
+                knob.set(getattr(state, name))
+            for name, group in self.words.items():
+                group.value = getattr(state, name)
+            self.pin.value = state.pinned is not None
+        finally:
+            self._quiet = False
+        self._show_pinned()
+
+    def _within_reach(self) -> tuple[str, bool]:
+        """Move the state to what can be reached; why it moved or where it ends, and whether there is a design."""
+        said: list[str] = []
+        reachable = reach(self.state)
+        frequency = reachable.nearest_frequency(self.state.frequency)
+        if reachable.frequencies is not None:
+            self.knobs["frequency"].limit(*reachable.frequencies)
+        if frequency != self.state.frequency:
+            asked = self.state.frequency
+            said += [reachable.text, f"The frequency asked for moved from {asked:g} to {frequency:g} rad/s."]
+            self.state = self.state.changed(frequency=frequency)
+            reachable = reach(self.state)
+            said.append(reachable.text)
+        else:
+            said += [reachable.text, reachable.beyond]
+        if not reachable.empty:
+            phase = reachable.nearest(self.state.phase_margin_deg)
+            self.knobs["phase_margin_deg"].limit(reachable.low, reachable.high)
+            if phase != self.state.phase_margin_deg:
+                said.append(f"The phase margin asked for moved from {self.state.phase_margin_deg:g}° to {phase:g}°.")
+                self.state = self.state.changed(phase_margin_deg=phase)
+        return " ".join(filter(None, said)), not reachable.empty
 
     def refresh(self) -> None:
         """Design what the state asks for and show it; a specification that cannot be had stays unreachable."""
         from emps_design.studio.exports import velocity_design
 
-        reachable = reach(self.state)
-        said = reachable.text
-        if not reachable.empty:
-            phase = reachable.nearest(self.state.phase_margin_deg)
-            self.knobs["phase_margin_deg"].limit(reachable.low, reachable.high)
-            if phase != self.state.phase_margin_deg:
-                said = f"{said} The phase margin asked for moved from {self.state.phase_margin_deg:g}° to {phase:g}°."
-                self.state = self.state.changed(phase_margin_deg=phase)
+        said, reached = self._within_reach()
         try:
             self.design = velocity_design(self.state)
         except EmpsError as error:
             self._say(str(error), "stop")
             return
-        self._say(said, "stop" if reachable.empty else "note")
-        self.plots.update(self.design, self.place.value)
-        self.plots.require(self.state.required_phase_deg, self.state.required_overshoot_percent)
-        key = (self.state.axis, self.state.required_phase_deg)
+        self._say(said, "note" if reached else "stop")
+        state = self.state
+        self.plots.update(self.design, state.place)
+        self.plots.require(state.required_phase_deg, state.required_overshoot_percent)
+        key = (state.axis, state.specification, state.required_phase_deg)
         if key != self._plane_of:
-            names = tuple(name for name, _ in self.plane.CLASSES)
-            self.plane.cells.data = plane(self.state.axis, self.state.required_phase_deg, names)
+            self.plane.color(plane(*key))
             self._plane_of = key
-        self.plane.show(self.design.crossover, self.design.phase_margin_deg)
+        self.plane.show(state.specification, self.design, self.pinned)
         self._show_numbers()
-        self.side.object = side_table(self.state, self.design)
+        self.laws.object = laws_table(state, self.design)
 
     def _show_numbers(self) -> None:
         if self.design is not None:
@@ -212,14 +261,14 @@ def _requirements(state: State, design: VelocityLoopDesign) -> str:
     )
 
 
-def side_table(state: State, design: VelocityLoopDesign) -> str:
+def laws_table(state: State, design: VelocityLoopDesign) -> str:
     """Force loop and impedance law of the state as HTML."""
-    rows = [*_force_rows(state, design), *_impedance_rows(state)]
-    body = "".join(f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in rows)
-    return f'<table class="side"><tr><th colspan="2">Force loop and impedance law</th></tr>{body}</table>'
+    cells = [*_force_cells(state, design), *_impedance_cells(state)]
+    heads, values = ("".join(f"<{tag}>{cell[k]}</{tag}>" for cell in cells) for k, tag in ((0, "th"), (1, "td")))
+    return f'<table class="numbers"><tr>{heads}</tr><tr>{values}</tr></table>'
 
 
-def _force_rows(state: State, design: VelocityLoopDesign) -> list[tuple[str, str]]:
+def _force_cells(state: State, design: VelocityLoopDesign) -> list[tuple[str, str]]:
     from emps_design.control.force_loop import design_force_loop
 
     try:
@@ -232,12 +281,12 @@ def _force_rows(state: State, design: VelocityLoopDesign) -> list[tuple[str, str
     stable = '<b class="yes">stable</b>' if force.stable else '<b class="no">unstable</b>'
     return [
         ("force loop, sampled", stable),
-        ("k_e1, largest", f"{number(state.k_e1)}, {'unbounded' if limit is None else number(limit)} (m/s)/N"),
+        ("k_e1, largest [(m/s)/N]", f"{number(state.k_e1)}, {'unbounded' if limit is None else number(limit)}"),
         ("felt: damping, mass", f"{quantity(force.k_c, 'N/(m/s)')}, {quantity(force.apparent_mass, 'kg')}"),
     ]
 
 
-def _impedance_rows(state: State) -> list[tuple[str, str]]:
+def _impedance_cells(state: State) -> list[tuple[str, str]]:
     from emps_design.control.impedance import FrictionModel, impedance_law
     from emps_design.control.impedance_robustness import verdict
     from emps_design.control.impedance_sampled import Clock

@@ -36,6 +36,10 @@ def report_html(state: State, record: Record | None = None) -> str:
         k_e1=state.k_e1,
         hand=state.hand,
         environment=state.wall * 1e3,
+        mass=state.mass,
+        damping=state.damping,
+        filter=state.filter,
+        mismatch=state.mismatch_percent / 100.0,
         **state.requested,
     )
     return report.page.html()
@@ -43,10 +47,21 @@ def report_html(state: State, record: Record | None = None) -> str:
 
 def figures(state: State) -> dict[str, Figure]:
     """The pictures of ``state`` as matplotlib figures by name."""
+    from emps_design.control.force_loop import design_force_loop
     from emps_design.report.diagrams import velocity_and_force_loop
+    from emps_design.report.force_figures import force_limit_figure, force_loop_figure
     from emps_design.report.loop_figures import velocity_loop_figures
+    from emps_design.studio.simulated import simulate
 
-    return {"block_diagram": velocity_and_force_loop(), **velocity_loop_figures(velocity_design(state))}
+    design = velocity_design(state)
+    force = design_force_loop(design, state.k_e1, hand=state.hand, environment=state.wall * 1e3)
+    return {
+        "block_diagram": velocity_and_force_loop(),
+        **velocity_loop_figures(design),
+        "force_limit": force_limit_figure(force),
+        "force_loop": force_loop_figure(force),
+        **{f"simulation_{name}": figure for name, figure in simulate(state).figures().items()},
+    }
 
 
 def figures_zip(state: State, kind: str) -> bytes:

@@ -15,6 +15,9 @@ from emps_design.studio import exports
 from emps_design.studio.panes import html
 from emps_design.studio.state import State
 
+# A download is a link in a button's dress, which the button's type does not colour.
+BUTTON = ":host { --surface-color: #0072b2; --surface-text-color: #fff; }"
+
 
 class FilesView:
     """Buttons that hand out files of the state as it is now, and a field that loads a saved state."""
@@ -24,39 +27,79 @@ class FilesView:
     ):
         self._state, self._record, self._loaded = state, record, loaded
         self.message = html()
-        made: dict[str, tuple[str, Callable[[], bytes]]] = {
-            "Report (HTML)": ("emps-design-report.html", lambda: exports.report_html(state(), record()).encode()),
-            "Figures (SVG)": ("emps-design-figures-svg.zip", lambda: exports.figures_zip(state(), "svg")),
-            "Figures (PNG)": ("emps-design-figures-png.zip", lambda: exports.figures_zip(state(), "png")),
-            "Model (TOML)": ("emps-design-model.toml", lambda: exports.model_toml(state()).encode()),
-            "Gains (JSON)": ("emps-design-gains.json", lambda: exports.gains_json(state()).encode()),
-            "State (TOML)": ("emps-design-state.toml", lambda: state().to_toml().encode()),
-        }
-        self.downloads = {
-            label: pn.widgets.FileDownload(
-                callback=self._guarded(make), filename=filename, label=label, button_type="primary", width=220
+        made: tuple[tuple[str, str, str, Callable[[], bytes]], ...] = (
+            (
+                "Report (HTML)",
+                "emps-design-report.html",
+                "the whole design as one page to read, print and hand on, with the record where one is loaded",
+                lambda: exports.report_html(state(), record()).encode(),
+            ),
+            (
+                "Figures (SVG)",
+                "emps-design-figures-svg.zip",
+                "every figure of the design as vectors, for a paper",
+                lambda: exports.figures_zip(state(), "svg"),
+            ),
+            (
+                "Figures (PNG)",
+                "emps-design-figures-png.zip",
+                "the same as pixels, for slides",
+                lambda: exports.figures_zip(state(), "png"),
+            ),
+            (
+                "Model (TOML)",
+                "emps-design-model.toml",
+                "the axis with the controller of the design: every emps-design command takes it",
+                lambda: exports.model_toml(state()).encode(),
+            ),
+            (
+                "Gains (JSON)",
+                "emps-design-gains.json",
+                "gains and margins, as emps-design gains --json prints them",
+                lambda: exports.gains_json(state()).encode(),
+            ),
+            (
+                "State (TOML)",
+                "emps-design-state.toml",
+                "everything the controls of all tabs hold, and the pinned design: to go on another day",
+                lambda: state().to_toml().encode(),
+            ),
+        )
+        rows = [
+            pn.Row(
+                pn.widgets.FileDownload(
+                    callback=self._guarded(filename, make),
+                    filename=filename,
+                    label=label,
+                    color="primary",
+                    width=200,
+                    margin=(4, 6),
+                    stylesheets=[BUTTON],
+                ),
+                pn.pane.HTML(inline(what), margin=(10, 6), stylesheets=["div { font-size: 13px; }"]),
+                margin=0,
             )
-            for label, (filename, make) in made.items()
-        }
-        self.load = pn.widgets.FileInput(label="Load a state", accept=".toml", multiple=False)
+            for label, filename, what, make in made
+        ]
+        self.load = pn.widgets.FileInput(label="State to load (.toml)", accept=".toml", multiple=False, margin=(4, 6))
         self.load.param.watch(self._load, "value")
         self.view = pn.Column(
-            html("<h3>Export what the design tab shows</h3>"),
-            pn.FlexBox(*self.downloads.values()),
-            html("<h3>Load a state saved before</h3>"),
-            self.load,
             self.message,
+            html("<h3>Save what the design tab shows</h3>", margin=(6, 6, 0, 6)),
+            *rows,
+            html("<h3>Go on with a state saved before</h3>", margin=(14, 6, 0, 6)),
+            self.load,
             sizing_mode="stretch_width",
         )
 
-    def _guarded(self, make: Callable[[], bytes]) -> Callable[[], BytesIO]:
+    def _guarded(self, filename: str, make: Callable[[], bytes]) -> Callable[[], BytesIO]:
         def callback() -> BytesIO:
             try:
                 data = make()
             except EmpsError as error:
                 self._say(str(error), "stop")
                 raise
-            self._say("written", "good")
+            self._say(f"{filename} is handed to the browser's downloads", "good")
             return BytesIO(data)
 
         return callback
@@ -66,14 +109,13 @@ class FilesView:
             return
         name = self.load.filename or "state"
         try:
-            state = State.from_toml(bytes(event.new).decode("utf-8", errors="strict"), name)
+            self._loaded(State.from_toml(bytes(event.new).decode("utf-8", errors="strict"), name))
         except UnicodeDecodeError:
             self._say(f"{name}: not UTF-8 text, expected a state saved by the studio", "stop")
             return
         except EmpsError as error:
             self._say(str(error), "stop")
             return
-        self._loaded(state)
         self._say(f"{name} is loaded; the design tab shows it", "good")
 
     def _say(self, text: str, level: str) -> None:

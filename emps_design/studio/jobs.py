@@ -25,11 +25,11 @@ class Job:
     """
 
     def __init__(self) -> None:
-        self.bar = pn.indicators.Progress(label="Progress", value=0, max=100, width=300, visible=False)
-        self.stage = pn.pane.HTML("", margin=(4, 8))
-        self.cancel = pn.widgets.Button(label="Cancel work", disabled=True, width=110)
+        self.bar = pn.indicators.Progress(label="Progress", value=0, max=100, width=300, margin=(14, 8))
+        self.stage = pn.pane.HTML("", margin=(8, 4))
+        self.cancel = pn.widgets.Button(label="Cancel work", width=110, margin=(4, 6))
         self.cancel.on_click(lambda event: self._stop.set())
-        self.view = pn.Row(self.bar, self.stage, self.cancel, margin=0)
+        self.view = pn.Row(self.cancel, self.bar, self.stage, margin=0, visible=False)
         self._stop = threading.Event()
         self._now: tuple[str, float] = ("", 0.0)
         self._outcome: tuple[str, Any] | None = None
@@ -48,7 +48,7 @@ class Job:
             return False
         self._stop.clear()
         self._outcome, self._now = None, ("starting", 0.0)
-        self.bar.visible, self.cancel.disabled = True, False
+        self.bar.value, self.view.visible = 0, True
 
         def progress(stage: str, fraction: float) -> None:
             if self._stop.is_set():
@@ -75,7 +75,7 @@ class Job:
                 return
             self._poll.stop()
             self._poll = None
-            self.bar.visible, self.cancel.disabled, self.stage.object = False, True, ""
+            self.view.visible, self.stage.object = False, ""
             kind, value = self._outcome
             (done if kind == "done" else failed)(value)
 

@@ -15,11 +15,11 @@ header.studio small { font-weight: 400; margin-left: 12px; opacity: .9; }
 main.studio { padding: 6px 10px 16px; }
 """
 
-# Bokeh's sliders carry their name beside the handle; say it on the handle too, for screen readers and keyboards.
+# What Bokeh leaves without a name or out of a key's reach: handles of sliders, figures, downloads.
 SCRIPT = """
-function nameHandles(root) {
+function nameAndReach(root) {
   for (const element of root.querySelectorAll('*')) {
-    if (element.shadowRoot) nameHandles(element.shadowRoot);
+    if (element.shadowRoot) nameAndReach(element.shadowRoot);
   }
   const title = root.querySelector('.bk-slider-title');
   if (title) for (const handle of root.querySelectorAll('.noUi-handle')) {
@@ -30,11 +30,20 @@ function nameHandles(root) {
     button.setAttribute('aria-label', button.classList.contains('bk-spin-btn-up') ? 'more' : 'less');
     button.tabIndex = -1;  // the arrow keys in the field do the same
   }
+  for (const layer of root.querySelectorAll('.bk-events[tabindex]:not([aria-label])')) {
+    const figure = root.host.getRootNode().host;
+    layer.setAttribute('role', 'img');
+    layer.setAttribute('aria-label', figure.getAttribute('aria-label') || 'Figure');
+  }
+  for (const link of root.querySelectorAll('button > a:not([data-reached])')) {
+    link.dataset.reached = true;  // a download listens on the words of its button only, which no key reaches
+    link.parentElement.addEventListener('click', event => { if (event.target !== link) link.click(); });
+  }
   for (const input of root.querySelectorAll('input[type=file]')) {
     if (!input.getAttribute('aria-label') && !input.id) input.setAttribute('aria-label', 'File');
   }
 }
-setInterval(() => nameHandles(document), 700);
+setInterval(() => nameAndReach(document), 700);
 """
 
 TEMPLATE = (

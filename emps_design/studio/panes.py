@@ -15,8 +15,12 @@ STYLE = """
 table { border-collapse: collapse; font-size: 12.5px; font-variant-numeric: tabular-nums; }
 th, td { text-align: left; padding: 2px 9px 2px 4px; border-bottom: 1px solid #e5e7eb; vertical-align: bottom; }
 th { font-weight: 400; }
+table.numbers td, table.numbers tr + tr th { white-space: nowrap; }
 table.numbers tr:first-child th { color: #4b5563; font-size: 11px; line-height: 1.15; }
-table.side tr:first-child th[colspan] { font-weight: 600; border-bottom: 2px solid #1a1a1a; }
+table.about { font-size: 13px; max-width: 900px; }
+table.about th { white-space: nowrap; vertical-align: top; padding-right: 18px; }
+p { font-size: 13px; max-width: 900px; }
+p.caption { color: #374151; margin: 2px 4px 10px; font-size: 12.5px; }
 b.yes { color: #00664b; }
 b.no { color: #b3261e; }
 p.requirements { margin: 4px 4px 0; font-size: 12.5px; }

@@ -13,19 +13,21 @@ from bokeh.models import (
     FixedTicker,
     HoverTool,
     Label,
+    Legend,
     LegendItem,
+    LinearColorMapper,
     Range1d,
     Span,
 )
 from bokeh.plotting import figure
 
 from emps_design.report.loops import broken_loops
-from emps_design.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, RED
+from emps_design.report.style import BLACK, BLUE, GREEN, GREY, RED
+from emps_design.studio.reach import KINDS, Plane
 
 if TYPE_CHECKING:
     from emps_design.control.velocity_loop import VelocityLoopDesign
 
-PLACES = ("plant input", "velocity error")
 TOOLS = "pan,box_zoom,wheel_zoom,reset,save"
 ASPECT = 1.28  # width over height: two rows fit both screens
 _TURN = np.linspace(0.0, 2.0 * np.pi, 120)
@@ -44,6 +46,7 @@ def blank(title: str, x: str, y: str, aspect: float = ASPECT, **options: Any):
         toolbar_location="above",
         **options,
     )
+    plot.html_attributes = {"aria-label": title}
     plot.toolbar.autohide = True
     plot.toolbar.logo = None
     plot.title.text_font_size = "12px"
@@ -86,12 +89,11 @@ class LoopPlots:
         self.z_plane = self._z_plane()
 
     def _bode(self):
-        magnitude = blank("Bode: magnitude", "", "magnitude [dB]", 2.8, x_axis_type="log")
+        magnitude = blank("Bode: magnitude", "frequency [rad/s]", "magnitude [dB]", x_axis_type="log")
         phase = blank(
             "Bode: phase",
             "frequency [rad/s]",
             "phase [deg]",
-            2.42,
             x_axis_type="log",
             x_range=magnitude.x_range,
         )
@@ -129,8 +131,8 @@ class LoopPlots:
         for key, color, dash in _LINES:
             line = plot.line("t", "y", source=self.steps[key], color=color, line_dash=dash, line_width=2)
             items.append(LegendItem(label=key, renderers=[line]))
-        from bokeh.models import Legend
-
+        self.pinned_item = items[-1]
+        self.pinned_item.visible = False
         plot.add_layout(Legend(items=items, location="bottom_right", label_text_font_size="10px", padding=4, spacing=0))
         plot.y_range = Range1d(0.0, 1.6)
         self.unstable_note = Label(
@@ -188,11 +190,13 @@ class LoopPlots:
         self.steps["pinned"].data = dict(self.steps["sampled" if stable else "continuous"].data)
         both = [self.poles[key].data for key in ("inside", "outside")]
         self.poles["pinned"].data = {name: np.concatenate([d[name] for d in both]) for name in ("re", "im")}
+        self.pinned_item.visible = True
 
     def unpin(self) -> None:
         """Forget the pinned design."""
         for source in (self.lines["pinned"], self.steps["pinned"], self.poles["pinned"]):
             source.data = {name: [] for name in source.data}
+        self.pinned_item.visible = False
 
 
 _LINES = (("continuous", BLUE, "solid"), ("sampled", RED, "solid"), ("pinned", GREY, "dotted"))
@@ -218,56 +222,48 @@ def steps_of(design: VelocityLoopDesign) -> tuple[Any, Any]:
 class PlanePlot:
     """The plane of specifications: where (7) has gains, where the sampled loop is stable, where it meets the margin."""
 
-    CLASSES = (
-        ("no gains by (7)", "#9CA3AF"),
-        ("sampled loop unstable", RED),
-        ("below the required margin", ORANGE),
-        ("meets it", "#BFE3D5"),
-    )
+    COLORS = ("#9CA3AF", "#DE7B3C", "#F6DA92", "#BFE3D5")  # of KINDS
+    X, Y = (5.0, 600.0), (0.0, 90.0)
 
     def __init__(self) -> None:
-        from bokeh.models import CategoricalColorMapper, Legend
-
-        self.cells = _source("x", "y", "width", "height", "kind")
-        self.here = _source("x", "y")
-        self.pinned = _source("x", "y")
-        self.plot = blank("Specifications", "crossover [rad/s]", "phase margin [deg]", x_axis_type="log")
-        mapper = CategoricalColorMapper(
-            factors=[name for name, _ in self.CLASSES], palette=[color for _, color in self.CLASSES]
-        )
-        self.plot.rect(
-            "x",
-            "y",
-            "width",
-            "height",
+        self.cells = _source("kind")
+        self.marks = {key: _source("x", "y") for key in ("here", "pinned")}
+        self.plot = blank("What can be specified", "", "phase margin [deg]", x_axis_type="log")
+        self.plot.image(
+            "kind",
             source=self.cells,
-            fill_color={"field": "kind", "transform": mapper},
-            line_color=None,
-            fill_alpha=0.75,
-            legend_field="kind",
+            x=self.X[0],
+            y=self.Y[0],
+            dw=self.X[1] - self.X[0],
+            dh=self.Y[1] - self.Y[0],
+            color_mapper=LinearColorMapper(palette=list(self.COLORS), low=-0.5, high=3.5),
         )
-        self.plot.scatter("x", "y", source=self.pinned, marker="diamond", size=12, color=GREY)
         self.plot.scatter(
-            "x", "y", source=self.here, marker="circle", size=13, color=BLACK, fill_color="white", line_width=3
+            "x", "y", source=self.marks["pinned"], marker="diamond", size=14, color=GREY, line_color=BLACK
         )
+        self.plot.scatter("x", "y", source=self.marks["here"], size=13, color="white", line_color=BLACK, line_width=3)
         self.plot.grid.visible = False
-        legend = self.plot.select_one(Legend)
-        legend.location = "bottom_left"
-        legend.label_text_font_size = "9px"
-        legend.glyph_height = legend.glyph_width = 10
-        legend.padding, legend.spacing, legend.margin = 3, -4, 4
-        legend.background_fill_alpha = 0.85
-        self.plot.y_range = Range1d(0.0, 90.0)
-        self.plot.x_range = Range1d(5.0, 600.0)
+        # Boxes outside the ranges: the legend names every class, whatever the plane shows.
+        boxes = [self.plot.rect([1.0], [-9.0], 0.1, 0.1, color=color, line_color=None) for color in self.COLORS]
+        items = [LegendItem(label=name, renderers=[box]) for name, box in zip(KINDS, boxes, strict=True)]
+        legend = Legend(
+            items=items, location="bottom_left", label_text_font_size="10px", glyph_height=10, glyph_width=10
+        )
+        legend.padding, legend.spacing, legend.margin, legend.background_fill_alpha = 3, -4, 4, 0.85
+        self.plot.add_layout(legend)
+        self.plot.x_range, self.plot.y_range = Range1d(*self.X), Range1d(*self.Y)
 
-    def show(self, crossover: float, phase_margin_deg: float) -> None:
-        """Mark where the design is."""
-        self.here.data = {"x": [crossover], "y": [phase_margin_deg]}
+    def color(self, found: Plane) -> None:
+        """Colour the plane by what was ``found``."""
+        self.cells.data = {"kind": [found.kind]}
 
-    def pin(self) -> None:
-        """Keep the mark."""
-        self.pinned.data = dict(self.here.data)
-
-    def unpin(self) -> None:
-        """Forget the pinned mark."""
-        self.pinned.data = {"x": [], "y": []}
+    def show(self, specification: str, design: VelocityLoopDesign, pinned: VelocityLoopDesign | None) -> None:
+        """Mark ``design`` and the pinned one over what ``specification`` says the frequency is."""
+        names = {"crossover": "crossover", "bandwidth": "closed-loop −3 dB bandwidth"}
+        self.plot.xaxis.axis_label = f"{names[specification]} [rad/s]"
+        for key, one in (("here", design), ("pinned", pinned)):
+            there = [] if one is None else [one]
+            self.marks[key].data = {
+                "x": [getattr(d, specification) for d in there],
+                "y": [d.phase_margin_deg for d in there],
+            }

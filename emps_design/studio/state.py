@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from emps_design.axis import Axis
@@ -35,13 +35,24 @@ CHOICES: dict[str, Choice] = {
     "mismatch_percent": Choice("Mismatch [%]", 0.0, 20.0, 0.5),
     "required_phase_deg": Choice("Required phase margin, sampled [deg]", 0.0, 80.0, 1.0),
     "required_overshoot_percent": Choice("Allowed overshoot [%]", 0.0, 100.0, 1.0),
+    "push": Choice("Push [N]", 1.0, 500.0, 5.0),
+    "hand_stiffness": Choice("Hand stiffness [N/m]", 0.0, 20000.0, 100.0),
+    "hand_damping": Choice("Hand damping [N/(m/s)]", 0.0, 2000.0, 10.0),
+    "plants": Choice("Random plants", 0, 10000, 100),
+    "seed": Choice("Seed", 0, 10**6, 1),
 }
 SPECIFICATIONS = ("crossover", "bandwidth")
+PLACES = ("plant input", "velocity error")
+TASKS = ("guided", "pushed")
+FRICTIONS = ("symmetric", "asymmetric")
+WORDS = {"specification": SPECIFICATIONS, "place": PLACES, "task": TASKS, "friction": FRICTIONS}
 
 
 @dataclass(frozen=True)
 class State:
-    """Everything the controls hold; ``axis`` has the sampling and the current loop of the controls.
+    """Everything the controls of all tabs hold, and the design that is pinned.
+
+    ``axis`` has the sampling and the current loop of the controls.
 
     >>> from emps_design.machines import machine
     >>> state = State.of(machine("emps2018"))
@@ -50,9 +61,15 @@ class State:
     """
 
     axis: Axis
+    pinned: State | None = None
     specification: str = "crossover"
     frequency: float = 100.0
     phase_margin_deg: float = 60.0
+    required_phase_deg: float = 30.0
+    required_overshoot_percent: float = 20.0
+    period_ms: float = 1.0
+    computation_delay: int = 0
+    current_ms: float = 0.0
     k_e1: float = 0.01
     hand: float = 0.0
     wall: float = 10.0
@@ -60,11 +77,14 @@ class State:
     damping: float = 100.0
     filter: float = 500.0
     mismatch_percent: float = 2.0
-    required_phase_deg: float = 30.0
-    required_overshoot_percent: float = 20.0
-    period_ms: float = field(default=1.0)
-    computation_delay: int = 0
-    current_ms: float = 0.0
+    place: str = "plant input"
+    task: str = "guided"
+    push: float = 40.0
+    hand_stiffness: float = 1000.0
+    hand_damping: float = 100.0
+    plants: int = 200
+    seed: int = 0
+    friction: str = "symmetric"
 
     @classmethod
     def of(cls, axis: Axis) -> State:
@@ -95,11 +115,15 @@ class State:
         return {self.specification: self.frequency, "phase_margin_deg": self.phase_margin_deg}
 
     def to_toml(self) -> str:
-        """The state as a TOML document."""
+        """The state as a TOML document: tables [studio] and [axis], and both in [pinned] where a design is pinned."""
         import tomli_w
 
-        values = {key: value for key, value in asdict(self).items() if key != "axis"}
-        return tomli_w.dumps({"studio": values, "axis": self.axis.to_dict()})
+        return tomli_w.dumps(self._tables())
+
+    def _tables(self) -> dict[str, Any]:
+        values = {one.name: getattr(self, one.name) for one in fields(self) if one.name not in ("axis", "pinned")}
+        pinned = {} if self.pinned is None else {"pinned": self.pinned._tables()}
+        return {"studio": values, "axis": self.axis.to_dict(), **pinned}
 
     @classmethod
     def from_toml(cls, text: str, source: str = "state") -> State:
@@ -108,25 +132,35 @@ class State:
             document = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
             raise InputError(f"{source}: not TOML, {error}") from error
-        if not isinstance(document.get("studio"), dict) or not isinstance(document.get("axis"), dict):
+        state = cls._of_tables(document, source)
+        if "pinned" not in document:
+            return state
+        return replace(state, pinned=cls._of_tables(document["pinned"], f"{source}: pinned"))
+
+    @classmethod
+    def _of_tables(cls, document: Any, source: str) -> State:
+        tables = document if isinstance(document, dict) else {}
+        if not isinstance(tables.get("studio"), dict) or not isinstance(tables.get("axis"), dict):
             raise InputError(f"{source}: expected the tables [studio] and [axis] of a state saved by the studio")
-        axis = Axis.from_dict(document["axis"], f"{source}: axis")
-        for name, value in document["studio"].items():
+        for name, value in tables["studio"].items():
             check(name, value, source)
-        return replace(cls(axis), **document["studio"])
+        state = cls.of(Axis.from_dict(tables["axis"], f"{source}: axis"))
+        # A clock that says the same as the axis leaves the axis as it is, to the last digit.
+        return state.changed(**{k: value for k, value in tables["studio"].items() if getattr(state, k) != value})
 
 
 def check(name: str, value: Any, source: str = "studio") -> None:
     """Refuse a name the controls do not have, or a number outside a control's range, with :class:`InputError`."""
-    if name == "specification":
-        if value not in SPECIFICATIONS:
-            raise InputError(f"{source}: specification: found {value!r}, expected {' or '.join(SPECIFICATIONS)}")
+    if name in WORDS:
+        if value not in WORDS[name]:
+            raise InputError(f"{source}: {name}: found {value!r}, expected {' or '.join(WORDS[name])}")
         return
     if name not in CHOICES:
-        raise InputError(f"{source}: unknown key {name!r}{nearest_name(name, list(CHOICES))}")
+        raise InputError(f"{source}: unknown key {name!r}{nearest_name(name, [*CHOICES, *WORDS])}")
     choice = CHOICES[name]
-    if isinstance(value, bool) or not isinstance(value, int | float) or not choice.lower <= value <= choice.upper:
-        raise InputError(f"{source}: {name}: found {value!r}, expected {choice.lower:g} to {choice.upper:g}")
+    kind, what = (int, "a whole number, ") if isinstance(choice.step, int) else (int | float, "")
+    if isinstance(value, bool) or not isinstance(value, kind) or not choice.lower <= value <= choice.upper:
+        raise InputError(f"{source}: {name}: found {value!r}, expected {what}{choice.lower:g} to {choice.upper:g}")
 
 
 def _clock(axis: Axis) -> dict[str, Any]:

@@ -62,6 +62,7 @@ def as_mat73() -> bytes:
 
 GOOD = {
     "csv": ("a.csv", as_csv()),
+    "csv-decimal-comma": ("a.csv", as_csv().replace(b".", b",")),
     "npz": ("a.npz", as_npz()),
     "mat-v5": ("a.mat", as_mat(False)),
     "mat-v5-compressed": ("a.mat", as_mat(True)),

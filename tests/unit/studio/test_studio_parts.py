@@ -5,6 +5,7 @@ import socket
 import threading
 import time
 import zipfile
+from dataclasses import replace
 from io import BytesIO
 
 import numpy as np
@@ -15,14 +16,16 @@ pytest.importorskip("panel", reason="the extra 'studio' is not installed")
 from emps_design.axis import Axis
 from emps_design.cli.app import run
 from emps_design.control.velocity_loop import design_velocity_loop
-from emps_design.errors import InputError, RecordError
+from emps_design.errors import InputError, RecordError, SpecificationError
 from emps_design.machines import machine, machine_names
 from emps_design.studio import exports
+from emps_design.studio.app import Session
 from emps_design.studio.data_view import LIMIT_MB, read_upload
 from emps_design.studio.design_view import DesignView
 from emps_design.studio.jobs import Job
-from emps_design.studio.reach import plane, reach
-from emps_design.studio.state import CHOICES, State
+from emps_design.studio.reach import KINDS, plane, reach, reachable_frequencies
+from emps_design.studio.simulated import simulate
+from emps_design.studio.state import CHOICES, SPECIFICATIONS, TASKS, State
 
 
 def state(**values) -> State:
@@ -31,6 +34,7 @@ def state(**values) -> State:
 
 def test_a_state_goes_to_a_file_and_comes_back():
     saved = state(phase_margin_deg=47.5, computation_delay=2, current_ms=0.75, specification="bandwidth")
+    saved = replace(saved.changed(task="pushed", push=60.0, plants=0, friction="asymmetric"), pinned=state(hand=5.0))
     back = State.from_toml(saved.to_toml())
     assert back == saved
     assert back.axis.sampling.computation_delay == 2
@@ -45,6 +49,7 @@ def test_a_state_goes_to_a_file_and_comes_back():
         ("[studio]\nphase = 1\n", "unknown key 'phase'"),
         ("[studio]\nphase_margin_deg = 90.0\n", "phase_margin_deg: found 90.0, expected 1 to 89"),
         ("[studio]\nphase_margin_deg = true\n", "phase_margin_deg: found True"),
+        ("[studio]\nplants = 2.5\n", "plants: found 2.5, expected a whole number, 0 to 10000"),
         ('[studio]\nspecification = "speed"\n', "specification: found 'speed', expected crossover or bandwidth"),
     ],
 )
@@ -80,18 +85,43 @@ def test_where_nothing_can_be_reached_the_reason_is_said():
     assert found.nearest(60.0) is None
 
 
-def test_the_plane_agrees_with_single_designs():
-    names = ("none", "unstable", "below", "meets")
+@pytest.mark.parametrize("specification", SPECIFICATIONS)
+def test_the_plane_agrees_with_single_designs(specification):
     axis = machine("emps2018")
-    cells = plane(axis, 30.0, names, columns=6, rows=6)
-    for w, phase, kind in zip(cells["x"], cells["y"], cells["kind"], strict=True):
-        if kind == "none":
+    found = plane(axis, specification, 30.0, columns=6, rows=6)
+    for (row, column), place in np.ndenumerate(found.kind):
+        asked = {specification: float(found.x[column]), "phase_margin_deg": float(found.y[row])}
+        if KINDS[place] == "no gains by (7)":
             with pytest.raises(Exception, match="phase margin"):
-                design_velocity_loop(axis, crossover=float(w), phase_margin_deg=float(phase))
+                design_velocity_loop(axis, **asked)
             continue
-        margins = design_velocity_loop(axis, crossover=float(w), phase_margin_deg=float(phase)).sampled.margins
-        expected = "unstable" if not margins.stable else "meets" if margins.phase_margin_deg >= 30.0 else "below"
-        assert kind == expected, (w, phase)
+        margins = design_velocity_loop(axis, **asked).sampled.margins
+        expected = 1 if not margins.stable else 3 if margins.phase_margin_deg >= 30.0 else 2
+        assert place == expected, asked
+
+
+@pytest.mark.parametrize("specification", SPECIFICATIONS)
+def test_beyond_the_reachable_frequencies_every_phase_margin_is_unstable(specification):
+    axis = machine("emps2018")
+    _, highest = reachable_frequencies(axis, specification)
+    stable = [
+        [
+            design_velocity_loop(axis, **{specification: frequency, "phase_margin_deg": float(phase)}).sampled.stable
+            for phase in range(1, 90)
+        ]
+        for frequency in (highest, highest + 1.0)
+    ]
+    assert any(stable[0])
+    assert not any(stable[1])
+
+
+def test_a_frequency_out_of_reach_moves_to_the_nearest_and_the_page_says_so():
+    view = DesignView(state(), {name: machine(name) for name in machine_names()}, lambda state: None)
+    view.turn("frequency", 600.0)
+    assert view.state.frequency == reachable_frequencies(machine("emps2018"), "crossover")[1]
+    assert "unstable with every phase margin" in view.message.object
+    assert f"moved from 600 to {view.state.frequency:g} rad/s" in view.message.object
+    assert view.knobs["frequency"].slider.end == view.state.frequency
 
 
 def test_a_turn_is_answered_within_the_time_allowed_and_shows_the_librarys_numbers():
@@ -119,6 +149,69 @@ def test_pinning_keeps_the_design_beside_the_new_one():
     assert len(view.plots.lines["pinned"].data["w"]) == 0
 
 
+def test_a_loaded_state_shows_in_every_tab_with_its_pinned_design():
+    session = Session(machine("emps2018"))
+    pinned = state(frequency=60.0)
+    session._loaded(replace(state(wall=25.0, task="pushed", seed=7, friction="asymmetric"), pinned=pinned))
+    assert session.design.knobs["wall"].field.value == 25.0
+    assert session.simulation.fields["wall"].field.value == 25.0
+    assert session.simulation.task.value == "pushed"
+    assert session.simulation.fields["seed"].field.value == 7
+    assert session.data.friction.value == "asymmetric"
+    assert session.design.pinned.crossover == pytest.approx(60.0)
+    assert session.design.pin.value
+    session.simulation.fields["mismatch_percent"].field.value = 4.0
+    assert session.design.knobs["mismatch_percent"].slider.value == 4.0
+    assert State.from_toml(session.state.to_toml()).mismatch_percent == 4.0
+
+
+def test_a_pinned_design_that_cannot_be_is_refused_and_nothing_changes():
+    session = Session(machine("emps2018"))
+    before = session.state
+    with pytest.raises(SpecificationError):
+        session._loaded(replace(state(frequency=50.0), pinned=state(frequency=5.0, phase_margin_deg=1.0)))
+    assert session.state == before
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_simulation_has_traces_the_wall_and_a_verdict(task):
+    stages = []
+    found = simulate(state(task=task, plants=0), lambda stage, share: stages.append(stage))
+    assert found.verdict()[0] == "stop"
+    assert "corners and 0 random plants is creeping" in found.verdict()[1]
+    rows = dict(found.rows())
+    assert rows["pushed into a wall of 10 N/mm"].startswith("at rest, at most ")
+    assert rows["poles of the loop at that wall"] == "stable"
+    assert found.figures().keys() == found.captions().keys() == {"task", "wall", "plants"}
+    assert stages[-1] == "drawing"
+
+
+def test_an_axis_with_effects_says_where_they_act():
+    ripple = {"kind": "position_ripple", "amplitude": 2.0, "period": 0.0025, "phase": 0.5}
+    axis = machine("emps2018").replace(effects=[ripple])
+    for task, words in (
+        ("pushed", "the wall and traces, not on the plants"),
+        ("guided", "not on the traces of a hand"),
+    ):
+        found = simulate(State.of(axis).changed(task=task, plants=0))
+        assert "(position_ripple) act on the wall" in found.verdict()[1]
+        assert words in found.verdict()[1]
+
+
+def test_a_law_that_diverges_is_shown_as_unstable():
+    ripple = {"kind": "position_ripple", "amplitude": 2.0, "period": 0.0025, "phase": 0.5}
+    found = simulate(State.of(machine("emps2018").replace(effects=[ripple])).changed(task="pushed", plants=0, mass=2.0))
+    assert dict(found.rows())["verdict, exact estimates"] == "unstable"
+    assert found.wall.verdict == "unstable"
+    assert found.figures()["task"].axes
+
+
+def test_the_report_is_about_the_state():
+    text = exports.report_html(state(mass=80.0, damping=150.0, filter=400.0))
+    assert "80.00 kg" in text
+    assert "150.0 N/(m/s)" in text
+
+
 def test_exports_are_whole_repeatable_and_read_by_the_library():
     now = state(phase_margin_deg=50.0)
     assert json.loads(exports.gains_json(now))["k_v1"] == exports.velocity_design(now).k_v1
@@ -126,7 +219,8 @@ def test_exports_are_whole_repeatable_and_read_by_the_library():
     assert model.controller.kind == "ip_velocity"
     archive = exports.figures_zip(now, "svg")
     assert archive == exports.figures_zip(now, "svg")
-    assert "bode_plant_input.svg" in zipfile.ZipFile(BytesIO(archive)).namelist()
+    names = zipfile.ZipFile(BytesIO(archive)).namelist()
+    assert {"bode_plant_input.svg", "force_loop.svg", "simulation_wall.svg"} <= set(names)
 
 
 def test_an_upload_is_read_like_a_file_and_its_name_leads_nowhere(tmp_path):

@@ -1,0 +1,121 @@
+"""What the simulation tab runs: the task with exact and with the worst estimates, all plants, a push into the wall."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from emps_design.report.display import quantity
+from emps_design.studio.state import State
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from emps_design.simulation.impedance_run import Run
+    from emps_design.simulation.impedance_study import MismatchStudy
+    from emps_design.simulation.wall_contact import WallContact
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """The runs that did not diverge by name, the study over the mismatch, and the push into the wall."""
+
+    state: State
+    runs: dict[str, Run]
+    study: MismatchStudy
+    worst: dict[str, Any]
+    wall: WallContact
+    wall_poles_stable: bool
+    effects: tuple[str, ...]  # those that the plants of the study do not have
+
+    def verdict(self) -> tuple[str, str]:
+        """How good it is, and the sentence that says it."""
+        state, worst = self.state, self.worst["verdict"]
+        text = (
+            f"M_a {state.mass:g} kg, B {state.damping:g} N/(m/s), filter {state.filter:g} rad/s on {state.axis.name}: "
+            f"the worst of {self.study.corners} corners and {state.plants} random plants is {worst.replace('_', ' ')}."
+        )
+        if self.effects:
+            traced = state.task == "pushed"
+            act, do_not = ("the wall and traces", "") if traced else ("the wall", "the traces of a hand and ")
+            text += f" The axis's effects ({', '.join(self.effects)}) act on {act}, not on {do_not}the plants."
+        return ("good" if worst in ("stable", "dead_band") else "stop"), text
+
+    def rows(self) -> list[tuple[str, str]]:
+        """The verdicts, and what the worst plant feels like."""
+        state, worst, wall = self.state, self.worst, self.wall
+        exact = self.runs["exact estimates"].verdict if "exact estimates" in self.runs else "unstable"
+        share, low, high = self.study.stable_share
+        peak = "" if wall.peak_force is None else f", at most {quantity(wall.peak_force, 'N')}"
+        off = ", ".join(f"{name} {100 * e:+.1f} %".replace("-", "−") for name, e in worst["errors"].items())
+        felt = f"{quantity(worst['apparent_mass'], 'kg')}, {quantity(worst['apparent_damping'], 'N/(m/s)')}"
+        among = f" (95 %: {100 * low:.3g} to {100 * high:.3g} %)" if state.plants else ", of the corners"
+        return [
+            ("verdict, exact estimates", exact.replace("_", " ")),
+            (f"verdict, worst within ±{state.mismatch_percent:g} %", worst["verdict"].replace("_", " ")),
+            ("estimates of the worst", off),
+            ("neither unstable nor cycling", f"{100 * share:.4g} %{among}"),
+            ("worst: apparent mass, damping", felt),
+            ("worst: peak voltage", quantity(worst["peak_voltage"], "V")),
+            ("worst: rms force of the hand", quantity(worst["effort"]["rms_force"], "N")),
+            (f"pushed into a wall of {state.wall:g} N/mm", wall.verdict + peak),
+            ("poles of the loop at that wall", "stable" if self.wall_poles_stable else "unstable"),
+        ]
+
+    def figures(self) -> dict[str, Figure]:
+        """The pictures as matplotlib figures by name."""
+        from emps_design.report.impedance_figures import mismatch_figure, task_figure, wall_figure
+
+        return {"task": task_figure(self.runs), "wall": wall_figure(self.wall), "plants": mismatch_figure(self.study)}
+
+    def captions(self) -> dict[str, str]:
+        """What to see in each of the pictures."""
+        state = self.state
+        return {
+            "task": "The hand lets go at half time: the carriage must then come to rest, not creep on or swing.",
+            "wall": f"A push of {state.push:g} N into a wall of {state.wall:g} N/mm, exact estimates: "
+            f"{self.wall.verdict}. The position must come to rest at the wall, not bounce off it for ever.",
+            "plants": f"What estimates up to {state.mismatch_percent:g} % wrong do: apparent mass and damping, "
+            "coloured by verdict, and how many plants get which.",
+        }
+
+
+def simulate(state: State, progress: Callable[[str, float], None] | None = None) -> Simulated:
+    """Run the impedance law of ``state`` through its task, over its mismatch, and into its wall."""
+    from emps_design.control.impedance import FrictionModel, impedance_law, left_out
+    from emps_design.control.impedance_sampled import Clock, Environment, sampled_loop
+    from emps_design.simulation.impedance_extended import run_extended
+    from emps_design.simulation.impedance_run import run
+    from emps_design.simulation.impedance_study import mismatch_study
+    from emps_design.simulation.impedance_task import guided_task, pushed_task
+    from emps_design.simulation.wall_contact import push_into_wall
+
+    tell = progress or (lambda stage, share: None)
+    axis, mismatch, stiffness = state.axis, state.mismatch_percent / 100.0, state.wall * 1e3
+    period, effects = axis.sampling.period, left_out(axis)
+    law = impedance_law(axis, state.mass, state.damping, state.filter)
+    if state.task == "guided":
+        task, simulated = guided_task(period, hand=(state.hand_stiffness, state.hand_damping)), run
+    else:
+        task, simulated = pushed_task(period, force=state.push), run_extended if effects else run
+    study = mismatch_study(
+        axis,
+        law,
+        mismatch,
+        state.plants,
+        state.seed,
+        task=task,
+        progress=lambda stage, share: tell(stage, 0.8 * share),
+    )
+    tell("the worst plant", 0.8)
+    worst = study.plant(study.worst)
+    laws = {"exact estimates": law, "worst estimates": law.with_errors(worst["errors"])}
+    runs = {name: found for name, one in laws.items() if (found := simulated(axis, one, task)) is not None}
+    tell("the wall", 0.9)
+    wall = push_into_wall(axis, law, stiffness, state.push)
+    poles = sampled_loop(
+        law, FrictionModel.of(axis), Clock.of(axis), environment=Environment(stiffness=stiffness)
+    ).stable
+    tell("drawing", 0.95)
+    return Simulated(state, runs, study, worst, wall, poles, effects)
