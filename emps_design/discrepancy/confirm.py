@@ -7,13 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.discrepancy.candidate import Candidate
+from emps_design.discrepancy.candidate import BASELINE, Candidate
+from emps_design.discrepancy.follow import drive
 from emps_design.discrepancy.law_check import check_law, propose_command
 from emps_design.discrepancy.missing_force import missing_force
-from emps_design.discrepancy.problem import Problem, evaluate, fit
+from emps_design.discrepancy.problem import Problem, evaluate, fit, gather
 from emps_design.discrepancy.split import START_UP
 from emps_design.records import Record
 from emps_design.simulation import Plant
+
+ASKED_APART = 0.3  # from all of an effect, beyond which a record refutes it
+SURE = 3.0  # standard deviations
+EXERCISED = 0.05  # standard deviations of the noise that an effect must change in the mean to be seen at all
+BASELINE_STEP = 1e-3  # of each baseline number
 
 
 @dataclass(frozen=True)
@@ -92,12 +98,58 @@ def _with_row(model: Candidate, index: int, row: np.ndarray) -> Candidate:
     return Candidate(model.baseline, model.effects, tuple(values))
 
 
+@dataclass(frozen=True)
+class Asked:
+    """How much of an effect a record asks for: ``share`` 1 is all of it, 0 none; ``std`` its standard deviation.
+
+    ``exercised`` False: the record does not bring the effect out, and says nothing of it.
+    """
+
+    name: str
+    share: float
+    std: float
+    exercised: bool
+
+    @property
+    def refuted(self) -> bool:
+        """Whether the record clearly wants another amount of it."""
+        return self.exercised and abs(self.share - 1) - SURE * self.std > ASKED_APART
+
+
+def asked_for(problem: Problem, model: Candidate) -> tuple[Asked, ...]:
+    """How much of each effect of ``model`` the first record of ``problem`` asks for, all of them at once.
+
+    What every effect changes in the whitened residual, and what the four baseline numbers do, are regressed onto that
+    residual. A stand-in for unknown physics fits one motion; on another one it is wanted in another amount.
+    """
+    whole = gather(problem, evaluate(problem, model).innovations, "used")
+    scale, columns = np.sqrt(max(1.0, float(whole @ whole) / whole.size)), []
+    for index in range(len(model.effects)):
+        without = evaluate(problem, model.without(index))
+        columns.append(gather(problem, without.innovations, "used") - whole if without.innovations else 0.0 * whole)
+    slots = model.slots()[: len(BASELINE)]
+    for place, slot in enumerate(slots):
+        moved = model.vector(slots)
+        moved[place] += BASELINE_STEP * slot.scale
+        moved = evaluate(problem, model.with_vector(slots, moved))
+        columns.append(gather(problem, moved.innovations, "used") - whole)
+    design = np.column_stack(columns)
+    size = np.linalg.norm(design, axis=0)
+    exercised = size > max(EXERCISED * np.sqrt(whole.size), 1e-12)
+    exercised[len(model.effects) :] = size[len(model.effects) :] > 0
+    unit = design[:, exercised] / size[exercised]
+    inverse = np.linalg.pinv(unit.T @ unit, hermitian=True)
+    change, std = np.zeros(size.size), np.zeros(size.size)
+    change[exercised] = inverse @ (unit.T @ whole) / size[exercised]
+    std[exercised] = scale * np.sqrt(np.diag(inverse)) / size[exercised]
+    return tuple(
+        Asked(name, 1.0 + float(change[i]), float(std[i]), bool(exercised[i])) for i, name in enumerate(model.names)
+    )
+
+
 def predict(axis: Axis, record: Record, baseline: Candidate, extended: Candidate, window: np.ndarray) -> Prediction:
     """Simulate ``record`` from its reference alone with both models, encoder quantised as it is."""
-    forces = [
-        Plant.of(model.to_axis(axis)).closed_loop(record.q_ref, q0=float(record.q[0])).force
-        for model in (baseline, extended)
-    ]
+    forces = [Plant.of(model.to_axis(axis)).closed_loop(**drive(axis, record)).force for model in (baseline, extended)]
     start = window.copy()
     start[:START_UP] = False
     return Prediction(record, axis.drive.force_gain * record.u, *forces, start)

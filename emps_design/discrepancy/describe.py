@@ -8,17 +8,20 @@ from typing import Any
 import numpy as np
 
 from emps_design.discrepancy.candidate import BASELINE
+from emps_design.discrepancy.confirm import Asked
+from emps_design.discrepancy.contribution import contribution, drawn
 from emps_design.discrepancy.decide import Search
 from emps_design.discrepancy.diagnosis import Finding
 from emps_design.discrepancy.healthy import LEVEL, RESAMPLES, Healthy
 from emps_design.discrepancy.judge import WORTH, WORTH_AT_FLOOR, Judge, force_rms
 from emps_design.discrepancy.law_check import LawCheck
-from emps_design.discrepancy.locate import View, extent, views
+from emps_design.discrepancy.locate import View, described, extent, views
 from emps_design.discrepancy.missing_force import MissingForce
 from emps_design.discrepancy.noise import Floor
 from emps_design.discrepancy.problem import Fit, Problem, fit
 from emps_design.discrepancy.propose import Start
 from emps_design.effects import get_effect
+from emps_design.errors import SimulationError
 from emps_design.quantities import display_unit
 
 ASSUMPTIONS = (
@@ -53,16 +56,12 @@ def findings(work: Work, extended: Fit, equivalents: dict[str, list[str]]) -> tu
     problem, model = work.problem, extended.model
     order = [name for step in work.found.path for name in step.model.names]
     names = [name for name in dict.fromkeys(order) if name in model.names]
-    record, used = problem.records[0], problem.splits[0].used
-    v = np.gradient(record.q, record.period)
-    residual = problem.residuals(model)[0]
     result = []
     for name in names:
         index = model.names.index(name)
         effect, values = model.effects[index], model.values[index][0]
         # The model without this effect, the rest re-adjusted: what the effect itself is good for.
         without = fit(problem, model.without(index), part="used", steps=4)
-        improvement = problem.residuals(without.model)[0] ** 2 - residual**2
         gain = without.cost - extended.cost
         parameters = {
             p.name: {
@@ -78,7 +77,7 @@ def findings(work: Work, extended: Fit, equivalents: dict[str, list[str]]) -> tu
                 effect=name,
                 label=effect.label,
                 channel=effect.channel,
-                where=extent(record, v, improvement, used),
+                where=_where(problem, extended, index),
                 parameters=parameters,
                 p_value=work.healthy.p_value(gain),
                 gap_before=force_rms(problem, without),
@@ -89,6 +88,19 @@ def findings(work: Work, extended: Fit, equivalents: dict[str, list[str]]) -> tu
             )
         )
     return tuple(result)
+
+
+def _where(problem: Problem, fitted: Fit, index: int) -> dict[str, Any]:
+    """Where the force of effect ``index`` acts, with what its numbers' deviations leave open."""
+    found = []
+    for model in (fitted.model, *drawn(problem, fitted, index)):
+        try:
+            found.append(extent(problem.records[0], *contribution(problem, model, index)))
+        except SimulationError:
+            continue  # numbers at which the model is unstable do not describe this machine
+    if not found:  # nothing runs without the effect: it acts wherever the model moves
+        found.append(extent(problem.records[0], problem.run(fitted.model, 0).force, problem.splits[0].used))
+    return described(found[0], found[1:])
 
 
 def _note(work: Work, channel: str) -> str:
@@ -120,7 +132,9 @@ def _shown(view: View) -> float:
     return float(np.sqrt(np.nanmean(view.before**2)) - np.sqrt(np.nanmean(view.after**2)))
 
 
-def details(work: Work, verdict: str, baseline: Fit, extended: Fit, refitted: tuple[str, ...]) -> dict[str, Any]:
+def details(
+    work: Work, verdict: str, baseline: Fit, extended: Fit, refitted: tuple[str, ...], refuted: tuple[Asked, ...] = ()
+) -> dict[str, Any]:
     """What the report shows besides the contract's keys."""
     problem = work.problem
     unseen = _not_excluded(work, extended)
@@ -136,7 +150,7 @@ def details(work: Work, verdict: str, baseline: Fit, extended: Fit, refitted: tu
             + ("what differs between repeated laps." if work.floor.from_laps else "the residual of the model itself.")
         ),
         "assumptions": list(ASSUMPTIONS),
-        "warnings": [*work.warnings, *_warnings(work, verdict, extended, refitted)],
+        "warnings": [*work.warnings, *_warnings(work, verdict, extended, refitted, refuted)],
     }
     if verdict in ("nothing-missing", "parameters-only") and unseen:
         told["least_visible"] = f"{unseen[0]['text']} ({unseen[0]['label'].lower()})"
@@ -147,15 +161,19 @@ def details(work: Work, verdict: str, baseline: Fit, extended: Fit, refitted: tu
             if abs(axis - new) > 0.005 * max(abs(new), 1.0)
         )
     if verdict == "unnamed":
-        record = problem.records[0]
-        v = np.gradient(record.q, record.period)
-        residual = problem.residuals(extended.model)[0] ** 2 - work.floor.force**2
-        told["unexplained_where"] = extent(record, v, residual, problem.splits[0].used)["text"]
+        residual, used = problem.residuals(extended.model)[0], problem.splits[0].used
+        told["unexplained"] = described(extent(problem.records[0], residual, used, work.floor.force))
     return told
 
 
-def _warnings(work: Work, verdict: str, extended: Fit, refitted: tuple[str, ...]) -> list[str]:
-    said = []
+def _warnings(
+    work: Work, verdict: str, extended: Fit, refitted: tuple[str, ...], refuted: tuple[Asked, ...]
+) -> list[str]:
+    said = [
+        f"{get_effect(a.name).label.lower()} fitted the training record and is withdrawn: the confirming record asks "
+        f"for {a.share:.2f} +- {a.std:.2f} of it"
+        for a in refuted
+    ]
     if not work.floor.from_laps:
         said.append("the reference does not repeat: the noise floor is the residual of the baseline, an upper bound")
     noise = work.problem.samples("used")

@@ -10,7 +10,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.discrepancy import describe
 from emps_design.discrepancy.candidate import Candidate
-from emps_design.discrepancy.confirm import Gap, Prediction, gap_of, predict, refit_per_record
+from emps_design.discrepancy.confirm import Asked, Gap, Prediction, asked_for, gap_of, predict, refit_per_record
 from emps_design.discrepancy.decide import screen, search
 from emps_design.discrepancy.describe import Work
 from emps_design.discrepancy.diagnosis import Diagnosis
@@ -78,7 +78,8 @@ def _explain(
         check_records((holdout,), axis)
 
     report("checking the controller's law", 0.02)
-    checks = tuple(check_law(record, axis, library) for record in records)
+    known = axis.controller.kind != "none"
+    checks = tuple(check_law(record, axis, library) for record in records if known)
     problem, start = _problem(records, axis, fit_time, confirm_time, checks)
 
     report("fitting the baseline", 0.05)
@@ -171,21 +172,19 @@ def _conclude(work: Work, confirming: tuple[Problem, np.ndarray] | None) -> Diag
     # The baseline knows nothing of the controller's disturbance, which the search took as known from the law.
     baseline = evaluate(problem, replace(start.model, effects=(), values=()), start.slots, start.covariance)
     extended = fit(problem, found.best.model, part="used") if len(found.path) > 1 else start
-    train = _gap(problem, problem.splits[0].used, baseline.model, extended.model, confirms=False)
-    equivalents = work.judge.equivalents(found)
-    verdict = work.judge.verdict(found, equivalents, explained(train.gap.baseline, train.gap.extended, floor.force))
-    if work.unnamed_law:
-        verdict = "unnamed"
-
-    judged = None
+    judged, refuted = None, ()
     if confirming is not None:
-        # A gap that the model closed on its own record only was not understood.
-        judged = _gap(*confirming, baseline.model, extended.model)
-        held = explained(judged.gap.baseline, judged.gap.extended, floor.force)
-        learnt = explained(train.gap.baseline, train.gap.extended, floor.force)
-        if len(found.path) > 1 and held < HELD * learnt:
-            verdict = "unnamed"
-    if verdict == "unnamed" and len(found.path) > 1:
+        judged, extended, refuted = _confirm(work, confirming, baseline, extended)
+    train = _gap(problem, problem.splits[0].used, baseline.model, extended.model, confirms=False)
+
+    shares = [explained(g.gap.baseline, g.gap.extended, floor.force) for g in (train, judged) if g is not None]
+    equivalents = {n: others for n, others in work.judge.equivalents(found).items() if n in extended.model.names}
+    verdict = work.judge.verdict(extended, start, equivalents, shares[-1])
+    # A gap closed on its own record only was not understood; nor was one of which a part was refuted, if some is left.
+    forgotten = extended.model.names != start.model.names and shares[-1] < HELD * shares[0]
+    if work.unnamed_law or forgotten or (refuted and not work.judge.at_floor(extended)):
+        verdict = "unnamed"
+    if verdict == "unnamed" and extended.model.names != start.model.names:
         extended = start
         train = _gap(problem, problem.splits[0].used, baseline.model, start.model, confirms=False)
         judged = None if confirming is None else _gap(*confirming, baseline.model, start.model)
@@ -203,7 +202,7 @@ def _conclude(work: Work, confirming: tuple[Problem, np.ndarray] | None) -> Diag
         holdout=None if judged is None else judged.gap,
         prediction=shown.prediction,
         views=describe.marked_views(before, after, problem.splits[0].used, floor.force_60hz, findings),
-        details=describe.details(work, verdict, baseline, extended, shown.refitted),
+        details=describe.details(work, verdict, baseline, extended, shown.refitted, refuted),
         experiment=experiment(problem, found, extended.model.names, equivalents, work.judge.healthy.threshold),
     )
 
@@ -214,6 +213,22 @@ class _Judged:
     prediction: Prediction
     extended: Candidate
     refitted: tuple[str, ...]
+
+
+def _confirm(
+    work: Work, confirming: tuple[Problem, np.ndarray], baseline: Fit, extended: Fit
+) -> tuple[_Judged, Fit, tuple[Asked, ...]]:
+    """Judge both models on the confirming data; withdraw what those data refute and refit the rest."""
+    refuted: list[Asked] = []
+    while True:
+        judged = _gap(*confirming, baseline.model, extended.model)
+        asked = asked_for(confirming[0], judged.extended)
+        worst = max((a for a in asked if a.refuted), key=lambda a: abs(a.share - 1) / a.std, default=None)
+        if worst is None:
+            return judged, extended, tuple(refuted)
+        refuted.append(worst)
+        rest = extended.model.without(extended.model.names.index(worst.name))
+        extended = fit(work.problem, rest, part="used")
 
 
 def _gap(

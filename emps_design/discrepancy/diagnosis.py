@@ -16,6 +16,7 @@ from emps_design.discrepancy.locate import EVERYWHERE, View
 from emps_design.quantities import display_unit
 
 SCHEMA = "emps-design/diagnosis/1"
+TOLD_WHOLE = 2  # findings told with all their numbers in the sentence
 
 
 @dataclass(frozen=True)
@@ -56,8 +57,19 @@ class Finding:
             if (table["std"] > 0 or self.channel == "controller") and not table.get("per_record")
         )
         others = f" (or {', '.join(e.replace('_', ' ') for e in self.equivalents)})" if self.equivalents else ""
-        place = "" if self.where["text"] == EVERYWHERE else f"{self.where['text']}: "
-        return f"{place}{self.label}{others}" + (f", {numbers}" if numbers else "")
+        return f"{self.acts()}: {self.label}{others}" + (f", {numbers}" if numbers else "")
+
+    def acts(self) -> str:
+        """Where and how strongly it acts, for a sentence."""
+        force, place = self.where["force"], self.where["text"]
+        much = f"up to {force['value']:.3g} {force['unit']}"
+        if self.channel == "controller":
+            said = f"the controller adds {much}"
+        elif force["sense"] == "more or less":
+            said = f"the motor's force differs from the model's by {much}"
+        else:
+            said = f"the motor needs {much} {force['sense']} than the model"
+        return said if place == EVERYWHERE else f"{place}, {said}"
 
 
 def in_unit(value: float, std: float, unit: str) -> str:
@@ -108,13 +120,18 @@ class Diagnosis:
         judged, where = (self.holdout, "held-out") if self.holdout else (self.train, "training")
         gap = f"{where} force error {judged.baseline:.2f} N -> {judged.extended:.2f} N, noise {self.floor:.2f} N"
         if self.verdict in ("named", "ambiguous"):
-            text = "; ".join(finding.in_words() for finding in self.findings)
+            if len(self.findings) <= TOLD_WHOLE:
+                text = "; ".join(finding.in_words() for finding in self.findings)
+            else:
+                text = f"{len(self.findings)} effects are missing: "
+                text += ", ".join(f"{f.label.lower()} (up to {f.where['force']['value']:.3g} N)" for f in self.findings)
             return f"{text[0].upper()}{text[1:]}; {gap}."
         if self.verdict == "unnamed":
-            place = self.details.get("unexplained_where", "")
+            place = self.details["unexplained"]["text"]
+            where = "" if place == EVERYWHERE else f", most of it {place}"
             return (
-                f"The model misses {judged.baseline:.2f} N (noise {self.floor:.2f} N){' ' + place if place else ''}, "
-                "and no effect of the library explains it."
+                f"The model misses {judged.baseline:.2f} N (noise {self.floor:.2f} N){where}, and no effect of the "
+                "library explains it."
             )
         least = self.details.get("least_visible")
         rest = f"; an effect of {least} or more would have been seen" if least else ""
@@ -137,11 +154,7 @@ class Diagnosis:
         inverse: dict[str, Any] = {"unit": "N", "floor": self.floor_60hz, "train": self.train.to_dict_60hz()}
         if self.holdout is not None:
             gap["holdout"], inverse["holdout"] = self.holdout.to_dict(), self.holdout.to_dict_60hz()
-        shown = {
-            k: v
-            for k, v in self.details.items()
-            if k not in ("window", "unexplained_where", "least_visible", "changed")
-        }
+        shown = {k: v for k, v in self.details.items() if k not in ("window", "least_visible", "changed")}
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,

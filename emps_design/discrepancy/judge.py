@@ -16,6 +16,7 @@ WORTH_AT_FLOOR = 0.03  # the same where only noise is left to explain
 AUDIBLE = 0.3  # of the floor: amplitudes of force below it are not findings
 STROKES = 0.8  # of what the selecting strokes change must be improvement
 BURST = 5.0  # standard deviations
+BURST_AT_FLOOR = 2.5  # the same where only noise is left to explain: an effect then shows in all samples a little
 CHANCE = 2.0  # standard deviations of a stroke's cost
 SEEN_AGAIN = 0.3  # of the gain per sample on the fitting part must be there on the selecting part
 STRUCTURED = 1.5  # whitened cost per sample beyond which a model leaves structure
@@ -34,17 +35,27 @@ class Judge:
 
     def accepts(self, better: Fit, worse: Fit) -> bool:
         """Whether ``better``, with one effect more, is a finding over ``worse``."""
-        gain_fit = self._bulk(worse, "fit") - self._bulk(better, "fit")
-        gain_select = self._bulk(worse, "select") - self._bulk(better, "select")
-        n_fit, n_select = self.problem.samples("fit"), self.problem.samples("select")
-        worth = WORTH_AT_FLOOR if self.at_floor(worse) else WORTH
+        burst, worth = (BURST_AT_FLOOR, WORTH_AT_FLOOR) if self.at_floor(worse) else (BURST, WORTH)
+        before = [self._bulk(worse, part, burst) for part in ("fit", "select")]
+        gain_fit, gain_select = (
+            cost - self._bulk(better, part, burst) for cost, part in zip(before, ("fit", "select"), strict=True)
+        )
         return (
             worse.cost_fit - better.cost_fit > self.healthy.threshold
-            and gain_fit + gain_select > worth * (self._bulk(worse, "fit") + self._bulk(worse, "select"))
-            and gain_select / n_select > SEEN_AGAIN * gain_fit / n_fit
+            and gain_fit + gain_select > worth * sum(before)
+            and self._seen_again(better, worse, burst)
             and self.share_of_strokes(better, worse) >= STROKES
             and not self._lost_in_noise(better)
         )
+
+    def _seen_again(self, better: Fit, worse: Fit, burst: float) -> bool:
+        """Whether the selecting part gains what the fitting part of each record leads to expect."""
+        gained = expected = 0.0
+        for split, better_w, worse_w in zip(self.problem.splits, better.innovations, worse.innovations, strict=True):
+            change = np.minimum(worse_w**2, burst**2) - np.minimum(better_w**2, burst**2)
+            gained += float(change[split.select].sum())
+            expected += float(change[split.fit].mean()) * int(split.select.sum())
+        return gained > SEEN_AGAIN * expected
 
     def _lost_in_noise(self, fitted: Fit) -> bool:
         """Whether an effect's amplitude is a force far below what does not repeat."""
@@ -54,12 +65,13 @@ class Judge:
                     return True
         return False
 
-    def _bulk(self, fitted: Fit, part: str) -> float:
-        """Whitened cost on ``part`` in which no sample counts more than ``BURST`` deviations.
+    def _bulk(self, fitted: Fit, part: str, burst: float = BURST) -> float:
+        """Whitened cost on ``part`` in which no sample counts more than ``burst`` deviations.
 
-        Play that bounces, or an instant missed by a sample, leaves bursts that any effect can rearrange by luck.
+        Play that bounces, or an instant missed by a sample, leaves bursts that any effect can rearrange by luck; so
+        does noise where a saturated loop lets it grow.
         """
-        return float(np.sum(np.minimum(gather(self.problem, fitted.innovations, part) ** 2, BURST**2)))
+        return float(np.sum(np.minimum(gather(self.problem, fitted.innovations, part) ** 2, burst**2)))
 
     def share_of_strokes(self, better: Fit, worse: Fit) -> float:
         """Share of improvement in what the selecting strokes change: gains over gains and losses, stroke by stroke.
@@ -81,16 +93,18 @@ class Judge:
         """Whether ``fitted`` leaves nothing but noise on both parts."""
         return all(self._bulk(fitted, part) <= AT_FLOOR * self.problem.samples(part) for part in ("fit", "select"))
 
-    def verdict(self, search: Search, equivalents: dict[str, list[str]], share: float) -> str:
-        """The verdict before any confirming data: ``share`` is what the best model explains of the force gap."""
-        best, noise = search.best, self.problem.samples("used")
-        if len(best.model.names) == 0:
+    def verdict(self, best: Fit, known: Fit, equivalents: dict[str, list[str]], share: float) -> str:
+        """The verdict on ``best``, which explains ``share`` of the force gap; ``known`` is what the search began with.
+
+        Where the model leaves structure, what was found stands only if it explains most of the gap.
+        """
+        noise = self.problem.samples("used")
+        if best.model.names == known.model.names:
             if best.cost > STRUCTURED * noise:
                 return "unnamed"
-            return "parameters-only" if self._numbers_off(best) else "nothing-missing"
-        if len(search.path) > 1 and not self.at_floor(best) and share < EXPLAINED:
-            return "unnamed"
-        if len(search.path) == 1 and best.cost > STRUCTURED * noise:
+            if not best.model.names:
+                return "parameters-only" if self._numbers_off(best) else "nothing-missing"
+        elif not self.at_floor(best) and share < EXPLAINED:
             return "unnamed"
         if any(len(names) > MOST_EQUIVALENTS for names in equivalents.values()):
             return "unnamed"

@@ -19,7 +19,7 @@ MARGIN = 0.9  # of the record's top speed and acceleration
 EDGE = 0.02  # of its travel, left free at both ends
 SHORTEST, LONGEST = 10.0, 25.0  # s: cycles are repeated to the one, none is begun beyond the other
 BAND_HZ = 60.0  # in which the measured acceleration counts
-SWEEP_HZ, SWEEP_TIME = (2.0, 100.0), 4.0  # of the chirp, up and down in this time [s]
+SWEEP_HZ = (2.0, 100.0)  # of the chirp
 LEAST_FOLLOWED = 0.02  # of a chirp: the reference never asks for more than fifty times what it wants
 
 Move = tuple[float, float, float, float]  # target [m], share of the speed, of the acceleration, pause after it [s]
@@ -177,8 +177,8 @@ def identical_laps(e: Envelope) -> np.ndarray:
 
 
 def chirp_on_a_slow_run(e: Envelope) -> np.ndarray:
-    """Run slowly from end to end with a small chirp from 2 to 100 Hz on top."""
-    slow = 0.2
+    """Run slowly from end to end with a small chirp on top, from 2 to 100 Hz and back in every stroke."""
+    slow = min(0.2, e.travel / (3.0 * e.speed))
     base = e.trace([(e.high, slow, 0.4, 0.1), (e.low, slow, 0.4, 0.1)])
     turning = np.abs(np.gradient(base, e.period)) < 0.99 * slow * e.speed
     width = e.samples(0.2)
@@ -186,7 +186,7 @@ def chirp_on_a_slow_run(e: Envelope) -> np.ndarray:
     for _ in range(3):  # in and out inside the stretches of constant speed, without a step of jerk
         fade = np.convolve(fade, np.full(width, 1 / width), mode="same")
     first, last = SWEEP_HZ[0], min(SWEEP_HZ[1], 0.2 / e.period)
-    up_and_down = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(base.size) * e.period / SWEEP_TIME)
+    up_and_down = 0.5 - 0.5 * np.cos(2 * np.pi * (base - e.low) / e.travel)
     omega = 2 * np.pi * first * (last / first) ** up_and_down
     # Smoothly the least of what speed (the run must not reverse), acceleration and jerk leave room for.
     half = 0.5 * e.acceleration

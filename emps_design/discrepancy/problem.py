@@ -10,6 +10,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.discrepancy.candidate import Candidate, Slot
+from emps_design.discrepancy.follow import drive
 from emps_design.discrepancy.split import START_UP, Split
 from emps_design.errors import SimulationError
 from emps_design.records import Record
@@ -56,18 +57,17 @@ class Problem:
         return self.plants[model.names]
 
     def runs(self, model: Candidate) -> tuple[Any, ...]:
-        """Closed-loop simulations from ``q_ref`` alone, one a record."""
-        plant = self.plant(model)
-        return tuple(
-            plant.closed_loop(
-                r.q_ref,
-                baseline=model.baseline,
-                parameters=model.parameters(i),
-                q0=float(r.q[0]),
-                quantise=False,
-                tolerance=LOOSE,
-            )
-            for i, r in enumerate(self.records)
+        """Closed-loop simulations from ``q_ref`` alone (of the recorded motion without a controller), one a record."""
+        return tuple(self.run(model, record) for record in range(len(self.records)))
+
+    def run(self, model: Candidate, record: int) -> Any:
+        """Simulation of one record, by its number."""
+        return self.plant(model).closed_loop(
+            **drive(self.axis, self.records[record]),
+            baseline=model.baseline,
+            parameters=model.parameters(record),
+            quantise=False,
+            tolerance=LOOSE,
         )
 
     def residuals(self, model: Candidate) -> tuple[np.ndarray, ...]:

@@ -1,0 +1,46 @@
+"""The force that one effect of a fitted model contributes, free of noise: simulated with it, judged without it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from emps_design.discrepancy.candidate import Candidate
+from emps_design.discrepancy.law_check import command_of
+from emps_design.discrepancy.missing_force import missing_force
+from emps_design.discrepancy.problem import Fit, Problem
+
+DRAWS = 19  # of the parameters: with the fitted ones, what they span holds nine tenths
+ELSEWHERE = 0.2  # of the squared force away from reversals, from which on that part is the place to look
+
+
+def contribution(problem: Problem, model: Candidate, index: int) -> tuple[np.ndarray, np.ndarray]:
+    """Force (n,) [N] of effect ``index`` of ``model`` on the first record, and the samples (n,) bool to look at.
+
+    It is what the model without the effect, all other numbers as they are, would miss of the model with it; its median
+    is removed, because a constant force is the baseline's own. Of an effect of the controller, whose loop takes back
+    what it adds, it is the force of the added voltage. The samples leave reversals out where the effect acts elsewhere
+    too. Raises :class:`SimulationError` where the model cannot be simulated without the effect.
+    """
+    record, used = problem.records[0], problem.splits[0].used
+    effect, values = model.effects[index], model.parameters(0)[index]
+    if effect.channel == "controller":
+        return problem.axis.drive.force_gain * command_of(effect, values, record), used
+    run = problem.run(model, 0)
+    played = replace(problem, records=(replace(record, q=run.q, u=run.u),), splits=problem.splits[:1])
+    seen = missing_force(played, model.without(index))[0]
+    force = seen.force - np.median(seen.force[used])
+    away = seen.away & used
+    return force, away if np.sum(force[away] ** 2) > ELSEWHERE * np.sum(force[used] ** 2) else used
+
+
+def drawn(problem: Problem, fitted: Fit, index: int, seed: int = 0) -> list[Candidate]:
+    """Models with the numbers of effect ``index`` drawn from their covariance."""
+    own = [i for i, slot in enumerate(fitted.slots) if slot.effect == index]
+    slots, model = tuple(fitted.slots[i] for i in own), fitted.model
+    scale = np.array([slot.scale for slot in slots])
+    values, vectors = np.linalg.eigh(fitted.covariance[np.ix_(own, own)] / np.outer(scale, scale))
+    root = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    centre, chances = model.vector(slots), np.random.default_rng(seed).standard_normal((DRAWS, len(own)))
+    return [model.with_vector(slots, centre + root @ chance) for chance in chances] if own else []

@@ -1,0 +1,34 @@
+"""What drives the simulation of a record: its reference through the controller, or the recorded motion itself.
+
+Where the controller is not known (``controller.kind = "none"``) the model becomes an inverse model: it gets the
+recorded voltage, and a position law of our own adds what keeps it on the recorded motion. That correction is the force
+the model lacks, seen through the bandwidth of the law, with every hidden state of the model in its place.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.records import Record
+from emps_design.simulation.laws import Law, position_pd
+
+BANDWIDTH_HZ = 25.0  # of the velocity loop that follows; the encoder's noise, differentiated, sets the upper end
+LEAST_SAMPLES = 40  # a turn of that bandwidth: with fewer the two-tap velocity takes too much phase
+POSITION_SHARE = 0.25  # of the velocity loop's bandwidth, for the position loop around it
+
+
+def drive(axis: Axis, record: Record) -> dict[str, Any]:
+    """Keywords of :meth:`Plant.closed_loop` that make the simulation of ``record`` start and move as it did."""
+    start = {"q_ref": record.q_ref, "q0": float(record.q[0])}
+    if axis.controller.kind != "none":
+        return start
+    rate = 2 * np.pi * min(BANDWIDTH_HZ, 1 / (LEAST_SAMPLES * record.period))  # rad/s
+    kp, kv = POSITION_SHARE * rate, axis.mechanics.mass * rate / axis.drive.force_gain
+    law = Law(position_pd, np.array([kp * kv, kv, 1 / record.period, 1.0]), 2)
+    past = np.concatenate((np.full(2, record.q[0]), record.q[:-2]))
+    # The law brakes its own velocity: leading the reference by v/kp makes it act on the difference of velocities.
+    lead = (record.q - past) / (2 * record.period) / kp
+    return {**start, "law": law, "reference": record.q + lead, "voltage_noise": record.u}
