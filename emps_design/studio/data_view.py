@@ -152,7 +152,7 @@ class DataView:
             "warning" if notes else "good",
             notes,
         )
-        self.about.object = style.svg(record_figure(record), "record")
+        self.about.object = f'<div class="record">{style.svg(record_figure(record), "record")}</div>'
         self.result.object = ""
 
     def _say(self, text: str, level: str, more: str = "") -> None:

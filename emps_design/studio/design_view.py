@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import panel as pn
 
 from emps_design.errors import EmpsError
-from emps_design.report.display import angle, delay, number, quantity, ratio
 from emps_design.report.page import inline
 from emps_design.studio.controls import Knob
+from emps_design.studio.design_tables import laws_table, numbers_table
 from emps_design.studio.panes import html
 from emps_design.studio.plots import LoopPlots, PlanePlot
 from emps_design.studio.reach import plane, reach
@@ -208,107 +208,3 @@ class DesignView:
 
     def _say(self, text: str, level: str) -> None:
         self.message.object = f'<div class="said {level}" role="status">{inline(text)}</div>' if text else ""
-
-
-def _check(good: bool) -> str:
-    return '<b class="yes">meets</b>' if good else '<b class="no">fails</b>'
-
-
-def numbers_table(state: State, design: VelocityLoopDesign, pinned: VelocityLoopDesign | None) -> str:
-    """Gains and margins as HTML, the pinned design's below, and whether the requirements are met."""
-
-    def row(name: str, shown: VelocityLoopDesign) -> str:
-        sampled, m = shown.sampled, shown.sampled.margins
-        cells = [
-            f"<b>{number(shown.k_v1)}</b>",
-            f"<b>{number(shown.t_v * 1e3)}</b>",
-            angle(shown.phase_margin_deg),
-            angle(shown.plant_input.phase_margin_deg),
-            f'<b class="margin">{angle(m.phase_margin_deg)}</b>' if m.stable else '<b class="no">unstable</b>',
-            delay(m.delay_margin, m.period) if m.stable else "—",
-            ratio(m.gain_margin) if m.stable else "—",
-            number(sampled.bandwidth) if m.stable else "—",
-        ]
-        return f"<tr><th>{name}</th>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
-
-    heads = (
-        "k_v1 [V/(m/s)]",
-        "t_v [ms]",
-        "phase, asked at velocity error",
-        "phase, plant input, continuous",
-        "phase, plant input, sampled",
-        "delay margin, sampled",
-        "gain margin, sampled",
-        "closed loop −3 dB, sampled [rad/s]",
-    )
-    head = "".join(f"<th>{text}</th>" for text in heads)
-    rows = row("this design", design) + (row("pinned", pinned) if pinned is not None else "")
-    return f'<table class="numbers"><tr><th></th>{head}</tr>{rows}</table>{_requirements(state, design)}'
-
-
-def _requirements(state: State, design: VelocityLoopDesign) -> str:
-    from emps_design.studio.plots import steps_of
-
-    m = design.sampled.margins
-    if not m.stable:
-        return '<p class="requirements"><b class="no">The sampled loop is unstable: no requirement is met.</b></p>'
-    overshoot = steps_of(design)[1].overshoot_percent
-    phase_good = m.phase_margin_deg is None or m.phase_margin_deg >= state.required_phase_deg
-    return (
-        f'<p class="requirements">Phase margin {angle(m.phase_margin_deg)} of {angle(state.required_phase_deg)} '
-        f"required: {_check(phase_good)} · overshoot {overshoot:.1f} % of {state.required_overshoot_percent:g} % "
-        f"allowed: {_check(overshoot <= state.required_overshoot_percent)}</p>"
-    )
-
-
-def laws_table(state: State, design: VelocityLoopDesign) -> str:
-    """Force loop and impedance law of the state as HTML."""
-    cells = [*_force_cells(state, design), *_impedance_cells(state)]
-    heads, values = ("".join(f"<{tag}>{cell[k]}</{tag}>" for cell in cells) for k, tag in ((0, "th"), (1, "td")))
-    return f'<table class="numbers"><tr>{heads}</tr><tr>{values}</tr></table>'
-
-
-def _force_cells(state: State, design: VelocityLoopDesign) -> list[tuple[str, str]]:
-    from emps_design.control.force_loop import design_force_loop
-
-    try:
-        force = design_force_loop(design, state.k_e1, hand=state.hand, environment=state.wall * 1e3)
-    except EmpsError as error:
-        return [("force loop", inline(str(error)))]
-    if not design.sampled.stable:
-        return [("force loop", '<b class="no">the velocity loop inside it is unstable</b>')]
-    limit = force.k_e1_max_sampled
-    stable = '<b class="yes">stable</b>' if force.stable else '<b class="no">unstable</b>'
-    return [
-        ("force loop, sampled", stable),
-        ("k_e1, largest [(m/s)/N]", f"{number(state.k_e1)}, {'unbounded' if limit is None else number(limit)}"),
-        ("felt: damping, mass", f"{quantity(force.k_c, 'N/(m/s)')}, {quantity(force.apparent_mass, 'kg')}"),
-    ]
-
-
-def _impedance_cells(state: State) -> list[tuple[str, str]]:
-    from emps_design.control.impedance import FrictionModel, impedance_law
-    from emps_design.control.impedance_robustness import verdict
-    from emps_design.control.impedance_sampled import Clock
-
-    try:
-        law = impedance_law(state.axis, state.mass, state.damping, state.filter)
-        plant, clock = FrictionModel.of(state.axis), Clock.of(state.axis)
-        e = state.mismatch_percent / 100.0
-        worst = law.with_errors({"mass": e, "viscous": e, "coulomb": e})
-        exact = verdict(law, plant, clock, state.axis.sampling.encoder_resolution)
-        over = verdict(worst, plant, clock, state.axis.sampling.encoder_resolution)
-        felt = worst.apparent(plant)
-    except EmpsError as error:
-        return [("impedance law", f'<b class="no">{inline(str(error))}</b>')]
-
-    def shown(word: str) -> str:
-        mark = "no" if word in ("unstable", "limit_cycle", "creeping") else "yes"
-        return f'<b class="{mark}">{word.replace("_", " ")}</b>'
-
-    return [
-        ("impedance law, exact", shown(exact)),
-        (f"over-estimate of {state.mismatch_percent:g} %", shown(over)),
-        ("felt then: mass, damping", f"{quantity(felt.mass, 'kg')}, {quantity(felt.damping, 'N/(m/s)')}"),
-        ("Coulomb left", quantity(felt.coulomb_left, "N")),
-    ]

@@ -24,6 +24,7 @@ p.caption { color: #374151; margin: 2px 4px 10px; font-size: 12.5px; }
 b.yes { color: #00664b; }
 b.no { color: #b3261e; }
 p.requirements { margin: 4px 4px 0; font-size: 12.5px; }
+div.record { max-width: 880px; }
 svg { width: 100%; height: auto; max-width: 980px; }
 h3 { margin: 6px 0; font-size: 15px; }
 """
