@@ -41,8 +41,17 @@ def trapezoid_laps(
     return np.tile(np.concatenate(lap), int(laps))
 
 
-def practice_record(axis: Axis, seed: int = 0, laps: int = 3, stroke: float = 0.24, speed: float = 0.2) -> Record:
-    """Simulate ``axis`` over :func:`trapezoid_laps` and return the record; the same seed gives the same bits.
+def practice_record(
+    axis: Axis,
+    seed: int = 0,
+    laps: int = 3,
+    stroke: float = 0.24,
+    speed: float = 0.2,
+    q_ref: np.ndarray | None = None,
+) -> Record:
+    """Simulate ``axis`` over :func:`trapezoid_laps`, or a ``q_ref`` (n,) [m] of one's own, and return the record.
+
+    The same seed gives the same bits.
 
     Raises :class:`InputError` for an axis whose controller does not follow a position.
 
@@ -57,7 +66,7 @@ def practice_record(axis: Axis, seed: int = 0, laps: int = 3, stroke: float = 0.
             "laps need a controller that follows a position"
         )
     period = axis.sampling.period
-    q_ref = trapezoid_laps(period, stroke, speed, laps=laps)
+    q_ref = trapezoid_laps(period, stroke, speed, laps=laps) if q_ref is None else q_ref
     random = np.random.default_rng(seed)
     run = Plant.of(axis).closed_loop(
         q_ref,

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from emps_design.discrepancy import diagnose
 from emps_design.discrepancy.candidate import Candidate
 from emps_design.discrepancy.experiment import choose
 from emps_design.discrepancy.menu import PROGRAMS, Envelope, in_words, menu
@@ -15,7 +16,7 @@ from emps_design.effects import _added, get_effect, register
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
-from emps_design.simulation.practice import trapezoid_laps
+from emps_design.simulation.practice import practice_record, trapezoid_laps
 from emps_design.simulation.programs import multi_sine
 
 AXIS = machine("emps2019")
@@ -105,6 +106,19 @@ def test_a_record_of_the_chosen_program_tells_the_two_apart_by_as_much_as_was_pr
         gain = max(costs) - min(costs)
         assert costs.index(min(costs)) == index
         assert gain > chosen.over_noise**2 - 4 * chosen.over_noise
+
+
+@pytest.mark.parametrize("true", ["actuator_delay", "actuator_lag"])
+def test_the_record_that_was_asked_for_makes_an_ambiguous_verdict_a_name(true):
+    library = tuple(get_effect(name) for name in ("actuator_delay", "actuator_lag"))
+    axis = AXIS.replace(effects=[{"kind": true, **dict(PAIRS["delay or lag"])[true]}])
+    first = practice_record(axis, stroke=0.1)
+    asked = diagnose(first, AXIS, library=library)
+    assert asked.verdict == "ambiguous"
+    second = practice_record(axis, seed=1, q_ref=asked.experiment.q_ref)
+    answered = diagnose([first, second], AXIS, library=library)
+    assert answered.verdict == "named"
+    assert [finding.effect for finding in answered.findings] == [true]
 
 
 @pytest.fixture
