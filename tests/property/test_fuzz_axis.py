@@ -1,25 +1,14 @@
 """Whatever an axis file holds, it is an axis that comes back from its own TOML, or it is refused in one line."""
 
-import os
-
 import tomli_w
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from emps_design.axis import TABLES, Axis
 from emps_design.effects import EFFECTS
 from emps_design.errors import AxisError
 from emps_design.machines import machine, machine_names
-
-EXAMPLES = int(os.environ.get("EMPS_DESIGN_FUZZ", "150"))
-
-fuzz = settings(
-    max_examples=EXAMPLES,
-    deadline=5000,
-    derandomize=EXAMPLES <= 150,
-    database=None,
-    suppress_health_check=list(HealthCheck),
-)
+from tests.property.fuzzing import fuzz
 
 
 def check(text: str) -> None:

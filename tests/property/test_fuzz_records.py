@@ -4,30 +4,21 @@ A share of the inputs runs with the tests; `make fuzz` sets EMPS_DESIGN_FUZZ to 
 """
 
 import io
-import os
 import resource
 
 import h5py
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.io import savemat
 
 from emps_design.errors import RecordError
 from emps_design.records import Record, record_from_bytes
+from tests.property.fuzzing import fuzz
 
-EXAMPLES = int(os.environ.get("EMPS_DESIGN_FUZZ", "150"))
 N = 60
 MAX_BYTES = 20_000_000
-
-fuzz = settings(
-    max_examples=EXAMPLES,
-    deadline=5000,
-    derandomize=EXAMPLES <= 150,
-    database=None,
-    suppress_health_check=list(HealthCheck),
-)
 
 
 def columns() -> dict[str, np.ndarray]:

@@ -1,0 +1,15 @@
+"""How the fuzzing runs: 150 inputs each, always the same, with the tests; EMPS_DESIGN_FUZZ of them by `make fuzz`."""
+
+import os
+
+from hypothesis import HealthCheck, settings
+
+EXAMPLES = int(os.environ.get("EMPS_DESIGN_FUZZ", "150"))
+
+fuzz = settings(
+    max_examples=EXAMPLES,
+    deadline=5000,  # ms for one input
+    derandomize=EXAMPLES <= 150,
+    database=None,
+    suppress_health_check=list(HealthCheck),
+)
