@@ -42,6 +42,9 @@ class Experiment:
     another; ``over_noise`` the same in standard deviations of the noise, of which ``needed`` decide. ``menu`` has the
     first two for every program that is safe, the best first, after one step of the fits only. ``file`` is where the
     reference was written.
+
+    >>> Experiment("crawl", q_ref=np.zeros(3), period=0.5).written().to_dict()["file"]
+    'experiment.csv'
     """
 
     text: str

@@ -178,7 +178,8 @@ def identical_laps(e: Envelope) -> np.ndarray:
 
 def chirp_on_a_slow_run(e: Envelope) -> np.ndarray:
     """Run slowly from end to end with a small chirp on top, from 2 to 100 Hz and back in every stroke."""
-    slow = min(0.2, e.travel / (3.0 * e.speed))
+    # A stroke takes 3 s at least, so that the chirp has room, and not much more than 6.
+    slow = min(max(0.2, e.travel / (6.0 * e.speed)), e.travel / (3.0 * e.speed), 0.6)
     base = e.trace([(e.high, slow, 0.4, 0.1), (e.low, slow, 0.4, 0.1)])
     turning = np.abs(np.gradient(base, e.period)) < 0.99 * slow * e.speed
     width = e.samples(0.2)
