@@ -8,9 +8,11 @@ import sys
 
 import numpy as np
 
+from emps_design.effects import Motion
 from emps_design.identification.chains import paper_chain
 from emps_design.identification.section_3 import PRINTED, section_3
 from emps_design.identification.virtual_bench import NUMBERS
+from emps_design.observer import model_force
 
 found = section_3(seed=0)
 
@@ -50,13 +52,14 @@ if len(sys.argv) > 1:
     seen = found.observed(0)
     with PdfPages(sys.argv[1]) as pages:
         # Fig. 3: classical friction and Stribeck's, as the bench has them.
-        v = np.linspace(-0.02, 0.02, 2001)
-        m, excess = found.bench.axis.mechanics, NUMBERS["break_away_excess"].value
-        classical = m.viscous * v + m.coulomb * np.sign(v) + m.offset
+        v, still = np.linspace(-0.04, 0.04, 4001), np.zeros(4001)
+        forth, back = (found.table_1[f"coulomb_{way}"][0] for way in ("positive", "negative"))
+        steep, flat = (found.table_1[f"viscous_{way}"][0] for way in ("positive", "negative"))
+        classical = np.where(v > 0, steep * v + forth, flat * v - back)
+        steady = Motion(t=still, q=still, v=v, a=still, tau=still, period=record.period)
         figure, panel = plt.subplots(layout="constrained")
-        panel.plot(v, classical, "r", label="classical, (3)")
-        decay = np.exp(-np.abs(v / NUMBERS["stribeck_velocity"].value))
-        panel.plot(v, classical + excess * decay * np.sign(v), "b", label="Stribeck, (4)")
+        panel.plot(v, classical, "r", label="classical, (3), as identified")
+        panel.plot(v, model_force(steady, found.bench.axis, rest_velocity=0.0), "b", label="of the machine, with (4)")
         panel.set(xlabel="velocity [m/s]", ylabel="friction [N]", title="Fig. 3: friction over velocity")
         panel.legend()
         pages.savefig(figure)
@@ -66,30 +69,48 @@ if len(sys.argv) > 1:
         raw = (gain * record.u, velocity, np.gradient(velocity, record.period))
         smooth = (filtered.force, *map(filtered.reduce, (filtered.motion.v, filtered.motion.a)))
         units = ("motor force [N]", "velocity [m/s]", "acceleration [m/s²]")
+        early, kept_early = record.t <= 5.0, filtered.t <= 5.0
         for panel, measured, kept, unit in zip(panels, raw, smooth, units, strict=True):
-            panel.plot(record.t, measured, "b", lw=0.4, label="measured")
-            panel.plot(filtered.t, kept, "r", lw=0.8, label="filtered")
+            panel.plot(record.t[early], measured[early], "b", lw=0.4, label="measured")
+            panel.plot(filtered.t[kept_early], kept[kept_early], "r", lw=0.8, label="filtered")
             panel.set(ylabel=unit)
         panels[0].set_title("Fig. 5: measured and filtered")
         panels[0].legend()
         panels[2].set(xlabel="time [s]")
         pages.savefig(figure)
-        # Figs. 6, 8, 9, 10.
+        # Figs. 6, 8, 9, 10, in the paper's colours; the first 15 s, for 40 s are a hedge.
         series = first.series
         for title, t, curves in (
-            ("Fig. 6: motor force and model", series["t"], {"tau_m": series["measured"], "W X": series["model"]}),
-            ("Fig. 8: cross validation", seen["t"], {"sensor": seen["sensor"], "observed, mean of ten": seen["cross"]}),
-            ("Fig. 9: direct validation", seen["t"], {"sensor": seen["sensor"], "observed": seen["direct"]}),
+            (
+                "Fig. 6: motor force and model",
+                series["t"],
+                {r"$\tau_{m1}$": ("b", series["measured"]), r"$W_1 X_1$": ("r", series["model"])},
+            ),
+            (
+                "Fig. 8: cross validation, parameters of the other ten",
+                seen["t"],
+                {"observed": ("b", seen["cross"]), "sensor": ("r", seen["sensor"])},
+            ),
+            (
+                "Fig. 9: direct validation, its own parameters",
+                seen["t"],
+                {"observed": ("b", seen["direct"]), "sensor": ("r", seen["sensor"])},
+            ),
             (
                 "Fig. 10: most of the motor's force moves the machine",
                 seen["t"],
-                {"tau_m": seen["motor"], "W X": seen["model"], "tau_e": seen["sensor"]},
+                {
+                    r"$\tau_m$": ("b", seen["motor"]),
+                    r"$W X$": ("r", seen["model"]),
+                    r"$\tau_e$": ("k", seen["sensor"]),
+                },
             ),
         ):
             figure, panel = plt.subplots(layout="constrained")
-            for label, curve in curves.items():
-                panel.plot(t, curve, lw=0.8, label=label)
+            shown = t <= 15.0
+            for label, (colour, curve) in curves.items():
+                panel.plot(t[shown], curve[shown], colour, lw=0.8, label=label)
             panel.set(xlabel="time [s]", ylabel="force [N]", title=title)
-            panel.legend()
+            panel.legend(loc="upper right")
             pages.savefig(figure)
     plt.close("all")
