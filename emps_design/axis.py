@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from emps_design.effects import Effect, get_effect
 from emps_design.errors import AxisError, nearest_name
+from emps_design.notebook import table
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
@@ -217,6 +218,20 @@ class Axis(_Table):
                 value = [{"kind": e.kind, **e.parameters} if isinstance(e, AxisEffect) else e for e in value]
             data[key] = value
         return Axis.from_dict(data, self.name)
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (name, key, value, (field.json_schema_extra or {}).get("unit", ""))
+            for name, kind in TABLES.items()
+            for key, field in kind.model_fields.items()
+            if (value := getattr(getattr(self, name), key)) is not None
+        ]
+        rows += [
+            (effect.kind, parameter.name, effect.parameters[parameter.name], parameter.unit)
+            for effect in self.effects
+            for parameter in effect.effect.parameters
+        ]
+        return table(self.name, rows, ("table", "key", "value", "unit"))
 
 
 def _commented(text: str) -> str:

@@ -72,10 +72,8 @@ def _lives(process: int) -> bool:
         return True
     try:
         os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        pass
+    except OSError as error:  # one of another user's lives, we may only not signal it
+        return not isinstance(error, ProcessLookupError)
     return True
 
 

@@ -29,6 +29,7 @@ from emps_design.control.sampled import ClosedLoop, SampledVelocityLoop, closed_
 from emps_design.control.scale import check_scale
 from emps_design.control.velocity_loop import VelocityLoopDesign
 from emps_design.errors import InputError
+from emps_design.notebook import table
 
 if TYPE_CHECKING:
     import control
@@ -242,21 +243,15 @@ class ForceLoopDesign:
         }
 
     def _repr_html_(self) -> str:
-        def cell(value: float | None, word: str = "unbounded") -> str:
-            return word if value is None else f"{value:.5g}"
-
-        rows = "".join(
-            f"<tr><td>{label}</td><td>{value}</td><td>{unit}</td></tr>"
-            for label, value, unit in (
-                ("k_e1", cell(self.k_e1), "(m/s)/N"),
-                ("k_c = 1/k_e1", cell(self.k_c), "N/(m/s)"),
-                ("largest k_e1, continuous", cell(self.k_e1_max_continuous), "(m/s)/N"),
-                ("largest k_e1, sampled", cell(self.k_e1_max_sampled), "(m/s)/N"),
-                ("gain margin, sampled", cell(self.margins.gain_margin, "none"), "ratio"),
-            )
+        rows = (
+            ("k_e1", self.k_e1, "(m/s)/N"),
+            ("k_c = 1/k_e1", self.k_c, "N/(m/s)"),
+            ("largest k_e1, continuous", self.k_e1_max_continuous, "(m/s)/N"),
+            ("largest k_e1, sampled", self.k_e1_max_sampled, "(m/s)/N"),
+            ("gain margin, sampled", self.margins.gain_margin, "ratio"),
         )
-        verdict = "stable" if self.stable else "<b>UNSTABLE</b>"
-        return f"<p>{self.velocity_loop.axis.name}: the sampled force loop is {verdict}</p><table>{rows}</table>"
+        verdict = "stable" if self.stable else "UNSTABLE"
+        return table(f"{self.velocity_loop.axis.name}: the sampled force loop is {verdict}", rows, missing="unbounded")
 
 
 def design_force_loop(

@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from emps_design.notebook import table
+
 KEYS = (
     "phase_margin_deg",
     "crossover",
@@ -74,6 +76,17 @@ class Margins:
         if self.period is not None:
             document["delay_margin_samples"] = self.delay_margin_samples
         return document
+
+    def _repr_html_(self) -> str:
+        rows = (
+            ("phase margin", self.phase_margin_deg, "deg"),
+            ("crossover", self.crossover, "rad/s"),
+            ("delay margin", self.delay_margin, "s"),
+            ("delay margin", self.delay_margin_samples, "samples"),
+            ("gain margin", self.gain_margin, "ratio"),
+            ("gain margin", self.gain_margin_db, "dB"),
+        )
+        return table("stable" if self.stable else "UNSTABLE", rows, missing="unbounded" if self.stable else "undefined")
 
 
 def margin_arrays(

@@ -30,6 +30,7 @@ from emps_design.control.margins import Margins
 from emps_design.control.scale import check_axis_scale
 from emps_design.control.specification import check_specification, in_words, nearest_that_works, stable_pairs
 from emps_design.errors import SpecificationError
+from emps_design.notebook import table
 
 if TYPE_CHECKING:
     import control
@@ -218,20 +219,17 @@ class VelocityLoopDesign:
 
     def _repr_html_(self) -> str:
         sampled = self.sampled.margins
-        rows = "".join(
-            f"<tr><td>{label}</td><td>{'undefined' if value is None else f'{value:.5g}'}</td><td>{unit}</td></tr>"
-            for label, value, unit in (
-                ("k_v1", self.k_v1, "V/(m/s)"),
-                ("t_v", self.t_v, "s"),
-                ("crossover of T_vo", self.crossover, "rad/s"),
-                ("phase margin of T_vo", self.phase_margin_deg, "deg"),
-                ("bandwidth of T_vc, -3 dB", self.bandwidth, "rad/s"),
-                ("sampled: phase margin at the plant input", sampled.phase_margin_deg, "deg"),
-                ("sampled: crossover at the plant input", sampled.crossover, "rad/s"),
-            )
+        rows = (
+            ("k_v1", self.k_v1, "V/(m/s)"),
+            ("t_v", self.t_v, "s"),
+            ("crossover of T_vo", self.crossover, "rad/s"),
+            ("phase margin of T_vo", self.phase_margin_deg, "deg"),
+            ("bandwidth of T_vc, -3 dB", self.bandwidth, "rad/s"),
+            ("sampled: phase margin at the plant input", sampled.phase_margin_deg, "deg"),
+            ("sampled: crossover at the plant input", sampled.crossover, "rad/s"),
         )
-        verdict = "stable" if self.sampled.stable else "<b>UNSTABLE</b>"
-        return f"<p>{self.axis.name}: the sampled loop is {verdict}</p><table>{rows}</table>"
+        verdict = "stable" if self.sampled.stable else "UNSTABLE"
+        return table(f"{self.axis.name}: the sampled loop is {verdict}", rows, missing="undefined")
 
 
 def design_velocity_loop(

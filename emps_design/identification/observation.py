@@ -11,6 +11,7 @@ from emps_design.axis import Axis
 from emps_design.errors import RecordError
 from emps_design.identification.filters import held_force, motion
 from emps_design.identification.identify import Identification, identify
+from emps_design.notebook import table
 from emps_design.observer import (
     DEFAULT_CUTOFF_HZ,
     ForceObserver,
@@ -101,6 +102,14 @@ class Observation:
             **{name: result.to_dict() for name, result in self.methods.items()},
             "warnings": list(self.warnings),
         }
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (name, one.delay, one.rms_error, one.smallest.value, one.smallest.bound.replace("_", " "))
+            for name, one in self.methods.items()
+        ]
+        heads = ("method", "delay [s]", "rms error [N]", "smallest observable force [N]", "set by")
+        return table(f"{self.record}: external force observed with {self.axis}", rows, heads)
 
 
 def observe(

@@ -11,6 +11,7 @@ import numpy as np
 
 from emps_design.errors import InputError
 from emps_design.files import write_aside
+from emps_design.notebook import table
 from emps_design.records.check import checked
 
 
@@ -117,3 +118,14 @@ class Record:
             "sha256": self.sha256,
             "warnings": list(self.warnings),
         }
+
+    def _repr_html_(self) -> str:
+        rows = (
+            ("samples", len(self), ""),
+            ("period", self.period, "s"),
+            ("duration", self.duration, "s"),
+            ("stroke", float(np.ptp(self.q)), "m"),
+            ("largest voltage", float(np.max(np.abs(self.u))), "V"),
+            ("columns", ", ".join(self.columns), ""),
+        )
+        return table(self.name, rows)

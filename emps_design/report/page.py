@@ -113,6 +113,9 @@ class Picture:
     title: str = ""
     kind: str = field(default="picture", init=False)
 
+    def _repr_html_(self) -> str:
+        return f"{svg(self.figure)}<p><b>{inline(self.title)}</b> {inline(self.caption)}</p>"
+
 
 @dataclass(frozen=True)
 class Formula:

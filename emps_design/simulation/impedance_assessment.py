@@ -29,6 +29,7 @@ from emps_design.control.impedance_robustness import (
 )
 from emps_design.control.impedance_sampled import MARGINAL, Clock, SampledLoop, recursion_poles, sampled_loop
 from emps_design.errors import SpecificationError, UnstableError
+from emps_design.notebook import table
 from emps_design.simulation.impedance_study import MismatchStudy, mismatch_study
 
 
@@ -147,6 +148,21 @@ class ImpedanceAssessment:
             document["reason"], document["nearest"] = self.reason, self.nearest
         document["warnings"] = self._warnings(document)
         return document
+
+    def _repr_html_(self) -> str:
+        felt = self.law.apparent(self.plant)
+        rows = (
+            ("M_a", self.law.mass, "kg"),
+            ("B", self.law.damping, "N/(m/s)"),
+            ("filter", self.law.filter, "rad/s"),
+            ("felt: apparent mass", felt.mass, "kg"),
+            ("felt: apparent damping", felt.damping, "N/(m/s)"),
+            ("felt: Coulomb left", felt.coulomb_left, "N"),
+            ("largest pole at the corners of the mismatch", self.worst_radius, ""),
+            ("mismatch", None if self.mismatch is None else 100.0 * self.mismatch, "%"),
+        )
+        verdict = "stable" if self.stable else "UNSTABLE"
+        return table(f"{self.axis.name}: the sampled impedance law is {verdict}", rows)
 
     def _under_mismatch(self, study: MismatchStudy, mismatch: float) -> dict[str, Any]:
         corners = [self.law.with_errors(errors) for errors in corner_errors(mismatch, self.plant.two_quadrant)]

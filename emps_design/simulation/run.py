@@ -12,6 +12,7 @@ import numpy as np
 
 from emps_design.errors import RecordError
 from emps_design.files import write_aside
+from emps_design.notebook import table
 from emps_design.records import Record
 
 # name: (label, unit) of every signal of a run
@@ -147,6 +148,18 @@ class Run:
             "energy": self.energy,
             "signals": {name: {"label": label, "unit": unit} for name, (label, unit) in SIGNALS.items()},
         }
+
+    def _repr_html_(self) -> str:
+        at_rest = float(sum(end - begin for begin, end in self.stick_intervals))
+        rows = (
+            ("samples", len(self), ""),
+            ("period", self.period, "s"),
+            ("at rest", at_rest, "s"),
+            ("largest speed", float(np.max(np.abs(self.v))), "m/s"),
+            ("largest motor force", float(np.max(np.abs(self.force))), "N"),
+            ("largest voltage", float(np.max(np.abs(self.u))), "V"),
+        )
+        return table(self.name, rows)
 
     def plot(self, axes: Any = None) -> Any:
         """Draw position, velocity and motor force over time, labelled with units; returns the matplotlib axes."""

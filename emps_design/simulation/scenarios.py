@@ -9,6 +9,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import InputError
+from emps_design.notebook import table
 from emps_design.records import Record
 from emps_design.simulation.plant import Plant
 from emps_design.simulation.programs import force_ramp
@@ -58,6 +59,14 @@ class Replay:
             "run": self.run.to_dict(),
             "warnings": list(self.warnings),
         }
+
+    def _repr_html_(self) -> str:
+        rows = [(name, error, "%", self.rms_error.get(name)) for name, error in self.relative_error_percent.items()]
+        return table(
+            f"{self.record.name}: measured against {self.axis.name} simulated",
+            rows,
+            ("signal", "relative error", "unit", "rms error [SI]"),
+        )
 
 
 def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:

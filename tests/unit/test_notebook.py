@@ -1,0 +1,59 @@
+"""What a notebook shows of the objects that a user meets: a title, and numbers with their units."""
+
+import pytest
+
+import emps_design as ed
+from emps_design.notebook import table
+from emps_design.report.loop_figures import velocity_loop_figures
+from emps_design.report.page import Picture
+from emps_design.simulation import replay
+from emps_design.simulation.impedance_assessment import assess_impedance
+
+AXIS = ed.machine("emps2019")
+RIPPLED = AXIS.replace(effects=[{"kind": "position_ripple", "amplitude": 2.0, "period": 2.5e-3, "phase": 0.5}])
+
+
+@pytest.fixture(scope="module")
+def record():
+    return ed.practice_record(AXIS, laps=1)
+
+
+def test_an_axis_with_its_effects():
+    html = RIPPLED._repr_html_()
+    assert html.startswith("<p>emps2019</p>")
+    assert "<td>mechanics</td><td>mass</td><td>95.109</td><td>kg</td>" in html
+    assert "<td>position_ripple</td><td>period</td><td>0.0025</td><td>m</td>" in html
+    assert "None" not in html
+
+
+def test_a_record_and_what_is_found_in_it(record):
+    assert "<td>stroke</td>" in record._repr_html_()
+    assert "<td>kg</td>" in ed.identify(record, AXIS)._repr_html_()
+    observed = ed.observe(record, AXIS)._repr_html_()
+    assert "smallest observable force [N]" in observed
+    assert "break away" in observed
+    found = replay(AXIS, record)
+    assert "<td>force</td>" in found._repr_html_()
+    assert "<td>largest speed</td>" in found.run._repr_html_()
+
+
+def test_designs_and_their_margins():
+    design = ed.design_velocity_loop(AXIS, crossover=100.0, phase_margin_deg=60.0)
+    assert "the sampled loop is stable" in design._repr_html_()
+    assert "<td>delay margin</td><td>3.8" in design.sampled.margins._repr_html_()
+    assert "unbounded" in design.plant_input._repr_html_()
+    assert "the sampled force loop is stable" in ed.design_force_loop(design, 0.005)._repr_html_()
+    law = assess_impedance(AXIS, 50.0, 100.0, 0.02, plants=0)
+    assert law._repr_html_().startswith("<p>emps2019: the sampled impedance law is stable</p>")
+    fast = ed.design_velocity_loop(AXIS, crossover=500.0, phase_margin_deg=80.0)
+    assert "undefined" in fast.sampled.margins._repr_html_()
+
+
+def test_a_picture_of_a_report_is_drawn_with_its_caption():
+    design = ed.design_velocity_loop(AXIS, crossover=100.0, phase_margin_deg=60.0)
+    for name, figure in velocity_loop_figures(design).items():
+        assert "<svg" in Picture(figure, "What to see.", name)._repr_html_()
+
+
+def test_words_are_escaped():
+    assert "<b>" not in table("<b>", [("<b>", None, True)], ("<b>",))
