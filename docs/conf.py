@@ -16,6 +16,7 @@ release = version = __version__
 extensions = [
     "myst_parser",
     "command_output",
+    "constants",
     "mathtext",
     "effects_catalogue",
     "measured_tables",

@@ -1,0 +1,36 @@
+"""The ``constants`` directive: numbers of ``emps_design.discrepancy`` with their words, as their files have them."""
+
+import re
+from pathlib import Path
+
+from docutils.parsers.rst import Directive
+from measured_tables import table
+
+ROOM = Path(__file__).resolve().parents[2] / "emps_design" / "discrepancy"
+ASSIGNED = re.compile(r"^([A-Z][A-Z_0-9]*) = ([^#]+?)(?:\s+# (.*))?$", re.MULTILINE)
+
+
+class Constants(Directive):
+    """``{constants}`` with lines ``module NAME NAME ...``: a row a number."""
+
+    has_content = True
+
+    def run(self):
+        rows = []
+        for line in self.content:
+            module, *names = line.split()
+            path = ROOM / f"{module}.py"
+            self.state.document.settings.env.note_dependency(str(path))
+            found = {name: rest for name, *rest in ASSIGNED.findall(path.read_text(encoding="utf-8"))}
+            for name in names:
+                if name not in found:
+                    raise self.error(f"{path}: no constant {name}; found {', '.join(found)}")
+                value, meaning = found[name]
+                rows.append([f"{module}.{name}", value, meaning])
+        return [table(rows, ["constant", "value", "what it is"])]
+
+
+def setup(app):
+    """Register the directive."""
+    app.add_directive("constants", Constants)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
