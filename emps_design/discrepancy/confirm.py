@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from emps_design.discrepancy.candidate import BASELINE, Candidate
 from emps_design.discrepancy.follow import drive
 from emps_design.discrepancy.law_check import check_law, propose_command
 from emps_design.discrepancy.missing_force import missing_force
+from emps_design.discrepancy.noise import rms_interval
 from emps_design.discrepancy.problem import Problem, evaluate, fit, gather
 from emps_design.discrepancy.split import START_UP
 from emps_design.records import Record
@@ -24,20 +26,29 @@ BASELINE_STEP = 1e-3  # of each baseline number
 
 @dataclass(frozen=True)
 class Gap:
-    """Rms force error [N] of baseline and extended model, unfiltered closed loop and inverse model at 60 Hz."""
+    """Rms force error [N] of baseline and extended model, unfiltered closed loop and inverse model at 60 Hz.
+
+    ``intervals`` holds each with 95 %, by the names of the numbers.
+    """
 
     baseline: float
     extended: float
     baseline_60hz: float
     extended_60hz: float
+    intervals: dict[str, tuple[float, float]] = field(default_factory=dict)
 
-    def to_dict(self) -> dict[str, float]:
-        """The contract's pair."""
-        return {"baseline": self.baseline, "extended": self.extended}
+    def to_dict(self) -> dict[str, Any]:
+        """The contract's pair, with intervals."""
+        return self._pair("")
 
-    def to_dict_60hz(self) -> dict[str, float]:
-        """The contract's pair for the inverse model at 60 Hz."""
-        return {"baseline": self.baseline_60hz, "extended": self.extended_60hz}
+    def to_dict_60hz(self) -> dict[str, Any]:
+        """The contract's pair for the inverse model at 60 Hz, with intervals."""
+        return self._pair("_60hz")
+
+    def _pair(self, measure: str) -> dict[str, Any]:
+        names = ("baseline", "extended")
+        pair = {name: getattr(self, name + measure) for name in names}
+        return pair | {f"{name}_interval": list(self.intervals[name + measure]) for name in names}
 
 
 @dataclass(frozen=True)
@@ -50,9 +61,10 @@ class Prediction:
     extended: np.ndarray
     window: np.ndarray
 
-    def error(self, force: np.ndarray) -> float:
-        """Rms [N] of ``measured - force`` on the window, its mean removed."""
-        return float(np.std((self.measured - force)[self.window]))
+    def errors(self) -> tuple[np.ndarray, np.ndarray]:
+        """Measured minus simulated [N] on the window, with the baseline and with the extended model, means removed."""
+        left = [(self.measured - force)[self.window] for force in (self.baseline, self.extended)]
+        return left[0] - left[0].mean(), left[1] - left[1].mean()
 
 
 def refit_per_record(problem: Problem, model: Candidate) -> tuple[Candidate, list[str]]:
@@ -157,8 +169,11 @@ def predict(axis: Axis, record: Record, baseline: Candidate, extended: Candidate
 
 def gap_of(problem: Problem, prediction: Prediction, baseline: Candidate, extended: Candidate) -> Gap:
     """Both measures of the gap of ``prediction``, reversals included in both."""
-    inverse = []
-    for model in (baseline, extended):
-        seen = missing_force(problem, model)[0]
-        inverse.append(float(np.std(seen.force[prediction.window])))
-    return Gap(prediction.error(prediction.baseline), prediction.error(prediction.extended), *inverse)
+    errors = dict(zip(("baseline", "extended"), prediction.errors(), strict=True))
+    for name, model in (("baseline_60hz", baseline), ("extended_60hz", extended)):
+        missing = missing_force(problem, model)[0].force[prediction.window]
+        errors[name] = missing - missing.mean()
+    return Gap(
+        **{name: float(np.std(error)) for name, error in errors.items()},
+        intervals={name: rms_interval(error) for name, error in errors.items()},
+    )

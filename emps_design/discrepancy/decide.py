@@ -15,7 +15,7 @@ from joblib import Parallel, delayed
 
 from emps_design.discrepancy.candidate import Candidate
 from emps_design.discrepancy.missing_force import missing_force
-from emps_design.discrepancy.problem import Descent, Fit, Problem, descend, fit, gather
+from emps_design.discrepancy.problem import Descent, Fit, Problem, descend, evaluate, fit, gather
 from emps_design.discrepancy.propose import Start, Tangent, starts, tangent
 from emps_design.effects import Effect, Motion
 
@@ -30,6 +30,7 @@ MOST_EFFECTS = 7
 ENOUGH_ROUNDS = 3  # after which a search that explained less than LEAST_EXPLAINED of the excess is given up
 LEAST_EXPLAINED = 0.4
 MOST_WALKS = 8
+REVISED = 4  # other shapes of an effect that are fitted when it is accepted
 STILL_PAYS = 0.005  # of the cost
 CORES = 2
 
@@ -99,6 +100,26 @@ def _settled(problem: Problem, fitted: Fit) -> Fit:
     return fitted
 
 
+def _revised(problem: Problem, fitted: Fit) -> Fit:
+    """Look again at the shapes of the effect found last, now that all numbers fit it.
+
+    A descent does not cross to another exponent, nor to another stroke of the time at which something happened.
+    """
+    model = fitted.model
+    effect, values = model.effects[-1], model.values[-1]
+    shapes = [i for i, p in enumerate(effect.parameters) if p.discrete or (p.per_record and p.unit == "s")]
+    if not shapes:
+        return fitted
+    without = evaluate(problem, model.without(len(model.effects) - 1))
+    if not without.innovations:
+        return fitted
+    found = starts(problem, without, effect, missing_force(problem, without.model), tangent(problem, without))
+    other = [s for s in found if s.anchored and not np.array_equal(s.model.values[-1][:, shapes], values[:, shapes])]
+    tried = Parallel(n_jobs=CORES, prefer="threads")(delayed(fit)(problem, s.model) for s in other[:REVISED])
+    best = min((fitted, *tried), key=lambda f: f.cost)
+    return fitted if best is fitted or on_bound(best) or not plausible(problem, best.model) else _settled(problem, best)
+
+
 def _short_fit(problem: Problem, start: Start, absorbed: Tangent) -> Descent:
     own = tuple(slot for slot in start.model.slots() if slot.effect == len(start.model.effects) - 1)
     if not start.anchored:
@@ -146,7 +167,7 @@ def search(
             ranked = [f for f in sorted(sound.values(), key=lambda f: f.cost) if accept(f, path[-1])]
             if not ranked:
                 break
-            path.append(_settled(problem, ranked[0]))
+            path.append(_revised(problem, _settled(problem, ranked[0])))
             gain = path[0].cost - ranked[0].cost
             if len(path) > ENOUGH_ROUNDS and gain < LEAST_EXPLAINED * (path[0].cost - problem.samples("used")):
                 break

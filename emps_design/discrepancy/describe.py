@@ -15,8 +15,8 @@ from emps_design.discrepancy.diagnosis import Finding
 from emps_design.discrepancy.healthy import LEVEL, RESAMPLES, Healthy
 from emps_design.discrepancy.judge import WORTH, WORTH_AT_FLOOR, Judge, force_rms
 from emps_design.discrepancy.law_check import LawCheck
-from emps_design.discrepancy.locate import View, described, extent, views
-from emps_design.discrepancy.missing_force import MissingForce
+from emps_design.discrepancy.locate import View, described, extent, force_map, views
+from emps_design.discrepancy.missing_force import MissingForce, missing_force
 from emps_design.discrepancy.noise import Floor
 from emps_design.discrepancy.problem import Fit, Problem, fit
 from emps_design.discrepancy.propose import Start
@@ -28,6 +28,10 @@ ASSUMPTIONS = (
     "the force gain of the drive is known: an error of it scales every mechanical parameter and shows nowhere else",
     "the drive holds each voltage over the period that follows its sample",
     "a Coulomb asymmetry and a constant force are one and the same in any record, and both are the constant force here",
+)
+FOLLOWED = (
+    "the controller is not known: the models follow the recorded motion and voltage, and what the controller itself "
+    "adds to the voltage cannot be checked"
 )
 SHOWN_CANDIDATES = 10
 
@@ -123,13 +127,14 @@ def marked_views(
                 marks.append(tuple(place[0]) if view.quantity == "time" else tuple(place))
         drawn.append(replace(view, marks=tuple(marks)))
     head, tail = drawn[:-1], drawn[-1:]
-    head.sort(key=lambda view: -_shown(view))
+    head.sort(key=lambda view: -_shown(view, found))
     return (*head, *tail)
 
 
-def _shown(view: View) -> float:
-    """How much of the gap a picture shows: rms of what the mean over a bin loses from before to after."""
-    return float(np.sqrt(np.nanmean(view.before**2)) - np.sqrt(np.nanmean(view.after**2)))
+def _shown(view: View, found: tuple[Finding, ...]) -> float:
+    """How much of the gap a picture shows [N]: rms of the mean over a bin, less what findings leave of it."""
+    left = np.sqrt(np.nanmean(view.after**2)) if found else 0.0
+    return float(np.sqrt(np.nanmean(view.before**2)) - left)
 
 
 def details(
@@ -139,6 +144,7 @@ def details(
     problem = work.problem
     unseen = _not_excluded(work, extended)
     told = {
+        "simulation": "inverse model" if problem.axis.controller.kind == "none" else "closed loop",
         "candidates": _candidates(work, extended),
         "parameters": _parameters(work, baseline, extended),
         "not_excluded": unseen,
@@ -163,13 +169,15 @@ def details(
     if verdict == "unnamed":
         residual, used = problem.residuals(extended.model)[0], problem.splits[0].used
         told["unexplained"] = described(extent(problem.records[0], residual, used, work.floor.force))
+        told["unexplained"]["map"] = force_map(missing_force(problem, extended.model)[0])
     return told
 
 
 def _warnings(
     work: Work, verdict: str, extended: Fit, refitted: tuple[str, ...], refuted: tuple[Asked, ...]
 ) -> list[str]:
-    said = [
+    said = [FOLLOWED] if work.problem.axis.controller.kind == "none" else []
+    said += [
         f"{get_effect(a.name).label.lower()} fitted the training record and is withdrawn: the confirming record asks "
         f"for {a.share:.2f} +- {a.std:.2f} of it"
         for a in refuted

@@ -13,6 +13,7 @@ from emps_design.axis import Axis
 from emps_design.discrepancy.confirm import Gap, Prediction
 from emps_design.discrepancy.experiment import Experiment
 from emps_design.discrepancy.locate import EVERYWHERE, View
+from emps_design.discrepancy.noise import Floor
 from emps_design.quantities import display_unit
 
 SCHEMA = "emps-design/diagnosis/1"
@@ -104,8 +105,7 @@ class Diagnosis:
     verdict: str
     findings: tuple[Finding, ...]
     axis: Axis
-    floor: float
-    floor_60hz: float
+    noise: Floor
     train: Gap
     holdout: Gap | None
     prediction: Prediction
@@ -113,6 +113,11 @@ class Diagnosis:
     details: Mapping[str, Any] = field(default_factory=dict)
     experiment: Experiment | None = None
     model_file: str | None = None
+
+    @property
+    def floor(self) -> float:
+        """Rms [N] of the unfiltered force that does not repeat."""
+        return self.noise.force
 
     @property
     def sentence(self) -> str:
@@ -150,8 +155,8 @@ class Diagnosis:
 
     def to_dict(self) -> dict[str, Any]:
         """The contract's document, and what the report shows besides."""
-        gap: dict[str, Any] = {"unit": "N", "floor": self.floor, "train": self.train.to_dict()}
-        inverse: dict[str, Any] = {"unit": "N", "floor": self.floor_60hz, "train": self.train.to_dict_60hz()}
+        gap: dict[str, Any] = {"unit": "N", **self.noise.to_dict(), "train": self.train.to_dict()}
+        inverse: dict[str, Any] = {"unit": "N", **self.noise.to_dict_60hz(), "train": self.train.to_dict_60hz()}
         if self.holdout is not None:
             gap["holdout"], inverse["holdout"] = self.holdout.to_dict(), self.holdout.to_dict_60hz()
         shown = {k: v for k, v in self.details.items() if k not in ("window", "least_visible", "changed")}

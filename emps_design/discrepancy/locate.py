@@ -17,6 +17,7 @@ from emps_design.records import Record
 SHARE = 0.8  # of the squared force that an extent holds
 LOCAL = 0.3  # an extent is worth words when it covers less than this share of what the record visits
 LONG = 0.9  # the same for one stretch of time, which may begin with an event and last
+MAP_CELLS = 36  # of position and of velocity in the map
 CELLS = 160  # of a coordinate; an extent is read to one of them
 RESTING = 0.02  # of the top speed, from which on an extent of velocity begins at rest
 EVERYWHERE = "everywhere the record goes"
@@ -88,6 +89,21 @@ def _spectrum(pairs: tuple[np.ndarray, np.ndarray], window: np.ndarray, period: 
         amplitudes.append(np.sqrt(density * (frequency[1] - frequency[0])))
     kept = (frequency > 0) & (frequency <= 100.0)
     return View("frequency", "Hz", frequency[kept], amplitudes[0][kept], amplitudes[1][kept], title="rms in each line")
+
+
+def force_map(missing: MissingForce) -> dict[str, Any]:
+    """Mean missing force [N] over position and velocity, away from reversals: a picture that assumes no effect.
+
+    ``force`` has a row a velocity; None where the record does not go.
+    """
+    q, v, force = (x[missing.away] for x in (missing.motion.q, missing.motion.v, missing.force))
+    edges = [np.linspace(float(x.min()), float(x.max()) + 1e-12, MAP_CELLS + 1) for x in (v, q)]
+    count = np.histogram2d(v, q, edges)[0]
+    mean = np.histogram2d(v, q, edges, weights=force)[0] / np.maximum(count, 1)
+    centres = [(0.5 * (e[1:] + e[:-1])).tolist() for e in edges]
+    rows = [[float(f) if n else None for f, n in zip(*row, strict=True)] for row in zip(mean, count, strict=True)]
+    units = {"velocity": "m/s", "position": "m", "force": "N"}
+    return {"velocity": centres[0], "position": centres[1], "force": rows, "units": units}
 
 
 @dataclass(frozen=True)

@@ -12,47 +12,76 @@ from emps_design.discrepancy.split import START_UP, Split
 BAND_HZ = 60.0
 PIECE = 500  # samples
 UNUSUAL = 2.5  # times the typical deviation of a piece
+FIRST_DIFFERENCE, SECOND_DIFFERENCE = (-1.0, 1.0), (1.0, -2.0, 1.0)
+DRIFTS = 0.7  # of the first difference's rms, below which the second is the floor
 
 
 @dataclass(frozen=True)
 class Floor:
     """Rms [N] of what differs between laps of the same reference, ``force`` unfiltered and ``force_60hz`` low-passed.
 
-    ``whitening`` models it; ``draws`` are its innovations, to resample. ``from_laps`` False: the reference does not
-    repeat, and the floor is a model's residual, an upper bound.
+    ``interval`` and ``interval_60hz`` hold the two with 95 %. ``whitening`` models it; ``draws`` are its innovations,
+    to resample. ``from_laps`` False: the reference does not repeat, and the floor is a model's residual, an upper
+    bound.
     """
 
     force: float
     force_60hz: float
+    interval: tuple[float, float]
+    interval_60hz: tuple[float, float]
     whitening: Whitening
     draws: np.ndarray
     from_laps: bool
+
+    def to_dict(self) -> dict[str, object]:
+        """The contract's ``floor`` of ``gap``, with its interval."""
+        return {"floor": self.force, "floor_interval": list(self.interval)}
+
+    def to_dict_60hz(self) -> dict[str, object]:
+        """The contract's ``floor`` of ``gap_inverse_60hz``, with its interval."""
+        return {"floor": self.force_60hz, "floor_interval": list(self.interval_60hz)}
 
 
 def floor_of_laps(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], period: float) -> Floor | None:
     """Floor from repeated laps of any record, or None where no reference repeats.
 
     ``residuals`` (n,) [N] are what a fitted model leaves: what it knows of one lap and not of another, such as a
-    disturbance of the controller, is then not taken for noise.
+    disturbance of the controller, is then not taken for noise. Nor is a drift: where the second difference between
+    three laps is clearly smaller than the difference between two, it is the floor.
     """
     from emps_design.identification.filters import low_pass
 
-    differences, smooth = [], []
-    for force, split in zip(residuals, splits, strict=True):
-        used = np.nonzero(split.used)[0]
-        if split.lap == 0 or used.size < 2 * split.lap - START_UP:
-            continue
-        slow = low_pass(force, BAND_HZ, period)
-        first, last = int(used[0]), int(used[-1]) + 1
-        # The first lap starts from rest unlike the others: leave it out where there are laps to spare.
-        begin = first + split.lap if last - first > 2.5 * split.lap else first
-        for start in range(begin, last - split.lap - START_UP, split.lap):
-            stop = min(start + split.lap, last - split.lap)
-            differences.append((force[start + split.lap : stop + split.lap] - force[start:stop]) / np.sqrt(2))
-            smooth.append((slow[start + split.lap : stop + split.lap] - slow[start:stop]) / np.sqrt(2))
-    if not differences:
+    found = []
+    for weights in (FIRST_DIFFERENCE, SECOND_DIFFERENCE):
+        raw, smooth = [], []
+        for force, split in zip(residuals, splits, strict=True):
+            slow = low_pass(force, BAND_HZ, period)
+            for start, stop in _laps(split, len(weights)):
+                raw.append(_difference(force, start, stop, split.lap, weights))
+                smooth.append(_difference(slow, start, stop, split.lap, weights))
+        if raw:
+            found.append(_steady(raw, smooth))
+    if not found:
         return None
-    return _floor(*_steady(differences, smooth), from_laps=True)
+    drifts = len(found) == 2 and _rms(found[1][0]) < DRIFTS * _rms(found[0][0])
+    return _floor(*found[drifts], from_laps=True)
+
+
+def _laps(split: Split, together: int) -> list[tuple[int, int]]:
+    """Samples (start, stop) of the first of ``together`` laps one after the other, for every such group."""
+    used = np.nonzero(split.used)[0]
+    if split.lap == 0 or used.size < together * split.lap - START_UP:
+        return []
+    first, last, reach = int(used[0]), int(used[-1]) + 1, (together - 1) * split.lap
+    # The first lap starts from rest unlike the others: leave it out where there are laps to spare.
+    begin = first + split.lap if last - first > (together + 0.5) * split.lap else first
+    return [(a, min(a + split.lap, last - reach)) for a in range(begin, last - reach - START_UP, split.lap)]
+
+
+def _difference(signal: np.ndarray, start: int, stop: int, lap: int, weights: tuple[float, ...]) -> np.ndarray:
+    """Combination of laps with ``weights``, with the deviation of the noise of one."""
+    laps = [weight * signal[start + i * lap : stop + i * lap] for i, weight in enumerate(weights)]
+    return np.sum(laps, axis=0) / np.sqrt(np.sum(np.square(weights)))
 
 
 def floor_of_residual(residuals: tuple[np.ndarray, ...], period: float) -> Floor:
@@ -66,7 +95,22 @@ def floor_of_residual(residuals: tuple[np.ndarray, ...], period: float) -> Floor
 def _floor(raw: list[np.ndarray], smooth: list[np.ndarray], from_laps: bool) -> Floor:
     whitening = whitening_of(tuple(np.concatenate((np.zeros(START_UP), d)) for d in raw))
     draws = np.concatenate([whitening.apply(d - d.mean())[START_UP:] for d in raw])
-    return Floor(_rms(raw), _rms(smooth), whitening, draws / draws.std(), from_laps)
+    intervals = (rms_interval(np.concatenate([p - p.mean() for p in parts])) for parts in (raw, smooth))
+    return Floor(_rms(raw), _rms(smooth), *intervals, whitening, draws / draws.std(), from_laps)
+
+
+def rms_interval(error: np.ndarray, draws: int = 199, seed: int = 0) -> tuple[float, float]:
+    """Interval that holds the rms of ``error`` (n,) with 95 %: stationary bootstrap of pieces of it (``arch``).
+
+    >>> low, high = rms_interval(np.random.default_rng(0).standard_normal(20_000))
+    >>> 0.97 < low < 1.0 < high < 1.03
+    True
+    """
+    from arch.bootstrap import StationaryBootstrap
+
+    means = StationaryBootstrap(min(PIECE, error.size // 4), error**2, seed=seed).apply(np.mean, draws)
+    low, high = np.sqrt(np.quantile(means, (0.025, 0.975)))
+    return float(low), float(high)
 
 
 def _steady(raw: list[np.ndarray], smooth: list[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:

@@ -122,7 +122,9 @@ def fit(
     """Fit ``start`` to the closed-loop force on the samples of ``part``; ``slots`` (default: all) says what is free."""
     slots = start.slots() if slots is None else slots
     found = descend(start, slots, lambda model: gather(problem, problem.whitened(model), part), steps)
-    return evaluate(problem, found.model, slots, found.covariance)
+    # Where the model leaves structure, its numbers are less sure than noise alone would make them.
+    excess = max(1.0, found.cost / problem.samples(part))
+    return evaluate(problem, found.model, slots, found.covariance * excess)
 
 
 @dataclass(frozen=True)

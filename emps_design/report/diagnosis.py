@@ -24,6 +24,12 @@ VERDICTS = {
 }
 
 
+SIMULATED = {
+    "closed loop": "in closed loop from the reference alone",
+    "inverse model": "as inverse models of the recorded motion",
+}
+
+
 def diagnosis_page(diagnosis: Diagnosis) -> Page:
     """Return the page of a diagnosis."""
     document = diagnosis.to_dict()
@@ -32,20 +38,23 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     summary: list[Any] = [
         Callout(level, typeset(document.get("sentence") or verdict), verdict if "sentence" in document else "")
     ]
-    summary.append(_gap_facts(document["gap"]))
+    simulated = document.get("simulation", "closed loop")
+    summary.append(_gap_facts(document["gap"], simulated))
     if diagnosis.views:
         summary.append(Picture(figures.where_figure(diagnosis), _where_caption(diagnosis, findings), "Where"))
     if diagnosis.trace is not None:
         summary.append(
             Picture(
                 figures.before_after_figure(diagnosis),
-                f"Record {diagnosis.trace.name}: measured force, and two closed-loop simulations of it from the "
-                "reference alone. Look at the lower picture: what the extended model leaves should look like noise.",
+                f"Record {diagnosis.trace.name}: measured force, and what two models make of it "
+                f"{SIMULATED[simulated]}. Look at the lower picture: what the extended model leaves should look like "
+                "noise.",
                 "Before and after",
             )
         )
     sections = [
         _findings_section(findings),
+        _unexplained_section(document),
         _candidates_section(diagnosis, document.get("candidates", ())),
         _parameters_section(document),
         _gap_section(document),
@@ -90,15 +99,15 @@ def _where_caption(diagnosis: Diagnosis, findings: Sequence[Mapping[str, Any]]) 
     return f"Residual force over {view.quantity}, before (model as it was, refitted) and after.{said}"
 
 
-def _gap_facts(gap: Mapping[str, Any]) -> Facts:
+def _gap_facts(gap: Mapping[str, Any], simulated: str) -> Facts:
     part = "holdout" if gap.get("holdout") else "train"
     values = gap[part]
     unit = gap.get("unit", "N")
     word = "held-out record" if part == "holdout" else "training record"
     before, after, floor = values.get("baseline"), values.get("extended"), gap.get("floor")
     items = [
-        ("force error before", quantity(before, unit, 3), f"{word}, closed loop"),
-        ("force error after", quantity(after, unit, 3), f"{word}, closed loop"),
+        ("force error before", quantity(before, unit, 3), f"{word}, {simulated}"),
+        ("force error after", quantity(after, unit, 3), f"{word}, {simulated}"),
         ("noise floor", quantity(floor, unit, 3), "what repeats of the record differ by"),
     ]
     if None not in (before, after, floor) and before > max(floor, after):
@@ -111,7 +120,8 @@ def _findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
     if not findings:
         return None
     alike = any(finding.get("equivalents") for finding in findings)
-    headers = ["effect", "p-value", "gap without it [N]", "gap with it [N]", "acts in the", "where", "remark"]
+    headers = ["effect", "p-value", "gap without it [N]", "gap with it [N]", "acts in the", "where", "force up to [N]"]
+    headers.append("remark")
     blocks: list[Any] = [
         Table(
             [*headers, *(["cannot be told from"] if alike else [])],
@@ -123,12 +133,14 @@ def _findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
                     f.get("gap_after"),
                     f.get("where", {}).get("channel", "plant"),
                     f.get("where", {}).get("text", ""),
+                    f.get("where", {}).get("force", {}).get("value"),
                     f.get("note", ""),
                     *([", ".join(words(e) for e in f.get("equivalents") or ()) or "—"] if alike else []),
                 ]
                 for f in findings
             ],
-            "Findings in the order they were accepted; the gap is the rms error of the closed-loop force.",
+            "Findings in the order they were accepted; the gap is the rms error of the simulated force, and the force "
+            "is what the effect itself contributes.",
         )
     ]
     rows = [
@@ -152,6 +164,21 @@ def _findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
             )
         )
     return Section("What is missing", *blocks)
+
+
+def _unexplained_section(document: Mapping[str, Any]) -> Section | None:
+    missing = document.get("unexplained")
+    if not missing:
+        return None
+    return Section(
+        "What no effect explains",
+        Picture(
+            figures.map_figure(missing["map"]),
+            f"Mean force the model misses over position and velocity, away from reversals; white where the record does "
+            f"not go. {_sentence(missing['text'])} Rows alike: it depends on position; columns alike: on velocity.",
+            "The missing force",
+        ),
+    )
 
 
 def _candidates_section(diagnosis: Diagnosis, candidates: Sequence[Mapping[str, Any]]) -> Section | None:
@@ -224,19 +251,26 @@ def _parameters_section(document: Mapping[str, Any]) -> Section | None:
 
 def _gap_section(document: Mapping[str, Any]) -> Section:
     rows = []
-    for key, word in (("gap", "closed loop, unfiltered"), ("gap_inverse_60hz", "inverse model, 60 Hz")):
+    simulated = document.get("simulation", "closed loop")
+
+    def shown(values: Mapping[str, Any], name: str) -> str:
+        low, high = values.get(f"{name}_interval") or (None, None)
+        value = NOTHING if values.get(name) is None else f"{values[name]:.3g}"
+        return value if low is None else f"{value} ({low:.3g} to {high:.3g})"
+
+    for key, word in (("gap", f"{simulated}, unfiltered"), ("gap_inverse_60hz", "inverse model, 60 Hz")):
         gap = document.get(key)
         for part, name in (("train", "training"), ("holdout", "held out")):
             if gap and gap.get(part):
                 values = gap[part]
-                rows.append([word, name, values.get("baseline"), values.get("extended"), gap.get("floor")])
+                rows.append([word, name, shown(values, "baseline"), shown(values, "extended"), shown(gap, "floor")])
     return Section(
         "The gap in numbers",
         Table(
             ["force error", "record", "baseline [N rms]", "extended [N rms]", "floor [N rms]"],
             rows,
-            "Both models have their baseline parameters refitted to the training record; nothing was decided on the "
-            "held-out part.",
+            "Both models have their baseline parameters refitted to the training record; the held-out part could only "
+            "veto. In brackets 95 % intervals, from pieces of each error redrawn.",
         ),
     )
 

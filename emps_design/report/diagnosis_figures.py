@@ -41,6 +41,21 @@ def views_figure(views: Sequence[Any]) -> Figure:
     return figure
 
 
+def map_figure(missing: Mapping[str, Any]) -> Figure:
+    """Draw the mean missing force over position and velocity, as ``unexplained.map`` of a diagnosis has it."""
+    force = np.array(missing["force"], float)
+    most = float(np.nanmax(np.abs(force)))
+    with look():
+        figure, axes = subplots(height=3.6)
+        places = (1e3 * np.array(missing["position"]), 1e3 * np.array(missing["velocity"]))
+        shown = axes.pcolormesh(*places, force, cmap="PuOr", vmin=-most, vmax=most, shading="nearest", rasterized=True)
+        figure.colorbar(shown, ax=axes, label="missing force [N]")
+        axes.set_xlabel("position [mm]")
+        axes.set_ylabel("velocity [mm/s]")
+        axes.grid(visible=False)
+    return figure
+
+
 def _draw_view(axes: Axes, view: Any) -> None:
     factor, unit = _SCALE.get(view.unit, (1.0, view.unit))
     x = np.asarray(view.x) * factor

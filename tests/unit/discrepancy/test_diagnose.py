@@ -49,8 +49,13 @@ def test_the_document_has_what_the_contract_asks(delayed):
     document = plain(delayed.to_dict())
     assert json.loads(json.dumps(document, allow_nan=False)) == document
     assert document["schema"] == "emps-design/diagnosis/1"
-    assert set(document["gap"]) == {"unit", "floor", "train", "holdout"}
-    assert set(document["gap_inverse_60hz"]) == set(document["gap"])
+    for gap in (document["gap"], document["gap_inverse_60hz"]):
+        assert set(gap) == {"unit", "floor", "floor_interval", "train", "holdout"}
+        assert gap["floor_interval"][0] < gap["floor"] < gap["floor_interval"][1]
+        for part in ("train", "holdout"):
+            for model in ("baseline", "extended"):
+                low, high = gap[part][f"{model}_interval"]
+                assert low < gap[part][model] < high
     finding = document["findings"][0]
     assert {"effect", "equivalents", "where", "parameters", "p_value", "gap_before", "gap_after", "note"} <= set(
         finding
