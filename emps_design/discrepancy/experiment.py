@@ -31,7 +31,7 @@ LUCK = 2.0  # standard deviations of a difference in cost that chance may take f
 SLACK = 0.05  # by which a program may exceed what the same model does on the records
 PULSE = 1e-6  # m, small enough for no voltage limit
 REFITTED = 2  # programs at most that are looked at with the rivals fitted to the end
-STEPS = 4
+STEPS = 3
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from typing import Any
 
 from emps_design.report import diagnosis_figures as figures
 from emps_design.report.diagnosis_design import axis_before, design_change
+from emps_design.report.diagnosis_experiment import experiment_section
 from emps_design.report.diagnosis_protocol import Diagnosis, Trace, View
 from emps_design.report.display import NOTHING, angle, interval, probability, quantity, with_std, words
 from emps_design.report.footer import inputs_table, versions
@@ -61,7 +62,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
         _views_section(diagnosis),
         _limits_section(document),
         _remedy_section(document),
-        _experiment_section(document.get("experiment")),
+        experiment_section(document.get("experiment"), getattr(diagnosis, "experiment", None)),
         _design_section(document.get("design") or _design_rows(diagnosis, document)),
         _method_section(document),
     ]
@@ -323,35 +324,6 @@ def _remedy_section(document: Mapping[str, Any]) -> Section | None:
             )
         )
     return Section("What to do", *blocks) if blocks else None
-
-
-def _experiment_section(experiment: Mapping[str, Any] | None) -> Section | None:
-    if not experiment:
-        return None
-    blocks: list[Any] = [Text(_sentence(experiment["text"]))]
-    if experiment.get("file"):
-        blocks.append(
-            Text(
-                Html(
-                    f"Its reference is <code>{experiment['file']}</code>, columns t [s] and q_ref [m]. Try it first: "
-                    f"<code>emps-design simulate model.toml --reference {experiment['file']}</code>."
-                )
-            )
-        )
-    if experiment.get("menu"):
-        between = " and ".join(words(name) for name in experiment["between"])
-        blocks.append(
-            Table(
-                ["program", "what it does", "apart [N rms]", "apart [std of the noise]"],
-                [
-                    [words(row["program"]), row["text"], row["distance"], row["over_noise"]]
-                    for row in experiment["menu"]
-                ],
-                f"How far apart {between} are on each program that stays within what the records show, both fitted as "
-                f"well as they can be; {quantity(experiment['needed'], '', 2)} standard deviations decide.",
-            )
-        )
-    return Section("What to record next", *blocks)
 
 
 def _design_rows(diagnosis: Diagnosis, document: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -65,6 +65,7 @@ class Diagnosis(Protocol):
     | ``calibration`` | str, how the threshold was found |
     | ``assumptions``, ``warnings`` | [str] |
 
+    ``experiment``, where there is one, has the reference ``q_ref`` (n,) [m] over ``t`` (n,) [s], or None.
     ``axis``, where there is one, is the extended axis: without ``design`` the page designs on it and on the baseline.
     ``views``: the first is the picture of *where*; ``trace``: None where no record confirms.
     """

@@ -1,6 +1,7 @@
 """The page of a diagnosis, from invented data that keeps to the protocol."""
 
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -151,6 +152,18 @@ def test_the_page_tells_everything_the_diagnosis_knows():
         "few low speeds", "199 simulated healthy records", "98 %", "model.toml",
     ):  # fmt: skip
         assert said in html, said
+
+
+def test_the_reference_to_record_is_drawn_where_there_is_one():
+    diagnosis = invented()
+    without = diagnosis_page(diagnosis).html()
+    t = np.arange(2000) * 1e-3
+    diagnosis.experiment = SimpleNamespace(t=t, q_ref=0.01 * np.sin(t))
+    html = diagnosis_page(diagnosis).html()
+    assert "slow triangles, 2 s" in html
+    assert html.count("<svg") == without.count("<svg") + 1
+    diagnosis.experiment.q_ref = None
+    assert diagnosis_page(diagnosis).html() == without
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
