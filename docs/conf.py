@@ -29,7 +29,9 @@ sphinx_gallery_conf = {
     "filename_pattern": needs_nothing(HERE.parent / "examples"),
     "abort_on_example_error": True,
     "download_all_examples": False,
+    "image_scrapers": ("gallery_examples",),
     "show_memory": False,
+    "show_signature": False,
     "within_subsection_order": "FileNameSortKey",
     "min_reported_time": 1e9,
     "reset_argv": "gallery_examples.arguments",
@@ -43,7 +45,7 @@ html_css_files = ["pages.css"]
 html_copy_source = False
 html_show_copyright = False
 templates_path: list[str] = []
-exclude_patterns = ["_build", "_ext", "hidden_effects.md", "sg_execution_times.rst", "gallery/*.ipynb", "gallery/*.py"]
+exclude_patterns = ["_build", "_ext", "sg_execution_times.rst", "gallery/*.ipynb", "gallery/*.py"]
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3
 nitpicky = False

@@ -1,4 +1,7 @@
-"""Examples as gallery pages: the first line of a script's docstring is its title, and pictures are asked for."""
+"""Examples as gallery pages: the first line of a script's docstring is its title, and pictures are asked for.
+
+A script that draws nothing itself is shown with the report's pictures of the results it holds at its end.
+"""
 
 import ast
 import re
@@ -58,3 +61,35 @@ def figure_argument(docstring: str, stem: str) -> list[str]:
     """
     match = re.search(r"\.py\s+\[figures?\.(\w+)\]", docstring)
     return [f"{stem}.{match[1]}"] if match else []
+
+
+def pictures(block, block_vars: dict, gallery_conf: dict) -> str:
+    """The figures that the script drew, else those of its results."""
+    from sphinx_gallery.scrapers import figure_rst, matplotlib_scraper
+
+    drawn = matplotlib_scraper(block, block_vars, gallery_conf)
+    if drawn:
+        return drawn
+    paths = []
+    for figure in of_results(block_vars["example_globals"]):
+        paths.append(next(block_vars["image_path_iterator"]))
+        figure.savefig(paths[-1])
+    return figure_rst(paths, gallery_conf["src_dir"])
+
+
+def of_results(names: dict) -> list:
+    """A figure for each result of another type among the values of ``names``."""
+    from emps_design.discrepancy.diagnosis import Diagnosis
+    from emps_design.identification import Identification
+    from emps_design.identification.observation import Observation
+    from emps_design.report.diagnosis_figures import before_after_figure
+    from emps_design.report.observation import observation_figure
+    from emps_design.report.record_figures import force_figure
+
+    draw = {Identification: force_figure, Observation: observation_figure, Diagnosis: before_after_figure}
+    last = {type(value): value for value in names.values() if type(value) in draw}
+    return [draw[kind](value) for kind, value in last.items()]
+
+
+def _get_sg_image_scraper():
+    return pictures

@@ -61,8 +61,8 @@ def visit_display(self, node):
 
     lines = [line for line in re.split(r"\\\\", node.astext()) if line.strip()]
     body = "<br>".join(picture(re.sub(r"\\frac", r"\\dfrac", line)) for line in lines)
-    number = f'<span style="float:right">({node["number"]})</span>' if node.get("number") else ""
-    self.body.append(f'<div class="math" style="text-align:center;margin:1em 0;overflow-x:auto">{number}{body}</div>')
+    number = f'<span class="number">({node["number"]})</span>' if node.get("number") else ""
+    self.body.append(f'<div class="math"><div class="lines">{body}</div>{number}</div>')
     raise SkipNode
 
 

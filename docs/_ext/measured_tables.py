@@ -1,10 +1,11 @@
-"""The ``measured`` directive: a table from the JSON that a measuring command wrote, or a word that it has not run."""
+"""Directives for what a measuring command wrote, a table from its JSON or a page, or a word that it has not run."""
 
 import json
 from pathlib import Path
 
 from docutils import nodes
 from docutils.parsers.rst import Directive, directives
+from docutils.statemachine import StringList
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -18,12 +19,37 @@ class Measured(Directive):
     def run(self):
         path = ROOT / self.arguments[0]
         if not path.exists():
-            text = f"Not measured in this tree; {self.options['command']} writes {self.arguments[0]}."
-            return [nodes.paragraph(text, text)]
+            return [missing(self)]
         columns = self.options["columns"].split()
-        return [
-            table([[shown(row.get(key)) for key in columns] for row in json.loads(path.read_text())["rows"]], columns)
-        ]
+        rows = [[shown(row.get(key)) for key in columns] for row in json.loads(path.read_text())["rows"]]
+        return [written(self), table(rows, columns)]
+
+
+class MeasuredPage(Directive):
+    """``{measured-page} hidden_effects`` puts the page into the table of contents here, with ``:command:`` as above."""
+
+    required_arguments = 1
+    option_spec = {"command": directives.unchanged_required}  # noqa: RUF012
+
+    def run(self):
+        if not (ROOT / "docs" / f"{self.arguments[0]}.md").exists():
+            return [missing(self)]
+        contents = nodes.container()
+        lines = ["```{toctree}", ":maxdepth: 1", "", self.arguments[0], "```"]
+        self.state.nested_parse(StringList(lines), self.content_offset, contents)
+        return [written(self), *contents.children]
+
+
+def missing(directive) -> nodes.paragraph:
+    """Say that nothing was measured."""
+    text = f"Not measured in this tree; {directive.options['command']} writes {directive.arguments[0]}."
+    return nodes.paragraph(text, text)
+
+
+def written(directive) -> nodes.paragraph:
+    """Say what measured it."""
+    command = directive.options["command"]
+    return nodes.paragraph("", "", nodes.Text("Written by "), nodes.literal(command, command), nodes.Text(":"))
 
 
 def shown(value) -> str:
@@ -54,4 +80,5 @@ def table(rows: list[list[str]], columns: list[str]) -> nodes.table:
 def setup(app):
     """Register the directive."""
     app.add_directive("measured", Measured)
+    app.add_directive("measured-page", MeasuredPage)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

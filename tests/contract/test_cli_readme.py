@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from emps_design.effects import EFFECTS
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
 
@@ -27,6 +29,12 @@ def test_every_command_shown_has_its_output():
 def test_links_lead_somewhere():
     for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", README):
         assert (REPOSITORY / target).exists(), target
+
+
+@pytest.mark.parametrize("name", ["README.md", "CHANGELOG.md"])
+def test_the_number_of_effects_is_counted(name):
+    text = " ".join((REPOSITORY / name).read_text(encoding="utf-8").split())
+    assert re.findall(r"(\d+) (?:physical )?effects", text) == [str(len(EFFECTS))]
 
 
 def test_the_two_commands_come_first():
