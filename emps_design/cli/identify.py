@@ -8,21 +8,40 @@ import typer
 
 
 def command(
-    records: list[Path] = typer.Argument(..., metavar="RECORD...", help="Record file(s): .mat, .csv or .npz."),
+    records: list[Path] = typer.Argument(
+        ...,
+        metavar="RECORD...",
+        help="Record file: .mat, .csv or .npz. Several: mean, spread, drift, cross-validation.",
+    ),
     axis: str = typer.Option(
         "emps2019",
         "--axis",
         help="TOML file or embedded machine: G_tau, limits, controller, and effects that are known already.",
     ),
     model: str = typer.Option("symmetric", "--model", help="symmetric or asymmetric friction."),
-    chain: str = typer.Option("report", "--filter", help="report (2019 report), paper (2018 paper) or hold."),
-    cutoff: float | None = typer.Option(None, "--cutoff", help="Low-pass of the position [Hz] instead of the chain's."),
-    estimator: str = typer.Option("ls", "--estimator", help="ls, iv (instruments) or oe (closed-loop output error)."),
+    chain: str = typer.Option(
+        "report",
+        "--filter",
+        help="report: 100 Hz low-pass, of the 2019 report; paper: median and decimation, of the 2018 paper; hold: "
+        "models the hold of the drive, leaves rests out, cut-off from the data.",
+    ),
+    cutoff: float | None = typer.Option(
+        None,
+        "--cutoff",
+        help="Low-pass [Hz] instead of the filter's own; what the data say is printed with the result.",
+    ),
+    estimator: str = typer.Option(
+        "ls",
+        "--estimator",
+        help="ls: least squares; iv: instruments, with a test whether ls is biased; oe: closed-loop output error.",
+    ),
     external_force: str = typer.Option(
         "refuse", "--external-force", help="refuse a record with one, or known: let the measured force take part."
     ),
-    holdout: Path | None = typer.Option(None, "--holdout", help="Judge the parameters on this record too."),
-    bootstrap: int = typer.Option(0, "--bootstrap", min=0, help="Samples of the block bootstrap, 0: none."),
+    holdout: Path | None = typer.Option(
+        None, "--holdout", help="Judge the fit on this record; without it on the last third, fitted to the rest."
+    ),
+    bootstrap: int = typer.Option(0, "--bootstrap", min=0, help="Draws of a block bootstrap, 0: none."),
     seed: int = typer.Option(0, "--seed", help="Seed of the bootstrap."),
     out: Path | None = typer.Option(None, "--out", help="Write the identified axis to this TOML file."),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
@@ -92,11 +111,8 @@ def _show_one(found) -> None:
     from rich.table import Table
 
     console = Console()
-    table = Table(
-        title=f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}",
-        box=box.SIMPLE,
-        pad_edge=False,
-    )
+    title = f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}"
+    table = Table(title=title, box=box.SIMPLE, pad_edge=False, padding=(0, 1, 0, 0))
     for heading in ("parameter", "value", "std (15)", "% (16)", "std *", "95 % ± *", "unit"):
         table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right", no_wrap=True)
     for name, estimate in found.parameters.items():
@@ -104,24 +120,31 @@ def _show_one(found) -> None:
             table.add_row(name, "not determined", "", "", "", "", estimate.quantity.unit)
             continue
         low, high = estimate.interval_95
+        percent = estimate.relative_std_percent
         table.add_row(
             name,
             f"{estimate.value:.4f}",
             f"{estimate.std:.4f}",
-            f"{estimate.relative_std_percent:.2f}" if estimate.relative_std_percent is not None else "",
+            "" if percent is None else f"{percent:.2f}",
             f"{estimate.std_long_run:.4f}",
             f"{0.5 * (high - low):.4f}",
             estimate.quantity.unit,
         )
     console.print(table)
+    for label, key in ((f"HAC std, lag {found.hac_lag:.2f} s", "std_hac"), ("block bootstrap std", "std_bootstrap")):
+        known = {name: getattr(e, key) for name, e in found.parameters.items() if getattr(e, key) is not None}
+        if known:
+            console.print(f"{label}: {', '.join(f'{name} {std:.4f}' for name, std in known.items())}")
     console.print(
         f"force error {found.rms_error:.4f} N rms, {found.relative_error_percent:.4f} % of the force; "
         f"condition number {found.condition_number:.1f}"
     )
     console.print(
         f"* {found.samples} rows count as {found.residual.effective_samples:.0f} independent ones (residual correlated "
-        f"over {1e3 * found.residual.correlation_time:.0f} ms, HAC lag {found.hac_lag:.2f} s)"
+        f"over {1e3 * found.residual.correlation_time:.0f} ms)"
     )
+    if any(estimate.systematic for estimate in found.parameters.values()):
+        console.print("95 % ± holds what this filter is off by as well, judged by --filter hold")
     console.print(f"filter {found.chain}: {found.filter_text}")
     if found.extra.get("held_out"):
         judged = found.extra["held_out"]

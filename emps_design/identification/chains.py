@@ -18,6 +18,7 @@ from emps_design.identification.filters import (
     low_pass,
     median_of_three,
     motion,
+    share_of_nyquist,
 )
 from emps_design.records import Record
 
@@ -59,7 +60,7 @@ def report_chain(record: Record, force_gain: float, cutoff_hz: float | None = No
     Position low-passed at 100 Hz (4th order, forwards and backwards), central differences twice, first 49 samples
     dropped, columns and raw force decimated by 10. It sees the hold as half a sample of delay.
     """
-    cutoff_hz = cutoff_hz or REPORT_CUTOFF
+    cutoff_hz = REPORT_CUTOFF if cutoff_hz is None else cutoff_hz
     force = _decimated(record.u, force_gain)
     q = low_pass(record.q, cutoff_hz, record.period)
     v = central_difference(q, record.period)
@@ -150,7 +151,7 @@ def hold_chain(record: Record, force_gain: float, cutoff_hz: float | None = None
 
         cutoff_hz = chosen_cutoff(record).cutoff_hz
     # One sample per half period of four times the cut-off: what is left above it is under 1e-5 of the amplitude.
-    factor = max(1, int(0.125 / (cutoff_hz * record.period)))
+    factor = max(1, int(0.25 / share_of_nyquist(cutoff_hz, record.period)))
     edge = int(1.0 / (cutoff_hz * record.period))
     rows = slice(edge, len(record) - edge, factor)
 

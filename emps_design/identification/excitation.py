@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from emps_design.axis import Axis
@@ -11,13 +13,15 @@ from emps_design.records import Record
 SMALLEST_STROKE = 1e-5  # m, and at least this many encoder steps:
 SMALLEST_STEPS = 200
 LARGEST_SATURATED_SHARE = 0.2
+SENSOR_NOISE = 0.01  # of the motor force, up to which a measured force may be that of a sensor nobody touches
 WEAK_RELIABILITY = 0.5  # share of a column that the reference explains, below which its parameter is not determined
 
 
-def check_record(record: Record, axis: Axis, external_force_known: bool = False) -> None:
+def check_record(record: Record, axis: Axis, external_force_known: bool = False) -> Record:
     """Raise :class:`RecordError` for a record that cannot identify ``axis``: no motion, no reversal, saturated, pushed.
 
-    ``external_force_known``: the measured external force is meant to take part, as in (21).
+    ``external_force_known``: the measured external force is meant to take part, as in (21). Returns the record to
+    identify from: without a measured force that is no more than a sensor's noise.
     """
     stroke = float(np.ptp(record.q))
     step = axis.sampling.encoder_resolution
@@ -37,12 +41,26 @@ def check_record(record: Record, axis: Axis, external_force_known: bool = False)
             f"{record.name}: no reversal, the carriage moves one way only, so Coulomb friction and a constant force "
             "are one; record motion in both directions"
         )
-    if record.f_ext is not None and not external_force_known and np.any(record.f_ext != record.f_ext[0]):
-        rms = float(np.sqrt(np.mean(record.f_ext**2)))
+    return force_free(record, axis, external_force_known)
+
+
+def force_free(record: Record, axis: Axis, external_force_known: bool = False) -> Record:
+    """The record without a measured force that is a sensor's noise; :class:`RecordError` where it is more than that.
+
+    ``external_force_known``: it is meant to take part, and the record is left as it is.
+    """
+    if record.f_ext is None or external_force_known:
+        return record
+    rms, motor = (float(np.sqrt(np.mean(x**2))) for x in (record.f_ext, axis.drive.force_gain * record.u))
+    if rms > SENSOR_NOISE * motor:
         raise RecordError(
             f"{record.name}: an external force of {rms:.3g} N rms acts, and (12) holds without one; record without "
             "touching the carriage, or let the measured force take part with --external-force known"
         )
+    if rms == 0.0:
+        return replace(record, f_ext=None)
+    note = f"f_ext: its {rms:.2g} N rms are taken for noise of the sensor and left out (--external-force known uses it)"
+    return replace(record, f_ext=None, warnings=(*record.warnings, note))
 
 
 def reverses(q: np.ndarray, share: float = 0.02) -> bool:
@@ -71,11 +89,29 @@ def reliability(W: np.ndarray, Z: np.ndarray, lags: tuple[int, ...] = (0,)) -> n
     """
     shares = []
     for index in range(W.shape[1]):
-        others = np.linalg.qr(np.delete(W, index, axis=1))[0] if W.shape[1] > 1 else np.zeros((len(W), 1))
-        own = W[:, index] - others @ (others.T @ W[:, index])
+        own, others = _own(W, index)
         lead = np.column_stack([np.roll(Z[:, index], lag) for lag in lags])
         lead = lead - others @ (others.T @ lead)
         basis, _, _ = np.linalg.svd(lead / max(float(np.linalg.norm(lead)), 1e-300), full_matrices=False)
         size = float(own @ own)
         shares.append(float(np.sum((basis.T @ own) ** 2)) / size if size > 0 else 0.0)
     return np.array(shares)
+
+
+def share_near_gaps(W: np.ndarray, used: np.ndarray, reach: int) -> np.ndarray:
+    """Share of each column of ``W``, less what the others explain, that lies within ``reach`` rows of a gap, (p,).
+
+    A gap is where rows are not ``used`` (n,).
+
+    >>> share_near_gaps(np.arange(5.0)[:, None], np.array([True, True, True, True, False]), 1).round(2).tolist()
+    [0.64]
+    """
+    near = used & (np.convolve(~used, np.ones(2 * reach + 1), "same") > 0.5)
+    own = [_own(W, index)[0] ** 2 for index in range(W.shape[1])]
+    return np.array([float(part[near].sum()) / max(float(part[used].sum()), 1e-300) for part in own])
+
+
+def _own(W: np.ndarray, index: int) -> tuple[np.ndarray, np.ndarray]:
+    """What the other columns leave of one, and an orthonormal basis of theirs."""
+    others = np.linalg.qr(np.delete(W, index, axis=1))[0] if W.shape[1] > 1 else np.zeros((len(W), 1))
+    return W[:, index] - others @ (others.T @ W[:, index]), others

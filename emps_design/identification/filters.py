@@ -30,13 +30,22 @@ def low_pass(signal: np.ndarray, cutoff_hz: float, period: float, order: int = 4
     """
     from scipy.signal import butter
 
+    share = share_of_nyquist(cutoff_hz, period)
+    return _forwards_and_backwards(butter(order, share, output="sos"), signal, _padding(order, len(signal)), share)
+
+
+def share_of_nyquist(cutoff_hz: float, period: float) -> float:
+    """Cut-off over the Nyquist frequency; :class:`InputError` for one [Hz] that does not lie below it.
+
+    >>> share_of_nyquist(50.0, 1e-3)
+    0.1
+    """
     nyquist = 0.5 / period
     if not 0 < cutoff_hz < nyquist:
         raise InputError(
             f"cut-off: found {cutoff_hz:g} Hz, expected between 0 and the Nyquist frequency {nyquist:g} Hz"
         )
-    share = cutoff_hz / nyquist
-    return _forwards_and_backwards(butter(order, share, output="sos"), signal, _padding(order, len(signal)), share)
+    return cutoff_hz / nyquist
 
 
 def decimate(signal: np.ndarray, factor: int = DECIMATION) -> np.ndarray:

@@ -14,9 +14,9 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import AxisError, RecordError
+from emps_design.identification.assemble import assemble, residual_statistics, resolved_steps
 from emps_design.identification.chains import Filtered, hold_chain
 from emps_design.identification.excitation import check_record
-from emps_design.identification.identify import Identification, assemble, residual_statistics, resolved_steps
 from emps_design.identification.inverse_model import (
     LeastSquares,
     least_squares,
@@ -25,6 +25,7 @@ from emps_design.identification.inverse_model import (
     relative_error,
 )
 from emps_design.identification.known import ASYMMETRY, filter_record, known_part, notes
+from emps_design.identification.result import Identification
 from emps_design.identification.statistics import long_run
 from emps_design.records import Record
 from emps_design.simulation import Plant
@@ -91,7 +92,7 @@ def identify_with_instruments(
     """
     if axis.controller.kind == "none":
         raise AxisError(f"{axis.name}: instruments need the controller of the record; give [controller] in the axis")
-    check_record(record, axis, external_force_known)
+    record = check_record(record, axis, external_force_known)
     axis = known_part(axis, model)
     filtered = filter_record(record, axis, "hold", cutoff_hz)
     names = tuple(p.name for p in parameters_of(model))

@@ -10,7 +10,8 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.errors import RecordError
 from emps_design.identification.filters import held_force, motion
-from emps_design.identification.identify import Identification, identify
+from emps_design.identification.identify import identify
+from emps_design.identification.result import Identification
 from emps_design.notebook import table
 from emps_design.observer import (
     DEFAULT_CUTOFF_HZ,

@@ -12,13 +12,14 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import AxisError, InputError
+from emps_design.identification.assemble import assemble
 from emps_design.identification.cutoff import chosen_cutoff
 from emps_design.identification.excitation import check_record
 from emps_design.identification.filters import low_pass
-from emps_design.identification.identify import Identification, assemble
 from emps_design.identification.instruments import simulate
 from emps_design.identification.inverse_model import LeastSquares, least_squares, parameters_of, regression
 from emps_design.identification.known import acting, filter_record, known_part, notes
+from emps_design.identification.result import Identification
 from emps_design.records import Record
 
 ITERATIONS = 12
@@ -48,9 +49,10 @@ def identify_by_output_error(
     """
     if axis.controller.kind == "none":
         raise AxisError(f"{axis.name}: output error needs the controller of the record; give [controller] in the axis")
-    check_record(record, axis, external_force_known)
+    record = check_record(record, axis, external_force_known)
     axis = known_part(axis, model)
-    cutoff_hz = cutoff_hz or chosen_cutoff(acting(record, axis)).cutoff_hz
+    if cutoff_hz is None:
+        cutoff_hz = chosen_cutoff(acting(record, axis)).cutoff_hz
     filtered = filter_record(record, axis, "hold", cutoff_hz)
     names = tuple(p.name for p in parameters_of(model))
     W, Y = regression(filtered, model)

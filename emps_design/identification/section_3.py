@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from emps_design.identification.chains import paper_chain
-from emps_design.identification.identify import Identification
 from emps_design.identification.inverse_model import regression
 from emps_design.identification.observation import direct_validation
+from emps_design.identification.result import Identification
 from emps_design.identification.several import SeveralIdentifications, identify_several
 from emps_design.identification.virtual_bench import Bench, virtual_bench
 from emps_design.quantities import Quantity

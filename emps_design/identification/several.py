@@ -10,9 +10,9 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import AxisError, InputError
-from emps_design.identification.identify import Identification, identify
-from emps_design.identification.inverse_model import parameters_of, regression
-from emps_design.identification.known import filter_record, known_part
+from emps_design.identification.identify import identify
+from emps_design.identification.inverse_model import parameters_of
+from emps_design.identification.result import Identification
 from emps_design.records import Record
 
 DRIFT_LEVEL = 0.01
@@ -137,13 +137,16 @@ def identify_several(
         if progress is not None:
             progress(f"identify {record.name}", index / len(records))
         one = identify(record, axis, model=model, **options)
-        if not all(estimate.determined for estimate in one.parameters.values()):
-            raise AxisError(f"{record.name}: does not determine every parameter; leave it out or record it anew")
+        missing = [name for name, estimate in one.parameters.items() if not estimate.determined]
+        if missing:
+            raise AxisError(
+                f"{record.name}: {', '.join(missing)} not determined, so there is no mean to take; leave this record "
+                "out, or record motion that excites them"
+            )
         found.append(one)
-        filtered = filter_record(record, known_part(axis, model), one.chain, one.cutoff_hz)
-        problems.append((*regression(filtered, model), filtered.used))
+        problems.append((one.series["columns"], one.series["measured"], one.samples))
     matrix = np.array(
-        [[float(np.sqrt(np.sum((Y - W @ one.values()) ** 2) / used.sum())) for W, Y, used in problems] for one in found]
+        [[float(np.sqrt(np.sum((Y - W @ one.values()) ** 2) / n)) for W, Y, n in problems] for one in found]
     )
     warnings = []
     for one in found:

@@ -253,7 +253,7 @@ def _run(axis, rng, scale, name, q_ref=None, force=None) -> Record:
     turned = []
     for one in axis.effects:
         p = dict(one.parameters)
-        if one.kind == "position_ripple":
+        if {"period", "phase"} <= set(p):
             p["phase"] = float(rng.uniform(-np.pi, np.pi))
         turned.append((get_effect(one.kind), get_effect(one.kind).values(p)))
     samples = np.concatenate([[1.0 / period, value("friction_noise_speed")], noise, noise[-1:], noise[-1:]])

@@ -10,6 +10,7 @@ from emps_design.errors import AxisError, InputError, RankError, RecordError
 from emps_design.identification import identify
 from emps_design.identification.chains import hold_chain, report_chain
 from emps_design.identification.filters import decimate, held, held_force, low_pass, motion
+from emps_design.identification.instruments import identify_with_instruments
 from emps_design.identification.inverse_model import baseline_columns, least_squares, with_predicted_force
 from emps_design.machines import machine
 
@@ -153,10 +154,11 @@ def test_friction_from_one_speed_is_not_split(record, reference_plant):
     """At one speed viscous and Coulomb friction are told apart by reversals alone, which the chain does not model."""
     t = np.arange(20000) * record.period
     velocity = np.convolve(np.where((t % 4) < 2, 0.05, -0.05), np.ones(50) / 50, "same")
-    found = identify(run_along(reference_plant, record, np.cumsum(velocity) * record.period), AXIS)
-    assert not found.parameters["coulomb"].determined
-    assert found.parameters["constant_force"].determined
-    assert "only reversals and rests speak of it" in " ".join(found.warnings)
+    one_speed = run_along(reference_plant, record, np.cumsum(velocity) * record.period)
+    for found in (identify(one_speed, AXIS), identify_with_instruments(one_speed, AXIS)):
+        assert not found.parameters["coulomb"].determined
+        assert found.parameters["constant_force"].determined
+        assert "only reversals and rests speak of it" in " ".join(found.warnings)
 
 
 def test_a_record_that_never_slides_long_says_so(record, reference_plant):
@@ -226,3 +228,21 @@ def test_fit_is_judged_on_what_took_no_part(record, simulate):
     other = identify(record, AXIS, chain="hold", cutoff_hz=30.0, holdout=simulate(9))
     assert other.extra["held_out"]["on"] == "simulated-9"
     assert other.extra["held_out"]["rms_error"] == pytest.approx(own.rms_error, rel=0.3)
+
+
+def test_a_force_sensor_nobody_touches_is_no_external_force(record, simulate):
+    noise = 0.05 * np.random.default_rng(1).standard_normal(len(record))
+    plain = identify(record, AXIS)
+    seen = identify(replace(record, f_ext=noise), AXIS)
+    assert seen.values().tolist() == plain.values().tolist()
+    assert "f_ext: its 0.05 N rms are taken for noise of the sensor and left out" in " ".join(seen.warnings)
+    with pytest.raises(RecordError, match="an external force of 30 N rms acts"):
+        identify(replace(record, f_ext=np.full(len(record), 30.0)), AXIS)
+    with pytest.raises(RecordError, match="simulated-9: an external force of 30 N rms acts"):
+        identify(record, AXIS, holdout=replace(simulate(9), f_ext=np.full(len(record), 30.0)))
+
+
+def test_a_cutoff_of_nothing_is_refused(record):
+    for chain in ("report", "hold"):
+        with pytest.raises(InputError, match="cut-off: found 0 Hz, expected between 0 and the Nyquist frequency"):
+            identify(record, AXIS, chain=chain, cutoff_hz=0.0)
