@@ -21,7 +21,8 @@ def gallery_sources(examples: Path, target: Path) -> Path:
         if not copy.exists() or copy.read_text(encoding="utf-8") != page:
             copy.write_text(page, encoding="utf-8")
     header = (
-        "Examples\n========\n\nEvery script of ``examples/``, with what it prints and draws. The tests run them too.\n"
+        "Examples\n========\n\nEvery script of ``examples/``, with what it prints and draws; one that needs a "
+        "record of yours is shown only.\nThe tests run them too.\n"
     )
     (target / "GALLERY_HEADER.rst").write_text(header, encoding="utf-8")
     return target

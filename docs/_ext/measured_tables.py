@@ -19,7 +19,7 @@ class Measured(Directive):
     def run(self):
         path = ROOT / self.arguments[0]
         if not path.exists():
-            return [missing(self)]
+            return [missing(self, self.arguments[0])]
         columns = self.options["columns"].split()
         rows = [[shown(row.get(key)) for key in columns] for row in json.loads(path.read_text())["rows"]]
         return [written(self), table(rows, columns)]
@@ -32,17 +32,18 @@ class MeasuredPage(Directive):
     option_spec = {"command": directives.unchanged_required}  # noqa: RUF012
 
     def run(self):
-        if not (ROOT / "docs" / f"{self.arguments[0]}.md").exists():
-            return [missing(self)]
+        page = f"docs/{self.arguments[0]}.md"
+        if not (ROOT / page).exists():
+            return [missing(self, page)]
         contents = nodes.container()
         lines = ["```{toctree}", ":maxdepth: 1", "", self.arguments[0], "```"]
         self.state.nested_parse(StringList(lines), self.content_offset, contents)
         return [written(self), *contents.children]
 
 
-def missing(directive) -> nodes.paragraph:
+def missing(directive, file: str) -> nodes.paragraph:
     """Say that nothing was measured."""
-    text = f"Not measured in this tree; {directive.options['command']} writes {directive.arguments[0]}."
+    text = f"Not measured in this tree; {directive.options['command']} writes {file}."
     return nodes.paragraph(text, text)
 
 
