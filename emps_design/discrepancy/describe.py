@@ -70,7 +70,7 @@ def findings(work: Work, extended: Fit, equivalents: dict[str, list[str]]) -> tu
         parameters = {
             p.name: {
                 "value": float(values[place]),
-                "std": extended.std(index, place),
+                "std": _std(work, extended, index, place),
                 "unit": p.unit,
                 **({"per_record": True} if p.per_record else {}),
             }
@@ -226,9 +226,25 @@ def _parameters(work: Work, baseline: Fit, extended: Fit) -> dict[str, Any]:
             "unit": quantity.unit,
             "axis": float(told[place]),
             "baseline": {"value": float(baseline.model.baseline[place]), "std": baseline.std(-1, place)},
-            "extended": {"value": float(extended.model.baseline[place]), "std": extended.std(-1, place)},
+            "extended": {"value": float(extended.model.baseline[place]), "std": _std(work, extended, -1, place)},
         }
     return table
+
+
+def _std(work: Work, extended: Fit, index: int, place: int) -> float:
+    """Standard deviation of a number of the extended model, its baseline's with ``index`` -1.
+
+    Not less than the number moved when the selecting strokes were added to the fitting ones: where play bounces, what
+    a tiny change of a number does to the force says nothing of how well the record determines it.
+    """
+    linear, before = extended.std(index, place), work.found.best.model
+    if index < 0:
+        return max(linear, abs(float(extended.model.baseline[place] - before.baseline[place]))) if linear else 0.0
+    name = extended.model.names[index]
+    if linear == 0.0 or name not in before.names:
+        return linear
+    moved = extended.model.values[index][0, place] - before.values[before.names.index(name)][0, place]
+    return max(linear, abs(float(moved)))
 
 
 def _not_excluded(work: Work, extended: Fit) -> list[dict[str, Any]]:

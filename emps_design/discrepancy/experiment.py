@@ -174,8 +174,17 @@ def _nearest(
     """The two rivals nearest to one another on ``q_ref``; None where one of them makes it unsafe."""
     if not all(_safe(problem, rival.model, q_ref, limits) for rival, limits in zip(rivals, seen, strict=True)):
         return None
-    pairs = [pair for pair in combinations(rivals, 2) if len(set(pair[0].model.names) ^ set(pair[1].model.names)) == 2]
-    return min((_apart(problem, *pair, q_ref, noise, 1) for pair in pairs), key=lambda apart: apart.over_noise)
+    found = []
+    for pair in combinations(rivals, 2):
+        if len(set(pair[0].model.names) ^ set(pair[1].model.names)) == 2:
+            machine, rival = sorted(pair, key=_slowness, reverse=True)  # a fit simulates many times, a machine once
+            found.append(replace(_apart(problem, machine, rival, q_ref, noise, 1), pair=pair))
+    return min(found, key=lambda apart: apart.over_noise)
+
+
+def _slowness(fitted: Fit) -> int:
+    """Number of states that the effects of ``fitted`` add to a simulation, which then has to be stepped."""
+    return sum(len(effect.states) for effect in fitted.model.effects)
 
 
 def _apart(problem: Problem, machine: Fit, rival: Fit, q_ref: np.ndarray, noise: float, steps: int) -> _Apart:

@@ -140,3 +140,42 @@ def test_an_effect_of_a_user_takes_part():
         assert [f.effect for f in answer.findings] == ["my_delay"]
     finally:
         _added.pop("my_delay")
+
+
+@pytest.mark.parametrize("effect", [{"kind": "elastic_force", "stiffness": 80.0, "rest_position": 0.05}, DELAYED])
+def test_without_a_controller_the_models_follow_the_recorded_motion(effect):
+    unknown = AXIS.replace(controller={"kind": "none"})
+    answer = diagnose(record(effect), unknown, holdout=record(effect, seed=1), library=SHORT)
+    assert [f.effect for f in answer.findings] == [effect["kind"]]
+    assert answer.holdout.extended < 0.5 * answer.holdout.baseline
+    document = answer.to_dict()
+    assert document["simulation"] == "inverse model"
+    assert any("the controller is not known" in said for said in document["warnings"])
+    assert answer.axis.controller.kind == "none"
+
+
+def test_the_confirming_record_withdraws_what_it_does_not_ask_for():
+    # A spring that is there on the training record only: nothing of it is in the other one.
+    spring = {"kind": "elastic_force", "stiffness": 80.0, "rest_position": 0.05}
+    answer = diagnose(record(spring), AXIS, holdout=record(seed=1), library=SHORT)
+    assert answer.findings == ()
+    assert answer.verdict == "unnamed"
+    assert any("elastic force" in said and "withdrawn" in said for said in answer.details["warnings"])
+
+
+def test_what_nothing_explains_has_a_place_and_a_map():
+    told = diagnose(record(DELAYED), AXIS, library=(get_effect("elastic_force"),)).details["unexplained"]
+    force = np.array(told["map"]["force"], float)
+    assert force.shape == (len(told["map"]["velocity"]), len(told["map"]["position"]))
+    assert np.isfinite(force).any()
+    assert told["text"]
+
+
+def test_where_is_told_in_the_words_of_the_effect():
+    low = {"kind": "stribeck_friction", "excess": 8.0, "stribeck_velocity": 8e-3, "exponent": 1.0}
+    found = diagnose(record(low), AXIS, library=SHORT).findings[0]
+    assert found.effect == "stribeck_friction"
+    assert found.where["force"]["sense"] == "more"
+    assert "below" in found.where["text"]
+    assert found.where["velocity"][1] < 0.03
+    assert 4.0 < found.where["force"]["value"] < 12.0

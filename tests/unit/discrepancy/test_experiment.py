@@ -7,7 +7,8 @@ import pytest
 
 from emps_design.discrepancy import diagnose
 from emps_design.discrepancy.candidate import Candidate
-from emps_design.discrepancy.experiment import choose
+from emps_design.discrepancy.decide import Search
+from emps_design.discrepancy.experiment import choose, experiment
 from emps_design.discrepancy.menu import PROGRAMS, Envelope, in_words, menu
 from emps_design.discrepancy.noise import floor_of_laps
 from emps_design.discrepancy.problem import Problem, Whitening, fit
@@ -119,6 +120,22 @@ def test_the_record_that_was_asked_for_makes_an_ambiguous_verdict_a_name(true):
     answered = diagnose([first, second], AXIS, library=library)
     assert answered.verdict == "named"
     assert [finding.effect for finding in answered.findings] == [true]
+
+
+def test_without_equivalents_the_effect_s_own_advice_stays():
+    problem = problem_of({"kind": "actuator_delay", "delay": 1e-3}, trapezoid_laps(1e-3, stroke=0.1, laps=3))
+    delay, lag = get_effect("actuator_delay"), get_effect("actuator_lag")
+    best, rival = fitted(problem, delay, delay=1e-3), fitted(problem, lag, time_constant=1e-3)
+    found = Search((best,), {frozenset(f.model.names): f for f in (best, rival)})
+    alone = experiment(problem, found, ("actuator_delay",), {"actuator_delay": []}, THRESHOLD).to_dict()
+    assert alone["text"] == delay.experiment
+    assert {alone[key] for key in ("program", "duration", "distance", "over_noise", "between", "file")} == {None}
+    assert experiment(problem, found, (), {"actuator_delay": ["actuator_lag"]}, THRESHOLD) is None
+    asked = experiment(problem, found, ("actuator_delay",), {"actuator_delay": ["actuator_lag"]}, THRESHOLD)
+    assert asked.between == ("actuator_delay", "actuator_lag")
+    unknown = replace(problem, axis=AXIS.replace(controller={"kind": "none"}))
+    told = experiment(unknown, found, ("actuator_delay",), {"actuator_delay": ["actuator_lag"]}, THRESHOLD)
+    assert (told.text, told.program) == (delay.experiment, None)
 
 
 @pytest.fixture
