@@ -102,6 +102,9 @@ class DataView:
         self.take.on_click(self._taken)
         self.job = Job()
         self.message, self.about, self.result = html(), html(INTRODUCTION), blocks()
+        # The result stands beside the record where the window is wide, below it elsewhere.
+        self.about.styles = {"flex": "1 1 560px", "max-width": "900px"}
+        self.result.styles = {"flex": "1 1 700px"}
         self.view = pn.Column(
             pn.FlexBox(
                 self.drop,
@@ -114,8 +117,7 @@ class DataView:
             ),
             self.job.view,
             self.message,
-            self.about,
-            self.result,
+            pn.FlexBox(self.about, self.result, align_items="flex-start", sizing_mode="stretch_width"),
             sizing_mode="stretch_width",
         )
         if record is not None:
