@@ -128,9 +128,7 @@ def choose(problem: Problem, rivals: tuple[Fit, ...], threshold: float, noise: f
             break
         pair = first[name].pair
         found = min(
-            run(
-                delayed(_apart)(problem, one, other, programs[name], noise, STEPS) for one, other in (pair, pair[::-1])
-            ),
+            run(delayed(_apart)(problem, *way, programs[name], noise, STEPS) for way in _directions(pair)),
             key=lambda apart: apart.over_noise,
         )
         if best is None or found.over_noise > best.over_noise:
@@ -174,17 +172,15 @@ def _nearest(
     """The two rivals nearest to one another on ``q_ref``; None where one of them makes it unsafe."""
     if not all(_safe(problem, rival.model, q_ref, limits) for rival, limits in zip(rivals, seen, strict=True)):
         return None
-    found = []
-    for pair in combinations(rivals, 2):
-        if len(set(pair[0].model.names) ^ set(pair[1].model.names)) == 2:
-            machine, rival = sorted(pair, key=_slowness, reverse=True)  # a fit simulates many times, a machine once
-            found.append(replace(_apart(problem, machine, rival, q_ref, noise, 1), pair=pair))
+    pairs = [pair for pair in combinations(rivals, 2) if len(set(pair[0].model.names) ^ set(pair[1].model.names)) == 2]
+    found = [replace(_apart(problem, *_directions(pair)[0], q_ref, noise, 1), pair=pair) for pair in pairs]
     return min(found, key=lambda apart: apart.over_noise)
 
 
-def _slowness(fitted: Fit) -> int:
-    """Number of states that the effects of ``fitted`` add to a simulation, which then has to be stepped."""
-    return sum(len(effect.states) for effect in fitted.model.effects)
+def _directions(pair: tuple[Fit, Fit]) -> list[tuple[Fit, Fit]]:
+    """Pairs (machine, rival fitted to it): both ways, but bristles, a hundred times slower, only as the machine."""
+    both = [pair, pair[::-1]]
+    return [way for way in both if not any(effect.takes_dry for effect in way[1].model.effects)] or both
 
 
 def _apart(problem: Problem, machine: Fit, rival: Fit, q_ref: np.ndarray, noise: float, steps: int) -> _Apart:
