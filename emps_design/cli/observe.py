@@ -6,24 +6,39 @@ from pathlib import Path
 
 import typer
 
+LONG = 200_000  # samples from which on it is worth saying how far the work is
+
 
 def command(
     record: Path = typer.Argument(..., metavar="RECORD", help="Record file: .mat, .csv or .npz."),
     axis: str = typer.Option("emps2019", "--axis", help="TOML file or embedded machine with identified parameters."),
     cutoff: float = typer.Option(20.0, "--cutoff", help="Low-pass of the on-line observer [Hz]; Kalman: twice that."),
     offline_cutoff: float = typer.Option(60.0, "--offline-cutoff", help="Zero-phase low-pass off-line [Hz]."),
-    out: Path | None = typer.Option(None, "--out", help="Write the observed forces to this .csv file."),
+    injected: str | None = typer.Option(
+        None,
+        "--injected",
+        metavar="COLUMN:VOLTS",
+        help="Voltage added behind the controller, a column of the record times VOLTS: it is taken out of u, and its "
+        "force is the truth to judge by.",
+    ),
+    out: Path | None = typer.Option(
+        None, "--out", help="Write the observed forces to this .csv file; cells are empty where none can be known."
+    ),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     """Observe the external force of a record, off-line and on-line."""
     import sys
 
-    from emps_design.cli.output import print_json
-    from emps_design.identification.observation import observe
+    from emps_design.cli.output import print_json, progress_bar
+    from emps_design.identification.observation import observe, with_known_push
     from emps_design.machines import load_axis
     from emps_design.records import read_record
 
-    found = observe(read_record(record), load_axis(axis), cutoff_hz=cutoff, offline_cutoff_hz=offline_cutoff)
+    read, loaded = read_record(record), load_axis(axis)
+    if injected is not None:
+        read = with_known_push(read, _voltage(injected, read), loaded.drive.force_gain)
+    with progress_bar(len(read) >= LONG) as progress:
+        found = observe(read, loaded, cutoff_hz=cutoff, offline_cutoff_hz=offline_cutoff, progress=progress)
     if out is not None:
         _write(out, found)
     if as_json:
@@ -34,44 +49,78 @@ def command(
         print(f"emps-design: {warning}", file=sys.stderr)
 
 
-def _write(out: Path, found) -> None:
+def _voltage(injected: str, record):
+    """The voltage [V] that ``COLUMN:VOLTS`` stands for, one value a sample."""
     import numpy as np
 
-    from emps_design.files import write_text
+    from emps_design.errors import InputError
+
+    name, _, factor = injected.rpartition(":")
+    column = np.ravel(np.asarray(record.extra.get(name, ())))
+    if column.dtype.kind not in "buif" or column.size != len(record):
+        one_a_sample = [key for key, values in record.extra.items() if np.size(values) == len(record)]
+        raise InputError(
+            f"--injected: found {injected!r}, expected COLUMN:VOLTS with a further column of {record.name}: "
+            f"{', '.join(one_a_sample) or 'it has none'}"
+        )
+    try:
+        volts = float(factor)
+    except ValueError:
+        raise InputError(f"--injected: found {factor!r} for VOLTS, expected a number") from None
+    return volts * column
+
+
+def _write(out: Path, found) -> None:
+    from emps_design.files import write_aside
 
     names = ["t [s]", *(f"{name} [N]" for name in found.methods)]
-    rows = np.column_stack([found.t, *(result.force for result in found.methods.values())])
-    lines = [",".join(names), *(",".join(f"{value:.6f}" for value in row) for row in rows)]
-    write_text(out, "\n".join(lines) + "\n")
+    columns = [found.t, *(result.force for result in found.methods.values())]
+    with write_aside(out) as aside, aside.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(",".join(names) + "\n")
+        for start in range(0, len(found.t), LONG):
+            rows = zip(*(column[start : start + LONG].tolist() for column in columns), strict=True)
+            file.writelines(",".join("" if x != x else f"{x:.6f}" for x in row) + "\n" for row in rows)
 
 
 def _show(found) -> None:
     from rich import box
     from rich.console import Console
+    from rich.markup import escape  # or [ms] is taken for a style
     from rich.table import Table
 
     console = Console()
-    table = Table(title=f"External force of {found.record}, axis {found.axis}", box=box.SIMPLE)
+    title = escape(f"External force of {found.record}, axis {found.axis}")
+    table = Table(title=title, box=box.SIMPLE, pad_edge=False)
     table.add_column("method")
-    for heading in ("rms error [N]", "away from edges [N]", "delay [ms]", "rise [ms]", "plateau", "smallest [N]"):
-        table.add_column(heading, justify="right")
+    known = found.f_ext is not None
+    headings = ["delay [ms]"]
+    headings += ["rms error [N]", "away from edges [N]", "rise [ms]", "plateau"] if known else []
+    for heading in headings:
+        table.add_column(escape(heading), justify="right")
     for name, result in found.methods.items():
-        steps = result.steps
-        rise = steps.rise_time if steps is not None else None
-        table.add_row(
-            name,
-            "" if result.rms_error is None else f"{result.rms_error:.2f}",
-            "" if steps is None else f"{steps.rms_error_away_from_edges:.2f}",
-            f"{1e3 * result.delay:.2f}",
-            "" if rise is None else f"{1e3 * rise:.1f}",
-            "" if steps is None else f"{steps.plateau_error_percent:+.2f} %",
-            f"{result.smallest.value:.1f}",
-        )
+        cells = [f"{1e3 * result.delay:.2f}"]
+        if known:
+            steps = result.steps
+            cells += [
+                f"{result.rms_error:.2f}",
+                "" if steps is None else f"{steps.rms_error_away_from_edges:.2f}",
+                "" if steps is None or steps.rise_time is None else f"{1e3 * steps.rise_time:.1f}",
+                "" if steps is None else f"{steps.plateau_error_percent:+.2f} %",
+            ]
+        table.add_row(name, *cells)
     console.print(table)
+    spans = (f"{name} {one.reliable[0]:.3f} to {one.reliable[1]:.3f} s" for name, one in found.methods.items())
+    console.print(f"known from and to, filters settle before and after: {', '.join(spans)}")
+    first = next(iter(found.methods.values()))
+    if known:
+        console.print(f"errors: from {first.judged[0]:.2f} to {first.judged[1]:.2f} s, against the force of the moment")
     for name, result in found.methods.items():
-        bounds = ", ".join(
-            f"{bound.replace('_', '-')} {value:.2f} N" for bound, value in result.smallest.bounds.items()
-        )
-        console.print(
-            f"{name}: smallest force {result.smallest.value:.2f} N, set by {result.smallest.bound} ({bounds})"
-        )
+        least = result.smallest
+        bounds = ", ".join(f"{_word(bound)} {value:.2f} N" for bound, value in least.bounds.items())
+        console.print(f"{name}: smallest observable force {least.value:.2f} N, set by {_word(least.bound)} ({bounds})")
+    for bound, reason in first.smallest.to_dict()["reasons"].items():
+        console.print(f"{_word(bound)}: {reason}")
+
+
+def _word(bound: str) -> str:
+    return bound.replace("_", "-")

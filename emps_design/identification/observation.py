@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,11 +14,13 @@ from emps_design.errors import RecordError
 from emps_design.identification.filters import held_force, motion
 from emps_design.identification.identify import identify
 from emps_design.identification.result import Identification
+from emps_design.identification.step_answer import Steps, step_answer
 from emps_design.notebook import table
 from emps_design.observer import (
     DEFAULT_CUTOFF_HZ,
     ForceObserver,
     KalmanForceObserver,
+    OnlineObserver,
     SmallestForce,
     acting_voltage,
     left_out,
@@ -29,41 +33,26 @@ from emps_design.records import Record
 
 OFFLINE_CUTOFF_HZ = 60.0
 PARAMETER_UNCERTAINTY = 0.02  # of each parameter where no deviation is known, as in section IV-B
-NEAR_AN_EDGE = 0.1  # s, on both sides
 NOISE_STEP = 0.05  # s apart: what an error changes by over that time counts as noise
 KALMAN_BANDWIDTH = 2.0  # times the cut-off of the first-order low-pass: about the same delay
-SETTLED = 0.25  # s of the record's start and of its end that no judgement counts
-
-
-@dataclass(frozen=True)
-class Steps:
-    """How a method answers the steps of a known force.
-
-    ``delay`` [s] to half of the step and ``rise_time`` [s] from 10 to 90 %, of the mean answer to all edges;
-    ``plateau`` [N] the mean observed height away from edges, ``plateau_error_percent`` against the true one.
-    """
-
-    edges: int
-    delay: float | None
-    rise_time: float | None
-    plateau: float
-    plateau_error_percent: float
-    rms_error_away_from_edges: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data, SI."""
-        return dict(self.__dict__)
+SETTLED = 0.25  # s of the record's start and of its end, at least, that no judgement counts
+FILTER_ENDS = 2.0  # periods of the zero-phase filter's cut-off in which it makes up what lies outside the record
+FORGOTTEN = 7.0  # delays of an on-line observer after which it has forgotten that it started from rest
 
 
 @dataclass(frozen=True)
 class MethodResult:
     """One method on one record: ``force`` (n,) [N], its ``delay`` [s] as designed, and how it did.
 
-    ``rms_error`` [N] is against the force at the same moment, ``rms_error_aligned`` [N] against that of ``delay`` ago.
+    ``force`` is NaN outside ``reliable``, from and to [s]: a zero-phase filter makes up what lies beyond both ends, and
+    an on-line observer starts as if at rest. Errors count from and to ``judged`` [s]: ``rms_error`` [N] is against the
+    force at the same moment, ``rms_error_aligned`` [N] against that of ``delay`` ago.
     """
 
     force: np.ndarray = field(repr=False)
     delay: float
+    reliable: tuple[float, float]
+    judged: tuple[float, float]
     rms_error: float | None
     rms_error_aligned: float | None
     steps: Steps | None
@@ -76,6 +65,10 @@ class MethodResult:
             "rms_error": self.rms_error,
             "rms_error_aligned": self.rms_error_aligned,
             "delay": self.delay,
+            "reliable_from": self.reliable[0],
+            "reliable_to": self.reliable[1],
+            "judged_from": self.judged[0],
+            "judged_to": self.judged[1],
             "smallest_observable_force": self.smallest.to_dict(),
             "steps": None if self.steps is None else self.steps.to_dict(),
             **self.settings,
@@ -119,12 +112,14 @@ def observe(
     cutoff_hz: float = DEFAULT_CUTOFF_HZ,
     offline_cutoff_hz: float = OFFLINE_CUTOFF_HZ,
     parameter_std: np.ndarray | None = None,
+    progress: Callable[[str, float], None] | None = None,
 ) -> Observation:
     """Observe the external force of ``record`` with the parameters of ``axis``.
 
     ``cutoff_hz`` [Hz] of the on-line observer (the Kalman one has twice that bandwidth), ``offline_cutoff_hz``
     [Hz] of the zero-phase filter off-line; ``parameter_std`` standard deviations of mass, viscous, coulomb, offset for
-    the parameter bound (2 % of each where not given). Raises :class:`RecordError` for a record shorter than 1 s.
+    the parameter bound (2 % of each where not given). Raises :class:`RecordError` for a record too short for its ends
+    to settle, at least 1 s.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.practice import practice_record
@@ -133,32 +128,47 @@ def observe(
     >>> sorted(found.methods), found.methods["online"].smallest.bound
     (['kalman', 'offline', 'online'], 'break_away')
     """
-    if record.duration < 4 * SETTLED:
-        raise RecordError(f"{record.name}: {record.duration:g} s long, expected at least {4 * SETTLED:g} s to observe")
     voltage, axis = acting_voltage(axis.replace(sampling={"period": record.period}), record.u)
     record = replace(record, u=voltage)
-    seen = motion(record, offline_cutoff_hz)
-    offline = observe_offline(seen, held_force(record, axis.drive.force_gain, offline_cutoff_hz), axis)
-    parameter = _parameter_bound(seen, axis, parameter_std)
-    methods = {"offline": _judge(record, axis, offline, 0.0, parameter, {"cutoff_hz": offline_cutoff_hz})}
-    online = ForceObserver(axis, cutoff_hz)
-    force = observe_online(online, record.q, record.u)
-    methods["online"] = _judge(record, axis, force, online.delay, parameter, {"cutoff_hz": cutoff_hz})
     warnings = list(record.warnings)
     for method, kinds in left_out(axis).items():
         if kinds:
             warnings.append(f"{method}: left out, their force is not in the motion: {', '.join(kinds)}")
+
+    online: dict[str, OnlineObserver] = {"online": ForceObserver(axis, cutoff_hz)}
+    settings = {"offline": {"cutoff_hz": offline_cutoff_hz}, "online": {"cutoff_hz": cutoff_hz}}
     if axis.sampling.encoder_resolution > 0:
-        kalman = KalmanForceObserver(axis, bandwidth_hz=KALMAN_BANDWIDTH * cutoff_hz)
-        settings = {
+        online["kalman"] = kalman = KalmanForceObserver(axis, bandwidth_hz=KALMAN_BANDWIDTH * cutoff_hz)
+        settings["kalman"] = {
             "bandwidth_hz": kalman.bandwidth_hz,
             "force_rate": kalman.force_rate,
             "encoder_noise_std": kalman.noise_std,
         }
-        force = observe_online(kalman, record.q, record.u)
-        methods["kalman"] = _judge(record, axis, force, kalman.delay, parameter, settings)
     else:
         warnings.append("no Kalman observer: the axis gives no encoder_resolution")
+    made_up = FILTER_ENDS / offline_cutoff_hz
+    ends = {"offline": (made_up, made_up), **{name: (FORGOTTEN * one.delay, 0.0) for name, one in online.items()}}
+    shortest = 4 * max(SETTLED, *(end for pair in ends.values() for end in pair))
+    if record.duration < shortest:
+        raise RecordError(
+            f"{record.name}: {record.duration:g} s long, expected at least {shortest:.3g} s to observe with these "
+            "cut-offs"
+        )
+
+    tell = progress or (lambda stage, fraction: None)
+    tell("off-line observer", 0.0)
+    seen = motion(record, offline_cutoff_hz)
+    parameter = _parameter_bound(seen, axis, parameter_std)
+    offline = observe_offline(seen, held_force(record, axis.drive.force_gain, offline_cutoff_hz), axis)
+    methods = {"offline": _judge(record, axis, offline, 0.0, ends["offline"], parameter, settings["offline"])}
+    del seen, offline
+    share = 1 / (1 + len(online))
+    for index, (name, one) in enumerate(online.items(), 1):
+        begun = index * share
+        force = observe_online(
+            one, record.q, record.u, lambda done, n=name, b=begun: tell(f"{n} observer", b + share * done)
+        )
+        methods[name] = _judge(record, axis, force, one.delay, ends[name], parameter, settings[name])
     return Observation(
         record=record.name,
         sha256=record.sha256,
@@ -202,55 +212,39 @@ def _parameter_bound(seen, axis: Axis, std: np.ndarray | None) -> float:
     return 1.96 * float(np.sqrt(np.mean(total)))
 
 
-def _judge(record: Record, axis: Axis, force: np.ndarray, delay: float, parameter: float, settings) -> MethodResult:
-    start = int(SETTLED / record.period)
-    inner = slice(start, len(record) - start)
-    truth, rms, aligned, steps, error = record.f_ext, None, None, None, force
+def _judge(
+    record: Record,
+    axis: Axis,
+    force: np.ndarray,
+    delay: float,
+    ends: tuple[float, float],
+    parameter: float,
+    settings: dict[str, float],
+) -> MethodResult:
+    """Judge ``force`` (n,) [N], which is not reliable for ``ends`` [s] of the record's start and end."""
+    n, period = len(record), record.period
+    first, last = (math.ceil(end / period) for end in ends)
+    force[:first], force[n - last :] = np.nan, np.nan
+    start = max(int(SETTLED / period), first, last)
+    inner = slice(start, n - start)
+    truth, rms, aligned, steps, error = record.f_ext, None, None, None, force[inner]
     if truth is not None:
-        error = force - truth
-        rms = float(np.sqrt(np.mean(error[inner] ** 2)))
-        late = np.interp(record.t - delay, record.t, truth)
-        aligned = float(np.sqrt(np.mean((force - late)[inner] ** 2)))
-        steps = _step_answer(force, truth, record.period)
+        error = error - truth[inner]
+        rms = float(np.sqrt(np.mean(error**2)))
+        late = np.interp(record.t[inner] - delay, record.t, truth)
+        aligned = float(np.sqrt(np.mean((force[inner] - late) ** 2)))
+        steps = step_answer(force, truth, period, inner)
     # Noise is what is quick in the error: a median keeps reversals and edges, which are few, out of it.
-    quick = np.diff(error[inner][:: max(1, int(NOISE_STEP / record.period))])
+    quick = np.diff(error[:: max(1, int(NOISE_STEP / period))])
     noise = 1.96 * 1.4826 * float(np.median(np.abs(quick))) / np.sqrt(2.0)
-    return MethodResult(force, delay, rms, aligned, steps, smallest_observable_force(axis, noise, parameter), settings)
-
-
-def _step_answer(force: np.ndarray, truth: np.ndarray, period: float) -> Steps | None:
-    """Answer to the steps of a square wave; None where the known force has no steps."""
-    change = np.diff(truth)
-    height = float(np.ptp(truth))
-    edges = np.flatnonzero(np.abs(change) > 0.5 * height) + 1 if height > 0 else np.zeros(0, int)
-    reach = int(NEAR_AN_EDGE / period)
-    edges = edges[(edges > reach) & (edges < len(truth) - reach)]
-    if edges.size < 2 or np.mean(np.abs(change) > 1e-9 * height) > 0.01:
-        return None
-    near = np.zeros(len(truth), dtype=bool)
-    near[: int(SETTLED / period)] = near[-int(SETTLED / period) :] = True
-    for edge in edges:
-        near[edge - reach : edge + reach] = True
-    high = truth > truth.min() + 0.5 * height
-    plateau = float(force[high & ~near].mean() - force[~high & ~near].mean())
-    mean = np.mean([np.sign(change[e - 1]) * (force[e - reach : e + reach] - force[e - reach]) for e in edges], axis=0)
-    share = mean / float(np.mean(mean[-reach // 4 :]))
-    crossing = {level: _first_crossing(share, level) for level in (0.1, 0.5, 0.9)}
-    complete = all(value is not None for value in crossing.values())
-    return Steps(
-        edges=int(edges.size),
-        delay=period * (crossing[0.5] - reach) if complete else None,
-        rise_time=period * (crossing[0.9] - crossing[0.1]) if complete else None,
-        plateau=plateau,
-        plateau_error_percent=100.0 * (plateau / height - 1.0),
-        rms_error_away_from_edges=float(np.sqrt(np.mean((force - truth)[~near] ** 2))),
+    return MethodResult(
+        force=force,
+        delay=delay,
+        reliable=(first * period, (n - last) * period),
+        judged=(start * period, (n - start) * period),
+        rms_error=rms,
+        rms_error_aligned=aligned,
+        steps=steps,
+        smallest=smallest_observable_force(axis, noise, parameter),
+        settings=settings,
     )
-
-
-def _first_crossing(share: np.ndarray, level: float) -> float | None:
-    """Index, between samples, at which ``share`` last comes from below ``level`` to above it for good."""
-    below = np.flatnonzero(share < level)
-    if not below.size or below[-1] + 1 >= len(share):
-        return None
-    i = int(below[-1])
-    return i + (level - share[i]) / (share[i + 1] - share[i])

@@ -11,6 +11,7 @@ import pytest
 from emps_design.axis import Axis
 from emps_design.cli.app import run
 from emps_design.machines import machine
+from emps_design.simulation import Plant
 from emps_design.simulation.practice import practice_record
 
 
@@ -83,13 +84,39 @@ def test_observe_writes_a_table_of_forces(folder, capsys):
     lines = out.read_text().splitlines()
     assert lines[0] == "t [s],offline [N],online [N],kalman [N]"
     assert len(lines) == 1 + len(np.load(folder / "day0.npz")["t"])
+    assert lines[1] == "0.000000,,,"
+    assert lines[-1].split(",")[1] == ""
+    assert all(cell for cell in lines[len(lines) // 2].split(","))
 
 
 def test_observe_shows_its_bounds(folder, capsys):
     assert run(["observe", str(folder / "day0.npz")]) == 0
     text = capsys.readouterr().out
-    assert "break_away" in text
+    assert "set by break-away" in text
     assert "kalman" in text
+
+
+def test_observe_is_told_of_an_injected_voltage(folder, capsys):
+    """A voltage added behind the controller is a force the drive does not know of: with it named, it is the truth."""
+    plain = practice_record(machine("emps2019"), laps=1)
+    wave = (np.arange(len(plain)) // 500 % 2).astype(np.uint8)
+    made = Plant.of(machine("emps2019")).closed_loop(plain.q_ref, voltage_noise=3.0 * wave)
+    np.savez(folder / "wave.npz", t=made.t, q_ref=plain.q_ref, q=made.q, u=made.u, wave=wave, gain=35.0)
+    path = str(folder / "wave.npz")
+    assert run(["observe", path, "--injected", "wave:3.0", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    for method in ("offline", "online", "kalman"):
+        assert abs(document[method]["steps"]["plateau_error_percent"]) < 1.0
+        assert document[method]["rms_error"] > document[method]["steps"]["rms_error_away_from_edges"]
+    assert run(["observe", path, "--injected", "wave:3.0"]) == 0
+    text = capsys.readouterr().out
+    assert all(word in text for word in ("delay [ms]", "rise [ms]", "edges [N]", "known from and to"))
+    wrongs = (("wafe:3.0", "further column of wave: wave"), ("gain:1", "expected COLUMN:VOLTS"), ("wave:x", "'x'"))
+    for wrong, words in wrongs:
+        assert run(["observe", path, "--injected", wrong]) == 2
+        err = capsys.readouterr().err
+        assert words in err
+        assert err.count("\n") == 1
 
 
 def test_identify_is_quick(folder):

@@ -182,7 +182,8 @@ def test_effects_that_the_motion_does_not_give_are_named(pushed):
     flexible = {"kind": "flexible_coupling", "frequency": 40.0, "damping": 0.05, "share": 0.4}
     found = observe(pushed, AXIS.replace(effects=[flexible]))
     assert [w for w in found.warnings if "flexible_coupling" in w and w.startswith("online: left out")]
-    assert found.methods["online"].force.tolist() == observe(pushed, AXIS).methods["online"].force.tolist()
+    bare = observe(pushed, AXIS).methods["online"]
+    np.testing.assert_array_equal(found.methods["online"].force, bare.force)
 
 
 @pytest.mark.parametrize(
@@ -226,4 +227,29 @@ def test_every_effect_with_a_column_gives_a_finite_force(pushed):
         small = {p.name: p.starts[0] if p.starts else max(p.lower, min(1e-6, p.upper)) for p in effect.parameters}
         found = observe(pushed, AXIS.replace(effects=[{"kind": effect.name, **small}]))
         for result in found.methods.values():
-            assert np.all(np.isfinite(result.force)), effect.name
+            start, stop = (round(edge / PERIOD) for edge in result.reliable)
+            assert np.all(np.isfinite(result.force[start:stop])), effect.name
+
+
+def test_no_number_where_an_observer_cannot_know(pushed):
+    """The ends of the record are left empty, and what is left is as good there as elsewhere."""
+    found = observe(pushed, AXIS)
+    for name, result in found.methods.items():
+        start, stop = (round(edge / PERIOD) for edge in result.reliable)
+        assert np.all(np.isnan(result.force[:start]))
+        assert np.all(np.isnan(result.force[stop:]))
+        assert start >= 0.03 / PERIOD
+        assert (stop == len(pushed)) == (name != "offline")
+        early = (result.force - pushed.f_ext)[start : start + 100]
+        assert np.sqrt(np.mean(early**2)) < 3.0 + 3.0 * result.steps.rms_error_away_from_edges
+    with pytest.raises(RecordError, match=r"4 s long, expected at least 5\.\d+ s to observe with these cut-offs"):
+        observe(pushed.part(0, 4000), AXIS, offline_cutoff_hz=1.5)
+
+
+def test_long_work_says_how_far_it_is(pushed):
+    heard = []
+    observe(pushed, AXIS, progress=lambda stage, fraction: heard.append((stage, fraction)))
+    assert list(dict(heard)) == ["off-line observer", "online observer", "kalman observer"]
+    fractions = [fraction for _, fraction in heard]
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == pytest.approx(1.0)
