@@ -16,6 +16,7 @@ LARGEST_JITTER = 0.2  # of a period
 NOTED_JITTER = 0.01
 NOTED_SATURATION = 0.005  # share of samples
 SHORTEST_PERIOD, LONGEST_PERIOD = 1e-6, 0.1  # s
+LARGEST = 1e15  # of any column; beyond it the checks themselves would overflow
 # Beyond these a unit was mistaken: no single axis is longer, faster or stronger.
 LONGEST_STROKE = 20.0  # m
 HIGHEST_SPEED = 20.0  # m/s
@@ -44,7 +45,8 @@ def checked(columns: dict[str, Any], source: str, first_row: int = 0, period: fl
         if not title.name:
             extra[title.text] = values
             continue
-        named[title.name] = np.multiply(_vector(values, title, n, source), title.factor, out=next(signals))
+        with np.errstate(over="ignore"):  # an overflow is infinite, and refused for that
+            named[title.name] = np.multiply(_vector(values, title, n, source), title.factor, out=next(signals))
         if title.factor != 1.0:
             notes.append(f"{title.name}: converted from {title.unit} to {UNITS[title.name]}")
     for column, values in named.items():
@@ -93,6 +95,12 @@ def _finite(values: np.ndarray, column: str, source: str, first_row: int) -> Non
             f"{source}: column {column}, row {first_row + bad[0]}: found {values[bad[0]]}, expected a finite number"
             f"{f' ({bad.size} such samples)' if bad.size > 1 else ''}; cut the gap out or record again"
         )
+    for row in (int(np.argmax(values)), int(np.argmin(values))):
+        if abs(values[row]) > LARGEST:
+            raise RecordError(
+                f"{source}: column {column}, row {first_row + row}: found {values[row]:.6g} {UNITS[column]}, expected "
+                f"a magnitude below {LARGEST:g}"
+            )
 
 
 def _period(t: np.ndarray, source: str, first_row: int) -> tuple[float, list[str]]:

@@ -169,3 +169,21 @@ def test_any_archive(arrays):
     stream = io.BytesIO()
     np.savez(stream, **arrays)
     check(stream.getvalue(), "a.npz")
+
+
+@fuzz
+@given(
+    changes=st.lists(
+        st.tuples(st.sampled_from(("t", "q_ref", "q", "u", "f_ext")), st.integers(0, N - 1), st.floats()), max_size=6
+    ),
+    scale=st.sampled_from((1.0, 1e-200, 1e160, 1e308)),
+    scaled=st.sampled_from(("t", "q_ref", "q", "u")),
+)
+def test_any_number_in_a_good_record(changes, scale, scaled):
+    arrays = {**columns(), "f_ext": np.zeros(N)}
+    arrays[scaled] = arrays[scaled] * scale
+    for name, row, value in changes:
+        arrays[name][row] = value
+    stream = io.BytesIO()
+    np.savez(stream, **arrays)
+    check(stream.getvalue(), "a.npz")

@@ -5,6 +5,7 @@ import pytest
 
 from emps_design.errors import RecordError
 from emps_design.records import Record
+from emps_design.records.check import checked
 
 N = 400
 T = np.arange(N) * 1e-3
@@ -61,6 +62,9 @@ def test_quantised_time_gives_the_nominal_period():
         ({"f_ext": 1e9 * U}, r"column f_ext: found .* N, expected at most 1e\+06 N"),
         ({"t": np.zeros(5_000_001, dtype=np.int8)}, "found 5000001 samples, expected at most 5000000; cut it"),
         ({"q": Q + 0j}, "column 'q': found complex128 values"),
+        ({"t": changed(T, N - 1, 5e157)}, r"column t, row \d+: found 5e\+157 s, expected a magnitude below 1e\+15"),
+        ({"t": 1e160 * T}, r"column t, row \d+: found .*e\+159 s, expected a magnitude below 1e\+15"),
+        ({"u": 1e308 * U}, r"column u, row \d+: found .* V, expected a magnitude below 1e\+15"),
     ],
 )
 def test_refused(columns, message):
@@ -82,3 +86,8 @@ def test_noted(columns, note):
     warnings = build(**columns).warnings
     assert len(warnings) == 1
     assert note in warnings[0]
+
+
+def test_a_unit_that_overflows_is_refused():
+    with pytest.raises(RecordError, match="column u, row 0: found inf, expected a finite number"):
+        checked({"t": T, "q_ref": Q, "q": Q, "u [kV]": 1e307 * U}, "r")
