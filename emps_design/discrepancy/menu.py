@@ -2,7 +2,7 @@
 
 Every program is a reference ``q_ref`` (n,) [m] at the record's period that begins and ends at rest where the record
 began, lasts ten to thirty seconds on an ordinary axis, and stays within the positions, speeds, accelerations and jerks
-of the record.
+of the record. The order of its strokes leaves some of every kind to fit and some to select (every third one).
 """
 
 from __future__ import annotations
@@ -77,6 +77,11 @@ class Envelope:
         """Position [m] of the far end of a stroke from ``low`` that takes no longer than 2.5 s or so."""
         return self.low + min(self.travel, 2.5 * self.speed)
 
+    @property
+    def middle(self) -> float:
+        """Position [m] half-way to the far end."""
+        return 0.5 * (self.low + self.far)
+
     def at(self, share: float) -> float:
         """Position [m] at this ``share`` of the travel."""
         return self.low + share * self.travel
@@ -111,10 +116,10 @@ class Envelope:
 
 def slow_crawl(e: Envelope) -> np.ndarray:
     """Crawl from rest, both ways, at 0.5 to 5 % of the top speed."""
-    moves: list[Move] = [(e.at(0.5), 0.5, 1.0, 0.3)]
+    moves: list[Move] = [(e.middle, 0.5, 1.0, 0.3)]
     for share in (0.005, 0.01, 0.02, 0.05):
-        there = e.at(0.5) + min(1.5 * share * e.speed, 0.5 * e.travel)
-        moves += [(there, share, 1.0, 0.3), (e.at(0.5), share, 1.0, 0.3)]
+        there = e.middle + min(1.5 * share * e.speed, e.far - e.middle)
+        moves += [(there, share, 1.0, 0.3), (e.middle, share, 1.0, 0.3)]
     return e.trace(moves)
 
 
@@ -129,30 +134,30 @@ def speed_staircase(e: Envelope) -> np.ndarray:
 
 
 def two_speeds(e: Envelope) -> np.ndarray:
-    """Run long strokes over the whole travel at two constant speeds, one three times the other."""
-    fast = min(1.0, e.travel / (1.5 * e.speed))
-    strokes = ((e.high, fast / 3), (e.low, fast / 3), (e.high, fast), (e.low, fast))
-    return e.trace([(end, share, 1.0, 0.2) for end, share in strokes])
+    """Run strokes forth and back at two constant speeds, one three times the other."""
+    there = e.low + min(e.speed, e.travel)
+    fast = min(1.0, e.travel / e.speed)
+    return e.trace([(end, share, 1.0, 0.2) for share in (fast / 3, fast) for end in (there, e.low)])
 
 
 def three_accelerations(e: Envelope) -> np.ndarray:
     """Repeat one stroke at full, half and a quarter of the top acceleration."""
-    shares = (1.0, 0.5, 0.25)
-    return e.trace([(end, 1.0, share, 0.2) for share in shares for end in (e.far, e.low)])
+    ends = 3 * (e.far, e.low)
+    return e.trace([(end, 1.0, share, 0.2) for end, share in zip(ends, (1.0, 0.25, 0.5, 0.5, 0.25, 1.0), strict=True)])
 
 
 def fast_strokes(e: Envelope) -> np.ndarray:
     """Stroke without a pause at the top speed and acceleration, over three distances."""
-    shares = (1.0, 0.0, 0.5, 0.0, 0.2, 0.0)
+    shares = (1.0, 0.0, 0.5, 0.0, 1.0, 0.0, 0.2, 0.0)
     return e.trace([(e.low + share * (e.far - e.low), 1.0, 1.0, 0.0) for share in shares])
 
 
 def small_reversals(e: Envelope) -> np.ndarray:
-    """Reverse about the middle with amplitudes that grow from 0.01 to 3 % of the travel."""
-    moves: list[Move] = [(e.at(0.5), 0.5, 1.0, 0.3)]
-    for amplitude in np.geomspace(1e-4, 0.03, 10):
-        share = min(amplitude * e.travel / 0.25 / e.speed, 1.0)
-        moves += 2 * [(e.at(0.5 + amplitude), share, 1.0, 0.05), (e.at(0.5), share, 1.0, 0.05)]
+    """Reverse about one place with amplitudes that grow from 0.01 to 3 % of the travel."""
+    moves: list[Move] = [(e.middle, 0.5, 1.0, 0.3)]
+    for amplitude in e.travel * np.geomspace(1e-4, 0.03, 10):
+        share = min(amplitude / 0.25 / e.speed, 1.0)
+        moves += 2 * [(e.middle + amplitude, share, 1.0, 0.05), (e.middle, share, 1.0, 0.05)]
     return e.trace(moves)
 
 
@@ -165,9 +170,11 @@ def small_strokes(e: Envelope) -> np.ndarray:
 
 
 def stop_and_dwell(e: Envelope) -> np.ndarray:
-    """Stop at four places along the travel, coming from both sides, and rest there for 1.5 s."""
-    places = (0.2, 0.4, 0.6, 0.8, 1.0, 0.8, 0.6, 0.4, 0.2, 0.0)
-    return e.trace([(e.at(place), 0.5, 1.0, 0.1 if place in (0.0, 1.0) else 1.5) for place in places])
+    """Stop at three places along the travel, coming from both sides, and rest there for 1.5 s."""
+    moves: list[Move] = []
+    for place in (0.25, 0.5, 0.75):
+        moves += [(e.at(place), 0.5, 1.0, 1.5), (e.at(place + 0.25), 0.5, 1.0, 0.1), (e.at(place), 0.5, 1.0, 1.5)]
+    return e.trace([*moves, (e.low, 0.5, 1.0, 0.1)])
 
 
 def identical_laps(e: Envelope) -> np.ndarray:
@@ -177,17 +184,18 @@ def identical_laps(e: Envelope) -> np.ndarray:
 
 
 def chirp_on_a_slow_run(e: Envelope) -> np.ndarray:
-    """Run slowly from end to end with a small chirp on top, from 2 to 100 Hz and back in every stroke."""
-    # A stroke takes 3 s at least, so that the chirp has room, and not much more than 6.
-    slow = min(max(0.2, e.travel / (6.0 * e.speed)), e.travel / (3.0 * e.speed), 0.6)
-    base = e.trace([(e.high, slow, 0.4, 0.1), (e.low, slow, 0.4, 0.1)])
+    """Run slowly forth and back with a small chirp on top, from 2 to 100 Hz and back in every stroke."""
+    stroke = e.far - e.low
+    # A stroke takes 3 s at least, so that the chirp has room, and not much more than 4.
+    slow = min(max(0.2, stroke / (4.0 * e.speed)), stroke / (3.0 * e.speed), 0.6)
+    base = e.trace(2 * [(e.far, slow, 0.4, 0.1), (e.low, slow, 0.4, 0.1)])
     turning = np.abs(np.gradient(base, e.period)) < 0.99 * slow * e.speed
     width = e.samples(0.2)
     fade = np.convolve(turning, np.ones(3 * width), mode="same") < 0.5
     for _ in range(3):  # in and out inside the stretches of constant speed, without a step of jerk
         fade = np.convolve(fade, np.full(width, 1 / width), mode="same")
     first, last = SWEEP_HZ[0], min(SWEEP_HZ[1], 0.2 / e.period)
-    up_and_down = 0.5 - 0.5 * np.cos(2 * np.pi * (base - e.low) / e.travel)
+    up_and_down = 0.5 - 0.5 * np.cos(2 * np.pi * (base - e.low) / stroke)
     omega = 2 * np.pi * first * (last / first) ** up_and_down
     # Smoothly the least of what speed (the run must not reverse), acceleration and jerk leave room for.
     half = 0.5 * e.acceleration

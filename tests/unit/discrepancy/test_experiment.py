@@ -27,6 +27,7 @@ REFERENCES = {
     "long stroke": trapezoid_laps(1e-3, stroke=0.5, speed=0.1, acceleration=0.5, laps=1),
     "multi-sine": 0.2 + multi_sine(1e-3, 12.0),
     "triangles": 0.1 * np.abs((np.arange(12000) * 1e-3 + 1) % 2 - 1),
+    "slow": trapezoid_laps(1e-3, stroke=0.1, speed=0.02, laps=1),
     "2 ms": trapezoid_laps(2e-3, stroke=0.2, laps=1),
 }
 
@@ -63,7 +64,10 @@ def test_programs_stay_inside_the_record_and_begin_and_end_at_rest_where_it_bega
         assert q_ref.max() <= max(seen.home, seen.high) + 1e-9, name
         assert q_ref[[0, -1]] == pytest.approx(seen.home, abs=1e-6), name
         assert np.abs(derivatives[0][[0, -1]]).max() < 1e-9, name
-        assert 10 <= q_ref.size * period <= 40, name
+        assert 10 <= q_ref.size * period <= 45, name
+        made = split(Record(np.arange(q_ref.size) * period, q_ref, q_ref, 0.0 * q_ref, period))
+        assert len(made.strokes) >= 4, name
+        assert 0.15 < made.select.sum() / made.used.sum() < 0.5, name
         assert in_words(name)[0].islower()
 
 
