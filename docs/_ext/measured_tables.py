@@ -11,10 +11,17 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 class Measured(Directive):
-    """``{measured} benchmarks/latest.json`` with ``:columns:`` keys of its rows and ``:command:`` that writes it."""
+    """``{measured} benchmarks/latest.json`` with ``:columns:`` keys of its rows and ``:command:`` that writes it.
+
+    ``:titles:`` with ``|`` between them stand over the columns in the place of the keys.
+    """
 
     required_arguments = 1
-    option_spec = {"columns": directives.unchanged_required, "command": directives.unchanged_required}  # noqa: RUF012
+    option_spec = {  # noqa: RUF012
+        "columns": directives.unchanged_required,
+        "titles": directives.unchanged_required,
+        "command": directives.unchanged_required,
+    }
 
     def run(self):
         path = ROOT / self.arguments[0]
@@ -22,7 +29,8 @@ class Measured(Directive):
             return [missing(self, self.arguments[0])]
         columns = self.options["columns"].split()
         rows = [[shown(row.get(key)) for key in columns] for row in json.loads(path.read_text())["rows"]]
-        return [written(self), table(rows, columns)]
+        titles = [title.strip() for title in self.options["titles"].split("|")] if "titles" in self.options else columns
+        return [written(self), table(rows, titles)]
 
 
 class MeasuredPage(Directive):
