@@ -21,6 +21,9 @@ def command(
     confirm_time: Annotated[str | None, typer.Option(metavar="C:D", help="confirm on this stretch [s]")] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="folder for model, report, prediction")] = None,
     seed: Annotated[int, typer.Option(help="seed of the healthy reference")] = 0,
+    healthy_runs: Annotated[
+        int, typer.Option(min=0, help="calibrate on so many simulated records, searched like this one (199: minutes)")
+    ] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="one JSON document on standard output")] = False,
 ) -> None:
     from emps_design.discrepancy import diagnose
@@ -44,6 +47,7 @@ def command(
             fit_time=_window(fit_time, "--fit-time"),
             confirm_time=_window(confirm_time, "--confirm-time"),
             seed=seed,
+            searches=healthy_runs,
             progress=progress,
         )
     if out is not None:

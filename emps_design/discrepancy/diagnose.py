@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from emps_design.discrepancy.diagnosis import Diagnosis
 from emps_design.discrepancy.door import check_records, check_same_drive
 from emps_design.discrepancy.experiment import experiment
 from emps_design.discrepancy.healthy import healthy_reference
+from emps_design.discrepancy.healthy_runs import healthy_runs
 from emps_design.discrepancy.judge import Judge, explained
 from emps_design.discrepancy.law_check import LawCheck, check_law
 from emps_design.discrepancy.missing_force import missing_force
@@ -40,14 +42,16 @@ def diagnose(
     confirm_time: tuple[float, float] | None = None,
     library: Sequence[Effect] | None = None,
     seed: int = 0,
+    searches: int = 0,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Find where the closed-loop simulation of ``axis`` and ``records`` disagree, and which effect is missing.
 
     ``records`` of one axis are explained together; ``holdout``, or ``confirm_time`` (start, stop) [s] of the first
     record, is opened once, at the end. ``fit_time`` [s] limits what is fitted. ``library`` defaults to every known
-    effect. Raises :class:`InputError` for records that cannot be judged, and where the controller of ``axis`` is not
-    the one that made them.
+    effect. ``searches`` healthy records are simulated and searched like this one, for the gain that chance alone
+    reaches; 0 takes a linearisation of that. Raises :class:`InputError` for records that cannot be judged, and where
+    the controller of ``axis`` is not the one that made them.
     """
     from threadpoolctl import threadpool_limits
 
@@ -56,7 +60,8 @@ def diagnose(
     library = tuple(known_effects().values()) if library is None else tuple(library)
     # The matrices here are tall and thin: BLAS threads would only spin, and the fits run side by side already.
     with threadpool_limits(1):
-        work = _explain(records, axis.replace(effects=[]), library, holdout, fit_time, confirm_time, seed, report)
+        given = (holdout, fit_time, confirm_time, seed, searches)
+        work = _explain(records, axis.replace(effects=[]), library, *given, report)
         report("confirming on data not used so far", 0.9)
         return _conclude(work, _confirming(work.problem, holdout, confirm_time))
 
@@ -69,6 +74,7 @@ def _explain(
     fit_time: tuple[float, float] | None,
     confirm_time: tuple[float, float] | None,
     seed: int,
+    searches: int,
     report: Progress,
 ) -> Work:
     """Check, fit the baseline, calibrate and search; the confirming data stay closed."""
@@ -88,7 +94,11 @@ def _explain(
     absorbed = tangent(problem, baseline)
     candidates = tuple(effect for effect in library if effect.channel != "controller")
     screened = screen(problem, baseline, candidates, absorbed)
-    healthy = healthy_reference(screened, absorbed, floor.draws, seed)
+    if searches:
+        tell = partial(report, "healthy records, each searched")
+        healthy = healthy_runs(problem, baseline, candidates, floor, searches, seed, tell)
+    else:
+        healthy = healthy_reference(screened, absorbed, floor.draws, seed)
     judge = Judge(problem, healthy, floor.force)
     found = search(
         problem,

@@ -20,9 +20,13 @@ LEVEL = 0.01  # family-wise
 
 @dataclass(frozen=True)
 class Healthy:
-    """Largest gains (n_resamples,) in whitened cost over all candidates, sorted."""
+    """Largest gains (n_resamples,) in whitened cost over all candidates, sorted.
+
+    ``searched``: each is that of a whole simulated record, searched like the real one.
+    """
 
     largest: np.ndarray
+    searched: bool = False
 
     @property
     def threshold(self) -> float:
@@ -39,14 +43,18 @@ def healthy_reference(
 ) -> Healthy:
     """Lay the signatures of ``screened`` over resampled noise ``draws`` (m,), circular blocks of it."""
     generator = np.random.default_rng(seed)
-    n = absorbed.residual.size
     signatures = np.column_stack([start.signature for found in screened for start in found])
-    blocks = -(-n // BLOCK)
-    ring = np.concatenate((draws, draws[:BLOCK]))
     largest = np.empty(resamples)
     for i in range(resamples):
-        begins = generator.integers(0, draws.size, blocks)
-        noise = ring[(begins[:, None] + np.arange(BLOCK)).ravel()[:n]]
-        noise = absorbed.free(noise * generator.choice((-1.0, 1.0), blocks).repeat(BLOCK)[:n])
+        noise = absorbed.free(resampled(draws, absorbed.residual.size, generator))
         largest[i] = float(np.max((noise @ signatures) ** 2))
     return Healthy(np.sort(largest))
+
+
+def resampled(draws: np.ndarray, n: int, generator: np.random.Generator) -> np.ndarray:
+    """``n`` innovations in circular blocks of ``draws`` (m,), each block with a random sign."""
+    blocks = -(-n // BLOCK)
+    ring = np.concatenate((draws, draws[:BLOCK]))
+    begins = generator.integers(0, draws.size, blocks)
+    noise = ring[(begins[:, None] + np.arange(BLOCK)).ravel()[:n]]
+    return noise * generator.choice((-1.0, 1.0), blocks).repeat(BLOCK)[:n]

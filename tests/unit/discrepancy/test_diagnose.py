@@ -1,6 +1,7 @@
 """The whole way from a record to a verdict on small simulated records, and everything that is refused."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -179,3 +180,11 @@ def test_where_is_told_in_the_words_of_the_effect():
     assert "below" in found.where["text"]
     assert found.where["velocity"][1] < 0.03
     assert 4.0 < found.where["force"]["value"] < 12.0
+
+
+def test_the_calibration_can_search_healthy_records():
+    linear, searched = (diagnose(record(), AXIS, library=SHORT, searches=n) for n in (0, 6))
+    assert searched.verdict == linear.verdict == "nothing-missing"
+    assert "6 simulated healthy records, each searched like this one" in searched.details["calibration"]
+    thresholds = [float(re.search(r"than ([0-9.]+) in", d.details["calibration"])[1]) for d in (linear, searched)]
+    assert 0.2 * thresholds[0] < thresholds[1] < 2 * thresholds[0]
