@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -48,6 +49,38 @@ def write_aside(path: str | Path) -> Iterator[Path]:
         aside.unlink(missing_ok=True)
 
 
+@contextmanager
+def write_together(folder: str | Path) -> Iterator[Path]:
+    """Give a temporary folder inside ``folder``; when the block ends well its files take their places, one by one.
+
+    What belongs together is there together: a failure, an interrupt or a kill before that changes nothing. Raises
+    :class:`InputError` when ``folder`` does not exist or cannot be written.
+
+    >>> import tempfile
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> with write_together(folder) as aside:
+    ...     write_text(aside / "model.toml", "")
+    ...     write_text(aside / "report.html", "")
+    >>> sorted(p.name for p in folder.iterdir())
+    ['model.toml', 'report.html']
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: is not a folder; make it first")
+    inside = folder / folder.resolve().name
+    _remove_abandoned(inside)
+    try:
+        aside = Path(tempfile.mkdtemp(dir=folder, prefix=f"{_aside(inside)}.{os.getpid()}.", suffix=".part"))
+    except OSError as error:
+        raise InputError(f"{folder}: cannot write there, {error.strerror}") from error
+    try:
+        yield aside
+        for whole in sorted(aside.iterdir()):
+            os.replace(whole, folder / whole.name)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
 def write_text(path: str | Path, text: str) -> None:
     """Write ``text`` to ``path`` as UTF-8, whole or not at all."""
     with write_aside(path) as aside:
@@ -64,7 +97,7 @@ def _remove_abandoned(path: Path) -> None:
     for left in path.parent.glob(f"{escape(_aside(path))}.*.part"):
         process = left.name.removeprefix(f"{_aside(path)}.").split(".")[0]
         if process.isdigit() and not _lives(int(process)):
-            left.unlink(missing_ok=True)
+            shutil.rmtree(left) if left.is_dir() else left.unlink(missing_ok=True)
 
 
 def _lives(process: int) -> bool:

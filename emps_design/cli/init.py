@@ -35,8 +35,9 @@ def command(
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     """A folder to start from: a commented axis file, synthetic records, and what to do with them."""
-    from emps_design.cli.output import print_json, write_text
+    from emps_design.cli.output import print_json
     from emps_design.errors import InputError
+    from emps_design.files import write_text, write_together
     from emps_design.machines import load_axis
     from emps_design.simulation.practice import practice_record
 
@@ -51,11 +52,12 @@ def command(
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{directory}: cannot be made, {error.strerror}; expected a folder to write to") from error
-    write_text(directory / "axis.toml", axis.to_toml(comments=True))
-    record.save(directory / "record.npz")
-    record.save(directory / "record.csv")
-    puzzle.save(directory / "puzzle.npz")
-    write_text(directory / "README.md", STARTER)
+    with write_together(directory) as aside:
+        write_text(aside / "axis.toml", axis.to_toml(comments=True))
+        record.save(aside / "record.npz")
+        record.save(aside / "record.csv")
+        puzzle.save(aside / "puzzle.npz")
+        write_text(aside / "README.md", STARTER)
     if as_json:
         print_json({"directory": str(directory), "files": list(names), "record": record.to_dict(), "seed": seed})
     else:

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from emps_design.errors import InputError
-from emps_design.files import write_aside, write_text
+from emps_design.files import write_aside, write_text, write_together
 
 HALF_WAY = """
 import sys, time
@@ -20,9 +20,9 @@ with write_aside(sys.argv[1]) as aside:
 """
 
 
-def killed_half_way(path) -> int:
+def killed_half_way(path, program=HALF_WAY) -> int:
     """Kill a process while it writes ``path``; its number."""
-    with subprocess.Popen([sys.executable, "-c", HALF_WAY, str(path)], stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen([sys.executable, "-c", program, str(path)], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "half\n"
         process.kill()
     assert process.returncode == -signal.SIGKILL
@@ -60,6 +60,35 @@ def test_no_folder_is_told_before_the_work(tmp_path):
         write_text(tmp_path / "nowhere" / "model.toml", "")
     with pytest.raises(InputError, match="is a folder, expected the name of a file to write"):
         write_text(tmp_path, "")
+
+
+def test_what_belongs_together_comes_together(tmp_path):
+    write_text(tmp_path / "model.toml", "old")
+    with pytest.raises(ZeroDivisionError), write_together(tmp_path) as aside:
+        write_text(aside / "model.toml", f"new {1 / 0}")
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["old"]
+    with write_together(tmp_path) as aside:
+        write_text(aside / "model.toml", "new")
+        write_text(aside / "report.html", "page")
+    assert sorted((path.name, path.read_text()) for path in tmp_path.iterdir()) == [
+        ("model.toml", "new"),
+        ("report.html", "page"),
+    ]
+    with pytest.raises(InputError, match="is not a folder; make it first"), write_together(tmp_path / "nowhere"):
+        pass
+
+
+TOGETHER = HALF_WAY.replace("write_aside", "write_together").replace(
+    "aside.write_text", "(aside / 'model.toml').write_text"
+)
+
+
+def test_a_kill_leaves_no_part_of_what_belongs_together(tmp_path):
+    killed_half_way(tmp_path, TOGETHER)
+    assert [path.is_dir() for path in tmp_path.iterdir()] == [True]
+    with write_together(tmp_path) as aside:
+        write_text(aside / "model.toml", "whole")
+    assert [path.name for path in tmp_path.iterdir()] == ["model.toml"]
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root writes everywhere")
