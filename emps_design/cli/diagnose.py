@@ -74,22 +74,25 @@ def _window(text: str | None, option: str) -> tuple[float, float] | None:
 
 
 def _write(diagnosis: Any, out: Path, axis: str) -> None:
-    """Write everything into ``out``, each file whole or not at all."""
+    """Write everything into ``out``, all files together or none."""
     import json
 
     from emps_design.cli.output import plain
+    from emps_design.files import write_together
     from emps_design.report.diagnosis import diagnosis_page
 
     out.mkdir(exist_ok=True)
     trace = diagnosis.trace
-    write_text(out / "model.toml", f"# {axis}, extended by emps-design diagnose\n{diagnosis.axis.to_toml()}")
-    write_text(out / "diagnosis.json", json.dumps(plain(diagnosis.to_dict()), indent=1, ensure_ascii=False) + "\n")
-    columns = (trace.t, trace.measured, trace.baseline, trace.extended)
-    _table(out / "holdout_prediction.csv", ("t", "force_measured", "force_baseline", "force_extended"), columns)
-    if diagnosis.experiment is not None and diagnosis.experiment.q_ref is not None:
-        experiment = diagnosis.experiment
-        _table(out / experiment.file, ("t", "q_ref"), (experiment.t, experiment.q_ref))
-    write_text(out / "report.html", diagnosis_page(diagnosis).html())
+    with write_together(out) as aside:
+        write_text(aside / "model.toml", f"# {axis}, extended by emps-design diagnose\n{diagnosis.axis.to_toml()}")
+        document = json.dumps(plain(diagnosis.to_dict()), indent=1, ensure_ascii=False)
+        write_text(aside / "diagnosis.json", f"{document}\n")
+        columns = (trace.t, trace.measured, trace.baseline, trace.extended)
+        _table(aside / "holdout_prediction.csv", ("t", "force_measured", "force_baseline", "force_extended"), columns)
+        if diagnosis.experiment is not None and diagnosis.experiment.q_ref is not None:
+            experiment = diagnosis.experiment
+            _table(aside / experiment.file, ("t", "q_ref"), (experiment.t, experiment.q_ref))
+        write_text(aside / "report.html", diagnosis_page(diagnosis).html())
 
 
 def _table(path: Path, titles: Sequence[str], columns: Sequence[Any]) -> None:
