@@ -47,7 +47,9 @@ def command(
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     """Identify the parameters of an axis from one record, or from several with their spread."""
-    from emps_design.cli.output import print_json
+    import sys
+
+    from emps_design.cli.output import print_json, progress_bar
     from emps_design.errors import InputError, nearest_name
     from emps_design.files import write_text
     from emps_design.machines import load_axis
@@ -78,7 +80,8 @@ def command(
 
         if estimator != "ls":
             raise InputError(f"--estimator: {estimator} takes one record, found {len(read)}; use ls for several")
-        found = identify_several(read, loaded, **options)
+        with progress_bar(not as_json or sys.stderr.isatty()) as progress:
+            found = identify_several(read, loaded, progress=progress, **options)
     if out is not None:
         write_text(out, found.to_axis(name=out.stem).to_toml())
     if as_json:
