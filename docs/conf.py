@@ -17,6 +17,7 @@ extensions = [
     "myst_parser",
     "command_output",
     "constants",
+    "derivation_steps",
     "mathtext",
     "effects_catalogue",
     "measured_tables",

@@ -20,6 +20,7 @@ ROOMS = {
     "report": "Reports",
     "quantities": "Quantities",
     "files": "Files",
+    "notebook": "Tables for notebooks",
     "errors": "Errors",
 }
 # One page of the catalogue an effect; the reference has what they share.
