@@ -20,7 +20,7 @@ from emps_design.discrepancy.missing_force import MissingForce, missing_force
 from emps_design.discrepancy.noise import Floor
 from emps_design.discrepancy.problem import Fit, Problem, fit
 from emps_design.discrepancy.propose import Start
-from emps_design.effects import get_effect
+from emps_design.effects import Parameter, get_effect
 from emps_design.errors import SimulationError
 from emps_design.quantities import display_unit
 
@@ -71,7 +71,7 @@ def findings(work: Work, extended: Fit, equivalents: dict[str, list[str]]) -> tu
                 "value": float(values[place]),
                 "std": _std(work, extended, index, place),
                 "unit": p.unit,
-                **({"per_record": True} if p.per_record else {}),
+                **_per_record(p, model.values[index][:, place]),
             }
             for place, p in enumerate(effect.parameters)
         }
@@ -91,6 +91,13 @@ def findings(work: Work, extended: Fit, equivalents: dict[str, list[str]]) -> tu
             )
         )
     return tuple(result)
+
+
+def _per_record(parameter: Parameter, values: np.ndarray) -> dict[str, Any]:
+    """What is said besides of a number that belongs to one record: that of each, where there are several."""
+    if not parameter.per_record:
+        return {}
+    return {"per_record": True} | ({"values": values.tolist()} if values.size > 1 else {})
 
 
 def _without(work: Work, model: Candidate, index: int) -> Fit:

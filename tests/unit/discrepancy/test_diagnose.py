@@ -8,6 +8,7 @@ import pytest
 
 from emps_design.cli.output import plain
 from emps_design.discrepancy import diagnose
+from emps_design.discrepancy.door import check_records
 from emps_design.effects import get_effect
 from emps_design.errors import InputError, RecordError
 from emps_design.machines import machine
@@ -188,3 +189,40 @@ def test_the_calibration_can_search_healthy_records():
     assert "6 simulated healthy records, each searched like this one" in searched.details["calibration"]
     thresholds = [float(re.search(r"than ([0-9.]+) in", d.details["calibration"])[1]) for d in (linear, searched)]
     assert 0.2 * thresholds[0] < thresholds[1] < 2 * thresholds[0]
+
+
+def test_several_records_make_one_diagnosis_with_numbers_of_their_own():
+    ripples = [{"kind": "position_ripple", "amplitude": 3.0, "phase": phase, "period": 5e-3} for phase in (0.3, 2.0)]
+    library = (get_effect("position_ripple"), get_effect("elastic_force"))
+    together = [record(ripple, seed=i, name=f"run {i}") for i, ripple in enumerate(ripples)]
+    answer = diagnose(together, AXIS, library=library)
+    (found,) = answer.findings
+    assert found.effect == "position_ripple"
+    assert found.parameters["amplitude"]["value"] == pytest.approx(3.0, abs=0.2)
+    phases = found.parameters["phase"]["values"]
+    assert (phases[1] - phases[0]) % (2 * np.pi) == pytest.approx(1.7, abs=0.1)
+    assert [r["name"] for r in answer.details["records"]] == ["run 0", "run 1"]
+
+
+def test_an_interrupt_leaves_what_is_known_by_then():
+    low = {"kind": "stribeck_friction", "excess": 8.0, "stribeck_velocity": 8e-3, "exponent": 1.0}
+
+    def stop(stage, fraction):
+        if stage.startswith("round 2"):
+            raise KeyboardInterrupt
+
+    answer = diagnose(record(low), AXIS, library=SHORT, progress=stop)
+    assert [f.effect for f in answer.findings] == ["stribeck_friction"]
+    assert any("interrupted" in said for said in answer.details["warnings"])
+
+
+@pytest.mark.parametrize(
+    ("q_ref", "said"),
+    [
+        (np.linspace(0.0, 0.4, 4000), "no reversal"),
+        (np.abs((1e-4 * np.arange(8000) + 0.1) % 0.2 - 0.1), "one speed only"),
+        (np.abs((1e-4 * np.arange(8000) + 0.1) % 0.2 - 0.1), "hardly any motion below 20 mm/s"),
+    ],
+)
+def test_a_tame_record_says_what_it_cannot_tell(q_ref, said):
+    assert any(said in text for text in check_records((record(q_ref=q_ref),), AXIS))
