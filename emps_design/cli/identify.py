@@ -111,10 +111,11 @@ def _one(estimator, record, axis, options):
 def _show_one(found) -> None:
     from rich import box
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     console = Console()
-    title = f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}"
+    title = escape(f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}")
     table = Table(title=title, box=box.SIMPLE, pad_edge=False, padding=(0, 1, 0, 0))
     for heading in ("parameter", "value", "std (15)", "% (16)", "std *", "95 % ± *", "unit"):
         table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right", no_wrap=True)
@@ -152,7 +153,8 @@ def _show_one(found) -> None:
     if found.extra.get("held_out"):
         judged = found.extra["held_out"]
         console.print(
-            f"held out, {judged['on']}: {judged['rms_error']:.4f} N rms, {judged['relative_error_percent']:.4f} %"
+            f"held out, {escape(judged['on'])}: {judged['rms_error']:.4f} N rms, "
+            f"{judged['relative_error_percent']:.4f} %"
         )
     if "cutoff_from_data" in found.extra:
         console.print(
@@ -177,6 +179,7 @@ def _show_one(found) -> None:
 def _show_several(found) -> None:
     from rich import box
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     console = Console()
@@ -194,12 +197,13 @@ def _show_several(found) -> None:
         )
     console.print(table)
     console.print("spread: std between records; std *: mean within one, for a correlated residual; drift **: p < 1 %")
-    matrix = Table(box=box.SIMPLE, title="force error [N rms]: identified on the row's record, judged on the column's")
-    matrix.add_column("")
-    for name in found.records:
-        matrix.add_column(name, justify="right")
-    for name, row in zip(found.records, found.cross_validation, strict=True):
-        matrix.add_row(name, *(f"{value:.3f}" for value in row))
+    title = "force error [N rms]: identified on the row's record, judged on the column's"
+    matrix = Table(box=box.SIMPLE, title=title, pad_edge=False, padding=(0, 1, 0, 0))
+    matrix.add_column("", overflow="fold")
+    for number in range(1, len(found.records) + 1):
+        matrix.add_column(str(number), justify="right", no_wrap=True)
+    for number, (name, row) in enumerate(zip(found.records, found.cross_validation, strict=True), 1):
+        matrix.add_row(f"{number} {escape(name)}", *(f"{value:.3f}" for value in row))
     console.print(matrix)
 
 

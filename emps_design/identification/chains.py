@@ -60,7 +60,13 @@ def report_chain(record: Record, force_gain: float, cutoff_hz: float | None = No
     Position low-passed at 100 Hz (4th order, forwards and backwards), central differences twice, first 49 samples
     dropped, columns and raw force decimated by 10. It sees the hold as half a sample of delay.
     """
-    cutoff_hz = REPORT_CUTOFF if cutoff_hz is None else cutoff_hz
+    if cutoff_hz is None:
+        if 0.5 / record.period <= REPORT_CUTOFF:
+            raise InputError(
+                f"{record.name}: sampled at {1 / record.period:g} Hz, the report's low-pass of {REPORT_CUTOFF:g} Hz "
+                f"needs more than {2 * REPORT_CUTOFF:g} Hz; use --filter hold, or give --cutoff"
+            )
+        cutoff_hz = REPORT_CUTOFF
     force = _decimated(record.u, force_gain)
     q = low_pass(record.q, cutoff_hz, record.period)
     v = central_difference(q, record.period)

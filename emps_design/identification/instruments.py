@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.errors import AxisError, RecordError
+from emps_design.errors import AxisError, RecordError, SimulationError
 from emps_design.identification.assemble import assemble, residual_statistics, resolved_steps
 from emps_design.identification.chains import Filtered, hold_chain
 from emps_design.identification.excitation import check_record
@@ -158,7 +158,15 @@ def simulate(record: Record, axis: Axis, model: str, value: np.ndarray):
         "offset": p["constant_force"],
     }
     machine = axis.replace(mechanics=mechanics, effects=effects, sampling={"period": record.period})
-    return Plant.of(machine).closed_loop(record.q_ref, disturbance=record.f_ext, q0=float(record.q[0]), quantise=False)
+    try:
+        return Plant.of(machine).closed_loop(
+            record.q_ref, disturbance=record.f_ext, q0=float(record.q[0]), quantise=False
+        )
+    except SimulationError as error:
+        raise RecordError(
+            f"{record.name}: no simulation with the controller of {axis.name} at {1 / record.period:g} Hz ({error}), "
+            "so the record was made with another one; put its controller into the axis, or use --estimator ls"
+        ) from error
 
 
 def hausman_test(W: np.ndarray, Y: np.ndarray, Z: np.ndarray, filtered: Filtered, shift: float) -> HausmanTest:

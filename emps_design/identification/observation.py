@@ -11,7 +11,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import RecordError
-from emps_design.identification.filters import held_force, motion
+from emps_design.identification.filters import held_force, motion, share_of_nyquist
 from emps_design.identification.identify import identify
 from emps_design.identification.result import Identification
 from emps_design.identification.step_answer import Steps, step_answer
@@ -146,7 +146,7 @@ def observe(
         }
     else:
         warnings.append("no Kalman observer: the axis gives no encoder_resolution")
-    made_up = FILTER_ENDS / offline_cutoff_hz
+    made_up = FILTER_ENDS * 2.0 * record.period / share_of_nyquist(offline_cutoff_hz, record.period)
     ends = {"offline": (made_up, made_up), **{name: (FORGOTTEN * one.delay, 0.0) for name, one in online.items()}}
     shortest = 4 * max(SETTLED, *(end for pair in ends.values() for end in pair))
     if record.duration < shortest:

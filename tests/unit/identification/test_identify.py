@@ -13,6 +13,7 @@ from emps_design.identification.filters import decimate, held, held_force, low_p
 from emps_design.identification.instruments import identify_with_instruments
 from emps_design.identification.inverse_model import baseline_columns, least_squares, with_predicted_force
 from emps_design.machines import machine
+from emps_design.records import Record
 
 AXIS = machine("emps2019")
 
@@ -246,3 +247,15 @@ def test_a_cutoff_of_nothing_is_refused(record):
     for chain in ("report", "hold"):
         with pytest.raises(InputError, match="cut-off: found 0 Hz, expected between 0 and the Nyquist frequency"):
             identify(record, AXIS, chain=chain, cutoff_hz=0.0)
+
+
+def test_slow_sampling_says_what_to_use_instead(record):
+    tenth = Record.from_arrays(10 * record.period, record.q_ref[::10], record.q[::10], record.u[::10], name="tenth")
+    with pytest.raises(
+        InputError, match="tenth: sampled at 100 Hz, the report's low-pass .* use --filter hold, or give"
+    ):
+        identify(tenth, AXIS)
+    with pytest.raises(
+        RecordError, match="tenth: no simulation with the controller of emps2019 at 100 Hz .* another one"
+    ):
+        identify_with_instruments(tenth, AXIS)

@@ -164,6 +164,8 @@ def test_with_known_push_moves_it_from_the_voltage_to_the_outside(pushed):
 def test_refusals(pushed):
     with pytest.raises(InputError, match="cut-off: found 600 Hz"):
         ForceObserver(AXIS, cutoff_hz=600.0)
+    with pytest.raises(InputError, match="cut-off: found 0 Hz"):
+        observe(pushed, AXIS, offline_cutoff_hz=0.0)
     with pytest.raises(InputError, match="bandwidth_hz or force_rate, not both"):
         KalmanForceObserver(AXIS, bandwidth_hz=20.0, force_rate=1.0)
     with pytest.raises(InputError, match=r"bandwidth: found 300 Hz"):
