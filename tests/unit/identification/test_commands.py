@@ -48,6 +48,14 @@ def test_identify_several_records(folder, capsys):
     assert "spread" in capsys.readouterr().out
 
 
+def test_the_table_of_ten_records_fits_a_terminal(folder, capsys):
+    paths = [str(folder / f"day{seed % 3}.npz") for seed in range(10)]
+    assert run(["identify", *paths]) == 0
+    text = capsys.readouterr().out
+    assert "…" not in text
+    assert all(f"{number} day" in text for number in range(1, 11))
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
