@@ -21,19 +21,21 @@ VOLTS_PER_PULSE = 1.0139  # V for a unit of pulses_N: regressed from the record,
 
 axis = machine("emps2019")
 if len(sys.argv) > 2:
-    axis = identify(read_record(sys.argv[1]), axis).to_axis()
+    found = identify(read_record(sys.argv[1]), axis)
     pulses = read_record(sys.argv[2])
     wave = VOLTS_PER_PULSE * np.ravel(np.asarray(pulses.extra["pulses_N"], dtype=float))
 else:
-    axis = identify(practice_record(axis, laps=1), axis).to_axis()
+    found = identify(practice_record(axis, laps=1), axis)
     q_ref = trapezoid_laps(1e-3, laps=1)
     wave = VOLTS_PER_PULSE * 5.0 * (np.arange(q_ref.size) // 500 % 2)
     noise = np.random.default_rng(0).normal(0.0, 4e-3, q_ref.size)
     run = Plant.of(machine("emps2019")).closed_loop(q_ref, voltage_noise=wave + noise)
     pulses = Record.from_arrays(1e-3, q_ref, run.q, run.u, name="simulated")
 
-seen = observe(with_known_push(pulses, wave, axis.drive.force_gain), axis)
-print(f"{seen.record}: a square wave of {np.ptp(seen.f_ext):.2f} N")
+axis, std = found.to_axis(), np.array([one.std_long_run for one in found.parameters.values()])
+seen = observe(with_known_push(pulses, wave, axis.drive.force_gain), axis, parameter_std=std)
+judged = seen.methods["offline"].judged
+print(f"{seen.record}: a square wave of {np.ptp(seen.f_ext):.2f} N; errors from {judged[0]:.2f} to {judged[1]:.2f} s")
 for name, result in seen.methods.items():
     steps, smallest = result.steps, result.smallest
     print(
@@ -42,7 +44,8 @@ for name, result in seen.methods.items():
         f"{1e3 * steps.delay:.2f} ms to half a step; rise {1e3 * steps.rise_time:.1f} ms"
     )
     print(
-        f"         smallest force {smallest.value:.1f} N, set by {smallest.bound.replace('_', '-')}: {smallest.bounds}"
+        f"         smallest force {smallest.value:.1f} N, set by {smallest.bound.replace('_', '-')}: "
+        + ", ".join(f"{bound.replace('_', '-')} {value:.2f} N" for bound, value in smallest.bounds.items())
     )
 
 table = kalman_trade_off(axis, np.array([5.0, 10.0, 20.0, 50.0, 100.0]))
