@@ -2,10 +2,6 @@
 
 import os
 import re
-import signal
-import subprocess
-import sys
-import time
 
 import numpy as np
 import pytest
@@ -184,21 +180,3 @@ def test_init_does_not_overwrite(capsys, folder):
     assert (start / "axis.toml").read_text() == "mine"
     assert app.run(["init", str(start), "--force"]) == 0
     assert (start / "axis.toml").read_text() != "mine"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT])
-@pytest.mark.parametrize("after", [0.5, 1.5, 2.5, 4.0])
-def test_a_killed_command_leaves_whole_files_or_none(tmp_path, sent, after):
-    command = [sys.executable, "-m", "emps_design.cli", "demo", "--out", str(tmp_path / "out.html")]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
-        time.sleep(after)
-        process.send_signal(sent)
-        process.wait(timeout=60)
-    files = {path.name: path for path in tmp_path.iterdir()}
-    assert set(files) <= {"out.html", "out.npz"}
-    if "out.html" in files:
-        assert files["out.html"].read_text(encoding="utf-8").rstrip().endswith("</html>")
-    if "out.npz" in files:
-        with np.load(files["out.npz"], allow_pickle=False) as archive:
-            assert archive["q"].size > 0

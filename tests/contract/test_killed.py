@@ -2,6 +2,7 @@
 
 import json
 import random
+import signal
 import subprocess
 import sys
 import time
@@ -13,14 +14,14 @@ import pytest
 from emps_design.machines import machine
 from emps_design.simulation.practice import practice_record
 
-KILLS = 3
+SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 
 COMMANDS = {
     "gains": "gains {axis} --crossover 100 --phase-margin 60 --out {out}/model.toml",
     "simulate": "simulate {axis} --scenario replay --record {record} --out {out}/run.npz",
     "identify": "identify {record} --axis {axis} --out {out}/found.toml",
     "observe": "observe {record} --axis {axis} --out {out}/force.csv",
-    "report": "report {axis} --crossover 100 --out {out}/report.html",
+    "demo": "demo --out {out}/demo.html",
     "init": "init {out}/start --force",
 }
 
@@ -73,10 +74,11 @@ def test_killed_at_any_moment(name, tmp_path):
     expected = [path.relative_to(out) for path in files_of(out)]
     assert expected
     moments = random.Random(name)
-    for _ in range(KILLS):
+    for sent in SIGNALS:
         with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
             time.sleep(lasts * moments.uniform(0.3, 1.0))
-            process.kill()
+            process.send_signal(sent)
+            process.wait(timeout=60)
         for path in files_of(out):
             if ".part" not in str(path.relative_to(out)):
                 CHECKS[path.suffix](path)
