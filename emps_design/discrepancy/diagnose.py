@@ -13,10 +13,10 @@ from emps_design.discrepancy import describe
 from emps_design.discrepancy.candidate import Candidate
 from emps_design.discrepancy.confirm import Asked, Gap, Prediction, asked_for, gap_of, predict, refit_per_record
 from emps_design.discrepancy.decide import screen, search
-from emps_design.discrepancy.describe import Work
 from emps_design.discrepancy.diagnosis import Diagnosis
 from emps_design.discrepancy.door import check_records, check_same_drive
 from emps_design.discrepancy.experiment import experiment
+from emps_design.discrepancy.findings import findings as accepted_findings
 from emps_design.discrepancy.healthy import healthy_reference
 from emps_design.discrepancy.healthy_runs import healthy_runs
 from emps_design.discrepancy.judge import Judge, explained
@@ -26,6 +26,7 @@ from emps_design.discrepancy.noise import Floor, floor_of_laps, floor_of_residua
 from emps_design.discrepancy.problem import Fit, Problem, Whitening, evaluate, fit
 from emps_design.discrepancy.propose import tangent
 from emps_design.discrepancy.split import split
+from emps_design.discrepancy.work import Confirmation, Work
 from emps_design.effects import Effect, known_effects
 from emps_design.errors import InputError
 from emps_design.records import Record
@@ -63,7 +64,7 @@ def diagnose(
         given = (holdout, fit_time, confirm_time, seed, searches)
         work = _explain(records, axis.replace(effects=[]), library, *given, report)
         report("confirming on data not used so far", 0.9)
-        return _conclude(work, _confirming(work.problem, holdout, confirm_time))
+        return _conclude(work, _confirming(work.problem, holdout, confirm_time, library))
 
 
 def _explain(
@@ -164,18 +165,43 @@ def _baseline(problem: Problem, start: Candidate) -> tuple[Problem, Fit, Floor]:
     return problem, fit(problem, rough.model, steps=20), floor
 
 
+@dataclass(frozen=True)
+class _Confirming:
+    """The confirming record as a problem of its own, the samples (n,) bool that confirm, what its controller does."""
+
+    problem: Problem
+    window: np.ndarray
+    law: LawCheck | None = None
+
+    @property
+    def added(self) -> str:
+        """Name of the effect that the controller adds here, or ""."""
+        return self.law.effect.name if self.law is not None and self.law.effect is not None else ""
+
+    @property
+    def unnamed_law(self) -> bool:
+        """Whether the controller does something here that no effect explains."""
+        return self.law is not None and self.law.structured and self.law.effect is None
+
+    def known(self, model: Candidate) -> Candidate:
+        """``model`` with what the controller adds on this record, where it does not have that already."""
+        return model.with_effect(self.law.effect, self.law.values) if self.added not in ("", *model.names) else model
+
+
 def _confirming(
-    problem: Problem, holdout: Record | None, confirm_time: tuple[float, float] | None
-) -> tuple[Problem, np.ndarray] | None:
-    """The confirming record as a problem of its own, and the samples that confirm; None where there is none."""
+    problem: Problem, holdout: Record | None, confirm_time: tuple[float, float] | None, library: tuple[Effect, ...]
+) -> _Confirming | None:
+    """What confirms; None where there is nothing."""
     if holdout is None and confirm_time is None:
         return None
     record = problem.records[0] if holdout is None else holdout
     window = np.ones(len(record), bool) if confirm_time is None else between(record, confirm_time, "--confirm-time")
-    return replace(problem, records=(record,), splits=(split(record, window),)), window
+    own = replace(problem, records=(record,), splits=(split(record, window),))
+    known = holdout is not None and problem.axis.controller.kind != "none"
+    return _Confirming(own, window, check_law(record, problem.axis, library) if known else None)
 
 
-def _conclude(work: Work, confirming: tuple[Problem, np.ndarray] | None) -> Diagnosis:
+def _conclude(work: Work, confirming: _Confirming | None) -> Diagnosis:
     """Refit the search's best model on everything, open the confirming data, and say what it all means."""
     problem, found, floor = work.problem, work.found, work.floor
     start = fit(problem, found.path[0].model, part="used")
@@ -185,7 +211,7 @@ def _conclude(work: Work, confirming: tuple[Problem, np.ndarray] | None) -> Diag
     judged, refuted = None, ()
     if confirming is not None:
         judged, extended, refuted = _confirm(work, confirming, baseline, extended)
-    train = _gap(problem, problem.splits[0].used, baseline.model, extended.model, confirms=False)
+    train = _gap(problem, problem.splits[0].used, baseline.model, extended.model)
 
     shares = [explained(g.gap.baseline, g.gap.extended, floor.force) for g in (train, judged) if g is not None]
     equivalents = {n: others for n, others in work.judge.equivalents(found).items() if n in extended.model.names}
@@ -196,11 +222,15 @@ def _conclude(work: Work, confirming: tuple[Problem, np.ndarray] | None) -> Diag
         verdict = "unnamed"
     if verdict == "unnamed" and extended.model.names != start.model.names:
         extended = start
-        train = _gap(problem, problem.splits[0].used, baseline.model, start.model, confirms=False)
-        judged = None if confirming is None else _gap(*confirming, baseline.model, start.model)
+        train = _gap(problem, problem.splits[0].used, baseline.model, start.model)
+        judged = None if confirming is None else _confirming_gap(confirming, baseline.model, start.model)
 
+    confirmation = None
+    if confirming is not None:
+        own = "" if confirming.added in extended.model.names else confirming.added
+        confirmation = Confirmation(judged.refitted, refuted, own, confirming.unnamed_law)
     shown = judged or train
-    findings = describe.findings(work, extended, equivalents)
+    findings = accepted_findings(work, extended, equivalents)
     before, after = (missing_force(problem, f.model)[0] for f in (baseline, extended))
     return Diagnosis(
         verdict=verdict,
@@ -211,7 +241,7 @@ def _conclude(work: Work, confirming: tuple[Problem, np.ndarray] | None) -> Diag
         holdout=None if judged is None else judged.gap,
         prediction=shown.prediction,
         views=describe.marked_views(before, after, problem.splits[0].used, floor.force_60hz, findings),
-        details=describe.details(work, verdict, baseline, extended, shown.refitted, refuted),
+        details=describe.details(work, verdict, baseline, extended, confirmation),
         experiment=experiment(problem, found, extended.model.names, equivalents, work.judge.healthy.threshold),
     )
 
@@ -225,14 +255,15 @@ class _Judged:
 
 
 def _confirm(
-    work: Work, confirming: tuple[Problem, np.ndarray], baseline: Fit, extended: Fit
+    work: Work, confirming: _Confirming, baseline: Fit, extended: Fit
 ) -> tuple[_Judged, Fit, tuple[Asked, ...]]:
     """Judge both models on the confirming data; withdraw what those data refute and refit the rest."""
     refuted: list[Asked] = []
     while True:
-        judged = _gap(*confirming, baseline.model, extended.model)
-        asked = asked_for(confirming[0], judged.extended)
-        worst = max((a for a in asked if a.refuted), key=lambda a: abs(a.share - 1) / a.std, default=None)
+        judged = _confirming_gap(confirming, baseline.model, extended.model)
+        asked = asked_for(confirming.problem, judged.extended)
+        doubtful = [a for a in asked if a.refuted and a.name in extended.model.names]
+        worst = max(doubtful, key=lambda a: abs(a.share - 1) / a.std, default=None)
         if worst is None:
             return judged, extended, tuple(refuted)
         refuted.append(worst)
@@ -240,17 +271,23 @@ def _confirm(
         extended = fit(work.problem, rest, part="used")
 
 
+def _confirming_gap(confirming: _Confirming, baseline: Candidate, extended: Candidate) -> _Judged:
+    """Both models on the confirming record, what belongs to a record fitted anew there."""
+    models = [_of_one_record(confirming.known(model)) for model in (baseline, extended)]
+    (before, _), (after, names) = (refit_per_record(confirming.problem, model) for model in models)
+    return _gap(confirming.problem, confirming.window, before, after, names)
+
+
 def _gap(
-    problem: Problem, window: np.ndarray, baseline: Candidate, extended: Candidate, confirms: bool = True
+    problem: Problem, window: np.ndarray, baseline: Candidate, extended: Candidate, refitted: Sequence[str] = ()
 ) -> _Judged:
-    """Both models on the first record of ``problem``, what belongs to that record fitted anew where it is another."""
-    record, names = problem.records[0], ()
-    models = []
-    for model in (baseline, extended):
-        one = replace(model, values=tuple(v[:1] for v in model.values))
-        if confirms:
-            one, names = refit_per_record(problem, one)
-        models.append(one)
+    """Both models on the first record of ``problem``."""
+    record = problem.records[0]
+    models = [_of_one_record(model) for model in (baseline, extended)]
     single = replace(problem, records=(record,), splits=problem.splits[:1])
     prediction = predict(problem.axis, record, *models, window)
-    return _Judged(gap_of(single, prediction, *models), prediction, models[1], tuple(names))
+    return _Judged(gap_of(single, prediction, *models), prediction, models[1], tuple(refitted))
+
+
+def _of_one_record(model: Candidate) -> Candidate:
+    return replace(model, values=tuple(v[:1] for v in model.values))

@@ -226,3 +226,11 @@ def test_an_interrupt_leaves_what_is_known_by_then():
 )
 def test_a_tame_record_says_what_it_cannot_tell(q_ref, said):
     assert any(said in text for text in check_records((record(q_ref=q_ref),), AXIS))
+
+
+def test_what_the_controller_adds_on_the_confirming_record_only_is_known_there():
+    pulses = {"kind": "controller_disturbance", "amplitude": 2.0, "frequency": 1.0, "duty": 0.5, "start": 0.3437}
+    answer = diagnose(record(DELAYED), AXIS, holdout=record(DELAYED, pulses, seed=1), library=SHORT)
+    assert [f.effect for f in answer.findings] == ["actuator_delay"]
+    assert answer.holdout.extended < 0.4 * answer.holdout.baseline
+    assert any("controller disturbance on the confirming record" in said for said in answer.details["warnings"])

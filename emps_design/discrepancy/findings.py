@@ -1,0 +1,109 @@
+"""The accepted effects: where each acts, its numbers and their deviations, and the gap without it and with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from emps_design.discrepancy.candidate import Candidate
+from emps_design.discrepancy.contribution import contribution, drawn
+from emps_design.discrepancy.diagnosis import Finding
+from emps_design.discrepancy.judge import force_rms
+from emps_design.discrepancy.locate import described, extent
+from emps_design.discrepancy.problem import Fit, Problem, fit
+from emps_design.discrepancy.work import Work
+from emps_design.effects import Parameter
+from emps_design.errors import SimulationError
+
+
+def findings(work: Work, extended: Fit, equivalents: dict[str, list[str]]) -> tuple[Finding, ...]:
+    """The accepted effects in the order found, each with the force gap before and after it."""
+    problem, model = work.problem, extended.model
+    order = [name for step in work.found.path for name in step.model.names]
+    names = [name for name in dict.fromkeys(order) if name in model.names]
+    result = []
+    for name in names:
+        index = model.names.index(name)
+        effect, values = model.effects[index], model.values[index][0]
+        without = _without(work, model, index)
+        gain = without.cost - extended.cost
+        parameters = {
+            p.name: {
+                "value": float(values[place]),
+                "std": deviation(work, extended, index, place),
+                "unit": p.unit,
+                **_per_record(p, model.values[index][:, place]),
+            }
+            for place, p in enumerate(effect.parameters)
+        }
+        result.append(
+            Finding(
+                effect=name,
+                label=effect.label,
+                channel=effect.channel,
+                where=_where(problem, extended, index),
+                parameters=parameters,
+                p_value=work.healthy.p_value(gain),
+                gap_before=force_rms(problem, without),
+                gap_after=force_rms(problem, extended),
+                equivalents=tuple(equivalents.get(name, ())),
+                remedy=effect.remedy,
+                note=_note(work, effect.channel),
+            )
+        )
+    return tuple(result)
+
+
+def deviation(work: Work, extended: Fit, index: int, place: int) -> float:
+    """Standard deviation of a number of the extended model, its baseline's with ``index`` -1.
+
+    Not less than the number moved when the selecting strokes were added to the fitting ones: where play bounces, what
+    a tiny change of a number does to the force says nothing of how well the record determines it.
+    """
+    linear, before = extended.std(index, place), work.found.best.model
+    if index < 0:
+        return max(linear, abs(float(extended.model.baseline[place] - before.baseline[place]))) if linear else 0.0
+    name = extended.model.names[index]
+    if linear == 0.0 or name not in before.names:
+        return linear
+    moved = extended.model.values[index][0, place] - before.values[before.names.index(name)][0, place]
+    return max(linear, abs(float(moved)))
+
+
+def _per_record(parameter: Parameter, values: np.ndarray) -> dict[str, Any]:
+    """What is said besides of a number that belongs to one record: that of each, where there are several."""
+    if not parameter.per_record:
+        return {}
+    return {"per_record": True} | ({"values": values.tolist()} if values.size > 1 else {})
+
+
+def _without(work: Work, model: Candidate, index: int) -> Fit:
+    """``model`` without effect ``index``, the rest re-adjusted: against it stands what the effect itself is good for.
+
+    An effect may have taken a baseline number far from where it is alone: both are tried for a start.
+    """
+    rest, alone = model.without(index), work.found.path[0].model.baseline
+    tried = [fit(work.problem, start, part="used", steps=5) for start in (rest, replace(rest, baseline=alone))]
+    return min(tried, key=lambda fitted: fitted.cost)
+
+
+def _where(problem: Problem, fitted: Fit, index: int) -> dict[str, Any]:
+    """Where the force of effect ``index`` acts, with what its numbers' deviations leave open."""
+    found = []
+    for model in (fitted.model, *drawn(problem, fitted, index)):
+        try:
+            found.append(extent(problem.records[0], *contribution(problem, model, index)))
+        except SimulationError:
+            continue  # numbers at which the model is unstable do not describe this machine
+    if not found:  # nothing runs without the effect: it acts wherever the model moves
+        found.append(extent(problem.records[0], problem.run(fitted.model, 0).force, problem.splits[0].used))
+    return described(found[0], found[1:])
+
+
+def _note(work: Work, channel: str) -> str:
+    if channel != "controller":
+        return "gap of the training record, with the other effects refitted"
+    noise = 1e3 * work.checks[0].noise
+    return f"seen in u minus the controller's law, noise {noise:.2g} mV; the force balance holds with it"

@@ -1,0 +1,44 @@
+"""What the search, and the confirming record, leave for the words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from emps_design.discrepancy.confirm import Asked
+from emps_design.discrepancy.decide import Search
+from emps_design.discrepancy.healthy import Healthy
+from emps_design.discrepancy.judge import Judge
+from emps_design.discrepancy.law_check import LawCheck
+from emps_design.discrepancy.noise import Floor
+from emps_design.discrepancy.problem import Problem
+from emps_design.discrepancy.propose import Start
+
+
+@dataclass(frozen=True)
+class Work:
+    """The problem, the rules, all fits, the noise, the checks of the law."""
+
+    problem: Problem
+    judge: Judge
+    found: Search
+    floor: Floor
+    checks: tuple[LawCheck, ...]
+    healthy: Healthy
+    screened: list[list[Start]]
+    warnings: tuple[str, ...]
+
+    @property
+    def unnamed_law(self) -> bool:
+        """Whether the controller's law has a gap with structure that no effect explains."""
+        return any(check.structured and check.effect is None for check in self.checks)
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """What the confirming record did besides judging: the names it fitted anew, the effects it refuted, and what its
+    own controller added: the effect's name, or that nothing explains it."""
+
+    refitted: tuple[str, ...]
+    refuted: tuple[Asked, ...]
+    own: str = ""
+    unnamed_law: bool = False
