@@ -7,6 +7,7 @@ import time
 import zipfile
 from dataclasses import replace
 from io import BytesIO
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -23,9 +24,11 @@ from emps_design.studio.app import Session
 from emps_design.studio.data_view import LIMIT_MB, read_upload
 from emps_design.studio.design_view import DesignView
 from emps_design.studio.jobs import Job
+from emps_design.studio.plots import PlanePlot
 from emps_design.studio.reach import KINDS, plane, reach, reachable_frequencies
 from emps_design.studio.simulated import simulate
 from emps_design.studio.state import CHOICES, SPECIFICATIONS, TASKS, State
+from tests.unit.report.test_colours import SEEN_BY, lab
 
 
 def state(**values) -> State:
@@ -292,3 +295,9 @@ def test_two_threads_draw_what_one_does():
     for thread in threads:
         thread.join()
     assert drawn == [alone] * 3
+
+
+@pytest.mark.parametrize("reader", SEEN_BY)
+def test_what_can_be_specified_is_told_apart_by_every_reader(reader):
+    for one, other in combinations(PlanePlot.COLORS, 2):
+        assert np.linalg.norm(lab(one, SEEN_BY[reader]) - lab(other, SEEN_BY[reader])) > 15.0, (one, other)
