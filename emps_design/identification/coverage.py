@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.identification.identify import identify
+from emps_design.identification.instruments import identify_with_instruments
+from emps_design.identification.output_error import identify_by_output_error
 from emps_design.records import Record
 from emps_design.simulation import Plant
 
@@ -17,6 +20,11 @@ SPEEDS = (0.04, 0.08, 0.12)  # m/s
 PERIOD = 1e-3  # s
 VOLTAGE_NOISE = 4e-3  # V
 CUTOFF_HZ = 30.0
+ESTIMATORS = {
+    "ls": partial(identify, chain="hold"),
+    "iv": identify_with_instruments,
+    "oe": identify_by_output_error,
+}
 
 
 @dataclass(frozen=True)
@@ -29,6 +37,7 @@ class Coverage:
 
     runs: int
     noise_time: float
+    estimator: str
     long_run: dict[str, float]
     plain: dict[str, float]
 
@@ -38,6 +47,7 @@ class Coverage:
             "runs": self.runs,
             "rows": [
                 {
+                    "estimator": self.estimator,
                     "noise_time": self.noise_time,
                     "parameter": name,
                     "identify_percent": 100.0 * self.long_run[name],
@@ -49,11 +59,16 @@ class Coverage:
 
 
 def coverage(
-    axis: Axis, runs: int = 200, noise_time: float = 0.1, progress: Callable[[str, float], None] | None = None
+    axis: Axis,
+    runs: int = 200,
+    noise_time: float = 0.1,
+    estimator: str = "ls",
+    progress: Callable[[str, float], None] | None = None,
 ) -> Coverage:
     """Identify ``runs`` simulated records and count how often the 95 % intervals hold the truth.
 
-    Each record has its own force noise of 1 N and correlation time ``noise_time`` [s]; the chain is ``hold`` at 30 Hz.
+    Each record has its own force noise of 1 N and correlation time ``noise_time`` [s]. ``estimator`` is ``ls`` (chain
+    ``hold``), ``iv`` or ``oe``, at 30 Hz.
 
     >>> from emps_design.machines import machine
     >>> found = coverage(machine("emps2019"), runs=2)
@@ -65,15 +80,15 @@ def coverage(
     inside, plain = (dict.fromkeys(names, 0) for _ in range(2))
     for seed in range(runs):
         if progress is not None:
-            progress(f"{runs} records, force noise of {noise_time:g} s", seed / runs)
-        found = identify(noisy_record(plant, seed, noise_time=noise_time), axis, chain="hold", cutoff_hz=CUTOFF_HZ)
+            progress(f"{estimator}, {runs} records, force noise of {noise_time:g} s", seed / runs)
+        found = ESTIMATORS[estimator](noisy_record(plant, seed, noise_time=noise_time), axis, cutoff_hz=CUTOFF_HZ)
         for name, value in truth.items():
             estimate = found.parameters[name]
             low, high = estimate.interval_95
             inside[name] += low <= value <= high
             plain[name] += abs(estimate.value - value) <= 1.96 * estimate.std
     shares = ({name: count / runs for name, count in counts.items()} for counts in (inside, plain))
-    return Coverage(runs, noise_time, *shares)
+    return Coverage(runs, noise_time, estimator, *shares)
 
 
 def noisy_record(plant: Plant, seed: int, laps: int = 2, std: float = 1.0, noise_time: float = 0.1) -> Record:

@@ -7,7 +7,6 @@ velocity (asymmetric). Columns are built at the record's rate and then brought t
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -191,9 +190,3 @@ def check_rank(W: np.ndarray, names: tuple[str, ...]) -> None:
             "acceleration, or leave one of them out",
             tied,
         )
-
-
-def predicted_force(filtered: Filtered, model: str, value: np.ndarray) -> dict[str, Any]:
-    """Time [s], measured and modelled force [N] at the regression's rate, for tables and pictures."""
-    W, Y = regression(filtered, model)
-    return {"t": filtered.t, "measured": Y, "model": W @ value}

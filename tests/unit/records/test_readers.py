@@ -268,3 +268,35 @@ def test_too_many_rows(monkeypatch):
     monkeypatch.setattr("emps_design.records.tables.LONGEST", 100)
     with pytest.raises(RecordError, match="found more than 100 rows"):
         record_from_bytes(table(), "a.csv")
+
+
+def test_tables_are_read_block_by_block(monkeypatch):
+    """Blocks leave no trace: the same samples, the same rows in messages, blank rows at the end only."""
+    monkeypatch.setattr("emps_design.records.tables.BLOCK", 7)
+    assert same(record_from_bytes(table(";", decimal=",") + b"\n" * 20, "a.csv"))
+    with pytest.raises(RecordError, match=r"row 152, column 'q_ref': found 'x"):
+        record_from_bytes(table().replace(b"\n0.15,", b"\n0.15,x"), "a.csv")
+    with pytest.raises(RecordError, match=r"row 152, column 't': found nothing"):
+        record_from_bytes(table().replace(b"\n0.15,", b"\n" * 20 + b"0.15,"), "a.csv")
+
+
+def test_the_place_of_a_broken_character_is_that_in_the_file():
+    content = table()
+    at = content.index(b"\n0.15,")
+    with pytest.raises(RecordError, match=rf"byte {at + 1}: not utf-8 text"):
+        record_from_bytes(content[: at + 1] + b"\xff" + content[at + 1 :], "a.csv")
+
+
+def test_a_long_record_takes_little_more_than_its_samples(tmp_path):
+    """The file is not in memory beside its columns, nor a column twice."""
+    import tracemalloc
+
+    n = 400_000
+    t = np.arange(n) * 1e-3
+    np.savez(tmp_path / "long.npz", t=t, q_ref=np.sin(t), q=np.sin(t) + 1e-6, u=np.cos(3 * t))
+    tracemalloc.start()
+    record = read_record(tmp_path / "long.npz")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    samples = sum(column.nbytes for column in record.columns.values())
+    assert peak < 2.3 * samples
