@@ -47,9 +47,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
         summary.append(
             Picture(
                 figures.before_after_figure(diagnosis),
-                f"Record {diagnosis.trace.name}: measured force, and what two models make of it "
-                f"{SIMULATED[simulated]}. Look at the lower picture: what the extended model leaves should look like "
-                "noise.",
+                _trace_caption(diagnosis.trace.name, simulated, bool(findings)),
                 "Before and after",
             )
         )
@@ -97,7 +95,17 @@ def _where_caption(diagnosis: Diagnosis, findings: Sequence[Mapping[str, Any]]) 
     view = diagnosis.views[0]
     places = "; ".join(dict.fromkeys(f["where"]["text"] for f in findings if f.get("where", {}).get("text")))
     said = f" {_sentence(places)}" if places else ""
-    return f"Residual force over {view.quantity}, before (model as it was, refitted) and after.{said}"
+    models = ", before (model as it was, refitted) and after" if findings else " that the refitted model leaves"
+    return f"Residual force over {view.quantity}{models}.{said}"
+
+
+def _trace_caption(name: str, simulated: str, extended: bool) -> str:
+    models = "two models make" if extended else "the refitted model makes"
+    left = "the extended model leaves" if extended else "it leaves"
+    return (
+        f"Record {name}: measured force, and what {models} of it {SIMULATED[simulated]}. Look at the lower picture: "
+        f"what {left} should look like noise."
+    )
 
 
 def _gap_facts(gap: Mapping[str, Any], simulated: str) -> Facts:
@@ -106,11 +114,11 @@ def _gap_facts(gap: Mapping[str, Any], simulated: str) -> Facts:
     unit = gap.get("unit", "N")
     word = "held-out record" if part == "holdout" else "training record"
     before, after, floor = values.get("baseline"), values.get("extended"), gap.get("floor")
-    items = [
-        ("force error before", quantity(before, unit, 3), f"{word}, {simulated}"),
-        ("force error after", quantity(after, unit, 3), f"{word}, {simulated}"),
-        ("noise floor", quantity(floor, unit, 3), "what repeats of the record differ by"),
-    ]
+    errors = [("force error before", before), ("force error after", after)]
+    if before == after:  # one model: nothing was added
+        errors = [("force error", before)]
+    items = [(name, quantity(value, unit, 3), f"{word}, {simulated}") for name, value in errors]
+    items.append(("noise floor", quantity(floor, unit, 3), "what repeats of the record differ by"))
     if None not in (before, after, floor) and before > max(floor, after):
         share = f"{100 * (before - after) / (before - floor):.0f} %"
         items.append(("of the gap closed", share, "100 % reaches the floor"))

@@ -67,7 +67,9 @@ def _draw_view(axes: Axes, view: Any) -> None:
         center = np.zeros_like(x)
         low = center if view.quantity == "frequency" else center - view.band
         axes.fill_between(x, low, center + view.band, color="#9CA3AF", alpha=0.4, linewidth=0, label="healthy record")
-    for y, color, label in ((view.before, RED, "before"), (view.after, BLUE, "after")):
+    # Where nothing was added there is one model, and one line.
+    both = not np.array_equal(view.before, view.after, equal_nan=True)
+    for y, color, label in ((view.before, RED, "before" if both else "model"), (view.after, BLUE, "after"))[: 1 + both]:
         xs, ys = thin(x, y)
         axes.plot(xs, ys, color=color, linewidth=1.4, label=label)
     axes.axhline(0.0, color=GREY, linewidth=0.8)
@@ -88,19 +90,19 @@ def before_after_figure(diagnosis: Any) -> Figure:
     miss = np.where(settled, np.asarray(trace.measured) - np.asarray(trace.baseline), 0.0)
     low, high = trace.window or _stretch(t, miss)
     inside = (t >= low) & (t <= high)
+    models = [(trace.baseline, RED, "baseline model"), (trace.extended, BLUE, "extended model")]
+    if np.array_equal(trace.baseline, trace.extended):
+        models = models[:1]
     with look():
         figure, (top, bottom) = subplots(2, 1, height=5.0, sharex=False)
-        for y, color, label, width in (
-            (trace.measured, BLACK, "measured", 1.9),
-            (trace.baseline, RED, "baseline model", 1.2),
-            (trace.extended, BLUE, "extended model", 1.2),
-        ):
-            top.plot(*thin(t[inside], np.asarray(y)[inside]), color=color, linewidth=width, label=label)
+        top.plot(*thin(t[inside], trace.measured[inside]), color=BLACK, linewidth=1.9, label="measured")
+        for y, color, label in models:
+            top.plot(*thin(t[inside], np.asarray(y)[inside]), color=color, linewidth=1.2, label=label)
         top.set_ylabel("motor force [N]")
         top.set_xlabel("time [s]")
         top.set_title(f"Force, {low:.3g} s to {high:.3g} s")
         top.legend(ncols=3, loc="upper right")
-        for y, color, label in ((trace.baseline, RED, "baseline model"), (trace.extended, BLUE, "extended model")):
+        for y, color, label in models:
             error = np.asarray(trace.measured) - np.asarray(y)
             bottom.plot(*thin(t[settled], error[settled]), color=color, linewidth=0.9, label=label)
         bottom.axhline(0.0, color=GREY, linewidth=0.8)
