@@ -75,7 +75,8 @@ def serve(axis: Axis, record: str | Path | None = None, port: int = 0, ready=Non
     a port that is taken, before serving.
     """
     from emps_design.records import read_record
-    from emps_design.studio.page import MAX_UPLOAD_MB, TITLE, prepare
+    from emps_design.studio.data_view import LIMIT_MB
+    from emps_design.studio.page import TITLE, prepare
 
     read = None if record is None else read_record(record)
     with socket.socket() as probe:
@@ -90,7 +91,7 @@ def serve(axis: Axis, record: str | Path | None = None, port: int = 0, ready=Non
         show=False,
         start=False,
         verbose=False,
-        websocket_max_message_size=2 * MAX_UPLOAD_MB * 2**20,
+        websocket_max_message_size=2 * LIMIT_MB * 2**20,
         websocket_origin=None,
     )
     server.start()

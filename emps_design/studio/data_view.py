@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
-from pathlib import Path, PurePath
+from pathlib import PurePath
 from typing import Any
 
 import panel as pn
@@ -26,7 +25,7 @@ INTRODUCTION = """
 <tr><th><b>Identify</b></th><td>mass and friction of the axis with their standard deviations: seconds</td></tr>
 <tr><th><b>Observe</b></th><td>the external force on the carriage, and the smallest that shows: seconds</td></tr>
 <tr><th><b>Diagnose</b></th><td>where simulation and record disagree, which effect explains it, and how much of the gap
-is gone with it: a minute or more, with a bar and a button to cancel</td></tr>
+is gone with it: seconds to minutes, with a bar and a button to cancel</td></tr>
 <tr><th><b>Design on this model</b></th><td>take what was identified or diagnosed over into the design tab</td></tr>
 </table>
 <p>A record has the columns t [s], q_ref [m], q [m], u [V], and f_ext [N] where a force was measured; a .mat may use the
@@ -39,7 +38,7 @@ def read_upload(name: str, content: bytes | str) -> Record:
 
     Raises :class:`RecordError` for another kind of file, or one above the size limit.
     """
-    from emps_design.records import read_record
+    from emps_design.records import record_from_bytes
 
     plain = PurePath(name.replace("\\", "/")).name
     suffix = PurePath(plain).suffix.lower()
@@ -48,13 +47,7 @@ def read_upload(name: str, content: bytes | str) -> Record:
         raise RecordError(f"{plain}: found a {suffix or 'nameless'} file, expected one of {', '.join(SUFFIXES)}")
     if len(data) > LIMIT_MB * 10**6:
         raise RecordError(f"{plain}: found {len(data) / 1e6:.0f} MB, expected at most {LIMIT_MB} MB")
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / plain
-        path.write_bytes(data)
-        try:
-            return read_record(path)
-        except EmpsError as error:
-            raise type(error)(str(error).replace(str(path), plain)) from error
+    return record_from_bytes(data, plain)
 
 
 class DataView:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import panel as pn
 
 TITLE = "emps-design studio"
-MAX_UPLOAD_MB = 100
 
 STYLE = """
 body { margin: 0; background: #f5f7fa; color: #1a1a1a;
