@@ -70,7 +70,7 @@ class Job:
         def poll() -> None:
             stage, fraction = self._now
             self.bar.value = int(100 * min(max(fraction, 0.0), 1.0))
-            self.stage.object = inline("stopping" if self._stop.is_set() else stage)
+            self.stage.object = inline("stopping" if self._stop.is_set() else stage.replace("_", " "))
             if self._outcome is None:
                 return
             self._poll.stop()
