@@ -108,7 +108,9 @@ def motion(record: Record, cutoff_hz: float) -> Motion:
 
 def held_force(record: Record, force_gain: float, cutoff_hz: float) -> np.ndarray:
     """Motor force around t_k of a voltage that is held, G_tau (u[k] + u[k-1])/2, low-passed like the motion [N]."""
-    return low_pass(force_gain * held(record.u), cutoff_hz, record.period)
+    force = low_pass(held(record.u), cutoff_hz, record.period)
+    force *= force_gain
+    return force
 
 
 def held(u: np.ndarray) -> np.ndarray:
@@ -118,7 +120,8 @@ def held(u: np.ndarray) -> np.ndarray:
     [0.0, 1.0, 2.0]
     """
     mean = np.array(u, dtype=float)
-    mean[1:] = 0.5 * (mean[1:] + u[:-1])
+    mean[1:] += u[:-1]
+    mean[1:] *= 0.5
     return mean
 
 
