@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from emps_design.effects import EFFECTS
 from emps_design.identification import identify
 from emps_design.identification.instruments import identify_with_instruments
 from emps_design.identification.output_error import identify_by_output_error
@@ -63,3 +64,12 @@ def test_it_is_said_what_was_done_with_each_effect(record):
     assert "left out of the regression, for the motion does not give their force: flexible_coupling" in warnings
     assert "right only if the axis was made from this record, by phase or time: position_ripple" in warnings
     assert not np.any(["known" in text for text in identify(record, AXIS).warnings])
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
+def test_identify_runs_on_every_effect(record, effect):
+    """A model that a diagnosis extended is an axis like any other; an effect that is next to nothing changes nothing."""
+    small = {p.name: p.starts[0] if p.starts else max(p.lower, min(1e-6, p.upper)) for p in effect.parameters}
+    found = identify(record, AXIS.replace(effects=[{"kind": effect.name, **small}]), chain="hold", cutoff_hz=40.0)
+    assert np.all(np.isfinite(found.values()))
+    assert [one.kind for one in found.to_axis().effects] == [effect.name]
