@@ -13,8 +13,9 @@ from emps_design.discrepancy.follow import drive
 from emps_design.discrepancy.law_check import check_law, propose_command
 from emps_design.discrepancy.missing_force import missing_force
 from emps_design.discrepancy.noise import rms_interval
-from emps_design.discrepancy.problem import Problem, evaluate, fit, gather
+from emps_design.discrepancy.problem import Problem, evaluate, fit
 from emps_design.discrepancy.split import START_UP
+from emps_design.errors import SimulationError
 from emps_design.records import Record
 from emps_design.simulation import Plant
 
@@ -114,18 +115,22 @@ def _with_row(model: Candidate, index: int, row: np.ndarray) -> Candidate:
 class Asked:
     """How much of an effect a record asks for: ``share`` 1 is all of it, 0 none; ``std`` its standard deviation.
 
-    ``exercised`` False: the record does not bring the effect out, and says nothing of it.
+    ``repeats`` is the share that the effect asks of itself when the carriage is disturbed by noise: below 1 where play
+    bounces, and no two laps are alike. ``exercised`` False: the record does not bring the effect out, and says nothing
+    of it.
     """
 
     name: str
     share: float
     std: float
+    repeats: float
     exercised: bool
 
     @property
     def refuted(self) -> bool:
-        """Whether the record clearly wants another amount of it."""
-        return self.exercised and abs(self.share - 1) - SURE * self.std > ASKED_APART
+        """Whether the record clearly wants another amount of it than the effect itself, or all of it."""
+        apart = max(self.repeats - self.share, self.share - 1.0)
+        return self.exercised and apart - SURE * self.std > ASKED_APART
 
 
 def asked_for(problem: Problem, model: Candidate) -> tuple[Asked, ...]:
@@ -134,29 +139,52 @@ def asked_for(problem: Problem, model: Candidate) -> tuple[Asked, ...]:
     What every effect changes in the whitened residual, and what the four baseline numbers do, are regressed onto that
     residual. A stand-in for unknown physics fits one motion; on another one it is wanted in another amount.
     """
-    whole = gather(problem, evaluate(problem, model).innovations, "used")
-    scale, columns = np.sqrt(max(1.0, float(whole @ whole) / whole.size)), []
+    noise = _noise(problem)
+    whole, disturbed = _left(problem, model), _left(problem, model, noise)
+    changes, again = [], []
     for index in range(len(model.effects)):
-        without = evaluate(problem, model.without(index))
-        columns.append(gather(problem, without.innovations, "used") - whole if without.innovations else 0.0 * whole)
+        rest = model.without(index)
+        changes.append(_left(problem, rest) - whole)
+        again.append(_left(problem, rest, noise) - disturbed)
     slots = model.slots()[: len(BASELINE)]
+    columns = list(changes)
     for place, slot in enumerate(slots):
         moved = model.vector(slots)
         moved[place] += BASELINE_STEP * slot.scale
-        moved = evaluate(problem, model.with_vector(slots, moved))
-        columns.append(gather(problem, moved.innovations, "used") - whole)
+        columns.append(_left(problem, model.with_vector(slots, moved)) - whole)
     design = np.column_stack(columns)
     size = np.linalg.norm(design, axis=0)
-    exercised = size > max(EXERCISED * np.sqrt(whole.size), 1e-12)
-    exercised[len(model.effects) :] = size[len(model.effects) :] > 0
+    least = np.where(np.arange(size.size) < len(changes), EXERCISED * np.sqrt(whole.size), 1e-12)
+    exercised = size > least
     unit = design[:, exercised] / size[exercised]
     inverse = np.linalg.pinv(unit.T @ unit, hermitian=True)
     change, std = np.zeros(size.size), np.zeros(size.size)
     change[exercised] = inverse @ (unit.T @ whole) / size[exercised]
+    scale = np.sqrt(max(1.0, float(whole @ whole) / whole.size))
     std[exercised] = scale * np.sqrt(np.diag(inverse)) / size[exercised]
+    repeats = [min(1.0, float(c @ a) / max(float(a @ a), 1e-30)) for c, a in zip(changes, again, strict=True)]
     return tuple(
-        Asked(name, 1.0 + float(change[i]), float(std[i]), bool(exercised[i])) for i, name in enumerate(model.names)
+        Asked(name, 1.0 + float(change[i]), float(std[i]), repeats[i], bool(exercised[i]))
+        for i, name in enumerate(model.names)
     )
+
+
+def _left(problem: Problem, model: Candidate, disturbance: np.ndarray | None = None) -> np.ndarray:
+    """Whitened residual of the first record on the used samples; a model that cannot run leaves nothing to compare."""
+    record, used = problem.records[0], problem.splits[0].used
+    try:
+        run = problem.run(model, 0, disturbance)
+    except SimulationError:
+        return np.zeros(int(used.sum()))
+    return problem.whitening.apply(problem.axis.drive.force_gain * record.u - run.force)[used]
+
+
+def _noise(problem: Problem) -> np.ndarray:
+    """Force noise (n,) [N] as the whitening knows it, the same every time."""
+    from scipy.signal import lfilter
+
+    white = np.random.default_rng(0).standard_normal(len(problem.records[0]))
+    return problem.whitening.std * lfilter((1.0,), problem.whitening.coefficients, white)
 
 
 def predict(axis: Axis, record: Record, baseline: Candidate, extended: Candidate, window: np.ndarray) -> Prediction:

@@ -32,6 +32,7 @@ from emps_design.errors import InputError
 from emps_design.records import Record
 
 Progress = Callable[[str, float], None]
+LOST = 0.05  # of what the model explained; if refuted effects carried more, the rest is doubtful too
 HELD = 0.8  # of the share explained on the training record must be explained on the confirming one
 
 
@@ -208,17 +209,19 @@ def _conclude(work: Work, confirming: _Confirming | None) -> Diagnosis:
     # The baseline knows nothing of the controller's disturbance, which the search took as known from the law.
     baseline = evaluate(problem, replace(start.model, effects=(), values=()), start.slots, start.covariance)
     extended = fit(problem, found.best.model, part="used") if len(found.path) > 1 else start
-    judged, refuted = None, ()
+    judged, refuted, lost = None, (), 0.0
     if confirming is not None:
+        learnt = start.cost - extended.cost
         judged, extended, refuted = _confirm(work, confirming, baseline, extended)
+        lost = 1 - (start.cost - extended.cost) / learnt if refuted else 0.0
     train = _gap(problem, problem.splits[0].used, baseline.model, extended.model)
 
     shares = [explained(g.gap.baseline, g.gap.extended, floor.force) for g in (train, judged) if g is not None]
     equivalents = {n: others for n, others in work.judge.equivalents(found).items() if n in extended.model.names}
     verdict = work.judge.verdict(extended, start, equivalents, shares[-1])
-    # A gap closed on its own record only was not understood; nor was one of which a part was refuted, if some is left.
+    # A gap closed on its own record only was not understood; nor was one of which a good part was refuted.
     forgotten = extended.model.names != start.model.names and shares[-1] < HELD * shares[0]
-    if work.unnamed_law or forgotten or (refuted and not work.judge.at_floor(extended)):
+    if work.unnamed_law or forgotten or (lost > LOST and not work.judge.at_floor(extended)):
         verdict = "unnamed"
     if verdict == "unnamed" and extended.model.names != start.model.names:
         extended = start

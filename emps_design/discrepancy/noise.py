@@ -6,13 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emps_design.discrepancy.problem import Whitening, whitening_of
+from emps_design.discrepancy.problem import ORDER, Whitening, yule_walker
 from emps_design.discrepancy.split import START_UP, Split
 
 BAND_HZ = 60.0
 PIECE = 500  # samples
 UNUSUAL = 2.5  # times the typical deviation of a piece
 FIRST_DIFFERENCE, SECOND_DIFFERENCE = (-1.0, 1.0), (1.0, -2.0, 1.0)
+NEIGHBOURS = 40  # lines of a spectrum on both sides, the median of which is usual
+LINE = 25.0  # times the usual power, beyond which a line is a tone
 DRIFTS = 0.7  # of the first difference's rms, below which the second is the floor
 
 
@@ -93,10 +95,34 @@ def floor_of_residual(residuals: tuple[np.ndarray, ...], period: float) -> Floor
 
 
 def _floor(raw: list[np.ndarray], smooth: list[np.ndarray], from_laps: bool) -> Floor:
-    whitening = whitening_of(tuple(np.concatenate((np.zeros(START_UP), d)) for d in raw))
+    (force, lags), (force_60hz, _) = _broadband(raw), _broadband(smooth)
+    whitening = yule_walker(lags)
     draws = np.concatenate([whitening.apply(d - d.mean())[START_UP:] for d in raw])
-    intervals = (rms_interval(np.concatenate([p - p.mean() for p in parts])) for parts in (raw, smooth))
-    return Floor(_rms(raw), _rms(smooth), *intervals, whitening, draws / draws.std(), from_laps)
+    intervals = []
+    for parts, rms in ((raw, force), (smooth, force_60hz)):
+        error = np.concatenate([p - p.mean() for p in parts])
+        intervals.append(tuple(rms / float(np.std(error)) * end for end in rms_interval(error)))
+    return Floor(force, force_60hz, *intervals, whitening, draws / draws.std(), from_laps)
+
+
+def _broadband(parts: list[np.ndarray]) -> tuple[float, np.ndarray]:
+    """Rms [N] and autocovariance (ORDER + 1,) [N^2] of ``parts`` without the lines of their spectrum.
+
+    A hum that is not in step with the laps differs between them, and is no noise: a line that stands far above the
+    median of its neighbourhood is cut down to it.
+    """
+    from scipy.ndimage import median_filter
+
+    size = max(part.size for part in parts)
+    power, samples = np.zeros(size + 1), 0
+    for part in parts:
+        window = np.hanning(part.size)  # else the foot of a tone reaches far
+        power += np.abs(np.fft.rfft(window * (part - part.mean()), 2 * size)) ** 2 / np.mean(window**2)
+        samples += part.size
+    usual = median_filter(power, 2 * NEIGHBOURS + 1, mode="nearest")
+    power = np.where(power > LINE * usual, usual, power)
+    lags = np.fft.irfft(power)[: ORDER + 1] / samples
+    return float(np.sqrt(lags[0])), lags
 
 
 def rms_interval(error: np.ndarray, draws: int = 199, seed: int = 0) -> tuple[float, float]:

@@ -60,12 +60,13 @@ class Problem:
         """Closed-loop simulations from ``q_ref`` alone (of the recorded motion without a controller), one a record."""
         return tuple(self.run(model, record) for record in range(len(self.records)))
 
-    def run(self, model: Candidate, record: int) -> Any:
-        """Simulation of one record, by its number."""
+    def run(self, model: Candidate, record: int, disturbance: np.ndarray | None = None) -> Any:
+        """Simulation of one record, by its number, with a ``disturbance`` (n,) [N] of the carriage."""
         return self.plant(model).closed_loop(
             **drive(self.axis, self.records[record]),
             baseline=model.baseline,
             parameters=model.parameters(record),
+            disturbance=disturbance,
             quantise=False,
             tolerance=LOOSE,
         )
@@ -208,18 +209,25 @@ def evaluate(
     return Fit(model, slots, np.zeros((len(slots),) * 2) if covariance is None else covariance, innovations, *costs)
 
 
-def whitening_of(residuals: tuple[np.ndarray, ...], order: int = 24) -> Whitening:
-    """Autoregressive model of ``residuals`` by the Yule-Walker equations, start-up left out."""
-    from scipy.linalg import solve_toeplitz
+ORDER = 24  # of the autoregressive model of the noise
 
-    lags = np.zeros(order + 1)
+
+def whitening_of(residuals: tuple[np.ndarray, ...]) -> Whitening:
+    """Autoregressive model of ``residuals`` (n,) [N], start-up left out."""
+    lags = np.zeros(ORDER + 1)
     total = 0
     for residual in residuals:
         r = residual[START_UP:] - residual[START_UP:].mean()
-        lags += [float(r[: r.size - k] @ r[k:]) for k in range(order + 1)]
+        lags += [float(r[: r.size - k] @ r[k:]) for k in range(ORDER + 1)]
         total += r.size
-    lags /= total
-    lags[0] *= 1 + 1e-9
+    return yule_walker(lags / total)
+
+
+def yule_walker(lags: np.ndarray) -> Whitening:
+    """Autoregressive model of noise with autocovariance ``lags`` (order + 1,) [N^2]."""
+    from scipy.linalg import solve_toeplitz
+
+    lags = lags * np.concatenate(([1 + 1e-9], np.ones(lags.size - 1)))
     a = solve_toeplitz(lags[:-1], lags[1:])
     variance = lags[0] - float(a @ lags[1:])
     return Whitening(np.concatenate(([1.0], -a)), float(np.sqrt(max(variance, 1e-12))))

@@ -80,3 +80,10 @@ def test_pulse_trains_are_found_to_two_milliseconds(sign):
     best = max(found, key=lambda p: p["every"])
     assert best["amplitude"] == pytest.approx(sign * 17.0, rel=0.03)
     assert [best[n] for n in ("start", "duration", "every")] == pytest.approx([2.547, 0.2247, 5.279], abs=3e-3)
+
+
+def test_a_hum_out_of_step_with_the_laps_is_no_noise():
+    lap = split(Record(np.arange(Q_REF.size) * 1e-3, Q_REF, Q_REF, 0 * Q_REF, 1e-3))
+    noise = 0.5 * np.random.default_rng(0).standard_normal(Q_REF.size)
+    hum = 8.0 * np.sin(2 * np.pi * 3.66 * 1e-3 * np.arange(Q_REF.size))
+    assert floor_of_laps((noise + hum,), (lap,), 1e-3).force == pytest.approx(0.5, rel=0.1)
