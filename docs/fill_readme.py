@@ -1,8 +1,8 @@
 """Put into README.md what its commands really print: behind every ``<!-- run: ... -->`` the output of that command.
 
-``python docs/fill_readme.py`` rewrites the file, ``--bench`` its table of speeds too, from what ``make bench`` wrote
-last; ``--check`` only says whether it is as it should be. A test does that, so the page cannot say what the program
-does not.
+``python docs/fill_readme.py`` rewrites the file, ``--bench`` its table of measurements too, from what ``make bench``
+and ``make hidden`` wrote last; ``--check`` only says whether it is as it should be. A test does that, so the page
+cannot say what the program does not.
 """
 
 import json
@@ -51,7 +51,21 @@ def measured() -> str:
     """The rows of the last `make bench` that compare with what people use now."""
     rows = {row["work"]: row for row in json.loads((README.parent / "benchmarks" / "latest.json").read_text())["rows"]}
     lines = [f"| {text} | {shown(rows[name])} |" for name, text in ROWS.items() if name in rows]
+    hidden = README.parent / "benchmarks" / "hidden.json"
+    if hidden.exists():
+        lines += [f"| {text} | {value} |" for text, value in named(json.loads(hidden.read_text())["summary"])]
     return "\n".join(["| this program | measured |", "|---|---|", *lines])
+
+
+def named(count: dict) -> list[tuple[str, str]]:
+    """Rows of the last `make hidden`."""
+    return [
+        ("records with hidden effects that `diagnose` names right", f"{count['right']} of {count['effects']}"),
+        ("wrong names among them", f"{count['wrong']}"),
+        ("unknown physics that it leaves unnamed", f"{count['unknown_right']} of {count['unknown']}"),
+        ("false alarms on healthy records", f"{count['false_alarms']} of {count['healthy']}"),
+        ("share of the force gap closed, median", f"{count['median_gap_closed']:.3f}"),
+    ]
 
 
 def shown(row: dict) -> str:
