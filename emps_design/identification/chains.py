@@ -68,9 +68,10 @@ def report_chain(record: Record, force_gain: float, cutoff_hz: float | None = No
             )
         cutoff_hz = REPORT_CUTOFF
     force = _decimated(record.u, force_gain)
-    q = low_pass(record.q, cutoff_hz, record.period)
-    v = central_difference(q, record.period)
-    a = central_difference(v, record.period)
+    q, v, a = np.empty((3, len(record)))  # one block, as in motion()
+    q[:] = low_pass(record.q, cutoff_hz, record.period)
+    v[:] = central_difference(q, record.period)
+    a[:] = central_difference(v, record.period)
     return _decimating(
         "report",
         record,

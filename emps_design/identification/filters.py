@@ -94,12 +94,16 @@ def motion(record: Record, cutoff_hz: float) -> Motion:
     def smooth(signal: np.ndarray) -> np.ndarray:
         return low_pass(signal, cutoff_hz, record.period)
 
-    q = smooth(record.q)
+    # One block for all three: given back as a whole once W is made of it.
+    q, v, a = np.empty((3, len(record)))
+    q[:] = smooth(record.q)
+    v[:] = central_difference(q, record.period)
+    a[:] = _second_difference(q, record.period)
     return Motion(
         t=record.t,
         q=q,
-        v=central_difference(q, record.period),
-        a=_second_difference(q, record.period),
+        v=v,
+        a=a,
         tau=np.zeros_like(q),
         period=record.period,
         smooth=smooth,
