@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -11,7 +11,6 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.discrepancy import describe
 from emps_design.discrepancy.candidate import Candidate
-from emps_design.discrepancy.confirm import Asked, Gap, Prediction, asked_for, gap_of, predict, refit_per_record
 from emps_design.discrepancy.decide import screen, search
 from emps_design.discrepancy.diagnosis import Diagnosis
 from emps_design.discrepancy.door import check_records, check_same_drive
@@ -19,6 +18,7 @@ from emps_design.discrepancy.experiment import experiment
 from emps_design.discrepancy.findings import findings as accepted_findings
 from emps_design.discrepancy.healthy import healthy_reference
 from emps_design.discrepancy.healthy_runs import healthy_runs
+from emps_design.discrepancy.holdout import Confirming, between, confirm, confirming_gap, confirming_on, gap_on
 from emps_design.discrepancy.judge import Judge, explained
 from emps_design.discrepancy.law_check import LawCheck, check_law
 from emps_design.discrepancy.missing_force import missing_force
@@ -65,7 +65,7 @@ def diagnose(
         given = (holdout, fit_time, confirm_time, seed, searches)
         work = _explain(records, axis.replace(effects=[]), library, *given, report)
         report("confirming on data not used so far", 0.9)
-        return _conclude(work, _confirming(work.problem, holdout, confirm_time, library))
+        return _conclude(work, confirming_on(work.problem, holdout, confirm_time, library))
 
 
 def _explain(
@@ -146,17 +146,6 @@ def _problem(
     return Problem(axis, records, splits, Whitening(np.array([1.0]), 1.0)), start
 
 
-def between(record: Record, window: tuple[float, float], option: str) -> np.ndarray:
-    """Samples (n,) bool of ``record`` inside ``window`` (start, stop) [s]; refuses an empty one."""
-    inside = (record.t >= window[0]) & (record.t < window[1])
-    if not inside.any():
-        raise InputError(
-            f"{option}: found {window[0]:g}:{window[1]:g} s, expected a stretch of {record.name}, which lasts "
-            f"{record.duration:.3g} s"
-        )
-    return inside
-
-
 def _baseline(problem: Problem, start: Candidate) -> tuple[Problem, Fit, Floor]:
     """Refit the baseline: plain least squares for a start, then whitened by the floor's noise."""
     rough = fit(problem, start, steps=20)
@@ -166,43 +155,7 @@ def _baseline(problem: Problem, start: Candidate) -> tuple[Problem, Fit, Floor]:
     return problem, fit(problem, rough.model, steps=20), floor
 
 
-@dataclass(frozen=True)
-class _Confirming:
-    """The confirming record as a problem of its own, the samples (n,) bool that confirm, what its controller does."""
-
-    problem: Problem
-    window: np.ndarray
-    law: LawCheck | None = None
-
-    @property
-    def added(self) -> str:
-        """Name of the effect that the controller adds here, or ""."""
-        return self.law.effect.name if self.law is not None and self.law.effect is not None else ""
-
-    @property
-    def unnamed_law(self) -> bool:
-        """Whether the controller does something here that no effect explains."""
-        return self.law is not None and self.law.structured and self.law.effect is None
-
-    def known(self, model: Candidate) -> Candidate:
-        """``model`` with what the controller adds on this record, where it does not have that already."""
-        return model.with_effect(self.law.effect, self.law.values) if self.added not in ("", *model.names) else model
-
-
-def _confirming(
-    problem: Problem, holdout: Record | None, confirm_time: tuple[float, float] | None, library: tuple[Effect, ...]
-) -> _Confirming | None:
-    """What confirms; None where there is nothing."""
-    if holdout is None and confirm_time is None:
-        return None
-    record = problem.records[0] if holdout is None else holdout
-    window = np.ones(len(record), bool) if confirm_time is None else between(record, confirm_time, "--confirm-time")
-    own = replace(problem, records=(record,), splits=(split(record, window),))
-    known = holdout is not None and problem.axis.controller.kind != "none"
-    return _Confirming(own, window, check_law(record, problem.axis, library) if known else None)
-
-
-def _conclude(work: Work, confirming: _Confirming | None) -> Diagnosis:
+def _conclude(work: Work, confirming: Confirming | None) -> Diagnosis:
     """Refit the search's best model on everything, open the confirming data, and say what it all means."""
     problem, found, floor = work.problem, work.found, work.floor
     start = fit(problem, found.path[0].model, part="used")
@@ -212,9 +165,9 @@ def _conclude(work: Work, confirming: _Confirming | None) -> Diagnosis:
     judged, refuted, lost = None, (), 0.0
     if confirming is not None:
         learnt = start.cost - extended.cost
-        judged, extended, refuted = _confirm(work, confirming, baseline, extended)
+        judged, extended, refuted = confirm(work, confirming, baseline, extended)
         lost = 1 - (start.cost - extended.cost) / learnt if refuted else 0.0
-    train = _gap(problem, problem.splits[0].used, baseline.model, extended.model)
+    train = gap_on(problem, problem.splits[0].used, baseline.model, extended.model)
 
     shares = [explained(g.gap.baseline, g.gap.extended, floor.force) for g in (train, judged) if g is not None]
     equivalents = {n: others for n, others in work.judge.equivalents(found).items() if n in extended.model.names}
@@ -225,8 +178,8 @@ def _conclude(work: Work, confirming: _Confirming | None) -> Diagnosis:
         verdict = "unnamed"
     if verdict == "unnamed" and extended.model.names != start.model.names:
         extended = start
-        train = _gap(problem, problem.splits[0].used, baseline.model, start.model)
-        judged = None if confirming is None else _confirming_gap(confirming, baseline.model, start.model)
+        train = gap_on(problem, problem.splits[0].used, baseline.model, start.model)
+        judged = None if confirming is None else confirming_gap(confirming, baseline.model, start.model)
 
     confirmation = None
     if confirming is not None:
@@ -247,50 +200,3 @@ def _conclude(work: Work, confirming: _Confirming | None) -> Diagnosis:
         details=describe.details(work, verdict, baseline, extended, confirmation),
         experiment=experiment(problem, found, extended.model.names, equivalents, work.judge.healthy.threshold),
     )
-
-
-@dataclass(frozen=True)
-class _Judged:
-    gap: Gap
-    prediction: Prediction
-    extended: Candidate
-    refitted: tuple[str, ...]
-
-
-def _confirm(
-    work: Work, confirming: _Confirming, baseline: Fit, extended: Fit
-) -> tuple[_Judged, Fit, tuple[Asked, ...]]:
-    """Judge both models on the confirming data; withdraw what those data refute and refit the rest."""
-    refuted: list[Asked] = []
-    while True:
-        judged = _confirming_gap(confirming, baseline.model, extended.model)
-        asked = asked_for(confirming.problem, judged.extended)
-        doubtful = [a for a in asked if a.refuted and a.name in extended.model.names]
-        worst = max(doubtful, key=lambda a: abs(a.share - 1) / a.std, default=None)
-        if worst is None:
-            return judged, extended, tuple(refuted)
-        refuted.append(worst)
-        rest = extended.model.without(extended.model.names.index(worst.name))
-        extended = fit(work.problem, rest, part="used")
-
-
-def _confirming_gap(confirming: _Confirming, baseline: Candidate, extended: Candidate) -> _Judged:
-    """Both models on the confirming record, what belongs to a record fitted anew there."""
-    models = [_of_one_record(confirming.known(model)) for model in (baseline, extended)]
-    (before, _), (after, names) = (refit_per_record(confirming.problem, model) for model in models)
-    return _gap(confirming.problem, confirming.window, before, after, names)
-
-
-def _gap(
-    problem: Problem, window: np.ndarray, baseline: Candidate, extended: Candidate, refitted: Sequence[str] = ()
-) -> _Judged:
-    """Both models on the first record of ``problem``."""
-    record = problem.records[0]
-    models = [_of_one_record(model) for model in (baseline, extended)]
-    single = replace(problem, records=(record,), splits=problem.splits[:1])
-    prediction = predict(problem.axis, record, *models, window)
-    return _Judged(gap_of(single, prediction, *models), prediction, models[1], tuple(refitted))
-
-
-def _of_one_record(model: Candidate) -> Candidate:
-    return replace(model, values=tuple(v[:1] for v in model.values))

@@ -234,3 +234,10 @@ def test_what_the_controller_adds_on_the_confirming_record_only_is_known_there()
     assert [f.effect for f in answer.findings] == ["actuator_delay"]
     assert answer.holdout.extended < 0.4 * answer.holdout.baseline
     assert any("controller disturbance on the confirming record" in said for said in answer.details["warnings"])
+
+
+def test_a_disturbance_of_the_controller_need_not_be_there_on_the_confirming_record():
+    pulses = {"kind": "controller_disturbance", "amplitude": 2.0, "frequency": 1.0, "duty": 0.5, "start": 0.3437}
+    answer = diagnose(record(DELAYED, pulses), AXIS, holdout=record(DELAYED, seed=1), library=SHORT)
+    assert {f.effect for f in answer.findings} == {"controller_disturbance", "actuator_delay"}
+    assert answer.holdout.extended < 0.4 * answer.holdout.baseline

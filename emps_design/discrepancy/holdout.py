@@ -1,0 +1,120 @@
+"""The confirming record: both models on it, what belongs to it alone, and what it withdraws."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from emps_design.discrepancy.candidate import Candidate
+from emps_design.discrepancy.confirm import Asked, Gap, Prediction, asked_for, gap_of, predict, refit_per_record
+from emps_design.discrepancy.law_check import LawCheck, check_law
+from emps_design.discrepancy.problem import Fit, Problem, fit
+from emps_design.discrepancy.split import split
+from emps_design.discrepancy.work import Work
+from emps_design.effects import Effect
+from emps_design.errors import InputError
+from emps_design.records import Record
+
+
+@dataclass(frozen=True)
+class Confirming:
+    """The confirming record as a problem of its own, the samples (n,) bool that confirm, what its controller does."""
+
+    problem: Problem
+    window: np.ndarray
+    law: LawCheck | None = None
+
+    @property
+    def added(self) -> str:
+        """Name of the effect that the controller adds here, or ""."""
+        return self.law.effect.name if self.law is not None and self.law.effect is not None else ""
+
+    @property
+    def unnamed_law(self) -> bool:
+        """Whether the controller does something here that no effect explains."""
+        return self.law is not None and self.law.structured and self.law.effect is None
+
+    def of_this_record(self, model: Candidate) -> Candidate:
+        """``model`` of the training record with what the controller does here, which may be more or less than there."""
+        if self.law is None:
+            return model
+        for name in [e.name for e in model.effects if e.channel == "controller" and e.name != self.added]:
+            model = model.without(model.names.index(name))
+        return model.with_effect(self.law.effect, self.law.values) if self.added not in ("", *model.names) else model
+
+
+def confirming_on(
+    problem: Problem, holdout: Record | None, confirm_time: tuple[float, float] | None, library: tuple[Effect, ...]
+) -> Confirming | None:
+    """What confirms; None where there is nothing."""
+    if holdout is None and confirm_time is None:
+        return None
+    record = problem.records[0] if holdout is None else holdout
+    window = np.ones(len(record), bool) if confirm_time is None else between(record, confirm_time, "--confirm-time")
+    own = replace(problem, records=(record,), splits=(split(record, window),))
+    known = holdout is not None and problem.axis.controller.kind != "none"
+    return Confirming(own, window, check_law(record, problem.axis, library) if known else None)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Both models on one record: the gap, the prediction, the extended model and what was fitted anew for it."""
+
+    gap: Gap
+    prediction: Prediction
+    extended: Candidate
+    refitted: tuple[str, ...]
+
+
+def confirm(work: Work, confirming: Confirming, baseline: Fit, extended: Fit) -> tuple[Judged, Fit, tuple[Asked, ...]]:
+    """Judge both models on the confirming data; withdraw what those data refute and refit the rest.
+
+    An effect of the controller has its evidence in the law, and is not asked for.
+    """
+    refuted: list[Asked] = []
+    while True:
+        judged = confirming_gap(confirming, baseline.model, extended.model)
+        asked = asked_for(confirming.problem, judged.extended)
+        claims = [effect.name for effect in extended.model.effects if effect.channel != "controller"]
+        doubtful = [a for a in asked if a.refuted and a.name in claims]
+        worst = max(doubtful, key=lambda a: abs(a.share - 1) / a.std, default=None)
+        if worst is None:
+            return judged, extended, tuple(refuted)
+        refuted.append(worst)
+        rest = extended.model.without(extended.model.names.index(worst.name))
+        extended = fit(work.problem, rest, part="used")
+
+
+def confirming_gap(confirming: Confirming, baseline: Candidate, extended: Candidate) -> Judged:
+    """Both models on the confirming record, what belongs to a record fitted anew there."""
+    models = [_of_one_record(confirming.of_this_record(model)) for model in (baseline, extended)]
+    (before, _), (after, names) = (refit_per_record(confirming.problem, model) for model in models)
+    return gap_on(confirming.problem, confirming.window, before, after, names)
+
+
+def gap_on(
+    problem: Problem, window: np.ndarray, baseline: Candidate, extended: Candidate, refitted: Sequence[str] = ()
+) -> Judged:
+    """Both models on the first record of ``problem``."""
+    record = problem.records[0]
+    models = [_of_one_record(model) for model in (baseline, extended)]
+    single = replace(problem, records=(record,), splits=problem.splits[:1])
+    prediction = predict(problem.axis, record, *models, window)
+    return Judged(gap_of(single, prediction, *models), prediction, models[1], tuple(refitted))
+
+
+def _of_one_record(model: Candidate) -> Candidate:
+    return replace(model, values=tuple(v[:1] for v in model.values))
+
+
+def between(record: Record, window: tuple[float, float], option: str) -> np.ndarray:
+    """Samples (n,) bool of ``record`` inside ``window`` (start, stop) [s]; refuses an empty one."""
+    inside = (record.t >= window[0]) & (record.t < window[1])
+    if not inside.any():
+        raise InputError(
+            f"{option}: found {window[0]:g}:{window[1]:g} s, expected a stretch of {record.name}, which lasts "
+            f"{record.duration:.3g} s"
+        )
+    return inside
