@@ -55,9 +55,15 @@ def _shown(view: View, found: tuple[Finding, ...]) -> float:
 
 
 def details(
-    work: Work, verdict: str, baseline: Fit, extended: Fit, confirmation: Confirmation | None = None
+    work: Work,
+    verdict: str,
+    baseline: Fit,
+    extended: Fit,
+    confirmation: Confirmation | None = None,
+    given_up: tuple[tuple[str, ...], float] = ((), 0.0),
 ) -> dict[str, Any]:
-    """What the report shows besides the contract's keys."""
+    """What the report shows besides the contract's keys; ``given_up`` are effects of a model that did not stand, and the
+    share of the gap it explained."""
     problem = work.problem
     unseen = _not_excluded(work, extended)
     told = {
@@ -68,7 +74,12 @@ def details(
         "records": [{"name": r.name, "role": "train", "sha256": r.sha256} for r in problem.records],
         "calibration": _calibration(work),
         "assumptions": list(ASSUMPTIONS),
-        "warnings": [*work.warnings, *_warnings(work, verdict, extended), *_said_by(confirmation)],
+        "warnings": [
+            *work.warnings,
+            *_warnings(work, verdict, extended),
+            *_said_by(confirmation),
+            *_said_of(*given_up),
+        ],
     }
     if verdict in ("nothing-missing", "parameters-only") and unseen:
         told["least_visible"] = f"{unseen[0]['text']} ({unseen[0]['label'].lower()})"
@@ -115,6 +126,15 @@ def _said_by(confirmation: Confirmation | None) -> list[str]:
         names = ", ".join(confirmation.refitted)
         said.append(f"fitted anew on the confirming record, because they belong to one record: {names}")
     return said
+
+
+def _said_of(given_up: tuple[str, ...], share: float) -> list[str]:
+    if not given_up:
+        return []
+    labels = ", ".join(get_effect(name).label.lower() for name in given_up)
+    return [
+        f"a model with {labels} explains {100 * share:.0f} % of the gap: too little, or not on both, to name anything"
+    ]
 
 
 def _warnings(work: Work, verdict: str, extended: Fit) -> list[str]:

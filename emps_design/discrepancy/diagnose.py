@@ -176,7 +176,8 @@ def _conclude(work: Work, confirming: Confirming | None) -> Diagnosis:
     forgotten = extended.model.names != start.model.names and shares[-1] < HELD * shares[0]
     if work.unnamed_law or forgotten or (lost > LOST and not work.judge.at_floor(extended)):
         verdict = "unnamed"
-    if verdict == "unnamed" and extended.model.names != start.model.names:
+    given_up = extended.model.names if verdict == "unnamed" else ()
+    if given_up and given_up != start.model.names:
         extended = start
         train = gap_on(problem, problem.splits[0].used, baseline.model, start.model)
         judged = None if confirming is None else confirming_gap(confirming, baseline.model, start.model)
@@ -197,6 +198,6 @@ def _conclude(work: Work, confirming: Confirming | None) -> Diagnosis:
         holdout=None if judged is None else judged.gap,
         prediction=shown.prediction,
         views=describe.marked_views(before, after, problem.splits[0].used, floor.force_60hz, findings),
-        details=describe.details(work, verdict, baseline, extended, confirmation),
+        details=describe.details(work, verdict, baseline, extended, confirmation, (given_up, shares[-1])),
         experiment=experiment(problem, found, extended.model.names, equivalents, work.judge.healthy.threshold),
     )
