@@ -62,8 +62,10 @@ def details(
     confirmation: Confirmation | None = None,
     given_up: tuple[tuple[str, ...], float] = ((), 0.0),
 ) -> dict[str, Any]:
-    """What the report shows besides the contract's keys; ``given_up`` are effects of a model that did not stand, and the
-    share of the gap it explained."""
+    """What the report shows besides the contract's keys.
+
+    ``given_up`` are the effects of a model that did not stand, and the share of the gap it explained.
+    """
     problem = work.problem
     unseen = _not_excluded(work, extended)
     told = {
