@@ -13,6 +13,7 @@ SHORTEST = 2.0  # s
 STILL = 1e-4  # m, a reference that moves less is no motion
 SATURATED = 0.5  # share of samples at the voltage limit beyond which nothing can be said
 PERIODS_ALIKE = 1e-4
+DRIVE = {"gtau", "kp", "kv"}  # numbers of the drive that a record may carry
 
 
 def check_records(records: tuple[Record, ...], axis: Axis) -> list[str]:
@@ -42,12 +43,19 @@ def check_records(records: tuple[Record, ...], axis: Axis) -> list[str]:
 
 
 def check_same_drive(record: Record, holdout: Record) -> None:
-    """Refuse a hold-out that was not sampled like the training record."""
+    """Refuse a hold-out that was not sampled like the training record, or whose file names another drive."""
     if abs(record.period / holdout.period - 1) > PERIODS_ALIKE:
         raise RecordError(
             f"{holdout.name}: found a sampling period of {1e3 * holdout.period:g} ms, expected "
             f"{1e3 * record.period:g} ms of {record.name}; train and hold-out must come from one drive"
         )
+    for name in sorted(DRIVE & record.extra.keys() & holdout.extra.keys()):
+        found, expected = (float(np.ravel(r.extra[name])[0]) for r in (holdout, record))
+        if not np.isclose(found, expected, rtol=1e-6):
+            raise RecordError(
+                f"{holdout.name}: found {name} = {found:g}, expected {expected:g} of {record.name}; train and hold-out "
+                "must come from one drive"
+            )
 
 
 def _tame(record: Record) -> list[str]:

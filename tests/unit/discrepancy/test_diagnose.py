@@ -1,5 +1,6 @@
 """The whole way from a record to a verdict on small simulated records, and everything that is refused."""
 
+import dataclasses
 import json
 import re
 
@@ -241,3 +242,9 @@ def test_a_disturbance_of_the_controller_need_not_be_there_on_the_confirming_rec
     answer = diagnose(record(DELAYED, pulses), AXIS, holdout=record(DELAYED, seed=1), library=SHORT)
     assert {f.effect for f in answer.findings} == {"controller_disturbance", "actuator_delay"}
     assert answer.holdout.extended < 0.4 * answer.holdout.baseline
+
+
+def test_a_holdout_of_another_drive_is_refused():
+    one, other = (dataclasses.replace(record(), extra={"gtau": gain}) for gain in (35.15, 30.0))
+    with pytest.raises(RecordError, match="found gtau = 30, expected 35.15"):
+        diagnose(one, AXIS, holdout=other)
