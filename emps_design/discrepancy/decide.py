@@ -16,7 +16,7 @@ from joblib import Parallel, delayed
 from emps_design.discrepancy.candidate import Candidate
 from emps_design.discrepancy.missing_force import missing_force
 from emps_design.discrepancy.problem import Descent, Fit, Problem, descend, evaluate, fit, gather
-from emps_design.discrepancy.propose import Start, Tangent, starts, tangent
+from emps_design.discrepancy.propose import Start, Tangent, bent, starts, tangent
 from emps_design.effects import Effect, Motion
 
 BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
@@ -30,6 +30,7 @@ MOST_EFFECTS = 7
 ENOUGH_ROUNDS = 3  # after which a search that explained less than LEAST_EXPLAINED of the excess is given up
 LEAST_EXPLAINED = 0.4
 MOST_WALKS = 8
+BENT_EFFECTS, BENT_STARTS = 2, 6  # fitted in full where the gap bent the baseline
 REVISED = 4  # other shapes of an effect that are fitted when it is accepted
 STILL_PAYS = 0.005  # of the cost
 CORES = 2
@@ -87,7 +88,12 @@ def extensions(
     gains |= {name: before - short.cost for name, short in leading.items()}
     ranked = sorted((s for s in leading.values() if plausible(problem, s.model)), key=lambda short: short.cost)
     finalists = [s for s in ranked[:FINALISTS] if before - s.cost >= RIVAL * (before - ranked[0].cost)]
-    return sorted(run(delayed(fit)(problem, s.model) for s in finalists), key=lambda f: f.cost), gains
+    begins = [s.model for s in finalists]
+    if bent(current, before / absorbed.residual.size):
+        # A baseline bent by the gap leads short fits astray: the leading effects are fitted from several starts.
+        leaders = sorted(screened, key=lambda found: -found[0].gain)[:BENT_EFFECTS]
+        begins += [start.model for found in leaders for start in found[:BENT_STARTS] if plausible(problem, start.model)]
+    return sorted(run(delayed(fit)(problem, model) for model in begins), key=lambda f: f.cost), gains
 
 
 def _settled(problem: Problem, fitted: Fit) -> Fit:

@@ -12,9 +12,10 @@ from emps_design.discrepancy.diagnosis import Finding
 from emps_design.discrepancy.findings import deviation
 from emps_design.discrepancy.healthy import LEVEL
 from emps_design.discrepancy.judge import WORTH, WORTH_AT_FLOOR, force_rms
-from emps_design.discrepancy.locate import View, described, extent, force_map, views
+from emps_design.discrepancy.locate import described, extent
 from emps_design.discrepancy.missing_force import MissingForce, missing_force
 from emps_design.discrepancy.problem import Fit
+from emps_design.discrepancy.views import SPECTRAL, View, force_map, shown, views
 from emps_design.discrepancy.work import Confirmation, Work
 from emps_design.effects import get_effect
 from emps_design.quantities import display_unit
@@ -28,6 +29,7 @@ FOLLOWED = (
     "the controller is not known: the models follow the recorded motion and voltage, and what the controller itself "
     "adds to the voltage cannot be checked"
 )
+ABSURD = 1e3  # times the typical size of a parameter
 SHOWN_CANDIDATES = 10
 
 
@@ -40,18 +42,12 @@ def marked_views(
         marks = []
         for finding in found:
             place = finding.where.get(view.quantity)
-            if place is not None and view.quantity != "frequency":
+            if place is not None and view.quantity not in SPECTRAL:
                 marks += map(tuple, place if view.quantity == "time" else [place])
         drawn.append(replace(view, marks=tuple(marks)))
     head, tail = drawn[:-1], drawn[-1:]
-    head.sort(key=lambda view: -_shown(view, found))
+    head.sort(key=lambda view: -shown(view))
     return (*head, *tail)
-
-
-def _shown(view: View, found: tuple[Finding, ...]) -> float:
-    """How much of the gap a picture shows [N]: rms of the mean over a bin, less what findings leave of it."""
-    left = np.sqrt(np.nanmean(view.after**2)) if found else 0.0
-    return float(np.sqrt(np.nanmean(view.before**2)) - left)
 
 
 def details(
@@ -83,8 +79,9 @@ def details(
             *_said_of(*given_up),
         ],
     }
-    if verdict in ("nothing-missing", "parameters-only") and unseen:
-        told["least_visible"] = f"{unseen[0]['text']} ({unseen[0]['label'].lower()})"
+    bounded = [entry for entry in unseen if entry["size"] is not None]
+    if verdict in ("nothing-missing", "parameters-only") and bounded:
+        told["least_visible"] = f"{bounded[0]['text']} ({bounded[0]['label'].lower()})"
     if verdict == "parameters-only":
         told["changed"] = ", ".join(
             f"{q.name.replace('_', ' ')} {axis:.5g} -> {new:.5g} {q.unit}"
@@ -205,13 +202,15 @@ def _not_excluded(work: Work, extended: Fit) -> list[dict[str, Any]]:
         if size == 0.0:
             continue
         unit, factor = display_unit(size, parameter.unit)
+        text = f"{parameter.name.replace('_', ' ')} {size * factor:.2g} {unit}".rstrip()
+        hidden = size > ABSURD * parameter.scale or size > parameter.upper
         rows.append(
             {
                 "effect": effect.name,
                 "label": effect.label,
-                "size": size,
+                "size": None if hidden else size,
                 "unit": parameter.unit,
-                "text": f"{parameter.name.replace('_', ' ')} {size * factor:.2g} {unit}".rstrip(),
+                "text": "any size: these records do not bring it out" if hidden else text,
             }
         )
     return rows

@@ -12,8 +12,9 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.discrepancy.confirm import Gap, Prediction
 from emps_design.discrepancy.experiment import Experiment
-from emps_design.discrepancy.locate import EVERYWHERE, View
+from emps_design.discrepancy.locate import EVERYWHERE
 from emps_design.discrepancy.noise import Floor
+from emps_design.discrepancy.views import View
 from emps_design.quantities import display_unit
 
 SCHEMA = "emps-design/diagnosis/1"

@@ -1,7 +1,4 @@
-"""Where a model is wrong: the residual force over velocity, position, time and frequency, before and after.
-
-The extent of a finding is the shortest stretch of each coordinate that holds most of the force the effect contributes.
-"""
+"""Where a force acts: the shortest stretch of each coordinate that holds most of it, in numbers and words."""
 
 from __future__ import annotations
 
@@ -11,13 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.discrepancy.missing_force import MissingForce, near_reversals
+from emps_design.discrepancy.missing_force import near_reversals
 from emps_design.records import Record
 
 SHARE = 0.8  # of the squared force that an extent holds
 LOCAL = 0.3  # an extent is worth words when it covers less than this share of what the record visits
 LONG = 0.9  # the same for one stretch of time, which may begin with an event and last
-MAP_CELLS = 36  # of position and of velocity in the map
 CELLS = 160  # of a coordinate; an extent is read to one of them
 RESTING = 0.02  # of the top speed, from which on an extent of velocity begins at rest
 EVERYWHERE = "everywhere the record goes"
@@ -29,81 +25,6 @@ SEEN = 0.05  # of the largest mean square, from which on a stretch of time count
 MOST_STRETCHES = 6  # more are not events
 PEAK = 0.995  # quantile of the force that "up to" means
 ONE_SIDED = 0.7  # share of the force that resists, or drives, from which on it is "more", or "less"
-
-
-@dataclass(frozen=True)
-class View:
-    """Mean residual force [N] over one quantity, before and after; ``band`` is what noise alone would show."""
-
-    quantity: str
-    unit: str
-    x: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-    band: np.ndarray | None = None
-    marks: tuple[tuple[float, float], ...] = ()
-    title: str = ""
-
-
-def views(before: MissingForce, after: MissingForce, window: np.ndarray, floor: float) -> list[View]:
-    """Residual force over velocity, position (both ways), time and frequency, from the force both models miss."""
-    motion = before.motion
-    pairs = (before.force, after.force)
-    result = [_binned("velocity", "m/s", motion.v, pairs, window, floor, 41)]
-    for sign, title in ((1, "forwards"), (-1, "backwards")):
-        moving = window & before.away & (sign * motion.v > 0)
-        if moving.sum() > 200:
-            result.append(_binned("position", "m", motion.q, pairs, moving, floor, 60, title))
-    result.append(_binned("time", "s", motion.t, pairs, window, floor, 80))
-    result.append(_spectrum(pairs, window, motion.period))
-    return result
-
-
-def _binned(
-    quantity: str,
-    unit: str,
-    x: np.ndarray,
-    pairs: tuple[np.ndarray, np.ndarray],
-    kept: np.ndarray,
-    floor: float,
-    bins: int,
-    title: str = "",
-) -> View:
-    edges = np.linspace(float(x[kept].min()), float(x[kept].max()) + 1e-12, bins + 1)
-    place = np.clip(np.digitize(x[kept], edges) - 1, 0, bins - 1)
-    count = np.bincount(place, minlength=bins)
-    thick = np.maximum(count, 1)
-    means = [np.where(count > 5, np.bincount(place, f[kept], bins) / thick, np.nan) for f in pairs]
-    # Noise of a 60 Hz signal: about 120 independent values a second, so one in eight samples at 1 kHz counts.
-    band = 2 * floor / np.sqrt(np.maximum(count / 8, 1))
-    return View(quantity, unit, 0.5 * (edges[1:] + edges[:-1]), *means, band=band, title=title)
-
-
-def _spectrum(pairs: tuple[np.ndarray, np.ndarray], window: np.ndarray, period: float) -> View:
-    from scipy.signal import welch
-
-    length = int(min(4096, max(256, window.sum() // 4)))
-    amplitudes = []
-    for force in pairs:
-        frequency, density = welch(force[window], 1 / period, nperseg=length, detrend="constant")
-        amplitudes.append(np.sqrt(density * (frequency[1] - frequency[0])))
-    kept = (frequency > 0) & (frequency <= 100.0)
-    return View("frequency", "Hz", frequency[kept], amplitudes[0][kept], amplitudes[1][kept], title="rms in each line")
-
-
-def force_map(missing: MissingForce) -> dict[str, Any]:
-    """Mean missing force [N] over position and velocity, away from reversals: a picture that assumes no effect.
-
-    ``force`` has a row a velocity; None where the record does not go.
-    """
-    q, v, force = (x[missing.away] for x in (missing.motion.q, missing.motion.v, missing.force))
-    edges = [np.linspace(float(x.min()), float(x.max()) + 1e-12, MAP_CELLS + 1) for x in (v, q)]
-    count = np.histogram2d(v, q, edges)[0]
-    mean = np.histogram2d(v, q, edges, weights=force)[0] / np.maximum(count, 1)
-    centres = [(0.5 * (e[1:] + e[:-1])).tolist() for e in edges]
-    rows = [[float(f) if n else None for f, n in zip(*row, strict=True)] for row in zip(mean, count, strict=True)]
-    units = {"velocity": "m/s", "position": "m", "force": "N"}
-    return {"velocity": centres[0], "position": centres[1], "force": rows, "units": units}
 
 
 @dataclass(frozen=True)

@@ -74,7 +74,7 @@ def starts(
     """
     base, found = gather(problem, current.innovations, "fit"), []
     told = replace(current.model, baseline=problem.axis.mechanics.array())
-    far = float(base @ base) > BENT * base.size and not current.model.effects
+    far = bent(current, float(base @ base) / base.size)
     for values in _values(problem, current.model, effect, missing):
         trial = current.model.with_effect(effect, values)
         try:
@@ -94,6 +94,11 @@ def starts(
         except SimulationError:
             continue
     return sorted(found, key=lambda start: -start.gain)
+
+
+def bent(current: Fit, cost: float) -> bool:
+    """Whether the gap, of ``cost`` a sample, is so large that it bent the baseline fitted to it."""
+    return cost > BENT and not current.model.effects
 
 
 def _values(problem: Problem, model: Candidate, effect: Effect, missing: tuple[MissingForce, ...]) -> list[np.ndarray]:

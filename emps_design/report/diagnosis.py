@@ -93,7 +93,8 @@ def _label(finding: Mapping[str, Any]) -> str:
 
 def _where_caption(diagnosis: Diagnosis, findings: Sequence[Mapping[str, Any]]) -> str:
     view = diagnosis.views[0]
-    places = "; ".join(dict.fromkeys(f["where"]["text"] for f in findings if f.get("where", {}).get("text")))
+    told = (f.get("where", {}).get("text") for f in findings)
+    places = "; ".join(dict.fromkeys(text for text in told if text and text != "everywhere the record goes"))
     said = f" {_sentence(places)}" if places else ""
     models = ", before (model as it was, refitted) and after" if findings else " that the refitted model leaves"
     return f"Residual force over {view.quantity}{models}.{said}"

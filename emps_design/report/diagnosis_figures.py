@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 START_UP = 50  # samples that no figure counts: the loop's own transient, as in the published figures
+SPECTRAL = ("frequency", "period of position")  # quantities over which a view has amplitudes
 EVERYWHERE = 0.5  # a mark over more than this share of a view points at nothing
 _SCALE = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s")}
 
@@ -65,7 +66,7 @@ def _draw_view(axes: Axes, view: Any) -> None:
         axes.axvspan(low * factor, high * factor, color=YELLOW, alpha=0.45, linewidth=0)
     if view.band is not None:
         center = np.zeros_like(x)
-        low = center if view.quantity == "frequency" else center - view.band
+        low = center if view.quantity in SPECTRAL else center - view.band
         axes.fill_between(x, low, center + view.band, color="#9CA3AF", alpha=0.4, linewidth=0, label="healthy record")
     # Where nothing was added there is one model, and one line.
     both = not np.array_equal(view.before, view.after, equal_nan=True)
@@ -74,8 +75,8 @@ def _draw_view(axes: Axes, view: Any) -> None:
         axes.plot(xs, ys, color=color, linewidth=1.4, label=label)
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     axes.set_xlabel(f"{view.quantity} [{unit}]")
-    axes.set_ylabel("amplitude [N]" if view.quantity == "frequency" else "residual force [N]")
-    if view.quantity == "frequency" and x.size and x[0] > 0:
+    axes.set_ylabel("amplitude [N]" if view.quantity in SPECTRAL else "residual force [N]")
+    if view.quantity in SPECTRAL and x.size and x[0] > 0:
         axes.set_xscale("log")
     if view.title:
         axes.set_title(view.title)

@@ -11,10 +11,10 @@ import numpy as np
 class View(Protocol):
     """The mean residual force over one quantity, before and after the missing effects were added.
 
-    ``quantity`` is the word on the axis ("velocity", "position", "time", "frequency", ...), ``unit`` its SI unit;
-    ``x``, ``before``, ``after`` (n,) with forces in N (an amplitude over frequency); ``band`` (n,) or None: half-width
-    of what a healthy record shows [N]; ``marks``: intervals (lo, hi) of ``x`` to point at; ``title``: a few words, such
-    as "forwards only", or "". NaN leaves a gap in the line.
+    ``quantity`` is the word on the axis ("velocity", "position", "time", "frequency", "period of position", ...),
+    ``unit`` its SI unit; ``x``, ``before``, ``after`` (n,) with forces in N (amplitudes over a frequency or a period);
+    ``band`` (n,) or None: half-width of what a healthy record shows [N]; ``marks``: intervals (lo, hi) of ``x`` to
+    point at; ``title``: a few words, such as "forwards only", or "". NaN leaves a gap in the line.
     """
 
     quantity: str
