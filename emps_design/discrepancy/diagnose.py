@@ -81,8 +81,10 @@ def _explain(
 ) -> Work:
     """Check, fit the baseline, calibrate and search; the confirming data stay closed."""
     warnings = check_records(records, axis)
+    for other in (*records[1:], holdout):
+        if other is not None:
+            check_same_drive(records[0], other)
     if holdout is not None:
-        check_same_drive(records[0], holdout)
         check_records((holdout,), axis)
 
     report("checking the controller's law", 0.02)

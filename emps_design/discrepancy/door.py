@@ -42,19 +42,19 @@ def check_records(records: tuple[Record, ...], axis: Axis) -> list[str]:
     return said
 
 
-def check_same_drive(record: Record, holdout: Record) -> None:
-    """Refuse a hold-out that was not sampled like the training record, or whose file names another drive."""
-    if abs(record.period / holdout.period - 1) > PERIODS_ALIKE:
+def check_same_drive(record: Record, other: Record) -> None:
+    """Refuse an ``other`` record that was not sampled like ``record``, or whose file names another drive."""
+    if abs(record.period / other.period - 1) > PERIODS_ALIKE:
         raise RecordError(
-            f"{holdout.name}: found a sampling period of {1e3 * holdout.period:g} ms, expected "
-            f"{1e3 * record.period:g} ms of {record.name}; train and hold-out must come from one drive"
+            f"{other.name}: found a sampling period of {1e3 * other.period:g} ms, expected "
+            f"{1e3 * record.period:g} ms of {record.name}; all records must come from one drive"
         )
-    for name in sorted(DRIVE & record.extra.keys() & holdout.extra.keys()):
-        found, expected = (float(np.ravel(r.extra[name])[0]) for r in (holdout, record))
+    for name in sorted(DRIVE & record.extra.keys() & other.extra.keys()):
+        found, expected = (float(np.ravel(r.extra[name])[0]) for r in (other, record))
         if not np.isclose(found, expected, rtol=1e-6):
             raise RecordError(
-                f"{holdout.name}: found {name} = {found:g}, expected {expected:g} of {record.name}; train and hold-out "
-                "must come from one drive"
+                f"{other.name}: found {name} = {found:g}, expected {expected:g} of {record.name}; all records must "
+                "come from one drive"
             )
 
 
