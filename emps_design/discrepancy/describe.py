@@ -19,6 +19,7 @@ from emps_design.discrepancy.views import SPECTRAL, View, force_map, shown, view
 from emps_design.discrepancy.work import Confirmation, Work
 from emps_design.effects import get_effect
 from emps_design.quantities import display_unit
+from emps_design.records import Record
 
 ASSUMPTIONS = (
     "the force gain of the drive is known: an error of it scales every mechanical parameter and shows nowhere else",
@@ -69,7 +70,7 @@ def details(
         "candidates": _candidates(work, extended),
         "parameters": _parameters(work, baseline, extended),
         "not_excluded": unseen,
-        "records": [{"name": r.name, "role": "train", "sha256": r.sha256} for r in problem.records],
+        "records": [{"name": r.name, "role": role, "sha256": r.sha256} for r, role in _records(work, confirmation)],
         "calibration": _calibration(work),
         "assumptions": list(ASSUMPTIONS),
         "warnings": [
@@ -88,6 +89,7 @@ def details(
             for q, axis, new in zip(BASELINE, problem.axis.mechanics.array(), baseline.model.baseline, strict=True)
             if abs(axis - new) > 0.005 * max(abs(new), 1.0)
         )
+    told["interrupted"] = work.found.interrupted
     if verdict == "unnamed":
         residual, used = problem.residuals(extended.model)[0], problem.splits[0].used
         told["unexplained"] = described(extent(problem.records[0], residual, used, work.floor.force))
@@ -97,15 +99,23 @@ def details(
 
 def _calibration(work: Work) -> str:
     runs = work.healthy.largest.size
+    level = max(LEVEL, 1 / (runs + 1))
     made = f"{runs} simulated healthy records, each searched like this one"
     if not work.healthy.searched:
         made = f"{runs} healthy references made of resampled noise"
     noise = "what differs between repeated laps" if work.floor.from_laps else "the residual of the model itself"
     return (
         f"A finding must gain more than {work.healthy.threshold:.1f} in whitened cost, the largest gain of any "
-        f"candidate in {100 * LEVEL:g} % of {made}, and more than {100 * WORTH:g} % of the cost "
+        f"candidate in {100 * level:.2g} % of {made}, and more than {100 * WORTH:g} % of the cost "
         f"({100 * WORTH_AT_FLOOR:g} % where it is noise already); the noise is {noise}."
     )
+
+
+def _records(work: Work, confirmation: Confirmation | None) -> list[tuple[Record, str]]:
+    told = [(record, "train") for record in work.problem.records]
+    if confirmation is not None and confirmation.record is not work.problem.records[0]:
+        told.append((confirmation.record, "holdout"))
+    return told
 
 
 def _said_by(confirmation: Confirmation | None) -> list[str]:
@@ -132,7 +142,8 @@ def _said_of(given_up: tuple[str, ...], share: float) -> list[str]:
         return []
     labels = ", ".join(get_effect(name).label.lower() for name in given_up)
     return [
-        f"a model with {labels} explains {100 * share:.0f} % of the gap: too little, or not on both, to name anything"
+        f"a model with {labels} explains {100 * share:.0f} % of the gap, and does not stand: too little of it, not on "
+        "both records, or too many others would do"
     ]
 
 

@@ -19,7 +19,7 @@ from emps_design.discrepancy.findings import findings as accepted_findings
 from emps_design.discrepancy.healthy import healthy_reference
 from emps_design.discrepancy.healthy_runs import healthy_runs
 from emps_design.discrepancy.holdout import Confirming, between, confirm, confirming_gap, confirming_on, gap_on
-from emps_design.discrepancy.judge import Judge, explained
+from emps_design.discrepancy.judge import Judge, explained, force_rms
 from emps_design.discrepancy.law_check import LawCheck, check_law
 from emps_design.discrepancy.missing_force import missing_force
 from emps_design.discrepancy.noise import Floor, floor_of_laps, floor_of_residual
@@ -63,7 +63,8 @@ def diagnose(
     # The matrices here are tall and thin: BLAS threads would only spin, and the fits run side by side already.
     with threadpool_limits(1):
         given = (holdout, fit_time, confirm_time, seed, searches)
-        work = _explain(records, axis.replace(effects=[]), library, *given, report)
+        dropped = [one.effect.name for one in axis.effects]
+        work = _explain(records, axis.replace(effects=[]), library, *given, report, dropped)
         report("confirming on data not used so far", 0.9)
         return _conclude(work, confirming_on(work.problem, holdout, confirm_time, library))
 
@@ -78,17 +79,22 @@ def _explain(
     seed: int,
     searches: int,
     report: Progress,
+    dropped: Sequence[str] = (),
 ) -> Work:
     """Check, fit the baseline, calibrate and search; the confirming data stay closed."""
     warnings = check_records(records, axis)
+    if dropped:
+        warnings.append(f"the axis's own effects are left out and looked for again: {', '.join(dropped)}")
     for other in (*records[1:], holdout):
         if other is not None:
             check_same_drive(records[0], other)
+    known = axis.controller.kind != "none"
     if holdout is not None:
-        check_records((holdout,), axis)
+        warnings += check_records((holdout,), axis)
+        if known:  # a foreign controller is to be refused before the search, and says nothing of the plant
+            check_law(holdout, axis, ())
 
     report("checking the controller's law", 0.02)
-    known = axis.controller.kind != "none"
     checks = tuple(check_law(record, axis, library) for record in records if known)
     problem, start = _problem(records, axis, fit_time, confirm_time, checks)
 
@@ -98,11 +104,13 @@ def _explain(
     absorbed = tangent(problem, baseline)
     candidates = tuple(effect for effect in library if effect.channel != "controller")
     screened = screen(problem, baseline, candidates, absorbed)
+    healthy = healthy_reference(screened, absorbed, floor.draws, seed)
     if searches:
         tell = partial(report, "healthy records, each searched")
-        healthy = healthy_runs(problem, baseline, candidates, floor, searches, seed, tell)
-    else:
-        healthy = healthy_reference(screened, absorbed, floor.draws, seed)
+        try:
+            healthy = healthy_runs(problem, baseline, candidates, floor, searches, seed, tell)
+        except KeyboardInterrupt:
+            warnings.append("interrupted: calibrated on resampled noise, not on healthy records searched")
     judge = Judge(problem, healthy, floor.force)
     found = search(
         problem,
@@ -137,13 +145,15 @@ def _problem(
         if made.fit.sum() < 500 or made.select.sum() < 200:
             raise InputError(
                 f"{record.name}: found {made.used.sum()} samples to fit, in {len(made.strokes)} strokes; expected at "
-                "least two strokes to fit and one to select from"
+                "least two strokes to fit and one to select from: record two reversals or more (identify needs none)"
             )
     start = Candidate(axis.mechanics.array())
     named = [check for check in checks if check.effect is not None]
     if named:
         effect = named[0].effect
-        rows = [check.values if check.effect is effect else named[0].values for check in checks]
+        # A record without the disturbance has none of it, whatever its rhythm elsewhere.
+        idle = np.where([p.unit == "V" for p in effect.parameters], 0.0, named[0].values)
+        rows = [check.values if check.effect is effect else idle for check in checks]
         start = start.with_effect(effect, np.array(rows))
     return Problem(axis, records, splits, Whitening(np.array([1.0]), 1.0)), start
 
@@ -152,7 +162,7 @@ def _baseline(problem: Problem, start: Candidate) -> tuple[Problem, Fit, Floor]:
     """Refit the baseline: plain least squares for a start, then whitened by the floor's noise."""
     rough = fit(problem, start, steps=20)
     residuals, period = problem.residuals(rough.model), problem.records[0].period
-    floor = floor_of_laps(residuals, problem.splits, period) or floor_of_residual(residuals, period)
+    floor = floor_of_laps(residuals, problem.splits, period) or floor_of_residual(residuals, problem.splits, period)
     problem = problem.with_whitening(floor.whitening)
     return problem, fit(problem, rough.model, steps=20), floor
 
@@ -162,7 +172,9 @@ def _conclude(work: Work, confirming: Confirming | None) -> Diagnosis:
     problem, found, floor = work.problem, work.found, work.floor
     start = fit(problem, found.path[0].model, part="used")
     # The baseline knows nothing of the controller's disturbance, which the search took as known from the law.
-    baseline = evaluate(problem, replace(start.model, effects=(), values=()), start.slots, start.covariance)
+    baseline = start
+    if start.model.names:
+        baseline = evaluate(problem, replace(start.model, effects=(), values=()), start.slots, start.covariance)
     extended = fit(problem, found.best.model, part="used") if len(found.path) > 1 else start
     judged, refuted, lost = None, (), 0.0
     if confirming is not None:
@@ -171,15 +183,21 @@ def _conclude(work: Work, confirming: Confirming | None) -> Diagnosis:
         lost = 1 - (start.cost - extended.cost) / learnt if refuted else 0.0
     train = gap_on(problem, problem.splits[0].used, baseline.model, extended.model)
 
-    shares = [explained(g.gap.baseline, g.gap.extended, floor.force) for g in (train, judged) if g is not None]
+    # What the plant's effects explain, beside a disturbance of the controller that is known from its law.
+    shares = [explained(force_rms(problem, start), force_rms(problem, extended), floor.force)]
+    if confirming is not None:
+        against = judged if start is baseline else confirming_gap(confirming, start.model, extended.model)
+        shares.append(explained(against.gap.baseline, against.gap.extended, floor.force))
     equivalents = {n: others for n, others in work.judge.equivalents(found).items() if n in extended.model.names}
     verdict = work.judge.verdict(extended, start, equivalents, shares[-1])
     # A gap closed on its own record only was not understood; nor was one of which a good part was refuted.
     forgotten = extended.model.names != start.model.names and shares[-1] < HELD * shares[0]
     if work.unnamed_law or forgotten or (lost > LOST and not work.judge.at_floor(extended)):
         verdict = "unnamed"
-    given_up = extended.model.names if verdict == "unnamed" else ()
-    if given_up and given_up != start.model.names:
+    if found.interrupted and not extended.model.names:
+        verdict = "unnamed"
+    given_up = extended.model.names if verdict == "unnamed" and extended.model.names != start.model.names else ()
+    if given_up:
         extended = start
         train = gap_on(problem, problem.splits[0].used, baseline.model, start.model)
         judged = None if confirming is None else confirming_gap(confirming, baseline.model, start.model)
@@ -187,7 +205,8 @@ def _conclude(work: Work, confirming: Confirming | None) -> Diagnosis:
     confirmation = None
     if confirming is not None:
         own = "" if confirming.added in extended.model.names else confirming.added
-        confirmation = Confirmation(judged.refitted, refuted, own, confirming.unnamed_law)
+        record = confirming.problem.records[0]
+        confirmation = Confirmation(record, judged.refitted, refuted, own, confirming.unnamed_law)
     shown = judged or train
     findings = accepted_findings(work, extended, equivalents)
     before, after = (missing_force(problem, f.model)[0] for f in (baseline, extended))
@@ -201,5 +220,6 @@ def _conclude(work: Work, confirming: Confirming | None) -> Diagnosis:
         prediction=shown.prediction,
         views=describe.marked_views(before, after, problem.splits[0].used, floor.force_60hz, findings),
         details=describe.details(work, verdict, baseline, extended, confirmation, (given_up, shares[-1])),
+        stretch=None if confirming is None else confirming.stretch,
         experiment=experiment(problem, found, extended.model.names, equivalents, work.judge.healthy.threshold),
     )

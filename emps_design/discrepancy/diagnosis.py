@@ -113,6 +113,7 @@ class Diagnosis:
     views: tuple[View, ...]
     details: Mapping[str, Any] = field(default_factory=dict)
     experiment: Experiment | None = None
+    stretch: tuple[float, float] | None = None  # s, of the record, where only that confirms
     model_file: str | None = None
 
     @property
@@ -132,6 +133,8 @@ class Diagnosis:
                 text = f"{len(self.findings)} effects are missing: "
                 text += ", ".join(f"{f.label.lower()} (up to {f.where['force']['value']:.3g} N)" for f in self.findings)
             return f"{text[0].upper()}{text[1:]}; {gap}."
+        if self.details.get("interrupted") and not self.findings:
+            return f"Interrupted before anything was found; {gap}."
         if self.verdict == "unnamed":
             place = self.details["unexplained"]["text"]
             where = "" if place == EVERYWHERE else f", most of it {place}"
@@ -152,7 +155,7 @@ class Diagnosis:
     def trace(self) -> Trace:
         """The force over time of the record that confirms, or of the training record."""
         p = self.prediction
-        return Trace(p.record.name, p.record.t, p.measured, p.baseline, p.extended, self.details.get("window"))
+        return Trace(p.record.name, p.record.t, p.measured, p.baseline, p.extended, self.stretch)
 
     def to_dict(self) -> dict[str, Any]:
         """The contract's document, and what the report shows besides."""
@@ -160,7 +163,7 @@ class Diagnosis:
         inverse: dict[str, Any] = {"unit": "N", **self.noise.to_dict_60hz(), "train": self.train.to_dict_60hz()}
         if self.holdout is not None:
             gap["holdout"], inverse["holdout"] = self.holdout.to_dict(), self.holdout.to_dict_60hz()
-        shown = {k: v for k, v in self.details.items() if k not in ("window", "least_visible", "changed")}
+        shown = {k: v for k, v in self.details.items() if k not in ("least_visible", "changed")}
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.discrepancy.split import find_strokes
+from emps_design.discrepancy.missing_force import CUTOFF_HZ
 from emps_design.errors import RecordError
 from emps_design.records import Record
 
 SHORTEST = 2.0  # s
+SLOWEST_PERIOD = 0.8 * 0.5 / CUTOFF_HZ  # s, for the filters of the missing force
 STILL = 1e-4  # m, a reference that moves less is no motion
 SATURATED = 0.5  # share of samples at the voltage limit beyond which nothing can be said
 PERIODS_ALIKE = 1e-4
@@ -25,6 +26,11 @@ def check_records(records: tuple[Record, ...], axis: Axis) -> list[str]:
             raise RecordError(
                 f"{record.name}: found a sampling period of {1e3 * record.period:g} ms, expected the axis's "
                 f"{1e3 * period:g} ms; records and axis must come from one drive"
+            )
+        if record.period > SLOWEST_PERIOD:
+            raise RecordError(
+                f"{record.name}: found a sampling period of {1e3 * record.period:g} ms, expected at most "
+                f"{1e3 * SLOWEST_PERIOD:g} ms: forces are looked at up to {CUTOFF_HZ:g} Hz"
             )
         if record.duration < SHORTEST:
             raise RecordError(
@@ -63,8 +69,6 @@ def _tame(record: Record) -> list[str]:
     fastest = float(np.abs(v).max())
     steady = np.abs(v)[(np.abs(np.gradient(v, record.period)) < 0.01) & (np.abs(v) > 0.02 * fastest)]
     said = []
-    if len(find_strokes(record.q_ref, record.period)) < 2:
-        said.append("no reversal, so friction that depends on direction, backlash and presliding cannot be judged")
     if steady.size and np.ptp(steady) < 0.1 * fastest:
         said.append("one speed only, so viscous friction and its curvature cannot be told from Coulomb friction")
     moving = np.abs(v) > 0

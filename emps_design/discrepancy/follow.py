@@ -22,7 +22,7 @@ POSITION_SHARE = 0.25  # of the velocity loop's bandwidth, for the position loop
 
 def drive(axis: Axis, record: Record) -> dict[str, Any]:
     """Keywords of :meth:`Plant.closed_loop` that make the simulation of ``record`` start and move as it did."""
-    start = {"q_ref": record.q_ref, "q0": float(record.q[0])}
+    start = {"q_ref": record.q_ref, "q0": float(record.q[0]), "disturbance": record.f_ext}
     if axis.controller.kind != "none":
         return start
     rate = 2 * np.pi * min(BANDWIDTH_HZ, 1 / (LEAST_SAMPLES * record.period))  # rad/s

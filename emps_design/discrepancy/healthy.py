@@ -42,6 +42,8 @@ def healthy_reference(
     screened: list[list[Start]], absorbed: Tangent, draws: np.ndarray, seed: int, resamples: int = RESAMPLES
 ) -> Healthy:
     """Lay the signatures of ``screened`` over resampled noise ``draws`` (m,), circular blocks of it."""
+    if not screened:  # nothing was tried, so nothing can be gained by chance
+        return Healthy(np.zeros(resamples))
     generator = np.random.default_rng(seed)
     signatures = np.column_stack([start.signature for found in screened for start in found])
     largest = np.empty(resamples)

@@ -17,6 +17,8 @@ from emps_design.effects import Effect
 from emps_design.errors import InputError
 from emps_design.records import Record
 
+LEAST_CONFIRMING = 500  # samples
+
 
 @dataclass(frozen=True)
 class Confirming:
@@ -25,6 +27,12 @@ class Confirming:
     problem: Problem
     window: np.ndarray
     law: LawCheck | None = None
+
+    @property
+    def stretch(self) -> tuple[float, float] | None:
+        """Start and stop [s] of what confirms, None where it is a whole record."""
+        t = self.problem.records[0].t[self.window]
+        return None if self.window.all() else (float(t[0]), float(t[-1]))
 
     @property
     def added(self) -> str:
@@ -36,13 +44,18 @@ class Confirming:
         """Whether the controller does something here that no effect explains."""
         return self.law is not None and self.law.structured and self.law.effect is None
 
-    def of_this_record(self, model: Candidate) -> Candidate:
-        """``model`` of the training record with what the controller does here, which may be more or less than there."""
+    def of_this_record(self, model: Candidate, found: Candidate) -> Candidate:
+        """``model`` of the training record with what the controller does here, which may be more or less than there.
+
+        What is part of ``found`` is no part of a baseline.
+        """
         if self.law is None:
             return model
         for name in [e.name for e in model.effects if e.channel == "controller" and e.name != self.added]:
             model = model.without(model.names.index(name))
-        return model.with_effect(self.law.effect, self.law.values) if self.added not in ("", *model.names) else model
+        if self.added in ("", *model.names, *found.names):
+            return model
+        return model.with_effect(self.law.effect, self.law.values)
 
 
 def confirming_on(
@@ -53,6 +66,10 @@ def confirming_on(
         return None
     record = problem.records[0] if holdout is None else holdout
     window = np.ones(len(record), bool) if confirm_time is None else between(record, confirm_time, "--confirm-time")
+    if window.sum() < LEAST_CONFIRMING:
+        raise InputError(
+            f"--confirm-time: found {window.sum()} samples of {record.name}, expected at least {LEAST_CONFIRMING}"
+        )
     own = replace(problem, records=(record,), splits=(split(record, window),))
     known = holdout is not None and problem.axis.controller.kind != "none"
     return Confirming(own, window, check_law(record, problem.axis, library) if known else None)
@@ -89,7 +106,7 @@ def confirm(work: Work, confirming: Confirming, baseline: Fit, extended: Fit) ->
 
 def confirming_gap(confirming: Confirming, baseline: Candidate, extended: Candidate) -> Judged:
     """Both models on the confirming record, what belongs to a record fitted anew there."""
-    models = [_of_one_record(confirming.of_this_record(model)) for model in (baseline, extended)]
+    models = [_of_one_record(confirming.of_this_record(model, extended)) for model in (baseline, extended)]
     (before, _), (after, names) = (refit_per_record(confirming.problem, model) for model in models)
     return gap_on(confirming.problem, confirming.window, before, after, names)
 

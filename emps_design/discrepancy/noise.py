@@ -77,7 +77,8 @@ def _laps(split: Split, together: int) -> list[tuple[int, int]]:
     first, last, reach = int(used[0]), int(used[-1]) + 1, (together - 1) * split.lap
     # The first lap starts from rest unlike the others: leave it out where there are laps to spare.
     begin = first + split.lap if last - first > (together + 0.5) * split.lap else first
-    return [(a, min(a + split.lap, last - reach)) for a in range(begin, last - reach - START_UP, split.lap)]
+    groups = [(a, min(a + split.lap, last - reach)) for a in range(begin, last - reach - START_UP, split.lap)]
+    return [(a, b) for a, b in groups if split.used[a : b + reach].all()]  # what confirms stays closed
 
 
 def _difference(signal: np.ndarray, start: int, stop: int, lap: int, weights: tuple[float, ...]) -> np.ndarray:
@@ -86,11 +87,11 @@ def _difference(signal: np.ndarray, start: int, stop: int, lap: int, weights: tu
     return np.sum(laps, axis=0) / np.sqrt(np.sum(np.square(weights)))
 
 
-def floor_of_residual(residuals: tuple[np.ndarray, ...], period: float) -> Floor:
+def floor_of_residual(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], period: float) -> Floor:
     """Floor taken from a model's own residual (n,) [N], where nothing repeats."""
     from emps_design.identification.filters import low_pass
 
-    kept = [r[START_UP:] for r in residuals]
+    kept = [r[split.used] for r, split in zip(residuals, splits, strict=True)]
     return _floor(kept, [low_pass(r, BAND_HZ, period) for r in kept], from_laps=False)
 
 
@@ -145,19 +146,20 @@ def _steady(raw: list[np.ndarray], smooth: list[np.ndarray]) -> tuple[list[np.nd
     An event that happens in one lap only (a push, a mass put on) differs between laps without being noise. Pieces, not
     samples, so that what is kept still has the noise's correlation.
     """
-    typical = np.median([np.std(piece) for part in raw for piece in _pieces(part)])
+    length = min(PIECE, *(part.size for part in raw))
+    typical = np.median([np.std(piece) for part in raw for piece in _pieces(part, length)])
     kept_raw, kept_smooth = [], []
     for part, slow in zip(raw, smooth, strict=True):
-        usual = [np.std(piece) <= UNUSUAL * typical for piece in _pieces(part)]
+        usual = [np.std(piece) <= UNUSUAL * typical for piece in _pieces(part, length)]
         if any(usual):
-            mask = np.repeat(usual, PIECE)
+            mask = np.repeat(usual, length)
             kept_raw.append(part[: mask.size][mask])
             kept_smooth.append(slow[: mask.size][mask])
     return kept_raw, kept_smooth
 
 
-def _pieces(part: np.ndarray) -> np.ndarray:
-    return part[: part.size // PIECE * PIECE].reshape(-1, PIECE)
+def _pieces(part: np.ndarray, length: int) -> np.ndarray:
+    return part[: part.size // length * length].reshape(-1, length)
 
 
 def _rms(parts: list[np.ndarray]) -> float:

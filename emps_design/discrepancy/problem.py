@@ -62,11 +62,13 @@ class Problem:
 
     def run(self, model: Candidate, record: int, disturbance: np.ndarray | None = None) -> Any:
         """Simulation of one record, by its number, with a ``disturbance`` (n,) [N] of the carriage."""
+        how = drive(self.axis, self.records[record])
+        if disturbance is not None:
+            how["disturbance"] = disturbance + (0.0 if how["disturbance"] is None else how["disturbance"])
         return self.plant(model).closed_loop(
-            **drive(self.axis, self.records[record]),
+            **how,
             baseline=model.baseline,
             parameters=model.parameters(record),
-            disturbance=disturbance,
             quantise=False,
             tolerance=LOOSE,
         )

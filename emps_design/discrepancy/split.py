@@ -16,8 +16,8 @@ START_UP = 50  # samples left out at the start of a record: the loop's own trans
 class Split:
     """Boundaries of strokes and laps [samples], and the samples that fit and that select, as boolean arrays.
 
-    Laps alternate between fitting and selecting where there are three or more, strokes otherwise, so that whatever
-    changes with time is seen by both parts.
+    Laps alternate between fitting and selecting where there are more than three (the start of the first is left out),
+    strokes otherwise, so that whatever changes with time is seen by both parts.
     """
 
     strokes: tuple[tuple[int, int], ...]

@@ -129,7 +129,8 @@ def force_map(missing: MissingForce) -> dict[str, Any]:
 
     ``force`` has a row a velocity; None where the record does not go.
     """
-    q, v, force = (x[missing.away] for x in (missing.motion.q, missing.motion.v, missing.force))
+    kept = missing.away if missing.away.any() else np.ones_like(missing.away)  # where all is reversals, take them
+    q, v, force = (x[kept] for x in (missing.motion.q, missing.motion.v, missing.force))
     edges = [np.linspace(float(x.min()), float(x.max()) + 1e-12, MAP_CELLS + 1) for x in (v, q)]
     count = np.histogram2d(v, q, edges)[0]
     mean = np.histogram2d(v, q, edges, weights=force)[0] / np.maximum(count, 1)

@@ -12,6 +12,7 @@ from emps_design.discrepancy.law_check import LawCheck
 from emps_design.discrepancy.noise import Floor
 from emps_design.discrepancy.problem import Problem
 from emps_design.discrepancy.propose import Start
+from emps_design.records import Record
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,7 @@ class Confirmation:
     """What the confirming record did besides judging: the names it fitted anew, the effects it refuted, and what its
     own controller added: the effect's name, or that nothing explains it."""
 
+    record: Record
     refitted: tuple[str, ...]
     refuted: tuple[Asked, ...]
     own: str = ""

@@ -215,7 +215,7 @@ def _candidates_section(diagnosis: Diagnosis, candidates: Sequence[Mapping[str, 
         Table(
             ["candidate", "decision", "gap left [N]", "statistic", "to beat", "why"],
             rows,
-            "The best candidates, refitted in closed loop on the selection part; the statistic must exceed the largest "
+            "The best candidates, refitted in closed loop on the fitting part; the statistic must exceed the largest "
             "that healthy records give.",
         ),
     )

@@ -128,6 +128,10 @@ def test_records_that_cannot_be_judged_say_what_to_record():
         diagnose(Record(2 * whole.t, whole.q_ref, whole.q, whole.u, 2e-3), AXIS)
     with pytest.raises(RecordError, match="one drive"):
         diagnose(whole, AXIS, holdout=Record(2 * whole.t, whole.q_ref, whole.q, whole.u, 2e-3))
+    with pytest.raises(InputError, match="record two reversals or more"):
+        diagnose(record(q_ref=np.linspace(0.0, 0.4, 4000)), AXIS, library=SHORT)
+    with pytest.raises(InputError, match="--confirm-time: found 39 samples"):
+        diagnose(whole, AXIS, library=SHORT, confirm_time=(0.001, 0.04))
     with pytest.raises(InputError, match="--confirm-time"):
         diagnose(whole, AXIS, confirm_time=(1e4, 2e4))
 
@@ -220,7 +224,6 @@ def test_an_interrupt_leaves_what_is_known_by_then():
 @pytest.mark.parametrize(
     ("q_ref", "said"),
     [
-        (np.linspace(0.0, 0.4, 4000), "no reversal"),
         (np.abs((1e-4 * np.arange(8000) + 0.1) % 0.2 - 0.1), "one speed only"),
         (np.abs((1e-4 * np.arange(8000) + 0.1) % 0.2 - 0.1), "hardly any motion below 20 mm/s"),
     ],
@@ -248,3 +251,41 @@ def test_a_holdout_of_another_drive_is_refused():
     one, other = (dataclasses.replace(record(), extra={"gtau": gain}) for gain in (35.15, 30.0))
     with pytest.raises(RecordError, match="found gtau = 30, expected 35.15"):
         diagnose(one, AXIS, holdout=other)
+
+
+def test_a_stretch_of_the_record_confirms():
+    whole = record(DELAYED)
+    answer = diagnose(whole, AXIS, library=SHORT, confirm_time=(0.0, whole.duration / 3))
+    assert [f.effect for f in answer.findings] == ["actuator_delay"]
+    assert answer.holdout.extended < 0.4 * answer.holdout.baseline
+    assert answer.trace.window == pytest.approx((0.0, whole.duration / 3), abs=2e-3)
+
+
+def test_a_disturbance_on_one_of_two_records_is_not_put_on_the_other():
+    pulses = {"kind": "controller_disturbance", "amplitude": 2.0, "frequency": 1.0, "duty": 0.5, "start": 0.3437}
+    answer = diagnose([record(seed=1), record(pulses)], AXIS, library=SHORT)
+    assert [f.effect for f in answer.findings] == ["controller_disturbance"]
+    assert answer.findings[0].parameters["amplitude"]["value"] == 0.0  # of the first record
+    assert answer.findings[0].gap_after < 0.5
+
+
+def test_an_external_force_that_was_measured_is_nothing_missing():
+    push = 20.0 * ((np.arange(Q_REF.size) > 3000) & (np.arange(Q_REF.size) < 4000))
+    run = Plant.of(AXIS).closed_loop(
+        Q_REF, disturbance=push, voltage_noise=4e-3 * np.random.default_rng(0).standard_normal(Q_REF.size)
+    )
+    sensed = Record(t=run.t, q_ref=Q_REF, q=run.q, u=run.u, period=1e-3, f_ext=push)
+    library = (get_effect("external_force"), get_effect("elastic_force"))
+    assert diagnose(sensed, AXIS, library=library).findings == ()
+    blind = dataclasses.replace(sensed, f_ext=None)
+    assert diagnose(blind, AXIS, library=library).verdict == "unnamed"  # one push, seen in one stroke only
+
+
+def test_an_interrupt_before_anything_was_found_claims_nothing():
+    def stop(stage, fraction):
+        if stage.startswith("round 1"):
+            raise KeyboardInterrupt
+
+    answer = diagnose(record(DELAYED), AXIS, library=SHORT, progress=stop)
+    assert answer.verdict == "unnamed"
+    assert answer.sentence.startswith("Interrupted")
