@@ -139,7 +139,7 @@ def asked_for(problem: Problem, model: Candidate) -> tuple[Asked, ...]:
     What every effect changes in the whitened residual, and what the four baseline numbers do, are regressed onto that
     residual. A stand-in for unknown physics fits one motion; on another one it is wanted in another amount.
     """
-    noise = _noise(problem)
+    noise = problem.whitening.undo(np.random.default_rng(0).standard_normal(len(problem.records[0])))
     whole, disturbed = _left(problem, model), _left(problem, model, noise)
     changes, again = [], []
     for index in range(len(model.effects)):
@@ -177,14 +177,6 @@ def _left(problem: Problem, model: Candidate, disturbance: np.ndarray | None = N
     except SimulationError:
         return np.zeros(int(used.sum()))
     return problem.whitening.apply(problem.axis.drive.force_gain * record.u - run.force)[used]
-
-
-def _noise(problem: Problem) -> np.ndarray:
-    """Force noise (n,) [N] as the whitening knows it, the same every time."""
-    from scipy.signal import lfilter
-
-    white = np.random.default_rng(0).standard_normal(len(problem.records[0]))
-    return problem.whitening.std * lfilter((1.0,), problem.whitening.coefficients, white)
 
 
 def predict(axis: Axis, record: Record, baseline: Candidate, extended: Candidate, window: np.ndarray) -> Prediction:

@@ -11,7 +11,7 @@ from emps_design.discrepancy.candidate import BASELINE
 from emps_design.discrepancy.diagnosis import Finding
 from emps_design.discrepancy.findings import deviation
 from emps_design.discrepancy.healthy import LEVEL
-from emps_design.discrepancy.judge import WORTH, WORTH_AT_FLOOR, force_rms
+from emps_design.discrepancy.judge import STRUCTURED, WORTH, WORTH_AT_FLOOR, force_rms
 from emps_design.discrepancy.locate import described, extent
 from emps_design.discrepancy.missing_force import MissingForce, missing_force
 from emps_design.discrepancy.problem import Fit
@@ -152,7 +152,7 @@ def _warnings(work: Work, verdict: str, extended: Fit) -> list[str]:
     if not work.floor.from_laps:
         said.append("the reference does not repeat: the noise floor is the residual of the baseline, an upper bound")
     noise = work.problem.samples("used")
-    if verdict in ("named", "ambiguous") and extended.cost > 1.5 * noise:
+    if verdict in ("named", "ambiguous") and extended.cost > STRUCTURED * noise:
         said.append(
             f"structure remains after the last finding: {force_rms(work.problem, extended):.2f} N where laps repeat to "
             f"{work.floor.force:.2f} N; no further effect of the library is clear enough to name"

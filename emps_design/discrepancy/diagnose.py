@@ -32,6 +32,7 @@ from emps_design.errors import InputError
 from emps_design.records import Record
 
 Progress = Callable[[str, float], None]
+LEAST_CONFIRMING = 500  # samples
 LOST = 0.05  # of what the model explained; if refuted effects carried more, the rest is doubtful too
 HELD = 0.8  # of the share explained on the training record must be explained on the confirming one
 
@@ -66,7 +67,7 @@ def diagnose(
         dropped = [one.effect.name for one in axis.effects]
         work = _explain(records, axis.replace(effects=[]), library, *given, report, dropped)
         report("confirming on data not used so far", 0.9)
-        return _conclude(work, confirming_on(work.problem, holdout, confirm_time, library))
+        return _conclude(work, confirming_on(work, holdout, confirm_time))
 
 
 def _explain(
@@ -89,10 +90,11 @@ def _explain(
         if other is not None:
             check_same_drive(records[0], other)
     known = axis.controller.kind != "none"
+    law = None
     if holdout is not None:
         warnings += check_records((holdout,), axis)
-        if known:  # a foreign controller is to be refused before the search, and says nothing of the plant
-            check_law(holdout, axis, ())
+        # A foreign controller is to be refused before the search; the law says nothing of the plant.
+        law = check_law(holdout, axis, library) if known else None
 
     report("checking the controller's law", 0.02)
     checks = tuple(check_law(record, axis, library) for record in records if known)
@@ -123,7 +125,7 @@ def _explain(
     if found.interrupted:
         warnings.append("interrupted: the search was not finished, what follows is what was known by then")
 
-    return Work(problem, judge, found, floor, checks, healthy, screened, tuple(warnings))
+    return Work(problem, judge, found, floor, checks, healthy, screened, tuple(warnings), law)
 
 
 def _problem(
@@ -139,7 +141,12 @@ def _problem(
         if fit_time is not None:
             mask &= between(record, fit_time, "--fit-time")
     if confirm_time is not None:
-        allowed[0] &= ~between(records[0], confirm_time, "--confirm-time")
+        kept = between(records[0], confirm_time, "--confirm-time")
+        if kept.sum() < LEAST_CONFIRMING:
+            raise InputError(
+                f"--confirm-time: found {kept.sum()} samples of {records[0].name}, expected at least {LEAST_CONFIRMING}"
+            )
+        allowed[0] &= ~kept
     splits = tuple(split(r, mask) for r, mask in zip(records, allowed, strict=True))
     for record, made in zip(records, splits, strict=True):
         if made.fit.sum() < 500 or made.select.sum() < 200:
@@ -191,12 +198,13 @@ def _conclude(work: Work, confirming: Confirming | None) -> Diagnosis:
     equivalents = {n: others for n, others in work.judge.equivalents(found).items() if n in extended.model.names}
     verdict = work.judge.verdict(extended, start, equivalents, shares[-1])
     # A gap closed on its own record only was not understood; nor was one of which a good part was refuted.
-    forgotten = extended.model.names != start.model.names and shares[-1] < HELD * shares[0]
+    searched = extended.model.names != start.model.names
+    forgotten = searched and shares[-1] < HELD * shares[0]
     if work.unnamed_law or forgotten or (lost > LOST and not work.judge.at_floor(extended)):
         verdict = "unnamed"
     if found.interrupted and not extended.model.names:
         verdict = "unnamed"
-    given_up = extended.model.names if verdict == "unnamed" and extended.model.names != start.model.names else ()
+    given_up = extended.model.names if verdict == "unnamed" and searched else ()
     if given_up:
         extended = start
         train = gap_on(problem, problem.splits[0].used, baseline.model, start.model)

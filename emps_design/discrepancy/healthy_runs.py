@@ -42,11 +42,8 @@ def healthy_runs(
 
 
 def _healthy_records(problem: Problem, baseline: Fit, floor: Floor, generator: np.random.Generator) -> Problem:
-    from scipy.signal import lfilter
-
     gain, records = problem.axis.drive.force_gain, []
     for record, run in zip(problem.records, problem.runs(baseline.model), strict=True):
-        innovations = resampled(floor.draws, len(record), generator)
-        noise = floor.whitening.std * lfilter((1.0,), floor.whitening.coefficients, innovations)
+        noise = floor.whitening.undo(resampled(floor.draws, len(record), generator))
         records.append(replace(record, q=run.q, u=run.u + noise / gain))
     return replace(problem, records=tuple(records))

@@ -9,15 +9,12 @@ import numpy as np
 
 from emps_design.discrepancy.candidate import Candidate
 from emps_design.discrepancy.confirm import Asked, Gap, Prediction, asked_for, gap_of, predict, refit_per_record
-from emps_design.discrepancy.law_check import LawCheck, check_law
+from emps_design.discrepancy.law_check import LawCheck
 from emps_design.discrepancy.problem import Fit, Problem, fit
 from emps_design.discrepancy.split import split
 from emps_design.discrepancy.work import Work
-from emps_design.effects import Effect
 from emps_design.errors import InputError
 from emps_design.records import Record
-
-LEAST_CONFIRMING = 500  # samples
 
 
 @dataclass(frozen=True)
@@ -58,21 +55,14 @@ class Confirming:
         return model.with_effect(self.law.effect, self.law.values)
 
 
-def confirming_on(
-    problem: Problem, holdout: Record | None, confirm_time: tuple[float, float] | None, library: tuple[Effect, ...]
-) -> Confirming | None:
+def confirming_on(work: Work, holdout: Record | None, confirm_time: tuple[float, float] | None) -> Confirming | None:
     """What confirms; None where there is nothing."""
     if holdout is None and confirm_time is None:
         return None
-    record = problem.records[0] if holdout is None else holdout
+    record = work.problem.records[0] if holdout is None else holdout
     window = np.ones(len(record), bool) if confirm_time is None else between(record, confirm_time, "--confirm-time")
-    if window.sum() < LEAST_CONFIRMING:
-        raise InputError(
-            f"--confirm-time: found {window.sum()} samples of {record.name}, expected at least {LEAST_CONFIRMING}"
-        )
-    own = replace(problem, records=(record,), splits=(split(record, window),))
-    known = holdout is not None and problem.axis.controller.kind != "none"
-    return Confirming(own, window, check_law(record, problem.axis, library) if known else None)
+    own = replace(work.problem, records=(record,), splits=(split(record, window),))
+    return Confirming(own, window, work.holdout_law)
 
 
 @dataclass(frozen=True)
@@ -92,13 +82,12 @@ def confirm(work: Work, confirming: Confirming, baseline: Fit, extended: Fit) ->
     """
     refuted: list[Asked] = []
     while True:
-        judged = confirming_gap(confirming, baseline.model, extended.model)
-        asked = asked_for(confirming.problem, judged.extended)
+        asked = asked_for(confirming.problem, _refitted(confirming, extended.model, extended.model)[0])
         claims = [effect.name for effect in extended.model.effects if effect.channel != "controller"]
         doubtful = [a for a in asked if a.refuted and a.name in claims]
         worst = max(doubtful, key=lambda a: abs(a.share - 1) / a.std, default=None)
         if worst is None:
-            return judged, extended, tuple(refuted)
+            return confirming_gap(confirming, baseline.model, extended.model), extended, tuple(refuted)
         refuted.append(worst)
         rest = extended.model.without(extended.model.names.index(worst.name))
         extended = fit(work.problem, rest, part="used")
@@ -106,9 +95,13 @@ def confirm(work: Work, confirming: Confirming, baseline: Fit, extended: Fit) ->
 
 def confirming_gap(confirming: Confirming, baseline: Candidate, extended: Candidate) -> Judged:
     """Both models on the confirming record, what belongs to a record fitted anew there."""
-    models = [_of_one_record(confirming.of_this_record(model, extended)) for model in (baseline, extended)]
-    (before, _), (after, names) = (refit_per_record(confirming.problem, model) for model in models)
+    (before, _), (after, names) = (_refitted(confirming, model, extended) for model in (baseline, extended))
     return gap_on(confirming.problem, confirming.window, before, after, names)
+
+
+def _refitted(confirming: Confirming, model: Candidate, extended: Candidate) -> tuple[Candidate, list[str]]:
+    """``model`` with what belongs to the confirming record fitted anew, and the names of that."""
+    return refit_per_record(confirming.problem, _of_one_record(confirming.of_this_record(model, extended)))
 
 
 def gap_on(

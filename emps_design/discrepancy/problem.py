@@ -35,6 +35,12 @@ class Whitening:
 
         return lfilter(self.coefficients, (1.0,), residual) / self.std
 
+    def undo(self, innovations: np.ndarray) -> np.ndarray:
+        """Force noise (n,) [N] that :meth:`apply` makes into ``innovations`` (n,)."""
+        from scipy.signal import lfilter
+
+        return self.std * lfilter((1.0,), self.coefficients, innovations)
+
 
 @dataclass(frozen=True)
 class Problem:

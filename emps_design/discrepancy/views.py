@@ -43,10 +43,10 @@ def views(before: MissingForce, after: MissingForce, window: np.ndarray, floor: 
         if moving.sum() > 200:
             result.append(_binned("position", "m", motion.q, pairs, moving, floor, 60, title))
     result += _around_reversals(motion, pairs, window, floor)
-    result.append(_periods(motion, pairs, window & before.away))
+    result += _periods(motion, pairs, window & before.away)
     result.append(_binned("time", "s", motion.t, pairs, window, floor, 80))
     result.append(_spectrum(pairs, window, motion.period))
-    return [view for view in result if view is not None]
+    return result
 
 
 def shown(view: View) -> float:
@@ -78,18 +78,18 @@ def _around_reversals(
     return [_binned("time from reversal", "s", since, forces, kept, floor, 60, "in the new direction")]
 
 
-def _periods(motion: Motion, pairs: tuple[np.ndarray, np.ndarray], away: np.ndarray) -> View | None:
+def _periods(motion: Motion, pairs: tuple[np.ndarray, np.ndarray], away: np.ndarray) -> list[View]:
     """Amplitude of the force at each period of position (Lomb and Scargle), away from reversals."""
     from scipy.signal import lombscargle
 
     kept = thin(away)
     stroke = float(np.ptp(motion.q))
     if kept.size < 200 or stroke <= 0:
-        return None
+        return []
     periods = np.geomspace(stroke / 3, stroke / 300, 400)
     q = motion.q[kept]
     amplitudes = [np.sqrt(4 * lombscargle(q, f[kept] - f[kept].mean(), 2 * np.pi / periods) / kept.size) for f in pairs]
-    return View("period of position", "m", periods[::-1], amplitudes[0][::-1], amplitudes[1][::-1])
+    return [View("period of position", "m", periods[::-1], amplitudes[0][::-1], amplitudes[1][::-1])]
 
 
 def _binned(

@@ -27,6 +27,7 @@ class Work:
     healthy: Healthy
     screened: list[list[Start]]
     warnings: tuple[str, ...]
+    holdout_law: LawCheck | None = None
 
     @property
     def unnamed_law(self) -> bool:

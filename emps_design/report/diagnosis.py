@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from emps_design.discrepancy.locate import EVERYWHERE
 from emps_design.report import diagnosis_figures as figures
 from emps_design.report.diagnosis_design import axis_before, design_change
 from emps_design.report.diagnosis_experiment import experiment_section
@@ -94,7 +95,7 @@ def _label(finding: Mapping[str, Any]) -> str:
 def _where_caption(diagnosis: Diagnosis, findings: Sequence[Mapping[str, Any]]) -> str:
     view = diagnosis.views[0]
     told = (f.get("where", {}).get("text") for f in findings)
-    places = "; ".join(dict.fromkeys(text for text in told if text and text != "everywhere the record goes"))
+    places = "; ".join(dict.fromkeys(text for text in told if text and text != EVERYWHERE))
     said = f" {_sentence(places)}" if places else ""
     models = ", before (model as it was, refitted) and after" if findings else " that the refitted model leaves"
     return f"Residual force over {view.quantity}{models}.{said}"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from emps_design.discrepancy.views import SPECTRAL
 from emps_design.report.display import words
 from emps_design.report.style import BLACK, BLUE, GREY, RED, YELLOW, look, subplots, thin
 
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 START_UP = 50  # samples that no figure counts: the loop's own transient, as in the published figures
-SPECTRAL = ("frequency", "period of position")  # quantities over which a view has amplitudes
 EVERYWHERE = 0.5  # a mark over more than this share of a view points at nothing
 _SCALE = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s")}
 
