@@ -8,6 +8,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.effects import Effect
+from emps_design.effects.effect import COULOMB
 from emps_design.quantities import Quantity
 
 BASELINE = (
@@ -58,7 +59,8 @@ class Candidate:
         """
         slots = []
         if not frozen:
-            scales = np.maximum(np.abs(self.baseline), (1.0, 10.0, 1.0, 1.0))
+            # A constant force may have to grow to the size of the friction before a spring fits.
+            scales = np.maximum(np.abs(self.baseline), (1.0, 10.0, 1.0, max(1.0, self.baseline[COULOMB])))
             slots += [Slot(-1, i, None, q, s) for i, (q, s) in enumerate(zip(BASELINE, scales, strict=True))]
         for index, (effect, values) in enumerate(zip(self.effects, self.values, strict=True)):
             for place, parameter in enumerate(effect.parameters):
@@ -70,6 +72,10 @@ class Candidate:
                     typical = parameter.scale or max((abs(s) for s in parameter.starts), default=0.0)
                     slots.append(Slot(index, place, row, parameter, max(value, 0.1 * typical, 1e-12)))
         return tuple(slots)
+
+    def only(self, record: int) -> Candidate:
+        """The same model with the numbers of one record."""
+        return replace(self, values=tuple(v[min(record, len(v) - 1)][None] for v in self.values))
 
     def vector(self, slots: tuple[Slot, ...]) -> np.ndarray:
         """The numbers in ``slots``."""
@@ -92,7 +98,7 @@ class Candidate:
 
     def parameters(self, record: int) -> tuple[np.ndarray, ...]:
         """Kernel parameters of ``record``, one array an effect."""
-        return tuple(v[min(record, len(v) - 1)] for v in self.values)
+        return tuple(v[0] for v in self.only(record).values)
 
     def to_axis(self, axis: Axis, record: int = 0) -> Axis:
         """``axis`` with this baseline and these effects as seen by ``record``."""

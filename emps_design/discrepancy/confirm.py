@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from emps_design.axis import Axis
 from emps_design.discrepancy.candidate import BASELINE, Candidate
 from emps_design.discrepancy.follow import drive
 from emps_design.discrepancy.law_check import check_law, propose_command
 from emps_design.discrepancy.missing_force import missing_force
 from emps_design.discrepancy.noise import rms_interval
 from emps_design.discrepancy.problem import Problem, evaluate, fit
-from emps_design.discrepancy.split import START_UP
 from emps_design.errors import SimulationError
 from emps_design.records import Record
 from emps_design.simulation import Plant
@@ -179,20 +178,20 @@ def _left(problem: Problem, model: Candidate, disturbance: np.ndarray | None = N
     return problem.whitening.apply(problem.axis.drive.force_gain * record.u - run.force)[used]
 
 
-def predict(axis: Axis, record: Record, baseline: Candidate, extended: Candidate, window: np.ndarray) -> Prediction:
-    """Simulate ``record`` from its reference alone with both models, encoder quantised as it is."""
+def predict(problem: Problem, baseline: Candidate, extended: Candidate) -> Prediction:
+    """Simulate the first record from its reference alone with both models, encoder quantised as it is."""
+    axis, record = problem.axis, problem.records[0]
     forces = [Plant.of(model.to_axis(axis)).closed_loop(**drive(axis, record)).force for model in (baseline, extended)]
-    start = window.copy()
-    start[:START_UP] = False
-    return Prediction(record, axis.drive.force_gain * record.u, *forces, start)
+    return Prediction(record, axis.drive.force_gain * record.u, *forces, problem.splits[0].used)
 
 
-def gap_of(problem: Problem, prediction: Prediction, baseline: Candidate, extended: Candidate) -> Gap:
-    """Both measures of the gap of ``prediction``, reversals included in both."""
-    errors = dict(zip(("baseline", "extended"), prediction.errors(), strict=True))
+def gap_of(problem: Problem, predictions: Sequence[Prediction], baseline: Candidate, extended: Candidate) -> Gap:
+    """Both measures of the gap of ``predictions``, one a record, reversals included in both."""
+    pairs = zip(*(prediction.errors() for prediction in predictions), strict=True)
+    errors = {name: np.concatenate(parts) for name, parts in zip(("baseline", "extended"), pairs, strict=True)}
     for name, model in (("baseline_60hz", baseline), ("extended_60hz", extended)):
-        missing = missing_force(problem, model)[0].force[prediction.window]
-        errors[name] = missing - missing.mean()
+        missing = [m.force[used] for m, used in zip(missing_force(problem, model), problem.masks("used"), strict=True)]
+        errors[name] = np.concatenate([force - force.mean() for force in missing])
     return Gap(
         **{name: float(np.std(error)) for name, error in errors.items()},
         intervals={name: rms_interval(error) for name, error in errors.items()},

@@ -18,6 +18,7 @@ from emps_design.discrepancy.missing_force import missing_force
 from emps_design.discrepancy.problem import Descent, Fit, Problem, descend, evaluate, fit, gather
 from emps_design.discrepancy.propose import Start, Tangent, bent, starts, tangent
 from emps_design.effects import Effect, Motion
+from emps_design.records import Record
 
 BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
 RIVAL = 0.5  # a set joins the beam, an effect the full fits, with this share of what the best one explains
@@ -123,7 +124,31 @@ def _revised(problem: Problem, fitted: Fit) -> Fit:
     other = [s for s in found if s.anchored and not np.array_equal(s.model.values[-1][:, shapes], values[:, shapes])]
     tried = Parallel(n_jobs=CORES, prefer="threads")(delayed(fit)(problem, s.model) for s in other[:REVISED])
     best = min((fitted, *tried), key=lambda f: f.cost)
-    return fitted if best is fitted or on_bound(best) or not plausible(problem, best.model) else _settled(problem, best)
+    return fitted if best is fitted or not admissible(problem, best) else _settled(problem, best)
+
+
+def _finished(problem: Problem, fitted: Fit) -> Fit:
+    """``fitted`` walked to the end of its valley, other shapes tried; as it was where that leaves its physics."""
+    further = _revised(problem, _settled(problem, fitted))
+    return further if admissible(problem, further) else fitted
+
+
+def _pruned(problem: Problem, best: Fit, accept: Callable[[Fit, Fit], bool]) -> list[Fit]:
+    """``best`` without one effect after the other that is no finding beside the rest.
+
+    What was accepted first may be a stand-in for what was found after it.
+    """
+    path: list[Fit] = []
+    while len(best.model.effects) > 1:
+        rests = Parallel(n_jobs=CORES, prefer="threads")(
+            delayed(fit)(problem, best.model.without(index)) for index in range(len(best.model.effects))
+        )
+        idle = [rest for rest in rests if admissible(problem, rest) and not accept(best, rest)]
+        if not idle:
+            break
+        best = _finished(problem, min(idle, key=lambda f: f.cost))
+        path.append(best)
+    return path
 
 
 def _short_fit(problem: Problem, start: Start, absorbed: Tangent) -> Descent:
@@ -168,32 +193,50 @@ def search(
                     key = frozenset(extended.model.names)
                     if key not in pool or extended.cost < pool[key].cost:
                         pool[key] = extended
-            sound = {key: f for key, f in pool.items() if not on_bound(f) and plausible(problem, f.model)}
+            sound = {key: f for key, f in pool.items() if admissible(problem, f)}
             tried.update({key: f for key, f in sound.items() if key not in tried or f.cost < tried[key].cost})
             ranked = [f for f in sorted(sound.values(), key=lambda f: f.cost) if accept(f, path[-1])]
             if not ranked:
                 break
-            path.append(_revised(problem, _settled(problem, ranked[0])))
+            path.append(_finished(problem, ranked[0]))
             gain = path[0].cost - ranked[0].cost
             if len(path) > ENOUGH_ROUNDS and gain < LEAST_EXPLAINED * (path[0].cost - problem.samples("used")):
                 break
             width = BEAM[min(len(path) - 2, len(BEAM) - 1)]
             beam = [path[-1], *(f for f in ranked[1:width] if path[0].cost - f.cost >= RIVAL * gain)]
+        path += _pruned(problem, path[-1], accept)
     except KeyboardInterrupt:
         return Search(tuple(path), tried, alone, interrupted=True)
     return Search(tuple(path), tried, alone)
 
 
+def refitted(problem: Problem, model: Candidate) -> Fit:
+    """``model`` fitted to all that may be used; its own numbers where that leaves its physics."""
+    found = fit(problem, model, part="used")
+    return found if admissible(problem, found) else evaluate(problem, model, found.slots, found.covariance)
+
+
+def admissible(problem: Problem, fitted: Fit) -> bool:
+    """Whether every number of ``fitted`` is inside its bounds and still means its effect."""
+    return not on_bound(fitted) and plausible(problem, fitted.model)
+
+
 def plausible(problem: Problem, model: Candidate) -> bool:
-    """Whether the numbers of every effect still mean that effect on the motion of each record."""
-    for i, record in enumerate(problem.records):
-        v = np.gradient(record.q, record.period)
-        motion = Motion(record.t, record.q, v, np.gradient(v, record.period), v, record.period, record.u)
-        for effect, row in zip(model.effects, model.parameters(i), strict=True):
-            table = {p.name: float(value) for p, value in zip(effect.parameters, row, strict=True)}
-            if effect.plausible is not None and not effect.plausible(table, motion):
-                return False
+    """Whether the numbers of every effect still mean that effect on the motion of some record."""
+    motions = [_motion(record) for record in problem.records]
+    for index, effect in enumerate(model.effects):
+        if effect.plausible is None:
+            continue
+        rows = [model.parameters(i)[index] for i in range(len(motions))]
+        tables = [{p.name: float(x) for p, x in zip(effect.parameters, row, strict=True)} for row in rows]
+        if not any(effect.plausible(table, motion) for table, motion in zip(tables, motions, strict=True)):
+            return False
     return True
+
+
+def _motion(record: Record) -> Motion:
+    v = np.gradient(record.q, record.period)
+    return Motion(record.t, record.q, v, np.gradient(v, record.period), v, record.period, record.u)
 
 
 def on_bound(fitted: Fit) -> bool:

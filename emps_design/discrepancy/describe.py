@@ -11,7 +11,8 @@ from emps_design.discrepancy.candidate import BASELINE
 from emps_design.discrepancy.diagnosis import Finding
 from emps_design.discrepancy.findings import deviation
 from emps_design.discrepancy.healthy import LEVEL
-from emps_design.discrepancy.judge import STRUCTURED, WORTH, WORTH_AT_FLOOR, force_rms
+from emps_design.discrepancy.holdout import most_missed
+from emps_design.discrepancy.judge import WORTH, WORTH_AT_FLOOR, force_rms
 from emps_design.discrepancy.locate import described, extent
 from emps_design.discrepancy.missing_force import MissingForce, missing_force
 from emps_design.discrepancy.problem import Fit
@@ -91,9 +92,10 @@ def details(
         )
     told["interrupted"] = work.found.interrupted
     if verdict == "unnamed":
-        residual, used = problem.residuals(extended.model)[0], problem.splits[0].used
-        told["unexplained"] = described(extent(problem.records[0], residual, used, work.floor.force))
-        told["unexplained"]["map"] = force_map(missing_force(problem, extended.model)[0])
+        most = most_missed(problem, extended.model)
+        residual, used = problem.residuals(extended.model)[most], problem.splits[most].used
+        told["unexplained"] = described(extent(problem.records[most], residual, used, work.floor.force))
+        told["unexplained"]["map"] = force_map(missing_force(problem, extended.model)[most])
     return told
 
 
@@ -103,7 +105,7 @@ def _calibration(work: Work) -> str:
     made = f"{runs} simulated healthy records, each searched like this one"
     if not work.healthy.searched:
         made = f"{runs} healthy references made of resampled noise"
-    noise = "what differs between repeated laps" if work.floor.from_laps else "the residual of the model itself"
+    noise = "what differs between repeated laps" if work.floor.from_laps else "what other strokes do not predict"
     return (
         f"A finding must gain more than {work.healthy.threshold:.1f} in whitened cost, the largest gain of any "
         f"candidate in {100 * level:.2g} % of {made}, and more than {100 * WORTH:g} % of the cost "
@@ -113,7 +115,7 @@ def _calibration(work: Work) -> str:
 
 def _records(work: Work, confirmation: Confirmation | None) -> list[tuple[Record, str]]:
     told = [(record, "train") for record in work.problem.records]
-    if confirmation is not None and confirmation.record is not work.problem.records[0]:
+    if confirmation is not None and all(confirmation.record is not record for record, _ in told):
         told.append((confirmation.record, "holdout"))
     return told
 
@@ -150,11 +152,13 @@ def _said_of(given_up: tuple[str, ...], share: float) -> list[str]:
 def _warnings(work: Work, verdict: str, extended: Fit) -> list[str]:
     said = [FOLLOWED] if work.problem.axis.controller.kind == "none" else []
     if not work.floor.from_laps:
-        said.append("the reference does not repeat: the noise floor is the residual of the baseline, an upper bound")
-    noise = work.problem.samples("used")
-    if verdict in ("named", "ambiguous") and extended.cost > STRUCTURED * noise:
         said.append(
-            f"structure remains after the last finding: {force_rms(work.problem, extended):.2f} N where laps repeat to "
+            "the reference does not repeat: noise is what the other strokes do not predict of a stroke, an upper "
+            "bound; an effect unlike all candidates, and different from stroke to stroke, would pass for noise"
+        )
+    if verdict in ("named", "ambiguous") and work.judge.leaves_structure(extended):
+        said.append(
+            f"structure remains after the last finding: {force_rms(work.problem, extended):.2f} N where noise is "
             f"{work.floor.force:.2f} N; no further effect of the library is clear enough to name"
         )
     if work.unnamed_law:

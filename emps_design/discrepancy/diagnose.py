@@ -11,14 +11,22 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.discrepancy import describe
 from emps_design.discrepancy.candidate import Candidate
-from emps_design.discrepancy.decide import screen, search
+from emps_design.discrepancy.decide import refitted, screen, search
 from emps_design.discrepancy.diagnosis import Diagnosis
 from emps_design.discrepancy.door import check_records, check_same_drive
 from emps_design.discrepancy.experiment import experiment
 from emps_design.discrepancy.findings import findings as accepted_findings
 from emps_design.discrepancy.healthy import healthy_reference
 from emps_design.discrepancy.healthy_runs import healthy_runs
-from emps_design.discrepancy.holdout import Confirming, between, confirm, confirming_gap, confirming_on, gap_on
+from emps_design.discrepancy.holdout import (
+    Confirming,
+    between,
+    confirm,
+    confirming_gap,
+    confirming_on,
+    gap_on,
+    most_missed,
+)
 from emps_design.discrepancy.judge import Judge, explained, force_rms
 from emps_design.discrepancy.law_check import LawCheck, check_law
 from emps_design.discrepancy.missing_force import missing_force
@@ -26,6 +34,7 @@ from emps_design.discrepancy.noise import Floor, floor_of_laps, floor_of_residua
 from emps_design.discrepancy.problem import Fit, Problem, Whitening, evaluate, fit
 from emps_design.discrepancy.propose import tangent
 from emps_design.discrepancy.split import split
+from emps_design.discrepancy.unpredicted import unpredicted
 from emps_design.discrepancy.work import Confirmation, Work
 from emps_design.effects import Effect, known_effects
 from emps_design.errors import InputError
@@ -33,6 +42,8 @@ from emps_design.records import Record
 
 Progress = Callable[[str, float], None]
 LEAST_CONFIRMING = 500  # samples
+FINER = 0.95  # of the floor: a model that leaves less than this share shows that it was no noise
+MOST_SEARCHES = 3  # with the noise taken again from what the one before left
 LOST = 0.05  # of what the model explained; if refuted effects carried more, the rest is doubtful too
 HELD = 0.8  # of the share explained on the training record must be explained on the confirming one
 
@@ -101,10 +112,32 @@ def _explain(
     problem, start = _problem(records, axis, fit_time, confirm_time, checks)
 
     report("fitting the baseline", 0.05)
-    problem, baseline, floor = _baseline(problem, start)
-    report("healthy reference", 0.1)
-    absorbed = tangent(problem, baseline)
     candidates = tuple(effect for effect in library if effect.channel != "controller")
+    problem, baseline, floor = _baseline(problem, start, candidates)
+    for _ in range(MOST_SEARCHES):
+        work = _searched(problem, baseline, floor, candidates, checks, seed, searches, report)
+        finer = floor if floor.from_laps else floor_of_residual(problem.left(work.found.best.model), problem.period)
+        if work.found.interrupted or finer.force > FINER * floor.force:
+            break
+        # The noise was taken from what no model followed yet; one follows it now, and shows how much of it was noise.
+        problem, floor = problem.with_whitening(finer.whitening), finer
+        baseline = fit(problem, baseline.model, steps=20)
+    return replace(work, warnings=(*warnings, *work.warnings), holdout_law=law)
+
+
+def _searched(
+    problem: Problem,
+    baseline: Fit,
+    floor: Floor,
+    candidates: tuple[Effect, ...],
+    checks: tuple[LawCheck, ...],
+    seed: int,
+    searches: int,
+    report: Progress,
+) -> Work:
+    """Calibrate on healthy records, and search."""
+    report("healthy reference", 0.1)
+    absorbed, warnings = tangent(problem, baseline), []
     screened = screen(problem, baseline, candidates, absorbed)
     healthy = healthy_reference(screened, absorbed, floor.draws, seed)
     if searches:
@@ -113,19 +146,16 @@ def _explain(
             healthy = healthy_runs(problem, baseline, candidates, floor, searches, seed, tell)
         except KeyboardInterrupt:
             warnings.append("interrupted: calibrated on resampled noise, not on healthy records searched")
-    judge = Judge(problem, healthy, floor.force)
-    found = search(
-        problem,
-        baseline,
-        candidates,
-        screened,
-        judge.accepts,
-        lambda stage, done: report(stage, 0.15 + 0.7 * done),
-    )
+    judge = Judge(problem, healthy, floor)
+    told = partial(_stage, report)
+    found = search(problem, baseline, candidates, screened, judge.accepts, told)
     if found.interrupted:
         warnings.append("interrupted: the search was not finished, what follows is what was known by then")
+    return Work(problem, judge, found, floor, checks, healthy, screened, tuple(warnings))
 
-    return Work(problem, judge, found, floor, checks, healthy, screened, tuple(warnings), law)
+
+def _stage(report: Progress, stage: str, done: float) -> None:
+    report(stage, 0.15 + 0.7 * done)
 
 
 def _problem(
@@ -165,11 +195,12 @@ def _problem(
     return Problem(axis, records, splits, Whitening(np.array([1.0]), 1.0)), start
 
 
-def _baseline(problem: Problem, start: Candidate) -> tuple[Problem, Fit, Floor]:
+def _baseline(problem: Problem, start: Candidate, candidates: tuple[Effect, ...]) -> tuple[Problem, Fit, Floor]:
     """Refit the baseline: plain least squares for a start, then whitened by the floor's noise."""
     rough = fit(problem, start, steps=20)
-    residuals, period = problem.residuals(rough.model), problem.records[0].period
-    floor = floor_of_laps(residuals, problem.splits, period) or floor_of_residual(residuals, problem.splits, period)
+    floor = floor_of_laps(problem.residuals(rough.model), problem.splits, problem.period)
+    if floor is None:
+        floor = floor_of_residual(unpredicted(problem, rough, candidates), problem.period)
     problem = problem.with_whitening(floor.whitening)
     return problem, fit(problem, rough.model, steps=20), floor
 
@@ -182,13 +213,13 @@ def _conclude(work: Work, confirming: Confirming | None) -> Diagnosis:
     baseline = start
     if start.model.names:
         baseline = evaluate(problem, replace(start.model, effects=(), values=()), start.slots, start.covariance)
-    extended = fit(problem, found.best.model, part="used") if len(found.path) > 1 else start
+    extended = refitted(problem, found.best.model) if len(found.path) > 1 else start
     judged, refuted, lost = None, (), 0.0
     if confirming is not None:
         learnt = start.cost - extended.cost
         judged, extended, refuted = confirm(work, confirming, baseline, extended)
         lost = 1 - (start.cost - extended.cost) / learnt if refuted else 0.0
-    train = gap_on(problem, problem.splits[0].used, baseline.model, extended.model)
+    train = gap_on(problem, baseline.model, extended.model)
 
     # What the plant's effects explain, beside a disturbance of the controller that is known from its law.
     shares = [explained(force_rms(problem, start), force_rms(problem, extended), floor.force)]
@@ -207,7 +238,7 @@ def _conclude(work: Work, confirming: Confirming | None) -> Diagnosis:
     given_up = extended.model.names if verdict == "unnamed" and searched else ()
     if given_up:
         extended = start
-        train = gap_on(problem, problem.splits[0].used, baseline.model, start.model)
+        train = gap_on(problem, baseline.model, start.model)
         judged = None if confirming is None else confirming_gap(confirming, baseline.model, start.model)
 
     confirmation = None
@@ -217,7 +248,8 @@ def _conclude(work: Work, confirming: Confirming | None) -> Diagnosis:
         confirmation = Confirmation(record, judged.refitted, refuted, own, confirming.unnamed_law)
     shown = judged or train
     findings = accepted_findings(work, extended, equivalents)
-    before, after = (missing_force(problem, f.model)[0] for f in (baseline, extended))
+    most = most_missed(problem, baseline.model)
+    before, after = (missing_force(problem, f.model)[most] for f in (baseline, extended))
     return Diagnosis(
         verdict=verdict,
         findings=findings,
@@ -226,7 +258,7 @@ def _conclude(work: Work, confirming: Confirming | None) -> Diagnosis:
         train=train.gap,
         holdout=None if judged is None else judged.gap,
         prediction=shown.prediction,
-        views=describe.marked_views(before, after, problem.splits[0].used, floor.force_60hz, findings),
+        views=describe.marked_views(before, after, problem.splits[most].used, floor.force_60hz, findings),
         details=describe.details(work, verdict, baseline, extended, confirmation, (given_up, shares[-1])),
         stretch=None if confirming is None else confirming.stretch,
         experiment=experiment(problem, found, extended.model.names, equivalents, work.judge.healthy.threshold),

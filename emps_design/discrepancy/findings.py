@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.discrepancy.candidate import Candidate
-from emps_design.discrepancy.contribution import contribution, drawn
+from emps_design.discrepancy.contribution import contribution, drawn, most_exercised
 from emps_design.discrepancy.diagnosis import Finding
 from emps_design.discrepancy.judge import force_rms
 from emps_design.discrepancy.locate import described, extent
@@ -26,13 +26,14 @@ def findings(work: Work, extended: Fit, equivalents: dict[str, list[str]]) -> tu
     result = []
     for name in names:
         index = model.names.index(name)
-        effect, values = model.effects[index], model.values[index][0]
+        record = most_exercised(problem, model, index)
+        effect, values = model.effects[index], model.parameters(record)[index]
         without = _without(work, model, index)
         gain = without.cost - extended.cost
         parameters = {
             p.name: {
                 "value": float(values[place]),
-                "std": deviation(work, extended, index, place),
+                "std": deviation(work, extended, index, place, record),
                 "unit": p.unit,
                 **_per_record(p, model.values[index][:, place]),
             }
@@ -43,40 +44,39 @@ def findings(work: Work, extended: Fit, equivalents: dict[str, list[str]]) -> tu
                 effect=name,
                 label=effect.label,
                 channel=effect.channel,
-                where=_where(problem, extended, index),
+                where=_where(problem, extended, index, record),
                 parameters=parameters,
                 p_value=work.healthy.p_value(gain),
                 gap_before=force_rms(problem, without),
                 gap_after=force_rms(problem, extended),
                 equivalents=tuple(equivalents.get(name, ())),
                 remedy=effect.remedy,
-                note=_note(work, effect.channel),
+                note=_note(work, effect.channel, record),
             )
         )
     return tuple(result)
 
 
-def deviation(work: Work, extended: Fit, index: int, place: int) -> float:
-    """Standard deviation of a number of the extended model, its baseline's with ``index`` -1.
+def deviation(work: Work, extended: Fit, index: int, place: int, record: int = 0) -> float:
+    """Standard deviation of a number of the extended model on ``record``, its baseline's with ``index`` -1.
 
     Not less than the number moved when the selecting strokes were added to the fitting ones: where play bounces, what
     a tiny change of a number does to the force says nothing of how well the record determines it.
     """
-    linear, before = extended.std(index, place), work.found.best.model
+    linear, before = extended.std(index, place, record), work.found.best.model
     if index < 0:
         return max(linear, abs(float(extended.model.baseline[place] - before.baseline[place]))) if linear else 0.0
     name = extended.model.names[index]
     if linear == 0.0 or name not in before.names:
         return linear
-    moved = extended.model.values[index][0, place] - before.values[before.names.index(name)][0, place]
-    return max(linear, abs(float(moved)))
+    now, then = extended.model.parameters(record)[index], before.parameters(record)[before.names.index(name)]
+    return max(linear, abs(float(now[place] - then[place])))
 
 
 def _per_record(parameter: Parameter, values: np.ndarray) -> dict[str, Any]:
-    """What is said besides of a number that belongs to one record: that of each, where there are several."""
-    if not parameter.per_record:
-        return {}
-    return {"per_record": True} | ({"values": values.tolist()} if values.size > 1 else {})
+    """What is said besides of a number that is not one and the same: whether by nature, and that of each record."""
+    said: dict[str, Any] = {"per_record": True} if parameter.per_record else {}
+    return said | ({"values": values.tolist()} if np.ptp(values) > 0 else {})
 
 
 def _without(work: Work, model: Candidate, index: int) -> Fit:
@@ -84,26 +84,31 @@ def _without(work: Work, model: Candidate, index: int) -> Fit:
 
     An effect may have taken a baseline number far from where it is alone: both are tried for a start.
     """
-    rest, alone = model.without(index), work.found.path[0].model.baseline
-    tried = [fit(work.problem, start, part="used", steps=5) for start in (rest, replace(rest, baseline=alone))]
-    return min(tried, key=lambda fitted: fitted.cost)
+    rest, first = model.without(index), work.found.path[0]
+    tried = [
+        fit(work.problem, start, part="used", steps=5) for start in (rest, replace(rest, baseline=first.model.baseline))
+    ]
+    # What does not run without the effect stands against the baseline alone.
+    return min((fitted for fitted in tried if fitted.innovations), key=lambda fitted: fitted.cost, default=first)
 
 
-def _where(problem: Problem, fitted: Fit, index: int) -> dict[str, Any]:
-    """Where the force of effect ``index`` acts, with what its numbers' deviations leave open."""
-    found = []
+def _where(problem: Problem, fitted: Fit, index: int, number: int) -> dict[str, Any]:
+    """Where the force of effect ``index`` acts on record ``number``, with what its numbers' deviations leave open."""
+    found, record = [], problem.records[number]
     for model in (fitted.model, *drawn(problem, fitted, index)):
         try:
-            found.append(extent(problem.records[0], *contribution(problem, model, index)))
+            found.append(extent(record, *contribution(problem, model, index, number)))
         except SimulationError:
             continue  # numbers at which the model is unstable do not describe this machine
     if not found:  # nothing runs without the effect: it acts wherever the model moves
-        found.append(extent(problem.records[0], problem.run(fitted.model, 0).force, problem.splits[0].used))
-    return described(found[0], found[1:])
+        found.append(extent(record, problem.run(fitted.model, number).force, problem.splits[number].used))
+    said = described(found[0], found[1:])
+    return said if len(problem.records) == 1 else {**said, "record": record.name}
 
 
-def _note(work: Work, channel: str) -> str:
+def _note(work: Work, channel: str, record: int) -> str:
     if channel != "controller":
-        return "gap of the training record, with the other effects refitted"
-    noise = 1e3 * work.checks[0].noise
+        whose = "training record" if len(work.problem.records) == 1 else "training records together"
+        return f"gap of the {whose}, with the other effects refitted"
+    noise = 1e3 * work.checks[record].noise
     return f"seen in u minus the controller's law, noise {noise:.2g} mV; the force balance holds with it"

@@ -9,8 +9,9 @@ import numpy as np
 
 from emps_design.discrepancy.candidate import Candidate
 from emps_design.discrepancy.confirm import Asked, Gap, Prediction, asked_for, gap_of, predict, refit_per_record
+from emps_design.discrepancy.decide import refitted
 from emps_design.discrepancy.law_check import LawCheck
-from emps_design.discrepancy.problem import Fit, Problem, fit
+from emps_design.discrepancy.problem import Fit, Problem
 from emps_design.discrepancy.split import split
 from emps_design.discrepancy.work import Work
 from emps_design.errors import InputError
@@ -90,33 +91,32 @@ def confirm(work: Work, confirming: Confirming, baseline: Fit, extended: Fit) ->
             return confirming_gap(confirming, baseline.model, extended.model), extended, tuple(refuted)
         refuted.append(worst)
         rest = extended.model.without(extended.model.names.index(worst.name))
-        extended = fit(work.problem, rest, part="used")
+        extended = refitted(work.problem, rest)
 
 
 def confirming_gap(confirming: Confirming, baseline: Candidate, extended: Candidate) -> Judged:
     """Both models on the confirming record, what belongs to a record fitted anew there."""
     (before, _), (after, names) = (_refitted(confirming, model, extended) for model in (baseline, extended))
-    return gap_on(confirming.problem, confirming.window, before, after, names)
+    return gap_on(confirming.problem, before, after, names)
 
 
 def _refitted(confirming: Confirming, model: Candidate, extended: Candidate) -> tuple[Candidate, list[str]]:
     """``model`` with what belongs to the confirming record fitted anew, and the names of that."""
-    return refit_per_record(confirming.problem, _of_one_record(confirming.of_this_record(model, extended)))
+    return refit_per_record(confirming.problem, confirming.of_this_record(model, extended).only(0))
 
 
-def gap_on(
-    problem: Problem, window: np.ndarray, baseline: Candidate, extended: Candidate, refitted: Sequence[str] = ()
-) -> Judged:
-    """Both models on the first record of ``problem``."""
-    record = problem.records[0]
-    models = [_of_one_record(model) for model in (baseline, extended)]
-    single = replace(problem, records=(record,), splits=problem.splits[:1])
-    prediction = predict(problem.axis, record, *models, window)
-    return Judged(gap_of(single, prediction, *models), prediction, models[1], tuple(refitted))
+def gap_on(problem: Problem, baseline: Candidate, extended: Candidate, refitted: Sequence[str] = ()) -> Judged:
+    """Both models on the records of ``problem``: the gap over all, the rest of the one the baseline misses most."""
+    each = range(len(problem.records))
+    predictions = [predict(problem.only(i), baseline.only(i), extended.only(i)) for i in each]
+    shown = most_missed(problem, baseline)
+    gap = gap_of(problem, predictions, baseline, extended)
+    return Judged(gap, predictions[shown], extended.only(shown), tuple(refitted))
 
 
-def _of_one_record(model: Candidate) -> Candidate:
-    return replace(model, values=tuple(v[:1] for v in model.values))
+def most_missed(problem: Problem, model: Candidate) -> int:
+    """The record of which ``model`` leaves most."""
+    return int(np.argmax([np.std(force) for force in problem.left(model)]))
 
 
 def between(record: Record, window: tuple[float, float], option: str) -> np.ndarray:

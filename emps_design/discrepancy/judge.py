@@ -8,6 +8,7 @@ import numpy as np
 
 from emps_design.discrepancy.decide import Search
 from emps_design.discrepancy.healthy import Healthy
+from emps_design.discrepancy.noise import Floor, usual_rms
 from emps_design.discrepancy.problem import Fit, Problem, gather
 from emps_design.discrepancy.split import START_UP
 
@@ -27,11 +28,11 @@ MOST_EQUIVALENTS = 3
 
 @dataclass(frozen=True)
 class Judge:
-    """The rules, with the healthy reference they stand on and the ``floor`` [N] of what repeats."""
+    """The rules, with the healthy reference and the noise floor they stand on."""
 
     problem: Problem
     healthy: Healthy
-    floor: float
+    floor: Floor
 
     def accepts(self, better: Fit, worse: Fit) -> bool:
         """Whether ``better``, with one effect more, is a finding over ``worse``."""
@@ -61,7 +62,11 @@ class Judge:
         """Whether an effect's amplitude is a force far below what does not repeat."""
         for effect, values in zip(fitted.model.effects, fitted.model.values, strict=True):
             for place, parameter in enumerate(effect.parameters):
-                if parameter.linear and parameter.unit == "N" and abs(values[0, place]) < AUDIBLE * self.floor:
+                if (
+                    parameter.linear
+                    and parameter.unit == "N"
+                    and np.abs(values[:, place]).max() < AUDIBLE * self.floor.force
+                ):
                     return True
         return False
 
@@ -91,16 +96,29 @@ class Judge:
 
     def at_floor(self, fitted: Fit) -> bool:
         """Whether ``fitted`` leaves nothing but noise on both parts."""
-        return all(self._bulk(fitted, part) <= AT_FLOOR * self.problem.samples(part) for part in ("fit", "select"))
+        quiet = (self._bulk(fitted, part) <= AT_FLOOR * self.problem.samples(part) for part in ("fit", "select"))
+        return all(quiet) and not self._whitened_away(fitted)
+
+    def leaves_structure(self, fitted: Fit) -> bool:
+        """Whether ``fitted`` leaves more than noise could be."""
+        return fitted.cost > STRUCTURED * self.problem.samples("used") or self._whitened_away(fitted)
+
+    def _whitened_away(self, fitted: Fit) -> bool:
+        """Whether the force left shows structure to which the noise's own model may be blind.
+
+        A noise model made of a residual, and not of laps, holds what structure that residual had.
+        """
+        if self.floor.from_laps:
+            return False
+        return usual_rms(_left(self.problem, fitted)) ** 2 > STRUCTURED * self.floor.force**2
 
     def verdict(self, best: Fit, known: Fit, equivalents: dict[str, list[str]], share: float) -> str:
         """The verdict on ``best``, which explains ``share`` of the force gap; ``known`` is what the search began with.
 
         Where the model leaves structure, what was found stands only if it explains most of the gap.
         """
-        noise = self.problem.samples("used")
         if best.model.names == known.model.names:
-            if best.cost > STRUCTURED * noise:
+            if self.leaves_structure(best):
                 return "unnamed"
             if not best.model.names:
                 return "parameters-only" if self._numbers_off(best) else "nothing-missing"
@@ -138,11 +156,15 @@ class Judge:
         return found
 
 
-def force_rms(problem: Problem, fitted: Fit, part: str = "used") -> float:
-    """Rms [N] of measured minus simulated force on ``part``, its mean removed as the floor's is."""
-    residuals = problem.residuals(fitted.model)
-    kept = np.concatenate([r[m] for r, m in zip(residuals, problem.masks(part), strict=True)])
-    return float(np.std(kept))
+def force_rms(problem: Problem, fitted: Fit) -> float:
+    """Rms [N] of measured minus simulated force on the used samples, its mean removed as the floor's is."""
+    return float(np.std(np.concatenate(_left(problem, fitted))))
+
+
+def _left(problem: Problem, fitted: Fit) -> list[np.ndarray]:
+    """Measured minus simulated force [N] on the used samples, one array (n_used,) a record, without simulating."""
+    forces = map(problem.whitening.undo, fitted.innovations)
+    return [force[mask] for force, mask in zip(forces, problem.masks("used"), strict=True)]
 
 
 def explained(before: float, after: float, floor: float) -> float:

@@ -20,10 +20,10 @@ DRIFTS = 0.7  # of the first difference's rms, below which the second is the flo
 
 @dataclass(frozen=True)
 class Floor:
-    """Rms [N] of what differs between laps of the same reference, ``force`` unfiltered and ``force_60hz`` low-passed.
+    """Rms [N] of what nothing predicts, ``force`` unfiltered and ``force_60hz`` low-passed.
 
     ``interval`` and ``interval_60hz`` hold the two with 95 %. ``whitening`` models it; ``draws`` are its innovations,
-    to resample. ``from_laps`` False: the reference does not repeat, and the floor is a model's residual, an upper
+    to resample. ``from_laps`` False: the reference does not repeat, and the floor is what a model leaves, an upper
     bound.
     """
 
@@ -87,12 +87,11 @@ def _difference(signal: np.ndarray, start: int, stop: int, lap: int, weights: tu
     return np.sum(laps, axis=0) / np.sqrt(np.sum(np.square(weights)))
 
 
-def floor_of_residual(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], period: float) -> Floor:
-    """Floor taken from a model's own residual (n,) [N], where nothing repeats."""
+def floor_of_residual(left: tuple[np.ndarray, ...], period: float) -> Floor:
+    """Floor taken from what a model leaves of the used samples, (n_used,) [N] a record, where nothing repeats."""
     from emps_design.identification.filters import low_pass
 
-    kept = [r[split.used] for r, split in zip(residuals, splits, strict=True)]
-    return _floor(kept, [low_pass(r, BAND_HZ, period) for r in kept], from_laps=False)
+    return _floor(*_steady(list(left), [low_pass(part, BAND_HZ, period) for part in left]), from_laps=False)
 
 
 def _floor(raw: list[np.ndarray], smooth: list[np.ndarray], from_laps: bool) -> Floor:
@@ -138,6 +137,11 @@ def rms_interval(error: np.ndarray, draws: int = 199, seed: int = 0) -> tuple[fl
     means = StationaryBootstrap(min(PIECE, error.size // 4), error**2, seed=seed).apply(np.mean, draws)
     low, high = np.sqrt(np.quantile(means, (0.025, 0.975)))
     return float(low), float(high)
+
+
+def usual_rms(left: list[np.ndarray]) -> float:
+    """Rms [N] of ``left``, (n,) a record, without the pieces in which it is far larger than it usually is."""
+    return _rms(_steady(left, left)[0])
 
 
 def _steady(raw: list[np.ndarray], smooth: list[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:

@@ -56,6 +56,11 @@ class Problem:
     whitening: Whitening
     plants: dict[tuple[str, ...], Any] = field(default_factory=dict, repr=False, compare=False)
 
+    @property
+    def period(self) -> float:
+        """Sampling period [s], one for all records."""
+        return self.records[0].period
+
     def plant(self, model: Candidate) -> Plant:
         """The compiled plant with the effects of ``model``, made once a set."""
         if model.names not in self.plants:
@@ -88,9 +93,17 @@ class Problem:
         """Innovations of :meth:`residuals` in units of the noise."""
         return tuple(self.whitening.apply(r) for r in self.residuals(model))
 
+    def only(self, record: int) -> Problem:
+        """One of the records, by its number, as a problem of its own; its models are :meth:`Candidate.only`."""
+        return replace(self, records=(self.records[record],), splits=(self.splits[record],))
+
     def masks(self, part: str) -> tuple[np.ndarray, ...]:
         """Boolean samples of ``part``: "fit", "select" or "used"."""
         return tuple(getattr(s, part) for s in self.splits)
+
+    def left(self, model: Candidate) -> tuple[np.ndarray, ...]:
+        """What ``model`` leaves of the force [N] of the used samples, one array (n_used,) a record."""
+        return tuple(r[mask] for r, mask in zip(self.residuals(model), self.masks("used"), strict=True))
 
     def samples(self, part: str) -> int:
         """Number of samples of ``part``: the whitened cost that noise alone leaves."""

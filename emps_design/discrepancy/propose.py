@@ -104,23 +104,25 @@ def bent(current: Fit, cost: float) -> bool:
 def _values(problem: Problem, model: Candidate, effect: Effect, missing: tuple[MissingForce, ...]) -> list[np.ndarray]:
     """Parameter arrays (n_records, n_parameters) to try."""
     tables = []
-    for seen in missing:
+    for seen, split in zip(missing, problem.splits, strict=True):
         if effect.propose is not None:
-            shapes = effect.propose(seen.motion, seen.force, model.baseline, seen.away)
+            force = np.where(split.used, seen.force, 0.0)  # what confirms stays closed
+            shapes = effect.propose(seen.motion, force, model.baseline, seen.away)
         else:
             names = [p.name for p in effect.parameters if p.starts]
             shapes = [dict(zip(names, combination, strict=True)) for combination in product(*_grids(effect))]
         tables.append([_complete(effect, shape, seen, model) for shape in shapes])
-    # The first record proposes; the others follow with their own per-record numbers where they proposed as many.
+    # Each record proposes; the others follow with their own per-record numbers where they proposed as many.
+    own = np.array([p.per_record for p in effect.parameters])
     rows = []
-    for index, first in enumerate(tables[0]):
-        if first is None:
-            continue
-        row = [first]
-        for table in tables[1:]:
-            other = table[index] if index < len(table) and table[index] is not None else first
-            row.append(np.where([p.per_record for p in effect.parameters], other, first))
-        rows.append(np.array(row))
+    for proposer in tables:
+        for index, shape in enumerate(proposer):
+            if shape is None:
+                continue
+            theirs = [t[index] if index < len(t) and t[index] is not None else shape for t in tables]
+            row = np.array([np.where(own, values, shape) for values in theirs])
+            if not any(np.array_equal(row, other) for other in rows):
+                rows.append(row)
     return rows
 
 

@@ -24,6 +24,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--count", type=int, default=8, help="healthy drives")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", help="cases whose name contains this")
+    parser.add_argument("--no-laps", action="store_true", help="training programs in which nothing repeats")
     parser.add_argument("--folder", type=Path, help="keep the cases here, and use those that are there")
     parser.add_argument("--page", type=Path, default=PAGE)
     parser.add_argument("--table", type=Path, default=TABLE)
@@ -33,7 +34,9 @@ def main(arguments: list[str] | None = None) -> int:
         folder = options.folder or Path(scratch)
         if not any(folder.glob("*/truth.json")):
             wanted = [str(folder), "--seed", str(options.seed), "--cases", options.cases]
-            generate.main([*wanted, "--count", str(options.count), "--only", options.only])
+            generate.main(
+                [*wanted, "--count", str(options.count), "--only", options.only, *["--no-laps"] * options.no_laps]
+            )
         scores = []
         for one in score_all(folder, options.only, options.jobs):
             scores.append(one)

@@ -16,7 +16,7 @@ import numpy as np
 
 from tests.hidden.drives import EFFECTS, PAIRS, UNKNOWN, Drive, draw_drive, draw_effect
 from tests.hidden.plant import numbers, simulate
-from tests.hidden.programs import laps, multi_sine
+from tests.hidden.programs import laps, multi_sine, wander
 
 VOLTAGE_NOISE = 4e-3  # V
 FORCE_NOISE = 0.35  # N for a 95 kg axis
@@ -132,12 +132,24 @@ def axis_file(rng: np.random.Generator, drive: Drive) -> str:
     )
 
 
-def make(case: Case, seed: int) -> dict[str, object]:
-    """Draw drives until the loop is stable and away from its limit; returns everything a case's folder holds."""
+def train_program(rng: np.random.Generator, drive: Drive, repeats: bool) -> np.ndarray:
+    """Three identical laps, or 25 s in which nothing repeats: strokes at random, or a multi-sine."""
+    if repeats:
+        return laps(rng, drive.travel, list(drive.speeds), drive.acceleration, 3, drive.period)
+    if rng.random() < 0.5:
+        return wander(rng, drive.travel, list(drive.speeds), drive.acceleration, 25000, drive.period)
+    return multi_sine(rng, drive.travel, 0.5 * drive.acceleration, 25000, drive.period)
+
+
+def make(case: Case, seed: int, repeats: bool = True) -> dict[str, object]:
+    """Draw drives until the loop is stable and away from its limit; returns everything a case's folder holds.
+
+    ``repeats`` False: the training program has no laps.
+    """
     rng = np.random.default_rng([seed, zlib.crc32(case.name.encode())])
     for _ in range(50):
         drive = draw_drive(rng)
-        train_ref = laps(rng, drive.travel, list(drive.speeds), drive.acceleration, 3, drive.period)
+        train_ref = train_program(rng, drive, repeats)
         if rng.random() < 0.5:
             hold_ref = laps(rng, drive.travel, list(drive.speeds), drive.acceleration, 3, drive.period)
         else:
@@ -200,10 +212,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--cases", choices=("quick", "all", "healthy"), default="quick")
     parser.add_argument("--count", type=int, default=8, help="healthy drives")
     parser.add_argument("--only", default="", help="cases whose name contains this")
+    parser.add_argument("--no-laps", action="store_true", help="training programs in which nothing repeats")
     options = parser.parse_args(arguments)
     chosen = [case for case in cases(options.cases, options.count) if options.only in case.name]
     for case in chosen:
-        contents = make(case, options.seed)
+        contents = make(case, options.seed, not options.no_laps)
         write(options.folder / case.name, contents)
         truth = contents["truth.json"]
         print(

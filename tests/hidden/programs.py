@@ -1,4 +1,4 @@
-"""Reference programs for the hidden-effect cases: repeated laps of trapezoids, and a multi-sine."""
+"""Reference programs for the hidden-effect cases: repeated laps of trapezoids, strokes at random, a multi-sine."""
 
 from __future__ import annotations
 
@@ -31,6 +31,21 @@ def laps(
             here = float(stop)
             pieces.append(np.full(round(rng.uniform(0.0, 0.12) / period), here))
     return np.tile(np.concatenate(pieces), count)
+
+
+def wander(
+    rng: np.random.Generator, travel: float, speeds: list[float], acceleration: float, length: int, period: float
+) -> np.ndarray:
+    """Strokes to random places within ``travel`` [m] at random ``speeds`` [m/s]: nothing repeats."""
+    pieces, here, samples = [np.zeros(round(rng.uniform(0.05, 0.2) / period))], 0.0, 0
+    while samples < length:
+        stop = rng.uniform(0.0, travel)
+        if abs(stop - here) < 0.15 * travel:
+            continue
+        pieces.append(stroke(here, stop, rng.uniform(min(speeds), max(speeds)), acceleration, period))
+        pieces.append(np.full(round(rng.uniform(0.0, 0.12) / period), stop))
+        here, samples = stop, sum(piece.size for piece in pieces)
+    return np.concatenate(pieces)[:length]
 
 
 def multi_sine(rng: np.random.Generator, travel: float, acceleration: float, length: int, period: float) -> np.ndarray:

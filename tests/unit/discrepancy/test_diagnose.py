@@ -263,9 +263,12 @@ def test_a_stretch_of_the_record_confirms():
 
 def test_a_disturbance_on_one_of_two_records_is_not_put_on_the_other():
     pulses = {"kind": "controller_disturbance", "amplitude": 2.0, "frequency": 1.0, "duty": 0.5, "start": 0.3437}
-    answer = diagnose([record(seed=1), record(pulses)], AXIS, library=SHORT)
+    answer = diagnose([record(seed=1), record(pulses, name="pulsed")], AXIS, library=SHORT)
     assert [f.effect for f in answer.findings] == ["controller_disturbance"]
-    assert answer.findings[0].parameters["amplitude"]["value"] == 0.0  # of the first record
+    amplitude = answer.findings[0].parameters["amplitude"]
+    assert amplitude["value"] == amplitude["values"][1] == pytest.approx(2.0, abs=0.01)
+    assert amplitude["values"][0] == 0.0
+    assert answer.findings[0].where["record"] == "pulsed"
     assert answer.findings[0].gap_after < 0.5
 
 
