@@ -78,13 +78,16 @@ def _write(diagnosis: Any, out: Path, axis: str) -> None:
     import json
 
     from emps_design.cli.output import plain
+    from emps_design.discrepancy.experiment import FILE
     from emps_design.files import write_together
     from emps_design.report.diagnosis import diagnosis_page
 
     out.mkdir(exist_ok=True)
     trace = diagnosis.trace
     with write_together(out) as aside:
-        write_text(aside / "model.toml", f"# {axis}, extended by emps-design diagnose\n{diagnosis.axis.to_toml()}")
+        whose = f"numbers that belong to one record (phases, times) are those of {trace.name}"
+        head = f"# {axis}, extended by emps-design diagnose; {whose}\n"
+        write_text(aside / "model.toml", head + diagnosis.axis.to_toml())
         document = json.dumps(plain(diagnosis.to_dict()), indent=1, ensure_ascii=False)
         write_text(aside / "diagnosis.json", f"{document}\n")
         columns = (trace.t, trace.measured, trace.baseline, trace.extended)
@@ -93,6 +96,8 @@ def _write(diagnosis: Any, out: Path, axis: str) -> None:
             experiment = diagnosis.experiment
             _table(aside / experiment.file, ("t", "q_ref"), (experiment.t, experiment.q_ref))
         write_text(aside / "report.html", diagnosis_page(diagnosis).html())
+    if diagnosis.experiment is None or diagnosis.experiment.q_ref is None:
+        (out / FILE).unlink(missing_ok=True)  # of a diagnosis before this one
 
 
 def _table(path: Path, titles: Sequence[str], columns: Sequence[Any]) -> None:

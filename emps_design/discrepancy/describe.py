@@ -9,6 +9,7 @@ import numpy as np
 
 from emps_design.discrepancy.candidate import BASELINE
 from emps_design.discrepancy.diagnosis import Finding
+from emps_design.discrepancy.excluded import least_visible, not_excluded
 from emps_design.discrepancy.findings import deviation
 from emps_design.discrepancy.healthy import LEVEL
 from emps_design.discrepancy.holdout import most_missed
@@ -16,10 +17,9 @@ from emps_design.discrepancy.judge import WORTH, WORTH_AT_FLOOR, force_rms
 from emps_design.discrepancy.locate import described, extent
 from emps_design.discrepancy.missing_force import MissingForce, missing_force
 from emps_design.discrepancy.problem import Fit
-from emps_design.discrepancy.views import SPECTRAL, View, force_map, shown, views
+from emps_design.discrepancy.views import SPECTRAL, View, force_map, shown, spectrum_over_time, views
 from emps_design.discrepancy.work import Confirmation, Work
 from emps_design.effects import get_effect
-from emps_design.quantities import display_unit
 from emps_design.records import Record
 
 ASSUMPTIONS = (
@@ -31,16 +31,19 @@ FOLLOWED = (
     "the controller is not known: the models follow the recorded motion and voltage, and what the controller itself "
     "adds to the voltage cannot be checked"
 )
-ABSURD = 1e3  # times the typical size of a parameter
 SHOWN_CANDIDATES = 10
 
 
 def marked_views(
-    before: MissingForce, after: MissingForce, used: np.ndarray, floor: float, found: tuple[Finding, ...]
+    before: MissingForce,
+    after: MissingForce,
+    used: np.ndarray,
+    work: Work,
+    found: tuple[Finding, ...],
 ) -> tuple[View, ...]:
     """The residual over each quantity, the extents of the findings marked, the one that shows most first."""
     drawn = []
-    for view in views(before, after, used, floor):
+    for view in views(before, after, used, work.floor.force_60hz, work.problem.axis.drive.voltage_limit):
         marks = []
         for finding in found:
             place = finding.where.get(view.quantity)
@@ -65,7 +68,7 @@ def details(
     ``given_up`` are the effects of a model that did not stand, and the share of the gap it explained.
     """
     problem = work.problem
-    unseen = _not_excluded(work, extended)
+    unseen = not_excluded(work, extended.model.names)
     told = {
         "simulation": "inverse model" if problem.axis.controller.kind == "none" else "closed loop",
         "candidates": _candidates(work, extended),
@@ -81,15 +84,16 @@ def details(
             *_said_of(*given_up),
         ],
     }
-    bounded = [entry for entry in unseen if entry["size"] is not None]
-    if verdict in ("nothing-missing", "parameters-only") and bounded:
-        told["least_visible"] = f"{bounded[0]['text']} ({bounded[0]['label'].lower()})"
+    if verdict in ("nothing-missing", "parameters-only"):
+        told["least_visible"] = least_visible(unseen)
     if verdict == "parameters-only":
         told["changed"] = ", ".join(
             f"{q.name.replace('_', ' ')} {axis:.5g} -> {new:.5g} {q.unit}"
             for q, axis, new in zip(BASELINE, problem.axis.mechanics.array(), baseline.model.baseline, strict=True)
             if abs(axis - new) > 0.005 * max(abs(new), 1.0)
         )
+    missed = missing_force(problem, baseline.model)[most_missed(problem, baseline.model)]
+    told["spectrum_over_time"] = spectrum_over_time(missed)
     told["interrupted"] = work.found.interrupted
     if verdict == "unnamed":
         most = most_missed(problem, extended.model)
@@ -179,7 +183,7 @@ def _candidates(work: Work, extended: Fit) -> list[dict[str, Any]]:
                 "label": get_effect(name).label,
                 "gap": None if full is None else force_rms(work.problem, full),
                 "statistic": gain if full is None else base.cost_fit - full.cost_fit,
-                "threshold": max(work.healthy.threshold, WORTH * base.cost),
+                "threshold": work.judge.to_beat(base),
                 "accepted": name in extended.model.names,
                 "note": "first guess only, too poor to be fitted" if full is None else "alone, on top of the baseline",
             }
@@ -198,34 +202,3 @@ def _parameters(work: Work, baseline: Fit, extended: Fit) -> dict[str, Any]:
             "extended": {"value": float(extended.model.baseline[place]), "std": deviation(work, extended, -1, place)},
         }
     return table
-
-
-def _not_excluded(work: Work, extended: Fit) -> list[dict[str, Any]]:
-    """The smallest size of each effect that would have been a finding, from its signature on the baseline."""
-    gain = max(work.healthy.threshold, WORTH_AT_FLOOR * work.problem.samples("fit"))
-    rows = []
-    for found in work.screened:
-        effect = found[0].model.effects[-1]
-        if effect.name in extended.model.names:
-            continue
-        if not effect.linear:
-            continue
-        place = [p.name for p in effect.parameters].index(effect.linear[0])
-        parameter = effect.parameters[place]
-        # Of the shapes that were tried, the middle one: some hide completely, such as an event at the record's end.
-        size = float(np.median([abs(s.model.values[-1][0][place]) * np.sqrt(gain) / s.size for s in found]))
-        if size == 0.0:
-            continue
-        unit, factor = display_unit(size, parameter.unit)
-        text = f"{parameter.name.replace('_', ' ')} {size * factor:.2g} {unit}".rstrip()
-        hidden = size > ABSURD * parameter.scale or size > parameter.upper
-        rows.append(
-            {
-                "effect": effect.name,
-                "label": effect.label,
-                "size": None if hidden else size,
-                "unit": parameter.unit,
-                "text": "any size: these records do not bring it out" if hidden else text,
-            }
-        )
-    return rows

@@ -13,7 +13,7 @@ from emps_design.discrepancy import describe
 from emps_design.discrepancy.candidate import Candidate
 from emps_design.discrepancy.decide import refitted, screen, search
 from emps_design.discrepancy.diagnosis import Diagnosis
-from emps_design.discrepancy.door import check_records, check_same_drive
+from emps_design.discrepancy.door import check_records, check_same_drive, same_run
 from emps_design.discrepancy.experiment import experiment
 from emps_design.discrepancy.findings import findings as accepted_findings
 from emps_design.discrepancy.healthy import healthy_reference
@@ -103,6 +103,8 @@ def _explain(
     known = axis.controller.kind != "none"
     law = None
     if holdout is not None:
+        if any(same_run(holdout, record) for record in records):
+            raise InputError(f"{holdout.name}: is a training record too; confirm on one that nothing was fitted to")
         warnings += check_records((holdout,), axis)
         # A foreign controller is to be refused before the search; the law says nothing of the plant.
         law = check_law(holdout, axis, library) if known else None
@@ -258,7 +260,7 @@ def _conclude(work: Work, confirming: Confirming | None) -> Diagnosis:
         train=train.gap,
         holdout=None if judged is None else judged.gap,
         prediction=shown.prediction,
-        views=describe.marked_views(before, after, problem.splits[most].used, floor.force_60hz, findings),
+        views=describe.marked_views(before, after, problem.splits[most].used, work, findings),
         details=describe.details(work, verdict, baseline, extended, confirmation, (given_up, shares[-1])),
         stretch=None if confirming is None else confirming.stretch,
         experiment=experiment(problem, found, extended.model.names, equivalents, work.judge.healthy.threshold),

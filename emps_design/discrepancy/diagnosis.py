@@ -138,9 +138,11 @@ class Diagnosis:
         if self.verdict == "unnamed":
             place = self.details["unexplained"]["text"]
             where = "" if place == EVERYWHERE else f", most of it {place}"
+            known = "".join(f"{finding.in_words()}; " for finding in self.findings)  # from the controller's law
+            text = f"{known}{'beside that ' if known else ''}the model misses {judged.extended:.2f} N"
             return (
-                f"The model misses {judged.baseline:.2f} N (noise {self.floor:.2f} N){where}, and no effect of the "
-                "library explains it."
+                f"{text[0].upper()}{text[1:]} (noise {self.floor:.2f} N){where}, and no effect of the library "
+                "explains it."
             )
         least = self.details.get("least_visible")
         rest = f"; an effect of {least} or more would have been seen" if least else ""

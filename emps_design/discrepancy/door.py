@@ -64,6 +64,11 @@ def check_same_drive(record: Record, other: Record) -> None:
             )
 
 
+def same_run(one: Record, other: Record) -> bool:
+    """Whether two records hold the same measurement, whatever their names."""
+    return len(one) == len(other) and np.array_equal(one.q, other.q) and np.array_equal(one.u, other.u)
+
+
 def _tame(record: Record) -> list[str]:
     v = np.gradient(record.q_ref, record.period)
     fastest = float(np.abs(v).max())

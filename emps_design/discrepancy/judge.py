@@ -22,7 +22,7 @@ CHANCE = 2.0  # standard deviations of a stroke's cost
 SEEN_AGAIN = 0.3  # of the gain per sample on the fitting part must be there on the selecting part
 STRUCTURED = 1.5  # whitened cost per sample beyond which a model leaves structure
 AT_FLOOR = 1.2  # whitened cost per sample up to which a model leaves nothing but noise
-EXPLAINED = 0.75  # of the excess over the floor, in force, a model must explain to stand where it does not reach it
+EXPLAINED = 0.8  # of the excess over the floor, in force, a model must explain to stand where it does not reach it
 MOST_EQUIVALENTS = 3
 
 
@@ -36,7 +36,7 @@ class Judge:
 
     def accepts(self, better: Fit, worse: Fit) -> bool:
         """Whether ``better``, with one effect more, is a finding over ``worse``."""
-        burst, worth = (BURST_AT_FLOOR, WORTH_AT_FLOOR) if self.at_floor(worse) else (BURST, WORTH)
+        burst, worth = self._demands(worse)
         before = [self._bulk(worse, part, burst) for part in ("fit", "select")]
         gain_fit, gain_select = (
             cost - self._bulk(better, part, burst) for cost, part in zip(before, ("fit", "select"), strict=True)
@@ -48,6 +48,15 @@ class Judge:
             and self.share_of_strokes(better, worse) >= STROKES
             and not self._lost_in_noise(better)
         )
+
+    def to_beat(self, worse: Fit) -> float:
+        """The gain on the fitting part [whitened cost] beyond which an effect added to ``worse`` is looked at."""
+        burst, worth = self._demands(worse)
+        return max(self.healthy.threshold, worth * self._bulk(worse, "fit", burst))
+
+    def _demands(self, worse: Fit) -> tuple[float, float]:
+        """Deviations at which a sample's cost is cut, and the share of the cost that a finding must be worth."""
+        return (BURST_AT_FLOOR, WORTH_AT_FLOOR) if self.at_floor(worse) else (BURST, WORTH)
 
     def _seen_again(self, better: Fit, worse: Fit, burst: float) -> bool:
         """Whether the selecting part gains what the fitting part of each record leads to expect."""
@@ -101,7 +110,11 @@ class Judge:
 
     def leaves_structure(self, fitted: Fit) -> bool:
         """Whether ``fitted`` leaves more than noise could be."""
-        return fitted.cost > STRUCTURED * self.problem.samples("used") or self._whitened_away(fitted)
+        cost = fitted.cost
+        if any(effect.channel == "controller" for effect in fitted.model.effects):
+            # The edges of what the controller adds are known to a sample, and a sample missed is a burst.
+            cost = self._bulk(fitted, "fit") + self._bulk(fitted, "select")
+        return cost > STRUCTURED * self.problem.samples("used") or self._whitened_away(fitted)
 
     def _whitened_away(self, fitted: Fit) -> bool:
         """Whether the force left shows structure to which the noise's own model may be blind.

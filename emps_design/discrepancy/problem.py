@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -19,6 +20,7 @@ from emps_design.simulation import Plant
 LOOSE = 1e5  # times the integrator's tolerance: force within 1e-3 N, a thousandth of any noise here, four times faster
 NUDGE = 2e-4  # finite difference, in scales of the parameter
 BOLDEST = 0.5  # largest step of a fit, in scales of the parameter: a period must not jump over its neighbours
+CLUSTER = 500  # samples that structure in a residual spans, for the deviations of what was fitted
 WORST = 1e12  # cost of a model that cannot be simulated: finite, so that a fit steps back from it
 
 
@@ -105,6 +107,16 @@ class Problem:
         """What ``model`` leaves of the force [N] of the used samples, one array (n_used,) a record."""
         return tuple(r[mask] for r, mask in zip(self.residuals(model), self.masks("used"), strict=True))
 
+    def strokes(self, part: str) -> list[slice]:
+        """The strokes of all records as pieces of the samples of ``part``, gathered in one vector."""
+        edges, before = {0}, 0
+        for split, mask in zip(self.splits, self.masks(part), strict=True):
+            seen = np.concatenate(([0], np.cumsum(mask)))
+            edges.update(before + int(seen[stop]) for _, stop in split.strokes)
+            before += int(seen[-1])
+            edges.add(before)
+        return [slice(start, stop) for start, stop in itertools.pairwise(sorted(edges))]
+
     def samples(self, part: str) -> int:
         """Number of samples of ``part``: the whitened cost that noise alone leaves."""
         return int(sum(mask.sum() for mask in self.masks(part)))
@@ -144,9 +156,7 @@ def fit(
     """Fit ``start`` to the closed-loop force on the samples of ``part``; ``slots`` (default: all) says what is free."""
     slots = start.slots() if slots is None else slots
     found = descend(start, slots, lambda model: gather(problem, problem.whitened(model), part), steps)
-    # Where the model leaves structure, its numbers are less sure than noise alone would make them.
-    excess = max(1.0, found.cost / problem.samples(part))
-    return evaluate(problem, found.model, slots, found.covariance * excess)
+    return evaluate(problem, found.model, slots, found.covariance)
 
 
 @dataclass(frozen=True)
@@ -159,7 +169,10 @@ class Descent:
 
 
 def descend(
-    start: Candidate, slots: tuple[Slot, ...], residual: Callable[[Candidate], np.ndarray], steps: int
+    start: Candidate,
+    slots: tuple[Slot, ...],
+    residual: Callable[[Candidate], np.ndarray],
+    steps: int,
 ) -> Descent:
     """Minimise the sum of squares of ``residual`` over ``slots`` by Levenberg-Marquardt; bounds hold at every step.
 
@@ -206,8 +219,25 @@ def descend(
             damping = min(damping * 10, 1e6)
         if gain < 1e-4 * cost + 0.1:
             break
-    covariance = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True) * np.outer(scale, scale)
+    covariance = _covariance(jacobian, current) * np.outer(scale, scale)
     return Descent(model, float(current @ current), covariance)
+
+
+def _covariance(jacobian: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """Covariance (k, k) of a least-squares fit that leaves ``left`` (n,), in standard deviations of the noise.
+
+    Where the model leaves structure its numbers are less sure than noise alone would make them: by its size, and, as
+    structure goes on for a while and pulls at the numbers, by how far the pull differs from piece to piece of the
+    record (the sandwich of Huber and White, pieces as clusters). The larger of the two holds for each number.
+    """
+    inverse = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+    covariance = inverse * max(1.0, float(left @ left) / left.size)
+    starts = np.arange(0, left.size, CLUSTER)
+    pulls = np.add.reduceat(jacobian * left[:, None], starts, axis=0)
+    pulls -= pulls.mean(axis=0)
+    spread = inverse @ (pulls.T @ pulls) @ inverse
+    wider = np.sqrt(np.maximum(1.0, np.diag(spread) / np.maximum(np.diag(covariance), 1e-300)))
+    return covariance * np.outer(wider, wider)
 
 
 def gather(problem: Problem, signals: tuple[np.ndarray, ...], part: str) -> np.ndarray:

@@ -8,8 +8,6 @@ structure that none of this follows: an upper bound, far below the residual of t
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 
 from emps_design.discrepancy.decide import screen
@@ -46,7 +44,7 @@ def unpredicted(problem: Problem, fitted: Fit, library: tuple[Effect, ...]) -> t
         size = float(np.linalg.norm(change))
         if size > 0:
             columns.append(change[:, None] / size)
-    left = _left_by_others(np.column_stack(columns), base, _strokes(problem))
+    left = _left_by_others(np.column_stack(columns), base, problem.strokes("used"))
     return tuple(np.split(left, np.cumsum([s.used.sum() for s in problem.splits])[:-1]))
 
 
@@ -76,18 +74,6 @@ def smooth_of_state(q: np.ndarray, period: float) -> np.ndarray:
         faded = lfilter([share], [1.0, share - 1.0], np.column_stack([v, direction, np.abs(direction)]), axis=0)
         fading += [faded[:, 0], faded[:, 1], faded[:, 2] * direction]
     return np.column_stack([surface * (direction > 0)[:, None], surface * (direction <= 0)[:, None], *fading])
-
-
-def _strokes(problem: Problem) -> list[slice]:
-    """The strokes of all records as stretches of their used samples, one after the other."""
-    edges, before = [0], 0
-    for split in problem.splits:
-        seen = np.concatenate(([0], np.cumsum(split.used)))
-        edges += [before + int(seen[stop]) for _, stop in split.strokes]
-        before += int(seen[-1])
-        edges.append(before)
-    edges = sorted(set(edges))
-    return [slice(start, stop) for start, stop in itertools.pairwise(edges)]
 
 
 def _left_by_others(columns: np.ndarray, force: np.ndarray, strokes: list[slice]) -> np.ndarray:

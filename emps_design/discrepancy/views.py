@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.discrepancy.missing_force import SLOWEST, MissingForce
+from emps_design.discrepancy.missing_force import CUTOFF_HZ, SLOWEST, MissingForce
 from emps_design.effects import Motion
 from emps_design.effects.search import thin
 
 REVERSAL_TIME = 0.2  # s, drawn on both sides of a reversal
 MAP_CELLS = 36  # of position and of velocity in the map
+LINE_TIME = 0.5  # s of a piece of the spectrum over time
+HIGHEST_HZ = 100.0  # drawn of spectra
 SPECTRAL = ("frequency", "period of position")  # quantities over which a view has amplitudes
 
 
@@ -30,21 +32,34 @@ class View:
     title: str = ""
 
 
-def views(before: MissingForce, after: MissingForce, window: np.ndarray, floor: float) -> list[View]:
-    """Residual force over velocity, position (both ways), time from a reversal, period of position, time, frequency.
+def views(
+    before: MissingForce, after: MissingForce, window: np.ndarray, floor: float, voltage_limit: float
+) -> list[View]:
+    """Residual force over each quantity it could depend on.
 
-    It is what the models before and after miss, on the samples of ``window`` (n,) bool; ``floor`` [N] is the noise.
+    Velocity, position (both ways), acceleration, motor force, what is left of the voltage to ``voltage_limit`` [V],
+    time from a reversal, period of position, time, frequency: what the models before and after miss, on the samples
+    of ``window`` (n,) bool; ``floor`` [N] is the noise.
     """
     motion = before.motion
     pairs = (before.force, after.force)
-    result = [_binned("velocity", "m/s", motion.v, pairs, window, floor, 41)]
+    # Low-passed at the cutoff, a signal has two independent values in each period of it.
+    noise = floor / np.sqrt(2 * CUTOFF_HZ * motion.period)
+    result = [_binned("velocity", "m/s", motion.v, pairs, window, noise, 41)]
     for sign, title in ((1, "forwards"), (-1, "backwards")):
         moving = window & before.away & (sign * motion.v > 0)
         if moving.sum() > 200:
-            result.append(_binned("position", "m", motion.q, pairs, moving, floor, 60, title))
-    result += _around_reversals(motion, pairs, window, floor)
+            result.append(_binned("position", "m", motion.q, pairs, moving, noise, 60, title))
+    result.append(_binned("acceleration", "m/s2", motion.a, pairs, window, noise, 41))
+    result.append(_binned("motor force", "N", before.motion.tau, pairs, window, noise, 41))
+    spare = voltage_limit - np.abs(motion.voltage)
+    resisting = tuple(np.sign(motion.tau) * force for force in pairs)
+    result.append(
+        _binned("voltage left to the limit", "V", spare, resisting, window, noise, 41, "along the motor force")
+    )
+    result += _around_reversals(motion, pairs, window, noise)
     result += _periods(motion, pairs, window & before.away)
-    result.append(_binned("time", "s", motion.t, pairs, window, floor, 80))
+    result.append(_binned("time", "s", motion.t, pairs, window, noise, 80))
     result.append(_spectrum(pairs, window, motion.period))
     return result
 
@@ -60,7 +75,7 @@ def shown(view: View) -> float:
 
 
 def _around_reversals(
-    motion: Motion, pairs: tuple[np.ndarray, np.ndarray], window: np.ndarray, floor: float
+    motion: Motion, pairs: tuple[np.ndarray, np.ndarray], window: np.ndarray, noise: float
 ) -> list[View]:
     """Force in the new direction of motion over the time from the reversal, where there are two of them at least."""
     sure = np.nonzero(np.abs(motion.v) > SLOWEST)[0]
@@ -75,7 +90,7 @@ def _around_reversals(
         since[near], towards[near] = (motion.t - motion.t[turn])[near], np.sign(motion.v[turn])
     kept = window & np.isfinite(since)
     forces = tuple(towards * force for force in pairs)
-    return [_binned("time from reversal", "s", since, forces, kept, floor, 60, "in the new direction")]
+    return [_binned("time from reversal", "s", since, forces, kept, noise, 60, "in the new direction")]
 
 
 def _periods(motion: Motion, pairs: tuple[np.ndarray, np.ndarray], away: np.ndarray) -> list[View]:
@@ -98,7 +113,7 @@ def _binned(
     x: np.ndarray,
     pairs: tuple[np.ndarray, np.ndarray],
     kept: np.ndarray,
-    floor: float,
+    noise: float,
     bins: int,
     title: str = "",
 ) -> View:
@@ -107,8 +122,7 @@ def _binned(
     count = np.bincount(place, minlength=bins)
     thick = np.maximum(count, 1)
     means = [np.where(count > 5, np.bincount(place, f[kept], bins) / thick, np.nan) for f in pairs]
-    # Noise of a 60 Hz signal: about 120 independent values a second, so one in eight samples at 1 kHz counts.
-    band = 2 * floor / np.sqrt(np.maximum(count / 8, 1))
+    band = 2 * noise / np.sqrt(thick)
     return View(quantity, unit, 0.5 * (edges[1:] + edges[:-1]), *means, band=band, title=title)
 
 
@@ -120,7 +134,7 @@ def _spectrum(pairs: tuple[np.ndarray, np.ndarray], window: np.ndarray, period: 
     for force in pairs:
         frequency, density = welch(force[window], 1 / period, nperseg=length, detrend="constant")
         amplitudes.append(np.sqrt(density * (frequency[1] - frequency[0])))
-    kept = (frequency > 0) & (frequency <= 100.0)
+    kept = (frequency > 0) & (frequency <= HIGHEST_HZ)
     return View("frequency", "Hz", frequency[kept], amplitudes[0][kept], amplitudes[1][kept], title="rms in each line")
 
 
@@ -138,3 +152,20 @@ def force_map(missing: MissingForce) -> dict[str, Any]:
     rows = [[float(f) if n else None for f, n in zip(*row, strict=True)] for row in zip(mean, count, strict=True)]
     units = {"velocity": "m/s", "position": "m", "force": "N"}
     return {"velocity": centres[0], "position": centres[1], "force": rows, "units": units}
+
+
+def spectrum_over_time(missing: MissingForce) -> dict[str, Any]:
+    """Rms [N] of the missing force in each line of its spectrum, over time: what comes, goes, or changes its pitch.
+
+    ``force`` has a row a frequency.
+    """
+    from scipy.signal import spectrogram
+
+    rate = 1 / missing.motion.period
+    length = int(min(max(rate * LINE_TIME, 16), missing.force.size // 4))
+    overlap = max(0, length - max(1, (missing.force.size - length) // MAP_CELLS))
+    frequency, time, density = spectrogram(missing.force, rate, nperseg=length, noverlap=min(overlap, length - 1))
+    kept = (frequency > 0) & (frequency <= HIGHEST_HZ)
+    rms = np.sqrt(density[kept] * (frequency[1] - frequency[0]))
+    units = {"time": "s", "frequency": "Hz", "force": "N"}
+    return {"time": time.tolist(), "frequency": frequency[kept].tolist(), "force": rms.tolist(), "units": units}

@@ -7,7 +7,9 @@ from typing import Any
 
 from emps_design.axis import Axis
 from emps_design.errors import EmpsError
-from emps_design.report.display import angle, delay, number, quantity, ratio
+from emps_design.report.diagnosis_protocol import Diagnosis
+from emps_design.report.display import NOTHING, angle, delay, number, quantity, ratio
+from emps_design.report.page import Section, Table
 
 CROSSOVER, PHASE_MARGIN = 100.0, 60.0  # rad/s, deg: the specification of the paper's velocity loop
 
@@ -86,3 +88,39 @@ def design_change(before: Axis, after: Axis) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def _design_rows(diagnosis: Diagnosis, document: Mapping[str, Any]) -> list[dict[str, Any]]:
+    axis, parameters = getattr(diagnosis, "axis", None), document.get("parameters")
+    if axis is None or not parameters or not document["findings"]:
+        return []
+    return design_change(axis_before(axis, parameters), axis)
+
+
+def design_section(diagnosis: Diagnosis, document: Mapping[str, Any]) -> Section | None:
+    """The section that compares the design on both models."""
+    rows = document.get("design") or _design_rows(diagnosis, document)
+    if not rows:
+        return None
+
+    def shown(value: Any, unit: str) -> str:
+        if isinstance(value, str) or value is None:
+            return value or NOTHING
+        return angle(value) if unit == "deg" else quantity(value, unit)
+
+    return Section(
+        "What the better model changes in the design",
+        Table(
+            ["quantity", "with the model as it was", "with the better model", "remark"],
+            [
+                [
+                    row["quantity"],
+                    shown(row["before"], row.get("unit", "")),
+                    shown(row["after"], row.get("unit", "")),
+                    row.get("note", ""),
+                ]
+                for row in rows
+            ],
+            "The same specification, designed on both models.",
+        ),
+    )

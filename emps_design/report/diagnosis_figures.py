@@ -57,6 +57,21 @@ def map_figure(missing: Mapping[str, Any]) -> Figure:
     return figure
 
 
+def spectrum_figure(spectrum: Mapping[str, Any]) -> Figure:
+    """Draw the spectrum of the missing force over time, as ``spectrum_over_time`` of a diagnosis has it."""
+    force = np.array(spectrum["force"], float)
+    with look():
+        figure, axes = subplots(height=3.0)
+        shown = axes.pcolormesh(
+            spectrum["time"], spectrum["frequency"], force, cmap="Purples", vmin=0.0, shading="nearest", rasterized=True
+        )
+        figure.colorbar(shown, ax=axes, label="missing force [N rms in a line]")
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel("frequency [Hz]")
+        axes.grid(visible=False)
+    return figure
+
+
 def _draw_view(axes: Axes, view: Any) -> None:
     factor, unit = _SCALE.get(view.unit, (1.0, view.unit))
     x = np.asarray(view.x) * factor

@@ -53,6 +53,7 @@ class Diagnosis(Protocol):
     | ``simulation`` | "closed loop", or "inverse model" where the controller is not known |
     | ``findings[i].label`` | str, the effect in words (else its name is used) |
     | ``unexplained`` | for ``unnamed``: {text, map: {position [m], velocity [m/s], force [N]}, ...} |
+    | ``spectrum_over_time`` | {time [s], frequency [Hz], force [N]}: what the baseline misses |
     | ``candidates`` | [{effect, label, gap [N], statistic, threshold, accepted: bool, note}], best first |
     | ``parameters`` | {name: {unit, axis, baseline: {value, std}, extended: {value, std}}} |
     | ``not_excluded`` | [{effect, label, size, unit, text}]: the smallest size that would have been seen |

@@ -292,3 +292,40 @@ def test_an_interrupt_before_anything_was_found_claims_nothing():
     answer = diagnose(record(DELAYED), AXIS, library=SHORT, progress=stop)
     assert answer.verdict == "unnamed"
     assert answer.sentence.startswith("Interrupted")
+
+
+def test_a_training_record_does_not_confirm_itself():
+    one = record()
+    with pytest.raises(InputError, match="copy: is a training record too"):
+        diagnose(one, AXIS, holdout=dataclasses.replace(one, name="copy"), library=SHORT)
+
+
+def test_what_could_not_be_excluded_names_every_effect_with_a_size():
+    library = tuple(get_effect(n) for n in ("backlash", "flexible_coupling", "presliding_friction", "actuator_delay"))
+    rows = {row["effect"]: row for row in diagnose(record(), AXIS, library=library).details["not_excluded"]}
+    assert set(rows) == {effect.name for effect in library}
+    assert 1e-7 < rows["backlash"]["size"] < 5e-5
+    assert rows["backlash"]["text"].endswith("or more")
+    assert rows["flexible_coupling"]["size"] > 50.0
+    assert rows["flexible_coupling"]["text"].endswith("Hz or less")
+    assert 1e-6 < rows["actuator_delay"]["size"] < 1e-3
+
+
+def test_the_smallest_size_seen_is_seen_and_half_of_it_is_not():
+    row = diagnose(record(), AXIS, library=SHORT).details["not_excluded"]
+    delay = next(entry["size"] for entry in row if entry["effect"] == "actuator_delay")
+    answers = [
+        diagnose(record({"kind": "actuator_delay", "delay": k * delay}), AXIS, library=SHORT) for k in (1.5, 0.4)
+    ]
+    assert [[f.effect for f in answer.findings] for answer in answers] == [["actuator_delay"], []]
+
+
+def test_the_residual_is_looked_at_from_every_side(delayed):
+    seen = {view.quantity for view in delayed.views}
+    assert {"velocity", "position", "acceleration", "motor force", "voltage left to the limit", "time"} <= seen
+    assert {"time from reversal", "period of position", "frequency"} <= seen
+    spectrum = delayed.details["spectrum_over_time"]
+    force = np.array(spectrum["force"])
+    assert force.shape == (len(spectrum["frequency"]), len(spectrum["time"]))
+    assert (force >= 0).all()
+    assert force.max() > 0

@@ -1,0 +1,261 @@
+"""The sections of the page of ``diagnose``, one function each; None where there is nothing to show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from emps_design.report import diagnosis_figures as figures
+from emps_design.report.diagnosis_protocol import Diagnosis
+from emps_design.report.display import NOTHING, interval, probability, quantity, with_std, words
+from emps_design.report.footer import inputs_table, versions
+from emps_design.report.page import Callout, Html, Picture, Points, Section, Table, Text, inline
+
+
+def sentence_of(text: str) -> str:
+    """``text`` with a capital and a full stop, empty text as it is."""
+    return f"{text[0].upper()}{text[1:]}".rstrip(".") + "." if text else ""
+
+
+def _label(finding: Mapping[str, Any]) -> str:
+    return finding.get("label") or words(finding["effect"])
+
+
+def findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
+    """The effects found, with what each is good for, and their numbers."""
+    if not findings:
+        return None
+    alike = any(finding.get("equivalents") for finding in findings)
+    headers = ["effect", "p-value", "gap without it [N]", "gap with it [N]", "acts in the", "where", "force up to [N]"]
+    headers.append("remark")
+    blocks: list[Any] = [
+        Table(
+            [*headers, *(["cannot be told from"] if alike else [])],
+            [
+                [
+                    Html(f"<b>{inline(_label(f))}</b>"),
+                    probability(f.get("p_value")),
+                    f.get("gap_before"),
+                    f.get("gap_after"),
+                    f.get("where", {}).get("channel", "plant"),
+                    f.get("where", {}).get("text", ""),
+                    f.get("where", {}).get("force", {}).get("value"),
+                    f.get("note", ""),
+                    *([", ".join(words(e) for e in f.get("equivalents") or ()) or "—"] if alike else []),
+                ]
+                for f in findings
+            ],
+            "Findings in the order they were accepted; the gap is the rms error of the simulated force, and the force "
+            "is what the effect itself contributes.",
+        )
+    ]
+    rows = [
+        [
+            _label(finding),
+            words(name),
+            with_std(entry.get("value"), entry.get("std"), entry.get("unit", "")),
+            interval(entry.get("value"), entry.get("std"), entry.get("unit", "")),
+            "this record" if entry.get("per_record") else "the machine",
+        ]
+        for finding in findings
+        for name, entry in finding.get("parameters", {}).items()
+    ]
+    if rows:
+        blocks.append(
+            Table(
+                ["effect", "parameter", "value ± std", "95 % interval", "belongs to"],
+                rows,
+                "Parameters of what was found. A number that belongs to one record (the phase of a ripple, the time of "
+                "an event) is fitted anew on every other record.",
+            )
+        )
+    return Section("What is missing", *blocks)
+
+
+def unexplained_section(document: Mapping[str, Any]) -> Section | None:
+    """The force that no effect explains, over position and velocity."""
+    missing = document.get("unexplained")
+    if not missing:
+        return None
+    return Section(
+        "What no effect explains",
+        Picture(
+            figures.map_figure(missing["map"]),
+            f"Mean force the model misses over position and velocity, away from reversals; white where the record does "
+            f"not go. {sentence_of(missing['text'])} Rows alike: it depends on position; columns alike: on velocity.",
+            "The missing force",
+        ),
+    )
+
+
+def candidates_section(diagnosis: Diagnosis, candidates: Sequence[Mapping[str, Any]]) -> Section | None:
+    """What was tried, and what each would have left."""
+    if not candidates:
+        return None
+    rows = [
+        [
+            c.get("label") or words(c["effect"]),
+            "accepted" if c.get("accepted") else "lost",
+            c.get("gap"),
+            c.get("statistic"),
+            c.get("threshold"),
+            c.get("note", ""),
+        ]
+        for c in candidates
+    ]
+    return Section(
+        "Candidates",
+        Picture(
+            figures.candidates_figure(candidates, diagnosis.to_dict()["gap"]),
+            _candidates_caption(candidates),
+            "What was tried",
+        ),
+        Table(
+            ["candidate", "decision", "gap left [N]", "statistic", "to beat", "why"],
+            rows,
+            "The best candidates, refitted in closed loop on the fitting part; the statistic must exceed the largest "
+            "that healthy records give.",
+        ),
+    )
+
+
+def _candidates_caption(candidates: Sequence[Mapping[str, Any]]) -> str:
+    if all(candidate.get("gap") is None for candidate in candidates):
+        return (
+            "No candidate explained enough to be fitted. The bars are the statistics of their first guesses; the "
+            "dashed line is the largest that healthy records give."
+        )
+    return (
+        "Force error left by each candidate after a refit in closed loop; shorter is better. The dashed line is the "
+        "model as it was, the dotted line the noise floor. A candidate near the dashed line explains nothing."
+    )
+
+
+def parameters_section(document: Mapping[str, Any]) -> Section | None:
+    """The baseline's numbers before and after."""
+    parameters = document.get("parameters") or {}
+    if not parameters:
+        return None
+
+    def shown(entry: Mapping[str, Any] | None, unit: str) -> str:
+        return with_std(entry.get("value"), entry.get("std"), unit) if entry else NOTHING
+
+    return Section(
+        "Baseline parameters",
+        Table(
+            ["parameter", "axis file", "refitted, nothing added", "with what was missing"],
+            [
+                [
+                    words(name),
+                    quantity(entry.get("axis"), entry["unit"]),
+                    shown(entry.get("baseline"), entry["unit"]),
+                    shown(entry.get("extended"), entry["unit"]),
+                ]
+                for name, entry in parameters.items()
+            ],
+            "The same four numbers before and after: a missing effect biases what stands in for it.",
+        ),
+    )
+
+
+def gap_section(document: Mapping[str, Any]) -> Section:
+    """The force error of both models on every record, with intervals."""
+    rows = []
+    simulated = document.get("simulation", "closed loop")
+
+    def shown(values: Mapping[str, Any], name: str) -> str:
+        low, high = values.get(f"{name}_interval") or (None, None)
+        value = NOTHING if values.get(name) is None else f"{values[name]:.3g}"
+        return value if low is None else f"{value} ({low:.3g} to {high:.3g})"
+
+    for key, word in (("gap", f"{simulated}, unfiltered"), ("gap_inverse_60hz", "inverse model, 60 Hz")):
+        gap = document.get(key)
+        for part, name in (("train", "training"), ("holdout", "held out")):
+            if gap and gap.get(part):
+                values = gap[part]
+                rows.append([word, name, shown(values, "baseline"), shown(values, "extended"), shown(gap, "floor")])
+    return Section(
+        "The gap in numbers",
+        Table(
+            ["force error", "record", "baseline [N rms]", "extended [N rms]", "floor [N rms]"],
+            rows,
+            "Both models have their baseline parameters refitted to the training record; the held-out part could only "
+            "veto. In brackets 95 % intervals, from pieces of each error redrawn.",
+        ),
+    )
+
+
+def views_section(diagnosis: Diagnosis) -> Section | None:
+    """The residual over each quantity, and its spectrum over time."""
+    if len(diagnosis.views) < 2:
+        return None
+    spectrum = diagnosis.to_dict().get("spectrum_over_time")
+    caption = (
+        "What the model as it was misses, by frequency and time. A level line is a hum, a line that follows the speed "
+        "a ripple over position, a column an event."
+    )
+    blocks = [Picture(figures.spectrum_figure(spectrum), caption, "Spectrum over time")] if spectrum else []
+    return Section(
+        "The residual from every side",
+        Picture(
+            figures.views_figure(diagnosis.views),
+            "Mean residual force before (orange) and after (blue); the grey band is what a healthy record shows. "
+            "What leaves the band after the extension is still unexplained.",
+            "Residual over every quantity",
+        ),
+        *blocks,
+    )
+
+
+def limits_section(document: Mapping[str, Any]) -> Section | None:
+    """What could be there unseen, and how large."""
+    limits = document.get("not_excluded") or ()
+    if not limits:
+        return None
+    rows = [
+        [
+            entry.get("label") or words(entry["effect"]),
+            quantity(entry.get("size"), entry.get("unit", ""), 2),
+            entry.get("text", ""),
+        ]
+        for entry in limits
+    ]
+    return Section(
+        "What could not be excluded",
+        Table(
+            ["effect", "could be there up to", "remark"],
+            rows,
+            "The smallest size that this procedure would have noticed on these records; anything below may be there.",
+        ),
+    )
+
+
+def remedy_section(document: Mapping[str, Any]) -> Section | None:
+    """What a control engineer does about it."""
+    remedies = [r for r in document.get("remedies", ()) if r]
+    blocks: list[Any] = [Points(map(sentence_of, remedies))] if remedies else []
+    if document.get("model_file"):
+        blocks.append(
+            Text(
+                Html(
+                    f"The model with what was missing: <code>{document['model_file']}</code>. Every command runs on it."
+                )
+            )
+        )
+    return Section("What to do", *blocks) if blocks else None
+
+
+def method_section(document: Mapping[str, Any]) -> Section:
+    """How it was found, what was assumed, and what it was read from."""
+    blocks: list[Any] = []
+    if document.get("calibration"):
+        blocks.append(Text(document["calibration"]))
+    if document.get("assumptions"):
+        blocks.append(Points(document["assumptions"]))
+    if document.get("warnings"):
+        blocks.append(Callout("warning", "Warnings", items=tuple(document["warnings"])))
+    inputs = dict(document.get("inputs") or {r["name"]: r.get("sha256") for r in document.get("records", ())})
+    if inputs:
+        blocks.append(inputs_table(inputs))
+    blocks.append(Text(versions()))
+    return Section("Method, warnings and inputs", *blocks)
