@@ -119,7 +119,8 @@ def _explain(
     for _ in range(MOST_SEARCHES):
         work = _searched(problem, baseline, floor, candidates, checks, seed, searches, report)
         finer = floor if floor.from_laps else floor_of_residual(problem.left(work.found.best.model), problem.period)
-        if work.found.interrupted or finer.force > FINER * floor.force:
+        pays = finer.force < FINER * floor.force or finer.force_60hz < FINER * floor.force_60hz
+        if work.found.interrupted or not pays:
             break
         # The noise was taken from what no model followed yet; one follows it now, and shows how much of it was noise.
         problem, floor = problem.with_whitening(finer.whitening), finer

@@ -39,7 +39,8 @@ def not_excluded(work: Work, found: Sequence[str]) -> list[dict[str, Any]]:
         unit, factor = display_unit(size or 0.0, parameter.unit)
         text = "any size: these records do not bring it out"
         if size is not None:
-            text = f"{parameter.name.replace('_', ' ')} {size * factor:.2g} {unit}".rstrip() + f" {said}"
+            rounded = float(f"{size * factor:.2g}")
+            text = f"{parameter.name.replace('_', ' ')} {rounded:g} {unit}".rstrip() + f" {said}"
         rows.append(
             {"effect": effect.name, "label": effect.label, "size": size, "unit": parameter.unit, "text": text},
         )

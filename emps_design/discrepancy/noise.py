@@ -37,11 +37,15 @@ class Floor:
 
     def to_dict(self) -> dict[str, object]:
         """The contract's ``floor`` of ``gap``, with its interval."""
-        return {"floor": self.force, "floor_interval": list(self.interval)}
+        return self._told(self.force, self.interval)
 
     def to_dict_60hz(self) -> dict[str, object]:
         """The contract's ``floor`` of ``gap_inverse_60hz``, with its interval."""
-        return {"floor": self.force_60hz, "floor_interval": list(self.interval_60hz)}
+        return self._told(self.force_60hz, self.interval_60hz)
+
+    def _told(self, rms: float, interval: tuple[float, float]) -> dict[str, object]:
+        source = "repeated laps" if self.from_laps else "what other strokes do not predict"
+        return {"floor": rms, "floor_interval": list(interval), "floor_from": source}
 
 
 def floor_of_laps(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], period: float) -> Floor | None:

@@ -15,6 +15,7 @@ REVERSAL_TIME = 0.2  # s, drawn on both sides of a reversal
 MAP_CELLS = 36  # of position and of velocity in the map
 LINE_TIME = 0.5  # s of a piece of the spectrum over time
 HIGHEST_HZ = 100.0  # drawn of spectra
+FEWEST = 5  # samples, from which on a bin has a mean
 SPECTRAL = ("frequency", "period of position")  # quantities over which a view has amplitudes
 
 
@@ -121,8 +122,8 @@ def _binned(
     place = np.clip(np.digitize(x[kept], edges) - 1, 0, bins - 1)
     count = np.bincount(place, minlength=bins)
     thick = np.maximum(count, 1)
-    means = [np.where(count > 5, np.bincount(place, f[kept], bins) / thick, np.nan) for f in pairs]
-    band = 2 * noise / np.sqrt(thick)
+    means = [np.where(count > FEWEST, np.bincount(place, f[kept], bins) / thick, np.nan) for f in pairs]
+    band = np.where(count > FEWEST, 2 * noise / np.sqrt(thick), np.nan)
     return View(quantity, unit, 0.5 * (edges[1:] + edges[:-1]), *means, band=band, title=title)
 
 

@@ -123,7 +123,7 @@ def _gap_facts(gap: Mapping[str, Any], simulated: str) -> Facts:
     if before == after:  # one model: nothing was added
         errors = [("force error", before)]
     items = [(name, quantity(value, unit, 3), f"{word}, {simulated}") for name, value in errors]
-    items.append(("noise floor", quantity(floor, unit, 3), "what repeats of the record differ by"))
+    items.append(("noise floor", quantity(floor, unit, 3), gap.get("floor_from", "")))
     if None not in (before, after, floor) and before > max(floor, after):
         share = f"{100 * explained(before, after, floor):.0f} %"
         items.append(("of the gap closed", share, "in mean square over the floor; 100 % reaches it"))

@@ -212,20 +212,13 @@ def limits_section(document: Mapping[str, Any]) -> Section | None:
     limits = document.get("not_excluded") or ()
     if not limits:
         return None
-    rows = [
-        [
-            entry.get("label") or words(entry["effect"]),
-            quantity(entry.get("size"), entry.get("unit", ""), 2),
-            entry.get("text", ""),
-        ]
-        for entry in limits
-    ]
+    rows = [[entry.get("label") or words(entry["effect"]), entry["text"]] for entry in limits]
     return Section(
         "What could not be excluded",
         Table(
-            ["effect", "could be there up to", "remark"],
+            ["effect", "would have been noticed from"],
             rows,
-            "The smallest size that this procedure would have noticed on these records; anything below may be there.",
+            "Each effect alone, on these records; what is fainter may be there.",
         ),
     )
 

@@ -53,7 +53,7 @@ def test_the_document_has_what_the_contract_asks(delayed):
     assert json.loads(json.dumps(document, allow_nan=False)) == document
     assert document["schema"] == "emps-design/diagnosis/1"
     for gap in (document["gap"], document["gap_inverse_60hz"]):
-        assert set(gap) == {"unit", "floor", "floor_interval", "train", "holdout"}
+        assert set(gap) == {"unit", "floor", "floor_interval", "floor_from", "train", "holdout"}
         assert gap["floor_interval"][0] < gap["floor"] < gap["floor_interval"][1]
         for part in ("train", "holdout"):
             for model in ("baseline", "extended"):
