@@ -22,6 +22,7 @@ from emps_design.records import Record
 
 BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
 RIVAL = 0.5  # a set joins the beam, an effect the full fits, with this share of what the best one explains
+CLOSE_RIVAL = 0.9  # of what an effect explains, from which on another one in its place is fitted as long as it was
 REFINED = 2  # starts of each effect that are worth a short fit
 SMALLEST_GAIN = 30.0  # in whitened cost; below the chance level of a search over hundreds of shapes
 WORTH_FITTING = 0.05  # of the largest first-order gain
@@ -133,22 +134,40 @@ def _finished(problem: Problem, fitted: Fit) -> Fit:
     return further if admissible(problem, further) else fitted
 
 
-def _pruned(problem: Problem, best: Fit, accept: Callable[[Fit, Fit], bool]) -> list[Fit]:
-    """``best`` without one effect after the other that is no finding beside the rest.
+def _pruned(problem: Problem, best: Fit, known: tuple[str, ...], accept: Callable[[Fit, Fit], bool]) -> list[Fit]:
+    """``best`` without one effect after the other that is no finding beside the rest, ``known`` ones kept.
 
     What was accepted first may be a stand-in for what was found after it.
     """
     path: list[Fit] = []
-    while len(best.model.effects) > 1:
-        rests = Parallel(n_jobs=CORES, prefer="threads")(
-            delayed(fit)(problem, best.model.without(index)) for index in range(len(best.model.effects))
-        )
+    while len(best.model.effects) > len(known) + 1:
+        smaller = [best.model.without(i) for i, name in enumerate(best.model.names) if name not in known]
+        for model in smaller:
+            problem.plant(model)
+        rests = Parallel(n_jobs=CORES, prefer="threads")(delayed(fit)(problem, model) for model in smaller)
         idle = [rest for rest in rests if admissible(problem, rest) and not accept(best, rest)]
         if not idle:
             break
         best = _finished(problem, min(idle, key=lambda f: f.cost))
         path.append(best)
     return path
+
+
+def _rivals(problem: Problem, path: list[Fit], tried: dict[frozenset[str], Fit]) -> dict[frozenset[str], Fit]:
+    """Models with another effect in the place of one of the best model's that come close, walked to their ends too.
+
+    Else the effect found first would win by having been fitted longer.
+    """
+    best, names = path[-1], frozenset(path[-1].model.names)
+    close = {}
+    for name in names - set(path[0].model.names):
+        others = names - {name}
+        without = tried.get(others, path[0]).cost
+        for key, rival in tried.items():
+            alike = len(key) == len(names) and others < key and key != names
+            if alike and without - rival.cost >= CLOSE_RIVAL * (without - best.cost):
+                close[key] = _finished(problem, rival)
+    return close
 
 
 def _short_fit(problem: Problem, start: Start, absorbed: Tangent) -> Descent:
@@ -204,7 +223,8 @@ def search(
                 break
             width = BEAM[min(len(path) - 2, len(BEAM) - 1)]
             beam = [path[-1], *(f for f in ranked[1:width] if path[0].cost - f.cost >= RIVAL * gain)]
-        path += _pruned(problem, path[-1], accept)
+        path += _pruned(problem, path[-1], baseline.model.names, accept)
+        tried |= _rivals(problem, path, tried)
     except KeyboardInterrupt:
         return Search(tuple(path), tried, alone, interrupted=True)
     return Search(tuple(path), tried, alone)
