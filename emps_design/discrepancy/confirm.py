@@ -13,7 +13,7 @@ from emps_design.discrepancy.follow import drive
 from emps_design.discrepancy.law_check import check_law, propose_command
 from emps_design.discrepancy.missing_force import missing_force
 from emps_design.discrepancy.noise import rms_interval
-from emps_design.discrepancy.problem import Problem, evaluate, fit
+from emps_design.discrepancy.problem import Problem, evaluate, fit, sensitivities
 from emps_design.errors import SimulationError
 from emps_design.records import Record
 from emps_design.simulation import Plant
@@ -21,7 +21,6 @@ from emps_design.simulation import Plant
 ASKED_APART = 0.3  # from all of an effect, beyond which a record refutes it
 SURE = 3.0  # standard deviations
 EXERCISED = 0.05  # standard deviations of the noise that an effect must change in the mean to be seen at all
-BASELINE_STEP = 1e-3  # of each baseline number
 
 
 @dataclass(frozen=True)
@@ -145,13 +144,8 @@ def asked_for(problem: Problem, model: Candidate) -> tuple[Asked, ...]:
         rest = model.without(index)
         changes.append(_left(problem, rest) - whole)
         again.append(_left(problem, rest, noise) - disturbed)
-    slots = model.slots()[: len(BASELINE)]
-    columns = list(changes)
-    for place, slot in enumerate(slots):
-        moved = model.vector(slots)
-        moved[place] += BASELINE_STEP * slot.scale
-        columns.append(_left(problem, model.with_vector(slots, moved)) - whole)
-    design = np.column_stack(columns)
+    baseline = sensitivities(problem, evaluate(problem, model), model.slots()[: len(BASELINE)], "used")
+    design = np.column_stack([*changes, baseline])
     size = np.linalg.norm(design, axis=0)
     least = np.where(np.arange(size.size) < len(changes), EXERCISED * np.sqrt(whole.size), 1e-12)
     exercised = size > least

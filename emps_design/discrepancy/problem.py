@@ -12,12 +12,13 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.discrepancy.candidate import Candidate, Slot
 from emps_design.discrepancy.follow import drive
-from emps_design.discrepancy.split import START_UP, Split
+from emps_design.discrepancy.split import Split
 from emps_design.errors import SimulationError
 from emps_design.records import Record
 from emps_design.simulation import Plant
 
 LOOSE = 1e5  # times the integrator's tolerance: force within 1e-3 N, a thousandth of any noise here, four times faster
+STEP = 1e-3  # finite difference of a sensitivity, in scales of the number
 NUDGE = 2e-4  # finite difference, in scales of the parameter
 BOLDEST = 0.5  # largest step of a fit, in scales of the parameter: a period must not jump over its neighbours
 CLUSTER = 500  # samples that structure in a residual spans, for the deviations of what was fitted
@@ -245,6 +246,17 @@ def gather(problem: Problem, signals: tuple[np.ndarray, ...], part: str) -> np.n
     return np.concatenate([signal[mask] for signal, mask in zip(signals, problem.masks(part), strict=True)])
 
 
+def sensitivities(problem: Problem, fitted: Fit, slots: tuple[Slot, ...], part: str) -> np.ndarray:
+    """What ``STEP`` scales of each number in ``slots`` change in the whitened residual on ``part``, (n, k)."""
+    model, base = fitted.model, gather(problem, fitted.innovations, part)
+    x, columns = model.vector(slots), []
+    for k, slot in enumerate(slots):
+        moved = x.copy()
+        moved[k] += STEP * slot.scale * (1 if x[k] + STEP * slot.scale <= slot.quantity.upper else -1)
+        columns.append(gather(problem, problem.whitened(model.with_vector(slots, moved)), part) - base)
+    return np.column_stack(columns)
+
+
 def evaluate(
     problem: Problem, model: Candidate, slots: tuple[Slot, ...] = (), covariance: np.ndarray | None = None
 ) -> Fit:
@@ -261,17 +273,6 @@ def evaluate(
 
 
 ORDER = 24  # of the autoregressive model of the noise
-
-
-def whitening_of(residuals: tuple[np.ndarray, ...]) -> Whitening:
-    """Autoregressive model of ``residuals`` (n,) [N], start-up left out."""
-    lags = np.zeros(ORDER + 1)
-    total = 0
-    for residual in residuals:
-        r = residual[START_UP:] - residual[START_UP:].mean()
-        lags += [float(r[: r.size - k] @ r[k:]) for k in range(ORDER + 1)]
-        total += r.size
-    return yule_walker(lags / total)
 
 
 def yule_walker(lags: np.ndarray) -> Whitening:

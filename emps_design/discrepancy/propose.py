@@ -14,7 +14,7 @@ import numpy as np
 
 from emps_design.discrepancy.candidate import Candidate
 from emps_design.discrepancy.missing_force import MissingForce
-from emps_design.discrepancy.problem import Fit, Problem, gather
+from emps_design.discrepancy.problem import Fit, Problem, gather, sensitivities
 from emps_design.effects import Effect
 from emps_design.effects.search import thin
 from emps_design.errors import SimulationError
@@ -50,16 +50,8 @@ class Tangent:
 
 def tangent(problem: Problem, current: Fit, part: str = "fit") -> Tangent:
     """Finite-difference sensitivities of the whitened residual to the free numbers of ``current``."""
-    model, slots = current.model, current.model.slots()
-    x = model.vector(slots)
     base = gather(problem, current.innovations, part)
-    columns = []
-    for k, slot in enumerate(slots):
-        step = 1e-3 * slot.scale * (1 if x[k] + 1e-3 * slot.scale <= slot.quantity.upper else -1)
-        moved = x.copy()
-        moved[k] += step
-        columns.append(gather(problem, problem.whitened(model.with_vector(slots, moved)), part) - base)
-    u, s, _ = np.linalg.svd(np.column_stack(columns), full_matrices=False)
+    u, s, _ = np.linalg.svd(sensitivities(problem, current, current.model.slots(), part), full_matrices=False)
     basis = u[:, s > 1e-9 * s[0]]
     return Tangent(base - basis @ (basis.T @ base), basis)
 

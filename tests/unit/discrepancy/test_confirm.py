@@ -5,8 +5,8 @@ import pytest
 
 from emps_design.discrepancy.candidate import Candidate
 from emps_design.discrepancy.confirm import asked_for
-from emps_design.discrepancy.noise import floor_of_laps, rms_interval
-from emps_design.discrepancy.problem import Problem, whitening_of
+from emps_design.discrepancy.noise import floor_of_laps, floor_of_residual, rms_interval
+from emps_design.discrepancy.problem import Problem
 from emps_design.discrepancy.split import split
 from emps_design.effects import get_effect
 from emps_design.effects.search import pulses
@@ -25,7 +25,7 @@ def problem(stiffness):
     run = Plant.of(AXIS.replace(effects=[spring])).closed_loop(Q_REF, voltage_noise=noise)
     record = Record(t=run.t, q_ref=Q_REF, q=run.q, u=run.u, period=1e-3, name="run")
     quiet = Plant.of(AXIS.replace(effects=[spring])).closed_loop(Q_REF)
-    return Problem(AXIS, (record,), (split(record),), whitening_of((run.force - quiet.force,)))
+    return Problem(AXIS, (record,), (split(record),), floor_of_residual((run.force - quiet.force,), 1e-3).whitening)
 
 
 def model(**effects):

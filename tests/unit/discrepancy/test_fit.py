@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from emps_design.discrepancy.candidate import Candidate
-from emps_design.discrepancy.noise import floor_of_laps
-from emps_design.discrepancy.problem import Problem, descend, evaluate, fit, whitening_of
+from emps_design.discrepancy.noise import floor_of_laps, floor_of_residual
+from emps_design.discrepancy.problem import Problem, descend, evaluate, fit
 from emps_design.discrepancy.split import split
 from emps_design.effects import get_effect
 from emps_design.machines import machine
@@ -66,6 +66,6 @@ def test_whitening_makes_coloured_noise_white():
     coloured = np.zeros(20000)
     for k in range(1, coloured.size):
         coloured[k] = 0.9 * coloured[k - 1] + random.standard_normal()
-    innovations = whitening_of((coloured,)).apply(coloured)[100:]
+    innovations = floor_of_residual((coloured,), 1e-3).whitening.apply(coloured)[100:]
     assert innovations.std() == pytest.approx(1.0, abs=0.05)
     assert abs(np.mean(innovations[1:] * innovations[:-1])) < 0.05

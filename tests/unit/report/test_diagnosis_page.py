@@ -89,7 +89,9 @@ def document(verdict="named"):
             "coulomb": {"unit": "N", "axis": 20.4, "baseline": {"value": 23.0, "std": 0.3},
                         "extended": {"value": 20.5, "std": 0.1}},
         },
-        "not_excluded": [{"effect": "backlash", "label": "Backlash", "size": 8e-6, "unit": "m", "text": "gap 8.0 µm or more"}],
+        "not_excluded": [
+            {"effect": "backlash", "label": "Backlash", "size": 8e-6, "unit": "m", "text": "gap 8.0 µm or more"},
+        ],
         "remedies": ["Compensate the friction at low speed, or dither."],
         "experiment": {
             "text": "slow triangles of 2 to 20 mm/s", "program": "slow_triangles", "file": "experiment.csv",
