@@ -40,6 +40,7 @@ fuzz: $(call MARK,$(EXTRAS))
 
 hidden: $(call MARK,$(EXTRAS))
 	@$(BIN)/python -m tests.hidden
+	@$(BIN)/python -m tests.hidden --no-laps
 
 bench: $(call MARK,$(EXTRAS))
 	@$(BIN)/python -m benchmarks

@@ -1,4 +1,4 @@
-"""``python -m tests.hidden``: make cases, diagnose them, write the confusion table to docs/hidden_effects.md."""
+"""``python -m tests.hidden``: make cases, diagnose them, write the confusion table to docs/hidden_effects*.md."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from tests.hidden import generate
 from tests.hidden.score import rows, score_all, summary, table
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-PAGE = REPOSITORY / "docs" / "hidden_effects.md"
-TABLE = REPOSITORY / "benchmarks" / "hidden.json"
+PAGES, TABLES = REPOSITORY / "docs", REPOSITORY / "benchmarks"
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -26,10 +25,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--only", default="", help="cases whose name contains this")
     parser.add_argument("--no-laps", action="store_true", help="training programs in which nothing repeats")
     parser.add_argument("--folder", type=Path, help="keep the cases here, and use those that are there")
-    parser.add_argument("--page", type=Path, default=PAGE)
-    parser.add_argument("--table", type=Path, default=TABLE)
+    parser.add_argument("--page", type=Path, help="default: docs/hidden_effects.md, with _no_laps where they are none")
+    parser.add_argument("--table", type=Path, help="default: benchmarks/hidden.json, with _no_laps where they are none")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     options = parser.parse_args(arguments)
+    kind = "_no_laps" if options.no_laps else ""
+    page = options.page or PAGES / f"hidden_effects{kind}.md"
+    numbers = options.table or TABLES / f"hidden{kind}.json"
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.folder or Path(scratch)
         if not any(folder.glob("*/truth.json")):
@@ -47,9 +49,9 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"no case whose name contains {options.only!r}", file=sys.stderr)
         return 2
     count = {key: None if value != value else value for key, value in summary(scores).items()}
-    options.page.write_text(table(scores, options.seed), encoding="utf-8")
+    page.write_text(table(scores, options.seed, not options.no_laps), encoding="utf-8")
     document = {"seed": options.seed, "summary": count, "rows": rows(scores)}
-    options.table.write_text(json.dumps(document, indent=1), encoding="utf-8")
+    numbers.write_text(json.dumps(document, indent=1), encoding="utf-8")
     print(json.dumps(count))
     return 0
 

@@ -139,16 +139,18 @@ def summary(scores: list[Score]) -> dict[str, float]:
     }
 
 
-def table(scores: list[Score], seed: int) -> str:
-    """The confusion table as a Markdown page."""
+def table(scores: list[Score], seed: int, repeats: bool = True) -> str:
+    """The confusion table as a Markdown page; ``repeats``: the training records have laps."""
     count = summary(scores)
+    title = "what was hidden, what was named" if repeats else "where nothing repeats"
+    records = "Each training record repeats its laps." if repeats else "No training record repeats anything."
     lines = [
         *("---", "orphan: true", "---", ""),
-        "# Hidden effects: what was hidden, what was named",
+        f"# Hidden effects: {title}",
         "",
         f"Written by `make hidden` (seed {seed}): cases of `tests/hidden`, made by a simulator of their own, each",
         "diagnosed by `emps-design diagnose`. A name counts as right where the finding or one of its equivalents",
-        "(three at most) is what was hidden and no finding is false.",
+        f"(three at most) is what was hidden and no finding is false. {records}",
         "",
         f"Effects: {count['right']} right ({count['exact']} by the first name), {count['wrong']} wrong, "
         f"{count['abstained']} abstained, {count['too_small']} too small, of {count['effects']}. "

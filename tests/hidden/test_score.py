@@ -54,4 +54,6 @@ def test_summary_and_page():
     assert "| backlash | 2 | 1 | 0 | 1 | backlash; end_stop |" in page
     assert "| none | 1 | 1 | 0 | 0 | nothing-missing |" in page
     assert "seed 4" in page
+    assert "repeats its laps" in page
+    assert "No training record repeats" in table(scores, 4, repeats=False)
     assert [row["right"] for row in rows(scores)] == [True, False, True, True]
