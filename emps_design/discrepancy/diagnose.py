@@ -11,7 +11,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.discrepancy import describe
 from emps_design.discrepancy.candidate import Candidate
-from emps_design.discrepancy.decide import refitted, screen, search
+from emps_design.discrepancy.decide import screen, search
 from emps_design.discrepancy.diagnosis import Diagnosis
 from emps_design.discrepancy.door import check_records, check_same_drive, same_run
 from emps_design.discrepancy.experiment import experiment
@@ -116,15 +116,22 @@ def _explain(
     report("fitting the baseline", 0.05)
     candidates = tuple(effect for effect in library if effect.channel != "controller")
     problem, baseline, floor = _baseline(problem, start, candidates)
-    for _ in range(MOST_SEARCHES):
-        work = _searched(problem, baseline, floor, candidates, checks, seed, searches, report)
-        finer = floor if floor.from_laps else floor_of_residual(problem.left(work.found.best.model), problem.period)
+    passes = 1 if floor.from_laps else MOST_SEARCHES
+    stages = [partial(_stage, report, number / passes, 1 / passes) for number in range(passes)]
+    work = _searched(problem, baseline, floor, candidates, checks, seed, searches, stages[0])
+    for stage in stages[1:]:
+        # The noise was taken from what no model followed; where one follows it now, it shows how much of it was noise.
+        finer = floor_of_residual(problem.left(work.found.best.model), problem.period)
         pays = finer.force < FINER * floor.force or finer.force_60hz < FINER * floor.force_60hz
         if work.found.interrupted or not pays:
             break
-        # The noise was taken from what no model followed yet; one follows it now, and shows how much of it was noise.
         problem, floor = problem.with_whitening(finer.whitening), finer
         baseline = fit(problem, baseline.model, steps=20)
+        again = _searched(problem, baseline, floor, candidates, checks, seed, searches, stage)
+        if again.found.interrupted:
+            warnings.append("interrupted: the noise was taken again, the search on it not finished")
+            break
+        work = again
     return replace(work, warnings=(*warnings, *work.warnings), holdout_law=law)
 
 
@@ -139,7 +146,7 @@ def _searched(
     report: Progress,
 ) -> Work:
     """Calibrate on healthy records, and search."""
-    report("healthy reference", 0.1)
+    report("healthy reference", 0.0)
     absorbed, warnings = tangent(problem, baseline), []
     screened = screen(problem, baseline, candidates, absorbed)
     healthy = healthy_reference(screened, absorbed, floor.draws, seed)
@@ -150,15 +157,17 @@ def _searched(
         except KeyboardInterrupt:
             warnings.append("interrupted: calibrated on resampled noise, not on healthy records searched")
     judge = Judge(problem, healthy, floor)
-    told = partial(_stage, report)
-    found = search(problem, baseline, candidates, screened, judge.accepts, told)
+    found = search(
+        problem, baseline, candidates, screened, judge.accepts, lambda at, done: report(at, 0.1 + 0.9 * done)
+    )
     if found.interrupted:
         warnings.append("interrupted: the search was not finished, what follows is what was known by then")
     return Work(problem, judge, found, floor, checks, healthy, screened, tuple(warnings))
 
 
-def _stage(report: Progress, stage: str, done: float) -> None:
-    report(stage, 0.15 + 0.7 * done)
+def _stage(report: Progress, start: float, share: float, stage: str, done: float) -> None:
+    """Report ``done`` of a search that is ``share`` of all searching, after ``start`` of it."""
+    report(stage, 0.1 + 0.8 * (start + share * done))
 
 
 def _problem(
@@ -216,7 +225,7 @@ def _conclude(work: Work, confirming: Confirming | None) -> Diagnosis:
     baseline = start
     if start.model.names:
         baseline = evaluate(problem, replace(start.model, effects=(), values=()), start.slots, start.covariance)
-    extended = refitted(problem, found.best.model) if len(found.path) > 1 else start
+    extended = work.judge.refitted(found.best.model) if len(found.path) > 1 else start
     judged, refuted, lost = None, (), 0.0
     if confirming is not None:
         learnt = start.cost - extended.cost

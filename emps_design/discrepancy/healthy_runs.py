@@ -37,7 +37,7 @@ def healthy_runs(
         absorbed = tangent(healthy, alone)
         found, gains = extensions(healthy, alone, screen(healthy, alone, library, absorbed), absorbed)
         largest[i] = max([0.0, *gains.values(), *(alone.cost_fit - f.cost_fit for f in found)])
-        progress(0.1 + 0.05 * (i + 1) / runs)
+        progress(0.1 * (i + 1) / runs)
     return Healthy(np.sort(largest), searched=True)
 
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from emps_design.discrepancy.candidate import Candidate
 from emps_design.discrepancy.confirm import Asked, Gap, Prediction, asked_for, gap_of, predict, refit_per_record
-from emps_design.discrepancy.decide import refitted
 from emps_design.discrepancy.law_check import LawCheck
 from emps_design.discrepancy.problem import Fit, Problem
 from emps_design.discrepancy.split import split
@@ -91,7 +90,7 @@ def confirm(work: Work, confirming: Confirming, baseline: Fit, extended: Fit) ->
             return confirming_gap(confirming, baseline.model, extended.model), extended, tuple(refuted)
         refuted.append(worst)
         rest = extended.model.without(extended.model.names.index(worst.name))
-        extended = refitted(work.problem, rest)
+        extended = work.judge.refitted(rest)
 
 
 def confirming_gap(confirming: Confirming, baseline: Candidate, extended: Candidate) -> Judged:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emps_design.discrepancy.decide import Search
+from emps_design.discrepancy.candidate import Candidate
+from emps_design.discrepancy.decide import Search, refitted
 from emps_design.discrepancy.healthy import Healthy
 from emps_design.discrepancy.noise import Floor, usual_rms
 from emps_design.discrepancy.problem import Fit, Problem, gather
@@ -46,7 +47,7 @@ class Judge:
             and gain_fit + gain_select > worth * sum(before)
             and self._seen_again(better, worse, burst)
             and self.share_of_strokes(better, worse) >= STROKES
-            and not self._lost_in_noise(better)
+            and self._faint(better.model) is None
         )
 
     def to_beat(self, worse: Fit) -> float:
@@ -67,17 +68,21 @@ class Judge:
             expected += float(change[split.fit].mean()) * int(split.select.sum())
         return gained > SEEN_AGAIN * expected
 
-    def _lost_in_noise(self, fitted: Fit) -> bool:
-        """Whether an effect's amplitude is a force far below what does not repeat."""
-        for effect, values in zip(fitted.model.effects, fitted.model.values, strict=True):
+    def refitted(self, model: Candidate) -> Fit:
+        """``model`` fitted to all that may be used, without the effects whose force is lost in the noise by then."""
+        fitted = refitted(self.problem, model)
+        while (faint := self._faint(fitted.model)) is not None:
+            fitted = refitted(self.problem, fitted.model.without(faint))
+        return fitted
+
+    def _faint(self, model: Candidate) -> int | None:
+        """The first effect whose amplitude is a force far below what does not repeat."""
+        least = AUDIBLE * self.floor.force
+        for index, (effect, values) in enumerate(zip(model.effects, model.values, strict=True)):
             for place, parameter in enumerate(effect.parameters):
-                if (
-                    parameter.linear
-                    and parameter.unit == "N"
-                    and np.abs(values[:, place]).max() < AUDIBLE * self.floor.force
-                ):
-                    return True
-        return False
+                if parameter.linear and parameter.unit == "N" and np.abs(values[:, place]).max() < least:
+                    return index
+        return None
 
     def _bulk(self, fitted: Fit, part: str, burst: float = BURST) -> float:
         """Whitened cost on ``part`` in which no sample counts more than ``burst`` deviations.
