@@ -217,12 +217,14 @@ def search(
             ranked = [f for f in sorted(sound.values(), key=lambda f: f.cost) if accept(f, path[-1])]
             if not ranked:
                 break
-            path.append(_finished(problem, ranked[0]))
+            width = BEAM[min(len(path) - 1, len(BEAM) - 1)]
             gain = path[0].cost - ranked[0].cost
+            leading = [f for f in ranked[:width] if path[0].cost - f.cost >= RIVAL * gain]
+            beam = sorted((_finished(problem, f) for f in leading), key=lambda f: f.cost)
+            path.append(beam[0])
+            gain = path[0].cost - path[-1].cost
             if len(path) > ENOUGH_ROUNDS and gain < LEAST_EXPLAINED * (path[0].cost - problem.samples("used")):
                 break
-            width = BEAM[min(len(path) - 2, len(BEAM) - 1)]
-            beam = [path[-1], *(f for f in ranked[1:width] if path[0].cost - f.cost >= RIVAL * gain)]
         path += _pruned(problem, path[-1], baseline.model.names, accept)
         tried |= _rivals(problem, path, tried)
     except KeyboardInterrupt:

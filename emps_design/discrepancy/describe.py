@@ -109,11 +109,10 @@ def _calibration(work: Work) -> str:
     made = f"{runs} simulated healthy records, each searched like this one"
     if not work.healthy.searched:
         made = f"{runs} healthy references made of resampled noise"
-    noise = "what differs between repeated laps" if work.floor.from_laps else "what other strokes do not predict"
     return (
         f"A finding must gain more than {work.healthy.threshold:.1f} in whitened cost, the largest gain of any "
         f"candidate in {100 * level:.2g} % of {made}, and more than {100 * WORTH:g} % of the cost "
-        f"({100 * WORTH_AT_FLOOR:g} % where it is noise already); the noise is {noise}."
+        f"({100 * WORTH_AT_FLOOR:g} % where it is noise already); the noise is {work.floor.source}."
     )
 
 
@@ -157,8 +156,8 @@ def _warnings(work: Work, verdict: str, extended: Fit) -> list[str]:
     said = [FOLLOWED] if work.problem.axis.controller.kind == "none" else []
     if not work.floor.from_laps:
         said.append(
-            "the reference does not repeat: noise is what the other strokes do not predict of a stroke, an upper "
-            "bound; an effect unlike all candidates, and different from stroke to stroke, would pass for noise"
+            f"noise is {work.floor.source}, not what differs between laps: what is unlike all candidates, and differs "
+            "from stroke to stroke, would pass for it"
         )
     if verdict in ("named", "ambiguous") and work.judge.leaves_structure(extended):
         said.append(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 
@@ -30,7 +31,7 @@ from emps_design.discrepancy.holdout import (
 from emps_design.discrepancy.judge import Judge, explained, force_rms
 from emps_design.discrepancy.law_check import LawCheck, check_law
 from emps_design.discrepancy.missing_force import missing_force
-from emps_design.discrepancy.noise import Floor, floor_of_laps, floor_of_residual
+from emps_design.discrepancy.noise import LEFT, STROKES, Floor, floor_of_laps, floor_of_residual
 from emps_design.discrepancy.problem import Fit, Problem, Whitening, evaluate, fit
 from emps_design.discrepancy.propose import tangent
 from emps_design.discrepancy.split import split
@@ -43,7 +44,8 @@ from emps_design.records import Record
 Progress = Callable[[str, float], None]
 LEAST_CONFIRMING = 500  # samples
 FINER = 0.95  # of the floor: a model that leaves less than this share shows that it was no noise
-MOST_SEARCHES = 3  # with the noise taken again from what the one before left
+FINER_THAN_LAPS = 0.7  # the same where laps repeat, which tells noise better than any model
+SEARCHES = ((0.0, 0.6), (0.6, 0.25), (0.85, 0.15))  # start and share of the progress; noise taken again in between
 LOST = 0.05  # of what the model explained; if refuted effects carried more, the rest is doubtful too
 HELD = 0.8  # of the share explained on the training record must be explained on the confirming one
 
@@ -100,6 +102,9 @@ def _explain(
     for other in (*records[1:], holdout):
         if other is not None:
             check_same_drive(records[0], other)
+    for one, other in combinations(records, 2):
+        if same_run(one, other):
+            raise InputError(f"{other.name}: is the record {one.name} again; give each record once")
     known = axis.controller.kind != "none"
     law = None
     if holdout is not None:
@@ -116,23 +121,41 @@ def _explain(
     report("fitting the baseline", 0.05)
     candidates = tuple(effect for effect in library if effect.channel != "controller")
     problem, baseline, floor = _baseline(problem, start, candidates)
-    passes = 1 if floor.from_laps else MOST_SEARCHES
-    stages = [partial(_stage, report, number / passes, 1 / passes) for number in range(passes)]
+    stages = [partial(_stage, report, *part) for part in SEARCHES]
     work = _searched(problem, baseline, floor, candidates, checks, seed, searches, stages[0])
     for stage in stages[1:]:
-        # The noise was taken from what no model followed; where one follows it now, it shows how much of it was noise.
-        finer = floor_of_residual(problem.left(work.found.best.model), problem.period)
-        pays = finer.force < FINER * floor.force or finer.force_60hz < FINER * floor.force_60hz
-        if work.found.interrupted or not pays:
+        finer = _finer(work)
+        if finer is None or work.found.interrupted:
             break
-        problem, floor = problem.with_whitening(finer.whitening), finer
-        baseline = fit(problem, baseline.model, steps=20)
-        again = _searched(problem, baseline, floor, candidates, checks, seed, searches, stage)
-        if again.found.interrupted:
-            warnings.append("interrupted: the noise was taken again, the search on it not finished")
+        try:
+            problem = work.problem.with_whitening(finer.whitening)
+            baseline = fit(problem, work.found.path[0].model, steps=20)
+            searches = searches if work.healthy.searched else 0  # an interrupt ended the calibration for good
+            again = _searched(problem, baseline, finer, candidates, checks, seed, searches, stage)
+        except KeyboardInterrupt:
+            again = None
+        if again is None or again.found.interrupted:
+            warnings.append("interrupted: the search was not repeated on the noise that its model left")
             break
+        warnings += work.warnings
         work = again
+    else:
+        if _finer(work) is not None:
+            warnings.append("the model leaves less than the noise it was judged by: more may be there than was found")
     return replace(work, warnings=(*warnings, *work.warnings), holdout_law=law)
+
+
+def _finer(work: Work) -> Floor | None:
+    """The noise that the best model of ``work`` leaves, where that is clearly less than the noise it was judged by.
+
+    The noise was taken from what no model followed yet, or from laps that are not alike; a model that follows shows
+    how much of it was noise.
+    """
+    floor = work.floor
+    finer = floor_of_residual(work.problem.left(work.found.best.model), work.problem.period, LEFT)
+    least = FINER_THAN_LAPS if floor.from_laps else FINER
+    pays = finer.force < least * floor.force or finer.force_60hz < least * floor.force_60hz
+    return finer if pays else None
 
 
 def _searched(
@@ -162,7 +185,7 @@ def _searched(
     )
     if found.interrupted:
         warnings.append("interrupted: the search was not finished, what follows is what was known by then")
-    return Work(problem, judge, found, floor, checks, healthy, screened, tuple(warnings))
+    return Work(problem, judge, found, floor, checks, healthy, screened, tuple(warnings), candidates)
 
 
 def _stage(report: Progress, start: float, share: float, stage: str, done: float) -> None:
@@ -212,7 +235,7 @@ def _baseline(problem: Problem, start: Candidate, candidates: tuple[Effect, ...]
     rough = fit(problem, start, steps=20)
     floor = floor_of_laps(problem.residuals(rough.model), problem.splits, problem.period)
     if floor is None:
-        floor = floor_of_residual(unpredicted(problem, rough, candidates), problem.period)
+        floor = floor_of_residual(unpredicted(problem, rough, candidates), problem.period, STROKES)
     problem = problem.with_whitening(floor.whitening)
     return problem, fit(problem, rough.model, steps=20), floor
 

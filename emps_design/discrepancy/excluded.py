@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.discrepancy.judge import WORTH_AT_FLOOR
+from emps_design.discrepancy.judge import AUDIBLE, WORTH_AT_FLOOR
 from emps_design.discrepancy.problem import gather
 from emps_design.discrepancy.propose import Start, Tangent, tangent
 from emps_design.discrepancy.work import Work
@@ -16,35 +16,39 @@ from emps_design.errors import SimulationError
 from emps_design.quantities import display_unit
 
 ABSURD = 1e3  # times the typical size of a parameter
-FAR = 30.0  # times a parameter that shapes an effect, where the effect has faded
+HIDDEN = "any size: these records do not bring it out"
+NO_START = "not looked for: nothing in these records to start from"
+FAR = 300.0  # times a parameter that shapes an effect, where the effect has faded
 CLOSE = 1.1  # ratio to which the limit of what is seen is sought
 
 
 def not_excluded(work: Work, found: Sequence[str]) -> list[dict[str, Any]]:
     """A row for each effect that is not among ``found``: its size just seen, None where no size would have been."""
     gain = max(work.healthy.threshold, WORTH_AT_FLOOR * work.problem.samples("fit"))
-    absorbed, rows = tangent(work.problem, work.found.path[0]), []
-    for starts in work.screened:
-        effect = starts[0].model.effects[-1]
+    absorbed, screened = tangent(work.problem, work.found.path[0]), {s[0].model.names[-1]: s for s in work.screened}
+    rows = []
+    for effect in work.library:
         if effect.name in found:
             continue
-        if effect.linear:
-            parameter, size = _by_amplitude(starts, gain)
-            said = "or more"
+        starts, said = screened.get(effect.name, ()), "or more"
+        if not starts:
+            parameter, size, text = effect.parameters[0], None, NO_START
+        elif effect.linear:
+            parameter, size = _by_amplitude(work, starts, gain)
         else:
             parameter, size, grows = _by_shape(work, absorbed, starts, gain)
             said = "or less" if grows else "or more"
-        if size == 0.0:
-            continue
-        unit, factor = display_unit(size or 0.0, parameter.unit)
-        text = "any size: these records do not bring it out"
-        if size is not None:
-            rounded = float(f"{size * factor:.2g}")
-            text = f"{parameter.name.replace('_', ' ')} {rounded:g} {unit}".rstrip() + f" {said}"
+        if starts:
+            text = HIDDEN if size is None else f"{_rounded(parameter, size)} {said}"
         rows.append(
             {"effect": effect.name, "label": effect.label, "size": size, "unit": parameter.unit, "text": text},
         )
     return rows
+
+
+def _rounded(parameter: Parameter, size: float) -> str:
+    unit, factor = display_unit(size, parameter.unit)
+    return f"{parameter.name.replace('_', ' ')} {float(f'{size * factor:.2g}'):g} {unit}".rstrip()
 
 
 def least_visible(rows: Sequence[Mapping[str, Any]]) -> str | None:
@@ -56,15 +60,23 @@ def least_visible(rows: Sequence[Mapping[str, Any]]) -> str | None:
     return f"{row['text'].removesuffix(' or more')} ({row['label'].lower()})"
 
 
-def _by_amplitude(starts: Sequence[Start], gain: float) -> tuple[Parameter, float | None]:
+def _by_amplitude(work: Work, starts: Sequence[Start], gain: float) -> tuple[Parameter, float | None]:
     """The amplitude of an effect that is linear in it: its signatures, scaled."""
     effect = starts[0].model.effects[-1]
     place = [p.name for p in effect.parameters].index(effect.linear[0])
     parameter = effect.parameters[place]
-    # Of the shapes that were tried, the middle one: some hide completely, such as an event at the record's end.
-    size = float(np.median([abs(s.model.values[-1][0][place]) * np.sqrt(gain) / s.size for s in starts]))
-    absurd = ABSURD * parameter.scale if parameter.scale else np.inf
-    return parameter, None if size > min(absurd, parameter.upper) else size
+    amplitudes = [float(np.abs(s.model.values[-1][:, place]).max() * np.sqrt(gain) / s.size) for s in starts]
+    # Some shapes hide completely, such as an event at the record's end, or a speed that it does not have.
+    most = min(ABSURD * parameter.scale if parameter.scale else np.inf, parameter.upper)
+    sane = [
+        amplitude
+        for amplitude, start in zip(amplitudes, starts, strict=True)
+        if max(amplitude, float(np.abs(start.model.values[-1][:, place]).max())) <= most
+    ]
+    if not sane:
+        return parameter, None
+    size = float(np.median(sane))
+    return parameter, max(size, AUDIBLE * work.floor.force) if parameter.unit == "N" else size
 
 
 def _by_shape(

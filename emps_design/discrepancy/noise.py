@@ -15,6 +15,7 @@ UNUSUAL = 2.5  # times the typical deviation of a piece
 FIRST_DIFFERENCE, SECOND_DIFFERENCE = (-1.0, 1.0), (1.0, -2.0, 1.0)
 NEIGHBOURS = 40  # lines of a spectrum on both sides, the median of which is usual
 LINE = 25.0  # times the usual power, beyond which a line is a tone
+LAPS, STROKES, LEFT = "what differs between laps", "what other strokes do not predict", "what the best model leaves"
 DRIFTS = 0.7  # of the first difference's rms, below which the second is the floor
 
 
@@ -23,8 +24,7 @@ class Floor:
     """Rms [N] of what nothing predicts, ``force`` unfiltered and ``force_60hz`` low-passed.
 
     ``interval`` and ``interval_60hz`` hold the two with 95 %. ``whitening`` models it; ``draws`` are its innovations,
-    to resample. ``from_laps`` False: the reference does not repeat, and the floor is what a model leaves, an upper
-    bound.
+    to resample. ``source`` says what it was read from.
     """
 
     force: float
@@ -33,7 +33,12 @@ class Floor:
     interval_60hz: tuple[float, float]
     whitening: Whitening
     draws: np.ndarray
-    from_laps: bool
+    source: str
+
+    @property
+    def from_laps(self) -> bool:
+        """Whether it is what differs between laps of the same reference, and no model's residual."""
+        return self.source == LAPS
 
     def to_dict(self) -> dict[str, object]:
         """The contract's ``floor`` of ``gap``, with its interval."""
@@ -44,8 +49,7 @@ class Floor:
         return self._told(self.force_60hz, self.interval_60hz)
 
     def _told(self, rms: float, interval: tuple[float, float]) -> dict[str, object]:
-        source = "repeated laps" if self.from_laps else "what other strokes do not predict"
-        return {"floor": rms, "floor_interval": list(interval), "floor_from": source}
+        return {"floor": rms, "floor_interval": list(interval), "floor_from": self.source}
 
 
 def floor_of_laps(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], period: float) -> Floor | None:
@@ -70,7 +74,7 @@ def floor_of_laps(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], 
     if not found:
         return None
     drifts = len(found) == 2 and _rms(found[1][0]) < DRIFTS * _rms(found[0][0])
-    return _floor(*found[drifts], from_laps=True)
+    return _floor(*found[drifts], LAPS)
 
 
 def _laps(split: Split, together: int) -> list[tuple[int, int]]:
@@ -91,14 +95,14 @@ def _difference(signal: np.ndarray, start: int, stop: int, lap: int, weights: tu
     return np.sum(laps, axis=0) / np.sqrt(np.sum(np.square(weights)))
 
 
-def floor_of_residual(left: tuple[np.ndarray, ...], period: float) -> Floor:
-    """Floor taken from what a model leaves of the used samples, (n_used,) [N] a record, where nothing repeats."""
+def floor_of_residual(left: tuple[np.ndarray, ...], period: float, source: str) -> Floor:
+    """Floor taken from what a model leaves of the used samples, (n_used,) [N] a record; ``source`` names the model."""
     from emps_design.identification.filters import low_pass
 
-    return _floor(*_steady(list(left), [low_pass(part, BAND_HZ, period) for part in left]), from_laps=False)
+    return _floor(*_steady(list(left), [low_pass(part, BAND_HZ, period) for part in left]), source)
 
 
-def _floor(raw: list[np.ndarray], smooth: list[np.ndarray], from_laps: bool) -> Floor:
+def _floor(raw: list[np.ndarray], smooth: list[np.ndarray], source: str) -> Floor:
     (force, lags), (force_60hz, _) = _broadband(raw), _broadband(smooth)
     whitening = yule_walker(lags)
     draws = np.concatenate([whitening.apply(d - d.mean())[START_UP:] for d in raw])
@@ -106,7 +110,7 @@ def _floor(raw: list[np.ndarray], smooth: list[np.ndarray], from_laps: bool) -> 
     for parts, rms in ((raw, force), (smooth, force_60hz)):
         error = np.concatenate([p - p.mean() for p in parts])
         intervals.append(tuple(rms / float(np.std(error)) * end for end in rms_interval(error)))
-    return Floor(force, force_60hz, *intervals, whitening, draws / draws.std(), from_laps)
+    return Floor(force, force_60hz, *intervals, whitening, draws / draws.std(), source)
 
 
 def _broadband(parts: list[np.ndarray]) -> tuple[float, np.ndarray]:

@@ -12,12 +12,13 @@ from emps_design.discrepancy.law_check import LawCheck
 from emps_design.discrepancy.noise import Floor
 from emps_design.discrepancy.problem import Problem
 from emps_design.discrepancy.propose import Start
+from emps_design.effects import Effect
 from emps_design.records import Record
 
 
 @dataclass(frozen=True)
 class Work:
-    """The problem, the rules, all fits, the noise, the checks of the law."""
+    """The problem, the rules, all fits, the noise, the checks of the law, the ``library`` of the plant."""
 
     problem: Problem
     judge: Judge
@@ -27,6 +28,7 @@ class Work:
     healthy: Healthy
     screened: list[list[Start]]
     warnings: tuple[str, ...]
+    library: tuple[Effect, ...] = ()
     holdout_law: LawCheck | None = None
 
     @property

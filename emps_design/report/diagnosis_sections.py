@@ -55,7 +55,7 @@ def findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
             words(name),
             with_std(entry.get("value"), entry.get("std"), entry.get("unit", "")),
             interval(entry.get("value"), entry.get("std"), entry.get("unit", "")),
-            "this record" if entry.get("per_record") else "the machine",
+            finding.get("where", {}).get("record", "this record") if entry.get("per_record") else "the machine",
         ]
         for finding in findings
         for name, entry in finding.get("parameters", {}).items()
@@ -113,8 +113,8 @@ def candidates_section(diagnosis: Diagnosis, candidates: Sequence[Mapping[str, A
         Table(
             ["candidate", "decision", "gap left [N]", "statistic", "to beat", "why"],
             rows,
-            "The best candidates, refitted in closed loop on the fitting part; the statistic must exceed the largest "
-            "that healthy records give.",
+            "The best candidates, refitted in closed loop on the fitting part; the statistic must exceed what "
+            "is to beat: the largest that healthy records give, or the share of the cost that a finding must be worth.",
         ),
     )
 
@@ -123,7 +123,7 @@ def _candidates_caption(candidates: Sequence[Mapping[str, Any]]) -> str:
     if all(candidate.get("gap") is None for candidate in candidates):
         return (
             "No candidate explained enough to be fitted. The bars are the statistics of their first guesses; the "
-            "dashed line is the largest that healthy records give."
+            "dashed line is what they had to beat."
         )
     return (
         "Force error left by each candidate after a refit in closed loop; shorter is better. The dashed line is the "
@@ -218,7 +218,7 @@ def limits_section(document: Mapping[str, Any]) -> Section | None:
         Table(
             ["effect", "would have been noticed from"],
             rows,
-            "Each effect alone, on these records; what is fainter may be there.",
+            "Each effect alone, at the middle one of the shapes tried; what is fainter may be there.",
         ),
     )
 

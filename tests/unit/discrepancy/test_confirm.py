@@ -25,7 +25,9 @@ def problem(stiffness):
     run = Plant.of(AXIS.replace(effects=[spring])).closed_loop(Q_REF, voltage_noise=noise)
     record = Record(t=run.t, q_ref=Q_REF, q=run.q, u=run.u, period=1e-3, name="run")
     quiet = Plant.of(AXIS.replace(effects=[spring])).closed_loop(Q_REF)
-    return Problem(AXIS, (record,), (split(record),), floor_of_residual((run.force - quiet.force,), 1e-3).whitening)
+    return Problem(
+        AXIS, (record,), (split(record),), floor_of_residual((run.force - quiet.force,), 1e-3, "noise").whitening
+    )
 
 
 def model(**effects):

@@ -10,7 +10,7 @@ import pytest
 from emps_design.cli.output import plain
 from emps_design.discrepancy import diagnose
 from emps_design.discrepancy.door import check_records
-from emps_design.effects import get_effect
+from emps_design.effects import get_effect, known_effects
 from emps_design.errors import InputError, RecordError
 from emps_design.machines import machine
 from emps_design.records import Record
@@ -329,3 +329,14 @@ def test_the_residual_is_looked_at_from_every_side(delayed):
     assert force.shape == (len(spectrum["frequency"]), len(spectrum["time"]))
     assert (force >= 0).all()
     assert force.max() > 0
+
+
+def test_the_same_record_twice_is_refused():
+    with pytest.raises(InputError, match="again: is the record run again"):
+        diagnose([record(), dataclasses.replace(record(), name="again")], AXIS, library=SHORT)
+
+
+def test_every_effect_has_a_row_under_what_could_not_be_excluded():
+    rows = diagnose(record(), AXIS).details["not_excluded"]
+    assert {row["effect"] for row in rows} == {n for n, e in known_effects().items() if e.channel != "controller"}
+    assert all(row["text"] for row in rows)

@@ -66,6 +66,6 @@ def test_whitening_makes_coloured_noise_white():
     coloured = np.zeros(20000)
     for k in range(1, coloured.size):
         coloured[k] = 0.9 * coloured[k - 1] + random.standard_normal()
-    innovations = floor_of_residual((coloured,), 1e-3).whitening.apply(coloured)[100:]
+    innovations = floor_of_residual((coloured,), 1e-3, "noise").whitening.apply(coloured)[100:]
     assert innovations.std() == pytest.approx(1.0, abs=0.05)
     assert abs(np.mean(innovations[1:] * innovations[:-1])) < 0.05
