@@ -11,6 +11,7 @@ from emps_design.discrepancy.decide import Search, refitted
 from emps_design.discrepancy.healthy import Healthy
 from emps_design.discrepancy.noise import Floor, usual_rms
 from emps_design.discrepancy.problem import Fit, Problem, gather
+from emps_design.discrepancy.propose import LEAST_AMPLITUDE
 from emps_design.discrepancy.split import START_UP
 
 WORTH = 0.01  # of the whitened cost: what lowers the residual force by less than half a percent is no finding
@@ -76,11 +77,11 @@ class Judge:
         return fitted
 
     def _faint(self, model: Candidate) -> int | None:
-        """The first effect whose amplitude is a force far below what does not repeat."""
-        least = AUDIBLE * self.floor.force
+        """The first effect whose amplitude is a force far below the noise, or a share that is next to none."""
         for index, (effect, values) in enumerate(zip(model.effects, model.values, strict=True)):
             for place, parameter in enumerate(effect.parameters):
-                if parameter.linear and parameter.unit == "N" and np.abs(values[:, place]).max() < least:
+                shares = {"N": AUDIBLE * self.floor.force, "": LEAST_AMPLITUDE * parameter.scale}
+                if parameter.linear and np.abs(values[:, place]).max() < shares.get(parameter.unit, 0.0):
                     return index
         return None
 

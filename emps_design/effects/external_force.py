@@ -11,6 +11,8 @@ import numpy as np
 from emps_design.effects import search
 from emps_design.effects.effect import SNAP, Effect, Motion, Parameter, Parameters
 
+ALIKE = 1e-3  # of the variance of the position, up to which two laps are one motion
+
 
 def force(q, v, t, tau, x, p, b):
     since = t - p[1] + SNAP
@@ -50,7 +52,13 @@ def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarra
 
 def plausible(parameters: Parameters, motion: Motion) -> bool:
     every = parameters["every"] or float(motion.t[-1])
-    return parameters["duration"] < 0.5 * every  # longer is a constant force with gaps
+    if parameters["duration"] >= 0.5 * every:
+        return False  # a constant force with gaps
+    later = round(every / motion.period)
+    if not 0 < later < motion.q.size // 2:
+        return True
+    apart = motion.q[later:] - motion.q[:-later]
+    return float(np.var(apart)) > ALIKE * float(np.var(motion.q))  # in step with the laps, it is a matter of the place
 
 
 def expression(q, v, t, tau, p, b):
