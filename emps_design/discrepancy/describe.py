@@ -192,12 +192,13 @@ def _candidates(work: Work, extended: Fit) -> list[dict[str, Any]]:
 
 def _parameters(work: Work, baseline: Fit, extended: Fit) -> dict[str, Any]:
     told = work.problem.axis.mechanics.array()
+    first, best = work.found.path[0], work.found.best
     table = {}
     for place, quantity in enumerate(BASELINE):
         table[quantity.name] = {
             "unit": quantity.unit,
             "axis": float(told[place]),
-            "baseline": {"value": float(baseline.model.baseline[place]), "std": baseline.std(-1, place)},
-            "extended": {"value": float(extended.model.baseline[place]), "std": deviation(work, extended, -1, place)},
+            "baseline": {"value": float(baseline.model.baseline[place]), "std": deviation(baseline, first, -1, place)},
+            "extended": {"value": float(extended.model.baseline[place]), "std": deviation(extended, best, -1, place)},
         }
     return table

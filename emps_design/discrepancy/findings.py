@@ -33,7 +33,7 @@ def findings(work: Work, extended: Fit, equivalents: dict[str, list[str]]) -> tu
         parameters = {
             p.name: {
                 "value": float(values[place]),
-                "std": deviation(work, extended, index, place, record),
+                "std": deviation(extended, work.found.best, index, place, record),
                 "unit": p.unit,
                 **_per_record(p, model.values[index][:, place]),
             }
@@ -57,19 +57,16 @@ def findings(work: Work, extended: Fit, equivalents: dict[str, list[str]]) -> tu
     return tuple(result)
 
 
-def deviation(work: Work, extended: Fit, index: int, place: int, record: int = 0) -> float:
-    """Standard deviation of a number of the extended model on ``record``, its baseline's with ``index`` -1.
+def deviation(fitted: Fit, before: Fit, index: int, place: int, record: int = 0) -> float:
+    """Standard deviation of a number of ``fitted`` on ``record``, its baseline's with ``index`` -1.
 
-    Not less than the number moved when the selecting strokes were added to the fitting ones: where play bounces, what
-    a tiny change of a number does to the force says nothing of how well the record determines it.
+    Not less than the number moved since ``before``, the same effects on the fitting strokes alone: where play bounces,
+    what a tiny change of a number does to the force says nothing of how well the record determines it.
     """
-    linear, before = extended.std(index, place, record), work.found.best.model
-    if index < 0:
-        return max(linear, abs(float(extended.model.baseline[place] - before.baseline[place]))) if linear else 0.0
-    name = extended.model.names[index]
-    if linear == 0.0 or name not in before.names:
+    linear = fitted.std(index, place, record)
+    if linear == 0.0 or fitted.model.names != before.model.names:
         return linear
-    now, then = extended.model.parameters(record)[index], before.parameters(record)[before.names.index(name)]
+    now, then = (fit.model.baseline if index < 0 else fit.model.parameters(record)[index] for fit in (fitted, before))
     return max(linear, abs(float(now[place] - then[place])))
 
 

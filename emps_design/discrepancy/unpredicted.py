@@ -18,6 +18,7 @@ from emps_design.effects import Effect
 from emps_design.errors import SimulationError
 
 RIDGES = tuple(10.0**power for power in range(-9, 1))  # of the mean square of a column; the best on strokes not seen
+MOST_SAMPLES = 60_000  # of whole strokes, evenly taken where there are more
 DEGREE = 4  # of the polynomials in position and in speed
 FADING_TIMES = (0.02, 0.06, 0.2, 0.6)  # s since a reversal
 FADING_WAYS = (1e-4, 5e-4, 2e-3, 1e-2)  # m since a reversal
@@ -25,27 +26,33 @@ MEMORIES = (0.03, 0.1, 0.3, 1.0, 3.0)  # s
 
 
 def unpredicted(problem: Problem, fitted: Fit, library: tuple[Effect, ...]) -> tuple[np.ndarray, ...]:
-    """Force [N] of the used samples that the other strokes do not predict of each, one array (n_used,) a record.
+    """Force [N] of the used samples that the other strokes do not predict of each, one array a record.
 
     ``fitted`` is the baseline, judged without whitening: its innovations are forces.
     """
-    absorbed = tangent(problem, fitted, "used")
-    base = gather(problem, fitted.innovations, "used")
-    runs = problem.runs(fitted.model)
-    states = np.concatenate(
-        [smooth_of_state(run.q, problem.period)[s.used] for run, s in zip(runs, problem.splits, strict=True)]
-    )
-    columns = [absorbed.basis, states / np.linalg.norm(states, axis=0)]
+    rows = _evenly(problem.strokes("used"))
+    kept = np.concatenate([np.arange(stroke.start, stroke.stop) for stroke in rows])
+    base = gather(problem, fitted.innovations, "used")[kept]
+    states = [smooth_of_state(run.q, problem.period) for run in problem.runs(fitted.model)]
+    columns = [tangent(problem, fitted, "used").basis[kept], gather(problem, tuple(states), "used")[kept]]
     for start in (start for found in screen(problem, fitted, library, tangent(problem, fitted)) for start in found):
         try:
-            change = gather(problem, problem.whitened(start.model), "used") - base
+            columns.append((gather(problem, problem.whitened(start.model), "used")[kept] - base)[:, None])
         except SimulationError:
             continue
-        size = float(np.linalg.norm(change))
-        if size > 0:
-            columns.append(change[:, None] / size)
-    left = _left_by_others(np.column_stack(columns), base, problem.strokes("used"))
-    return tuple(np.split(left, np.cumsum([s.used.sum() for s in problem.splits])[:-1]))
+    design = np.column_stack(columns)
+    size = np.linalg.norm(design, axis=0)
+    ends = np.cumsum([stroke.stop - stroke.start for stroke in rows])
+    strokes = [slice(stop - (row.stop - row.start), stop) for row, stop in zip(rows, ends, strict=True)]
+    left = _left_by_others(design[:, size > 0] / size[size > 0], base, strokes)
+    records = np.cumsum([split.used.sum() for split in problem.splits])
+    return tuple(part for part in np.split(left, np.searchsorted(kept, records[:-1])) if part.size)
+
+
+def _evenly(strokes: list[slice]) -> list[slice]:
+    """Every so many of ``strokes``, so that an hour costs no more memory than a minute does."""
+    samples = sum(stroke.stop - stroke.start for stroke in strokes)
+    return strokes[:: max(1, -(-samples // MOST_SAMPLES))]
 
 
 def smooth_of_state(q: np.ndarray, period: float) -> np.ndarray:
