@@ -134,6 +134,17 @@ def _finished(problem: Problem, fitted: Fit) -> Fit:
     return further if admissible(problem, further) else fitted
 
 
+def _late(
+    problem: Problem, current: Fit, sound: dict[frozenset[str], Fit], accept: Callable[[Fit, Fit], bool]
+) -> list[Fit]:
+    """The best of ``sound``, walked to its end, if it is accepted then: an instant may have been a stroke off."""
+    best = min(sound.values(), key=lambda f: f.cost, default=current)
+    if current.cost - best.cost < RIVAL * (current.cost - problem.samples("used")):
+        return []
+    further = _finished(problem, best)
+    return [further] if accept(further, current) else []
+
+
 def _pruned(problem: Problem, best: Fit, known: tuple[str, ...], accept: Callable[[Fit, Fit], bool]) -> list[Fit]:
     """``best`` without one effect after the other that is no finding beside the rest, ``known`` ones kept.
 
@@ -215,6 +226,8 @@ def search(
             sound = {key: f for key, f in pool.items() if admissible(problem, f)}
             tried.update({key: f for key, f in sound.items() if key not in tried or f.cost < tried[key].cost})
             ranked = [f for f in sorted(sound.values(), key=lambda f: f.cost) if accept(f, path[-1])]
+            if not ranked:
+                ranked = _late(problem, path[-1], sound, accept)
             if not ranked:
                 break
             width = BEAM[min(len(path) - 1, len(BEAM) - 1)]
