@@ -1,6 +1,6 @@
 """What a search leaves at its end: no stand-in beside the real thing, rivals walked as far, deviations that hold."""
 
-from dataclasses import replace
+import sys
 
 import numpy as np
 import pytest
@@ -81,7 +81,7 @@ def test_an_interrupt_of_the_second_search_keeps_the_first(monkeypatch):
     axis = AXIS.replace(effects=[{"kind": "elastic_force", "stiffness": 500.0, "rest_position": 0.1}])
     run = Plant.of(axis).closed_loop(q_ref, voltage_noise=4e-3 * np.random.default_rng(1).standard_normal(t.size))
     record = Record(t=run.t, q_ref=q_ref, q=run.q, u=run.u, period=1e-3, name="free")
-    module = __import__("sys").modules["emps_design.discrepancy.diagnose"]
+    module = sys.modules["emps_design.discrepancy.diagnose"]
     searched, calls = module._searched, []
 
     def interrupted(*given):
@@ -95,4 +95,16 @@ def test_an_interrupt_of_the_second_search_keeps_the_first(monkeypatch):
     answer = diagnose(record, AXIS, library=(SPRING,))
     assert [f.effect for f in answer.findings] == ["elastic_force"]
     assert any("was not repeated" in said for said in answer.details["warnings"])
-    assert replace(answer).verdict == "named"
+    assert answer.verdict == "named"
+
+
+def test_what_explains_most_of_the_rest_is_walked_to_its_end_before_it_is_turned_down():
+    delayed = problem({"kind": "actuator_delay", "delay": 1.6e-3})
+    start = Candidate(AXIS.mechanics.array())
+    baseline = fit(delayed, start)
+    short = fit(delayed, start.with_effect(DELAY, np.array([[1.2e-3]])), steps=1)
+    sound = {frozenset(short.model.names): short}
+    better = decide._late(delayed, baseline, sound, lambda one, other: one.cost < 0.9 * short.cost)
+    assert [f.model.names for f in better] == [("actuator_delay",)]
+    poor = fit(delayed, start.with_effect(SPRING, np.array([[1.0, 0.0]])))
+    assert decide._late(delayed, baseline, {frozenset(poor.model.names): poor}, lambda one, other: True) == []
