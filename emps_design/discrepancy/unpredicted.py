@@ -3,7 +3,7 @@
 The changes that all starts of all effects make in the force, those of the baseline's own numbers, and smooth functions
 of the simulated state and its past are the columns of one ridge regression. It is fitted without one stroke and judged
 on that stroke, in turn, so that no noise is explained by having been seen. What is left holds the noise, and the
-structure that none of this follows: an upper bound, far below the residual of the baseline alone.
+structure that none of this follows: far less than the residual of the baseline alone.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def unpredicted(problem: Problem, fitted: Fit, library: tuple[Effect, ...]) -> t
 
 
 def _evenly(strokes: list[slice]) -> list[slice]:
-    """Every so many of ``strokes``, so that an hour costs no more memory than a minute does."""
+    """Every so many of ``strokes``, so that the regression of a long record stays small."""
     samples = sum(stroke.stop - stroke.start for stroke in strokes)
     return strokes[:: max(1, -(-samples // MOST_SAMPLES))]
 
