@@ -138,8 +138,9 @@ def _late(
     problem: Problem, current: Fit, sound: dict[frozenset[str], Fit], accept: Callable[[Fit, Fit], bool]
 ) -> list[Fit]:
     """The best of ``sound``, walked to its end, if it is accepted then: an instant may have been a stroke off."""
-    best = min(sound.values(), key=lambda f: f.cost, default=current)
-    if current.cost - best.cost < RIVAL * (current.cost - problem.samples("used")):
+    best = min(sound.values(), key=lambda f: f.cost, default=None)
+    left = current.cost - problem.samples("used")
+    if best is None or left <= 0 or current.cost - best.cost < RIVAL * left:
         return []
     further = _finished(problem, best)
     return [further] if accept(further, current) else []

@@ -1,6 +1,7 @@
 """What a search leaves at its end: no stand-in beside the real thing, rivals walked as far, deviations that hold."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -106,5 +107,14 @@ def test_what_explains_most_of_the_rest_is_walked_to_its_end_before_it_is_turned
     sound = {frozenset(short.model.names): short}
     better = decide._late(delayed, baseline, sound, lambda one, other: one.cost < 0.9 * short.cost)
     assert [f.model.names for f in better] == [("actuator_delay",)]
+    assert decide._late(delayed, baseline, {}, lambda one, other: True) == []
     poor = fit(delayed, start.with_effect(SPRING, np.array([[1.0, 0.0]])))
     assert decide._late(delayed, baseline, {frozenset(poor.model.names): poor}, lambda one, other: True) == []
+
+
+def test_nothing_is_walked_on_where_less_than_the_noise_is_left():
+    healthy = problem()
+    baseline = fit(healthy, Candidate(AXIS.mechanics.array()))
+    quiet = replace(baseline, cost_fit=10.0, cost_select=5.0)
+    assert decide._late(healthy, quiet, {}, lambda one, other: True) == []
+    assert decide._late(healthy, quiet, {frozenset({"actuator_lag"}): baseline}, lambda one, other: True) == []
