@@ -21,6 +21,7 @@ from tests.hidden.programs import laps, multi_sine, wander
 VOLTAGE_NOISE = 4e-3  # V
 FORCE_NOISE = 0.35  # N for a 95 kg axis
 NOISE_BAND = 40.0  # Hz
+MOST_DRAWS = 500  # of a drive that is stable with what is hidden in it
 SKIP = 50  # samples at the start that no error counts
 QUICK = (
     ("stribeck_friction",),
@@ -147,7 +148,7 @@ def make(case: Case, seed: int, repeats: bool = True) -> dict[str, object]:
     ``repeats`` False: the training program has no laps.
     """
     rng = np.random.default_rng([seed, zlib.crc32(case.name.encode())])
-    for _ in range(50):
+    for _ in range(MOST_DRAWS):
         drive = draw_drive(rng)
         train_ref = train_program(rng, drive, repeats)
         if rng.random() < 0.5:
@@ -169,7 +170,7 @@ def make(case: Case, seed: int, repeats: bool = True) -> dict[str, object]:
         if limited < 1e-3 and max(floors) < 0.2 * drive.coulomb:
             break
     else:
-        raise RuntimeError(f"{case.name}: no stable drive in 50 draws")
+        raise RuntimeError(f"{case.name}: no stable drive in {MOST_DRAWS} draws")
     fitted = refit(drive, train_ref, records[0][1])
     baseline = [
         misfit(drive, u, run(fitted, ref, healthy)[1])
