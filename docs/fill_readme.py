@@ -72,7 +72,7 @@ def named(count: dict) -> list[tuple[str, str]]:
 def named_without_laps(count: dict) -> list[tuple[str, str]]:
     """Rows of the same where no reference repeats; effects below the noise are not asked for."""
     asked = count["effects"] - count["too_small"]
-    return [("right, and wrong, where no lap repeats", f"{count['right']} of {asked}, {count['wrong']}")]
+    return [("the same where no lap repeats", f"{count['right']} of {asked} right, {count['wrong']} wrong")]
 
 
 def shown(row: dict) -> str:
