@@ -75,7 +75,7 @@ class Candidate:
 
     def only(self, record: int) -> Candidate:
         """The same model with the numbers of one record."""
-        return replace(self, values=tuple(v[min(record, len(v) - 1)][None] for v in self.values))
+        return replace(self, values=tuple(row[None] for row in self.parameters(record)))
 
     def vector(self, slots: tuple[Slot, ...]) -> np.ndarray:
         """The numbers in ``slots``."""
@@ -98,7 +98,7 @@ class Candidate:
 
     def parameters(self, record: int) -> tuple[np.ndarray, ...]:
         """Kernel parameters of ``record``, one array an effect."""
-        return tuple(v[0] for v in self.only(record).values)
+        return tuple(v[min(record, len(v) - 1)] for v in self.values)
 
     def to_axis(self, axis: Axis, record: int = 0) -> Axis:
         """``axis`` with this baseline and these effects as seen by ``record``."""

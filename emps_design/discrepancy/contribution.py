@@ -39,6 +39,8 @@ def contribution(problem: Problem, model: Candidate, index: int, number: int = 0
 
 def most_exercised(problem: Problem, model: Candidate, index: int) -> int:
     """The record on which effect ``index`` of ``model`` contributes most force."""
+    if len(problem.records) == 1:
+        return 0
     sizes = []
     for number in range(len(problem.records)):
         try:

@@ -60,12 +60,14 @@ def details(
     verdict: str,
     baseline: Fit,
     extended: Fit,
+    missed: MissingForce,
     confirmation: Confirmation | None = None,
     given_up: tuple[tuple[str, ...], float] = ((), 0.0),
 ) -> dict[str, Any]:
     """What the report shows besides the contract's keys.
 
-    ``given_up`` are the effects of a model that did not stand, and the share of the gap it explained.
+    ``missed`` is what ``baseline`` misses of the record shown; ``given_up`` are the effects of a model that did not
+    stand, and the share of the gap it explained.
     """
     problem = work.problem
     unseen = not_excluded(work, extended.model.names)
@@ -92,7 +94,6 @@ def details(
             for q, axis, new in zip(BASELINE, problem.axis.mechanics.array(), baseline.model.baseline, strict=True)
             if abs(axis - new) > 0.005 * max(abs(new), 1.0)
         )
-    missed = missing_force(problem, baseline.model)[most_missed(problem, baseline.model)]
     told["spectrum_over_time"] = spectrum_over_time(missed)
     told["interrupted"] = work.found.interrupted
     if verdict == "unnamed":

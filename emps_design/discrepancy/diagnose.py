@@ -294,7 +294,7 @@ def _conclude(work: Work, confirming: Confirming | None) -> Diagnosis:
         holdout=None if judged is None else judged.gap,
         prediction=shown.prediction,
         views=describe.marked_views(before, after, problem.splits[most].used, work, findings),
-        details=describe.details(work, verdict, baseline, extended, confirmation, (given_up, shares[-1])),
+        details=describe.details(work, verdict, baseline, extended, before, confirmation, (given_up, shares[-1])),
         stretch=None if confirming is None else confirming.stretch,
         experiment=experiment(problem, found, extended.model.names, equivalents, work.judge.healthy.threshold),
     )

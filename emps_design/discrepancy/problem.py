@@ -170,10 +170,7 @@ class Descent:
 
 
 def descend(
-    start: Candidate,
-    slots: tuple[Slot, ...],
-    residual: Callable[[Candidate], np.ndarray],
-    steps: int,
+    start: Candidate, slots: tuple[Slot, ...], residual: Callable[[Candidate], np.ndarray], steps: int
 ) -> Descent:
     """Minimise the sum of squares of ``residual`` over ``slots`` by Levenberg-Marquardt; bounds hold at every step.
 

@@ -8,6 +8,8 @@ structure that none of this follows: far less than the residual of the baseline 
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from emps_design.discrepancy.decide import screen
@@ -42,8 +44,8 @@ def unpredicted(problem: Problem, fitted: Fit, library: tuple[Effect, ...]) -> t
             continue
     design = np.column_stack(columns)
     size = np.linalg.norm(design, axis=0)
-    ends = np.cumsum([stroke.stop - stroke.start for stroke in rows])
-    strokes = [slice(stop - (row.stop - row.start), stop) for row, stop in zip(rows, ends, strict=True)]
+    edges = np.cumsum([0, *(stroke.stop - stroke.start for stroke in rows)])
+    strokes = [slice(start, stop) for start, stop in pairwise(edges)]
     left = _left_by_others(design[:, size > 0] / size[size > 0], base, strokes)
     records = np.cumsum([split.used.sum() for split in problem.splits])
     return tuple(part for part in np.split(left, np.searchsorted(kept, records[:-1])) if part.size)

@@ -165,7 +165,7 @@ def spectrum_over_time(missing: MissingForce) -> dict[str, Any]:
     rate = 1 / missing.motion.period
     length = int(min(max(rate * LINE_TIME, 16), missing.force.size // 4))
     overlap = max(0, length - max(1, (missing.force.size - length) // MAP_CELLS))
-    frequency, time, density = spectrogram(missing.force, rate, nperseg=length, noverlap=min(overlap, length - 1))
+    frequency, time, density = spectrogram(missing.force, rate, nperseg=length, noverlap=overlap)
     kept = (frequency > 0) & (frequency <= HIGHEST_HZ)
     rms = np.sqrt(density[kept] * (frequency[1] - frequency[0]))
     units = {"time": "s", "frequency": "Hz", "force": "N"}
