@@ -20,13 +20,13 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.peers import compiled_c, python_control
-from emps_design.control.impedance import impedance_law
+from emps_design.comanipulation.study import mismatch_study
+from emps_design.control.impedance.law import impedance_law
 from emps_design.files import write_text
 from emps_design.machines import machine
 from emps_design.records import Record, read_record
 from emps_design.simulation import Plant, monte_carlo, simulate_ensemble
-from emps_design.simulation.impedance_study import mismatch_study
-from emps_design.simulation.practice import practice_record
+from emps_design.simulation.synthetic_record import practice_record
 
 # What the measured records of the EMPS machine call for, and the same with a Stribeck effect in place of the curve.
 FIVE = (

@@ -7,11 +7,11 @@ import sys
 
 import numpy as np
 
-from emps_design.control.discretisation import sample_axis
-from emps_design.control.retune import retune_velocity_loop
-from emps_design.control.sensitivity import mismatch_study, relative_mismatch
-from emps_design.control.sweeps import sweep_sampled_margins, sweep_velocity_loop
-from emps_design.control.velocity_loop import design_velocity_loop
+from emps_design.control.plant.discretisation import sample_axis
+from emps_design.control.velocity.design import design_velocity_loop
+from emps_design.control.velocity.retune import retune_velocity_loop
+from emps_design.control.velocity.sensitivity import mismatch_study, relative_mismatch
+from emps_design.control.velocity.sweeps import sweep_sampled_margins, sweep_velocity_loop
 from emps_design.machines import machine
 
 axis = machine("emps2018")

@@ -5,11 +5,11 @@ Run: python examples/05_mismatch_study.py [figure.png]
 
 import sys
 
-from emps_design.control.impedance import FrictionModel, impedance_law
-from emps_design.control.impedance_robustness import VERDICTS, coulomb_factor_without_creep
+from emps_design.comanipulation.sensor_comparison import compare_sensors
+from emps_design.comanipulation.study import mismatch_study
+from emps_design.control.impedance.law import FrictionModel, impedance_law
+from emps_design.control.impedance.robustness import VERDICTS, coulomb_factor_without_creep
 from emps_design.machines import machine
-from emps_design.simulation.impedance_comparison import compare_sensors
-from emps_design.simulation.impedance_study import mismatch_study
 
 axis = machine("emps2018")
 plant = FrictionModel.of(axis)

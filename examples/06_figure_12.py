@@ -7,10 +7,10 @@ The paper plots its figure with M_a and B from an equivalence whose value (0.87 
 
 import sys
 
-from emps_design.control.impedance import impedance_law
+from emps_design.comanipulation.run import run
+from emps_design.comanipulation.task import pushed_task
+from emps_design.control.impedance.law import impedance_law
 from emps_design.machines import machine
-from emps_design.simulation.impedance_run import run
-from emps_design.simulation.impedance_task import pushed_task
 
 axis = machine("emps2018")
 task = pushed_task(axis.sampling.period, force=40.0)

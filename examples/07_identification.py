@@ -13,7 +13,7 @@ from emps_design.identification.output_error import identify_by_output_error
 from emps_design.identification.several import identify_several
 from emps_design.machines import machine
 from emps_design.records import read_record
-from emps_design.simulation.practice import practice_record
+from emps_design.simulation.synthetic_record import practice_record
 
 axis = machine("emps2019")
 given = [read_record(path) for path in sys.argv[1:]]

@@ -15,7 +15,7 @@ from emps_design.machines import machine
 from emps_design.observer import kalman_trade_off
 from emps_design.records import Record, read_record
 from emps_design.simulation import Plant
-from emps_design.simulation.practice import practice_record, trapezoid_laps
+from emps_design.simulation.synthetic_record import practice_record, trapezoid_laps
 
 VOLTS_PER_PULSE = 1.0139  # V for a unit of pulses_N: regressed from the record, residual 4.7 mV
 

@@ -12,7 +12,7 @@ from emps_design.discrepancy import diagnose
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
-from emps_design.simulation.practice import trapezoid_laps
+from emps_design.simulation.synthetic_record import trapezoid_laps
 
 HIDDEN = {"kind": "stribeck_friction", "excess": 8.0, "stribeck_velocity": 0.008, "exponent": 1.0}
 

@@ -19,7 +19,7 @@ class Constants(Directive):
         rows = []
         for line in self.content:
             module, *names = line.split()
-            path = ROOM / f"{module}.py"
+            path = next(ROOM.rglob(f"{module}.py"))
             self.state.document.settings.env.note_dependency(str(path))
             found = {name: rest for name, *rest in ASSIGNED.findall(path.read_text(encoding="utf-8"))}
             for name in names:

@@ -80,7 +80,7 @@ def pictures(block, block_vars: dict, gallery_conf: dict) -> str:
 
 def of_results(names: dict) -> list:
     """A figure for each result of another type among the values of ``names``."""
-    from emps_design.discrepancy.diagnosis import Diagnosis
+    from emps_design.discrepancy.result import Diagnosis
     from emps_design.identification import Identification
     from emps_design.identification.observation import Observation
     from emps_design.report.diagnosis_figures import before_after_figure

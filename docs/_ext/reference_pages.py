@@ -15,6 +15,7 @@ ROOMS = {
     "observer": "Observer",
     "control": "Control",
     "simulation": "Simulation",
+    "comanipulation": "Co-manipulation",
     "identification": "Identification",
     "discrepancy": "Discrepancy",
     "report": "Reports",
@@ -30,8 +31,8 @@ ONLY = {"effects": ("emps_design.effects", "emps_design.effects.effect")}
 def modules(room: str) -> list[str]:
     """Names of the modules of a room, the room itself first."""
     package = importlib.import_module(f"emps_design.{room}")
-    inside = [found.name for found in pkgutil.iter_modules(getattr(package, "__path__", []))]
-    names = [package.__name__, *(f"{package.__name__}.{name}" for name in inside if not name.startswith("_"))]
+    inside = pkgutil.walk_packages(getattr(package, "__path__", []), f"{package.__name__}.")
+    names = [package.__name__, *(found.name for found in inside if "._" not in found.name)]
     return [name for name in names if name in ONLY.get(room, names)]
 
 

@@ -19,7 +19,7 @@ def command(
     from emps_design.cli.output import print_json, print_warnings, progress_bar, write_text
     from emps_design.machines import machine
     from emps_design.report.assemble import assemble_report
-    from emps_design.simulation.practice import practice_record
+    from emps_design.simulation.synthetic_record import practice_record
 
     axis = machine(MACHINE)
     record_file = out.with_suffix(".npz")

@@ -78,7 +78,7 @@ def _write(diagnosis: Any, out: Path, axis: str) -> None:
     import json
 
     from emps_design.cli.output import plain
-    from emps_design.discrepancy.experiment import FILE
+    from emps_design.discrepancy.experiment.discrimination import FILE
     from emps_design.files import write_together
     from emps_design.report.diagnosis import diagnosis_page
 

@@ -52,8 +52,8 @@ def command(
     velocity_estimator: Estimator = None,
     as_json: AsJson = False,
 ) -> int:
-    from emps_design.control.force_loop import design_force_loop
-    from emps_design.control.velocity_loop import VelocityLoopDesign, design_velocity_loop
+    from emps_design.control.force.design import design_force_loop
+    from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
     from emps_design.machines import load_axis
 
     machine = with_numbers(

@@ -58,8 +58,8 @@ def command(
     velocity_estimator: Estimator = None,
     as_json: AsJson = False,
 ) -> int:
-    from emps_design.control.specification import check_specification, in_words
-    from emps_design.control.velocity_loop import design_velocity_loop
+    from emps_design.control.velocity.design import design_velocity_loop
+    from emps_design.control.velocity.specification import check_specification, in_words
     from emps_design.machines import load_axis
 
     check_specification(crossover, bandwidth, phase_margin)
@@ -86,14 +86,14 @@ def command(
         "velocity": velocity,
     }
     if retune:
-        from emps_design.control.retune import retune_velocity_loop
+        from emps_design.control.velocity.retune import retune_velocity_loop
 
         design = retune_velocity_loop(machine, at=at, **specification)
     else:
         design = design_velocity_loop(machine, **specification)
     document: dict[str, Any] = design.to_dict()
     if errors is not None:
-        from emps_design.control.sensitivity import mismatch_study
+        from emps_design.control.velocity.sensitivity import mismatch_study
 
         document["mismatch"] = study = mismatch_study(design, errors)
         if study["stable_share"] < 1.0:
@@ -125,7 +125,7 @@ def _errors(axis: Axis, mismatch: float | None, sigma_from: Path | None) -> dict
     """The relative errors to study: one share for all, or two standard deviations of an identification."""
     if mismatch is None and sigma_from is None:
         return None
-    from emps_design.control.sensitivity import identified_mismatch, relative_mismatch
+    from emps_design.control.velocity.sensitivity import identified_mismatch, relative_mismatch
 
     if mismatch is not None and sigma_from is not None:
         raise InputError("found both --mismatch and --sigma-from, expected one of them")

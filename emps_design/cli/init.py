@@ -39,7 +39,7 @@ def command(
     from emps_design.errors import InputError
     from emps_design.files import write_text, write_together
     from emps_design.machines import load_axis
-    from emps_design.simulation.practice import practice_record
+    from emps_design.simulation.synthetic_record import practice_record
 
     names = ("axis.toml", "record.npz", "record.csv", "puzzle.npz", "README.md")
     taken = [name for name in names if (directory / name).exists()]

@@ -92,8 +92,8 @@ def _comanipulation(
     name: str, mismatch: float, seed: int, plants: int, mass: float | None, damping: float | None
 ) -> Any:
     from emps_design.cli.output import progress_bar
+    from emps_design.comanipulation.scenario import run_comanipulation
     from emps_design.machines import load_axis
-    from emps_design.simulation.comanipulation import run_comanipulation
 
     with progress_bar() as progress:
         return run_comanipulation(

@@ -10,16 +10,25 @@ from itertools import combinations
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.discrepancy import describe
-from emps_design.discrepancy.candidate import Candidate
-from emps_design.discrepancy.decide import screen, search
-from emps_design.discrepancy.diagnosis import Diagnosis
-from emps_design.discrepancy.door import check_records, check_same_drive, same_run
-from emps_design.discrepancy.experiment import experiment
-from emps_design.discrepancy.findings import findings as accepted_findings
-from emps_design.discrepancy.healthy import healthy_reference
-from emps_design.discrepancy.healthy_runs import healthy_runs
-from emps_design.discrepancy.holdout import (
+from emps_design.discrepancy.checks.controller_law import LawCheck, check_law
+from emps_design.discrepancy.checks.requirements import check_records, check_same_drive, same_run
+from emps_design.discrepancy.experiment.discrimination import experiment
+from emps_design.discrepancy.explain import details as describe
+from emps_design.discrepancy.explain.findings import findings as accepted_findings
+from emps_design.discrepancy.model.candidate import Candidate
+from emps_design.discrepancy.model.missing_force import missing_force
+from emps_design.discrepancy.model.partition import split
+from emps_design.discrepancy.model.problem import Fit, Problem, Whitening, evaluate, fit
+from emps_design.discrepancy.result import Diagnosis
+from emps_design.discrepancy.search.acceptance import Judge, explained, force_rms
+from emps_design.discrepancy.search.beam_search import screen, search
+from emps_design.discrepancy.search.cross_validated_noise import unpredicted
+from emps_design.discrepancy.search.noise_floor import LEFT, STROKES, Floor, floor_of_laps, floor_of_residual
+from emps_design.discrepancy.search.null_distribution import healthy_reference
+from emps_design.discrepancy.search.outcome import Confirmation, Work
+from emps_design.discrepancy.search.simulated_null import healthy_runs
+from emps_design.discrepancy.search.starts import tangent
+from emps_design.discrepancy.validation.holdout import (
     Confirming,
     between,
     confirm,
@@ -28,15 +37,6 @@ from emps_design.discrepancy.holdout import (
     gap_on,
     most_missed,
 )
-from emps_design.discrepancy.judge import Judge, explained, force_rms
-from emps_design.discrepancy.law_check import LawCheck, check_law
-from emps_design.discrepancy.missing_force import missing_force
-from emps_design.discrepancy.noise import LEFT, STROKES, Floor, floor_of_laps, floor_of_residual
-from emps_design.discrepancy.problem import Fit, Problem, Whitening, evaluate, fit
-from emps_design.discrepancy.propose import tangent
-from emps_design.discrepancy.split import split
-from emps_design.discrepancy.unpredicted import unpredicted
-from emps_design.discrepancy.work import Confirmation, Work
 from emps_design.effects import Effect, known_effects
 from emps_design.errors import InputError
 from emps_design.records import Record

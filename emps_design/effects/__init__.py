@@ -1,4 +1,4 @@
-"""The physical effects this package knows, one file each, in the order they are listed and tried.
+"""Physical effects: the package's own library, one file each, and those that a user adds.
 
 A user's own effect is a file with an ``EFFECT`` like those here. :func:`load_file` registers it, and so does naming it
 in the environment, ``EMPS_DESIGN_EFFECTS=path1.py:path2.py`` (``;`` between paths on Windows), when the package is
@@ -12,55 +12,9 @@ import os
 import sys
 from pathlib import Path
 
-from emps_design.effects import (
-    actuator_deadzone,
-    actuator_delay,
-    actuator_lag,
-    actuator_saturation,
-    asymmetric_viscous_friction,
-    backlash,
-    controller_disturbance,
-    elastic_force,
-    encoder_error,
-    end_stop,
-    external_force,
-    flexible_coupling,
-    friction_drift,
-    load_dependent_friction,
-    mass_change,
-    nonlinear_viscous_friction,
-    periodic_disturbance,
-    position_dependent_friction,
-    position_ripple,
-    presliding_friction,
-    stribeck_friction,
-)
 from emps_design.effects.effect import Effect, Motion, Parameter
+from emps_design.effects.library import EFFECTS
 from emps_design.errors import AxisError, nearest_name
-
-EFFECTS: tuple[Effect, ...] = (
-    asymmetric_viscous_friction.EFFECT,
-    nonlinear_viscous_friction.EFFECT,
-    stribeck_friction.EFFECT,
-    presliding_friction.EFFECT,
-    load_dependent_friction.EFFECT,
-    position_dependent_friction.EFFECT,
-    friction_drift.EFFECT,
-    position_ripple.EFFECT,
-    elastic_force.EFFECT,
-    end_stop.EFFECT,
-    mass_change.EFFECT,
-    external_force.EFFECT,
-    periodic_disturbance.EFFECT,
-    flexible_coupling.EFFECT,
-    backlash.EFFECT,
-    actuator_delay.EFFECT,
-    actuator_lag.EFFECT,
-    actuator_saturation.EFFECT,
-    actuator_deadzone.EFFECT,
-    encoder_error.EFFECT,
-    controller_disturbance.EFFECT,
-)
 
 VARIABLE = "EMPS_DESIGN_EFFECTS"  # environment variable with the files of a user's own effects
 

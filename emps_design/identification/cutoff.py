@@ -57,7 +57,7 @@ def chosen_cutoff(record: Record) -> Cutoff:
     filter throws motion away. Between 10 Hz and a fifth of the sampling frequency.
 
     >>> from emps_design.machines import machine
-    >>> from emps_design.simulation.practice import practice_record
+    >>> from emps_design.simulation.synthetic_record import practice_record
     >>> 20.0 < chosen_cutoff(practice_record(machine("emps2019"), laps=1)).cutoff_hz < 100.0
     True
     """

@@ -52,7 +52,7 @@ def identify(
     :class:`RecordError` for a record that cannot identify, :class:`RankError` for columns it cannot tell apart.
 
     >>> from emps_design.machines import machine
-    >>> from emps_design.simulation.practice import practice_record
+    >>> from emps_design.simulation.synthetic_record import practice_record
     >>> found = identify(practice_record(machine("emps2019"), laps=1), chain="hold")
     >>> round(found.parameters["mass"].value, 0), found.parameters["mass"].quantity.unit
     (95.0, 'kg')

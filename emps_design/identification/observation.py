@@ -122,7 +122,7 @@ def observe(
     to settle, at least 1 s.
 
     >>> from emps_design.machines import machine
-    >>> from emps_design.simulation.practice import practice_record
+    >>> from emps_design.simulation.synthetic_record import practice_record
     >>> axis = machine("emps2019")
     >>> found = observe(practice_record(axis, laps=1), axis)
     >>> sorted(found.methods), found.methods["online"].smallest.bound

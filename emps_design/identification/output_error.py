@@ -41,7 +41,7 @@ def identify_by_output_error(
     :class:`InputError` where the search does not converge.
 
     >>> from emps_design.machines import machine
-    >>> from emps_design.simulation.practice import practice_record
+    >>> from emps_design.simulation.synthetic_record import practice_record
     >>> axis = machine("emps2019")
     >>> found = identify_by_output_error(practice_record(axis, laps=1), axis)
     >>> round(found.parameters["viscous"].value, -1), found.extra["closed_loop"]["position_rms_error"] < 1e-6

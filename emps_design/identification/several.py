@@ -120,7 +120,7 @@ def identify_several(
     records, :class:`AxisError` where a record does not determine a parameter.
 
     >>> from emps_design.machines import machine
-    >>> from emps_design.simulation.practice import practice_record
+    >>> from emps_design.simulation.synthetic_record import practice_record
     >>> axis = machine("emps2019")
     >>> found = identify_several([practice_record(axis, seed, laps=1) for seed in range(2)], axis, chain="hold")
     >>> found.cross_validation.shape, round(found.table()[0]["mean"])

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.velocity_loop import design_velocity_loop
+from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.effects import Effect, Parameter, get_effect
 from emps_design.machines import machine
 from emps_design.records import Record

@@ -15,9 +15,9 @@ from emps_design.report.design import DesignResults, design_page, design_results
 from emps_design.report.page import Page
 
 if TYPE_CHECKING:
+    from emps_design.comanipulation.assessment import ImpedanceAssessment
     from emps_design.identification.identify import Identification
     from emps_design.records import Record
-    from emps_design.simulation.impedance_assessment import ImpedanceAssessment
 
 Progress = Callable[[str, float], None]
 DESIGN_ON = ("record", "axis")
@@ -93,7 +93,7 @@ def assemble_report(
     loaded = given if isinstance(given, Axis) else load_axis(given)
     inputs: dict[str, str | None] = {_input_name(given): _digest(given)}
 
-    from emps_design.control.velocity_loop import check_specification, design_velocity_loop
+    from emps_design.control.velocity.design import check_specification, design_velocity_loop
 
     check_specification(crossover, bandwidth, phase_margin_deg)  # before the record: a wrong number is told at once
     parts, notes, found = [], [], ()
@@ -104,7 +104,7 @@ def assemble_report(
         notes.append(_basis(loaded, found[0], design_on))
     tell("designing the loops", 0.4)
     if retune:
-        from emps_design.control.retune import retune_velocity_loop
+        from emps_design.control.velocity.retune import retune_velocity_loop
 
         velocity = retune_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg)
     else:
@@ -141,9 +141,9 @@ def _from_record(record, axis, model, design_on, inputs, tell):
 
 def _impedance(axis, mass, damping, mismatch, filter):
     """Assess the impedance law on ``axis``, and the section that tells it."""
+    from emps_design.comanipulation.assessment import assess_impedance
+    from emps_design.comanipulation.scenario import DAMPING, MASS
     from emps_design.report.impedance import impedance_section
-    from emps_design.simulation.comanipulation import DAMPING, MASS
-    from emps_design.simulation.impedance_assessment import assess_impedance
 
     controller, chosen = axis.controller, ""
     if mass is None and controller.kind == "impedance":

@@ -14,10 +14,10 @@ from emps_design.report.page import Callout, Facts, Html, Page, Points, Section,
 from emps_design.report.velocity import gains_section, velocity_section
 
 if TYPE_CHECKING:
-    from emps_design.control.force_loop import ForceLoopDesign
-    from emps_design.control.margins import Margins
-    from emps_design.control.step_response import StepResponse
-    from emps_design.control.velocity_loop import VelocityLoopDesign
+    from emps_design.control.force.design import ForceLoopDesign
+    from emps_design.control.loop.margins import Margins
+    from emps_design.control.velocity.design import VelocityLoopDesign
+    from emps_design.control.velocity.step_response import StepResponse
 
 ASSUMPTIONS = (
     "The axis is rigid unless its file lists an effect that says otherwise; Coulomb friction drops out of the linear "
@@ -59,8 +59,8 @@ def design_results(
     **more: Any,
 ) -> DesignResults:
     """Collect what the page of ``velocity`` needs; ``k_e1`` [(m/s)/N], ``hand`` [N/(m/s)], ``environment`` [N/m]."""
-    from emps_design.control.force_loop import design_force_loop
-    from emps_design.control.step_response import continuous_step, sampled_step
+    from emps_design.control.force.design import design_force_loop
+    from emps_design.control.velocity.step_response import continuous_step, sampled_step
 
     return DesignResults(
         velocity=velocity,
@@ -109,7 +109,7 @@ def _stops(results: DesignResults) -> list[Callout]:
     velocity, force = results.velocity, results.force
     stops = []
     if not velocity.sampled.stable:
-        from emps_design.control.specification import in_words
+        from emps_design.control.velocity.specification import in_words
 
         pole = abs(velocity.sampled.poles[0])
         stops.append(

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from emps_design.discrepancy.judge import explained
-from emps_design.discrepancy.locate import EVERYWHERE
+from emps_design.discrepancy.explain.extent import EVERYWHERE
+from emps_design.discrepancy.search.acceptance import explained
 from emps_design.report import diagnosis_figures as figures
 from emps_design.report.diagnosis_design import design_section
 from emps_design.report.diagnosis_experiment import experiment_section

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emps_design.discrepancy.views import SPECTRAL
+from emps_design.discrepancy.explain.residual_views import SPECTRAL
 from emps_design.report.display import words
 from emps_design.report.style import BLACK, BLUE, GREY, RED, YELLOW, look, subplots, thin
 

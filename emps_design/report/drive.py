@@ -8,15 +8,19 @@ from emps_design.report.display import NOTHING, angle, delay, frequency, quantit
 from emps_design.report.page import Formula, Html, Section, Table, Text
 
 if TYPE_CHECKING:
-    from emps_design.control.velocity_loop import VelocityLoopDesign
+    from emps_design.control.velocity.design import VelocityLoopDesign
 
 MISMATCH = 0.02  # the error of Section IV-B of the paper
 
 
 def drive_section(velocity: VelocityLoopDesign, mismatch: float = MISMATCH) -> Section:
     """Return the section on the implementation of ``velocity``; ``mismatch`` is the relative error studied."""
-    from emps_design.control.implementation import difference_equation, encoder_voltage_noise, largest_velocity_step
-    from emps_design.control.sensitivity import mismatch_study, relative_mismatch
+    from emps_design.control.velocity.implementation import (
+        difference_equation,
+        encoder_voltage_noise,
+        largest_velocity_step,
+    )
+    from emps_design.control.velocity.sensitivity import mismatch_study, relative_mismatch
 
     axis = velocity.axis
     equation = difference_equation(axis, velocity.k_v1, velocity.t_v)

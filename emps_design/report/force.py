@@ -9,7 +9,7 @@ from emps_design.report.force_figures import force_limit_figure, force_loop_figu
 from emps_design.report.page import Callout, Html, Picture, Section, Table, Text
 
 if TYPE_CHECKING:
-    from emps_design.control.force_loop import ForceLoopDesign
+    from emps_design.control.force.design import ForceLoopDesign
 
 
 def force_section(force: ForceLoopDesign) -> Section:

@@ -12,7 +12,7 @@ from emps_design.report.style import BLACK, BLUE, GREEN, GREY, RED, look, subplo
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from emps_design.control.force_loop import ForceLoopDesign
+    from emps_design.control.force.design import ForceLoopDesign
 
 STIFFNESS = np.geomspace(1e3, 1e6, 22)  # N/m, from a soft cushion to a steel frame
 

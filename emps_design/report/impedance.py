@@ -21,7 +21,7 @@ from emps_design.report.impedance_figures import (
 from emps_design.report.page import Callout, Html, Picture, Section, Table, Text
 
 if TYPE_CHECKING:
-    from emps_design.simulation.impedance_assessment import ImpedanceAssessment
+    from emps_design.comanipulation.assessment import ImpedanceAssessment
 
 OMEGA = np.geomspace(0.2, 300.0, 300)  # rad/s
 BAND = 20.0  # rad/s, the operator's range in section II-C of the paper
@@ -83,9 +83,9 @@ def _felt_table(document: Mapping[str, Any]) -> Table:
 
 
 def _impedance_picture(found: ImpedanceAssessment) -> Picture:
-    from emps_design.control.impedance_equivalence import LOW_FREQUENCY, equivalent_loop
-    from emps_design.control.impedance_response import impedance_response
-    from emps_design.control.impedance_sampled import numbers
+    from emps_design.control.impedance.equivalence import LOW_FREQUENCY, equivalent_loop
+    from emps_design.control.impedance.response import impedance_response
+    from emps_design.control.impedance.sampled import numbers
     from emps_design.errors import SpecificationError
 
     law = found.law
@@ -151,8 +151,8 @@ def _sampled_table(document: Mapping[str, Any]) -> Table:
 
 
 def _maps(found: ImpedanceAssessment) -> list[Picture]:
-    from emps_design.control.impedance_contact import contact_map
-    from emps_design.control.impedance_robustness import stability_map
+    from emps_design.control.impedance.passivity import contact_map
+    from emps_design.control.impedance.robustness import stability_map
 
     mismatches = tuple(dict.fromkeys((0.0, found.mismatch or 0.02, 0.05)))
     pictures = [
@@ -180,8 +180,8 @@ def _maps(found: ImpedanceAssessment) -> list[Picture]:
 
 
 def _mismatch_blocks(found: ImpedanceAssessment, mismatch: Mapping[str, Any]) -> list[Any]:
-    from emps_design.simulation.impedance_run import run
-    from emps_design.simulation.impedance_task import guided_task
+    from emps_design.comanipulation.run import run
+    from emps_design.comanipulation.task import guided_task
 
     study, worst = found.study, mismatch["worst"]
     percent = f"±{100 * mismatch['mismatch']:g} %"
@@ -243,7 +243,7 @@ def _errors(errors: Mapping[str, float]) -> str:
 
 
 def _effort_table(found: ImpedanceAssessment, runs: Mapping[str, Any]) -> Table:
-    from emps_design.control.impedance_robustness import break_away
+    from emps_design.control.impedance.robustness import break_away
 
     rows = []
     for name, one in runs.items():
@@ -269,7 +269,7 @@ def _effort_table(found: ImpedanceAssessment, runs: Mapping[str, Any]) -> Table:
 
 
 def _errata_table() -> Table:
-    from emps_design.control.impedance_derivation import impedance_derivation
+    from emps_design.control.derivations.impedance import impedance_derivation
 
     rows = [[f"({step.number})", step.title, step.text] for step in impedance_derivation() if step.agrees is False]
     return Table(

@@ -12,11 +12,11 @@ from emps_design.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, R
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from emps_design.control.impedance_contact import ContactMap
-    from emps_design.control.impedance_robustness import StabilityMap
-    from emps_design.simulation.impedance_run import Run
-    from emps_design.simulation.impedance_study import MismatchStudy
-    from emps_design.simulation.wall_contact import WallContact
+    from emps_design.comanipulation.run import Run
+    from emps_design.comanipulation.study import MismatchStudy
+    from emps_design.comanipulation.wall_contact import WallContact
+    from emps_design.control.impedance.passivity import ContactMap
+    from emps_design.control.impedance.robustness import StabilityMap
 
 VERDICT_COLORS = {"stable": GREEN, "dead_band": BLUE, "creeping": ORANGE, "limit_cycle": PURPLE, "unstable": RED}
 _COLORS = (BLUE, RED, GREEN, PURPLE)
@@ -97,7 +97,7 @@ def _line(color: str, label: str, **options: str):
 
 def mismatch_figure(study: MismatchStudy) -> Figure:
     """Draw apparent mass and damping of every plant of ``study``, coloured by its verdict; corners are squares."""
-    from emps_design.control.impedance_robustness import VERDICTS
+    from emps_design.control.impedance.robustness import VERDICTS
 
     mass, damping, _ = study.measures.fit
     with look():

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from emps_design.control.step_response import StepResponse
-    from emps_design.control.velocity_loop import VelocityLoopDesign
+    from emps_design.control.velocity.design import VelocityLoopDesign
+    from emps_design.control.velocity.step_response import StepResponse
 
 
 def bode_figure(loop: BrokenLoop, period: float) -> Figure:
@@ -231,7 +231,7 @@ def _step_label(name: str, step: StepResponse) -> str:
 
 def velocity_loop_figures(design: VelocityLoopDesign) -> dict[str, Figure]:
     """Return the pictures of a design by name: bode_velocity_error, bode_plant_input, nyquist, poles, step."""
-    from emps_design.control.step_response import continuous_step, sampled_step
+    from emps_design.control.velocity.step_response import continuous_step, sampled_step
 
     error, plant = broken_loops(design)
     period = design.axis.sampling.period

@@ -11,8 +11,8 @@ import numpy as np
 from emps_design.report.style import BLUE, RED
 
 if TYPE_CHECKING:
-    from emps_design.control.margins import Margins
-    from emps_design.control.velocity_loop import VelocityLoopDesign
+    from emps_design.control.loop.margins import Margins
+    from emps_design.control.velocity.design import VelocityLoopDesign
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def frequency_grid(design: VelocityLoopDesign, points: int = 400) -> np.ndarray:
 def broken_loops(design: VelocityLoopDesign, points: int = 400) -> tuple[BrokenLoop, BrokenLoop]:
     """Return the loop broken at the velocity error and at the plant input, each continuous and sampled.
 
-    >>> from emps_design.control.velocity_loop import design_velocity_loop
+    >>> from emps_design.control.velocity.design import design_velocity_loop
     >>> from emps_design.machines import machine
     >>> error, plant = broken_loops(design_velocity_loop(machine("emps2018"), 100.0, phase_margin_deg=60.0))
     >>> round(plant.sampled.margins.phase_margin_deg, 1)

@@ -12,8 +12,8 @@ from emps_design.report.loops import broken_loops
 from emps_design.report.page import Html, Picture, Section, Table, Text
 
 if TYPE_CHECKING:
-    from emps_design.control.step_response import StepResponse
-    from emps_design.control.velocity_loop import VelocityLoopDesign
+    from emps_design.control.velocity.design import VelocityLoopDesign
+    from emps_design.control.velocity.step_response import StepResponse
 
 
 def gains_section(velocity: VelocityLoopDesign) -> Section:

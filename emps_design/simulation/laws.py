@@ -82,7 +82,7 @@ def law_of(axis: Axis, period: float) -> Law:
         gains = np.array([controller.k_v1, integral, controller.k_e1 or 0.0, 1.0 / period, two_tap])
         return Law(ip_velocity, gains, 3, follows="velocity")
     if controller.kind == "impedance":
-        from emps_design.simulation.impedance import impedance_law
+        from emps_design.simulation.impedance_law import impedance_law
 
         return impedance_law(axis, period)
     raise AxisError(

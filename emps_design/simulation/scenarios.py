@@ -12,8 +12,8 @@ from emps_design.errors import InputError
 from emps_design.notebook import table
 from emps_design.records import Record
 from emps_design.simulation.plant import Plant
-from emps_design.simulation.programs import force_ramp
 from emps_design.simulation.run import Run
+from emps_design.simulation.trajectories import force_ramp
 
 DROPPED = 50  # samples left out of the relative errors, as in the report of the data set
 

@@ -10,7 +10,7 @@ from emps_design.report.page import inline
 from emps_design.studio.state import State
 
 if TYPE_CHECKING:
-    from emps_design.control.velocity_loop import VelocityLoopDesign
+    from emps_design.control.velocity.design import VelocityLoopDesign
 
 
 def _check(good: bool) -> str:
@@ -72,7 +72,7 @@ def laws_table(state: State, design: VelocityLoopDesign) -> str:
 
 
 def _force_cells(state: State, design: VelocityLoopDesign) -> list[tuple[str, str]]:
-    from emps_design.control.force_loop import design_force_loop
+    from emps_design.control.force.design import design_force_loop
 
     try:
         force = design_force_loop(design, state.k_e1, hand=state.hand, environment=state.wall * 1e3)
@@ -90,9 +90,9 @@ def _force_cells(state: State, design: VelocityLoopDesign) -> list[tuple[str, st
 
 
 def _impedance_cells(state: State) -> list[tuple[str, str]]:
-    from emps_design.control.impedance import FrictionModel, impedance_law
-    from emps_design.control.impedance_robustness import verdict
-    from emps_design.control.impedance_sampled import Clock
+    from emps_design.control.impedance.law import FrictionModel, impedance_law
+    from emps_design.control.impedance.robustness import verdict
+    from emps_design.control.impedance.sampled import Clock
 
     try:
         law = impedance_law(state.axis, state.mass, state.damping, state.filter)

@@ -18,7 +18,7 @@ from emps_design.studio.reach import plane, reach
 from emps_design.studio.state import PLACES, SPECIFICATIONS, State
 
 if TYPE_CHECKING:
-    from emps_design.control.velocity_loop import VelocityLoopDesign
+    from emps_design.control.velocity.design import VelocityLoopDesign
 
 GROUPS = (
     ("Velocity loop", ("frequency", "phase_margin_deg")),

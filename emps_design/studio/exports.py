@@ -12,7 +12,7 @@ from emps_design.studio.state import State
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from emps_design.control.velocity_loop import VelocityLoopDesign
+    from emps_design.control.velocity.design import VelocityLoopDesign
     from emps_design.records import Record
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the zip format's first day: an archive carries no clock
@@ -20,7 +20,7 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)  # the zip format's first day: an archive carries
 
 def velocity_design(state: State) -> VelocityLoopDesign:
     """The velocity loop that ``state`` asks for."""
-    from emps_design.control.velocity_loop import design_velocity_loop
+    from emps_design.control.velocity.design import design_velocity_loop
 
     return design_velocity_loop(state.axis, **state.requested)
 
@@ -47,7 +47,7 @@ def report_html(state: State, record: Record | None = None) -> str:
 
 def figures(state: State) -> dict[str, Figure]:
     """The pictures of ``state`` as matplotlib figures by name."""
-    from emps_design.control.force_loop import design_force_loop
+    from emps_design.control.force.design import design_force_loop
     from emps_design.report.diagrams import velocity_and_force_loop
     from emps_design.report.force_figures import force_limit_figure, force_loop_figure
     from emps_design.report.loop_figures import velocity_loop_figures

@@ -26,7 +26,7 @@ from emps_design.report.style import BLACK, BLUE, GREEN, GREY, RED
 from emps_design.studio.reach import KINDS, Plane
 
 if TYPE_CHECKING:
-    from emps_design.control.velocity_loop import VelocityLoopDesign
+    from emps_design.control.velocity.design import VelocityLoopDesign
 
 TOOLS = "pan,box_zoom,wheel_zoom,reset,save"
 ASPECT = 1.28  # width over height: two rows fit both screens
@@ -214,7 +214,7 @@ def _curve_data(curve: Any) -> dict[str, np.ndarray]:
 
 def steps_of(design: VelocityLoopDesign) -> tuple[Any, Any]:
     """Continuous and sampled step response of ``design``; None for a sampled loop that is unstable."""
-    from emps_design.control.step_response import continuous_step, sampled_step
+    from emps_design.control.velocity.step_response import continuous_step, sampled_step
 
     return continuous_step(design, 301), sampled_step(design) if design.sampled.stable else None
 

@@ -12,7 +12,7 @@ from emps_design.studio.state import CHOICES, State
 
 if TYPE_CHECKING:
     from emps_design.axis import Axis
-    from emps_design.control.sweeps import VelocityLoopSweep
+    from emps_design.control.velocity.sweeps import VelocityLoopSweep
 
 STEP = 0.5  # deg
 UNSTABLE, NO_GAIN = "the sampled loop is unstable", "(7) has no positive gain"
@@ -69,7 +69,7 @@ class Reach:
 
 def crossover_of(specification: str, frequency: np.ndarray, phase_margin_deg: np.ndarray) -> np.ndarray:
     """The crossover [rad/s] that ``frequency`` means: itself, or that of a -3 dB bandwidth at the phase margin."""
-    from emps_design.control.gains import canonical_form, second_order_bandwidth
+    from emps_design.control.velocity.gains import canonical_form, second_order_bandwidth
 
     if specification == "crossover":
         return np.broadcast_to(frequency, np.broadcast_shapes(np.shape(frequency), np.shape(phase_margin_deg)))
@@ -82,8 +82,8 @@ def _designs(
     axis: Axis, specification: str, frequency: np.ndarray, phases: np.ndarray
 ) -> tuple[VelocityLoopSweep, np.ndarray]:
     """Gains of every specification, and whether they give a stable sampled loop."""
-    from emps_design.control.discretisation import sample_axis
-    from emps_design.control.sweeps import sweep_stability, sweep_velocity_loop
+    from emps_design.control.plant.discretisation import sample_axis
+    from emps_design.control.velocity.sweeps import sweep_stability, sweep_velocity_loop
 
     sweep = sweep_velocity_loop(axis, crossover_of(specification, frequency, phases), phases)
     stable = sweep_stability(sample_axis(axis), sweep.k_v1.ravel(), sweep.t_v.ravel())
@@ -144,8 +144,8 @@ def reachable_frequencies(axis: Axis, specification: str) -> tuple[float, float]
 
 def plane(axis: Axis, specification: str, required_phase_deg: float, columns: int = 90, rows: int = 60) -> Plane:
     """Return what happens at frequencies, as ``specification`` means them, and phase margins."""
-    from emps_design.control.discretisation import sample_axis
-    from emps_design.control.sweeps import sweep_sampled_margins, sweep_velocity_loop
+    from emps_design.control.plant.discretisation import sample_axis
+    from emps_design.control.velocity.sweeps import sweep_sampled_margins, sweep_velocity_loop
 
     frequency = CHOICES["frequency"]
     edges = np.geomspace(frequency.lower, frequency.upper, columns + 1)

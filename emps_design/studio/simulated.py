@@ -12,9 +12,9 @@ from emps_design.studio.state import State
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from emps_design.simulation.impedance_run import Run
-    from emps_design.simulation.impedance_study import MismatchStudy
-    from emps_design.simulation.wall_contact import WallContact
+    from emps_design.comanipulation.run import Run
+    from emps_design.comanipulation.study import MismatchStudy
+    from emps_design.comanipulation.wall_contact import WallContact
 
 
 @dataclass(frozen=True)
@@ -83,13 +83,13 @@ class Simulated:
 
 def simulate(state: State, progress: Callable[[str, float], None] | None = None) -> Simulated:
     """Run the impedance law of ``state`` through its task, over its mismatch, and into its wall."""
-    from emps_design.control.impedance import FrictionModel, impedance_law, left_out
-    from emps_design.control.impedance_sampled import Clock, Environment, sampled_loop
-    from emps_design.simulation.impedance_extended import run_extended
-    from emps_design.simulation.impedance_run import run
-    from emps_design.simulation.impedance_study import mismatch_study
-    from emps_design.simulation.impedance_task import guided_task, pushed_task
-    from emps_design.simulation.wall_contact import push_into_wall
+    from emps_design.comanipulation.run import run
+    from emps_design.comanipulation.study import mismatch_study
+    from emps_design.comanipulation.task import guided_task, pushed_task
+    from emps_design.comanipulation.wall_contact import push_into_wall
+    from emps_design.comanipulation.with_effects import run_extended
+    from emps_design.control.impedance.law import FrictionModel, impedance_law, left_out
+    from emps_design.control.impedance.sampled import Clock, Environment, sampled_loop
 
     tell = progress or (lambda stage, share: None)
     axis, mismatch, stiffness = state.axis, state.mismatch_percent / 100.0, state.wall * 1e3

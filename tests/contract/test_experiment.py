@@ -8,7 +8,7 @@ import pytest
 
 from emps_design.cli import app
 from emps_design.machines import machine
-from emps_design.simulation.practice import practice_record
+from emps_design.simulation.synthetic_record import practice_record
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from emps_design.machines import machine
-from emps_design.simulation.practice import practice_record
+from emps_design.simulation.synthetic_record import practice_record
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 

@@ -3,11 +3,11 @@
 import pytest
 
 import emps_design as ed
+from emps_design.comanipulation.assessment import assess_impedance
 from emps_design.notebook import table
 from emps_design.report.loop_figures import velocity_loop_figures
 from emps_design.report.page import Picture
 from emps_design.simulation import replay
-from emps_design.simulation.impedance_assessment import assess_impedance
 
 AXIS = ed.machine("emps2019")
 RIPPLED = AXIS.replace(effects=[{"kind": "position_ripple", "amplitude": 2.0, "period": 2.5e-3, "phase": 0.5}])

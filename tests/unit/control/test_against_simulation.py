@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from emps_design.control.force_loop import design_force_loop
-from emps_design.control.velocity_loop import design_velocity_loop
+from emps_design.control.force.design import design_force_loop
+from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.errors import SimulationError
 from emps_design.machines import machine
 from emps_design.simulation import Hand, Plant

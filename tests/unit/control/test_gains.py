@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emps_design.control.cascade_derivation import derive_cascade, symbols
-from emps_design.control.derivations import plain_symbols
-from emps_design.control.gains import (
+from emps_design.control.derivations.cascade import derive_cascade, symbols
+from emps_design.control.derivations.step import plain_symbols
+from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
+from emps_design.control.velocity.gains import (
     MINUS_3_DB,
     canonical_form,
     crossover_of_bandwidth,
@@ -17,8 +18,7 @@ from emps_design.control.gains import (
     second_order_bandwidth,
     velocity_gains,
 )
-from emps_design.control.specification import check_specification, in_words, nearest_that_works
-from emps_design.control.velocity_loop import VelocityLoopDesign, design_velocity_loop
+from emps_design.control.velocity.specification import check_specification, in_words, nearest_that_works
 from emps_design.errors import InputError, SpecificationError
 from emps_design.machines import machine
 

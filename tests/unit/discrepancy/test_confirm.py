@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from emps_design.discrepancy.candidate import Candidate
-from emps_design.discrepancy.confirm import asked_for
-from emps_design.discrepancy.noise import floor_of_laps, floor_of_residual, rms_interval
-from emps_design.discrepancy.problem import Problem
-from emps_design.discrepancy.split import split
+from emps_design.discrepancy.model.candidate import Candidate
+from emps_design.discrepancy.model.partition import split
+from emps_design.discrepancy.model.problem import Problem
+from emps_design.discrepancy.search.noise_floor import floor_of_laps, floor_of_residual, rms_interval
+from emps_design.discrepancy.validation.gap import asked_for
 from emps_design.effects import get_effect
-from emps_design.effects.search import pulses
+from emps_design.effects.guesses import pulses
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
-from emps_design.simulation.practice import trapezoid_laps
+from emps_design.simulation.synthetic_record import trapezoid_laps
 
 AXIS = machine("emps2019")
 Q_REF = trapezoid_laps(1e-3, stroke=0.1, speed=0.2, laps=4)

@@ -6,15 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from emps_design.discrepancy import decide, diagnose
-from emps_design.discrepancy.candidate import Candidate
-from emps_design.discrepancy.problem import Problem, Whitening, descend, fit
-from emps_design.discrepancy.split import split
+from emps_design.discrepancy import diagnose
+from emps_design.discrepancy.model.candidate import Candidate
+from emps_design.discrepancy.model.partition import split
+from emps_design.discrepancy.model.problem import Problem, Whitening, descend, fit
+from emps_design.discrepancy.search import beam_search as decide
 from emps_design.effects import get_effect
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
-from emps_design.simulation.practice import trapezoid_laps
+from emps_design.simulation.synthetic_record import trapezoid_laps
 
 AXIS = machine("emps2019")
 Q_REF = trapezoid_laps(1e-3, stroke=0.1, speed=0.2, laps=3)

@@ -9,13 +9,13 @@ import pytest
 
 from emps_design.cli.output import plain
 from emps_design.discrepancy import diagnose
-from emps_design.discrepancy.door import check_records
+from emps_design.discrepancy.checks.requirements import check_records
 from emps_design.effects import get_effect, known_effects
 from emps_design.errors import InputError, RecordError
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
-from emps_design.simulation.practice import trapezoid_laps
+from emps_design.simulation.synthetic_record import trapezoid_laps
 
 AXIS = machine("emps2019")
 Q_REF = trapezoid_laps(1e-3, stroke=0.1, speed=0.2, laps=3)

@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 
 from emps_design.discrepancy import diagnose
-from emps_design.discrepancy.candidate import Candidate
-from emps_design.discrepancy.decide import Search
-from emps_design.discrepancy.experiment import choose, experiment
-from emps_design.discrepancy.menu import PROGRAMS, Envelope, in_words, menu
-from emps_design.discrepancy.noise import floor_of_laps
-from emps_design.discrepancy.problem import Problem, Whitening, fit
-from emps_design.discrepancy.split import split
+from emps_design.discrepancy.experiment.discrimination import choose, experiment
+from emps_design.discrepancy.experiment.excitation import PROGRAMS, Envelope, in_words, menu
+from emps_design.discrepancy.model.candidate import Candidate
+from emps_design.discrepancy.model.partition import split
+from emps_design.discrepancy.model.problem import Problem, Whitening, fit
+from emps_design.discrepancy.search.beam_search import Search
+from emps_design.discrepancy.search.noise_floor import floor_of_laps
 from emps_design.effects import _added, get_effect, register
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
-from emps_design.simulation.practice import practice_record, trapezoid_laps
-from emps_design.simulation.programs import multi_sine
+from emps_design.simulation.synthetic_record import practice_record, trapezoid_laps
+from emps_design.simulation.trajectories import multi_sine
 
 AXIS = machine("emps2019")
 THRESHOLD = 15.0  # gain in whitened cost, as a healthy reference gives it

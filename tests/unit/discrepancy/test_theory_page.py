@@ -4,7 +4,14 @@ import importlib
 import re
 from pathlib import Path
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "theory" / "diagnosis.md"
+REPOSITORY = Path(__file__).resolve().parents[3]
+PAGE = REPOSITORY / "docs" / "theory" / "diagnosis.md"
+
+
+def full_name(module: str) -> str:
+    """The dotted name of the one module of ``emps_design.discrepancy`` called ``module``."""
+    (path,) = (REPOSITORY / "emps_design" / "discrepancy").rglob(f"{module}.py")
+    return ".".join(path.relative_to(REPOSITORY).with_suffix("").parts)
 
 
 def test_every_constant_of_the_page_exists_and_is_in_its_table():
@@ -15,4 +22,4 @@ def test_every_constant_of_the_page_exists_and_is_in_its_table():
     assert len(said) > 20
     assert said <= listed
     for module, name in listed:
-        assert hasattr(importlib.import_module(f"emps_design.discrepancy.{module}"), name), f"{module}.{name}"
+        assert hasattr(importlib.import_module(full_name(module)), name), f"{module}.{name}"

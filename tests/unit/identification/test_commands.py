@@ -9,7 +9,7 @@ from emps_design.axis import Axis
 from emps_design.cli.app import run
 from emps_design.machines import machine
 from emps_design.simulation import Plant
-from emps_design.simulation.practice import practice_record
+from emps_design.simulation.synthetic_record import practice_record
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,8 @@
 import pytest
 
 from emps_design.axis import Axis
-from emps_design.control.impedance import FrictionModel
-from emps_design.control.impedance_sampled import Clock
+from emps_design.control.impedance.law import FrictionModel
+from emps_design.control.impedance.sampled import Clock
 from emps_design.machines import machine
 
 

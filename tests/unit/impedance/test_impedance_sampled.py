@@ -5,15 +5,17 @@ import math
 import numpy as np
 import pytest
 
-from emps_design.control.impedance import FrictionModel, ImpedanceLaw, impedance_law
-from emps_design.control.impedance_contact import (
+from emps_design.comanipulation.run import run
+from emps_design.comanipulation.task import Task
+from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, impedance_law
+from emps_design.control.impedance.passivity import (
     admittance_polynomials,
     contact_map,
     largest_wall,
     passivity,
 )
-from emps_design.control.impedance_response import impedance_error, impedance_response, relay_oscillation
-from emps_design.control.impedance_robustness import (
+from emps_design.control.impedance.response import impedance_error, impedance_response, relay_oscillation
+from emps_design.control.impedance.robustness import (
     check_mismatch,
     coulomb_factor_without_creep,
     creep_speed,
@@ -25,7 +27,7 @@ from emps_design.control.impedance_robustness import (
     verdict,
     worst_radius,
 )
-from emps_design.control.impedance_sampled import (
+from emps_design.control.impedance.sampled import (
     Clock,
     Environment,
     numbers,
@@ -35,8 +37,6 @@ from emps_design.control.impedance_sampled import (
     spectral_radius,
 )
 from emps_design.errors import InputError
-from emps_design.simulation.impedance_run import run
-from emps_design.simulation.impedance_task import Task
 
 
 def over(error: float) -> dict[str, float]:

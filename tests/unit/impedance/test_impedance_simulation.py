@@ -6,26 +6,26 @@ import math
 import numpy as np
 import pytest
 
-from emps_design.control.impedance import FrictionModel, ImpedanceLaw, impedance_law
-from emps_design.control.impedance_contact import largest_wall
-from emps_design.control.impedance_effects import extended_loop
-from emps_design.control.impedance_response import relay_oscillation
-from emps_design.control.impedance_robustness import VERDICTS, break_away, creep_speed, verdict
-from emps_design.control.impedance_sampled import Clock, sampled_loop
+from emps_design.comanipulation import period as one_period
+from emps_design.comanipulation.assessment import assess_impedance
+from emps_design.comanipulation.run import law_array, plant_array, run, run_many
+from emps_design.comanipulation.scenario import run_comanipulation
+from emps_design.comanipulation.sensor_comparison import CASCADE, NO_SENSOR, SENSOR, compare_sensors
+from emps_design.comanipulation.study import mismatch_study
+from emps_design.comanipulation.task import Task, guided_task, pushed_task
+from emps_design.comanipulation.with_effects import run_extended
+from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, impedance_law
+from emps_design.control.impedance.passivity import largest_wall
+from emps_design.control.impedance.response import relay_oscillation
+from emps_design.control.impedance.robustness import VERDICTS, break_away, creep_speed, verdict
+from emps_design.control.impedance.sampled import Clock, sampled_loop
+from emps_design.control.impedance.with_effects import extended_loop
 from emps_design.errors import AxisError, InputError, UnstableError
 from emps_design.machines import machine
-from emps_design.simulation import impedance_period as one_period
-from emps_design.simulation.comanipulation import run_comanipulation
-from emps_design.simulation.impedance import impedance_law as engine_law
-from emps_design.simulation.impedance import law_for
-from emps_design.simulation.impedance_assessment import assess_impedance
-from emps_design.simulation.impedance_comparison import CASCADE, NO_SENSOR, SENSOR, compare_sensors
-from emps_design.simulation.impedance_extended import run_extended
-from emps_design.simulation.impedance_run import law_array, plant_array, run, run_many
-from emps_design.simulation.impedance_study import mismatch_study
-from emps_design.simulation.impedance_task import Task, guided_task, pushed_task
+from emps_design.simulation.environment import Hand
+from emps_design.simulation.impedance_law import impedance_law as engine_law
+from emps_design.simulation.impedance_law import law_for
 from emps_design.simulation.plant import Plant
-from emps_design.simulation.surroundings import Hand
 
 PLANT = np.array([100.0, 400.0, 500.0, 20.0, 12.0, 5e-4, 35.0, 10.0, 0.0, 1e-3])
 

@@ -5,7 +5,7 @@ import pytest
 
 from emps_design.errors import InputError
 from emps_design.machines import machine
-from emps_design.simulation.practice import FORCE_NOISE, practice_record, trapezoid_laps
+from emps_design.simulation.synthetic_record import FORCE_NOISE, practice_record, trapezoid_laps
 
 PERIOD = 1e-3
 

@@ -13,7 +13,7 @@ from emps_design.effects import Effect, Parameter, effect, get_effect, register
 from emps_design.errors import SimulationError
 from emps_design.machines import machine
 from emps_design.simulation import Plant
-from emps_design.simulation.compile import address
+from emps_design.simulation.kernels.compile import address
 
 
 @pytest.fixture
@@ -129,8 +129,10 @@ def test_editing_an_effects_file_renews_its_cache_and_no_other(tmp_path):
 
 
 def test_the_steppers_cache_depends_on_every_file_it_is_built_from():
-    from emps_design.simulation import core, lanes, stepper
-    from emps_design.simulation.compile import source_files
+    from emps_design.simulation.kernels import baseline as core
+    from emps_design.simulation.kernels import batch as lanes
+    from emps_design.simulation.kernels import hold_loop as stepper
+    from emps_design.simulation.kernels.compile import source_files
 
     files = {
         stepper.run: {"compile", "core", "glide", "motion", "stepper", "stretch"},

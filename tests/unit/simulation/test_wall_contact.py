@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from emps_design.control.impedance import FrictionModel, impedance_law
-from emps_design.control.impedance_sampled import Clock, Environment, sampled_loop
+from emps_design.comanipulation.wall_contact import push_into_wall
+from emps_design.control.impedance.law import FrictionModel, impedance_law
+from emps_design.control.impedance.sampled import Clock, Environment, sampled_loop
 from emps_design.errors import InputError
 from emps_design.machines import machine
-from emps_design.simulation.wall_contact import push_into_wall
 
 AXIS = machine("emps2018")
 

@@ -16,7 +16,7 @@ pytest.importorskip("panel", reason="the extra 'studio' is not installed")
 
 from emps_design.axis import Axis
 from emps_design.cli.app import run
-from emps_design.control.velocity_loop import design_velocity_loop
+from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.errors import InputError, RecordError, SpecificationError
 from emps_design.machines import machine, machine_names
 from emps_design.studio import exports

@@ -1,0 +1,1 @@
+"""A hand guides the carriage under an impedance law: tasks, measures, verdicts."""

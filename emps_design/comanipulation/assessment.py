@@ -1,0 +1,263 @@
+"""One verdict on one impedance law: derived and as printed, sampled, under mismatch, in contact, and the nearest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+from emps_design.axis import Axis
+from emps_design.comanipulation.study import MismatchStudy, mismatch_study
+from emps_design.control.impedance.equivalence import LOW_FREQUENCY, equivalent_loop, safety_words
+from emps_design.control.impedance.law import PRINTED, FrictionModel, ImpedanceLaw, impedance_law, left_out
+from emps_design.control.impedance.passivity import largest_wall, passivity
+from emps_design.control.impedance.response import relay_oscillation
+from emps_design.control.impedance.robustness import (
+    break_away,
+    check_mismatch,
+    corner_errors,
+    coulomb_factor_without_creep,
+    creep_speed,
+    dead_band,
+    drift_threshold,
+    nearest_stable,
+    smallest_mass,
+    verdict,
+    worst_radius,
+)
+from emps_design.control.impedance.sampled import MARGINAL, Clock, SampledLoop, recursion_poles, sampled_loop
+from emps_design.control.impedance.with_effects import extended_loop
+from emps_design.errors import SpecificationError, UnstableError
+from emps_design.notebook import table
+
+
+@dataclass(frozen=True)
+class ImpedanceAssessment:
+    """What :func:`assess_impedance` found; ``study`` is None without a mismatch."""
+
+    axis: Axis
+    law: ImpedanceLaw
+    mismatch: float | None
+    study: MismatchStudy | None
+
+    @property
+    def plant(self) -> FrictionModel:
+        """The axis's friction model."""
+        return FrictionModel.of(self.axis)
+
+    @property
+    def clock(self) -> Clock:
+        """The axis's clock."""
+        return Clock.of(self.axis)
+
+    @cached_property
+    def worst_radius(self) -> float:
+        """Largest pole modulus over the corners of the mismatch, sliding and sticking."""
+        return float(
+            worst_radius(self.law, self.plant, self.clock, self.mismatch or 0.0, self.law.mass, self.law.filter)
+        )
+
+    @cached_property
+    def extended(self) -> SampledLoop | None:
+        """The loop with the effects that the friction model cannot hold, linearised; None where there are none."""
+        return extended_loop(self.axis, self.law) if left_out(self.axis) else None
+
+    @property
+    def stable(self) -> bool:
+        """Whether the sampled loop is stable, at every corner of the mismatch, and with the axis's effects."""
+        return self.worst_radius <= 1.0 + MARGINAL and (self.extended is None or self.extended.stable)
+
+    @cached_property
+    def nearest(self) -> dict[str, float] | None:
+        """The nearest stable law (mass, damping, filter); None where the law is stable, or none was found."""
+        if self.stable:
+            return None
+
+        def accept(law: ImpedanceLaw) -> bool:
+            return self.extended is None or extended_loop(self.axis, law).stable
+
+        return nearest_stable(self.law, self.plant, self.clock, self.mismatch or 0.0, accept)
+
+    @property
+    def reason(self) -> str:
+        """Why the law is refused, in one line; empty where it is stable."""
+        if self.stable:
+            return ""
+        loop = sampled_loop(self.law, self.plant, self.clock)
+        recursion = abs(recursion_poles(self.law, self.clock)[0])
+        if not loop.stable:
+            what = f"the sampled loop has a pole of modulus {loop.radius:.5g}"
+        elif self.extended is not None and not self.extended.stable:
+            what = f"with the axis's effects the sampled loop has a pole of modulus {self.extended.radius:.5g}"
+        elif recursion > 1.0 + MARGINAL:
+            what = f"at rest the recursion in the law's own current has a pole of modulus {recursion:.5g}"
+        else:
+            what = f"at a corner of +-{100 * (self.mismatch or 0):g} % a pole reaches modulus {self.worst_radius:.5g}"
+        if self.nearest is None:
+            return f"unstable: {what}; no stable law was found nearby"
+        return (
+            f"unstable: {what}; nearest stable: mass {self.nearest['mass']:.4g} kg, damping "
+            f"{self.nearest['damping']:.4g} N/(m/s), filter {self.nearest['filter']:.4g} rad/s on both signals"
+        )
+
+    def require_stable(self) -> ImpedanceLaw:
+        """Return the law, or refuse it: :class:`UnstableError` with the reason and the nearest stable one."""
+        if not self.stable:
+            raise UnstableError(self.reason, dict(self.nearest or {}))
+        return self.law
+
+    def to_dict(self) -> dict[str, Any]:
+        """Keys of the contract, and beside them passivity, contact, rest, and the smallest safe M_a."""
+        law, plant, clock = self.law, self.plant, self.clock
+        loop = sampled_loop(law, plant, clock)
+        oscillation = relay_oscillation(law, plant, clock)
+        ideal = replace(law, force_sensor=False, current_factor=1.0)
+        document: dict[str, Any] = {
+            "axis": self.axis.name,
+            "law": law.to_dict(),
+            "derived": ideal.apparent(plant).to_dict(),
+            "printed": replace(ideal, current_factor=PRINTED).apparent(plant).to_dict(),
+            "sampled": {
+                "stable": loop.stable
+                and abs(recursion_poles(law, clock)[0]) <= 1.0 + MARGINAL
+                and (self.extended is None or self.extended.stable),
+                "poles": list((self.extended or loop).poles),
+                "recursion_gain": law.recursion_gain,
+                "recursion_poles": list(recursion_poles(law, clock)),
+                "verdict": verdict(law, plant, clock, self.axis.sampling.encoder_resolution),
+            },
+            "break_away": break_away(law, plant),
+            "coulomb_oscillation": None
+            if oscillation is None
+            else {"frequency": oscillation[0], "speed": oscillation[1]},
+            "passivity": passivity(law, plant, clock).to_dict() if loop.stable else None,
+            "largest_wall_stiffness": largest_wall(law, plant, clock) if loop.stable else None,
+            "smallest_safe_mass": smallest_mass(law, plant, clock, self.mismatch or 0.0),
+        }
+        try:
+            document["equivalent_loop"] = equivalent_loop(
+                self.axis, law.mass, law.damping, LOW_FREQUENCY, mismatch=self.mismatch or 0.0
+            ).to_dict()
+        except SpecificationError as error:
+            document["equivalent_loop"] = {"k_e1": None, "criterion": LOW_FREQUENCY, "warnings": [str(error)]}
+        if self.study is not None and self.mismatch is not None:
+            document["mismatch"] = self._under_mismatch(self.study, self.mismatch)
+        if not self.stable:
+            document["reason"], document["nearest"] = self.reason, self.nearest
+        document["warnings"] = self._warnings(document)
+        return document
+
+    def _repr_html_(self) -> str:
+        felt = self.law.apparent(self.plant)
+        rows = (
+            ("M_a", self.law.mass, "kg"),
+            ("B", self.law.damping, "N/(m/s)"),
+            ("filter", self.law.filter, "rad/s"),
+            ("felt: apparent mass", felt.mass, "kg"),
+            ("felt: apparent damping", felt.damping, "N/(m/s)"),
+            ("felt: Coulomb left", felt.coulomb_left, "N"),
+            ("largest pole at the corners of the mismatch", self.worst_radius, ""),
+            ("mismatch", None if self.mismatch is None else 100.0 * self.mismatch, "%"),
+        )
+        verdict = "stable" if self.stable else "UNSTABLE"
+        return table(f"{self.axis.name}: the sampled impedance law is {verdict}", rows)
+
+    def _under_mismatch(self, study: MismatchStudy, mismatch: float) -> dict[str, Any]:
+        corners = [self.law.with_errors(errors) for errors in corner_errors(mismatch, self.plant.two_quadrant)]
+        summary = study.to_dict()
+        return {
+            "mismatch": mismatch,
+            "creep_speed": max(creep_speed(law, self.plant) for law in corners),
+            "dead_band": max(dead_band(law, self.plant) for law in corners),
+            "coulomb_factor_without_creep": coulomb_factor_without_creep(self.law, self.plant, mismatch),
+            "largest_pole": self.worst_radius,
+            "worst": summary["worst"],
+            **{key: summary[key] for key in ("stable_share", "stable_share_interval", "verdicts", "plants", "seed")},
+            "ranges": summary["ranges"],
+            "corners": summary["corners"],
+        }
+
+    def _warnings(self, document: dict[str, Any]) -> list[str]:
+        words = [self.reason] if not self.stable else []
+        words += [
+            f"effect {kind} is in the poles, linearised, but not in apparent impedance, contact and mismatch"
+            for kind in left_out(self.axis)
+        ]
+        words += safety_words(self.axis, self.law.mass, self.law.damping, self.mismatch or 0.0)
+        if document["smallest_safe_mass"] is None:
+            words.append(
+                "smallest_safe_mass is undefined: with this filter and damping the law is unstable even at M_a = M"
+            )
+        if self.law.damping == 0.0:
+            words.append("damping B is 0: nothing brings the released carriage to rest")
+        oscillation = document["coulomb_oscillation"]
+        threshold = drift_threshold(self.clock.period, self.axis.sampling.encoder_resolution)
+        if oscillation is not None and oscillation["speed"] > 2.0 * threshold:
+            words.append(
+                f"the Coulomb compensation may hunt, at {1e3 * oscillation['speed']:.2g} mm/s or more and below "
+                f"{oscillation['frequency']:.2g} rad/s (describing function); a faster filter or a smaller Coulomb "
+                "factor removes it"
+            )
+        contact = document["passivity"]
+        if contact is None:
+            words.append("passivity and largest_wall_stiffness are undefined: the free loop is unstable")
+        elif any(high is None for _, high in contact["continuous"]["active_bands"]):
+            words.append("passivity.continuous: the active band is unbounded above")
+        if contact is not None and not contact["sampled"]["passive"]:
+            low = contact["sampled"]["active_bands"][0][0]
+            wall = document["largest_wall_stiffness"]
+            words.append(
+                f"not passive from {low:.3g} rad/s on"
+                + ("" if wall is None else f"; against an undamped wall stable up to {wall:.3g} N/m")
+            )
+        if contact is not None and document["largest_wall_stiffness"] is None:
+            words.append("largest_wall_stiffness is unbounded: stable up to 1 GN/m")
+        found = document.get("mismatch")
+        if found is not None and self.study is not None:
+            words += self.study.warnings
+            if math.isinf(found["creep_speed"]):
+                words.append("mismatch.creep_speed is unbounded: at a corner the apparent damping is not positive")
+            elif found["creep_speed"] > threshold:
+                words.append(
+                    f"over-estimated friction makes the released carriage creep at up to "
+                    f"{1e3 * found['creep_speed']:.3g} mm/s; a Coulomb factor of "
+                    f"{found['coulomb_factor_without_creep']:.4g} rules it out"
+                )
+            if found["worst"]["peak_voltage"] >= self.axis.drive.voltage_limit:
+                words.append("the voltage limit is reached in the task")
+            if found["worst"]["verdict"] == "limit_cycle":
+                words.append("a simulated plant keeps oscillating after the release")
+        return words
+
+
+def assess_impedance(
+    axis: Axis,
+    mass: float,
+    damping: float,
+    mismatch: float | None = None,
+    filter: float | None = None,
+    plants: int = 200,
+    seed: int = 0,
+    two_quadrant: bool | None = None,
+    workers: int = 1,
+    progress: Callable[[str, float], None] | None = None,
+    **options: Any,
+) -> ImpedanceAssessment:
+    """Assess the law with M_a = ``mass`` [kg], B = ``damping`` [N/(m/s)] on ``axis``; see :class:`ImpedanceAssessment`.
+
+    ``mismatch`` adds the study of section IV-B; ``options`` go to :class:`ImpedanceLaw`. Raises
+    :class:`InputError` for numbers that cannot be meant.
+
+    >>> from emps_design.machines import machine
+    >>> found = assess_impedance(machine("emps2018"), 50.0, 100.0).to_dict()
+    >>> {name: round(value, 1) for name, value in found["printed"].items()}
+    {'apparent_mass': 73.8, 'apparent_damping': 235.8, 'coulomb_left': 6.3}
+    """
+    law = impedance_law(axis, mass, damping, filter, **options)
+    study = None
+    if mismatch is not None:
+        check_mismatch(mismatch)
+        study = mismatch_study(axis, law, mismatch, plants, seed, two_quadrant, None, workers, progress)
+    return ImpedanceAssessment(axis, law, mismatch, study)

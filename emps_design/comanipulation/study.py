@@ -1,0 +1,225 @@
+"""The mismatch study of section IV-B: the law's estimates of M, F_v and F_c are wrong by up to a few percent.
+
+All corners of the box of errors and a Monte-Carlo over it (uniform, seeded); per plant a verdict, the transparency,
+the peak voltage and the operator's effort. The plant is the axis; errors are the law's: its estimate is ``1 + error``
+times the plant's number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.comanipulation import kernel as kernel
+from emps_design.comanipulation.run import Measures, law_array, run_many
+from emps_design.comanipulation.task import Task, guided_task
+from emps_design.control.impedance.law import PARAMETERS, FrictionModel, ImpedanceLaw
+from emps_design.control.impedance.response import impedance_error
+from emps_design.control.impedance.robustness import VERDICTS, check_mismatch, corner_errors
+from emps_design.control.impedance.sampled import MARGINAL, Clock, numbers, spectral_radius
+from emps_design.errors import InputError
+
+MOST = 1_000_000  # plants; more would not fit into memory
+STABLE = (0, 1, 2)  # places in VERDICTS that are neither a limit cycle nor unstable
+_ESTIMATES = (
+    kernel.L_MASS_HAT,
+    kernel.L_VISCOUS_P,
+    kernel.L_VISCOUS_N,
+    kernel.L_COULOMB_P,
+    kernel.L_COULOMB_N,
+)
+
+
+@dataclass(frozen=True)
+class MismatchStudy:
+    """Verdict, transparency and effort of every plant tried; the first ``corners`` rows are the corners.
+
+    ``errors`` (m, 5) relative, in the order of ``PARAMETERS``; ``error`` (m,) the rms relative error of the apparent
+    impedance over 0-20 rad/s (nan where the poles are unstable); ``radius`` (m,) the largest pole modulus.
+    """
+
+    axis: str
+    law: ImpedanceLaw
+    mismatch: float
+    seed: int
+    task: str
+    corners: int
+    errors: np.ndarray
+    error: np.ndarray
+    radius: np.ndarray
+    measures: Measures
+
+    @cached_property
+    def verdict(self) -> np.ndarray:
+        """Places in ``VERDICTS``, shape (m,)."""
+        return self.measures.verdict
+
+    @property
+    def plants(self) -> int:
+        """Number of Monte-Carlo plants."""
+        return len(self.errors) - self.corners
+
+    @property
+    def worst(self) -> int:
+        """Row of the worst plant: by verdict, then by the error of the apparent impedance."""
+        return int(np.lexsort((np.nan_to_num(self.error, nan=np.inf), self.verdict))[-1])
+
+    @property
+    def stable_share(self) -> tuple[float, float, float]:
+        """Share of plants neither unstable nor in a limit cycle, with its 95 % Clopper-Pearson interval.
+
+        Of the Monte-Carlo plants; of the corners, without an interval, where no plants were drawn.
+        """
+        good = np.isin(self.verdict, STABLE)
+        if not self.plants:
+            return float(good.mean()), float("nan"), float("nan")
+        from scipy.special import betaincinv
+
+        n, k = self.plants, int(good[self.corners :].sum())
+        low = float(betaincinv(k, n - k + 1, 0.025)) if k else 0.0
+        high = float(betaincinv(k + 1, n - k, 0.975)) if k < n else 1.0
+        return k / n, low, high
+
+    def plant(self, row: int) -> dict[str, Any]:
+        """Everything about one plant: errors, estimates, verdict, transparency, peak voltage, effort."""
+        errors = {name: float(e) for name, e in zip(PARAMETERS, self.errors[row], strict=True)}
+        estimate = self.law.estimate.with_errors(errors).to_dict()
+        if not self.law.estimate.two_quadrant:
+            errors, estimate = _one_quadrant(errors), _one_quadrant(estimate)
+        mass, damping, r2 = (float(x[row]) for x in self.measures.fit)
+        return {
+            "parameters": estimate,
+            "errors": errors,
+            "verdict": VERDICTS[self.verdict[row]],
+            "apparent_mass": mass,
+            "apparent_damping": damping,
+            "r2": r2,
+            "error": float(self.error[row]),
+            "drift_speed": float(self.measures.drift[row]),
+            "peak_voltage": float(self.measures.peak_u[row]),
+            "largest_pole": float(self.radius[row]),
+            "effort": {name: float(values[row]) for name, values in self.measures.effort.items()},
+        }
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is not a number in :meth:`to_dict`, and why."""
+        words = []
+        if not self.plants:
+            words.append(
+                "stable_share_interval is undefined: no plants were drawn, stable_share is that of the corners"
+            )
+        if np.isnan(self.error).any():
+            words.append("error is undefined for plants whose sampled loop is unstable")
+        fits = np.column_stack([*self.measures.fit, self.measures.effort["force_per_speed"]])
+        if not np.isfinite(fits).all():
+            words.append("what was felt (mass, damping, r2, force_per_speed) is undefined for plants that never moved")
+        return tuple(words)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Counts, shares with interval, medians and 5-95 % ranges over the plants, corners, and the worst case."""
+        share, low, high = self.stable_share
+        drawn = slice(self.corners, None) if self.plants else slice(None)
+        mass, damping, r2 = self.measures.fit
+        columns = {
+            "apparent_mass": mass,
+            "apparent_damping": damping,
+            "r2": r2,
+            "error": self.error,
+            "peak_voltage": self.measures.peak_u,
+            **self.measures.effort,
+        }
+        return {
+            "axis": self.axis,
+            "law": self.law.to_dict(),
+            "mismatch": self.mismatch,
+            "seed": self.seed,
+            "plants": self.plants,
+            "task": self.task,
+            "stable_share": share,
+            "stable_share_interval": [low, high],
+            "verdicts": {name: int(np.sum(self.verdict[drawn] == place)) for place, name in enumerate(VERDICTS)},
+            "ranges": {
+                name: dict(zip(("low", "median", "high"), _quantiles(values[drawn]), strict=True))
+                for name, values in columns.items()
+            },
+            "corners": [self.plant(row) for row in range(self.corners)],
+            "worst": self.plant(self.worst),
+        }
+
+
+def mismatch_study(
+    axis: Axis,
+    law: ImpedanceLaw,
+    mismatch: float = 0.02,
+    plants: int = 1000,
+    seed: int = 0,
+    two_quadrant: bool | None = None,
+    task: Task | None = None,
+    workers: int = 1,
+    progress: Callable[[str, float], None] | None = None,
+) -> MismatchStudy:
+    """Try ``law`` with estimates off by up to ``mismatch``: every corner, and ``plants`` drawn with ``seed``.
+
+    ``two_quadrant`` lets the five numbers of (5) err apart (None: where the axis's friction differs by direction); such
+    plants are let go moving either way, and each is judged by the worse of the two runs.
+    ``workers`` threads change the time, not the numbers.
+
+    >>> from emps_design.machines import machine
+    >>> from emps_design.control.impedance.law import impedance_law
+    >>> axis = machine("emps2018")
+    >>> study = mismatch_study(axis, impedance_law(axis, 50.0, 100.0), 0.02, plants=0)
+    >>> study.to_dict()["worst"]["verdict"]
+    'creeping'
+    """
+    check_mismatch(mismatch)
+    for name, value, low, high in (("plants", plants, 0, MOST), ("seed", seed, 0, 2**63), ("workers", workers, 1, 256)):
+        if not low <= value <= high:
+            raise InputError(f"{name}: found {value}, expected a whole number from {low} to {high}")
+    plant = FrictionModel.of(axis)
+    split = plant.two_quadrant if two_quadrant is None else two_quadrant
+    corners = corner_errors(mismatch, split)
+    drawn = np.random.default_rng(seed).uniform(-mismatch, mismatch, (plants, len(corners[0])))
+    rows = np.vstack([[list(corner.values()) for corner in corners], drawn])
+    errors = rows if split else rows[:, [0, 1, 1, 2, 2]]
+
+    laws = np.tile(law_array(axis, law), (len(errors), 1))
+    laws[:, _ESTIMATES] *= 1.0 + errors
+    clock = Clock.of(axis)
+    options = {"velocity_estimator": law.velocity_estimator, "force_sensor": law.force_sensor}
+    error, radius = np.zeros(len(errors)), np.zeros(len(errors))
+    for direction in (1, -1) if split or plant.two_quadrant else (1,):
+        n = {
+            **numbers(law, plant, direction),
+            "mass_hat": law.estimate.mass * (1.0 + errors[:, 0]),
+            "viscous_hat": law.estimate.viscous[0 if direction > 0 else 1]
+            * (1.0 + errors[:, 1 if direction > 0 else 2]),
+        }
+        error = np.maximum(error, impedance_error(n, clock, **options))
+        radius = np.maximum(radius, spectral_radius(n, clock, **options))
+    error[radius > 1.0 + MARGINAL] = np.nan
+    task = guided_task(axis.sampling.period) if task is None else task
+    measures = run_many(axis, laws, task, plant, workers, progress)
+    if split or plant.two_quadrant:  # let go moving the other way too; each plant is judged by its worse direction
+        other = run_many(axis, laws, replace(task, reference=-task.reference), plant, workers, progress)
+        worse = other.verdict > measures.verdict
+        measures = replace(measures, raw=np.where(worse[:, None], other.raw, measures.raw))
+    return MismatchStudy(axis.name, law, mismatch, seed, task.name, len(corners), errors, error, radius, measures)
+
+
+def _one_quadrant(values: dict[str, float]) -> dict[str, float]:
+    return {
+        "mass": values["mass"],
+        "viscous": values["viscous_positive"],
+        "coulomb": values["coulomb_positive"],
+    }
+
+
+def _quantiles(values: np.ndarray) -> list[float]:
+    finite = values[np.isfinite(values)]
+    return [float(x) for x in np.quantile(finite, (0.05, 0.5, 0.95))] if len(finite) else [float("nan")] * 3

@@ -1,0 +1,1 @@
+"""The force loop around the velocity loop, (10) and (11)."""

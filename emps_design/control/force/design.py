@@ -1,0 +1,308 @@
+"""The force loop of Fig. 4 around the velocity loop, written with an explicit operator, (10) and (11).
+
+The measured force sets the velocity: r = k_e1 (tau_ref + tau_e). The operator's force is the answer to the motion,
+
+    tau_e = -(k_h + K_env / s) qd        k_h: viscous hand [N/(m/s)], K_env: stiffness of a wall [N/m]
+
+positive when it pushes towards +q, so a passive operator makes negative feedback. The loop gain is
+k_e1 (k_h + K_env/s) T_v(s) with T_v from velocity reference to velocity. The same force also acts on the carriage,
+where the velocity loop resists it: qd = T_vc (r + s tau_e / K_v). The paper neglects that (``on_carriage=False``).
+
+The paper's own reading takes tau_e = +k_c qd with k_c = 1/k_e1 as reference and result at once; then T_eo = T_vc and
+the closed loop T/(1 - T) is positive feedback with a pole at s = 0: neither stable nor a statement about an operator.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from emps_design.control.loop.margins import Margins, loop_margins
+from emps_design.control.loop.sampled_loop import ClosedLoop, SampledVelocityLoop, closed_loop
+from emps_design.control.plant.discretisation import SampledPlant, sample_axis, sample_plant
+from emps_design.control.plant.linear_plant import POSITION, VELOCITY
+from emps_design.control.plant.magnitudes import check_scale
+from emps_design.control.velocity.design import VelocityLoopDesign
+from emps_design.errors import InputError
+from emps_design.notebook import table
+
+if TYPE_CHECKING:
+    import control
+
+
+def largest_force_gain(
+    omega_0v: float, z_v: float, K_v: float, hand: float = 0.0, environment: float = 0.0, on_carriage: bool = True
+) -> float | None:
+    """Return the k_e1 [(m/s)/N] at which the continuous force loop loses stability (Routh); None: never.
+
+    ``omega_0v`` [rad/s], ``z_v``, ``K_v`` [N/m] of (8), (9); ``hand`` [N/(m/s)], ``environment`` [N/m]. For a wall
+    alone 2 z_v w_0v / K_env, times (1 + K_env/K_v) when the force also acts on the carriage.
+
+    >>> round(largest_force_gain(141.42, 0.61237, 2.3146e6, environment=1e4, on_carriage=False), 6)
+    0.01732
+    >>> largest_force_gain(141.42, 0.61237, 2.3146e6, hand=100.0) is None
+    True
+    """
+    share = 1.0 / K_v if on_carriage else 0.0
+    # s^3/w0^2 + second s^2 + (1 + K share + k k_h) s + k K = 0
+    second = 2.0 * z_v / omega_0v + hand * share
+    needed = environment / omega_0v**2 - second * hand
+    return second * (1.0 + environment * share) / needed if needed > 0.0 else None
+
+
+@dataclass(frozen=True)
+class ForceLoopDesign:
+    """A force gain around a velocity loop, in contact with an operator: stability first, then margins and limits.
+
+    ``k_e1`` [(m/s)/N]; ``hand`` [N/(m/s)]; ``environment`` [N/m]; ``sensor_delay`` samples between force and its
+    reading; ``on_carriage``: whether the operator's force also acts on the carriage (it does on a real machine).
+
+    >>> from emps_design.control.velocity.design import design_velocity_loop
+    >>> from emps_design.machines import machine
+    >>> loop = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)
+    >>> wall = design_force_loop(loop, k_e1=1e-3, environment=1e4)
+    >>> wall.stable, round(wall.k_e1_max_continuous, 6), round(wall.k_e1_max_sampled, 6)
+    (True, 0.017395, 0.017638)
+    """
+
+    velocity_loop: VelocityLoopDesign
+    k_e1: float
+    hand: float = 0.0
+    environment: float = 0.0
+    sensor_delay: int = 0
+    on_carriage: bool = True
+
+    @property
+    def k_c(self) -> float:
+        """Viscous coefficient that the operator feels at low frequency, 1/k_e1 [N/(m/s)]."""
+        return 1.0 / self.k_e1
+
+    @property
+    def apparent_mass(self) -> float:
+        """Apparent mass of the low-frequency match of k_e1 T_vc with 1/(M_a s + B): 2 z_v/(w_0v k_e1) [kg]."""
+        return 2.0 * self.velocity_loop.z_v / (self.velocity_loop.omega_0v * self.k_e1)
+
+    @property
+    def k_e1_max_continuous(self) -> float | None:
+        """Largest k_e1 of the continuous loop [(m/s)/N], closed form; None where there is no limit."""
+        loop = self.velocity_loop
+        return largest_force_gain(loop.omega_0v, loop.z_v, loop.K_v, self.hand, self.environment, self.on_carriage)
+
+    @cached_property
+    def _plant(self) -> SampledPlant:
+        plant = sample_axis(self.velocity_loop.axis, self.velocity_loop.velocity)
+        if not self.on_carriage:
+            return plant
+        sampling, controller = self.velocity_loop.axis.sampling, self.velocity_loop.axis.controller
+        return sample_plant(
+            plant.linear.with_environment(self.environment, self.hand),
+            sampling.period,
+            sampling.computation_delay,
+            controller.velocity_estimator,
+        )
+
+    def sampled_loop(self, k_e1: float | None = None) -> ClosedLoop:
+        """The sampled closed loop at ``k_e1`` [(m/s)/N], this design's by default."""
+        loop, gain = self.velocity_loop, self.k_e1 if k_e1 is None else k_e1
+        return closed_loop(self._plant, loop.k_v1, loop.t_v, gain, (self.environment, self.hand), self.sensor_delay)
+
+    @property
+    def poles(self) -> np.ndarray:
+        """Poles of the sampled closed loop in the z plane, largest first."""
+        return self.sampled_loop().poles
+
+    @property
+    def continuous_poles(self) -> np.ndarray:
+        """Poles of the continuous closed loop [rad/s], without the free position's own at 0."""
+        loop, share = self.velocity_loop, 1.0 / self.velocity_loop.K_v if self.on_carriage else 0.0
+        cubic = [
+            1.0 / loop.omega_0v**2,
+            2.0 * loop.z_v / loop.omega_0v + self.hand * share,
+            1.0 + self.k_e1 * self.hand + self.environment * share,
+            self.k_e1 * self.environment,
+        ]
+        poles = np.roots(cubic if self.environment > 0.0 else cubic[:3])
+        return poles[np.argsort(-poles.real)]
+
+    @cached_property
+    def stable(self) -> bool:
+        """Whether the sampled closed loop is stable, by its poles."""
+        return self.sampled_loop().stable
+
+    @cached_property
+    def k_e1_max_sampled(self) -> float | None:
+        """Largest k_e1 of the sampled loop [(m/s)/N], by bisection on its poles; None: no limit, 0: always unstable.
+
+        With more than a hundred samples of delay, poles take seconds: there the response at -180 deg gives the limit.
+        """
+        loop = self.velocity_loop
+        start = 1e-3 / (self.hand + self.environment / loop.omega_0v) if self.hand + self.environment > 0.0 else 1.0
+        if self._plant.delay + self.sensor_delay <= 100 or self.hand + self.environment == 0.0:
+            return _first_instability(lambda gain: self.sampled_loop(gain).stable, start)
+        gently = replace(self, k_e1=start)
+        if not gently.stable:
+            return 0.0
+        factor = gently.margins.gain_margin
+        return None if factor is None else start * factor
+
+    def response(self, w: np.ndarray) -> np.ndarray:
+        """Sampled force loop, broken at the velocity reference, at ``w`` [rad/s]."""
+        plant, loop = self._plant, self.velocity_loop
+        inner = SampledVelocityLoop(plant, loop.k_v1, loop.t_v)
+        voltage = loop.k_v1 / loop.t_v * inner.integrator(w) / (1.0 + inner.plant_input_response(w))
+        states = plant.state_response(w)
+        force = self.environment * states[..., POSITION] + self.hand * states[..., VELOCITY]
+        return self.k_e1 * force * voltage * np.exp(-1j * w * plant.period * self.sensor_delay)
+
+    @cached_property
+    def margins(self) -> Margins:
+        """Margins of the sampled force loop broken at the velocity reference."""
+        plant = self._plant
+        if self.hand + self.environment == 0.0:  # nothing closes the loop
+            return Margins(stable=self.stable, period=plant.period)
+        return loop_margins(self.response, plant.frequencies(), self.stable, plant.period)
+
+    @property
+    def paper_reading(self) -> dict[str, Any]:
+        """The loop as the paper writes it, T/(1 - T) with T = T_vc, and its poles [rad/s]."""
+        loop = self.velocity_loop
+        return {
+            "loop": "T_eo/(1 - T_eo) with T_eo = k_e1 k_c T_vc = T_vc, (11)",
+            "static_gain": self.k_e1 * self.k_c,
+            "poles": [[0.0, 0.0], [-2.0 * loop.z_v * loop.omega_0v, 0.0]],
+            "text": "tau_e = +k_c qd counts the operator's force as reference and result at once: positive feedback, "
+            "a pole at s = 0; it says nothing about stability in contact",
+        }
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a reader of the numbers has to know, instability first."""
+        said: list[str] = []
+        if not self.stable:
+            said.append(f"the sampled force loop is unstable: largest pole {abs(self.poles[0]):.4g}")
+        if not self.velocity_loop.sampled.stable:
+            said.append("the sampled velocity loop inside it is unstable already")
+        if self.hand + self.environment == 0.0:
+            said.append("no operator: without a hand or an environment nothing closes the force loop")
+        elif self.k_e1_max_continuous is None:
+            said.append("k_e1_max.continuous is unbounded: the continuous loop has no limit with this operator")
+        if self.k_e1_max_sampled is None:
+            said.append("k_e1_max.sampled is unbounded: no gain up to 1e9 times the loop's own scale is unstable")
+        said += self._plant.linear.warnings
+        return tuple(said)
+
+    def open_loop(self) -> control.TransferFunction:
+        """T_eo(s) = k_e1 k_c T_vc of (10) and (11)."""
+        return self.k_e1 * self.k_c * self.velocity_loop.closed_loop()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data with the keys of the contract; the limits for both readings of where the force acts."""
+        other = replace(self, on_carriage=not self.on_carriage)
+        by_place = {place.on_carriage: place for place in (self, other)}
+        limits = {
+            name: {"continuous": by_place[on].k_e1_max_continuous, "sampled": by_place[on].k_e1_max_sampled}
+            for name, on in (("sensor_only", False), ("sensor_and_carriage", True))
+        }
+        poles = self.poles
+        continuous = self.continuous_poles
+        return {
+            "axis": self.velocity_loop.axis.name,
+            "k_e1": self.k_e1,
+            "k_c": self.k_c,
+            "k_v1": self.velocity_loop.k_v1,
+            "t_v": self.velocity_loop.t_v,
+            "operator": {
+                "hand": self.hand,
+                "environment": self.environment,
+                "sign": "tau_e = -(hand qd + environment q), positive towards +q",
+                "on_carriage": self.on_carriage,
+                "sensor_delay": self.sensor_delay,
+            },
+            "stable": self.stable,
+            "k_e1_max": {
+                "continuous": self.k_e1_max_continuous,
+                "sampled": self.k_e1_max_sampled,
+                **limits,
+            },
+            "margins": self.margins.to_dict(),
+            "poles": [[float(p.real), float(p.imag)] for p in poles],
+            "poles_plane": "z",
+            "continuous": {
+                "stable": bool(np.max(continuous.real) < 0.0),
+                "poles": [[float(p.real), float(p.imag)] for p in continuous],
+            },
+            "apparent_damping": self.k_c,
+            "apparent_mass": self.apparent_mass,
+            "paper_reading": self.paper_reading,
+            "warnings": list(self.warnings),
+        }
+
+    def _repr_html_(self) -> str:
+        rows = (
+            ("k_e1", self.k_e1, "(m/s)/N"),
+            ("k_c = 1/k_e1", self.k_c, "N/(m/s)"),
+            ("largest k_e1, continuous", self.k_e1_max_continuous, "(m/s)/N"),
+            ("largest k_e1, sampled", self.k_e1_max_sampled, "(m/s)/N"),
+            ("gain margin, sampled", self.margins.gain_margin, "ratio"),
+        )
+        verdict = "stable" if self.stable else "UNSTABLE"
+        return table(f"{self.velocity_loop.axis.name}: the sampled force loop is {verdict}", rows, missing="unbounded")
+
+
+def design_force_loop(
+    velocity_loop: VelocityLoopDesign,
+    k_e1: float,
+    hand: float = 0.0,
+    environment: float = 0.0,
+    sensor_delay: int = 0,
+    on_carriage: bool = True,
+) -> ForceLoopDesign:
+    """Return the force loop with gain ``k_e1`` [(m/s)/N] around ``velocity_loop``.
+
+    ``hand`` [N/(m/s)] and ``environment`` [N/m] are the operator's; :class:`InputError` for a gain that is not
+    positive, an operator that is not passive, or a negative ``sensor_delay`` [samples].
+
+    >>> from emps_design.control.velocity.design import design_velocity_loop
+    >>> from emps_design.machines import machine
+    >>> loop = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)
+    >>> design_force_loop(loop, k_e1=0.0)
+    Traceback (most recent call last):
+        ...
+    emps_design.errors.InputError: k_e1: found 0 (m/s)/N, expected a positive number
+    """
+    if not math.isfinite(k_e1) or k_e1 <= 0.0:
+        raise InputError(f"k_e1: found {k_e1:g} (m/s)/N, expected a positive number")
+    for name, value, unit in (("hand", hand, "N/(m/s)"), ("environment", environment, "N/m")):
+        if not math.isfinite(value) or value < 0.0:
+            raise InputError(f"{name}: found {value:g} {unit}, expected 0 or a positive number: an operator is passive")
+        check_scale(name, value, unit)
+    check_scale("k_e1", k_e1, "(m/s)/N")
+    if not 0 <= sensor_delay <= 1000:
+        raise InputError(f"sensor delay: found {sensor_delay} samples, expected 0 to 1000")
+    return ForceLoopDesign(velocity_loop, float(k_e1), float(hand), float(environment), sensor_delay, on_carriage)
+
+
+def _first_instability(stable: Callable[[float], bool], start: float) -> float | None:
+    """The gain above ``start`` where ``stable`` first turns false; None below 1e9 starts, 0.0 at once."""
+    if not stable(start):
+        return 0.0
+    low, factor = start, 1.15
+    while stable(low * factor):
+        low *= factor
+        if low > 1e9 * start:
+            return None
+    high = low * factor
+    while high - low > 1e-12 * high:
+        middle = 0.5 * (low + high)
+        if middle in (low, high):
+            break
+        if stable(middle):
+            low = middle
+        else:
+            high = middle
+    return low

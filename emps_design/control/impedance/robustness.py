@@ -1,0 +1,246 @@
+"""Which impedance laws are safe: creep and dead band in closed form, stable maps, and the nearest law that is stable.
+
+A mismatch ``e`` lets each estimate be anything in ``(1 +- e)`` times the plant's number. Coulomb friction moves no
+pole; over-estimated it drives the carriage, ``v = (c Fh_c - F_c) / (B + F_v - Fh_v)`` for ever, under-estimated it
+leaves a dead band ``F_c - c Fh_c`` [N] below which a push does not keep the carriage moving.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from emps_design.control.impedance.law import PARAMETERS, FrictionModel, ImpedanceLaw
+from emps_design.control.impedance.sampled import (
+    MARGINAL,
+    Clock,
+    numbers,
+    recursion_poles,
+    recursion_radius,
+    sampled_loop,
+    spectral_radius,
+)
+from emps_design.errors import InputError
+
+VERDICTS = ("stable", "dead_band", "creeping", "limit_cycle", "unstable")  # by rising severity
+
+
+def check_mismatch(mismatch: float) -> float:
+    """Return ``mismatch`` as a float; raises :class:`InputError` outside [0, 1), where an estimate turns negative.
+
+    >>> check_mismatch(0.02)
+    0.02
+    """
+    if not math.isfinite(mismatch) or not 0.0 <= mismatch < 1.0:
+        raise InputError(
+            f"mismatch: found {mismatch:g}, expected a number in [0, 1): estimates are 1 - mismatch to 1 + mismatch "
+            "times the plant's, and may not be negative"
+        )
+    return float(mismatch)
+
+
+def corner_errors(mismatch: float, two_quadrant: bool = False) -> list[dict[str, float]]:
+    """All corners of the box of estimate errors: 8 of mass, viscous, coulomb; 32 of the five of (5).
+
+    >>> len(corner_errors(0.02)), len(corner_errors(0.02, two_quadrant=True))
+    (8, 32)
+    """
+    names = PARAMETERS if two_quadrant else ("mass", "viscous", "coulomb")
+    return [dict(zip(names, signs, strict=True)) for signs in product((-mismatch, mismatch), repeat=len(names))]
+
+
+def drift_speed(law: ImpedanceLaw, plant: FrictionModel, direction: int = 1) -> float:
+    """Speed [m/s] that free motion in ``direction`` tends to: above zero it creeps, below zero dry friction stops it.
+
+    Infinite where the apparent damping is not positive and nothing else stops the motion.
+    """
+    z = law.apparent(plant, direction)
+    if z.damping <= 0.0:
+        return math.inf if z.damping < 0.0 or z.coulomb_left < 0.0 else -math.inf if z.coulomb_left > 0.0 else 0.0
+    return -z.coulomb_left / z.damping
+
+
+def creep_speed(law: ImpedanceLaw, plant: FrictionModel) -> float:
+    """Speed [m/s] at which the released carriage creeps on for ever, in the worse direction; 0: it does not.
+
+    >>> plant = FrictionModel(115.7315, 474.9727, 474.9727, 17.3811, 17.3811)
+    >>> over = ImpedanceLaw(50.0, 100.0, plant).with_errors({"mass": 0.02, "viscous": 0.02, "coulomb": 0.02})
+    >>> round(1e3 * creep_speed(over, plant), 2)
+    3.84
+    """
+    return max(0.0, *(drift_speed(law, plant, direction) for direction in (1, -1)))
+
+
+def dead_band(law: ImpedanceLaw, plant: FrictionModel) -> float:
+    """Coulomb friction left [N] in the worse direction; 0: none."""
+    return max(0.0, *(law.apparent(plant, direction).coulomb_left for direction in (1, -1)))
+
+
+def break_away(law: ImpedanceLaw, plant: FrictionModel) -> float:
+    """Force [N] that sets a resting carriage in motion: at rest the law compensates no Coulomb friction.
+
+    With a force sensor the motor helps from the first newton, ``F_c M_a/Mh``; without one it is all of F_c.
+    """
+    return max(plant.coulomb) / (law.ratio if law.force_sensor else 1.0)
+
+
+def coulomb_factor_without_creep(law: ImpedanceLaw, plant: FrictionModel, mismatch: float) -> float:
+    """Largest Coulomb compensation factor c with which no law within ``mismatch`` creeps: ``c Fh_c <= F_c``.
+
+    >>> plant = FrictionModel(115.7315, 474.9727, 474.9727, 17.3811, 17.3811)
+    >>> round(coulomb_factor_without_creep(ImpedanceLaw(50.0, 100.0, plant), plant, 0.02), 5)
+    0.98039
+    """
+    pairs = zip(plant.coulomb, law.estimate.coulomb, strict=True)
+    factors = [true / ((1.0 + mismatch) * hat) for true, hat in pairs if hat > 0.0]
+    return min([1.0, *factors])
+
+
+def verdict(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, resolution: float = 0.0) -> str:
+    """Say what analysis expects of the released carriage: one of ``VERDICTS``.
+
+    Unstable by the poles in either direction; a limit cycle where the recursion in the law's own current is unstable,
+    which kicks the carriage out of rest; else by the sign of :func:`drift_speed` against :func:`drift_threshold`.
+    """
+    directions = (1, -1) if plant.two_quadrant or law.estimate.two_quadrant else (1,)
+    if any(not sampled_loop(law, plant, clock, direction).stable for direction in directions):
+        return "unstable"
+    if abs(recursion_poles(law, clock)[0]) > 1.0 + MARGINAL:
+        return "limit_cycle"
+    drifts = [drift_speed(law, plant, direction) for direction in directions]
+    threshold = drift_threshold(clock.period, resolution)
+    if max(drifts) > threshold:
+        return "creeping"
+    return "dead_band" if min(drifts) < -threshold else "stable"
+
+
+def drift_threshold(period: float, resolution: float) -> float:
+    """Speed [m/s] below which neither creep nor a dead band is reported: five encoder steps a period.
+
+    Slower than that the encoder decides, not friction: where Coulomb friction is compensated almost exactly, the sign
+    of the quantised velocity keeps the carriage moving by a step or two a period. 0.25 mm/s on ``emps2018``.
+    """
+    return max(5.0 * resolution / period, 1e-6)
+
+
+def worst_radius(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mismatch: float, masses, filters) -> np.ndarray:
+    """Largest pole modulus over the corners of ``mismatch``, sliding and sticking, for arrays of M_a and filter.
+
+    ``masses`` [kg] and ``filters`` [rad/s] broadcast together; the result has their shape. ``law`` gives the rest.
+    """
+    masses, filters = np.broadcast_arrays(np.asarray(masses, dtype=float), np.asarray(filters, dtype=float))
+    shape, masses, filters = masses.shape, masses.ravel(), filters.ravel()
+    worst = np.zeros(len(masses))
+    same = law.current_filter is None
+    corners = {(0.0, 0.0), *product((-mismatch, mismatch), repeat=2)}
+    for direction in (1, -1) if plant.two_quadrant else (1,):
+        for error_m, error_v in sorted(corners):
+            off = law.with_errors({"mass": error_m, "viscous": error_v})
+            n = {**numbers(off, plant, direction), "apparent_mass": masses, "filter": filters}
+            if same:
+                n["current_filter"] = filters
+            options = {"velocity_estimator": law.velocity_estimator, "force_sensor": law.force_sensor}
+            worst = np.maximum(worst, spectral_radius(n, clock, **options))
+            if not law.force_sensor:
+                gain = law.current_factor * (off.estimate.mass / masses - 1.0)
+                worst = np.maximum(worst, recursion_radius(gain, n["current_filter"], clock))
+    return worst.reshape(shape)
+
+
+@dataclass(frozen=True)
+class StabilityMap:
+    """Where the law is stable at every corner of a mismatch: ``radius[mismatch, filter, mass]`` of the worst pole."""
+
+    masses: np.ndarray
+    filters: np.ndarray
+    mismatches: np.ndarray
+    damping: float
+    radius: np.ndarray
+
+    @property
+    def stable(self) -> np.ndarray:
+        """Boolean array of the shape of ``radius``."""
+        return self.radius <= 1.0 + MARGINAL
+
+    def to_dict(self) -> dict[str, Any]:
+        """Axes in SI, the worst pole modulus, and the smallest stable mass of each row."""
+        first = np.where(self.stable.any(axis=2), self.masses[np.argmax(self.stable, axis=2)], np.nan)
+        return {
+            "masses": self.masses.tolist(),
+            "filters": self.filters.tolist(),
+            "mismatches": self.mismatches.tolist(),
+            "damping": self.damping,
+            "radius": self.radius.tolist(),
+            "smallest_stable_mass": [[x if math.isfinite(x) else None for x in row] for row in first.tolist()],
+        }
+
+
+def stability_map(
+    law: ImpedanceLaw, plant: FrictionModel, clock: Clock, masses=None, filters=None, mismatches=(0.0, 0.02, 0.05)
+) -> StabilityMap:
+    """Map the stable (M_a, filter, mismatch); ``law`` gives damping, estimator and the rest.
+
+    Default grid: 30 masses from M/100 to 1.5 M, 20 filters from 10 rad/s to just below Nyquist.
+    """
+    masses = np.geomspace(plant.mass / 100, 1.5 * plant.mass, 30) if masses is None else np.asarray(masses, dtype=float)
+    nyquist = math.pi / clock.period
+    filters = np.geomspace(nyquist / 300, 0.99 * nyquist, 20) if filters is None else np.asarray(filters, dtype=float)
+    grid = np.meshgrid(masses, filters)
+    radius = np.array([worst_radius(law, plant, clock, check_mismatch(e), *grid) for e in mismatches])
+    return StabilityMap(masses, filters, np.asarray(mismatches, dtype=float), law.damping, radius)
+
+
+def smallest_mass(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mismatch: float) -> float | None:
+    """Smallest M_a [kg] from which on the law is stable at every corner, up to M; None if there is none.
+
+    Found on 200 masses between M/1000 and M, then bisected to 0.1 %.
+    """
+    masses = np.geomspace(plant.mass * 1e-3, plant.mass, 200)
+    bad = np.flatnonzero(worst_radius(law, plant, clock, mismatch, masses, law.filter) > 1.0 + MARGINAL)
+    if not len(bad):
+        return float(masses[0])
+    if bad[-1] == len(masses) - 1:
+        return None
+    lo, hi = masses[bad[-1]], masses[bad[-1] + 1]
+    while hi / lo > 1.001:
+        middle = math.sqrt(lo * hi)
+        if worst_radius(law, plant, clock, mismatch, middle, law.filter) > 1.0 + MARGINAL:
+            lo = middle
+        else:
+            hi = middle
+    return float(hi)
+
+
+def nearest_stable(
+    law: ImpedanceLaw,
+    plant: FrictionModel,
+    clock: Clock,
+    mismatch: float,
+    accept: Callable[[ImpedanceLaw], bool] | None = None,
+) -> dict[str, float] | None:
+    """The law nearest to ``law`` that is stable at every corner of ``mismatch``: damping, then mass and filter.
+
+    Acceleration and current share the filter. Distance is that of the logarithms of M_a and filter; the grid has
+    steps of a few percent. ``accept`` may refuse a candidate for reasons of its own. None where none was found.
+    """
+    damping = law.damping
+    if damping <= mismatch * max(plant.viscous):
+        damping = 1.05 * mismatch * max(plant.viscous)
+    nyquist = math.pi / clock.period
+    wanted_filter = min(law.filter, 0.99 * nyquist)
+    masses = np.unique(np.concatenate([[law.mass], np.geomspace(law.mass, max(plant.mass, 2 * law.mass), 40)]))
+    filters = np.unique(np.concatenate([[wanted_filter], np.geomspace(nyquist / 300, 0.99 * nyquist, 30)]))
+    grid_mass, grid_filter = np.meshgrid(masses, filters)
+    both = replace(law, damping=damping, current_filter=None)
+    stable = worst_radius(both, plant, clock, mismatch, grid_mass, grid_filter) <= 1.0 + MARGINAL
+    distance = np.hypot(np.log(grid_mass / law.mass), np.log(grid_filter / wanted_filter))
+    for place in np.argsort(np.where(stable, distance, np.inf), axis=None, kind="stable")[: int(stable.sum())]:
+        mass, filter = float(grid_mass.flat[place]), float(grid_filter.flat[place])
+        if accept is None or accept(replace(both, mass=mass, filter=filter)):
+            return {"mass": mass, "damping": float(damping), "filter": filter}
+    return None

@@ -1,0 +1,1 @@
+"""Sampled loops and their margins."""

@@ -1,0 +1,1 @@
+"""The linear plant, continuous and sampled."""

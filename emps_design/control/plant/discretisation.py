@@ -1,0 +1,181 @@
+"""The plant as the controller sees it: discretised exactly under a held voltage, with delays and velocity estimator.
+
+The voltage computed at sample k is held over [t_k + delay, t_k+1 + delay), where the delay is ``computation_delay``
+samples plus the delays of the axis's effects, fractions of a sample included. The velocity is estimated from the
+encoder's position q as
+
+    v[k] = (q[k] - q[k-2]) / 2T    (estimator "two_tap")    or    (q[k] - q[k-1]) / T    ("backward").
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.control.plant.linear_plant import POSITION, LinearPlant, linear_plant
+from emps_design.errors import InputError
+
+# Weights of the last two position increments in the velocity estimate, times T.
+ESTIMATORS = {"two_tap": (0.5, 0.5), "backward": (1.0, 0.0)}
+
+
+@dataclass(frozen=True)
+class SampledPlant:
+    """x[k+1] = Phi x[k] + G0 u[k-d] + G1 u[k-d-1]; encoder C x; period T [s]; the estimator's two weights.
+
+    ``delay`` is d, whole samples; G1 carries the fraction of a sample. ``linear`` is the continuous plant it came from.
+
+    >>> from emps_design.machines import machine
+    >>> plant = sample_axis(machine("emps2019"))
+    >>> round(abs(complex(plant.response(np.array(1e-3)))) * 203.5034 / 35.15065188, 4)  # slow motion: G_tau / F_v
+    1.0
+    """
+
+    Phi: np.ndarray
+    G0: np.ndarray
+    G1: np.ndarray
+    C: np.ndarray
+    delay: int
+    period: float
+    weights: tuple[float, float]
+    linear: LinearPlant
+
+    @cached_property
+    def increment(self) -> tuple[np.ndarray, float, float]:
+        """Row and feedthroughs of q[k+1] - q[k] = row x[k] + d0 u[k-d] + d1 u[k-d-1]."""
+        row = self.C @ (self.Phi - np.eye(self.C.size))
+        return row, float(self.C @ self.G0), float(self.C @ self.G1)
+
+    @cached_property
+    def kept(self) -> np.ndarray:
+        """Indices of the states that act on the increments: all, or all but a purely integrating position."""
+        row, _, _ = self.increment
+        integrates = row[POSITION] == 0.0 and not np.any(np.delete(self.Phi[:, POSITION], POSITION))
+        return np.arange(1 if integrates else 0, self.C.size)
+
+    @cached_property
+    def polynomials(self) -> tuple[np.ndarray, np.ndarray]:
+        """Numerator and denominator in z, highest power first, of u -> velocity estimate, all delays included."""
+        row, d0, d1 = self.increment
+        Phi = self.Phi[np.ix_(self.kept, self.kept)]
+        row, G0, G1 = row[self.kept], self.G0[self.kept], self.G1[self.kept]
+        size = self.kept.size
+        # Leverrier and Faddeev: the adjugate of (z I - Phi) without differences of nearly equal polynomials.
+        adjugate, denominator, n0, n1 = np.eye(size), [1.0], [d0], [d1]
+        for power in range(1, size + 1):
+            n0.append(float(row @ adjugate @ G0))
+            n1.append(float(row @ adjugate @ G1))
+            product = Phi @ adjugate
+            denominator.append(-float(np.trace(product)) / power)
+            adjugate = product + denominator[-1] * np.eye(size)
+        denominator = np.array(denominator)
+        n0 = np.array(n0) + d0 * np.append(0.0, denominator[1:])
+        n1 = np.array(n1) + d1 * np.append(0.0, denominator[1:])
+        # increment/u = (N0 z + N1) / (D z^(d+2)), and the estimate weighs two increments: (w0 z + w1) / (T z).
+        increments = np.polyadd(np.append(n0, 0.0), n1)
+        numerator = np.trim_zeros(np.polymul(increments, np.array(self.weights) / self.period), "f")
+        powers = self.delay + 3
+        while powers and numerator[-1] == 0.0:
+            numerator, powers = numerator[:-1], powers - 1
+        return numerator, np.append(denominator, np.zeros(powers))
+
+    def response(self, w: np.ndarray) -> np.ndarray:
+        """Frequency response from voltage to velocity estimate [(m/s)/V] at ``w`` [rad/s], below Nyquist."""
+        z = np.exp(1j * np.asarray(w) * self.period)
+        numerator, denominator = self.polynomials
+        return np.polyval(numerator, z) / np.polyval(denominator, z)
+
+    def state_response(self, w: np.ndarray) -> np.ndarray:
+        """Frequency response from voltage to every state of ``linear`` at ``w`` [rad/s], shape (*w.shape, n_states)."""
+        z = np.exp(1j * np.asarray(w) * self.period)[..., None]
+        acting = (self.G0 + self.G1 / z) * z**-self.delay
+        matrices = z[..., None] * np.eye(self.C.size) - self.Phi
+        return np.linalg.solve(matrices, acting[..., None])[..., 0]
+
+    def frequencies(self, count: int = 400) -> np.ndarray:
+        """A grid [rad/s] from far below every motion of the loop up to just below the Nyquist frequency."""
+        nyquist = math.pi / self.period
+        low = np.geomspace(1e-5 * nyquist, 0.05 * nyquist, count // 2, endpoint=False)
+        return np.concatenate([low, np.geomspace(0.05 * nyquist, nyquist * (1.0 - 1e-9), count - low.size)])
+
+
+def sample_plant(
+    linear: LinearPlant, period: float, delay_samples: int = 0, velocity_estimator: str = "two_tap"
+) -> SampledPlant:
+    """Return the exact discretisation of ``linear`` under a held voltage, ``period`` [s], ``delay_samples`` more.
+
+    :class:`InputError` for an unstable plant that grows out of hand within one period.
+
+    >>> from emps_design.control.plant.linear_plant import linear_plant
+    >>> from emps_design.machines import machine
+    >>> plant = sample_plant(linear_plant(machine("emps2019")), 1e-3)
+    >>> round(float(plant.Phi[1, 1]), 6)  # exp(-F_v T / M)
+    0.997863
+    """
+    growth = float(np.max(np.linalg.eigvals(linear.A).real)) * period
+    if growth > 50.0:
+        raise InputError(
+            f"period: found {period:g} s, in which the unstable plant grows e^{growth:.3g} times; expected a period "
+            "that the plant's own motion fits in"
+        )
+    whole, fraction = divmod(linear.delay, period)
+    if fraction > period * (1.0 - 1e-9):
+        whole, fraction = whole + 1.0, 0.0
+    if fraction < period * 1e-9:
+        fraction = 0.0
+    late_phi, late = _held(linear.A, linear.B, period - fraction)
+    _, early = _held(linear.A, linear.B, fraction)
+    Phi, _ = _held(linear.A, linear.B, period)
+    return SampledPlant(
+        Phi,
+        late,
+        late_phi @ early,
+        linear.C,
+        delay_samples + int(whole),
+        period,
+        ESTIMATORS[velocity_estimator],
+        linear,
+    )
+
+
+def sample_axis(axis: Axis, velocity: float = 0.1) -> SampledPlant:
+    """Return the sampled plant of ``axis``, its effects linearised at ``velocity`` [m/s].
+
+    >>> from emps_design.machines import machine
+    >>> sample_axis(machine("emps2018")).linear.state
+    ('position', 'velocity', 'motor_force')
+    """
+    sampling = axis.sampling
+    return sample_plant(
+        linear_plant(axis, velocity), sampling.period, sampling.computation_delay, axis.controller.velocity_estimator
+    )
+
+
+def expm(matrix: np.ndarray) -> np.ndarray:
+    """Exponential of a small square matrix by Taylor's series, scaled and squared; scipy would cost the start-up.
+
+    >>> expm(np.array([[0.0, 2.0], [0.0, 0.0]])).tolist()
+    [[1.0, 2.0], [0.0, 1.0]]
+    """
+    squarings = max(0, math.ceil(math.log2(max(np.linalg.norm(matrix, 1), 1e-300))) + 2)
+    scaled = matrix / 2.0**squarings
+    total = term = np.eye(len(matrix))
+    for order in range(1, 19):
+        term = term @ scaled / order
+        total = total + term
+    for _ in range(squarings):
+        total = total @ total
+    return total
+
+
+def _held(A: np.ndarray, B: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
+    """exp(A t) and the integral of exp(A s) B over [0, t]."""
+    size = len(A)
+    augmented = np.zeros((size + 1, size + 1))
+    augmented[:size, :size], augmented[:size, size] = A * time, B * time
+    exponential = expm(augmented)
+    return exponential[:size, :size], exponential[:size, size]

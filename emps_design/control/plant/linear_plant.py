@@ -1,0 +1,244 @@
+"""The plant as a linear system about steady motion: carriage, current loop and every effect's slope.
+
+Each effect enters by its hooks, differentiated at one operating point: forces, dry friction, inertia, own states,
+actuator maps, sensor errors and delays. So whatever ``diagnose`` adds to an axis takes part in a design; what a slope
+cannot show (play, steps in time, injected signals) is named in ``warnings``.
+
+States: carriage position and velocity, the states of the effects in their order, and the motor force behind the
+current loop where that has a time constant. Inputs: voltage, and an external force on the carriage (+ pushes to +q).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.control.plant.magnitudes import check_axis_scale, check_scale
+from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
+from emps_design.errors import InputError
+
+POSITION, VELOCITY = 0, 1
+
+
+@dataclass(frozen=True)
+class LinearPlant:
+    """dx/dt = A x + B u(t - delay) + E f_ext, encoder reading C x; SI units.
+
+    ``state`` names the states, ``mass`` [kg] and ``viscous`` [N/(m/s)] are the carriage's own inertia and slope of
+    friction at the operating point, ``warnings`` names what the slopes leave out.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    E: np.ndarray
+    C: np.ndarray
+    delay: float
+    mass: float
+    viscous: float
+    state: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+
+    def with_environment(self, stiffness: float, damping: float) -> LinearPlant:
+        """Return the plant with a spring [N/m] and a damper [N/(m/s)] between carriage and ground."""
+        A = self.A.copy()
+        A[:, POSITION] -= self.E * stiffness
+        A[:, VELOCITY] -= self.E * damping
+        return LinearPlant(A, self.B, self.E, self.C, self.delay, self.mass, self.viscous, self.state, self.warnings)
+
+
+def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
+    """Return the plant of ``axis`` linearised in steady motion at ``velocity`` [m/s], at position 0.
+
+    Away from zero velocity Coulomb friction is a constant and drops out. Raises :class:`InputError` at velocity 0.
+
+    >>> from emps_design.machines import machine
+    >>> plant = linear_plant(machine("emps2019"))
+    >>> plant.A.tolist()[1] == [0.0, -203.5034 / 95.1089]
+    True
+    """
+    if not np.isfinite(velocity) or velocity == 0.0:
+        raise InputError(
+            f"velocity: found {velocity:g} m/s, expected a number other than 0: friction has no slope there"
+        )
+    check_scale("velocity", velocity, "m/s")
+    check_axis_scale(axis)
+    b = axis.mechanics.array()
+    members = [_Member(entry.effect, entry.effect.values(entry.parameters), b) for entry in axis.effects]
+    gain, lag = axis.drive.force_gain, axis.drive.current_time_constant
+    warnings: list[str] = []
+
+    tau = b[VISCOUS] * velocity + np.sign(velocity) * b[COULOMB] + b[OFFSET]
+    for _ in range(20):  # the effects' forces need the motor force, which needs their forces
+        for member in members:
+            member.settle(velocity, tau)
+        previous, tau = tau, _steady_force(members, b, velocity, tau)
+        if abs(tau - previous) <= 1e-9 * max(1.0, abs(tau)):
+            break
+
+    sizes = [member.x.size for member in members]
+    count = 2 + sum(sizes) + (lag > 0.0)
+    A, B, E = np.zeros((count, count)), np.zeros(count), np.zeros(count)
+    C = np.zeros(count)
+    A[POSITION, VELOCITY] = C[POSITION] = 1.0
+
+    slope = gain * np.prod([member.actuator_slope(tau / gain) for member in members])
+    force_row, force_in = np.zeros(count), 0.0  # d(motor force on the carriage)
+    if lag > 0.0:
+        A[-1, -1], B[-1] = -1.0 / lag, slope / lag
+        force_row[-1] = 1.0
+    else:
+        force_in = slope
+
+    mass = b[MASS]
+    drag = np.zeros(count)  # d(resisting forces)/d(state)
+    drag[VELOCITY] = b[VISCOUS]
+    drag_tau, first = 0.0, 2
+    for member, size in zip(members, sizes, strict=True):
+        own = slice(first, first + size)
+        mass += member.inertia(velocity, tau)
+        d_q, d_v, d_tau, d_x = member.force_slopes(velocity, tau)
+        drag[POSITION] += d_q
+        drag[VELOCITY] += d_v
+        drag[own] += d_x
+        drag_tau += d_tau
+        if size:
+            r_q, r_v, r_tau, r_x = member.rate_slopes(velocity, tau)
+            A[own, POSITION], A[own, VELOCITY] = r_q, r_v
+            A[own, own] += r_x
+            A[own, :] += np.outer(r_tau, force_row)
+            B[own] += r_tau * force_in
+        s_q, s_v, s_x = member.sensor_slopes(velocity, tau)
+        C[POSITION] += s_q
+        C[VELOCITY] += s_v
+        C[own] += s_x
+        first += size
+        warnings += member.left_out(velocity)
+    A[VELOCITY] = ((1.0 - drag_tau) * force_row - drag) / mass
+    B[VELOCITY] = (1.0 - drag_tau) * force_in / mass
+    E[VELOCITY] = 1.0 / mass
+    names = ["position", "velocity"]
+    names += [f"{member.effect.name}.{state.name}" for member in members for state in member.effect.states]
+    names += ["motor_force"] if lag > 0.0 else []
+    delay = sum(member.delay(velocity, tau) for member in members)
+    return LinearPlant(A, B, E, C, delay, float(mass), float(drag[VELOCITY]), tuple(names), tuple(warnings))
+
+
+class _Member:
+    """One effect at the operating point: its hooks called as plain functions, differentiated by central differences."""
+
+    def __init__(self, effect, p: np.ndarray, b: np.ndarray):
+        self.effect, self.p, self.b = effect, p, b
+        self.x = np.array(effect.initial(0.0, p, b) if effect.initial else (), dtype=float)
+        self.settled = True
+
+    def settle(self, v: float, tau: float) -> None:
+        """Bring the own states to rest at the operating point (Newton); keep the initial ones where that fails."""
+        if self.effect.rate is None:
+            return
+        x = self.x.copy()
+        for _ in range(50):
+            residual = self._rate(0.0, v, tau, x)
+            jacobian = self._rate_jacobian(v, tau, x)
+            step = np.linalg.lstsq(jacobian, -residual, rcond=None)[0]
+            x = x + step
+            if np.all(np.abs(step) <= 1e-12 + 1e-9 * np.abs(x)):
+                break
+        scale = np.abs(self._rate_jacobian(v, tau, x)) @ np.abs(x) + abs(v) + 1e-12
+        self.settled = bool(np.all(np.isfinite(x)) and np.all(np.abs(self._rate(0.0, v, tau, x)) <= 1e-6 * scale))
+        if self.settled:
+            self.x = x
+
+    def force(self, q: float, v: float, tau: float, x: np.ndarray) -> float:
+        """Everything the effect adds to the resisting force while sliding [N]."""
+        arguments = (q, v, 0.0, tau, x, self.p, self.b)
+        total = self.effect.force(*arguments) if self.effect.force else 0.0
+        if self.effect.dry:
+            total += np.sign(v) * self.effect.dry(*arguments)
+        if self.effect.takes_dry:
+            total -= np.sign(v) * self.b[COULOMB]
+        return float(total)
+
+    def inertia(self, v: float, tau: float) -> float:
+        if self.effect.inertia is None:
+            return 0.0
+        return float(self.effect.inertia(0.0, v, 0.0, tau, self.x, self.p, self.b))
+
+    def delay(self, v: float, tau: float) -> float:
+        if self.effect.delay is None:
+            return 0.0
+        return float(self.effect.delay(0.0, v, 0.0, tau, self.x, self.p, self.b))
+
+    def actuator_slope(self, u: float) -> float:
+        if self.effect.actuator is None:
+            return 1.0
+        return _slope(lambda value: self.effect.actuator(value, self.p), u, 1e-4)
+
+    def force_slopes(self, v: float, tau: float) -> tuple[float, float, float, np.ndarray]:
+        return (
+            _slope(lambda q: self.force(q, v, tau, self.x), 0.0, 1e-6),
+            _slope(lambda value: self.force(0.0, value, tau, self.x), v, 1e-4 * abs(v)),
+            _slope(lambda value: self.force(0.0, v, value, self.x), tau, 1e-3),
+            np.array([_slope(lambda value: self.force(0.0, v, tau, value), *at) for at in self._each_state()]),
+        )
+
+    def rate_slopes(self, v: float, tau: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        return (
+            _slope(lambda q: self._rate(q, v, tau, self.x), 0.0, 1e-6),
+            _slope(lambda value: self._rate(0.0, value, tau, self.x), v, 1e-4 * abs(v)),
+            _slope(lambda value: self._rate(0.0, v, value, self.x), tau, 1e-3),
+            self._rate_jacobian(v, tau, self.x),
+        )
+
+    def sensor_slopes(self, v: float, tau: float) -> tuple[float, float, np.ndarray]:
+        if self.effect.sensor is None:
+            return 0.0, 0.0, np.zeros(self.x.size)
+
+        def sensor(q: float, v: float, x: np.ndarray) -> float:
+            return self.effect.sensor(q, v, 0.0, tau, x, self.p, self.b)
+
+        return (
+            _slope(lambda q: sensor(q, v, self.x), 0.0, 1e-6),
+            _slope(lambda value: sensor(0.0, value, self.x), v, 1e-4 * abs(v)),
+            np.array([_slope(lambda value: sensor(0.0, v, value), *at) for at in self._each_state()]),
+        )
+
+    def left_out(self, v: float) -> list[str]:
+        """What the slopes of this effect do not show."""
+        effect, said = self.effect, []
+        if effect.guard is not None or effect.jump_time is not None:
+            said.append(f"{effect.name}: not smooth, counted by its slope in steady motion at {v:g} m/s only")
+        if effect.command is not None:
+            said.append(f"{effect.name}: a signal added to the voltage, left out of the linear design")
+        if not self.settled:
+            said.append(f"{effect.name}: has no steady state at {v:g} m/s, linearised at its initial one")
+        return said
+
+    def _rate(self, q: float, v: float, tau: float, x: np.ndarray) -> np.ndarray:
+        dx = np.zeros(self.x.size)
+        self.effect.rate(q, v, 0.0, tau, x, self.p, self.b, self.b[COULOMB], dx)
+        return dx
+
+    def _rate_jacobian(self, v: float, tau: float, x: np.ndarray) -> np.ndarray:
+        columns = [_slope(lambda value: self._rate(0.0, v, tau, value), *at) for at in self._each_state(x)]
+        return np.array(columns).T.reshape(self.x.size, self.x.size)
+
+    def _each_state(self, x: np.ndarray | None = None):
+        """Yield (x, step vector) for a central difference in each own state."""
+        x = self.x if x is None else x
+        for place in range(x.size):
+            step = np.zeros(x.size)
+            step[place] = max(1e-9, 1e-4 * abs(x[place]))
+            yield x, step
+
+
+def _slope(function, at, step):
+    """Central difference of ``function`` at ``at``; ``step`` is a number, or a vector with one entry that is not 0."""
+    return (function(at + step) - function(at - step)) / (2.0 * np.max(step))
+
+
+def _steady_force(members: list[_Member], b: np.ndarray, v: float, tau: float) -> float:
+    """Motor force that keeps the carriage at ``v`` [N]."""
+    forces = sum(member.force(0.0, v, tau, member.x) for member in members)
+    return float(b[VISCOUS] * v + np.sign(v) * b[COULOMB] + b[OFFSET] + forces)

@@ -1,0 +1,1 @@
+"""The velocity loop: gains from a specification, (6) to (9), and what is achieved."""

@@ -1,0 +1,41 @@
+"""What the closed forms assume of an axis, held against what its effects make of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from emps_design.axis import Axis
+from emps_design.control.loop.sampled_loop import SampledVelocityLoop
+from emps_design.control.plant.discretisation import sample_axis
+
+
+def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> list[str]:
+    """Say what the effects of ``axis`` change: (7) knows mass and viscous friction, the sampled ``loop`` all of them.
+
+    ``loop`` is linearised at ``velocity`` [m/s]; the other direction is looked at as well.
+
+    >>> from emps_design.machines import machine
+    >>> axis = machine("emps2018-two-quadrant")
+    >>> loop = SampledVelocityLoop(sample_axis(axis), 550.0, 8.5e-3)
+    >>> effects_in_words(axis, loop, 0.1)[0][:72]
+    'with its effects the carriage has 115.7 kg and a friction slope of 475 N'
+    """
+    if not axis.effects:
+        return []
+    said, mechanics, linear = [], axis.mechanics, loop.plant.linear
+    if abs(linear.mass - mechanics.mass) > 0.01 * mechanics.mass or (
+        abs(linear.viscous - mechanics.viscous) > 0.01 * mechanics.viscous
+    ):
+        said.append(
+            f"with its effects the carriage has {linear.mass:.4g} kg and a friction slope of {linear.viscous:.4g} "
+            f"N/(m/s) at {velocity:g} m/s; (7) takes {mechanics.mass:.4g} kg and {mechanics.viscous:.4g} "
+            "N/(m/s), the sampled loop takes all"
+        )
+    if loop.stable:
+        back = replace(loop, plant=sample_axis(axis, -velocity))
+        here, there = loop.margins.phase_margin_deg, back.margins.phase_margin_deg
+        if not back.stable:
+            said.append(f"the sampled loop is unstable at {-velocity:g} m/s")
+        elif here is not None and there is not None and there < here - 0.5:
+            said.append(f"at {-velocity:g} m/s the sampled loop has {there:.3g} deg of phase margin only")
+    return said

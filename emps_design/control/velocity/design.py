@@ -1,0 +1,292 @@
+"""The velocity loop of Fig. 4: integral of the velocity error, proportional on the measured velocity, (6) to (9).
+
+With K = k_v1 G_tau and K_v = K / t_v,
+
+    T_vo(s) = K_v / (s (M s + F_v + K))               loop broken at the velocity error, (6)
+    T_vc(s) = 1 / (1 + (t_v + F_v/K_v) s + M/K_v s^2)  closed loop, (8)
+    L(s)    = K (1 + 1/(t_v s)) / (M s + F_v)          loop broken at the plant input
+
+What destabilises a real drive (delay, current loop, sampling) sits at the plant input, so margins are given there too.
+Two frequencies are called bandwidth: the crossover w_v of T_vo and the -3 dB frequency of T_vc; here ``crossover`` is
+the former and ``bandwidth`` the latter, with -3 dB taken as the ratio 10^(-3/20).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from emps_design.axis import Axis
+from emps_design.control.loop.margins import Margins
+from emps_design.control.plant.magnitudes import check_axis_scale
+from emps_design.control.velocity.gains import (
+    binding_limit,
+    crossover_of_bandwidth,
+    feasible_phase_margin,
+    second_order_bandwidth,
+    velocity_gains,
+)
+from emps_design.control.velocity.specification import check_specification, in_words, nearest_that_works, stable_pairs
+from emps_design.errors import SpecificationError
+from emps_design.notebook import table
+
+if TYPE_CHECKING:
+    import control
+
+    from emps_design.control.loop.sampled_loop import SampledVelocityLoop
+
+
+@dataclass(frozen=True)
+class VelocityLoopDesign:
+    """Gains of the velocity loop, what was asked, and what is achieved at each place where the loop can be broken.
+
+    ``k_v1`` [V/(m/s)], ``t_v`` [s]; ``requested`` holds the specification as given; ``retuned_at`` names the place
+    at which the sampled loop meets it, "" for gains from (7); ``velocity`` [m/s] is where the effects of the axis are
+    linearised.
+
+    >>> from emps_design.machines import machine
+    >>> design = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)
+    >>> round(design.k_v1, 3), round(design.bandwidth, 2), round(design.plant_input.phase_margin_deg, 1)
+    (556.766, 159.9, 60.2)
+    >>> round(design.sampled.margins.phase_margin_deg, 1)
+    39.2
+    """
+
+    axis: Axis
+    k_v1: float
+    t_v: float
+    requested: dict[str, float]
+    retuned_at: str = ""
+    velocity: float = 0.1
+
+    @property
+    def gain(self) -> float:
+        """K = k_v1 G_tau [N/(m/s)]."""
+        return self.k_v1 * self.axis.drive.force_gain
+
+    @property
+    def K_v(self) -> float:
+        """K_v = k_v1 G_tau / t_v [N/m], of (8)."""
+        return self.gain / self.t_v
+
+    @property
+    def omega_0v(self) -> float:
+        """Natural frequency of the closed loop [rad/s], of (9)."""
+        return math.sqrt(self.K_v / self.axis.mechanics.mass)
+
+    @property
+    def z_v(self) -> float:
+        """Damping ratio of the closed loop [-], of (9)."""
+        return 0.5 * (self.t_v + self.axis.mechanics.viscous / self.K_v) * self.omega_0v
+
+    @property
+    def bandwidth(self) -> float:
+        """Frequency where T_vc has fallen to -3 dB [rad/s]."""
+        return second_order_bandwidth(self.omega_0v, self.z_v)
+
+    @cached_property
+    def velocity_error(self) -> Margins:
+        """Margins of T_vo, the loop broken at the velocity error: phi_v and w_v of (7), read back from the gains."""
+        mass, damping = self.axis.mechanics.mass, self.axis.mechanics.viscous + self.gain
+        x = _positive_root(mass**2, damping**2, -(self.K_v**2))
+        return _continuous_margins(math.sqrt(x), math.atan2(damping, mass * math.sqrt(x)))
+
+    @cached_property
+    def plant_input(self) -> Margins:
+        """Margins of the loop broken at the plant input, continuous and without any delay."""
+        mass, viscous = self.axis.mechanics.mass, self.axis.mechanics.viscous
+        w = math.sqrt(_positive_root(mass**2, viscous**2 - self.gain**2, -(self.K_v**2)))
+        return _continuous_margins(w, math.atan(w * self.t_v) + math.atan2(viscous, mass * w))
+
+    @property
+    def crossover(self) -> float:
+        """Crossover of T_vo [rad/s], achieved."""
+        return float(self.velocity_error.crossover)
+
+    @property
+    def phase_margin_deg(self) -> float:
+        """Phase margin of T_vo [deg], achieved."""
+        return float(self.velocity_error.phase_margin_deg)
+
+    @property
+    def feasible_phase_margin_deg(self) -> tuple[float, float]:
+        """Open interval of phase margins [deg] that (7) can give at the crossover asked for."""
+        mechanics = self.axis.mechanics
+        return feasible_phase_margin(mechanics.mass, mechanics.viscous, self.requested.get("crossover", self.crossover))
+
+    @cached_property
+    def sampled(self) -> SampledVelocityLoop:
+        """The same gains in the loop as implemented: hold, delays, current loop, effects, velocity estimator."""
+        from emps_design.control.loop.sampled_loop import SampledVelocityLoop
+        from emps_design.control.plant.discretisation import sample_axis
+
+        return SampledVelocityLoop(sample_axis(self.axis, self.velocity), self.k_v1, self.t_v)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a reader of the numbers has to know, instability first."""
+        from emps_design.control.velocity.assumptions import effects_in_words
+
+        said = [*self.sampled.warnings, *effects_in_words(self.axis, self.sampled, self.velocity)]
+        if self.retuned_at:
+            asked = ", ".join(
+                f"{key.removesuffix('_deg').replace('_', ' ')} {value:g} {'deg' if key.endswith('_deg') else 'rad/s'}"
+                for key, value in self.requested.items()
+            )
+            said.append(
+                f"retuned: the sampled loop has what was asked at the {self.retuned_at.replace('-', ' ')} ({asked}); "
+                "crossover, phase margin and bandwidth of T_vo and T_vc are the continuous loop's with these gains"
+            )
+        elif self.requested.get("bandwidth") is None and self.bandwidth > 1.05 * self.crossover:
+            said.append(
+                f"bandwidth has two meanings: the crossover is {self.crossover:.4g} rad/s, "
+                f"the closed loop's -3 dB lies at {self.bandwidth:.4g} rad/s"
+            )
+        said.append("the continuous loop's gain margin is unbounded: its phase never reaches -180 deg")
+        return tuple(said)
+
+    def velocity_error_loop(self) -> control.TransferFunction:
+        """T_vo(s) of (6)."""
+        import control
+
+        mechanics = self.axis.mechanics
+        return control.tf([self.K_v], [mechanics.mass, mechanics.viscous + self.gain, 0.0])
+
+    def plant_input_loop(self) -> control.TransferFunction:
+        """L(s), the loop broken at the plant input."""
+        import control
+
+        mechanics = self.axis.mechanics
+        return control.tf([self.gain, self.K_v], [mechanics.mass, mechanics.viscous, 0.0])
+
+    def closed_loop(self) -> control.TransferFunction:
+        """T_vc(s) of (8), from velocity reference to velocity."""
+        import control
+
+        mechanics = self.axis.mechanics
+        return control.tf([1.0], [mechanics.mass / self.K_v, self.t_v + mechanics.viscous / self.K_v, 1.0])
+
+    @cached_property
+    def nearest_stable(self) -> dict[str, Any]:
+        """The nearest specification whose sampled loop is stable; the request itself where that is."""
+        if self.sampled.stable:
+            return dict(self.requested)
+        return nearest_that_works(stable_pairs(self.axis, self.requested, self.velocity), self.requested)
+
+    def controller_table(self) -> dict[str, Any]:
+        """The ``[controller]`` table of the axis file that runs this design."""
+        return {
+            "kind": "ip_velocity",
+            "k_v1": self.k_v1,
+            "t_v": self.t_v,
+            "velocity_estimator": self.axis.controller.velocity_estimator,
+        }
+
+    def _implementation(self) -> dict[str, Any]:
+        from emps_design.control.velocity.implementation import (
+            difference_equation,
+            encoder_voltage_noise,
+            largest_velocity_step,
+        )
+
+        stable = self.sampled.stable
+        return {
+            "difference_equation": difference_equation(self.axis, self.k_v1, self.t_v).to_dict(),
+            "largest_velocity_step": largest_velocity_step(self.axis, self.sampled) if stable else None,
+            "encoder_voltage_noise": encoder_voltage_noise(self.axis, self.sampled) if stable else None,
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data with the keys of the contract."""
+        return {
+            "axis": self.axis.name,
+            "requested": dict(self.requested),
+            "retuned": bool(self.retuned_at),
+            "retuned_at": self.retuned_at or None,
+            "k_v1": self.k_v1,
+            "t_v": self.t_v,
+            "K_v": self.K_v,
+            "omega_0v": self.omega_0v,
+            "z_v": self.z_v,
+            "crossover": self.crossover,
+            "phase_margin_deg": self.phase_margin_deg,
+            "bandwidth": self.bandwidth,
+            "feasible_phase_margin_deg": list(self.feasible_phase_margin_deg),
+            "velocity_error": self.velocity_error.to_dict(),
+            "plant_input": self.plant_input.to_dict(),
+            "sampled": self.sampled.to_dict(),
+            **self._implementation(),
+            "warnings": list(self.warnings),
+        }
+
+    def _repr_html_(self) -> str:
+        sampled = self.sampled.margins
+        rows = (
+            ("k_v1", self.k_v1, "V/(m/s)"),
+            ("t_v", self.t_v, "s"),
+            ("crossover of T_vo", self.crossover, "rad/s"),
+            ("phase margin of T_vo", self.phase_margin_deg, "deg"),
+            ("bandwidth of T_vc, -3 dB", self.bandwidth, "rad/s"),
+            ("sampled: phase margin at the plant input", sampled.phase_margin_deg, "deg"),
+            ("sampled: crossover at the plant input", sampled.crossover, "rad/s"),
+        )
+        verdict = "stable" if self.sampled.stable else "UNSTABLE"
+        return table(f"{self.axis.name}: the sampled loop is {verdict}", rows, missing="undefined")
+
+
+def design_velocity_loop(
+    axis: Axis,
+    crossover: float | None = None,
+    bandwidth: float | None = None,
+    phase_margin_deg: float = 60.0,
+    velocity: float = 0.1,
+) -> VelocityLoopDesign:
+    """Return the velocity loop of ``axis`` that meets a specification, by (7).
+
+    Give ``crossover`` [rad/s] of T_vo or ``bandwidth`` [rad/s], the -3 dB of T_vc, not both; ``phase_margin_deg`` is
+    that of T_vo. ``velocity`` [m/s]: where the effects of the axis are linearised for the sampled loop.
+    Raises :class:`InputError` for a specification that cannot be meant, :class:`SpecificationError` for one that no
+    gains can meet, with the nearest pair that works.
+
+    >>> from emps_design.machines import machine
+    >>> by_bandwidth = design_velocity_loop(machine("emps2018"), bandwidth=159.898, phase_margin_deg=60.0)
+    >>> round(by_bandwidth.crossover, 2)
+    100.0
+    """
+    requested = check_specification(crossover, bandwidth, phase_margin_deg)
+    check_axis_scale(axis)
+    mechanics = axis.mechanics
+    if not 0.0 < phase_margin_deg < 90.0:
+        raise _infeasible(axis, requested)
+    if bandwidth is not None:
+        crossover = crossover_of_bandwidth(bandwidth, phase_margin_deg)
+    w = float(crossover or 0.0)
+    if phase_margin_deg <= feasible_phase_margin(mechanics.mass, mechanics.viscous, w)[0]:
+        raise _infeasible(axis, requested)
+    k_v1, t_v = velocity_gains(mechanics.mass, mechanics.viscous, axis.drive.force_gain, w, phase_margin_deg)
+    return VelocityLoopDesign(axis, k_v1, t_v, requested, velocity=velocity)
+
+
+def _positive_root(a: float, b: float, c: float) -> float:
+    """The positive root of a x^2 + b x + c = 0 with a > 0 > c, without cancellation."""
+    root = math.sqrt(b * b - 4.0 * a * c)
+    return 2.0 * -c / (b + root) if b >= 0.0 else (root - b) / (2.0 * a)
+
+
+def _continuous_margins(crossover: float, phase: float) -> Margins:
+    return Margins(
+        stable=True, phase_margin_deg=math.degrees(phase), crossover=crossover, delay_margin=phase / crossover
+    )
+
+
+def _infeasible(axis: Axis, requested: dict[str, float]) -> SpecificationError:
+    """The error for a pair outside the feasible range: which limit binds, and the nearest pair that works."""
+    name, phase = next(iter(requested)), requested["phase_margin_deg"]
+    nearest = nearest_that_works(stable_pairs(axis, requested), requested)
+    return SpecificationError(
+        f"phase margin: found {phase:g} deg at a {name} of {requested[name]:g} rad/s; {binding_limit(phase)}; "
+        f"{in_words(nearest)} (sampled loop stable)",
+        nearest,
+    )

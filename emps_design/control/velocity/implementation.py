@@ -1,0 +1,113 @@
+"""What an engineer asks once the gains are there: the code to paste, the room below the voltage limit, the noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.control.loop.sampled_loop import SampledVelocityLoop
+
+
+@dataclass(frozen=True)
+class DifferenceEquation:
+    """The law as it is computed at each sample, with its numbers; ``lines`` are ready to paste."""
+
+    velocity_estimator: str
+    period: float
+    k_v1: float
+    integral_gain: float
+    voltage_limit: float
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """One assignment a line; where the limit cuts u, the integral is set back so that it does not wind up."""
+        two_tap = self.velocity_estimator == "two_tap"
+        span, last = (2.0 * self.period, "q[k-2]") if two_tap else (self.period, "q[k-1]")
+        k, limit = f"{self.k_v1:.10g}", f"{self.voltage_limit:.10g}"
+        return (
+            f"v[k] = (q[k] - {last}) / {span:.10g}",
+            f"i[k] = i[k-1] + {self.integral_gain:.10g} * (v_ref[k] - v[k])",
+            f"u[k] = i[k] - {k} * v[k]",
+            f"if u[k] >  {limit}: u[k] =  {limit}; i[k] =  {limit} + {k} * v[k]",
+            f"if u[k] < -{limit}: u[k] = -{limit}; i[k] = -{limit} + {k} * v[k]",
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The lines and the numbers in them; integral_gain is k_v1 T / t_v [V/(m/s)]."""
+        return {
+            "lines": list(self.lines),
+            "k_v1": self.k_v1,
+            "integral_gain": self.integral_gain,
+            "period": self.period,
+            "velocity_estimator": self.velocity_estimator,
+            "voltage_limit": self.voltage_limit,
+        }
+
+
+def difference_equation(axis: Axis, k_v1: float, t_v: float) -> DifferenceEquation:
+    """Return the law of the loop with ``k_v1`` [V/(m/s)] and ``t_v`` [s] at the period of ``axis``.
+
+    >>> from emps_design.machines import machine
+    >>> print(difference_equation(machine("emps2018"), 556.766, 8.45505e-3).lines[1])
+    i[k] = i[k-1] + 65.85011325 * (v_ref[k] - v[k])
+    """
+    period = axis.sampling.period
+    return DifferenceEquation(
+        axis.controller.velocity_estimator, period, k_v1, k_v1 * period / t_v, axis.drive.voltage_limit
+    )
+
+
+def largest_velocity_step(axis: Axis, loop: SampledVelocityLoop) -> dict[str, float]:
+    """Return the largest step of the velocity reference [m/s] from rest that keeps the voltage within its limit.
+
+    The voltage's peak is that of the sampled linear loop [V per m/s] plus what dry friction and the constant force
+    take, in the worse direction [V]. ``loop`` has to be stable.
+
+    >>> from emps_design.control.plant.discretisation import sample_axis
+    >>> from emps_design.machines import machine
+    >>> axis = machine("emps2018")
+    >>> step = largest_velocity_step(axis, SampledVelocityLoop(sample_axis(axis), 556.766, 8.45505e-3))
+    >>> round(step["value"], 4), round(step["dry_friction_voltage"], 3)
+    (0.0319, 0.494)
+    """
+    slowest = float(np.abs(loop.poles[0]))
+    samples = min(20_000, 10 + math.ceil(math.log(1e-4) / math.log(max(slowest, 1e-3))))
+    _, _, voltage = loop.step_response(samples)
+    peak = float(np.max(np.abs(voltage)))
+    dry = (axis.mechanics.coulomb + abs(axis.mechanics.offset)) / axis.drive.force_gain
+    return {
+        "value": max(0.0, axis.drive.voltage_limit - dry) / peak,
+        "peak_voltage_per_unit": peak,
+        "dry_friction_voltage": dry,
+        "voltage_limit": axis.drive.voltage_limit,
+    }
+
+
+def encoder_voltage_noise(axis: Axis, loop: SampledVelocityLoop) -> dict[str, float]:
+    """Return the voltage [V] that the encoder's quantisation makes: rms in closed loop, and for one step of it.
+
+    Quantisation is taken as white noise of variance resolution^2/12, which holds in motion; ``one_step`` is the jump of
+    u when the reading moves by one step. ``loop`` has to be stable.
+
+    >>> from emps_design.control.plant.discretisation import sample_axis
+    >>> from emps_design.machines import machine
+    >>> axis = machine("emps2018")
+    >>> noise = encoder_voltage_noise(axis, SampledVelocityLoop(sample_axis(axis), 556.766, 8.45505e-3))
+    >>> round(1e3 * noise["rms"], 2), round(1e3 * noise["one_step"], 2)  # mV
+    (6.44, 15.57)
+    """
+    plant, resolution = loop.plant, axis.sampling.encoder_resolution
+    count = 1 << 14
+    w = (np.arange(count) + 0.5) * math.pi / (count * plant.period)
+    back = np.exp(-1j * w * plant.period)
+    newer, older = plant.weights
+    estimate = (newer + older * back) * (1.0 - back) / plant.period
+    law = loop.k_v1 * (1.0 + loop.integrator(w) / loop.t_v) * estimate
+    transfer = law / (1.0 + loop.plant_input_response(w))
+    rms = resolution / math.sqrt(12.0) * math.sqrt(float(np.mean(np.abs(transfer) ** 2)))
+    one_step = loop.k_v1 * (1.0 + plant.period / loop.t_v) * newer / plant.period * resolution
+    return {"rms": rms, "one_step": one_step, "resolution": resolution}

@@ -1,0 +1,114 @@
+"""What a wrong model does to a design: the same gains on other plants, and the gains those plants would get."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from emps_design.axis import Axis
+from emps_design.control.loop.sampled_loop import SampledVelocityLoop
+from emps_design.control.plant.discretisation import sample_axis
+from emps_design.control.velocity.design import VelocityLoopDesign
+from emps_design.control.velocity.gains import feasible_phase_margin, velocity_gains
+from emps_design.errors import InputError
+
+PARAMETERS = {"mass": "mechanics", "viscous": "mechanics", "force_gain": "drive"}
+
+
+def relative_mismatch(mismatch: float) -> dict[str, float]:
+    """The same relative error for mass, viscous friction and force gain; :class:`InputError` outside [0, 1).
+
+    >>> relative_mismatch(0.02)
+    {'mass': 0.02, 'viscous': 0.02, 'force_gain': 0.02}
+    """
+    if not 0.0 <= mismatch < 1.0:
+        raise InputError(f"mismatch: found {mismatch:g}, expected a share of the parameters in [0, 1), such as 0.02")
+    return dict.fromkeys(PARAMETERS, mismatch)
+
+
+def identified_mismatch(axis: Axis, parameters: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    """Two standard deviations of identified ``parameters`` as shares of the axis's own.
+
+    ``parameters`` is that member of ``identify --json``: name -> {value, std}. Mass and viscous friction count. Of
+    several deviations (two directions; one for a correlated residual beside (15)) the largest is taken.
+    :class:`InputError` where mass or viscous has none.
+
+    >>> from emps_design.machines import machine
+    >>> found = {"mass": {"std": 0.29}, "viscous": {"std": 8.8, "std_long_run": 9.5}}
+    >>> round(identified_mismatch(machine("emps2018"), found)["viscous"], 3)
+    0.04
+    """
+    found: dict[str, float] = {}
+    for name in ("mass", "viscous"):
+        entries = [parameters[key] for key in (name, f"{name}_positive", f"{name}_negative") if key in parameters]
+        stds = [value for entry in entries for key, value in entry.items() if key.startswith("std")]
+        stds = [std for std in stds if isinstance(std, int | float) and math.isfinite(std) and std >= 0.0]
+        if not stds:
+            raise InputError(f"identified parameters: {name} has no std, expected the JSON of 'identify --json'")
+        own = getattr(axis.mechanics, name)
+        found[name] = 2.0 * max(stds) / own if own > 0.0 else 0.0
+        if found[name] >= 1.0:
+            raise InputError(
+                f"identified parameters: 2 std of {name} is {found[name]:.3g} of its value, expected below 1"
+            )
+    return found
+
+
+def mismatch_study(design: VelocityLoopDesign, errors: Mapping[str, float]) -> dict[str, Any]:
+    """Return margins and gains over the corners of ``errors``, the relative error of each parameter.
+
+    The gains of ``design`` run on the plant of every corner: ``worst`` has the corner with the least phase margin of
+    the sampled loop at the plant input (the first unstable one, if any). ``gains`` are the intervals of k_v1 and t_v
+    that (7) would give the corners for the same crossover and phase margin.
+
+    >>> from emps_design.control.velocity.design import design_velocity_loop
+    >>> from emps_design.machines import machine
+    >>> design = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)
+    >>> study = mismatch_study(design, relative_mismatch(0.02))
+    >>> study["stable_share"], round(study["phase_margin_deg"][0], 1), round(study["phase_margin_deg"][1], 1)
+    (1.0, 39.1, 39.2)
+    """
+    corners, k_v1s, t_vs = [], [], []
+    crossover, phase = design.crossover, design.phase_margin_deg
+    for signs in itertools.product((-1.0, 1.0), repeat=len(errors)):
+        shares = {name: sign * errors[name] for name, sign in zip(errors, signs, strict=True)}
+        axis = _scaled(design.axis, shares)
+        loop = SampledVelocityLoop(sample_axis(axis, design.velocity), design.k_v1, design.t_v)
+        corners.append({"parameters": shares, "bandwidth": loop.bandwidth, **loop.margins.to_dict()})
+        mechanics = axis.mechanics
+        if phase > feasible_phase_margin(mechanics.mass, mechanics.viscous, crossover)[0]:
+            gains = velocity_gains(mechanics.mass, mechanics.viscous, axis.drive.force_gain, crossover, phase)
+            k_v1s.append(gains[0])
+            t_vs.append(gains[1])
+    stable = [corner for corner in corners if corner["stable"]]
+    worst = min(corners, key=lambda corner: (corner["stable"], corner["phase_margin_deg"] or 0.0))
+
+    def interval(key: str) -> list[float] | None:
+        values = [corner[key] for corner in stable if corner[key] is not None]
+        return [min(values), max(values)] if values else None
+
+    return {
+        "errors": dict(errors),
+        "corners": len(corners),
+        "stable_share": len(stable) / len(corners),
+        "worst": worst,
+        **{key: interval(key) for key in ("phase_margin_deg", "crossover", "delay_margin", "gain_margin", "bandwidth")},
+        "gains": {"k_v1": [min(k_v1s), max(k_v1s)], "t_v": [min(t_vs), max(t_vs)]} if k_v1s else None,
+    }
+
+
+def _scaled(axis: Axis, shares: Mapping[str, float]) -> Axis:
+    """The axis with its parameters off by ``shares``."""
+    tables: dict[str, dict[str, float]] = {}
+    for name, share in shares.items():
+        table = PARAMETERS[name]
+        tables.setdefault(table, {})[name] = getattr(getattr(axis, table), name) * (1.0 + share)
+    if "drive" in tables:  # the product of the data sheet no longer holds
+        plain = axis.drive.model_dump(exclude_none=True)
+        for key in ("current_gain", "reduction", "torque_constant"):
+            plain.pop(key, None)
+        drive = type(axis.drive)(**{**plain, **tables.pop("drive")})
+        axis = axis.model_copy(update={"drive": drive})
+    return axis.model_copy(update={"mechanics": axis.mechanics.model_copy(update=tables.get("mechanics", {}))})

@@ -1,0 +1,147 @@
+"""Thousands of velocity-loop designs at once: arrays of specifications in, arrays of gains and margins out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.control.loop.margins import KEYS, margin_arrays
+from emps_design.control.plant.discretisation import SampledPlant
+from emps_design.control.velocity.gains import MINUS_3_DB
+from emps_design.errors import InputError
+
+
+@dataclass(frozen=True)
+class VelocityLoopSweep:
+    """Arrays of one shape, NaN where (7) has no gains; units as in the scalar design.
+
+    ``k_v1`` [V/(m/s)], ``t_v`` [s], ``K_v`` [N/m], ``omega_0v`` [rad/s], ``z_v``, ``bandwidth`` [rad/s] of T_vc;
+    ``plant_input_phase_margin_deg`` [deg], ``plant_input_crossover`` [rad/s] and ``delay_margin`` [s] of the continuous
+    loop broken at the plant input; ``feasible`` tells where (7) has gains.
+    """
+
+    crossover: np.ndarray
+    phase_margin_deg: np.ndarray
+    feasible: np.ndarray
+    k_v1: np.ndarray
+    t_v: np.ndarray
+    K_v: np.ndarray
+    omega_0v: np.ndarray
+    z_v: np.ndarray
+    bandwidth: np.ndarray
+    plant_input_phase_margin_deg: np.ndarray
+    plant_input_crossover: np.ndarray
+    delay_margin: np.ndarray
+
+    def to_dict(self) -> dict[str, Any]:
+        """The arrays by name."""
+        return dict(vars(self))
+
+
+def sweep_velocity_loop(
+    axis: Axis, crossover: np.ndarray | float, phase_margin_deg: np.ndarray | float
+) -> VelocityLoopSweep:
+    """Design (7) for every pair of ``crossover`` [rad/s] and ``phase_margin_deg`` [deg]; the two broadcast.
+
+    A pair that (7) cannot meet gives NaN and ``feasible`` False; :class:`InputError` for crossovers that are not
+    positive numbers.
+
+    >>> from emps_design.machines import machine
+    >>> sweep = sweep_velocity_loop(machine("emps2018"), np.array([100.0, 100.0]), np.array([60.0, 1.0]))
+    >>> np.round(sweep.k_v1, 3).tolist(), sweep.feasible.tolist()
+    ([556.766, nan], [True, False])
+    """
+    w, phase = np.broadcast_arrays(np.asarray(crossover, dtype=float), np.asarray(phase_margin_deg, dtype=float))
+    if not np.all(np.isfinite(w) & (w > 0.0)):
+        raise InputError("crossover: found a value that is not a positive number of rad/s")
+    mass, viscous, gain = axis.mechanics.mass, axis.mechanics.viscous, axis.drive.force_gain
+    feasible = (phase > np.degrees(np.arctan2(viscous, mass * w))) & (phase < 90.0)
+    phi = np.radians(np.where(feasible, phase, np.nan))
+    tangent, cosine = np.tan(phi), np.cos(phi)
+    K = mass * w * tangent - viscous
+    t_v = K * cosine / (mass * w**2)
+    K_v = mass * w**2 / cosine
+    omega_0v, z_v = w / np.sqrt(cosine), 0.5 * tangent * np.sqrt(cosine)
+
+    slope = 1.0 - 2.0 * z_v**2
+    root = np.sqrt(slope**2 + (MINUS_3_DB**-2 - 1.0))
+    x = np.where(slope >= 0.0, slope + root, (MINUS_3_DB**-2 - 1.0) / (root - slope))
+    bandwidth = omega_0v * np.sqrt(x)
+
+    # |L| = 1 at the plant input: M^2 x^2 + (F^2 - K^2) x - K_v^2 = 0 with x = w^2
+    b = viscous**2 - K**2
+    root = np.sqrt(b * b + 4.0 * mass**2 * K_v**2)
+    x = np.where(b >= 0.0, 2.0 * K_v**2 / (b + root), (root - b) / (2.0 * mass**2))
+    at_input = np.sqrt(x)
+    lag = np.arctan(at_input * t_v) + np.arctan2(viscous, mass * at_input)
+    return VelocityLoopSweep(
+        w, phase, feasible, K / gain, t_v, K_v, omega_0v, z_v, bandwidth, np.degrees(lag), at_input, lag / at_input
+    )
+
+
+def sweep_stability(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> np.ndarray:
+    """Tell for every pair of gains whether the sampled loop is stable, by Schur and Cohn's test of its polynomial.
+
+    ``k_v1`` [V/(m/s)], ``t_v`` [s] (n,); returns (n,) of bool, False where the gains are NaN.
+
+    >>> from emps_design.control.plant.discretisation import sample_axis
+    >>> from emps_design.machines import machine
+    >>> sweep_stability(sample_axis(machine("emps2018")), np.array([556.8, 5568.0]), np.array([8.455e-3, 8.455e-3]))
+    array([ True, False])
+    """
+    numerator, denominator = plant.polynomials
+    k, t = np.asarray(k_v1, dtype=float)[:, None], np.asarray(t_v, dtype=float)[:, None]
+    open_loop = np.polymul(denominator, [1.0, -1.0])
+    size = open_loop.size
+    both = np.zeros((2, size))  # what k_v1 and k_v1/t_v multiply
+    both[0, size - numerator.size - 1 :] = np.polymul(numerator, [1.0, -1.0])
+    both[1, size - numerator.size - 1 : size - 1] = plant.period * numerator
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        a = open_loop + k * both[0] + k / t * both[1]
+        stable = np.ones(len(a), dtype=bool)
+        for degree in range(size - 1, 0, -1):
+            reflection = a[:, degree : degree + 1] / a[:, :1]
+            stable &= np.abs(reflection[:, 0]) < 1.0
+            a = a[:, :degree] - reflection * a[:, degree:0:-1]
+            a = a / a[:, :1]
+    return stable
+
+
+def sweep_sampled_margins(
+    plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray, frequencies: int = 100, at: str = "plant-input"
+) -> dict[str, np.ndarray]:
+    """Return stability and margins of the sampled loop, broken ``at`` that place, for every pair of gains.
+
+    ``k_v1`` [V/(m/s)] and ``t_v`` [s] of one shape. Keys: ``stable`` and those of
+    ``emps_design.control.loop.margins.KEYS``, NaN where the loop is unstable or a margin unbounded.
+    ``frequencies`` is the size of the grid that brackets the crossings; ``at`` is "plant-input" or "velocity-error".
+
+    >>> from emps_design.control.plant.discretisation import sample_axis
+    >>> from emps_design.machines import machine
+    >>> found = sweep_sampled_margins(sample_axis(machine("emps2018")), np.array([556.766]), np.array([8.45505e-3]))
+    >>> round(float(found["phase_margin_deg"][0]), 1), bool(found["stable"][0])
+    (39.2, True)
+    """
+    shape = np.shape(k_v1)
+    k, t = np.ravel(np.asarray(k_v1, dtype=float)), np.ravel(np.asarray(t_v, dtype=float))
+    stable = sweep_stability(plant, k, t)
+    chosen = np.flatnonzero(stable)
+    grid = plant.frequencies(frequencies)
+    found = {key: np.full(k.size, np.nan) for key in KEYS}
+    for start in range(0, chosen.size, 2000):  # pieces that stay in the cache
+        piece = chosen[start : start + 2000]
+        gain, time = k[piece], t[piece]
+
+        def response(w: np.ndarray, rows: np.ndarray, gain=gain, time=time) -> np.ndarray:
+            P = plant.response(w)
+            integrator = plant.period / (1.0 - np.exp(-1j * w * plant.period))
+            if at == "plant-input":
+                return gain[rows] * P + (gain / time)[rows] * (P * integrator)
+            return (gain / time)[rows] * (P * integrator) / (1.0 + gain[rows] * P)
+
+        for key, values in margin_arrays(response, piece.size, grid, np.pi / plant.period).items():
+            found[key][piece] = values
+    return {"stable": stable.reshape(shape), **{key: values.reshape(shape) for key, values in found.items()}}

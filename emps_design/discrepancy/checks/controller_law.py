@@ -1,0 +1,130 @@
+"""The controller on its own: does the recorded voltage follow the law of the axis file, computed from the record?
+
+The law needs only ``q_ref`` and ``q``, both recorded, so a gap in its equation is seen here without any plant, and is
+explained here and nowhere else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.discrepancy.model.partition import START_UP
+from emps_design.effects import Effect, Motion
+from emps_design.errors import InputError
+from emps_design.records import Record
+from emps_design.simulation.laws import law_of
+
+HOLDS = 0.05  # a law holds where it misses the voltage by less than this share of it, in the median
+STRUCTURE = 4.0  # a gap has structure when its 20 ms means vary this many times more than white noise would
+BLOCK_TIME = 0.02  # s
+NAMED = 0.9  # share of the structure an effect must explain
+
+
+@dataclass(frozen=True)
+class LawCheck:
+    """``gap`` (n,) [V] is u minus the law; ``noise`` [V] its deviation where nothing is wrong; ``structured`` says
+    whether it is more than noise; ``effect`` and ``values`` (n_parameters,) what explains it, where something does."""
+
+    gap: np.ndarray
+    noise: float
+    structured: bool
+    effect: Effect | None = None
+    values: np.ndarray | None = None
+
+
+def check_law(record: Record, axis: Axis, library: tuple[Effect, ...]) -> LawCheck:
+    """Check the law of ``axis`` on ``record`` and name a gap with one of the ``library``'s controller effects.
+
+    Raises :class:`InputError` where the law holds nowhere: the axis file then has another controller than the drive.
+    """
+    limit = axis.drive.voltage_limit
+    gap = record.u - law_voltage(record, axis)
+    gap[:START_UP] = 0.0
+    free = np.abs(record.u) < 0.999 * limit
+    centre = np.median(np.abs(gap[free]))
+    swing = float(np.std(record.u))
+    low = float(np.quantile(np.abs(gap[free] - np.median(gap[free])), 0.25))
+    if min(centre, low) > HOLDS * swing:
+        raise InputError(_wrong_law(record, axis, swing, float(np.std(gap))))
+    noise = _noise(gap)
+    width = max(2, round(BLOCK_TIME / record.period))
+    blocks = gap[: gap.size // width * width].reshape(-1, width).mean(axis=1)
+    structured = float(np.var(blocks)) * width > STRUCTURE * noise**2 and float(np.std(blocks)) > 1e-3 * swing
+    if not structured:
+        return LawCheck(gap, noise, False)
+    best: tuple[float, Effect, np.ndarray] | None = None
+    for effect in library:
+        if effect.channel != "controller" or effect.propose is None or effect.command is None:
+            continue
+        values = propose_command(effect, record, gap)
+        if values is not None:
+            left = float(np.var(gap - command_of(effect, values, record)))
+            if best is None or left < best[0]:
+                best = (left, effect, values)
+    if best is None or best[0] > (1 - NAMED) * float(np.var(gap)):
+        return LawCheck(gap, noise, True)
+    return LawCheck(gap, noise, True, best[1], best[2])
+
+
+def law_voltage(record: Record, axis: Axis) -> np.ndarray:
+    """Voltage (n,) [V] that the law of ``axis`` gives for the recorded reference and position, limit included."""
+    law = law_of(axis, record.period)
+    memory = np.zeros(law.memory)
+    limit = axis.drive.voltage_limit
+    reference = record.q_ref
+    if law.follows == "velocity":
+        reference = np.diff(reference, prepend=reference[:1]) / record.period
+    sensed = np.zeros(len(record)) if record.f_ext is None else record.f_ext
+    voltage = np.array(
+        [law.kernel(k, reference[k], record.q[k], sensed[k], limit, law.gains, memory) for k in range(len(record))]
+    )
+    late = axis.sampling.computation_delay
+    if late:
+        voltage = np.concatenate([np.zeros(late), voltage[:-late]])
+    return np.clip(voltage, -limit, limit)
+
+
+def propose_command(effect: Effect, record: Record, gap: np.ndarray) -> np.ndarray | None:
+    """Parameters of a controller effect that explain ``gap`` (n,) [V] best, or None."""
+    nothing = np.zeros(len(record))
+    motion = Motion(record.t, record.q, nothing, nothing, nothing, record.period, record.u)
+    tried = []
+    for table in effect.propose(motion, gap, np.zeros(4), np.ones(len(record), bool)):
+        values = np.array([min(max(table[p.name], p.lower), p.upper) for p in effect.parameters])
+        tried.append((float(np.var(gap - command_of(effect, values, record))), values))
+    return min(tried, key=lambda pair: pair[0])[1] if tried else None
+
+
+def command_of(effect: Effect, values: np.ndarray, record: Record) -> np.ndarray:
+    """Voltage (n,) [V] that a controller effect adds over ``record``."""
+    none = np.zeros(0)
+    return np.array(
+        [effect.command(q, 0.0, t, 0.0, none, values, np.zeros(4)) for t, q in zip(record.t, record.q, strict=True)]
+    )
+
+
+def _noise(gap: np.ndarray) -> float:
+    """Deviation of white noise in ``gap``, from first differences, deaf to levels and edges."""
+    return 1.4826 * float(np.median(np.abs(np.diff(gap)))) / np.sqrt(2) + 1e-9
+
+
+def _wrong_law(record: Record, axis: Axis, swing: float, miss: float) -> str:
+    """Say what the record's own law looks like, where a position law fits."""
+    text = (
+        f"{record.name}: the voltage follows the axis file's {axis.controller.kind} law nowhere "
+        f"(misses it by {miss:.3g} V rms of {swing:.3g} V)"
+    )
+    if axis.controller.kind == "position_pd":
+        unit = axis.replace(controller={"kp": 1.0, "kv": 1.0})
+        still = replace(record, q_ref=record.q)
+        rate = -law_voltage(still, unit.replace(drive={"voltage_limit": 1e9}))
+        columns = np.column_stack([record.q_ref - record.q, -rate])[START_UP:]
+        position, velocity = np.linalg.lstsq(columns, record.u[START_UP:], rcond=None)[0]
+        left = float(np.std(record.u[START_UP:] - columns @ (position, velocity)))
+        if left < HOLDS * swing and velocity > 0:
+            fitting = f"kp = {position / velocity:.5g} 1/s and kv = {velocity:.5g} V/(m/s)"
+            return f"{text}; {fitting} fit it, correct the axis file"
+    return f'{text}; give the controller that made this record, or kind = "none"'

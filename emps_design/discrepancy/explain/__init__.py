@@ -1,0 +1,1 @@
+"""The accepted effects in numbers, places and pictures."""

@@ -1,0 +1,179 @@
+"""Where a force acts: the shortest stretch of each coordinate that holds most of it, in numbers and words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from emps_design.discrepancy.model.missing_force import near_reversals
+from emps_design.records import Record
+
+SHARE = 0.8  # of the squared force that an extent holds
+LOCAL = 0.3  # an extent is worth words when it covers less than this share of what the record visits
+LONG = 0.9  # the same for one stretch of time, which may begin with an event and last
+CELLS = 160  # of a coordinate; an extent is read to one of them
+RESTING = 0.02  # of the top speed, from which on an extent of velocity begins at rest
+EVERYWHERE = "everywhere the record goes"
+REVERSAL_TIME = 0.1  # s on both sides of a reversal
+SMOOTH_TIME = 0.02  # s
+STRETCH_TIME = 0.05  # s
+APART = 0.3  # s between two stretches of time that are not one
+SEEN = 0.05  # of the largest mean square, from which on a stretch of time counts
+MOST_STRETCHES = 6  # more are not events
+PEAK = 0.995  # quantile of the force that "up to" means
+ONE_SIDED = 0.7  # share of the force that resists, or drives, from which on it is "more", or "less"
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Where a force acts: intervals of speed [m/s] and position [m], stretches of time [s], the ``share`` of what the
+    record visits in each, and how the force is spread over directions, reversals and frequencies."""
+
+    speed: tuple[float, float]
+    position: tuple[float, float]
+    time: tuple[tuple[float, float], ...]
+    share: dict[str, float]
+    forwards: float  # share of the squared force while moving forwards
+    turning: float  # share near reversals
+    frequency: tuple[float, float]
+    peak: float  # N
+    resisting: float  # from -1, driving, to 1, resisting
+
+    @property
+    def place(self) -> str:
+        """What tells best where it acts: "speed", "position", "time", "reversals", or "" for everywhere."""
+        if self.turning > SHARE and self.share["reversals"] < LOCAL:
+            return "reversals"
+        limits = {"speed": LOCAL, "position": LOCAL, "time": LONG if len(self.time) == 1 else LOCAL}
+        return min((n for n, limit in limits.items() if self.share[n] < limit), key=self.share.get, default="")
+
+
+def extent(record: Record, force: np.ndarray, window: np.ndarray, noise: float = 0.0) -> Extent:
+    """Where ``force`` (n,) [N] acts on the samples of ``window`` (n,) bool; ``noise`` [N] rms is no part of it."""
+    v = np.gradient(record.q, record.period)
+    seen, t = np.where(window, force, 0.0), record.t - record.t[0]
+    energy = seen**2
+    if noise:
+        width = max(1, round(SMOOTH_TIME / record.period))
+        energy = np.maximum(np.convolve(energy, np.ones(width) / width, mode="same") - noise**2, 0.0)
+    total, moving = max(float(energy.sum()), 1e-30), np.where(v != 0, energy, 0.0)
+    turning = near_reversals(v, record.period, REVERSAL_TIME)
+    speed, position = (_shortest(x, energy, window) for x in (np.abs(v), record.q))
+    stretches = _stretches(t, energy, record.period)
+    share = {
+        "speed": (speed[1] - speed[0]) / float(np.ptp(np.abs(v[window]))),
+        "position": (position[1] - position[0]) / float(np.ptp(record.q[window])),
+        "time": sum(stop - start for start, stop in stretches) / float(np.ptp(t[window])),
+        "reversals": float(turning[window].mean()),
+    }
+    return Extent(
+        speed,
+        position,
+        stretches,
+        share,
+        forwards=float(moving[v > 0].sum() / max(moving.sum(), 1e-30)),
+        turning=float(energy[turning].sum()) / total,
+        frequency=_band(seen, record.period),
+        peak=float(np.quantile(np.abs(seen[window]), PEAK)),
+        resisting=float(np.sum(seen * np.sign(v)) / max(float(np.abs(seen[v != 0]).sum()), 1e-30)),
+    )
+
+
+def described(found: Extent, others: Sequence[Extent] = ()) -> dict[str, Any]:
+    """The contract's ``where`` of an extent, in numbers and words.
+
+    ``others`` are the extents of the same effect with its parameters drawn from their covariance: what the ends of the
+    intervals span is given as ``confidence``.
+    """
+    slow, fast = found.speed
+    forwards, backwards = found.forwards > 1 - SHARE, found.forwards < SHARE
+    words = {
+        "reversals": f"around reversals, below {1e3 * fast:.3g} mm/s",
+        "speed": f"below {1e3 * fast:.3g} mm/s" if slow < RESTING * fast else _between(found.speed, "mm/s"),
+        "position": _between(found.position, "mm"),
+        "time": _times(found.time),
+        "": "" if forwards and backwards else "all along",
+    }[found.place]
+    if not (forwards and backwards):
+        words += ", moving forwards" if forwards else ", moving backwards"
+    elif found.place in ("speed", "reversals"):
+        words += ", both ways"
+    result: dict[str, Any] = {
+        "text": words or EVERYWHERE,
+        "velocity": [-fast if backwards else slow, fast if forwards else -slow],
+        "position": list(found.position),
+        "time": [list(stretch) for stretch in found.time],
+        "frequency": list(found.frequency),
+        "force": {"value": found.peak, "unit": "N", "sense": _sense(found.resisting)},
+    }
+    if others:
+        level = 1 - 2 / (len(others) + 1)
+        spans = {name: _span([getattr(e, name) for e in (found, *others)]) for name in ("speed", "position")}
+        result["confidence"] = {"level": level, **spans}
+    return result
+
+
+def _sense(resisting: float) -> str:
+    if abs(resisting) < ONE_SIDED:
+        return "more or less"
+    return "more" if resisting > 0 else "less"
+
+
+def _between(interval: tuple[float, float], unit: str) -> str:
+    return f"between {1e3 * interval[0]:.4g} and {1e3 * interval[1]:.4g} {unit}"
+
+
+def _times(stretches: tuple[tuple[float, float], ...]) -> str:
+    (start, stop), rest = stretches[0], len(stretches) - 1
+    others = f" and {rest} time{'s' if rest > 1 else ''} more" if rest else ""
+    return f"from {start:.3g} to {stop:.3g} s{others}"
+
+
+def _span(intervals: list[tuple[float, float]]) -> list[list[float]]:
+    """Smallest and largest of the lower ends, and of the upper ends."""
+    return [[min(ends), max(ends)] for ends in zip(*intervals, strict=True)]
+
+
+def _shortest(x: np.ndarray, energy: np.ndarray, window: np.ndarray) -> tuple[float, float]:
+    """Shortest interval of ``x`` with ``SHARE`` of the mean of ``energy`` over it, wherever the record dwells."""
+    inside = x[window]
+    edges = np.linspace(float(inside.min()), float(inside.max()), CELLS + 1)
+    count = np.histogram(inside, edges)[0]
+    mass = np.histogram(inside, edges, weights=energy[window])[0] / np.maximum(count, 1)
+    total = np.concatenate(([0.0], np.cumsum(mass)))
+    if total[-1] <= 0:
+        return float(edges[0]), float(edges[-1])
+    stops = np.searchsorted(total, total[:-1] + SHARE * total[-1] * (1 - 1e-12))
+    starts = np.arange(CELLS)[stops <= CELLS]
+    best = starts[np.argmin(stops[starts] - starts)]
+    return float(edges[best]), float(edges[stops[best]])
+
+
+def _stretches(t: np.ndarray, energy: np.ndarray, period: float) -> tuple[tuple[float, float], ...]:
+    """Stretches of ``t`` [s] in which ``energy`` is seen; from the first to the last of them where they are many."""
+    width = max(1, round(STRETCH_TIME / period))
+    cells = energy[: energy.size // width * width].reshape(-1, width).mean(axis=1)
+    high = np.nonzero(cells > SEEN * cells.max())[0]
+    whole = ((float(t[0]), float(t[-1])),)
+    if high.size == 0:
+        return whole
+    breaks = np.nonzero(np.diff(high) * STRETCH_TIME > APART)[0]
+    starts, stops = high[np.append(0, breaks + 1)], high[np.append(breaks, high.size - 1)] + 1
+    if starts.size > MOST_STRETCHES:
+        starts, stops = starts[:1], stops[-1:]
+    edges = t[np.minimum(np.stack((starts, stops), axis=1) * width, t.size - 1)]
+    return tuple((float(start), float(stop)) for start, stop in edges)
+
+
+def _band(force: np.ndarray, period: float) -> tuple[float, float]:
+    """Band [Hz] that holds most of ``force`` (n,), up to 100 Hz."""
+    from scipy.signal import welch
+
+    frequency, density = welch(force, 1 / period, nperseg=int(min(4096, force.size)), detrend="constant")
+    kept = frequency <= 100.0
+    total = np.cumsum(density[kept]) / max(float(density[kept].sum()), 1e-30)
+    lower, upper = (float(frequency[kept][min(np.searchsorted(total, q), kept.sum() - 1)]) for q in (0.1, 0.9))
+    return lower, upper

@@ -1,0 +1,172 @@
+"""Pictures of what a model leaves: the residual force over each quantity it could depend on, before and after."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from emps_design.discrepancy.model.missing_force import CUTOFF_HZ, SLOWEST, MissingForce
+from emps_design.effects import Motion
+from emps_design.effects.guesses import thin
+
+REVERSAL_TIME = 0.2  # s, drawn on both sides of a reversal
+MAP_CELLS = 36  # of position and of velocity in the map
+LINE_TIME = 0.5  # s of a piece of the spectrum over time
+HIGHEST_HZ = 100.0  # drawn of spectra
+FEWEST = 5  # samples, from which on a bin has a mean
+SPECTRAL = ("frequency", "period of position")  # quantities over which a view has amplitudes
+
+
+@dataclass(frozen=True)
+class View:
+    """Mean residual force [N] over one quantity, before and after; ``band`` is what noise alone would show."""
+
+    quantity: str
+    unit: str
+    x: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    band: np.ndarray | None = None
+    marks: tuple[tuple[float, float], ...] = ()
+    title: str = ""
+
+
+def views(
+    before: MissingForce, after: MissingForce, window: np.ndarray, floor: float, voltage_limit: float
+) -> list[View]:
+    """Residual force over each quantity it could depend on.
+
+    Velocity, position (both ways), acceleration, motor force, what is left of the voltage to ``voltage_limit`` [V],
+    time from a reversal, period of position, time, frequency: what the models before and after miss, on the samples
+    of ``window`` (n,) bool; ``floor`` [N] is the noise.
+    """
+    motion = before.motion
+    pairs = (before.force, after.force)
+    # Low-passed at the cutoff, a signal has two independent values in each period of it.
+    noise = floor / np.sqrt(2 * CUTOFF_HZ * motion.period)
+    result = [_binned("velocity", "m/s", motion.v, pairs, window, noise, 41)]
+    for sign, title in ((1, "forwards"), (-1, "backwards")):
+        moving = window & before.away & (sign * motion.v > 0)
+        if moving.sum() > 200:
+            result.append(_binned("position", "m", motion.q, pairs, moving, noise, 60, title))
+    result.append(_binned("acceleration", "m/s2", motion.a, pairs, window, noise, 41))
+    result.append(_binned("motor force", "N", before.motion.tau, pairs, window, noise, 41))
+    spare = voltage_limit - np.abs(motion.voltage)
+    resisting = tuple(np.sign(motion.tau) * force for force in pairs)
+    result.append(
+        _binned("voltage left to the limit", "V", spare, resisting, window, noise, 41, "along the motor force")
+    )
+    result += _around_reversals(motion, pairs, window, noise)
+    result += _periods(motion, pairs, window & before.away)
+    result.append(_binned("time", "s", motion.t, pairs, window, noise, 80))
+    result.append(_spectrum(pairs, window, motion.period))
+    return result
+
+
+def shown(view: View) -> float:
+    """How much of the gap a picture shows [N rms]: by the means in its bins, or the strongest line of a spectrum."""
+    parts = []
+    for y in (view.before, view.after):
+        kept = y[np.isfinite(y)]
+        spectral = view.quantity in SPECTRAL
+        parts.append(float(kept.max() / np.sqrt(2) if spectral else np.sqrt(np.mean(kept**2))) if kept.size else 0.0)
+    return parts[0] - parts[1] if not np.array_equal(view.before, view.after, equal_nan=True) else parts[0]
+
+
+def _around_reversals(
+    motion: Motion, pairs: tuple[np.ndarray, np.ndarray], window: np.ndarray, noise: float
+) -> list[View]:
+    """Force in the new direction of motion over the time from the reversal, where there are two of them at least."""
+    sure = np.nonzero(np.abs(motion.v) > SLOWEST)[0]
+    if sure.size == 0:
+        return []
+    turns = sure[1:][np.diff(np.sign(motion.v[sure])) != 0]
+    if turns.size < 2:
+        return []
+    since, towards = np.full(motion.t.size, np.nan), np.zeros(motion.t.size)
+    for turn in turns:
+        near = np.abs(motion.t - motion.t[turn]) <= REVERSAL_TIME
+        since[near], towards[near] = (motion.t - motion.t[turn])[near], np.sign(motion.v[turn])
+    kept = window & np.isfinite(since)
+    forces = tuple(towards * force for force in pairs)
+    return [_binned("time from reversal", "s", since, forces, kept, noise, 60, "in the new direction")]
+
+
+def _periods(motion: Motion, pairs: tuple[np.ndarray, np.ndarray], away: np.ndarray) -> list[View]:
+    """Amplitude of the force at each period of position (Lomb and Scargle), away from reversals."""
+    from scipy.signal import lombscargle
+
+    kept = thin(away)
+    stroke = float(np.ptp(motion.q))
+    if kept.size < 200 or stroke <= 0:
+        return []
+    periods = np.geomspace(stroke / 3, stroke / 300, 400)
+    q = motion.q[kept]
+    amplitudes = [np.sqrt(4 * lombscargle(q, f[kept] - f[kept].mean(), 2 * np.pi / periods) / kept.size) for f in pairs]
+    return [View("period of position", "m", periods[::-1], amplitudes[0][::-1], amplitudes[1][::-1])]
+
+
+def _binned(
+    quantity: str,
+    unit: str,
+    x: np.ndarray,
+    pairs: tuple[np.ndarray, np.ndarray],
+    kept: np.ndarray,
+    noise: float,
+    bins: int,
+    title: str = "",
+) -> View:
+    edges = np.linspace(float(x[kept].min()), float(x[kept].max()) + 1e-12, bins + 1)
+    place = np.clip(np.digitize(x[kept], edges) - 1, 0, bins - 1)
+    count = np.bincount(place, minlength=bins)
+    thick = np.maximum(count, 1)
+    means = [np.where(count > FEWEST, np.bincount(place, f[kept], bins) / thick, np.nan) for f in pairs]
+    band = np.where(count > FEWEST, 2 * noise / np.sqrt(thick), np.nan)
+    return View(quantity, unit, 0.5 * (edges[1:] + edges[:-1]), *means, band=band, title=title)
+
+
+def _spectrum(pairs: tuple[np.ndarray, np.ndarray], window: np.ndarray, period: float) -> View:
+    from scipy.signal import welch
+
+    length = int(min(4096, max(256, window.sum() // 4)))
+    amplitudes = []
+    for force in pairs:
+        frequency, density = welch(force[window], 1 / period, nperseg=length, detrend="constant")
+        amplitudes.append(np.sqrt(density * (frequency[1] - frequency[0])))
+    kept = (frequency > 0) & (frequency <= HIGHEST_HZ)
+    return View("frequency", "Hz", frequency[kept], amplitudes[0][kept], amplitudes[1][kept], title="rms in each line")
+
+
+def force_map(missing: MissingForce) -> dict[str, Any]:
+    """Mean missing force [N] over position and velocity, away from reversals: a picture that assumes no effect.
+
+    ``force`` has a row a velocity; None where the record does not go.
+    """
+    kept = missing.away if missing.away.any() else np.ones_like(missing.away)  # where all is reversals, take them
+    q, v, force = (x[kept] for x in (missing.motion.q, missing.motion.v, missing.force))
+    edges = [np.linspace(float(x.min()), float(x.max()) + 1e-12, MAP_CELLS + 1) for x in (v, q)]
+    count = np.histogram2d(v, q, edges)[0]
+    mean = np.histogram2d(v, q, edges, weights=force)[0] / np.maximum(count, 1)
+    centres = [(0.5 * (e[1:] + e[:-1])).tolist() for e in edges]
+    rows = [[float(f) if n else None for f, n in zip(*row, strict=True)] for row in zip(mean, count, strict=True)]
+    units = {"velocity": "m/s", "position": "m", "force": "N"}
+    return {"velocity": centres[0], "position": centres[1], "force": rows, "units": units}
+
+
+def spectrum_over_time(missing: MissingForce) -> dict[str, Any]:
+    """Rms [N] of the missing force in each line of its spectrum, over time: what comes, goes, or changes its pitch.
+
+    ``force`` has a row a frequency.
+    """
+    from scipy.signal import spectrogram
+
+    rate = 1 / missing.motion.period
+    length = int(min(max(rate * LINE_TIME, 16), missing.force.size // 4))
+    overlap = max(0, length - max(1, (missing.force.size - length) // MAP_CELLS))
+    frequency, time, density = spectrogram(missing.force, rate, nperseg=length, noverlap=overlap)
+    kept = (frequency > 0) & (frequency <= HIGHEST_HZ)
+    rms = np.sqrt(density[kept] * (frequency[1] - frequency[0]))
+    units = {"time": "s", "frequency": "Hz", "force": "N"}
+    return {"time": time.tolist(), "frequency": frequency[kept].tolist(), "force": rms.tolist(), "units": units}

@@ -1,0 +1,64 @@
+"""The force a model misses: what a motor would have to add to its closed-loop simulation to move as measured.
+
+With the measured and the simulated run of the same reference side by side, and both sliding in the same direction,
+
+    missing = (F - F_s) - M (qdd - qdd_s) - F_v (qd - qd_s)
+
+whatever hidden states the model has, because they are in its simulation. The hold is in both runs alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from emps_design.discrepancy.model.candidate import Candidate
+from emps_design.discrepancy.model.problem import Problem
+from emps_design.effects import Motion
+from emps_design.effects.effect import MASS, VISCOUS
+from emps_design.identification.filters import held_force, motion
+
+CUTOFF_HZ = 60.0
+REVERSAL_MARGIN = 0.06  # s on both sides of a reversal, where a zero-phase filter mixes the two directions
+SLOWEST = 2e-3  # m/s, below which the direction of motion is not certain
+
+
+@dataclass(frozen=True)
+class MissingForce:
+    """Motion of a record (``motion.tau`` as the model predicts it), missing force (n,) [N], trusted where ``away``."""
+
+    motion: Motion
+    force: np.ndarray
+    away: np.ndarray
+
+
+def missing_force(problem: Problem, model: Candidate, cutoff_hz: float = CUTOFF_HZ) -> tuple[MissingForce, ...]:
+    """Return the missing force of ``model``, one a record, low-passed at ``cutoff_hz`` [Hz] without phase."""
+    gain, result = problem.axis.drive.force_gain, []
+    mass, viscous = model.baseline[MASS], model.baseline[VISCOUS]
+    for record, run, split in zip(problem.records, problem.runs(model), problem.splits, strict=True):
+        simulated = replace(record, q=run.q, u=run.u)
+        moved, told = motion(record, cutoff_hz), motion(simulated, cutoff_hz)
+        predicted = held_force(simulated, gain, cutoff_hz)
+        force = (
+            held_force(record, gain, cutoff_hz) - predicted - mass * (moved.a - told.a) - viscous * (moved.v - told.v)
+        )
+        away = away_from_reversals(moved.v, record.period) & split.used
+        result.append(MissingForce(replace(moved, tau=predicted, voltage=record.u, force_gain=gain), force, away))
+    return tuple(result)
+
+
+def away_from_reversals(v: np.ndarray, period: float, margin: float = REVERSAL_MARGIN) -> np.ndarray:
+    """Samples (n,) bool in which ``v`` (n,) [m/s] keeps its sign for ``margin`` [s] on both sides."""
+    sliding = np.abs(v) > max(SLOWEST, 0.01 * float(np.abs(v).max()))
+    return sliding & ~near_reversals(v, period, margin)
+
+
+def near_reversals(v: np.ndarray, period: float, margin: float) -> np.ndarray:
+    """Samples (n,) bool within ``margin`` [s] of a change of sign of ``v`` (n,)."""
+    near = np.zeros(v.size, bool)
+    reach = max(1, round(margin / period))
+    for edge in np.nonzero(np.diff(np.sign(v)) != 0)[0]:
+        near[max(0, edge - reach) : edge + reach + 1] = True
+    return near

@@ -1,0 +1,194 @@
+"""What a diagnosis says: its findings, its gap before and after, its pictures' data, its extended model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.discrepancy.experiment.discrimination import Experiment
+from emps_design.discrepancy.explain.extent import EVERYWHERE
+from emps_design.discrepancy.explain.residual_views import View
+from emps_design.discrepancy.search.noise_floor import Floor
+from emps_design.discrepancy.validation.gap import Gap, Prediction
+from emps_design.quantities import display_unit
+
+SCHEMA = "emps-design/diagnosis/1"
+TOLD_WHOLE = 2  # findings told with all their numbers in the sentence
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One accepted effect: where it acts, its parameters, and the force gap before and after it was added [N]."""
+
+    effect: str
+    label: str
+    channel: str
+    where: Mapping[str, Any]
+    parameters: Mapping[str, Mapping[str, Any]]
+    p_value: float
+    gap_before: float
+    gap_after: float
+    equivalents: tuple[str, ...] = ()
+    remedy: str = ""
+    note: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contract's entry of ``findings``."""
+        return {
+            "effect": self.effect,
+            "label": self.label,
+            "equivalents": list(self.equivalents),
+            "where": {"channel": self.channel, **self.where},
+            "parameters": {name: dict(table) for name, table in self.parameters.items()},
+            "p_value": self.p_value,
+            "gap_before": self.gap_before,
+            "gap_after": self.gap_after,
+            "note": self.note,
+        }
+
+    def in_words(self) -> str:
+        """The finding with its parameters, for a sentence."""
+        numbers = ", ".join(
+            f"{name.replace('_', ' ')} {in_unit(table['value'], table['std'], table['unit'])}"
+            for name, table in self.parameters.items()
+            if (table["std"] > 0 or self.channel == "controller") and not table.get("per_record")
+        )
+        others = f" (or {', '.join(e.replace('_', ' ') for e in self.equivalents)})" if self.equivalents else ""
+        return f"{self.acts()}: {self.label}{others}" + (f", {numbers}" if numbers else "")
+
+    def acts(self) -> str:
+        """Where and how strongly it acts, for a sentence."""
+        force, place = self.where["force"], self.where["text"]
+        much = f"up to {force['value']:.3g} {force['unit']}"
+        if self.channel == "controller":
+            said = f"the controller adds {much}"
+        elif force["sense"] == "more or less":
+            said = f"the motor's force differs from the model's by {much}"
+        else:
+            said = f"the motor needs {much} {force['sense']} than the model"
+        return said if place == EVERYWHERE else f"{place}, {said}"
+
+
+def in_unit(value: float, std: float, unit: str) -> str:
+    """``value +- std`` in the unit a reader would choose.
+
+    >>> in_unit(0.0016, 2e-6, "s")
+    '1.600 +- 0.002 ms'
+    """
+    shown, factor = display_unit(value, unit)
+    if std <= 0:
+        return f"{value * factor:.4g} {shown}".rstrip()
+    places = max(0, -math.floor(math.log10(std * factor)))
+    return f"{value * factor:.{places}f} +- {std * factor:.{places}f} {shown}".rstrip()
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Force [N] of the confirming record over ``t`` [s]: measured, and both closed-loop simulations."""
+
+    name: str
+    t: np.ndarray
+    measured: np.ndarray
+    baseline: np.ndarray
+    extended: np.ndarray
+    window: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The answer of :func:`emps_design.discrepancy.diagnose`."""
+
+    verdict: str
+    findings: tuple[Finding, ...]
+    axis: Axis
+    noise: Floor
+    train: Gap
+    holdout: Gap | None
+    prediction: Prediction
+    views: tuple[View, ...]
+    details: Mapping[str, Any] = field(default_factory=dict)
+    experiment: Experiment | None = None
+    stretch: tuple[float, float] | None = None  # s, of the record, where only that confirms
+    model_file: str | None = None
+
+    @property
+    def floor(self) -> float:
+        """Rms [N] of the unfiltered force that does not repeat."""
+        return self.noise.force
+
+    @property
+    def sentence(self) -> str:
+        """The answer in one sentence, as on the first screen of the report."""
+        judged, where = (self.holdout, "held-out") if self.holdout else (self.train, "training")
+        gap = f"{where} force error {judged.baseline:.2f} N -> {judged.extended:.2f} N, noise {self.floor:.2f} N"
+        if self.verdict in ("named", "ambiguous"):
+            if len(self.findings) <= TOLD_WHOLE:
+                text = "; ".join(finding.in_words() for finding in self.findings)
+            else:
+                text = f"{len(self.findings)} effects are missing: "
+                text += ", ".join(f"{f.label.lower()} (up to {f.where['force']['value']:.3g} N)" for f in self.findings)
+            return f"{text[0].upper()}{text[1:]}; {gap}."
+        if self.details.get("interrupted") and not self.findings:
+            return f"Interrupted before anything was found; {gap}."
+        if self.verdict == "unnamed":
+            place = self.details["unexplained"]["text"]
+            where = "" if place == EVERYWHERE else f", most of it {place}"
+            known = "".join(f"{finding.in_words()}; " for finding in self.findings)  # from the controller's law
+            text = f"{known}{'beside that ' if known else ''}the model misses {judged.extended:.2f} N"
+            return (
+                f"{text[0].upper()}{text[1:]} (noise {self.floor:.2f} N){where}, and no effect of the library "
+                "explains it."
+            )
+        least = self.details.get("least_visible")
+        rest = f"; an effect of {least} or more would have been seen" if least else ""
+        if self.verdict == "parameters-only":
+            changed = self.details.get("changed", "")
+            return f"Only the numbers of the axis file are off ({changed}); {gap}{rest}."
+        return (
+            f"Nothing is missing from the model: force error {judged.baseline:.2f} N, noise {self.floor:.2f} N{rest}."
+        )
+
+    @property
+    def trace(self) -> Trace:
+        """The force over time of the record that confirms, or of the training record."""
+        p = self.prediction
+        return Trace(p.record.name, p.record.t, p.measured, p.baseline, p.extended, self.stretch)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contract's document, and what the report shows besides."""
+        gap: dict[str, Any] = {"unit": "N", **self.noise.to_dict(), "train": self.train.to_dict()}
+        inverse: dict[str, Any] = {"unit": "N", **self.noise.to_dict_60hz(), "train": self.train.to_dict_60hz()}
+        if self.holdout is not None:
+            gap["holdout"], inverse["holdout"] = self.holdout.to_dict(), self.holdout.to_dict_60hz()
+        shown = {k: v for k, v in self.details.items() if k not in ("least_visible", "changed")}
+        return {
+            "schema": SCHEMA,
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "findings": [finding.to_dict() for finding in self.findings],
+            "gap": gap,
+            "gap_inverse_60hz": inverse,
+            "model_file": self.model_file,
+            "remedies": [f.remedy for f in self.findings if f.remedy],
+            "experiment": None if self.experiment is None else self.experiment.to_dict(),
+            **shown,
+        }
+
+    def with_file(self, model_file: str) -> Diagnosis:
+        """The same diagnosis, saying where its model was written, and beside it the reference of the experiment."""
+        written = None if self.experiment is None else self.experiment.written()
+        return replace(self, model_file=model_file, experiment=written)
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><td>{f.label}</td><td>{f.where['text']}</td>"
+            f"<td>{f.gap_before:.3f} N</td><td>{f.gap_after:.3f} N</td></tr>"
+            for f in self.findings
+        )
+        head = "<tr><th>effect</th><th>where</th><th>gap before</th><th>gap after</th></tr>"
+        return f"<p><b>{self.verdict}</b>: {self.sentence}</p>" + (f"<table>{head}{rows}</table>" if rows else "")

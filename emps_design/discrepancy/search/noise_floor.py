@@ -1,0 +1,179 @@
+"""What repeats and what does not: the noise floor of the force, and the whitening of its residual."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from emps_design.discrepancy.model.partition import START_UP, Split
+from emps_design.discrepancy.model.problem import ORDER, Whitening, yule_walker
+
+BAND_HZ = 60.0
+PIECE = 500  # samples
+UNUSUAL = 2.5  # times the typical deviation of a piece
+FIRST_DIFFERENCE, SECOND_DIFFERENCE = (-1.0, 1.0), (1.0, -2.0, 1.0)
+NEIGHBOURS = 40  # lines of a spectrum on both sides, the median of which is usual
+LINE = 25.0  # times the usual power, beyond which a line is a tone
+LAPS, STROKES, LEFT = "what differs between laps", "what other strokes do not predict", "what the best model leaves"
+DRIFTS = 0.7  # of the first difference's rms, below which the second is the floor
+
+
+@dataclass(frozen=True)
+class Floor:
+    """Rms [N] of what nothing predicts, ``force`` unfiltered and ``force_60hz`` low-passed.
+
+    ``interval`` and ``interval_60hz`` hold the two with 95 %. ``whitening`` models it; ``draws`` are its innovations,
+    to resample. ``source`` says what it was read from.
+    """
+
+    force: float
+    force_60hz: float
+    interval: tuple[float, float]
+    interval_60hz: tuple[float, float]
+    whitening: Whitening
+    draws: np.ndarray
+    source: str
+
+    @property
+    def from_laps(self) -> bool:
+        """Whether it is what differs between laps of the same reference, and no model's residual."""
+        return self.source == LAPS
+
+    def to_dict(self) -> dict[str, object]:
+        """The contract's ``floor`` of ``gap``, with its interval."""
+        return self._told(self.force, self.interval)
+
+    def to_dict_60hz(self) -> dict[str, object]:
+        """The contract's ``floor`` of ``gap_inverse_60hz``, with its interval."""
+        return self._told(self.force_60hz, self.interval_60hz)
+
+    def _told(self, rms: float, interval: tuple[float, float]) -> dict[str, object]:
+        return {"floor": rms, "floor_interval": list(interval), "floor_from": self.source}
+
+
+def floor_of_laps(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], period: float) -> Floor | None:
+    """Floor from repeated laps of any record, or None where no reference repeats.
+
+    ``residuals`` (n,) [N] are what a fitted model leaves: what it knows of one lap and not of another, such as a
+    disturbance of the controller, is then not taken for noise. Nor is a drift: where the second difference between
+    three laps is clearly smaller than the difference between two, it is the floor.
+    """
+    from emps_design.identification.filters import low_pass
+
+    found = []
+    for weights in (FIRST_DIFFERENCE, SECOND_DIFFERENCE):
+        raw, smooth = [], []
+        for force, split in zip(residuals, splits, strict=True):
+            slow = low_pass(force, BAND_HZ, period)
+            for start, stop in _laps(split, len(weights)):
+                raw.append(_difference(force, start, stop, split.lap, weights))
+                smooth.append(_difference(slow, start, stop, split.lap, weights))
+        if raw:
+            found.append(_steady(raw, smooth))
+    if not found:
+        return None
+    drifts = len(found) == 2 and _rms(found[1][0]) < DRIFTS * _rms(found[0][0])
+    return _floor(*found[drifts], LAPS)
+
+
+def _laps(split: Split, together: int) -> list[tuple[int, int]]:
+    """Samples (start, stop) of the first of ``together`` laps one after the other, for every such group."""
+    used = np.nonzero(split.used)[0]
+    if split.lap == 0 or used.size < together * split.lap - START_UP:
+        return []
+    first, last, reach = int(used[0]), int(used[-1]) + 1, (together - 1) * split.lap
+    # The first lap starts from rest unlike the others: leave it out where there are laps to spare.
+    begin = first + split.lap if last - first > (together + 0.5) * split.lap else first
+    groups = [(a, min(a + split.lap, last - reach)) for a in range(begin, last - reach - START_UP, split.lap)]
+    return [(a, b) for a, b in groups if split.used[a : b + reach].all()]  # what confirms stays closed
+
+
+def _difference(signal: np.ndarray, start: int, stop: int, lap: int, weights: tuple[float, ...]) -> np.ndarray:
+    """Combination of laps with ``weights``, with the deviation of the noise of one."""
+    laps = [weight * signal[start + i * lap : stop + i * lap] for i, weight in enumerate(weights)]
+    return np.sum(laps, axis=0) / np.sqrt(np.sum(np.square(weights)))
+
+
+def floor_of_residual(left: tuple[np.ndarray, ...], period: float, source: str) -> Floor:
+    """Floor taken from what a model leaves of the used samples, (n_used,) [N] a record; ``source`` names the model."""
+    from emps_design.identification.filters import low_pass
+
+    return _floor(*_steady(list(left), [low_pass(part, BAND_HZ, period) for part in left]), source)
+
+
+def _floor(raw: list[np.ndarray], smooth: list[np.ndarray], source: str) -> Floor:
+    (force, lags), (force_60hz, _) = _broadband(raw), _broadband(smooth)
+    whitening = yule_walker(lags)
+    draws = np.concatenate([whitening.apply(d - d.mean())[START_UP:] for d in raw])
+    intervals = []
+    for parts, rms in ((raw, force), (smooth, force_60hz)):
+        error = np.concatenate([p - p.mean() for p in parts])
+        intervals.append(tuple(rms / float(np.std(error)) * end for end in rms_interval(error)))
+    return Floor(force, force_60hz, *intervals, whitening, draws / draws.std(), source)
+
+
+def _broadband(parts: list[np.ndarray]) -> tuple[float, np.ndarray]:
+    """Rms [N] and autocovariance (ORDER + 1,) [N^2] of ``parts`` without the lines of their spectrum.
+
+    A hum that is not in step with the laps differs between them, and is no noise: a line that stands far above the
+    median of its neighbourhood is cut down to it.
+    """
+    from scipy.ndimage import median_filter
+
+    size = max(part.size for part in parts)
+    power, samples = np.zeros(size + 1), 0
+    for part in parts:
+        window = np.hanning(part.size)  # else the foot of a tone reaches far
+        power += np.abs(np.fft.rfft(window * (part - part.mean()), 2 * size)) ** 2 / np.mean(window**2)
+        samples += part.size
+    usual = median_filter(power, 2 * NEIGHBOURS + 1, mode="nearest")
+    power = np.where(power > LINE * usual, usual, power)
+    lags = np.fft.irfft(power)[: ORDER + 1] / samples
+    return float(np.sqrt(lags[0])), lags
+
+
+def rms_interval(error: np.ndarray, draws: int = 199, seed: int = 0) -> tuple[float, float]:
+    """Interval that holds the rms of ``error`` (n,) with 95 %: stationary bootstrap of pieces of it (``arch``).
+
+    >>> low, high = rms_interval(np.random.default_rng(0).standard_normal(20_000))
+    >>> 0.97 < low < 1.0 < high < 1.03
+    True
+    """
+    from arch.bootstrap import StationaryBootstrap
+
+    means = StationaryBootstrap(min(PIECE, error.size // 4), error**2, seed=seed).apply(np.mean, draws)
+    low, high = np.sqrt(np.quantile(means, (0.025, 0.975)))
+    return float(low), float(high)
+
+
+def usual_rms(left: list[np.ndarray]) -> float:
+    """Rms [N] of ``left``, (n,) a record, without the pieces in which it is far larger than it usually is."""
+    return _rms(_steady(left, left)[0])
+
+
+def _steady(raw: list[np.ndarray], smooth: list[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Leave out the pieces in which laps differ far more than they usually do.
+
+    An event that happens in one lap only (a push, a mass put on) differs between laps without being noise. Pieces, not
+    samples, so that what is kept still has the noise's correlation.
+    """
+    length = min(PIECE, *(part.size for part in raw))
+    typical = np.median([np.std(piece) for part in raw for piece in _pieces(part, length)])
+    kept_raw, kept_smooth = [], []
+    for part, slow in zip(raw, smooth, strict=True):
+        usual = [np.std(piece) <= UNUSUAL * typical for piece in _pieces(part, length)]
+        if any(usual):
+            mask = np.repeat(usual, length)
+            kept_raw.append(part[: mask.size][mask])
+            kept_smooth.append(slow[: mask.size][mask])
+    return kept_raw, kept_smooth
+
+
+def _pieces(part: np.ndarray, length: int) -> np.ndarray:
+    return part[: part.size // length * length].reshape(-1, length)
+
+
+def _rms(parts: list[np.ndarray]) -> float:
+    """Rms [N] of ``parts``, the mean of each removed."""
+    return float(np.sqrt(np.mean(np.concatenate([(p - p.mean()) ** 2 for p in parts]))))

@@ -1,0 +1,62 @@
+"""What chance alone does to the search: the healthy reference that a finding must beat.
+
+In the whitened residual a healthy drive is white noise less what refitting the baseline absorbs. The signatures of all
+effects at all their starts, simulated in closed loop with their states, are laid over resampled noise: the largest
+gain over all candidates, in each of many resamples, is what "nothing is missing" looks like.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from emps_design.discrepancy.search.starts import Start, Tangent
+
+RESAMPLES = 199
+BLOCK = 250  # samples of noise kept together, so that what correlation the whitening left stays in
+LEVEL = 0.01  # family-wise
+
+
+@dataclass(frozen=True)
+class Healthy:
+    """Largest gains (n_resamples,) in whitened cost over all candidates, sorted.
+
+    ``searched``: each is that of a whole simulated record, searched like the real one.
+    """
+
+    largest: np.ndarray
+    searched: bool = False
+
+    @property
+    def threshold(self) -> float:
+        """The gain that a share ``LEVEL`` of healthy records reaches [whitened cost]."""
+        return float(self.largest[min(self.largest.size - 1, int(np.ceil((1 - LEVEL) * (self.largest.size + 1))) - 1)])
+
+    def p_value(self, gain: float) -> float:
+        """Share of healthy records, this one included, whose largest gain is at least ``gain``."""
+        return float((1 + np.sum(self.largest >= gain)) / (1 + self.largest.size))
+
+
+def healthy_reference(
+    screened: list[list[Start]], absorbed: Tangent, draws: np.ndarray, seed: int, resamples: int = RESAMPLES
+) -> Healthy:
+    """Lay the signatures of ``screened`` over resampled noise ``draws`` (m,), circular blocks of it."""
+    if not screened:  # nothing was tried, so nothing can be gained by chance
+        return Healthy(np.zeros(resamples))
+    generator = np.random.default_rng(seed)
+    signatures = np.column_stack([start.signature for found in screened for start in found])
+    largest = np.empty(resamples)
+    for i in range(resamples):
+        noise = absorbed.free(resampled(draws, absorbed.residual.size, generator))
+        largest[i] = float(np.max((noise @ signatures) ** 2))
+    return Healthy(np.sort(largest))
+
+
+def resampled(draws: np.ndarray, n: int, generator: np.random.Generator) -> np.ndarray:
+    """``n`` innovations in circular blocks of ``draws`` (m,), each block with a random sign."""
+    blocks = -(-n // BLOCK)
+    ring = np.concatenate((draws, draws[:BLOCK]))
+    begins = generator.integers(0, draws.size, blocks)
+    noise = ring[(begins[:, None] + np.arange(BLOCK)).ravel()[:n]]
+    return noise * generator.choice((-1.0, 1.0), blocks).repeat(BLOCK)[:n]

@@ -1,0 +1,1 @@
+"""What a record that nothing was decided on says."""

@@ -1,0 +1,89 @@
+"""Encoder error: the encoder reads q + amplitude sin(2 pi q / period + phase).
+
+An eccentric disc or interpolation error. The controller acts on it too. In the inverse dynamic model of the measured
+motion q_m = q + e the extra left-hand force is -(M d2e/dt2 + F_v de/dt); the columns take e at the measured position,
+right while the amplitude is small against the period. It grows with speed squared, which a ripple does not.
+"""
+
+from math import pi, sin
+
+import numpy as np
+
+from emps_design.effects import guesses as search
+from emps_design.effects import harmonic
+from emps_design.effects.effect import MASS, VISCOUS, Effect, Motion, Parameter, Parameters
+
+
+def sensor(q, v, t, tau, x, p, b):
+    return p[0] * sin(2.0 * pi * q / p[2] + p[1])
+
+
+def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
+    angle, rate = 2 * pi * motion.q / shape["period"], 2 * pi / shape["period"]
+    sine, cosine = harmonic.columns(angle).T
+    # d/dt sin = rate v cos, d2/dt2 sin = rate a cos - rate^2 v^2 sin, and the like for cos
+    speed, turn = rate * motion.v, rate * motion.a
+    of_sine = b[MASS] * (turn * cosine - speed**2 * sine) + b[VISCOUS] * speed * cosine
+    of_cosine = b[MASS] * (-turn * sine - speed**2 * cosine) - b[VISCOUS] * speed * sine
+    return -np.column_stack([motion.smooth(of_sine), motion.smooth(of_cosine)])
+
+
+def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
+    def columns(index: np.ndarray, waves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        angle = motion.q[index][:, None] * waves
+        speed, turn = (motion.v[index][:, None] * waves) ** 2, motion.a[index][:, None] * waves
+        sine, cosine = np.sin(angle), np.cos(angle)
+        return speed * sine - turn * cosine, speed * cosine + turn * sine
+
+    found = search.periods(residual, motion.q, motion.v, motion.a, away, columns, shortest=5e-4)
+    return [{"period": period} for period in found]
+
+
+def plausible(parameters: Parameters, motion: Motion) -> bool:
+    return parameters["period"] < float(np.ptp(motion.q)) / 3  # longer is a matter of scale, not of a line
+
+
+def expression(q, v, t, tau, p, b):
+    import sympy
+
+    return p["amplitude"] * sympy.sin(2 * sympy.pi * q / p["period"] + p["phase"])
+
+
+EFFECT = Effect(
+    name="encoder_error",
+    label="Encoder error",
+    channel="sensor",
+    equation=r"q_m = q + A \sin(2\pi q/\lambda + \varphi)",
+    source="eccentricity and interpolation error of incremental encoders",
+    parameters=(
+        Parameter("amplitude", "A", "m", lower=0.0, upper=1e-2, linear=True, scale=5e-6, text="amplitude of the error"),
+        Parameter(
+            "phase", r"\varphi", "rad", linear=True, scale=1.0, per_record=True, text="phase at the encoder's zero"
+        ),
+        Parameter(
+            "period",
+            r"\lambda",
+            "m",
+            lower=1e-4,
+            upper=0.1,
+            starts=(0.001, 0.002, 0.0025, 0.004, 0.005, 0.01, 0.02),
+            text="travel after which the error repeats",
+        ),
+    ),
+    sensor=sensor,
+    regressor=regressor,
+    propose=propose,
+    to_linear=harmonic.to_linear,
+    from_linear=harmonic.from_linear,
+    plausible=plausible,
+    expression=expression,
+    over="q",
+    where="one line in the spectrum over position, whose force grows with the square of speed",
+    confused_with=("position_ripple", "periodic_disturbance"),
+    experiment="constant-velocity strokes at two speeds: an encoder's error quadruples in force at twice the speed",
+    remedy="calibrate the encoder over one period, or keep 2 pi v / period below the crossover",
+    checks=(
+        ({"amplitude": 6e-6, "phase": 0.0, "period": 0.004}, {"q": 0.001}, 6e-6),
+        ({"amplitude": 6e-6, "phase": pi / 2, "period": 0.004}, {"q": 0.002, "v": 0.4}, -6e-6),
+    ),
+)

@@ -1,0 +1,102 @@
+"""External force: something pushes the carriage, in pulses of ``duration``, once or every so often.
+
+A positive amplitude pushes towards +q, so the kernel, on the side of the friction, returns minus it. ``every`` is the
+time from one pulse to the next, 0 for a single pulse.
+"""
+
+from math import floor, inf
+
+import numpy as np
+
+from emps_design.effects import guesses as search
+from emps_design.effects.effect import SNAP, Effect, Motion, Parameter, Parameters
+
+ALIKE = 1e-3  # of the variance of the position, up to which two laps are one motion
+
+
+def force(q, v, t, tau, x, p, b):
+    since = t - p[1] + SNAP
+    if since < 0.0:
+        return 0.0
+    if p[3] > 0.0:
+        since -= p[3] * floor(since / p[3])
+    if since < p[2]:
+        return -p[0]
+    return 0.0
+
+
+def jump_time(q, v, t, tau, x, p, b):
+    since = t - p[1] + SNAP
+    if since < 0.0:
+        return p[1]
+    begun = 0.0
+    if p[3] > 0.0:
+        begun = p[3] * floor(since / p[3])
+    if since - begun < p[2]:
+        return p[1] + begun + p[2]
+    if p[3] > 0.0:
+        return p[1] + begun + p[3]
+    return inf
+
+
+def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
+    since = motion.t - shape["start"] + SNAP
+    folded = np.mod(since, shape["every"]) if shape["every"] > 0 else since
+    return -motion.smooth(((since >= 0) & (folded < shape["duration"])).astype(float))[:, None]
+
+
+def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
+    # The residual opposes the motor; the pulse pushes the carriage.
+    return search.pulses(-residual, motion.t, motion.period)
+
+
+def plausible(parameters: Parameters, motion: Motion) -> bool:
+    every = parameters["every"] or float(motion.t[-1])
+    if parameters["duration"] >= 0.5 * every:
+        return False  # a constant force with gaps
+    later = round(every / motion.period)
+    if not 0 < later < motion.q.size // 2:
+        return True
+    apart = motion.q[later:] - motion.q[:-later]
+    return float(np.var(apart)) > ALIKE * float(np.var(motion.q))  # in step with the laps, it is a matter of the place
+
+
+def expression(q, v, t, tau, p, b):
+    import sympy
+
+    since = t - p["start"]
+    folded = sympy.Piecewise((sympy.Mod(since, p["every"]), p["every"] > 0), (since, True))
+    return -p["amplitude"] * sympy.Piecewise((1, (since >= 0) & (folded < p["duration"])), (0, True))
+
+
+EFFECT = Effect(
+    name="external_force",
+    label="External force",
+    channel="plant",
+    equation=r"F = -A \;\text{ for } t \in [t_0 + k T,\, t_0 + k T + D),\quad k \ge 0",
+    source="the external force of paper eq. (2), as pulses; the pulses of DATA_EMPS_PULSES enter at the controller",
+    parameters=(
+        Parameter("amplitude", "A", "N", linear=True, scale=20.0, text="force on the carriage, positive towards +q"),
+        Parameter("start", "t_0", "s", lower=0.0, per_record=True, scale=0.1, text="start of the first pulse"),
+        Parameter("duration", "D", "s", lower=1e-3, starts=(0.1, 0.25, 0.5, 1.0), text="length of a pulse"),
+        Parameter(
+            "every", "T", "s", lower=0.0, per_record=True, scale=0.1, text="from one pulse to the next, 0: a single one"
+        ),
+    ),
+    force=force,
+    jump_time=jump_time,
+    regressor=regressor,
+    propose=propose,
+    plausible=plausible,
+    expression=expression,
+    over="t",
+    where="within stretches of time, whatever position and speed are",
+    confused_with=("periodic_disturbance", "friction_drift", "controller_disturbance"),
+    experiment="repeat the same lap: what comes at other places of the lap comes from outside",
+    remedy="find the source; the observer gives the force as it comes",
+    checks=(
+        ({"amplitude": 30.0, "start": 2.3, "duration": 0.25, "every": 5.3}, {"t": 7.7}, -30.0),
+        ({"amplitude": 30.0, "start": 2.3, "duration": 0.25, "every": 0.0}, {"t": 7.7}, 0.0),
+    ),
+    parity="even",
+)

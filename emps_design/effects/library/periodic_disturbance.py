@@ -1,0 +1,87 @@
+"""Periodic disturbance: a force over time, amplitude sin(2 pi frequency t + phase), towards +q where positive.
+
+A neighbouring machine, a pump, hum of the supply. Towards +q means minus on the side of the friction.
+"""
+
+from math import pi, sin
+
+import numpy as np
+
+from emps_design.effects import guesses as search
+from emps_design.effects import harmonic
+from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+
+
+def force(q, v, t, tau, x, p, b):
+    return -p[0] * sin(2.0 * pi * p[2] * t + p[1])
+
+
+def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
+    sine, cosine = harmonic.columns(2 * pi * shape["frequency"] * motion.t).T
+    return -np.column_stack([motion.smooth(sine), motion.smooth(cosine)])
+
+
+def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
+    def columns(index: np.ndarray, waves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        angle = motion.t[index][:, None] * waves
+        return np.sin(angle), np.cos(angle)
+
+    found = search.periods(residual, motion.t, motion.v, motion.a, away, columns, shortest=0.025, count=6)
+    return [{"frequency": 1.0 / period} for period in found]
+
+
+def plausible(parameters: Parameters, motion: Motion) -> bool:
+    return parameters["frequency"] * float(motion.t[-1]) > 20  # fewer turns are a drift, or follow the program
+
+
+def expression(q, v, t, tau, p, b):
+    import sympy
+
+    return -p["amplitude"] * sympy.sin(2 * sympy.pi * p["frequency"] * t + p["phase"])
+
+
+EFFECT = Effect(
+    name="periodic_disturbance",
+    label="Periodic disturbance",
+    channel="plant",
+    equation=r"F = -A \sin(2\pi f t + \varphi)",
+    source="harmonic external force of paper eq. (2)",
+    parameters=(
+        Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=2.0, text="amplitude of the force"),
+        Parameter(
+            "phase",
+            r"\varphi",
+            "rad",
+            linear=True,
+            scale=1.0,
+            per_record=True,
+            text="phase at the record's first sample",
+        ),
+        Parameter(
+            "frequency",
+            "f",
+            "Hz",
+            lower=0.25,
+            upper=500.0,
+            starts=(0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0),
+            text="frequency of the force",
+        ),
+    ),
+    force=force,
+    regressor=regressor,
+    propose=propose,
+    to_linear=harmonic.to_linear,
+    from_linear=harmonic.from_linear,
+    plausible=plausible,
+    expression=expression,
+    over="t",
+    where="one line in the spectrum over time, at every position and speed, at rest as well",
+    confused_with=("external_force", "position_ripple", "encoder_error"),
+    experiment="a record at standstill: the line is still there",
+    remedy="isolate the source, or a resonant term in the controller at that frequency",
+    checks=(
+        ({"amplitude": 3.0, "phase": 0.0, "frequency": 2.5}, {"t": 0.1}, -3.0),
+        ({"amplitude": 3.0, "phase": pi / 2, "frequency": 2.5}, {"t": 0.2, "v": 0.1}, 3.0),
+    ),
+    parity="even",
+)

@@ -1,0 +1,84 @@
+"""Position ripple: a force that repeats with travel, amplitude sin(2 pi q / period + phase), the same both ways.
+
+Cogging of the motor, a bent or eccentric screw, a belt's teeth: the period names the part (a revolution of the screw,
+of the encoder, a pole pair). The force derives from a potential, so a round trip costs nothing. The phase depends on
+where the encoder's zero was when the record was taken.
+"""
+
+from math import pi, sin
+
+import numpy as np
+
+from emps_design.effects import guesses as search
+from emps_design.effects import harmonic
+from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+
+
+def force(q, v, t, tau, x, p, b):
+    return p[0] * sin(2.0 * pi * q / p[2] + p[1])
+
+
+def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
+    sine, cosine = harmonic.columns(2 * pi * motion.q / shape["period"]).T
+    return np.column_stack([motion.smooth(sine), motion.smooth(cosine)])
+
+
+def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
+    def columns(index: np.ndarray, waves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        angle = motion.q[index][:, None] * waves
+        return np.sin(angle), np.cos(angle)
+
+    found = search.periods(residual, motion.q, motion.v, motion.a, away, columns, shortest=5e-4)
+    return [{"period": period} for period in found]
+
+
+def plausible(parameters: Parameters, motion: Motion) -> bool:
+    return parameters["period"] < float(np.ptp(motion.q)) / 3  # longer is a force over the stroke, not a ripple
+
+
+def expression(q, v, t, tau, p, b):
+    import sympy
+
+    return p["amplitude"] * sympy.sin(2 * sympy.pi * q / p["period"] + p["phase"])
+
+
+EFFECT = Effect(
+    name="position_ripple",
+    label="Position ripple",
+    channel="plant",
+    equation=r"F = A \sin(2\pi q/\lambda + \varphi)",
+    source="cogging and screw eccentricity; one encoder revolution is 2.5 mm on the EMPS",
+    parameters=(
+        Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=2.0, text="amplitude of the ripple"),
+        Parameter(
+            "phase", r"\varphi", "rad", linear=True, scale=1.0, per_record=True, text="phase at the encoder's zero"
+        ),
+        Parameter(
+            "period",
+            r"\lambda",
+            "m",
+            lower=1e-4,
+            upper=0.1,
+            starts=(0.001, 0.002, 0.0025, 0.004, 0.005, 0.01, 0.02),
+            text="travel after which the ripple repeats",
+        ),
+    ),
+    force=force,
+    regressor=regressor,
+    propose=propose,
+    to_linear=harmonic.to_linear,
+    from_linear=harmonic.from_linear,
+    plausible=plausible,
+    expression=expression,
+    over="q",
+    where="one line in the spectrum over position, at every speed with the same amplitude",
+    confused_with=("encoder_error", "position_dependent_friction", "periodic_disturbance"),
+    experiment="two slow constant-velocity strokes at different speeds: the period stays in mm and the force in N",
+    remedy="feed the ripple forward from position, or keep k v / period away from the loop's resonances",
+    checks=(
+        ({"amplitude": 3.0, "phase": 0.0, "period": 0.004}, {"q": 0.001}, 3.0),
+        ({"amplitude": 3.0, "phase": pi / 2, "period": 0.004}, {"q": 0.002, "v": -0.3}, -3.0),
+    ),
+    passive=True,
+    parity="even",
+)

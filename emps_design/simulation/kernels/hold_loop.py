@@ -1,0 +1,225 @@
+"""Run an axis with any effects: sample, control, hold, and move it through every hold period.
+
+A period is cut where a delayed voltage arrives and where a kernel jumps in time. Each piece is stepped exactly where
+the effects leave the motion alone (:mod:`core`), in one glide where they have no own states (:mod:`glide`), or from
+event to event (:mod:`stretch`), whichever is the first that can.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from emps_design.simulation.kernels import baseline as core
+from emps_design.simulation.kernels.compile import cached, call_actuator, call_kernel, call_law, part, pointer, shifted
+from emps_design.simulation.kernels.event_steps import (
+    BREAKAWAY,
+    CHATTER,
+    DIVERGED,
+    DONE,
+    NO_STEP,
+    REVERSAL,
+    STICK,
+    note,
+    stretch,
+)
+from emps_design.simulation.kernels.motion import (
+    ACTUATOR,
+    COMMAND,
+    DELAY,
+    DELAYED,
+    ENERGY,
+    EXACT,
+    FREE,
+    GAIN,
+    GLIDES,
+    GUARD,
+    INERTIA,
+    INSTANT,
+    JUMP,
+    LAG,
+    LIMIT,
+    PERIOD,
+    RESOLUTION,
+    SENSOR,
+    SERIES,
+    STATES,
+    TOLERANCE,
+    TOUCH,
+    TOUCH_MASS,
+    balance,
+    derivative,
+    motor,
+    total,
+)
+from emps_design.simulation.kernels.smooth_period import SPEEDS, feeling, glide
+
+RUNAWAY, MASSLESS = 4, 5  # what a run can end with, besides what a stretch can
+_APART = 5e-10  # s, how far from a jump in time its two sides are evaluated; above SNAP of the effects
+
+
+@part
+def applied(j, u, plant):
+    """Motor force commanded by the voltage of sample ``j``, through the actuator's static maps; 0 before the first."""
+    _, hooks, starts, p, settings, _ = plant
+    if j < 0:
+        return 0.0
+    volts = u[j]
+    for i in range(starts[ACTUATOR], starts[ACTUATOR + 1]):
+        volts = call_actuator(hooks[3 * i], volts, p, hooks[3 * i + 2])
+    return settings[GAIN] * volts
+
+
+@cached()
+def run(
+    plant, y, law, gains, memory, reference, push, noise, signals, slots, floors, scratch, out, events, found
+):  # fmt: skip
+    """Run the loop over ``reference.size`` samples; returns the status, the sample, and the time within its period [s].
+
+    ``plant`` = arrays (baseline, table of hooks, start of each row of the table, parameters, settings); ``law`` is the
+    address of the controller, 0: the reference is the voltage. ``push`` [N] and ``noise`` [V] are empty or one value a
+    sample; column i of ``signals`` is written to ``p[slots[i]]`` at every sample. ``floors`` are the sizes below which
+    own states need not be known relatively. ``out`` has a row each for encoder, position, velocity, voltage and
+    external force, ``events`` three columns; both are filled, and ``found`` [0] counts the events. ``scratch`` has room
+    for :func:`room` numbers.
+    """
+    # Pointers from here on: arrays in tuples would be counted, at ten times the cost of the arithmetic.
+    drive = pointer(scratch)  # gap between motor force and command, since when, and what a glide keeps
+    plant = (pointer(plant[0]), pointer(plant[1]), pointer(plant[2]), pointer(plant[3]), pointer(plant[4]), drive)
+    _, hooks, starts, p, settings, _ = plant
+    n, size = reference.size, y.size
+    y_, gains_, memory_, events_, found_ = pointer(y), pointer(gains), pointer(memory), pointer(events), pointer(found)
+    bounds, free_row = shifted(drive, 5), shifted(drive, 5)
+    k1, k2, k3 = shifted(free_row, 2), shifted(free_row, 2 + size), shifted(free_row, 2 + 2 * size)
+    k4, k5, stage = shifted(k3, size), shifted(k3, 2 * size), shifted(k3, 3 * size)
+    largest, new, before = shifted(stage, size), shifted(stage, 2 * size), shifted(stage, 3 * size)
+    work = (k1, k2, k3, k4, k5, stage, largest)
+    for i in range(size):
+        largest[i] = max(abs(y[i]), floors[i])
+    encoder = pointer(out)
+    position, velocity, u, outside = (
+        shifted(encoder, n), shifted(encoder, 2 * n), shifted(encoder, 3 * n), shifted(encoder, 4 * n),
+    )  # fmt: skip
+    period, limit, resolution = settings[PERIOD], settings[LIMIT], settings[RESOLUTION]
+    jumps, late = starts[JUMP + 1] > starts[JUMP], starts[DELAY + 1] > starts[DELAY]
+    touched, weighs = starts[TOUCH + 1] > starts[TOUCH], starts[TOUCH_MASS + 1] > starts[TOUCH_MASS]
+    weighed = starts[INERTIA + 1] > starts[INERTIA]
+    bounds[0], bounds[1] = -np.inf, np.inf
+    glides, steady = settings[GLIDES] > 0.0, settings[GLIDES] > 1.0
+    exact, lagged = settings[EXACT] > 0.0, settings[LAG] > 0.0
+    feel = shifted(before, starts[GUARD + 1] - starts[GUARD])
+    if glides:
+        feeling(y_, plant, work, feel)
+    fresh, before_force, before_mass = False, 0.0, 1.0
+    tau, reached, s, hint = 0.0, 0.0, 0.0, period
+    drive[0], drive[1], drive[2], drive[3], drive[4] = 0.0, 0.0, 0.0, 0.0, 0.0
+    swings = (0.0, 0.0, 0.0)
+    if y[1] != 0.0:
+        s = 1.0 if y[1] > 0.0 else -1.0
+    for k in range(n):
+        t = k * period
+        for i in range(slots.size):
+            p[slots[i]] = signals[k, i]
+        force = push[k] if push.size else 0.0
+        position[k], velocity[k] = y[0], y[1]
+        seen = y[0] + total(SENSOR, y_, t, tau, plant)
+        if resolution > 0.0:
+            seen = np.floor(seen / resolution + 0.5) * resolution
+        encoder[k] = seen
+        if weighed and not balance(y_, t, tau, force, plant)[2] > 0.0:
+            return MASSLESS, k, 0.0
+        felt = force
+        if touched:
+            felt -= total(TOUCH, y_, t, tau, plant)
+            if weighs:
+                derivative(y_, t, tau, force, s, plant, k1)
+                felt -= k1[1] * total(TOUCH_MASS, y_, t, tau, plant)
+        outside[k] = felt
+        if law != 0:
+            volts = call_law(law, k, reference[k], seen, felt, limit, gains_, memory_)
+        else:
+            volts = reference[k]
+        volts += total(COMMAND, y_, t, tau, plant)
+        if noise.size:
+            volts += noise[k]
+        if not abs(volts) < np.inf:
+            return DIVERGED, k, 0.0
+        if abs(volts) >= limit:
+            volts = limit if volts > 0.0 else -limit
+            if law != 0:
+                swings = core.swing(volts, k, period, swings)
+                if swings[1] >= core.SWINGS:
+                    return RUNAWAY, k, 0.0
+        u[k] = volts
+
+        whole, first = int(settings[DELAYED]), 0.0
+        if late:
+            wait = whole * period + max(0.0, total(DELAY, y_, t, tau, plant))
+            whole = int(np.floor(wait / period + 1e-9))
+            first = wait - whole * period
+            if first < 1e-12:
+                first = 0.0
+        start = 0.0
+        while period - start > INSTANT:
+            end = period
+            if start < first:
+                end = first
+                tau = applied(k - whole - 1, u, plant)
+            else:
+                tau = applied(k - whole, u, plant)
+            if jumps:
+                bounds[0], bounds[1] = t + start + _APART, np.inf
+                for i in range(starts[JUMP], starts[JUMP + 1]):
+                    x_at, p_at = hooks[3 * i + 1], hooks[3 * i + 2]
+                    after = call_kernel(hooks[3 * i], y[0], y[1], bounds[0], tau, y_, x_at, p, p_at, plant[0]) - t
+                    if after <= end:
+                        end = max(after, start + 2.0 * _APART)
+                        bounds[1] = t + end - _APART
+            h = end - start
+            if lagged:
+                drive[0], drive[1] = reached - tau, t + start
+            if exact:
+                speed = y[1]
+                y[0], y[1], at = core.step_exactly(plant[0], y[0], speed, tau + force - plant[0][3], h)
+                if at >= 0.0:
+                    if speed != 0.0:
+                        note(events_, found_, t + start + at, STICK if y[1] == 0.0 else REVERSAL, y[0])
+                    elif y[1] != 0.0:
+                        note(events_, found_, t + start, BREAKAWAY, y[0])
+                if not (abs(y[0]) < 1e3 and abs(y[1]) < 1e3):
+                    return DIVERGED, k, start
+                start = end
+                continue
+            if glides and s * y[1] > 0.0:
+                if fresh and steady:
+                    k1[1] += (tau + drive[0] + force - before_force) / before_mass
+                else:
+                    net, level, before_mass = balance(y_, t + start, tau, force, plant)
+                    k1[0], k1[1], k2[1] = 0.0, (net - s * level) / before_mass, before_mass
+                fresh = glide(y_, t + start, h, tau, force, s, feel, plant, work, new)
+                if fresh:
+                    y[0], y[1] = new[0], new[1]
+                    reached = tau + drive[0] * (1.0 - drive[4])
+                    before_force = reached + force
+                    start = end
+                    continue
+            fresh = False
+            reached = motor(t + end, tau, plant)
+            s, hint, status, done = stretch(
+                y_, t + start, end - start, tau, force, s, hint, plant, bounds, work, new, before, events_, found_
+            )
+            if status != DONE:
+                return status, k, start + done
+            start = end
+    return DONE, n, 0.0
+
+
+def room(states: int, guards: int) -> int:
+    """Length of ``scratch`` for an axis with so many states and guards."""
+    return 7 + 8 * states + guards + 4 * SPEEDS
+
+
+__all__ = [
+    "CHATTER", "DELAYED", "DIVERGED", "DONE", "ENERGY", "EXACT", "FREE", "GAIN", "GLIDES", "GUARD", "LAG", "LIMIT",
+    "MASSLESS", "NO_STEP", "PERIOD", "RESOLUTION", "RUNAWAY", "SERIES", "STATES", "TOLERANCE", "TOUCH", "TOUCH_MASS",
+    "room", "run",
+]  # fmt: skip

@@ -1,0 +1,206 @@
+"""Motion of an axis with any effects between two events: balance of forces, Runge-Kutta step, where an event lies.
+
+State ``y = [q, v, own states of the effects ..., (work of motor, push, friction, effects)]``, the work where the energy
+balance is asked for. Under a current loop that is not ideal the motor force decays towards its command, a known
+function of time within a hold period. The step is the classical Runge-Kutta rule of order 4 with Zonneveld's embedded
+rule of order 3 (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, table II.4.2).
+
+``plant`` is everywhere (baseline, table of hooks, start of each row of the table, parameters, settings, drive): bare
+pointers, as arrays in tuples would be counted at ten times the cost of the arithmetic.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from emps_design.simulation.kernels.compile import call_kernel, call_rate, part
+
+# Rows of the table of hooks: one list of (address, first own state in y, first parameter) for each.
+FORCE, DRY, INERTIA, COMMAND, ACTUATOR, DELAY, SENSOR, RATE, GUARD, JUMP, TOUCH, TOUCH_MASS = range(12)
+# Places in ``settings``.
+PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, GLIDES, EXACT, ENERGY, SERIES = range(13)
+
+ORDER = 4  # of convergence, measured in the tests
+# What one step may be wrong by in position [m], velocity [m/s], and relative to the largest value of an own state.
+_POSITION, _VELOCITY, _OWN = 2e-11, 2e-9, 2e-8
+INSTANT = 1e-15  # s, shortest rest of a period worth a step
+CROSSING = 1e-13  # s, a step across a guard at which a force jumps
+
+
+@part
+def motor(t, tau, plant):
+    """Motor force at ``t`` under the command ``tau``: behind a lag, what is left of the gap there was."""
+    lag, drive = plant[4][LAG], plant[5]
+    if lag == 0.0:
+        return tau
+    return tau + drive[0] * math.exp(-(t - drive[1]) / lag)
+
+
+@part
+def told(t, tau, plant):
+    """Motor force that kernels are told: the command, but what is behind the current loop for a second lag."""
+    return motor(t, tau, plant) if plant[4][SERIES] > 0.0 else tau
+
+
+@part
+def total(row, y, t, tau, plant):
+    """Sum of the kernels of one hook."""
+    b, hooks, starts, p, _, _ = plant
+    value = 0.0
+    for i in range(starts[row], starts[row + 1]):
+        value += call_kernel(hooks[3 * i], y[0], y[1], t, tau, y, hooks[3 * i + 1], p, hooks[3 * i + 2], b)
+    return value
+
+
+@part
+def weigh(y, t, tau, acting, push, plant):
+    """What :func:`balance` gives, for a motor force ``acting`` while kernels are told ``tau``."""
+    b = plant[0]
+    net = acting + push - b[1] * y[1] - b[3] - total(FORCE, y, t, tau, plant)
+    level = max(0.0, b[2] + total(DRY, y, t, tau, plant))
+    return net, level, b[0] + total(INERTIA, y, t, tau, plant)
+
+
+@part
+def balance(y, t, tau, push, plant):
+    """Force without dry friction [N], level of dry friction [N], and mass [kg]."""
+    return weigh(y, t, told(t, tau, plant), motor(t, tau, plant), push, plant)
+
+
+@part
+def held(y, t, tau, push, plant):
+    """Direction in which a carriage at rest leaves, 0: dry friction holds it."""
+    net, level, _ = balance(y, t, tau, push, plant)
+    if abs(net) <= level * (1.0 + 1e-14) + 1e-12:
+        return 0.0
+    return 1.0 if net > 0.0 else -1.0
+
+
+@part
+def derivative(y, t, tau, push, s, plant, dy):
+    """Time derivative of the whole state in motion with direction ``s``, or at rest."""
+    b, hooks, starts, p, settings, _ = plant
+    net, level, mass = balance(y, t, tau, push, plant)
+    if settings[FREE] > 0.0:
+        dy[0] = y[1]
+        dy[1] = net / mass
+    elif s == 0.0:
+        dy[0] = 0.0
+        dy[1] = 0.0
+    else:
+        dy[0] = y[1]
+        dy[1] = (net - s * level) / mass
+    if settings[STATES] == 2.0:
+        return
+    seen = told(t, tau, plant)
+    for i in range(starts[RATE], starts[RATE + 1]):
+        x_at, p_at = hooks[3 * i + 1], hooks[3 * i + 2]
+        call_rate(hooks[3 * i], y[0], y[1], t, seen, y, x_at, p, p_at, b, level, dy)
+    if settings[ENERGY] > 0.0:
+        e, v, acting = int(settings[ENERGY]), dy[0], motor(t, tau, plant)
+        dy[e] = acting * v
+        dy[e + 1] = push * v
+        dy[e + 2] = (b[1] * v + (0.0 if settings[FREE] > 0.0 else s * level)) * v
+        dy[e + 3] = (acting + push - b[1] * y[1] - b[3] - net) * v
+
+
+@part
+def clipped(t, bounds):
+    """Stage time kept on this side of the jumps that bound the segment."""
+    return min(max(t, bounds[0]), bounds[1])
+
+
+@part
+def step(y, t, h, tau, push, s, plant, bounds, work, new):
+    """One Runge-Kutta step from ``y`` (its derivative in ``work[0]``) to ``new``; returns the scaled error."""
+    k1, k2, k3, k4, k5, stage, largest = work
+    settings = plant[4]
+    n = int(settings[STATES])
+    middle, last = clipped(t + 0.5 * h, bounds), clipped(t + h, bounds)
+    for i in range(n):
+        stage[i] = y[i] + 0.5 * h * k1[i]
+    derivative(stage, middle, tau, push, s, plant, k2)
+    for i in range(n):
+        stage[i] = y[i] + 0.5 * h * k2[i]
+    derivative(stage, middle, tau, push, s, plant, k3)
+    for i in range(n):
+        stage[i] = y[i] + h * k3[i]
+    derivative(stage, last, tau, push, s, plant, k4)
+    for i in range(n):
+        stage[i] = y[i] + h / 32.0 * (5.0 * k1[i] + 7.0 * k2[i] + 13.0 * k3[i] - k4[i])
+    derivative(stage, clipped(t + 0.75 * h, bounds), tau, push, s, plant, k5)
+    error = 0.0
+    judged = n if settings[ENERGY] == 0.0 else int(settings[ENERGY])
+    for i in range(n):
+        new[i] = y[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
+        if i >= judged:
+            continue
+        wrong = abs(h * (2.0 / 3.0 * k1[i] - 2.0 * (k2[i] + k3[i] + k4[i]) + 16.0 / 3.0 * k5[i]))
+        if i == 0:
+            scale = _POSITION
+        elif i == 1:
+            scale = _VELOCITY
+        else:
+            scale = _OWN * max(largest[i], abs(new[i])) + 1e-300
+        error = max(error, wrong / scale) if wrong == wrong else np.inf
+    return error / settings[TOLERANCE]
+
+
+@part
+def margin(event, sign, y, t, tau, push, plant):
+    """A number that is positive before the event and negative after it."""
+    b, hooks, _, p, _, _ = plant
+    if event == 0:
+        return sign * y[1]
+    if event == 1:
+        net, level, _ = balance(y, t, tau, push, plant)
+        return level * (1.0 + 1e-14) + 1e-12 - abs(net)
+    i = event - 2  # entry of the table of hooks
+    tau = told(t, tau, plant)
+    return sign * call_kernel(hooks[3 * i], y[0], y[1], t, tau, y, hooks[3 * i + 1], p, hooks[3 * i + 2], b)
+
+
+@part
+def locate(event, sign, y, t, h, tau, push, s, plant, bounds, work, new):
+    """Shorten the step ``h`` until it ends just behind the event; leaves the state there in ``new``."""
+    low, high = 0.0, h
+    at_low = margin(event, sign, y, clipped(t, bounds), tau, push, plant)
+    at_high = margin(event, sign, new, clipped(t + h, bounds), tau, push, plant)
+    while at_low <= 0.0 and high > CROSSING:  # it began on the event: look for a point before it happens again
+        x = 0.5 * high
+        step(y, t, x, tau, push, s, plant, bounds, work, new)
+        value = margin(event, sign, new, clipped(t + x, bounds), tau, push, plant)
+        if value > 0.0:
+            low, at_low = x, value
+        else:
+            high, at_high = x, value
+    if at_low <= 0.0:  # there is none: leave the event behind
+        high = CROSSING
+        while True:
+            step(y, t, high, tau, push, s, plant, bounds, work, new)
+            if high >= h or margin(event, sign, new, clipped(t + high, bounds), tau, push, plant) < 0.0:
+                return high
+            high = min(4.0 * high, h)
+    side = 0
+    for _ in range(100):
+        if high - low <= INSTANT or at_high == 0.0:
+            break
+        x = high - at_high * (high - low) / (at_high - at_low)
+        if not low < x < high:
+            x = 0.5 * (low + high)
+        step(y, t, x, tau, push, s, plant, bounds, work, new)
+        value = margin(event, sign, new, clipped(t + x, bounds), tau, push, plant)
+        if value > 0.0:
+            low, at_low = x, value
+            if side == 1:
+                at_high *= 0.5
+            side = 1
+        else:
+            high, at_high = x, value
+            if side == -1:
+                at_low *= 0.5
+            side = -1
+    step(y, t, high, tau, push, s, plant, bounds, work, new)
+    return high

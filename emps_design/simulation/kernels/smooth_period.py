@@ -1,0 +1,107 @@
+"""Slide through a whole hold period on two evaluations of the forces: for axes whose effects have no own states."""
+
+from __future__ import annotations
+
+import math
+
+from emps_design.simulation.kernels.compile import part, shifted
+from emps_design.simulation.kernels.motion import LAG, TOLERANCE, balance, weigh
+
+ORDER = 3  # of convergence, measured in the tests
+# Second difference of the acceleration times step squared [m], and velocity missed [m/s], of a step that is good.
+_BEND, _MISSED = 6e-9, 3e-10
+SPEEDS = 20  # octaves of speed, up to 5 m/s
+
+
+@part
+def glide(y, t, h, tau, push, s, feel, plant, work, new):
+    """Slide through ``h`` on two evaluations or few more; returns whether the step is good.
+
+    Simpson's rule over the acceleration at both ends and in the middle (Lobatto IIIA), for axes without own states,
+    guards and jumps. ``work[0][1]`` is the acceleration at the start, known from the end of the last step;
+    ``work[0][0]`` the slope it had there without viscous decay, ``work[1][1]`` the mass. ``feel`` holds the derivative
+    of the acceleration by velocity (see :func:`feeling`): velocities that were off are answered by it, and the sweep is
+    repeated until what that leaves is below the tolerance. Where the second difference of the acceleration is large,
+    one step is too long and the general method takes over.
+    """
+    stage, tolerance = work[5], plant[4][TOLERANCE]
+    decay = plant[0][1] / work[1][1]
+    # What the gap of the motor force does on its way to zero is known: to acceleration, velocity and position.
+    drive, lag = plant[5], plant[4][LAG]
+    gap = drive[0] / work[1][1]
+    if lag > 0.0 and drive[2] != h:  # the same for every period of one length
+        drive[2], drive[3], drive[4] = h, -math.expm1(-0.5 * h / lag), -math.expm1(-h / lag)
+    half_a, half_v, half_q = fading(gap, lag, decay, 0.5 * h, drive[3])
+    full_a, full_v, full_q = fading(gap, lag, decay, h, drive[4])
+    a0 = work[0][1] - gap
+    slope = work[0][0] - decay * a0
+    stage[0] = y[0] + half_q + 0.5 * h * (y[1] + 0.25 * h * (a0 + h / 6.0 * slope))
+    stage[1] = y[1] + half_v + 0.5 * h * (a0 + 0.25 * h * slope)
+    end = 0.0
+    for sweep in range(4):
+        if s * stage[1] <= 0.0:
+            return False
+        net, level, mass = weigh(stage, t + 0.5 * h, tau, tau + drive[0] * (1.0 - drive[3]), push, plant)
+        middle = (net - s * level) / mass - half_a
+        if sweep == 0:
+            end = 2.0 * middle - a0
+        new[0] = y[0] + full_q + h * (y[1] + h / 6.0 * (a0 + 2.0 * middle))
+        new[1] = y[1] + full_v + h / 6.0 * (a0 + 4.0 * middle + end)
+        if s * new[1] <= 0.0:
+            return False
+        used = end
+        net, level, mass = weigh(new, t + h, tau, tau + drive[0] * (1.0 - drive[4]), push, plant)
+        end = (net - s * level) / mass - full_a
+        if abs(a0 - 2.0 * middle + end) * h * h > _BEND * tolerance:
+            return False
+        moved = h / 6.0 * (end - used)
+        new[1] += moved
+        missed = y[1] + half_v + h / 24.0 * (5.0 * a0 + 8.0 * middle - end) - stage[1]
+        i = 2 * min(max(math.frexp(1e5 * y[1])[1], 0), SPEEDS - 1) + (2 * SPEEDS if s > 0.0 else 0)
+        if h * feel[i + 1] * (4.0 * abs(missed) + abs(moved)) <= 6.0 * _MISSED * tolerance:
+            new[1] += h / 6.0 * feel[i] * (4.0 * missed + moved)
+            work[0][0] = 2.0 * (end - middle) / h + 0.5 * decay * (middle + end)
+            work[0][1] = end + full_a
+            return s * new[1] > 0.0
+        stage[0] = y[0] + half_q + h * (0.5 * y[1] + h / 96.0 * (7.0 * a0 + 6.0 * middle - end))
+        stage[1] += missed
+    return False
+
+
+@part
+def fading(gap, lag, decay, h, gone):
+    """What a force that fades with ``lag`` adds after ``h``, under viscous ``decay``: acceleration, velocity, position.
+
+    ``gap`` [m/s^2] is what it adds to the acceleration at first, ``gone`` = 1 - exp(-h/lag).
+    """
+    if gap == 0.0:
+        return 0.0, 0.0, 0.0
+    v = gap * lag * gone
+    q = lag * (gap * h - v)
+    return gap * (1.0 - gone) - decay * v, v - decay * q, q - decay * lag * (0.5 * gap * h * h - q)
+
+
+@part
+def feeling(y, plant, work, feel):
+    """Fill ``feel``, per direction and octave of speed from 10 um/s, with two numbers [1/s].
+
+    The derivative of the acceleration by velocity (at the first position and time), and a bound of what it does not
+    explain: a quarter of the largest one in this and the neighbouring octaves.
+    """
+    stage = work[5]
+    stage[0] = y[0]
+    for side in range(2):
+        sign = 2.0 * side - 1.0
+        row = shifted(feel, 2 * SPEEDS * side)
+        stage[1] = sign * 0.5e-5
+        net, level, mass = balance(stage, 0.0, 0.0, 0.0, plant)
+        last, speed = (net - sign * level) / mass, stage[1]
+        for i in range(SPEEDS):
+            stage[1] = sign * 1e-5 * 2.0**i
+            net, level, mass = balance(stage, 0.0, 0.0, 0.0, plant)
+            value = (net - sign * level) / mass
+            row[2 * i] = (value - last) / (stage[1] - speed)
+            last, speed = value, stage[1]
+        for i in range(SPEEDS):
+            before, after = row[2 * max(i - 1, 0)], row[2 * min(i + 1, SPEEDS - 1)]
+            row[2 * i + 1] = 0.25 * max(abs(row[2 * i]), max(abs(before), abs(after)))
