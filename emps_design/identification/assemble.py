@@ -49,10 +49,11 @@ def assemble(
     hac = np.sqrt(np.diag(hac_covariance(W, fit.residual, lag, Z)))
     boot = np.full(len(fit.value), np.nan)
     if bootstrap:
-        from emps_design.identification.statistics import block_bootstrap
+        from emps_design.identification.statistics import residual_bootstrap
 
-        covariance = block_bootstrap(W, W @ fit.value + fit.residual, fit.value, lag, bootstrap, seed)
-        boot = np.sqrt(np.diag(covariance))
+        steps, away = independent_rows(filtered)
+        rows = (W[::steps], (fit.residual * away)[::steps], away[::steps])
+        boot = np.sqrt(np.diag(residual_bootstrap(*rows, spread, bootstrap, seed)))
     shares = _reliability(record, axis, model, filtered, W) if weakest > 0 else None
     at_rests = told_at_rests(W, filtered, model) if weakest > 0 else ()
     warnings = [*record.warnings, *notes]
@@ -83,9 +84,12 @@ def assemble(
             value=float(fit.value[i]),
             std=float(fit.std[i]),
             std_long_run=float(spread.std[i]),
-            interval_95=(float(fit.value[i] - half), float(fit.value[i] + half)),
+            interval_95=_around(fit.value[i], half),
             std_hac=float(hac[i]),
             std_bootstrap=float(boot[i]) if bootstrap else None,
+            interval_95_bootstrap=_around(fit.value[i], spread.quantile * np.hypot(boot[i], bias))
+            if bootstrap
+            else None,
             systematic=None if systematic is None else bias,
             reliability=None if shares is None else float(shares[i]),
         )
@@ -119,6 +123,10 @@ def assemble(
     )
 
 
+def _around(value: float, half: float) -> tuple[float, float]:
+    return float(value - half), float(value + half)
+
+
 def residual_statistics(
     filtered: Filtered, W: np.ndarray, fit: LeastSquares, Z: np.ndarray | None = None
 ) -> tuple[np.ndarray, LongRun, int, float]:
@@ -127,10 +135,7 @@ def residual_statistics(
     The lag is four correlation times, at least 0.1 s. The autoregressive model is made of rows away from rest, as far
     apart as the band resolves (half a period).
     """
-    steps = resolved_steps(filtered)
-    away = filtered.used & filtered.away
-    if int(away[::steps].sum()) < FEWEST_STEPS:
-        away = filtered.used
+    steps, away = independent_rows(filtered)
     spread = long_run(
         W[::steps],
         (fit.residual * away)[::steps],
@@ -140,6 +145,13 @@ def residual_statistics(
     )
     lag = int(max(0.1, 4.0 * spread.correlation_time) / filtered.period)
     return fit.residual, spread, min(lag, len(W) // 10), filtered.period
+
+
+def independent_rows(filtered: Filtered) -> tuple[int, np.ndarray]:
+    """Rows between two that the band resolves, and which take part in the statistics: those away from rest (n,)."""
+    steps = resolved_steps(filtered)
+    away = filtered.used & filtered.away
+    return steps, away if int(away[::steps].sum()) >= FEWEST_STEPS else filtered.used
 
 
 def resolved_steps(filtered: Filtered) -> int:

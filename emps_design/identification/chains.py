@@ -20,13 +20,12 @@ from emps_design.identification.filters import (
     motion,
     share_of_nyquist,
 )
+from emps_design.identification.rests import REACH, SLOW, at_rest, away_from
 from emps_design.records import Record
 
 REPORT_CUTOFF = 100.0  # Hz, five times the 20 Hz band of interest of the 2019 report
 REPORT_DROPPED = 49  # first samples, spoilt by the ends of filter and differences
-REST_VELOCITY = 2e-3  # m/s, below it friction may be that of rest
-FEWEST_ROWS = 400  # away from rest, for a regression that leaves rest out
-REACH = 1.5  # periods of the cut-off over which the low-pass spreads a jump
+FEWEST_ROWS = 160  # away from rest, eight in a period of the cut-off, for a regression that leaves rest out
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,7 @@ def _decimating(
         f_ext=f_ext,
         reduce=decimate,
         used=np.ones(len(force), dtype=bool),
-        away=sliding(seen, band)[rows],
+        away=away_from(at_rest(record), band, record.period)[kept][rows],
         period=DECIMATION * record.period,
         cutoff_hz=cutoff_hz,
         band_hz=band,
@@ -147,16 +146,19 @@ def _decimating(
     )
 
 
-def hold_chain(record: Record, force_gain: float, cutoff_hz: float | None = None) -> Filtered:
+def hold_chain(
+    record: Record, force_gain: float, cutoff_hz: float | None = None, fewest_rows: int = FEWEST_ROWS
+) -> Filtered:
     """This package's chain: the hold modelled, one zero-phase low-pass on motion and force, decimation without more.
 
-    Rows near rest are left out (see :func:`sliding`): friction at rest is any force up to the break-away.
+    Rows near rest are left out: friction at rest is any force up to the break-away.
     ``cutoff_hz`` [Hz] defaults to the one :func:`emps_design.identification.cutoff.chosen_cutoff` finds in the data.
+    Raises :class:`RecordError` where fewer than ``fewest_rows`` are left.
     """
     if cutoff_hz is None:
         from emps_design.identification.cutoff import chosen_cutoff
 
-        cutoff_hz = chosen_cutoff(record).cutoff_hz
+        cutoff_hz = chosen_cutoff(record)
     # One sample per half period of four times the cut-off: what is left above it is under 1e-5 of the amplitude.
     factor = max(1, int(0.25 / share_of_nyquist(cutoff_hz, record.period)))
     edge = int(1.0 / (cutoff_hz * record.period))
@@ -168,11 +170,11 @@ def hold_chain(record: Record, force_gain: float, cutoff_hz: float | None = None
     force = reduce(held_force(record, force_gain, cutoff_hz)).copy()
     f_ext = None if record.f_ext is None else reduce(low_pass(record.f_ext, cutoff_hz, record.period)).copy()
     seen = replace(motion(record, cutoff_hz), force_gain=force_gain)
-    used = reduce(sliding(seen, cutoff_hz))
-    if int(used.sum()) < FEWEST_ROWS:
+    used = reduce(away_from(at_rest(record), cutoff_hz, record.period))
+    if int(used.sum()) < fewest_rows:
         raise RecordError(
             f"{record.name}: {int(used.sum())} rows away from rest at a cut-off of {cutoff_hz:g} Hz, expected at least "
-            f"{FEWEST_ROWS}; record longer strokes above {1e3 * REST_VELOCITY:g} mm/s, or use --filter report"
+            f"{fewest_rows}; record longer strokes"
         )
     return Filtered(
         chain="hold",
@@ -188,24 +190,9 @@ def hold_chain(record: Record, force_gain: float, cutoff_hz: float | None = None
         band_hz=cutoff_hz,
         decimation=factor,
         text=f"Butterworth order 4 at {cutoff_hz:g} Hz, forwards and backwards, on motion and held force alike; second "
-        f"difference; one sample in {factor}; left out: slower than {1e3 * REST_VELOCITY:g} mm/s, or "
+        f"difference; one sample in {factor}; left out: slower than {100 * SLOW:g} % of the largest velocity, or "
         f"{1e3 * REACH / cutoff_hz:.0f} ms from such a moment",
     )
-
-
-def sliding(motion: Motion, cutoff_hz: float) -> np.ndarray:
-    """Where the carriage slides for certain: shape (n,) of bool.
-
-    False where it is slower than 2 mm/s, and within 1.5 periods of the cut-off [Hz] of such a moment: a zero-phase
-    filter spreads the jump of friction at a reversal that far to both sides.
-    """
-    slow = (motion.v < REST_VELOCITY) & (motion.v > -REST_VELOCITY)
-    reach, n = int(REACH / (cutoff_hz * motion.period)), len(slow)
-    # Slow samples before each moment, so that those within reach are a difference.
-    before = np.zeros(n + 2 * reach + 1, dtype=np.int32)
-    np.cumsum(slow, out=before[reach + 1 : reach + n + 1])
-    before[reach + n + 1 :] = before[reach + n]
-    return before[2 * reach + 1 :] == before[:n]
 
 
 CHAINS: dict[str, Callable[..., Filtered]] = {"report": report_chain, "paper": paper_chain, "hold": hold_chain}

@@ -1,86 +1,110 @@
-"""The cut-off of the filter, chosen from the data: up to where the inverse model explains the force."""
+"""The cut-off of the filter, chosen from the record: as low as its strokes allow.
+
+A zero-phase filter spreads friction at rest over a period and a half of its cut-off, and what it spreads over is left
+out: a low cut-off costs rows, and the acceleration beside the reversals first. A high one lets in the noise of the
+encoder, which the second derivative multiplies. So the lowest that keeps nearly all of the motion is chosen, or a
+lower one where that noise would be felt. It depends on motion and encoder, not on mass, friction or clock.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from bisect import bisect_left
 from typing import Any
 
 import numpy as np
 
-from emps_design.errors import InputError
 from emps_design.identification.filters import held, low_pass, motion
 from emps_design.identification.inverse_model import baseline_columns
+from emps_design.identification.rests import HIGHEST, at_rest, away_from, encoder_variance
 from emps_design.records import Record
 
-LOWEST_HZ = 10.0
-HIGHEST = 0.2  # of the sampling frequency
-EXPLAINED = 0.5
+STEP = 2.0**0.25  # between two cut-offs that are tried
+FEWEST_PERIODS = 20  # of the lowest that is tried, in the record
+# Shares that a cut-off keeps: of the rows that are not slow, and of the acceleration's power.
+LEAST, ENOUGH = (0.75, 0.5), (0.9, 0.8)
+NOISE = 2e-4  # of the acceleration's power, by which the encoder's noise may pull the mass down
 LONGEST = 120_000  # samples that are looked at
 
 
-@dataclass(frozen=True)
-class Cutoff:
-    """The cut-off [Hz], and the curve it was read from.
-
-    ``frequency`` [Hz]; ``explained`` the share of the force's power that the inverse model explains there.
-    """
-
-    cutoff_hz: float
-    frequency: np.ndarray = field(repr=False)
-    explained: np.ndarray = field(repr=False)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data: the choice and its curve."""
-        return {
-            "cutoff_hz": self.cutoff_hz,
-            "rule": f"first frequency from {LOWEST_HZ:g} Hz on where the inverse model explains less than "
-            f"{100 * EXPLAINED:.0f} % of the force's power",
-            "frequency_hz": self.frequency.round(3).tolist(),
-            "explained": self.explained.round(4).tolist(),
-        }
+RULE = (
+    f"lowest cut-off with {100 * ENOUGH[0]:.0f} % of the rows that are not slow and {100 * ENOUGH[1]:.0f} % of the "
+    f"acceleration's power away from rest, or, where the encoder is noisier than {100 * NOISE:g} % of that power, "
+    f"down to {100 * LEAST[0]:.0f} % and {100 * LEAST[1]:.0f} %"
+)
 
 
-def can_choose(record: Record) -> bool:
-    """Whether the record is sampled fast enough to choose a cut-off from it.
+def chosen_cutoff(record: Record) -> float:
+    """The lowest cut-off [Hz] that keeps :data:`ENOUGH` of the motion; lower where the encoder's noise asks for it.
 
-    >>> can_choose(Record(t=np.zeros(1), q_ref=np.zeros(1), q=np.zeros(1), u=np.zeros(1), period=1e-3))
-    True
-    """
-    return HIGHEST / record.period > LOWEST_HZ
-
-
-def chosen_cutoff(record: Record) -> Cutoff:
-    """Read the cut-off from ``record``: the first frequency where the inverse model explains under half of the force.
-
-    The baseline is fitted in a band of 0.4 of the Nyquist frequency; the power of its residual is set against that of
-    the voltage in bands of a third of an octave. Above that frequency the regression would fit noise, below it a
-    filter throws motion away. Between 10 Hz and a fifth of the sampling frequency.
+    No lower than keeps :data:`LEAST` of it, and at most a fifth of the sampling frequency.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic_record import practice_record
-    >>> 20.0 < chosen_cutoff(practice_record(machine("emps2019"), laps=1)).cutoff_hz < 100.0
+    >>> 5.0 < chosen_cutoff(practice_record(machine("emps2019"), laps=1)) < 50.0
     True
+    """
+    part, lowest, top = _looked_at(record)
+    tried = np.geomspace(lowest, top, 1 + int(np.log(top / lowest) / np.log(STEP)))
+
+    rest = at_rest(part)
+    moving = len(rest) - int(rest.sum())
+
+    def keeps(index: int, shares: tuple[float, float]) -> bool:
+        away = away_from(rest, tried[index], part.period)
+        power = motion(part, float(tried[index])).a ** 2
+        rows = int(away.sum()) >= shares[0] * moving
+        return rows and float(power[away].sum()) >= shares[1] * float(power.sum())
+
+    # Both shares grow with the cut-off: the first that is enough, by halving.
+    least, enough = (
+        tried[bisect_left(range(len(tried) - 1), True, key=lambda index, kept=shares: keeps(index, kept))]
+        for shares in (LEAST, ENOUGH)
+    )
+    power = float(np.mean(motion(part, float(least)).a ** 2))
+    return float(f"{np.clip(_quiet(part, power), least, enough):.3g}")
+
+
+def _quiet(record: Record, power: float) -> float:
+    """The cut-off [Hz] up to which the encoder's noise is :data:`NOISE` of the acceleration's ``power`` [m^2/s^4].
+
+    White noise of variance s^2 has the power 2 s^2 T (2 pi)^4 f^5 / 5 in the second derivative below f.
+    """
+    density = max(2.0 * encoder_variance(record) * record.period, 1e-300)
+    return float((5.0 * NOISE * power / ((2.0 * np.pi) ** 4 * density)) ** 0.2)
+
+
+def explained_by_frequency(record: Record, cutoff_hz: float) -> dict[str, Any]:
+    """What share of the force's power the inverse model explains, in bands of a third of an octave; for reading.
+
+    With the parameters that ``cutoff_hz`` [Hz] gives; the choice and its rule stand beside the curve.
     """
     from scipy.signal import welch
 
+    part, lowest, top = _looked_at(record)
+
+    def balance(frequency: float) -> tuple[np.ndarray, np.ndarray]:
+        return baseline_columns(motion(part, frequency)), low_pass(held(part.u), frequency, part.period)
+
+    W, force = balance(cutoff_hz)
+    rows = away_from(at_rest(part), cutoff_hz, part.period)
+    value = np.linalg.lstsq(W[rows], force[rows], rcond=None)[0] if rows.any() else np.zeros(W.shape[1])
+    W, force = balance(top)
+    length = min(len(force), int(FEWEST_PERIODS / 2 / lowest / part.period))
+    frequency, left = welch(force - W @ value, 1.0 / part.period, nperseg=length)
+    _, whole = welch(force, 1.0 / part.period, nperseg=length)
+    centre = np.geomspace(lowest, top, 1 + int(6 * np.log2(top / lowest)))
+    bands = [np.abs(np.log2(np.maximum(frequency, 1e-12) / middle)) <= 1 / 6 for middle in centre]
+    explained = [1.0 - float(left[b].sum()) / max(float(whole[b].sum()), 1e-300) for b in bands]
+    return {
+        "cutoff_hz": cutoff_hz,
+        "rule": RULE,
+        "frequency_hz": centre.round(3).tolist(),
+        "explained": np.round(explained, 4).tolist(),
+    }
+
+
+def _looked_at(record: Record) -> tuple[Record, float, float]:
+    """The part of ``record`` that is looked at, and the lowest and highest cut-off [Hz] that are tried."""
     part = record.part(0, LONGEST) if len(record) > LONGEST else record
     top = HIGHEST / part.period
-    if not can_choose(record):
-        raise InputError(
-            f"{record.name}: sampled at {1 / part.period:g} Hz, too slow to choose a cut-off; give --cutoff"
-        )
-    W = baseline_columns(motion(part, top))
-    force = low_pass(held(part.u), top, part.period)
-    basis = np.linalg.qr(W / np.maximum(np.linalg.norm(W, axis=0), 1e-300))[0]
-    residual = force - basis @ (basis.T @ force)
-    length = min(len(force), int(1.0 / part.period))
-    frequency, left = welch(residual, 1.0 / part.period, nperseg=length)
-    _, whole = welch(force, 1.0 / part.period, nperseg=length)
-    centre = LOWEST_HZ * 2.0 ** (np.arange(0, np.log2(top / LOWEST_HZ), 1 / 6))
-    explained = []
-    for middle in centre:
-        band = (frequency >= middle * 2 ** (-1 / 6)) & (frequency <= middle * 2 ** (1 / 6))
-        explained.append(1.0 - float(np.sum(left[band]) / max(np.sum(whole[band]), 1e-300)))
-    below = np.flatnonzero(np.array(explained) < EXPLAINED)
-    chosen = float(centre[below[0]]) if below.size else top
-    return Cutoff(cutoff_hz=round(max(chosen, LOWEST_HZ), 1), frequency=centre, explained=np.array(explained))
+    return part, min(FEWEST_PERIODS / part.duration, 0.5 * top), top

@@ -7,6 +7,8 @@ regresses one on the other. A regression of u[k] on the motion at t_k sees half 
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from emps_design.effects import Motion
@@ -28,10 +30,16 @@ def low_pass(signal: np.ndarray, cutoff_hz: float, period: float, order: int = 4
     >>> bool(np.abs(slow - np.sin(2 * np.pi * 2 * t))[200:-200].max() < 1e-3)
     True
     """
+    share = share_of_nyquist(cutoff_hz, period)
+    return _forwards_and_backwards(_butterworth(order, share), signal, _padding(order, len(signal)), share)
+
+
+@lru_cache(maxsize=64)
+def _butterworth(order: int, share: float) -> np.ndarray:
+    """Second-order sections; designing them takes as long as filtering ten thousand samples."""
     from scipy.signal import butter
 
-    share = share_of_nyquist(cutoff_hz, period)
-    return _forwards_and_backwards(butter(order, share, output="sos"), signal, _padding(order, len(signal)), share)
+    return butter(order, share, output="sos")
 
 
 def share_of_nyquist(cutoff_hz: float, period: float) -> float:

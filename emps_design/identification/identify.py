@@ -11,7 +11,7 @@ from emps_design.axis import Axis
 from emps_design.errors import InputError, RankError, RecordError
 from emps_design.identification.assemble import assemble
 from emps_design.identification.chains import Filtered
-from emps_design.identification.cutoff import LONGEST, can_choose, chosen_cutoff
+from emps_design.identification.cutoff import LONGEST, chosen_cutoff, explained_by_frequency
 from emps_design.identification.excitation import (
     check_record,
     force_free,
@@ -33,7 +33,7 @@ def identify(
     record: Record,
     axis: Axis | None = None,
     model: str = "symmetric",
-    chain: str = "report",
+    chain: str = "hold",
     cutoff_hz: float | None = None,
     external_force_known: bool = False,
     bootstrap: int = 0,
@@ -63,24 +63,25 @@ def identify(
         axis = machine("emps2019")
     record = check_record(record, axis, external_force_known)
     axis, notes = known_part(axis, model), notes_on(known_part(axis, model))
-    cutoff = chosen_cutoff(acting(record, axis)) if can_choose(record) else None
-    if chain == "hold" and cutoff_hz is None and cutoff is not None:
-        cutoff_hz = cutoff.cutoff_hz
+    chosen = chosen_cutoff(acting(record, axis))
+    if chain == "hold" and cutoff_hz is None:
+        cutoff_hz = chosen
     filtered = filter_record(record, axis, chain, cutoff_hz)
     W, Y = regression(filtered, model)
     filtered = replace(filtered, motion=None)  # three columns of the whole record, which nothing after this needs
     names = tuple(p.name for p in parameters_of(model))
     fit = least_squares(W, Y, names, filtered.used)
-    extra: dict[str, Any] = {"held_out": _held_out(filtered, W, Y, fit, axis, model, holdout, external_force_known)}
+    extra: dict[str, Any] = {
+        "held_out": _held_out(filtered, W, Y, fit, axis, model, holdout, external_force_known),
+        "cutoff_from_data": explained_by_frequency(acting(record, axis), chosen),
+    }
     systematic = None
-    if cutoff is not None:
-        extra["cutoff_from_data"] = cutoff.to_dict()
-        if chain != "hold":
-            better, systematic = _against_hold(record, axis, model, filtered, fit, cutoff.cutoff_hz)
-            if better is None:
-                notes.append("no stretch away from rest: the intervals leave out what friction at rest does to them")
-            else:
-                extra["hold_modelled"] = {name: one.to_dict() for name, one in better.parameters.items()}
+    if chain != "hold":
+        better, systematic = _against_hold(record, axis, model, filtered, fit, chosen)
+        if better is None:
+            notes.append("no stretch away from rest: the intervals leave out what friction at rest does to them")
+        else:
+            extra["hold_modelled"] = {name: one.to_dict() for name, one in better.parameters.items()}
     return assemble(
         record,
         axis,

@@ -1,23 +1,33 @@
-"""Closed-loop output error: parameters whose simulation from ``q_ref`` follows measured position *and* force.
+"""Closed-loop output error: parameters whose simulation from ``q_ref`` asks for the force that was measured.
 
-No derivative of a measured signal is taken, reversals and rests take part, and the hold is in the simulation. The
-residuals of both signals are low-passed alike and weighed by their own size (Gauss-Newton with a line search).
+No derivative of a measured signal is taken, and the hold is in the simulation. The controller makes the voltage of
+reference and position, so an error of the position is in the force as well, and counts once. What a slow force does to
+a carriage at rest is no force error of a moving one: rests are left out as in the ``hold`` chain, where anything else
+is in the record (Gauss-Newton with a line search).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.errors import AxisError, InputError
+from emps_design.errors import AxisError, InputError, RankError, RecordError
 from emps_design.identification.assemble import assemble
+from emps_design.identification.chains import hold_chain
 from emps_design.identification.cutoff import chosen_cutoff
 from emps_design.identification.excitation import check_record
 from emps_design.identification.filters import low_pass
 from emps_design.identification.instruments import simulate
-from emps_design.identification.inverse_model import LeastSquares, least_squares, parameters_of, regression
+from emps_design.identification.inverse_model import (
+    LeastSquares,
+    least_squares,
+    parameters_of,
+    regression,
+    relative_error,
+)
 from emps_design.identification.known import acting, filter_record, known_part, notes
 from emps_design.identification.result import Identification
 from emps_design.records import Record
@@ -25,6 +35,10 @@ from emps_design.records import Record
 ITERATIONS = 12
 STEP = 1e-3  # of a parameter, for the derivatives
 CONVERGED = 1e-6  # relative fall of the criterion
+RESTS_TAKE_PART = (
+    "too little of the record is away from rest, so rests take part: a slow force that acts on the carriage at rest "
+    "biases its friction"
+)
 
 
 def identify_by_output_error(
@@ -34,11 +48,11 @@ def identify_by_output_error(
     cutoff_hz: float | None = None,
     external_force_known: bool = False,
 ) -> Identification:
-    """Identify ``axis`` from ``record`` by closed-loop output error on position and force.
+    """Identify ``axis`` from ``record`` by closed-loop output error on the motor force.
 
-    Starts at the least-squares estimate of the ``hold`` chain; ``cutoff_hz`` [Hz] low-passes the residuals. ``extra``
-    holds the errors in position [m] and force [N]. Raises :class:`AxisError` without a controller,
-    :class:`InputError` where the search does not converge.
+    Starts at the least-squares estimate of the ``hold`` chain, or, where that finds too little away from rest, at the
+    mechanics of ``axis``; ``cutoff_hz`` [Hz] low-passes the residual. ``extra`` holds the errors in position [m] and
+    force [N]. Raises :class:`AxisError` without a controller, :class:`InputError` where the search does not converge.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic_record import practice_record
@@ -52,92 +66,91 @@ def identify_by_output_error(
     record = check_record(record, axis, external_force_known)
     axis = known_part(axis, model)
     if cutoff_hz is None:
-        cutoff_hz = chosen_cutoff(acting(record, axis)).cutoff_hz
-    filtered = filter_record(record, axis, "hold", cutoff_hz)
+        cutoff_hz = chosen_cutoff(acting(record, axis))
+    said = notes(axis, simulated=True)
     names = tuple(p.name for p in parameters_of(model))
-    W, Y = regression(filtered, model)
-    value = least_squares(W, Y, names, filtered.used).value
+    try:
+        filtered = filter_record(record, axis, "hold", cutoff_hz)
+        W, Y = regression(filtered, model)
+        start = least_squares(W, Y, names, filtered.used).value
+    except (RecordError, RankError):
+        filtered = hold_chain(record, axis.drive.force_gain, cutoff_hz, fewest_rows=0)
+        filtered = replace(filtered, used=np.ones_like(filtered.used))
+        start = _mechanics(axis, model)
+        said.append(RESTS_TAKE_PART)
     edge = int(1.0 / (cutoff_hz * record.period))
 
-    def outputs(parameters: np.ndarray) -> np.ndarray:
+    def force_error(parameters: np.ndarray) -> np.ndarray:
         run = simulate(record, axis, model, parameters)
-        both = (record.q - run.position, axis.drive.force_gain * (record.u - run.u))
-        kept = slice(edge, len(record) - edge, filtered.decimation)
-        return np.stack([low_pass(signal, cutoff_hz, record.period)[kept] for signal in both])
+        error = low_pass(axis.drive.force_gain * (record.u - run.u), cutoff_hz, record.period)
+        return error[edge : len(record) - edge : filtered.decimation] * filtered.used
 
-    residual = outputs(value)
-    scale = np.sqrt(np.mean(residual**2, axis=1))[:, None]
-    best = float(np.sum((residual / scale) ** 2))
-    jacobian = _jacobian(outputs, value, residual)
-    for _ in range(ITERATIONS):
-        stacked = (jacobian / scale[..., None]).reshape(-1, len(value))
-        step = np.linalg.lstsq(stacked, (residual / scale).ravel(), rcond=None)[0]
-        for share in (1.0, 0.5, 0.25, 0.1):
-            trial = value + share * step
-            if np.any(trial[: 3 if model == "symmetric" else None] <= 0):
-                continue
-            attempt = outputs(trial)
-            criterion = float(np.sum((attempt / scale) ** 2))
-            if criterion < best:
-                break
-        else:
-            break
-        fall, value, residual, best = (best - criterion) / best, trial, attempt, criterion
-        jacobian = _jacobian(outputs, value, residual)
-        if fall < CONVERGED:
-            break
-    else:
-        raise InputError(f"{record.name}: output error did not converge in {ITERATIONS} steps; give --cutoff lower")
-    return _result(record, axis, model, filtered, value, residual, jacobian, scale, names)
-
-
-def _jacobian(outputs, value: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Derivative of the simulated outputs by each parameter, shape (2, n, p)."""
-    columns = []
-    for i, one in enumerate(value):
-        moved = value.copy()
-        moved[i] += STEP * max(abs(one), 1.0)
-        columns.append((residual - outputs(moved)) / (moved[i] - one))
-    return np.stack(columns, axis=-1)
-
-
-def _result(record, axis, model, filtered, value, residual, jacobian, scale, names) -> Identification:
-    # Position and force errors are two views of one disturbance, so the deviations come from the force's alone,
-    # with the whole estimator as its instrument: what it makes of the force is what both together make.
-    n = residual.shape[1]
-    J = jacobian[1]
-    weighed = (jacobian / scale[..., None]).reshape(-1, len(value))
-    stacked = (residual / scale).ravel()
-    variance = float(stacked @ stacked) / (2 * n - len(value))
-    force = residual[1]
-    measured = filtered.force
+    value, residual, jacobian = _least(force_error, start, 3 if model == "symmetric" else 5, record.name)
+    n = int(filtered.used.sum())
     fit = LeastSquares(
         names=names,
         value=value,
-        covariance=variance * np.linalg.inv(weighed.T @ weighed),
-        residual=force,
-        rms_error=float(np.sqrt(np.mean(force**2))),
-        relative_error_percent=100.0 * float(np.linalg.norm(force) / np.linalg.norm(measured)),
-        condition_number=float(np.linalg.cond(weighed)),
+        covariance=float(residual @ residual) / (n - len(value)) * np.linalg.inv(jacobian.T @ jacobian),
+        residual=residual,
+        rms_error=float(np.sqrt(residual @ residual / n)),
+        relative_error_percent=relative_error(residual, filtered.force * filtered.used),
+        condition_number=float(np.linalg.cond(jacobian)),
     )
+    off = low_pass(record.q - simulate(record, axis, model, value).position, cutoff_hz, record.period)
     extra = {
         "closed_loop": {
-            "position_rms_error": float(np.sqrt(np.mean(residual[0] ** 2))),
+            "position_rms_error": float(np.sqrt(np.mean(off[edge : len(record) - edge] ** 2))),
             "force_rms_error": fit.rms_error,
             "force_relative_error_percent": fit.relative_error_percent,
         }
     }
-    everywhere = replace(filtered, used=np.ones(n, dtype=bool))
-    found = assemble(
-        record,
-        axis,
-        model,
-        "output_error",
-        everywhere,
-        J,
-        fit,
-        extra=extra,
-        notes=notes(axis, simulated=True),
-        weakest=0.0,
-    )
-    return replace(found, series={**found.series, "measured": measured, "model": measured - force})
+    found = assemble(record, axis, model, "output_error", filtered, jacobian, fit, extra=extra, notes=said, weakest=0.0)
+    measured = filtered.force * filtered.used
+    return replace(found, series={**found.series, "measured": measured, "model": measured - residual})
+
+
+def _mechanics(axis: Axis, model: str) -> np.ndarray:
+    """What the axis file says of the parameters of ``model``."""
+    mass, viscous, coulomb, offset = axis.mechanics.array()
+    if model == "symmetric":
+        return axis.mechanics.array()
+    return np.array([mass, viscous, viscous, coulomb + offset, coulomb - offset])
+
+
+def _least(
+    error: Callable[[np.ndarray], np.ndarray], value: np.ndarray, positive: int, name: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Parameters (p,) with the least sum of squares, their error (n,) and its derivative (n, p).
+
+    The first ``positive`` of them stay so.
+    """
+    residual = error(value)
+    best = float(residual @ residual)
+    jacobian = _jacobian(error, value, residual)
+    for _ in range(ITERATIONS):
+        step = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
+        for share in (1.0, 0.5, 0.25, 0.1):
+            trial = value + share * step
+            if np.any(trial[:positive] <= 0):
+                continue
+            attempt = error(trial)
+            criterion = float(attempt @ attempt)
+            if criterion < best:
+                break
+        else:
+            return value, residual, jacobian
+        fall, value, residual, best = (best - criterion) / best, trial, attempt, criterion
+        jacobian = _jacobian(error, value, residual)
+        if fall < CONVERGED:
+            return value, residual, jacobian
+    raise InputError(f"{name}: output error did not converge in {ITERATIONS} steps; give --cutoff lower")
+
+
+def _jacobian(error: Callable[[np.ndarray], np.ndarray], value: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """What the simulated force changes by with each parameter, shape (n, p)."""
+    columns = []
+    for i, one in enumerate(value):
+        moved = value.copy()
+        moved[i] += STEP * max(abs(one), STEP)
+        columns.append((residual - error(moved)) / (moved[i] - one))
+    return np.stack(columns, axis=-1)

@@ -31,6 +31,7 @@ class Estimate:
     interval_95: tuple[float, float] | None = None
     std_hac: float | None = None
     std_bootstrap: float | None = None
+    interval_95_bootstrap: tuple[float, float] | None = None
     systematic: float | None = None
     reliability: float | None = None
 
@@ -57,6 +58,7 @@ class Estimate:
             "interval_95": self.interval_95,
             "std_hac": self.std_hac,
             "std_bootstrap": self.std_bootstrap,
+            "interval_95_bootstrap": self.interval_95_bootstrap,
             "systematic": self.systematic,
             "reliability": self.reliability,
         }

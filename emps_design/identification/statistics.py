@@ -15,7 +15,10 @@ import numpy as np
 from emps_design.errors import InputError
 
 LARGEST_ORDER = 4
-LAGS = 8  # of the residual's autocovariance that are corrected for the regression
+ROWS_PER_ORDER = 20
+LAGS = LARGEST_ORDER + 1  # of the residual's autocovariance, zero among them
+CORRECTIONS = 8  # of it for the regression and for gaps, each with the model of the one before
+LEAST_PAIRS = 0.2  # of the rows, with a partner at a lag that counts
 NEGLIGIBLE = 1e-4  # share of the variance at which a model's autocovariance is cut
 
 
@@ -23,12 +26,13 @@ NEGLIGIBLE = 1e-4  # share of the variance at which a model's autocovariance is 
 class LongRun:
     """Covariance of an estimate, and what was found in its residual.
 
-    ``covariance`` (p, p); ``order`` of the autoregressive model; ``correlation_time`` [s] the integral time scale of
-    the residual; ``effective_samples`` how many independent observations the record amounts to; ``quantile`` of
-    Student's t that makes the 95 % interval.
+    ``covariance`` (p, p); ``autocovariance`` of the noise at the first lags; ``order`` of its autoregressive model;
+    ``correlation_time`` [s] the integral time scale of the residual; ``effective_samples`` how many independent
+    observations the record amounts to; ``quantile`` of Student's t that makes the 95 % interval.
     """
 
     covariance: np.ndarray
+    autocovariance: np.ndarray
     order: int
     correlation_time: float
     effective_samples: float
@@ -69,22 +73,26 @@ def long_run(
 
     Z = W if Z is None else Z
     n = int(used.sum())
-    if n < 20 * LARGEST_ORDER:
-        raise InputError(f"statistics: found {n} usable rows, expected at least {20 * LARGEST_ORDER}; record longer")
+    if n < ROWS_PER_ORDER:
+        raise InputError(f"statistics: found {n} usable rows, expected at least {ROWS_PER_ORDER}; record longer")
     sample = _autocovariance(residual, n)
-    order = min(range(1, LARGEST_ORDER + 1), key=lambda p: n * np.log(_innovation(sample, p)) + 2 * p)
+    pairs = _autocovariance(used.astype(float), n)  # share of the rows that have a partner so far away
+    order = min(
+        range(1, min(LARGEST_ORDER, n // ROWS_PER_ORDER) + 1), key=lambda p: n * np.log(_innovation(sample, p)) + 2 * p
+    )
     model = _model(sample, order, len(residual))
-    basis = np.linalg.qr(W)[0]
-    for _ in range(3):
-        corrected = sample + _absorbed(model, basis, n)
+    basis, sample_of_noise = np.linalg.qr(W)[0], sample
+    for _ in range(CORRECTIONS):
+        corrected = (sample + _absorbed(model, basis, used, n)) / np.maximum(pairs, LEAST_PAIRS)
         try:
-            model = _model(corrected, order, len(residual))
+            model, sample_of_noise = _model(corrected, order, len(residual)), corrected
         except ArithmeticError:
             break  # the corrected autocovariance is of no stationary model; the last one that was stands
     bread = np.linalg.inv(Z.T @ W)
     integral = max(1.0, 1.0 + 2.0 * float(np.sum(model[1:])) / float(model[0]))
     return LongRun(
         covariance=bread @ (Z.T @ _convolve(model, Z)) @ bread.T,
+        autocovariance=sample_of_noise,
         order=order,
         correlation_time=0.5 * period * integral,
         effective_samples=n / integral,
@@ -107,24 +115,43 @@ def hac_covariance(W: np.ndarray, residual: np.ndarray, lag: int, Z: np.ndarray 
     return bread @ S_hac_simple(Z * residual[:, None], nlags=lag) @ bread.T
 
 
-def block_bootstrap(
-    W: np.ndarray, Y: np.ndarray, value: np.ndarray, block: int, draws: int = 500, seed: int = 0
+def residual_bootstrap(
+    W: np.ndarray, residual: np.ndarray, used: np.ndarray, spread: LongRun, draws: int = 500, seed: int = 0
 ) -> np.ndarray:
-    """Covariance (p, p) of least squares over ``draws`` samples of blocks of about ``block`` rows, residuals redrawn.
+    """Covariance (p, p) of least squares over ``draws`` noises redrawn from the residual, the motion kept as it was.
 
-    Stationary bootstrap of the residuals (Politis and Romano; ``arch``), with the motion kept as it was: the columns
-    are the reference's doing, not chance.
+    Sieve bootstrap (P. Buehlmann, 1997): what the autoregressive model of ``spread`` leaves of the residual (n,) is
+    redrawn in blocks (Politis and Romano; ``arch``) and goes through the model again, so that noise slower than a block
+    keeps its correlation. The columns are the reference's doing, not chance.
 
-    >>> W, Y = np.ones((100, 1)), np.random.default_rng(0).standard_normal(100)
-    >>> 0.05 < float(block_bootstrap(W, Y, np.array([Y.mean()]), block=2, draws=200)) ** 0.5 < 0.15
-    True
+    >>> W, e = np.ones((400, 1)), np.random.default_rng(0).standard_normal(400)
+    >>> used = np.ones(400, dtype=bool)
+    >>> spread = long_run(W, e - e.mean(), used, 1.0)
+    >>> round(float(residual_bootstrap(W, e - e.mean(), used, spread)) ** 0.5, 2)
+    0.05
     """
     from arch.bootstrap import StationaryBootstrap
+    from scipy.signal import lfilter
 
+    phi = _coefficients(spread.autocovariance, spread.order)
+    whiten = np.concatenate([[1.0], -phi])
+    # Only where every row that the model looks back on took part.
+    whole = np.convolve(~used, np.ones(spread.order + 1))[: len(used)] < 0.5
+    innovations = lfilter(whiten, [1.0], residual)[whole]
+    innovations -= innovations.mean()
+    innovations *= np.sqrt(_innovation(spread.autocovariance, spread.order) / np.mean(innovations**2))
     solve = np.linalg.solve(W.T @ W, W.T)
-    source = StationaryBootstrap(max(1, block), Y - W @ value, seed=seed)
-    estimates = np.array([solve @ data[0] for data, _ in source.bootstrap(draws)])
-    return np.cov(estimates, rowvar=False)
+    source = StationaryBootstrap(LARGEST_ORDER, innovations, seed=seed)
+    settled = len(_model(spread.autocovariance, spread.order, len(residual)))
+    estimates = []
+    redrawn = source.bootstrap(-(-draws * (settled + len(residual)) // len(innovations)))
+    left = np.zeros(0)
+    for _ in range(draws):
+        while len(left) < settled + len(residual):
+            left = np.concatenate([left, next(redrawn)[0][0]])
+        drawn, left = np.split(left, [settled + len(residual)])
+        estimates.append(solve @ (lfilter([1.0], whiten, drawn)[settled:] * used))
+    return np.cov(np.array(estimates), rowvar=False)
 
 
 def _autocovariance(residual: np.ndarray, n: int) -> np.ndarray:
@@ -132,9 +159,9 @@ def _autocovariance(residual: np.ndarray, n: int) -> np.ndarray:
     return np.array([residual[: len(residual) - lag] @ residual[lag:] for lag in range(LAGS)]) / n
 
 
-def _absorbed(model: np.ndarray, basis: np.ndarray, n: int) -> np.ndarray:
+def _absorbed(model: np.ndarray, basis: np.ndarray, used: np.ndarray, n: int) -> np.ndarray:
     """What the regression onto ``basis`` took out of the autocovariance of noise with autocovariance ``model``."""
-    seen = _convolve(model, basis)
+    seen = _convolve(model, basis) * used[:, None]
     back = basis @ (basis.T @ seen)
     taken = []
     for lag in range(LAGS):

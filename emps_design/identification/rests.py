@@ -1,0 +1,63 @@
+"""Where a record is at rest, and how noisy its encoder is: read from the position alone.
+
+Friction at rest is any force up to the break-away, so rows near a rest say nothing of friction. A low filter would
+smooth a short stop away: rests are looked for in a velocity that is filtered no more than the encoder's noise asks for.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from emps_design.identification.filters import central_difference, low_pass
+from emps_design.records import Record
+
+SLOW = 0.01  # of the largest velocity: below it friction may be that of rest
+HIGHEST = 0.2  # of the sampling frequency, for any low-pass that is chosen
+REACH = 1.5  # periods of the cut-off over which a low-pass spreads a jump
+BLOCKS = 50  # in whose median the noise of the encoder is read
+
+
+def encoder_variance(record: Record) -> float:
+    """Variance of the encoder's white noise, rounding included [m^2]: the fourth difference of a motion is 70 of it.
+
+    >>> t = np.arange(2000) * 1e-3
+    >>> q = np.round(0.1 * np.sin(t) / 1e-5) * 1e-5
+    >>> found = encoder_variance(Record(t=t, q_ref=q, q=q, u=q, period=1e-3))
+    >>> round(found / (1e-5**2 / 12), 1)
+    1.1
+    """
+    blocks = np.array_split(np.diff(record.q, 4) ** 2, BLOCKS)
+    return float(np.median([np.mean(block) for block in blocks if block.size] or [0.0])) / 70.0
+
+
+def at_rest(record: Record) -> np.ndarray:
+    """Where the carriage turns, or is slower than 1 % of its largest velocity, (n,) of bool."""
+    top = HIGHEST / record.period
+    rough = central_difference(low_pass(record.q, top, record.period), record.period)
+    slow = SLOW * float(np.quantile(np.abs(rough), 0.999))
+    # White noise of variance s^2 has the variance 2 s^2 T (2 pi)^2 f^3 / 3 in the velocity below f.
+    density = max(2.0 * encoder_variance(record) * record.period, 1e-300)
+    quiet = (3.0 * (slow / 3.0) ** 2 / ((2.0 * np.pi) ** 2 * density)) ** (1.0 / 3.0)
+    v = rough
+    if quiet < top:
+        quiet = max(quiet, 10.0 / record.duration)
+        v = central_difference(low_pass(record.q, quiet, record.period), record.period)
+    rest = (v < slow) & (v > -slow)
+    rest[1:] |= (v[1:] > 0) != (v[:-1] > 0)  # a reversal may pass between two samples
+    return rest
+
+
+def away_from(rest: np.ndarray, cutoff_hz: float, period: float) -> np.ndarray:
+    """Where the carriage slides for certain, (n,) of bool: 1.5 periods of the cut-off [Hz] from any ``rest`` (n,).
+
+    A zero-phase filter spreads the jump of friction that far to both sides.
+
+    >>> away_from(np.array([False, False, True, False, False, False]), 1.5, 1.0).tolist()
+    [True, False, False, False, True, True]
+    """
+    reach, n = int(REACH / (cutoff_hz * period)), len(rest)
+    # Rests before each moment, so that those within reach are a difference.
+    before = np.zeros(n + 2 * reach + 1, dtype=np.int32)
+    np.cumsum(rest, out=before[reach + 1 : reach + n + 1])
+    before[reach + n + 1 :] = before[reach + n]
+    return before[2 * reach + 1 :] == before[:n]
