@@ -43,7 +43,7 @@ def command(
     retune: Annotated[bool, typer.Option("--retune", help="meet the specification in the sampled loop")] = False,
     at: Annotated[str, typer.Option(help="with --retune: plant-input or velocity-error")] = "plant-input",
     mismatch: Annotated[float | None, typer.Option(help="relative error of the parameters, such as 0.02")] = None,
-    sigma_from: Annotated[Path | None, typer.Option(help="JSON of 'identify --json': +-2 std of its values")] = None,
+    sigma_from: Annotated[Path | None, typer.Option(help="JSON of 'identify --json': its 95 % intervals")] = None,
     out: Out = None,
     velocity: Velocity = 0.1,
     mass: Mass = None,
@@ -122,7 +122,7 @@ def command(
 
 
 def _errors(axis: Axis, mismatch: float | None, sigma_from: Path | None) -> dict[str, float] | None:
-    """The relative errors to study: one share for all, or two standard deviations of an identification."""
+    """The relative errors to study: one share for all, or the intervals of an identification."""
     if mismatch is None and sigma_from is None:
         return None
     from emps_design.control.velocity.sensitivity import identified_mismatch, relative_mismatch

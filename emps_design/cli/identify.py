@@ -19,11 +19,11 @@ def command(
         help="TOML file or embedded machine: G_tau, limits, controller, and effects that are known already.",
     ),
     model: str = typer.Option("symmetric", "--model", help="symmetric or asymmetric friction."),
-    chain: str = typer.Option(
-        "report",
+    chain: str | None = typer.Option(
+        None,
         "--filter",
-        help="report: 100 Hz low-pass, of the 2019 report; paper: median and decimation, of the 2018 paper; hold: "
-        "models the hold of the drive, leaves rests out, cut-off from the data.",
+        help="hold (default): models the hold of the drive, leaves rests out, cut-off from the data; report: 100 Hz "
+        "low-pass, of the 2019 report; paper: median and decimation, of the 2018 paper.",
     ),
     cutoff: float | None = typer.Option(
         None,
@@ -41,8 +41,8 @@ def command(
     holdout: Path | None = typer.Option(
         None, "--holdout", help="Judge the fit on this record; without it on the last third, fitted to the rest."
     ),
-    bootstrap: int = typer.Option(0, "--bootstrap", min=0, help="Draws of a block bootstrap, 0: none."),
-    seed: int = typer.Option(0, "--seed", help="Seed of the bootstrap."),
+    bootstrap: int = typer.Option(0, "--bootstrap", min=0, help="Draws of a bootstrap of the residual, 0: none."),
+    seed: int | None = typer.Option(None, "--seed", help="Seed of the bootstrap, default 0."),
     out: Path | None = typer.Option(None, "--out", help="Write the identified axis to this TOML file."),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
@@ -52,6 +52,7 @@ def command(
     from emps_design.cli.output import print_json, progress_bar
     from emps_design.errors import InputError, nearest_name
     from emps_design.files import write_text
+    from emps_design.identification.chains import DEFAULT_CHAIN
     from emps_design.machines import load_axis
     from emps_design.records import read_record
 
@@ -62,24 +63,26 @@ def command(
         raise InputError(
             f"--estimator: found {estimator!r}, expected {', '.join(estimators)}{nearest_name(estimator, estimators)}"
         )
-    if holdout is not None and (estimator != "ls" or len(records) > 1):
-        raise InputError("--holdout: goes with one record and --estimator ls; several records judge one another")
+    given = {"--filter": chain is not None, "--bootstrap": bootstrap > 0, "--holdout": holdout is not None}
+    _refuse_ignored(estimator, len(records), given)
+    if seed is not None and not bootstrap:
+        raise InputError("--seed: found without --bootstrap, expected both; nothing else is drawn")
     loaded = load_axis(axis)
     options = {
         "model": model,
-        "chain": chain,
+        "chain": chain or DEFAULT_CHAIN,
         "cutoff_hz": cutoff,
         "external_force_known": external_force == "known",
     }
     read = [read_record(path) for path in records]
     if len(read) == 1:
         judge = None if holdout is None else read_record(holdout)
-        found = _one(estimator, read[0], loaded, {**options, "bootstrap": bootstrap, "seed": seed, "holdout": judge})
+        found = _one(
+            estimator, read[0], loaded, {**options, "bootstrap": bootstrap, "seed": seed or 0, "holdout": judge}
+        )
     else:
         from emps_design.identification.several import identify_several
 
-        if estimator != "ls":
-            raise InputError(f"--estimator: {estimator} takes one record, found {len(read)}; use ls for several")
         with progress_bar(not as_json or sys.stderr.isatty()) as progress:
             found = identify_several(read, loaded, progress=progress, **options)
     if out is not None:
@@ -91,6 +94,24 @@ def command(
     else:
         _show_several(found)
     _warn(found.warnings)
+
+
+def _refuse_ignored(estimator: str, records: int, given: dict[str, bool]) -> None:
+    """Raise for an option that what was asked for would not read."""
+    from emps_design.errors import InputError
+
+    if estimator != "ls" and records > 1:
+        raise InputError(f"--estimator: {estimator} takes one record, found {records}; use ls for several")
+    if estimator != "ls":
+        ignored = [name for name, is_given in given.items() if is_given]
+        why = f"goes with --estimator ls, found {estimator}, which filters as hold does and has intervals of its own"
+    elif records > 1:
+        ignored = [name for name in ("--bootstrap", "--holdout") if given[name]]
+        why = f"goes with one record, found {records}; several judge one another"
+    else:
+        return
+    if ignored:
+        raise InputError(f"{', '.join(ignored)}: {why}")
 
 
 def _one(estimator, record, axis, options):
@@ -135,7 +156,7 @@ def _show_one(found) -> None:
             estimate.quantity.unit,
         )
     console.print(table)
-    for label, key in ((f"HAC std, lag {found.hac_lag:.2f} s", "std_hac"), ("block bootstrap std", "std_bootstrap")):
+    for label, key in ((f"HAC std, lag {found.hac_lag:.2f} s", "std_hac"), ("bootstrap std", "std_bootstrap")):
         known = {name: getattr(e, key) for name, e in found.parameters.items() if getattr(e, key) is not None}
         if known:
             console.print(f"{label}: {', '.join(f'{name} {std:.4f}' for name, std in known.items())}")
@@ -157,10 +178,11 @@ def _show_one(found) -> None:
             f"{judged['relative_error_percent']:.4f} %"
         )
     if "cutoff_from_data" in found.extra:
-        console.print(
-            f"the inverse model explains the force up to {found.extra['cutoff_from_data']['cutoff_hz']:g} Hz "
-            "(--filter hold uses that, --cutoff overrides it)"
-        )
+        chosen = found.extra["cutoff_from_data"]["cutoff_hz"]
+        if found.chain != "hold":
+            console.print(f"--filter hold would cut off at {chosen:g} Hz")
+        elif found.cutoff_hz != chosen:
+            console.print(f"motion and encoder of this record would have a cut-off of {chosen:g} Hz")
     if "hausman_test" in found.extra:
         test = found.extra["hausman_test"]
         verdict = "biased" if test["least_squares_biased"] else "not shown to be biased"

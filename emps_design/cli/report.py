@@ -21,6 +21,9 @@ def command(
         None, "--design-on", help="record: design on what the record gives; axis: on the axis as it is."
     ),
     model: str = typer.Option("symmetric", "--model", help="Friction model for the design: symmetric or asymmetric."),
+    record_filter: str | None = typer.Option(
+        None, "--record-filter", help="Filter of the identification: hold (default), report or paper."
+    ),
     k_e1: float = typer.Option(0.01, "--k-e1", help="Force gain [(m/s)/N]."),
     hand: float = typer.Option(0.0, "--hand", help="Viscous hand [N/(m/s)]."),
     environment: float = typer.Option(1e4, "--environment", help="Stiffness of the wall [N/m]."),
@@ -34,10 +37,12 @@ def command(
     import sys
 
     from emps_design.cli.output import print_json, progress_bar
-    from emps_design.errors import UnstableError
+    from emps_design.errors import InputError, UnstableError
     from emps_design.files import write_aside
     from emps_design.report.assemble import assemble_report
 
+    if record is None and record_filter is not None:
+        raise InputError("--record-filter: found without --record, expected both")
     if crossover is None and bandwidth is None:
         crossover = 100.0
     with write_aside(out) as aside, progress_bar() as progress:  # a folder that is not there is told before the work
@@ -49,6 +54,7 @@ def command(
             phase_margin_deg=phase_margin,
             design_on=design_on,
             model=model,
+            chain=record_filter,
             k_e1=k_e1,
             hand=hand,
             environment=environment,

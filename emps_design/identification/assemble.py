@@ -14,6 +14,7 @@ from emps_design.identification.cutoff import LONGEST
 from emps_design.identification.excitation import WEAK_RELIABILITY, reliability, share_near_gaps
 from emps_design.identification.inverse_model import LeastSquares, parameters_of, regression
 from emps_design.identification.known import filter_record
+from emps_design.identification.plausibility import implausible
 from emps_design.identification.result import Estimate, Identification
 from emps_design.identification.statistics import LongRun, hac_covariance, long_run
 from emps_design.records import Record
@@ -56,7 +57,8 @@ def assemble(
         boot = np.sqrt(np.diag(residual_bootstrap(*rows, spread, bootstrap, seed)))
     shares = _reliability(record, axis, model, filtered, W) if weakest > 0 else None
     at_rests = told_at_rests(W, filtered, model) if weakest > 0 else ()
-    warnings = [*record.warnings, *notes]
+    said = dict(zip((quantity.name for quantity in parameters_of(model)), fit.value.tolist(), strict=True))
+    warnings = [*record.warnings, *notes, *implausible(said, axis)]
     estimates = {}
     for i, quantity in enumerate(parameters_of(model)):
         if shares is not None and shares[i] < weakest:

@@ -195,4 +195,5 @@ def hold_chain(
     )
 
 
-CHAINS: dict[str, Callable[..., Filtered]] = {"report": report_chain, "paper": paper_chain, "hold": hold_chain}
+DEFAULT_CHAIN = "hold"
+CHAINS: dict[str, Callable[..., Filtered]] = {"hold": hold_chain, "report": report_chain, "paper": paper_chain}

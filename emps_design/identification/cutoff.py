@@ -40,7 +40,7 @@ def chosen_cutoff(record: Record) -> float:
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic_record import practice_record
-    >>> 5.0 < chosen_cutoff(practice_record(machine("emps2019"), laps=1)) < 50.0
+    >>> 50.0 < chosen_cutoff(practice_record(machine("emps2019"), laps=1)) < 150.0
     True
     """
     part, lowest, top = _looked_at(record)

@@ -10,7 +10,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.errors import InputError, RankError, RecordError
 from emps_design.identification.assemble import assemble
-from emps_design.identification.chains import Filtered
+from emps_design.identification.chains import DEFAULT_CHAIN, Filtered
 from emps_design.identification.cutoff import LONGEST, chosen_cutoff, explained_by_frequency
 from emps_design.identification.excitation import (
     check_record,
@@ -33,7 +33,7 @@ def identify(
     record: Record,
     axis: Axis | None = None,
     model: str = "symmetric",
-    chain: str = "hold",
+    chain: str = DEFAULT_CHAIN,
     cutoff_hz: float | None = None,
     external_force_known: bool = False,
     bootstrap: int = 0,
@@ -44,16 +44,16 @@ def identify(
 
     ``axis`` (default: the embedded emps2019) gives G_tau, the voltage limit and what is known already: delays and lags
     of its drive, and its effects, whose force is taken out and which stay in the identified axis; ``model`` is
-    ``symmetric`` or ``asymmetric``; ``chain`` the filters: ``report`` (2019 report), ``paper`` (2018 paper) or ``hold``
-    (the hold modelled, cut-off chosen from the data); ``cutoff_hz`` [Hz] overrides the chain's.
-    ``external_force_known`` lets a measured external force take part as in (21); ``bootstrap`` draws that many samples
-    of blocks. The fit is judged on ``holdout``, or, without one, on the last third of the record with parameters from
-    the rest. Raises
-    :class:`RecordError` for a record that cannot identify, :class:`RankError` for columns it cannot tell apart.
+    ``symmetric`` or ``asymmetric``; ``chain`` the filters: ``hold`` (the hold modelled, rests left out, cut-off chosen
+    from the data), ``report`` (2019 report) or ``paper`` (2018 paper); ``cutoff_hz`` [Hz] overrides the chain's.
+    ``external_force_known`` lets a measured external force take part as in (21); ``bootstrap`` redraws the noise that
+    often. The fit is judged on ``holdout``, or, without one, on the last third of the record with parameters from the
+    rest. What cannot be, or is far from ``axis``, is a warning. Raises :class:`RecordError` for a record that cannot
+    identify, :class:`RankError` for columns it cannot tell apart.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic_record import practice_record
-    >>> found = identify(practice_record(machine("emps2019"), laps=1), chain="hold")
+    >>> found = identify(practice_record(machine("emps2019"), laps=1))
     >>> round(found.parameters["mass"].value, 0), found.parameters["mass"].quantity.unit
     (95.0, 'kg')
     """

@@ -25,6 +25,7 @@ from emps_design.identification.inverse_model import (
     relative_error,
 )
 from emps_design.identification.known import ASYMMETRY, filter_record, known_part, notes
+from emps_design.identification.plausibility import implausible
 from emps_design.identification.result import Identification
 from emps_design.identification.statistics import long_run
 from emps_design.records import Record
@@ -147,9 +148,12 @@ def simulate(record: Record, axis: Axis, model: str, value: np.ndarray):
         effects = [{"kind": ASYMMETRY, "viscous_difference": 0.5 * (positive - negative)}, *effects]
     for name in ("mass", "viscous", "coulomb"):
         if not p[name] > 0:
+            why = implausible(p, axis) or [
+                "the record does not determine it: record several constant speeds in both directions, with "
+                "acceleration between them"
+            ]
             raise RecordError(
-                f"{record.name}: {name} came out as {p[name]:.4g}, and no simulation starts from that; the record does "
-                "not determine it: record several constant speeds in both directions, with acceleration between them"
+                f"{record.name}: {name} came out as {p[name]:.4g}, and no simulation starts from that; {why[0]}"
             )
     mechanics = {
         "mass": p["mass"],

@@ -21,10 +21,9 @@ def encoder_variance(record: Record) -> float:
     """Variance of the encoder's white noise, rounding included [m^2]: the fourth difference of a motion is 70 of it.
 
     >>> t = np.arange(2000) * 1e-3
-    >>> q = np.round(0.1 * np.sin(t) / 1e-5) * 1e-5
-    >>> found = encoder_variance(Record(t=t, q_ref=q, q=q, u=q, period=1e-3))
-    >>> round(found / (1e-5**2 / 12), 1)
-    1.1
+    >>> q = 0.1 * np.sin(t) + 2e-6 * np.random.default_rng(0).standard_normal(2000)
+    >>> round(1e6 * encoder_variance(Record(t=t, q_ref=q, q=q, u=q, period=1e-3)) ** 0.5, 1)
+    2.0
     """
     blocks = np.array_split(np.diff(record.q, 4) ** 2, BLOCKS)
     return float(np.median([np.mean(block) for block in blocks if block.size] or [0.0])) / 70.0

@@ -55,6 +55,7 @@ def assemble_report(
     phase_margin_deg: float = 60.0,
     design_on: str | None = None,
     model: str = "symmetric",
+    chain: str | None = None,
     k_e1: float = 0.01,
     hand: float = 0.0,
     environment: float = 1e4,
@@ -69,7 +70,7 @@ def assemble_report(
 
     ``axis``: an :class:`Axis`, a TOML file or an embedded machine; ``record``: a :class:`Record` or its file.
     ``design_on``: "record" takes the mechanics that the record gives (the default where no axis is named), "axis"
-    leaves them as they are. ``crossover`` or
+    leaves them as they are; ``model`` of friction and filter ``chain`` are those of ``identify``. ``crossover`` or
     ``bandwidth`` [rad/s], ``phase_margin_deg`` [deg]; ``k_e1`` [(m/s)/N], ``hand`` [N/(m/s)], ``environment`` [N/m];
     ``mass`` [kg] and ``damping`` [N/(m/s)] of the impedance law, by default those of the axis's controller or else of
     the paper's experiments, and its ``filter`` [rad/s], tried under a relative ``mismatch``; ``retune`` meets the
@@ -99,7 +100,7 @@ def assemble_report(
     parts, notes, found = [], [], ()
     if record is not None:
         tell("reading the record", 0.05)
-        loaded, found, section = _from_record(record, loaded, model, design_on, inputs, tell)
+        loaded, found, section = _from_record(record, loaded, model, chain, design_on, inputs, tell)
         parts.append(section)
         notes.append(_basis(loaded, found[0], design_on))
     tell("designing the loops", 0.4)
@@ -124,8 +125,9 @@ def assemble_report(
     return Report(page, results, assessed, tuple(found), tuple(dict.fromkeys(warnings)))
 
 
-def _from_record(record, axis, model, design_on, inputs, tell):
+def _from_record(record, axis, model, chain, design_on, inputs, tell):
     """Identify ``axis`` from ``record``: the axis to design on, what was found, and the section that tells it."""
+    from emps_design.identification.chains import DEFAULT_CHAIN
     from emps_design.identification.identify import identify
     from emps_design.records import Record, read_record
     from emps_design.report.record import record_section
@@ -134,7 +136,7 @@ def _from_record(record, axis, model, design_on, inputs, tell):
     inputs[read.name if isinstance(record, Record) else Path(record).name] = read.sha256
     tell("identifying", 0.15)
     others = [name for name in ("symmetric", "asymmetric") if name != model]
-    found = tuple(identify(read, axis, model=name) for name in (model, *others))
+    found = tuple(identify(read, axis, model=name, chain=chain or DEFAULT_CHAIN) for name in (model, *others))
     section = record_section(read, found, axis)
     return (found[0].to_axis() if design_on == "record" else axis), found, section
 

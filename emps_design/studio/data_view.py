@@ -10,6 +10,7 @@ import panel as pn
 
 from emps_design.axis import Axis
 from emps_design.errors import EmpsError, RecordError
+from emps_design.identification.chains import CHAINS, DEFAULT_CHAIN
 from emps_design.records import Record
 from emps_design.report.display import quantity
 from emps_design.report.page import inline
@@ -18,6 +19,7 @@ from emps_design.studio.panes import blocks, html
 from emps_design.studio.state import FRICTIONS, State
 
 LIMIT_MB = 100
+Options = dict[str, str]  # what the tab chose: friction model and filter of an identification
 SUFFIXES = (".mat", ".csv", ".npz")
 INTRODUCTION = """
 <h3>What a record tells</h3>
@@ -83,6 +85,9 @@ class DataView:
             label="Friction", options=list(FRICTIONS), value=state().friction, margin=(22, 6, 4, 6)
         )
         self.friction.param.watch(lambda event: turn("friction", event.new), "value")
+        self.filter = pn.widgets.Select(
+            label="Filter of Identify", options=list(CHAINS), value=DEFAULT_CHAIN, width=110, margin=(4, 6)
+        )
         self.buttons = {
             name: pn.widgets.Button(label=name, disabled=True, width=110, margin=(24, 6, 4, 6)) for name in WORK
         }
@@ -102,7 +107,13 @@ class DataView:
             pn.FlexBox(
                 self.drop,
                 pn.Column(
-                    pn.Row(self.machine, pn.pane.HTML("Friction model", margin=(29, 0, 0, 6)), self.friction, margin=0),
+                    pn.Row(
+                        self.machine,
+                        pn.pane.HTML("Friction model", margin=(29, 0, 0, 6)),
+                        self.friction,
+                        self.filter,
+                        margin=0,
+                    ),
                     pn.Row(*self.buttons.values(), self.take, margin=(-14, 0, 0, 0)),
                     margin=0,
                 ),
@@ -158,8 +169,9 @@ class DataView:
         if self.record is None:
             return
         work = WORK[name]
-        record, axis, friction = self.record, self._machines()[self.machine.value], self.friction.value
-        if self.job.start(lambda progress: work(record, axis, friction, progress), self._done, self._failed):
+        record, axis = self.record, self._machines()[self.machine.value]
+        options = {"friction": self.friction.value, "chain": self.filter.value}
+        if self.job.start(lambda progress: work(record, axis, options, progress), self._done, self._failed):
             self._say(f"{name} is at work on {record.name}", "note")
 
     def _failed(self, message: str) -> None:
@@ -187,13 +199,13 @@ def _blocks(*blocks: Any) -> str:
     return text[start : text.index("</section>", start)]
 
 
-def identify_work(record: Record, axis: Axis, friction: str, progress: Callable) -> dict[str, Any]:
+def identify_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
     """Identify ``record`` and return the section of the report about it, and the axis it gives."""
     from emps_design.identification.identify import identify
     from emps_design.report.record import identification_blocks
 
     progress("identifying", 0.2)
-    found = identify(record, axis, model=friction)
+    found = identify(record, axis, model=options["friction"], chain=options["chain"])
     progress("drawing", 0.7)
     values = ", ".join(
         f"{name.replace('_', ' ')} {quantity(e.value, e.quantity.unit)}" for name, e in found.parameters.items()
@@ -207,7 +219,7 @@ def identify_work(record: Record, axis: Axis, friction: str, progress: Callable)
     }
 
 
-def observe_work(record: Record, axis: Axis, friction: str, progress: Callable) -> dict[str, Any]:
+def observe_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
     """Observe the external force of ``record`` with the parameters of ``axis``."""
     from emps_design.identification.observation import observe
     from emps_design.report.observation import observation_blocks
@@ -222,7 +234,7 @@ def observe_work(record: Record, axis: Axis, friction: str, progress: Callable) 
     }
 
 
-def diagnose_work(record: Record, axis: Axis, friction: str, progress: Callable) -> dict[str, Any]:
+def diagnose_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
     """Find where ``record`` and ``axis`` disagree; return the page's summary and the extended model."""
     from emps_design.discrepancy.diagnose import diagnose
     from emps_design.report.diagnosis import diagnosis_page, typeset

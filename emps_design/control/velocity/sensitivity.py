@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from emps_design.axis import Axis
@@ -29,31 +29,43 @@ def relative_mismatch(mismatch: float) -> dict[str, float]:
 
 
 def identified_mismatch(axis: Axis, parameters: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
-    """Two standard deviations of identified ``parameters`` as shares of the axis's own.
+    """What identified ``parameters`` may be off by, as shares of the axis's own: the half of their 95 % intervals.
 
-    ``parameters`` is that member of ``identify --json``: name -> {value, std}. Mass and viscous friction count. Of
-    several deviations (two directions; one for a correlated residual beside (15)) the largest is taken.
-    :class:`InputError` where mass or viscous has none.
+    ``parameters`` is that member of ``identify --json``: name -> {value, std, interval_95 ...}, of one record or of
+    several. Mass and viscous friction count. The interval holds what is known of a filter's error; where there are
+    several (a bootstrap's, two directions), or only deviations (2 std, the spread between records), the largest is
+    taken. :class:`InputError` where mass or viscous has none.
 
     >>> from emps_design.machines import machine
-    >>> found = {"mass": {"std": 0.29}, "viscous": {"std": 8.8, "std_long_run": 9.5}}
+    >>> found = {"mass": {"std": 0.29}, "viscous": {"std": 8.8, "interval_95": [455.0, 493.0]}}
     >>> round(identified_mismatch(machine("emps2018"), found)["viscous"], 3)
     0.04
     """
     found: dict[str, float] = {}
     for name in ("mass", "viscous"):
         entries = [parameters[key] for key in (name, f"{name}_positive", f"{name}_negative") if key in parameters]
-        stds = [value for entry in entries for key, value in entry.items() if key.startswith("std")]
-        stds = [std for std in stds if isinstance(std, int | float) and math.isfinite(std) and std >= 0.0]
-        if not stds:
+        halves = [half for entry in entries for key, value in entry.items() if (half := _half(key, value)) is not None]
+        if not halves:
             raise InputError(f"identified parameters: {name} has no std, expected the JSON of 'identify --json'")
         own = getattr(axis.mechanics, name)
-        found[name] = 2.0 * max(stds) / own if own > 0.0 else 0.0
+        found[name] = max(halves) / own if own > 0.0 else 0.0
         if found[name] >= 1.0:
             raise InputError(
-                f"identified parameters: 2 std of {name} is {found[name]:.3g} of its value, expected below 1"
+                f"identified parameters: the interval of {name} is +-{found[name]:.3g} of its value, expected below 1"
             )
     return found
+
+
+def _half(key: str, value: Any) -> float | None:
+    """Half of the 95 % interval that an entry of an identified parameter speaks of; None for other entries."""
+    if key.startswith("interval_95") and isinstance(value, Sequence) and len(value) == 2:
+        low, high = value
+        half = 0.5 * (high - low) if all(isinstance(end, int | float) for end in value) else math.nan
+    elif key == "spread" or key.startswith("std"):
+        half = 2.0 * value if isinstance(value, int | float) else math.nan
+    else:
+        return None
+    return half if math.isfinite(half) and half >= 0.0 else None
 
 
 def mismatch_study(design: VelocityLoopDesign, errors: Mapping[str, float]) -> dict[str, Any]:

@@ -111,6 +111,23 @@ def test_mismatch_and_identified_deviations(capsys, tmp_path):
     assert found["mismatch"]["corners"] == 4
 
 
+@pytest.mark.parametrize(
+    ("entry", "share"),
+    [
+        ({"std": 0.3, "std_long_run": 0.9}, 1.8),
+        ({"std": 0.3, "interval_95": [110.0, 120.0]}, 5.0),  # a filter's error and Student's t are in the interval
+        ({"std": 0.3, "interval_95": [115.0, 116.0], "interval_95_bootstrap": [113.0, 117.0]}, 2.0),
+        ({"mean": 115.0, "spread": 2.0, "std": 0.3}, 4.0),  # several records
+        ({"std": 0.3, "std_bootstrap": None, "interval_95_bootstrap": None}, 0.6),
+    ],
+)
+def test_the_whole_uncertainty_counts(capsys, tmp_path, entry, share):
+    parameters = {"mass": entry, "viscous": {"std": 9.0}}
+    (tmp_path / "identified.json").write_text(json.dumps({"parameters": parameters}))
+    found = document(capsys, "gains", "--crossover", "100", "--sigma-from", str(tmp_path / "identified.json"))
+    assert found["mismatch"]["errors"]["mass"] == pytest.approx(share / 115.7315)
+
+
 def test_force_against_a_wall(capsys):
     found = document(capsys, "force", "--k-e1", "0.01", "--environment", "1e4")
     assert found["stable"]

@@ -4,10 +4,10 @@ from functools import cache
 
 import pytest
 
-from emps_design.identification.coverage import noisy_record
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
+from tests.unit.identification.slow_noise_records import noisy_record
 
 
 @cache

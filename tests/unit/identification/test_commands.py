@@ -63,10 +63,21 @@ def test_the_table_of_ten_records_fits_a_terminal(folder, capsys):
         (["--external-force", "maybe"], "--external-force: found 'maybe', expected refuse or known"),
         (["--filter", "holt"], "did you mean 'hold'"),
         (["--cutoff", "900"], "Nyquist"),
-        (["--estimator", "iv", "--holdout", "other.npz"], "--holdout: goes with one record"),
+        (["--estimator", "iv", "--holdout", "other.npz"], "--holdout: goes with --estimator ls, found iv"),
+        (
+            ["--estimator", "oe", "--filter", "paper", "--bootstrap", "200", "--cutoff", "40"],
+            "--filter, --bootstrap: goes with --estimator ls, found oe",
+        ),
+        (["--estimator", "iv", "--filter", "hold"], "--filter: goes with --estimator ls, found iv"),
+        (["--filter", "paper", "--cutoff", "40"], "cut-off: the paper's chain has none"),
+        (["--seed", "3"], "--seed: found without --bootstrap"),
+        (["day1.npz", "--bootstrap", "9"], "--bootstrap: goes with one record, found 2"),
+        (["day1.npz", "--holdout", "day2.npz"], "--holdout: goes with one record, found 2"),
+        (["day1.npz", "--estimator", "iv"], "--estimator: iv takes one record, found 2"),
     ],
 )
 def test_identify_refuses_in_one_line(folder, capsys, options, words):
+    options = [str(folder / word) if word.startswith("day") else word for word in options]
     assert run(["identify", str(folder / "day0.npz"), *options]) == 2
     captured = capsys.readouterr()
     assert words in captured.err

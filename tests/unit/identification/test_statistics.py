@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from emps_design.errors import InputError
-from emps_design.identification.coverage import coverage
-from emps_design.identification.statistics import block_bootstrap, hac_covariance, long_run
+from emps_design.identification import identify
+from emps_design.identification.statistics import hac_covariance, long_run, residual_bootstrap
 from emps_design.machines import machine
 
 RUNS = 200
@@ -13,10 +13,15 @@ RUNS = 200
 
 @pytest.mark.slow
 @pytest.mark.parametrize("noise_time", [0.03, 0.1, 0.3])
-def test_intervals_cover_the_truth(noise_time):
-    found = coverage(machine("emps2019"), RUNS, noise_time)
-    assert all(0.90 <= share <= 0.98 for share in found.long_run.values()), found.long_run
-    assert all(share < 0.60 for share in found.plain.values()), found.plain
+def test_intervals_cover_the_truth(simulate, truth, noise_time):
+    values, held, plain = np.array(list(truth.values())), np.zeros(4), np.zeros(4)
+    for seed in range(RUNS):
+        found = identify(simulate(seed, time=noise_time), machine("emps2019"), cutoff_hz=30.0).parameters.values()
+        low, high = np.array([one.interval_95 for one in found]).T
+        held += (low <= values) & (values <= high)
+        plain += np.abs([one.value for one in found] - values) <= 1.96 * np.array([one.std for one in found])
+    assert np.all((held / RUNS >= 0.90) & (held / RUNS <= 0.98)), held / RUNS
+    assert np.all(plain / RUNS < 0.60), plain / RUNS
 
 
 def noise(n, rho, seed):
@@ -39,10 +44,21 @@ def test_hac_and_bootstrap_agree_with_it():
     W, e = np.ones((n, 1)), noise(n, rho, 2)
     expected = long_run(W, e - e.mean(), np.ones(n, bool), 1.0).std[0]
     assert np.sqrt(hac_covariance(W, e - e.mean(), 100)[0, 0]) == pytest.approx(expected, rel=0.25)
-    bootstrap = block_bootstrap(W, e, np.array([e.mean()]), 100, draws=300, seed=1)
-    assert np.sqrt(float(bootstrap)) == pytest.approx(expected, rel=0.25)
+    used = np.ones(n, bool)
+    bootstrap = residual_bootstrap(W, e - e.mean(), used, long_run(W, e - e.mean(), used, 1.0), draws=300, seed=1)
+    assert np.sqrt(float(bootstrap)) == pytest.approx(expected, rel=0.1)
+
+
+def test_gaps_do_not_hide_the_correlation():
+    """Noise over 20 rows in stretches of 30: pairs across a gap are missing, not uncorrelated."""
+    used = np.arange(30000) % 60 < 30
+    W, e = used[:, None].astype(float), noise(30000, 0.95, 3) * used
+    e = e - e[used].mean() * used
+    whole = noise(30000, 0.95, 3)
+    expected = long_run(np.ones((30000, 1)), whole - whole.mean(), np.ones(30000, bool), 1.0).correlation_time
+    assert long_run(W, e, used, 1.0).correlation_time == pytest.approx(expected, rel=0.15)
 
 
 def test_too_few_rows_are_refused():
-    with pytest.raises(InputError, match="found 50 usable rows, expected at least 80"):
-        long_run(np.ones((50, 1)), np.ones(50), np.ones(50, bool), 1.0)
+    with pytest.raises(InputError, match="found 10 usable rows, expected at least 20"):
+        long_run(np.ones((10, 1)), np.ones(10), np.ones(10, bool), 1.0)
