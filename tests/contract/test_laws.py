@@ -1,4 +1,4 @@
-"""Every control law keeps the contract: words, units and bounds, axis file there and back, and a user's own like ours."""
+"""Every control law keeps the contract: words, units, bounds, axis file there and back; and so does a user's own."""
 
 import subprocess
 import sys
@@ -56,7 +56,7 @@ def test_axis_file_there_and_back(kind):
 @EVERY
 def test_a_parameter_out_of_bounds_or_missing_is_told(kind):
     for name in kind.needs:
-        with pytest.raises(AxisError, match=rf"controller\.{name}: found -1 .*, expected a number"):
+        with pytest.raises(AxisError, match=rf"controller\.{name}: found -1.0 .*, expected a number"):
             axis_with(kind, **{name: -1.0})
         with pytest.raises(AxisError, match=f"controller: kind '{kind.name}' needs {name}"):
             axis_with(kind, **{name: None})
