@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from emps_design.axis import Axis
 from emps_design.control.loop.sampled_loop import SampledVelocityLoop
-from emps_design.control.plant.discretisation import sample_axis
+from emps_design.control.plant.discretisation import sample_axis, sample_plant
 
 
 def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> list[str]:
@@ -38,4 +38,26 @@ def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> 
             said.append(f"the sampled loop is unstable at {-velocity:g} m/s")
         elif here is not None and there is not None and there < here - 0.5:
             said.append(f"at {-velocity:g} m/s the sampled loop has {there:.3g} deg of phase margin only")
+        said += _where_it_is_steepest(axis, loop)
     return said
+
+
+def _where_it_is_steepest(axis: Axis, loop: SampledVelocityLoop) -> list[str]:
+    """Say whether slow motion is less stable: there the loop sees the slope that averages out in faster motion."""
+    steepest, sampling = loop.plant.linear.steepest, axis.sampling
+    if steepest == 0.0:
+        return []
+    here, found = loop.margins.phase_margin_deg, []
+    for stiffness in (steepest, -steepest):
+        linear = loop.plant.linear.with_environment(stiffness, 0.0)
+        plant = sample_plant(
+            linear, sampling.period, sampling.computation_delay, axis.controller.velocity_estimator
+        )
+        slow = replace(loop, plant=plant)
+        where = f"in slow motion, where the force over position has its slope of {stiffness:.3g} N/m,"
+        there = slow.margins.phase_margin_deg
+        if not slow.stable:
+            found.append(f"{where} the sampled loop is unstable")
+        elif here is not None and there is not None and there < here - 0.5:
+            found.append(f"{where} the sampled loop has {there:.3g} deg of phase margin only")
+    return found
