@@ -44,7 +44,7 @@ class ActuatorMap:
         return command
 
     def reach(self, acting: float) -> float:
-        """``acting`` [V], or the largest voltage of its sign that acts within the limit, whichever is smaller in size."""
+        """``acting`` [V], or the largest voltage of its sign that acts within the limit, where that is smaller."""
         side = -1.0 if acting < 0.0 else 1.0
         return side * min(abs(acting), abs(self.acting(side * self.limit)))
 
@@ -63,7 +63,7 @@ class ActuatorMap:
         return side * high
 
     def slope(self, acting: float) -> float:
-        """Change of the acting voltage with the command [V/V] at ``acting`` [V], or just inside the largest that acts."""
+        """Change of the acting voltage with the command [V/V] at ``acting`` [V], or just inside the largest."""
         if not self.maps:
             return 1.0
         side = -1.0 if acting < 0.0 else 1.0

@@ -173,7 +173,7 @@ class _Member:
             self.x = x
 
     def force(self, q: float, v: float, tau: float, x: np.ndarray) -> float:
-        """Everything the effect adds to the resisting force while sliding [N], its mean over one repeat from ``q`` on."""
+        """Everything the effect adds to the resisting force while sliding [N], its mean over one repeat."""
         return float(np.mean([self.force_at(q + place, v, tau, x) for place in self.places]))
 
     def force_at(self, q: float, v: float, tau: float, x: np.ndarray) -> float:
