@@ -3,8 +3,7 @@
 import numpy as np
 
 from emps_design import load_axis
-from emps_design.simulation import Law, Plant
-from emps_design.simulation.synthetic_record import trapezoid_laps
+from emps_design.simulation import Law, Plant, trapezoid_laps
 
 
 def proportional(k, reference, q, f_ext, limit, gains, memory):

@@ -20,7 +20,7 @@ from emps_design.records import Record
 MODEL = "asymmetric"
 
 # What the paper printed, to stand beside what the bench gives: never used in a computation.
-PRINTED = {
+PRINTED_TABLES = {
     "table_1": {
         "mass": (115.7315, 0.5765, 0.4981),
         "viscous_positive": (474.9727, 17.5686, 3.6989),
@@ -92,11 +92,11 @@ class SectionThree:
             "rms_2": self.rms_2.tolist(),
             "rms_direct": self.rms_direct.tolist(),
             "break_away": list(self.bench.break_away),
-            "printed": PRINTED,
+            "printed": PRINTED_TABLES,
         }
 
 
-def section_3(seed: int = 0, progress: Callable[[str, float], None] | None = None) -> SectionThree:
+def reproduce_section_3(seed: int = 0, progress: Callable[[str, float], None] | None = None) -> SectionThree:
     """Run the virtual bench of ``seed`` and evaluate it with the paper's chain of filters."""
     bench = virtual_bench(seed, progress)
     # The paper knows nothing of the machine but G_tau, and takes the current loop for a gain.

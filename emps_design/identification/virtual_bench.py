@@ -3,7 +3,7 @@
 The records of the 2018 paper are not public. This machine has the two-quadrant friction of its Table I, and, chosen
 so that errors and deviations come out as printed, what such a machine has besides: friction that bends, break-away,
 friction that depends on position and drifts between experiments, noise of the friction, an encoder and a force sensor.
-``NUMBERS`` says of every number whether it is the paper's or chosen, and why.
+``BENCH_NUMBERS`` says of every number whether it is the paper's or chosen, and why.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Number:
     reason: str
 
 
-NUMBERS: dict[str, Number] = {
+BENCH_NUMBERS: dict[str, Number] = {
     "experiments": Number(10, "", PAPER, "ten of each kind, sections III-A and III-B"),
     "crossover": Number(100.0, "rad/s", PAPER, "velocity loop, section II-C"),
     "largest_force": Number(5.0, "N", PAPER, "range of the force sensor, section III-C"),
@@ -72,7 +72,7 @@ NUMBERS: dict[str, Number] = {
 
 def value(name: str) -> float:
     """The number called ``name``, in its unit."""
-    return NUMBERS[name].value
+    return BENCH_NUMBERS[name].value
 
 
 def friction_noise(q, v, t, tau, x, p, b):

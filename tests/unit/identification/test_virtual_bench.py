@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from emps_design.identification.section_3 import PRINTED, section_3
+from emps_design.identification.section_3 import PRINTED_TABLES, reproduce_section_3
 from emps_design.identification.virtual_bench import (
+    BENCH_NUMBERS,
     CHOSEN,
-    NUMBERS,
     PAPER,
     bench_axis,
     break_away_test,
@@ -19,14 +19,14 @@ from emps_design.identification.virtual_bench import (
 
 @pytest.fixture(scope="module")
 def section():
-    return section_3(seed=0)
+    return reproduce_section_3(seed=0)
 
 
 def test_every_number_says_where_it_comes_from():
-    for number in NUMBERS.values():
+    for number in BENCH_NUMBERS.values():
         assert number.origin in (PAPER, CHOSEN)
         assert number.reason
-    assert {n.origin for n in NUMBERS.values()} == {PAPER, CHOSEN}
+    assert {n.origin for n in BENCH_NUMBERS.values()} == {PAPER, CHOSEN}
 
 
 RANGES = ("rms_1", "rms_2", "rms_direct")
@@ -36,23 +36,23 @@ def test_errors_lie_in_the_printed_ranges(section):
     """Of the default seed every single one, as the paper gives least and largest of ten."""
     assert np.all(section.rms_direct < section.rms_2)
     for name in RANGES:
-        low, high = PRINTED[name]
+        low, high = PRINTED_TABLES[name]
         assert np.all((getattr(section, name) >= low) & (getattr(section, name) <= high)), name
 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_other_seeds_give_the_same_order(seed):
-    found = section_3(seed)
+    found = reproduce_section_3(seed)
     assert np.all(found.rms_direct < found.rms_2)
     for name in RANGES:
-        low, high = PRINTED[name]
+        low, high = PRINTED_TABLES[name]
         assert np.all((getattr(found, name) > 0.9 * low) & (getattr(found, name) < 1.1 * high)), name
 
 
 @pytest.mark.parametrize(("table", "value_within", "deviation_within"), [("table_1", 0.1, 1.4), ("table_2", 0.55, 3.3)])
 def test_tables_are_near_the_printed_ones(section, table, value_within, deviation_within):
     for name, (value, two_sigma, percent) in getattr(section, table).items():
-        printed = PRINTED[table][name]
+        printed = PRINTED_TABLES[table][name]
         assert value == pytest.approx(printed[0], rel=value_within), name
         assert 1 / deviation_within < two_sigma / printed[1] < deviation_within, name
         assert percent == pytest.approx(100 * two_sigma / abs(value))
@@ -71,10 +71,10 @@ def test_break_away_is_found_by_the_ramp(section):
     axis = bench_axis()
     m = axis.mechanics
     forth, back = section.bench.break_away
-    assert forth == pytest.approx(m.coulomb + m.offset + NUMBERS["break_away_excess"].value, abs=0.3)
-    assert back == pytest.approx(m.coulomb - m.offset + NUMBERS["break_away_excess"].value, abs=0.3)
+    assert forth == pytest.approx(m.coulomb + m.offset + BENCH_NUMBERS["break_away_excess"].value, abs=0.3)
+    assert back == pytest.approx(m.coulomb - m.offset + BENCH_NUMBERS["break_away_excess"].value, abs=0.3)
     assert break_away_test(axis, 1.0, rate=1.0) == pytest.approx(forth, abs=0.2)
-    assert forth == pytest.approx(PRINTED["break_away"], abs=0.3)
+    assert forth == pytest.approx(PRINTED_TABLES["break_away"], abs=0.3)
 
 
 def test_same_seed_same_bytes(section):
@@ -95,5 +95,5 @@ def test_trajectory_ramps_half_of_the_time():
 
 def test_operator_stays_within_the_sensors_range():
     force = operator_force(1e-3, np.random.default_rng(1))
-    assert np.max(np.abs(force)) <= NUMBERS["largest_force"].value
+    assert np.max(np.abs(force)) <= BENCH_NUMBERS["largest_force"].value
     assert np.min(force) < -2.0 < 2.0 < np.max(force)

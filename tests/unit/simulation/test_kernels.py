@@ -129,9 +129,7 @@ def test_editing_an_effects_file_renews_its_cache_and_no_other(tmp_path):
 
 
 def test_the_steppers_cache_depends_on_every_file_it_is_built_from():
-    from emps_design.simulation.kernels import baseline as core
-    from emps_design.simulation.kernels import batch as lanes
-    from emps_design.simulation.kernels import hold_loop as stepper
+    from emps_design.simulation.kernels import baseline as core, batch as lanes, hold_loop as stepper
     from emps_design.simulation.kernels.compile import source_files
 
     files = {
