@@ -23,7 +23,8 @@ from emps_design.identification.inverse_model import (
     regression,
     relative_error,
 )
-from emps_design.identification.known import acting, filter_record, known_part, notes as notes_on
+from emps_design.identification.known import acting, filter_record, known_part
+from emps_design.identification.known import notes as notes_on
 from emps_design.identification.result import Identification
 from emps_design.records import Record
 

@@ -8,7 +8,8 @@ import re
 import numpy as np
 import pytest
 
-from emps_design.effects import EFFECTS, Motion, library as package
+from emps_design.effects import EFFECTS, Motion
+from emps_design.effects import library as package
 from emps_design.effects.curve import curve, states_along
 from emps_design.effects.effect import CHECK_BASELINE, MASS, SCALAR_HOOKS, VISCOUS
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from emps_design.simulation import Plant
-from emps_design.simulation.kernels import motion, smooth_period as glide
+from emps_design.simulation.kernels import motion
+from emps_design.simulation.kernels import smooth_period as glide
 from tests.physics.cases import axis_with
 
 

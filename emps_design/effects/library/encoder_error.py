@@ -9,7 +9,8 @@ from math import pi, sin
 
 import numpy as np
 
-from emps_design.effects import guesses as search, harmonic
+from emps_design.effects import guesses as search
+from emps_design.effects import harmonic
 from emps_design.effects.effect import MASS, VISCOUS, Effect, Motion, Parameter, Parameters
 
 

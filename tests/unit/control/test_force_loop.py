@@ -4,7 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from emps_design.control.derivations.cascade import derive_cascade, symbols
 from emps_design.control.force.design import design_force_loop, largest_force_gain

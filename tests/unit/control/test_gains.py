@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from emps_design.control.derivations.cascade import derive_cascade, symbols
 from emps_design.control.derivations.step import plain_symbols

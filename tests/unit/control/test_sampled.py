@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.signal
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from emps_design.control.loop.margins import loop_margins
 from emps_design.control.loop.sampled_loop import SampledVelocityLoop, closed_loop

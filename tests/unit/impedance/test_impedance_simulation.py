@@ -23,7 +23,8 @@ from emps_design.control.impedance.with_effects import extended_loop
 from emps_design.errors import AxisError, InputError, UnstableError
 from emps_design.machines import machine
 from emps_design.simulation.environment import Hand
-from emps_design.simulation.impedance_law import impedance_law as engine_law, law_for
+from emps_design.simulation.impedance_law import impedance_law as engine_law
+from emps_design.simulation.impedance_law import law_for
 from emps_design.simulation.plant import Plant
 
 PLANT = np.array([100.0, 400.0, 500.0, 20.0, 12.0, 5e-4, 35.0, 10.0, 0.0, 1e-3])

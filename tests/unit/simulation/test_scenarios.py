@@ -8,7 +8,8 @@ import pytest
 from emps_design.cli.app import run as command_line
 from emps_design.errors import InputError, RecordError
 from emps_design.machines import machine
-from emps_design.simulation import Plant, Run, breakaway, replay, trajectories as programs
+from emps_design.simulation import Plant, Run, breakaway, replay
+from emps_design.simulation import trajectories as programs
 from emps_design.simulation.reference_file import read_reference
 from emps_design.simulation.scenarios import follow
 
