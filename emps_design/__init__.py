@@ -29,12 +29,12 @@ if TYPE_CHECKING:
         identify_several as identify_several,
         observe as observe,
     )
+    from emps_design.laws import Law as Law
     from emps_design.machines import load_axis as load_axis, machine as machine
     from emps_design.records import Record as Record, read_record as read_record
     from emps_design.report import Report as Report, assemble_report as assemble_report
     from emps_design.simulation import (
         Hand as Hand,
-        Law as Law,
         Plant as Plant,
         Wall as Wall,
         practice_record as practice_record,

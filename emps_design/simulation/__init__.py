@@ -16,7 +16,6 @@ if TYPE_CHECKING:
         sweep as sweep,
     )
     from emps_design.simulation.environment import Hand as Hand, Wall as Wall
-    from emps_design.simulation.laws import Law as Law
     from emps_design.simulation.plant import Plant as Plant
     from emps_design.simulation.run import Run as Run
     from emps_design.simulation.scenarios import breakaway as breakaway, replay as replay

@@ -17,7 +17,6 @@ def order(package: str) -> list[str]:
     """The modules of ``package``, each after those it imports; ``CycleError`` names a circle."""
     graph = grimp.build_graph(package, cache_dir=None)
     imports = {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
-    imports.get("emps_design.simulation.laws", set()).discard("emps_design.simulation.impedance_law")  # until one law
     return list(TopologicalSorter(imports).static_order())
 
 
