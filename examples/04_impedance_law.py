@@ -11,10 +11,8 @@ from emps_design.control import (
     Clock,
     FrictionModel,
     contact_map,
-    cost_of_printed,
     equivalent_impedance,
     equivalent_loop,
-    impedance_derivation,
     impedance_law,
     largest_wall,
     passivity,
@@ -24,6 +22,7 @@ from emps_design.control import (
     stability_map,
 )
 from emps_design.machines import machine
+from emps_design.paper import cost_of_printed, impedance_derivation
 
 axis = machine("emps2018")
 plant, clock = FrictionModel.of(axis), Clock.of(axis)

@@ -1,7 +1,8 @@
 """Section III of the paper on the virtual bench: Tables I and II, the RMS ranges, Figs. 3, 5, 6, 8, 9 and 10.
 
 Run: python examples/09_paper_section_3.py [figures.pdf]. The paper's records are not public; the bench is a machine
-with its Table I, and numbers chosen so that the errors come out alike. It lists which are which.
+with its Table I, and numbers chosen so that tables and errors come out alike. It lists which are which;
+`make paper` sweeps what makes Table II.
 """
 
 import sys
@@ -9,20 +10,19 @@ import sys
 import numpy as np
 
 from emps_design.effects import Motion
-from emps_design.identification import BENCH_NUMBERS, PRINTED_TABLES, paper_chain, reproduce_section_3
+from emps_design.identification import paper_chain
 from emps_design.observer import model_force
+from emps_design.paper import NUMBERS, PRINTED, bend_of, reproduce_section_3
 
 found = reproduce_section_3(seed=0)
 
 for origin in ("paper", "chosen"):
-    names = [
-        f"{name} {number.value:g} {number.unit}" for name, number in BENCH_NUMBERS.items() if number.origin == origin
-    ]
+    names = [f"{name} {number.value:g} {number.unit}" for name, number in NUMBERS.items() if number.origin == origin]
     print(f"{origin}: {', '.join(name.strip() for name in names)}")
 
 for title, table, printed in (
-    ("Table I", found.table_1, PRINTED_TABLES["table_1"]),
-    ("Table II", found.table_2, PRINTED_TABLES["table_2"]),
+    ("Table I", found.table_1, PRINTED["table_1"]),
+    ("Table II", found.table_2, PRINTED["table_2"]),
 ):
     print(f"\n{title:20}{'value':>10}{'2 sigma':>10}{'% sigma':>10}      printed")
     for name, row in table.items():
@@ -30,13 +30,13 @@ for title, table, printed in (
 
 print()
 for label, values, printed in (
-    ("RMS_1, identification", found.rms_1, PRINTED_TABLES["rms_1"]),
-    ("RMS_2, cross", found.rms_2, PRINTED_TABLES["rms_2"]),
-    ("direct validation", found.rms_direct, PRINTED_TABLES["rms_direct"]),
+    ("RMS_1, identification", found.rms_1, PRINTED["rms_1"]),
+    ("RMS_2, cross", found.rms_2, PRINTED["rms_2"]),
+    ("direct validation", found.rms_direct, PRINTED["rms_direct"]),
 ):
     print(f"{label:24} {values.min():.2f} to {values.max():.2f} N    printed {printed[0]} to {printed[1]} N")
 forth, back = found.bench.break_away
-print(f"break-away F_s           {forth:.2f} N forth, {back:.2f} N back    printed {PRINTED_TABLES['break_away']} N")
+print(f"break-away F_s           {forth:.2f} N forth, {back:.2f} N back    printed {PRINTED['break_away']} N")
 
 if len(sys.argv) > 1:
     import matplotlib
@@ -59,7 +59,8 @@ if len(sys.argv) > 1:
         steady = Motion(t=still, q=still, v=v, a=still, tau=still, period=record.period)
         figure, panel = plt.subplots(layout="constrained")
         panel.plot(v, classical, "r", label="classical, (3), as identified")
-        panel.plot(v, model_force(steady, found.bench.axis, rest_velocity=0.0), "b", label="of the machine, with (4)")
+        machine = model_force(steady, found.bench.axis, rest_velocity=0.0) + bend_of(v)
+        panel.plot(v, machine, "b", label="of the machine, with (4)")
         panel.set(xlabel="velocity [m/s]", ylabel="friction [N]", title="Fig. 3: friction over velocity")
         panel.legend()
         pages.savefig(figure)

@@ -1,4 +1,4 @@
-"""Design of velocity, force and impedance loops: gains, margins, sampled loops, derivations."""
+"""Design of velocity, force and impedance loops: gains, margins, sampled loops."""
 
 from __future__ import annotations
 
@@ -7,11 +7,6 @@ from typing import TYPE_CHECKING
 from emps_design.exports import on_first_use
 
 if TYPE_CHECKING:
-    from emps_design.control.derivations.cascade import derive_cascade as derive_cascade
-    from emps_design.control.derivations.impedance import (
-        cost_of_printed as cost_of_printed,
-        impedance_derivation as impedance_derivation,
-    )
     from emps_design.control.force.design import (
         ForceLoopDesign as ForceLoopDesign,
         design_force_loop as design_force_loop,
