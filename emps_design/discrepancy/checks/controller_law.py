@@ -15,8 +15,8 @@ from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.partition import START_UP
 from emps_design.effects import Effect, Motion
 from emps_design.errors import InputError
+from emps_design.laws import law_of
 from emps_design.records import Record
-from emps_design.simulation.laws import law_of
 
 BLOCK_TIME = 0.02  # s, of the means in which structure shows
 
