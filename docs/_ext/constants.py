@@ -11,7 +11,7 @@ ASSIGNED = re.compile(r"^([A-Z][A-Z_0-9]*) = ([^#]+?)(?:\s+# (.*))?$", re.MULTIL
 
 
 class Constants(Directive):
-    """``{constants}`` with lines ``module NAME NAME ...``, or ``module`` for all of its constants: one row per number."""
+    """``{constants}`` with lines ``module NAME NAME ...``, or ``module`` for all of them: one row per number."""
 
     has_content = True
 
