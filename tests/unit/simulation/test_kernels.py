@@ -115,7 +115,7 @@ def test_editing_an_effects_file_renews_its_cache_and_no_other(tmp_path):
         os.utime(file, (1_700_000_000, 1_700_000_000))
 
     def stepper_cache():
-        return {path: path.stat().st_mtime_ns for path in cache.rglob("stepper.run*.nbc")}
+        return {path: path.stat().st_mtime_ns for path in cache.rglob("hold_loop.run*.nbc")}
 
     write("1.0")
     first, before = run().stdout, stepper_cache()
@@ -129,15 +129,21 @@ def test_editing_an_effects_file_renews_its_cache_and_no_other(tmp_path):
 
 
 def test_the_steppers_cache_depends_on_every_file_it_is_built_from():
-    from emps_design.simulation.kernels import baseline as core
-    from emps_design.simulation.kernels import batch as lanes
-    from emps_design.simulation.kernels import hold_loop as stepper
+    from emps_design.simulation.kernels import baseline, batch, hold_loop
     from emps_design.simulation.kernels.compile import source_files
 
     files = {
-        stepper.run: {"compile", "core", "glide", "motion", "stepper", "stretch"},
-        core.run_folded: {"compile", "core"},
-        lanes.run_lanes: {"compile", "core", "lanes"},
+        hold_loop.run: {
+            "baseline",
+            "compile",
+            "event_steps",
+            "friction_period",
+            "hold_loop",
+            "motion",
+            "smooth_period",
+        },
+        baseline.run_folded: {"baseline", "compile", "friction_period"},
+        batch.run_lanes: {"batch", "compile", "friction_period"},
     }
     for dispatcher, names in files.items():
         assert {path.stem for path in source_files(dispatcher.py_func)} == names
