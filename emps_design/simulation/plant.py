@@ -208,7 +208,7 @@ class Plant:
         self, law, reference, q_ref, baseline, parameters, disturbance, noise, q0, v0, period, quantise, intention,
         energy, tolerance, method,
     ) -> Run:  # fmt: skip
-        b, p = self._numbers(baseline, parameters)
+        b, p = self.numbers(baseline, parameters)
         hands = self.effects.count(HAND)
         if hands > 1 or (intention is not None and not hands):
             raise InputError(f"intention: found {hands} hands at the carriage, expected one; see Plant.touched_by")
@@ -254,7 +254,8 @@ class Plant:
             name=self.axis.name,
         )
 
-    def _numbers(self, baseline: Any, parameters: Any) -> tuple[np.ndarray, np.ndarray]:
+    def numbers(self, baseline: Any = None, parameters: Any = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return ``baseline`` (4,) and ``parameters``, end to end, checked; by default the axis's own."""
         b = self.baseline if baseline is None else np.array(baseline, dtype=float)
         p = self._p.copy() if parameters is None else np.concatenate([_EMPTY, *parameters])
         if b.shape != (4,) or not np.isfinite(b).all() or b[0] <= 0 or b[1] < 0 or b[2] < 0:
