@@ -12,8 +12,8 @@ import math
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.control.impedance import law as impedance
 from emps_design.control.impedance.law import ImpedanceLaw
-from emps_design.control.impedance.law import law as impedance
 from emps_design.errors import AxisError
 from emps_design.simulation.laws import Law
 

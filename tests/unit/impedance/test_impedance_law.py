@@ -35,7 +35,7 @@ def test_derived_law_gives_the_target_and_printed_30_does_not(plant):
 @pytest.mark.parametrize("factor", [1.0, PRINTED])
 @pytest.mark.parametrize("error", [-0.02, 0.0, 0.05])
 def test_closed_forms_agree_with_sympy(plant, factor, error):
-    from emps_design.control.derivations.step import impedance as d
+    from emps_design.control.derivations import impedance as d
 
     law = ImpedanceLaw(50.0, 100.0, plant.with_errors(alike(error)), current_factor=factor)
     numbers = {
@@ -51,7 +51,7 @@ def test_closed_forms_agree_with_sympy(plant, factor, error):
 def test_full_law_with_stiffness_closes_to_the_target():
     import sympy as sp
 
-    from emps_design.control.derivations.step import impedance as d
+    from emps_design.control.derivations import impedance as d
 
     # (24) holds, tau_m is the derived (27): what is left for tau_e must be (25), K and q_0 included.
     model = sp.Eq(d.tau_m + d.tau_e, d.M_h * d.qdd + d.F_vh * d.qd + d.F_ch * d.S)
