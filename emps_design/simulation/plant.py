@@ -390,14 +390,15 @@ class Plant:
         at = self._p_at[hand]
         wanted = np.zeros(n) if intention is None else np.asarray(intention, dtype=float)
         grips = ~np.isnan(wanted)
+        speed = np.zeros(n)
+        if n > 1:  # between samples the intention moves evenly; a held force is that of the sample itself
+            step = np.diff(wanted) / period
+            speed = np.gradient(wanted, period) if hand in self._held else np.append(step, 0.0)
+            speed[1:] = np.where(np.isnan(speed[1:]), step, speed[1:])
         wanted = _signal(np.where(grips, wanted, 0.0), "intention", "m", n)
-        columns = np.column_stack([wanted, np.zeros(n), np.arange(n) * period])
-        columns[:-1, 1] = np.where(grips[1:], np.diff(wanted) / period, 0.0)
+        columns = np.column_stack([wanted, np.nan_to_num(speed), np.arange(n) * period])
         if grips.all():
             return columns, at + np.array([3, 4, 5])
-        if n > 1:  # the last sample of a grip: as fast as before
-            last = np.flatnonzero(grips[1:-1] & ~grips[2:]) + 1
-            columns[last, 1] = columns[last - 1, 1]
         return np.column_stack([grips[:, None] * self.parameters[hand][:3], columns]), at + np.arange(6)
 
 
