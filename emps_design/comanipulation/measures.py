@@ -31,6 +31,7 @@ def measure(q, v, u, force, wish, limit, period, release, end, measures):
     aa = av = vv = af = vf = ff = 0.0
     min_v = min_u = np.inf
     max_v = max_u = -np.inf
+    rate = 1.0 / period
     for k in range(n):
         moved = q[k + 1] - q[k]
         volts, v0, v1 = u[k], v[k], v[k + 1]
@@ -50,7 +51,7 @@ def measure(q, v, u, force, wish, limit, period, release, end, measures):
             path += abs(moved)
             miss2 += (wish[k] - q[k]) ** 2
             if v0 * v1 > 0.0:  # in motion; means over the period for which the force is held
-                a, w = (v1 - v0) / period, moved / period
+                a, w = (v1 - v0) * rate, moved * rate
                 moving += 1
                 aa += a * a
                 av += a * w

@@ -219,6 +219,6 @@ def advance(q, v, tau, command, push, span, forward, backward, friction, t, even
             lag == 0.0 or mass * v + span * (f + max(d, d * kept) - min(viscous_n * v, viscous_n * new)) < 0.0
         ):
             return q + (q_v * v + q_d * d + q_f * f), new, command + d * kept
-    elif lag == 0.0 and -coulomb_n <= command + push <= coulomb_p:
-        return q, 0.0, command
+    elif -coulomb_n <= command + push <= coulomb_p and -coulomb_n <= command + d + push <= coulomb_p:
+        return q, 0.0, command + d * forward[6]
     return follow(q, v, tau, command, push, span, friction, t, events, found)

@@ -372,8 +372,8 @@ def test_estimates_of_a_law_do_not_touch_the_plant(axis, plant):
 @pytest.mark.parametrize("delay", [0, 2])
 @pytest.mark.parametrize("force_sensor", [False, True])
 def test_general_simulator_runs_the_same_law(axis, lag, delay, force_sensor):
-    # The exact period against Runge-Kutta steps (the energy balance asks for them). An exact encoder: a position between
-    # two steps may be read either way.
+    # The exact period against Runge-Kutta steps (the energy balance asks for them). An exact encoder: a position
+    # between two steps may be read either way.
     sampling = {"computation_delay": delay, "encoder_resolution": 0.0}
     other = axis.replace(drive={"current_time_constant": lag}, sampling=sampling)
     law = impedance_law(other, 60.0, 100.0, force_sensor=force_sensor).with_errors(over(0.02))
