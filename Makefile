@@ -4,12 +4,15 @@ PYTHON ?= python3
 VENV ?= .venv
 EXTRAS ?= test,studio
 FUZZ ?= 10000
+WORKERS ?= auto
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip -qq --disable-pip-version-check --no-input
 
 # An environment is good as long as pyproject.toml says the same: its marker carries a hash of the content, not a date.
 STATE := $(shell $(PYTHON) -c "import hashlib; print(hashlib.sha256(open('pyproject.toml', 'rb').read()).hexdigest()[:12])")
 comma := ,
+# A worker on every core; one that has nothing left takes tests from the other.
+PARALLEL = -n $(WORKERS) --dist worksteal
 MARK = $(VENV)/.installed-$(STATE)-$(subst $(comma),-,$(1))
 
 .PHONY: help demo test quick lint fuzz hidden bench docs clean
@@ -25,10 +28,10 @@ demo: $(call MARK,run)
 	@$(BIN)/emps-design demo --out emps-design-demo.html
 
 test: $(call MARK,$(EXTRAS))
-	@$(BIN)/python -m pytest
+	@$(BIN)/python -m pytest $(PARALLEL)
 
 quick: $(call MARK,$(EXTRAS))
-	@$(BIN)/python -m pytest -m "not slow and not browser"
+	@$(BIN)/python -m pytest $(PARALLEL) -m "not slow and not browser"
 
 lint: $(call MARK,$(EXTRAS))
 	@$(BIN)/ruff check .

@@ -1,4 +1,4 @@
-"""Measure the simulation engine and write benchmarks/latest.json: ``make bench`` or ``python -m benchmarks``.
+"""Measure the engine, whole commands and the studio, and write benchmarks/latest.json: ``make bench``.
 
 Times are medians of one process on this machine: processor time where one thread works, so that other work on the
 machine counts little, wall time where several do. What counts are the ratios. Peers that are not there are left out
@@ -19,7 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.commands import commands
 from benchmarks.peers import compiled_c, python_control
+from benchmarks.rows import add, children, skip
+from benchmarks.studio import studio
 from emps_design.comanipulation.study import mismatch_study
 from emps_design.control.impedance.law import impedance_law
 from emps_design.files import write_text
@@ -55,6 +58,8 @@ def main() -> int:
     _comanipulation(rows)
     _hour(axis, rows)
     _starts(rows)
+    commands(rows)
+    studio(rows)
     document = {"rows": rows, "cores": os.cpu_count(), "load_average": load}
     write_text(Path(__file__).with_name("latest.json"), json.dumps(document, indent=1) + "\n")
     _table(rows)
@@ -95,17 +100,6 @@ def _together(call) -> tuple[float, float]:
     return float(wall), float(busy)
 
 
-def _add(
-    rows: list[dict], work: str, value: float, unit: str, target: float | None = None, least: bool = False
-) -> None:
-    met = None if target is None else bool(value >= target if least else value <= target)
-    rows.append({"work": work, "value": float(f"{value:.4g}"), "unit": unit, "target": target, "met": met})
-
-
-def _skip(rows: list[dict], work: str, why: str) -> None:
-    print(f"benchmarks: {work}: left out, {why}", file=sys.stderr)
-
-
 def _replays(axis, record, rows) -> None:
     q_ref, q0, plant = np.ascontiguousarray(record.q_ref), float(record.q[0]), Plant.of(axis)
 
@@ -114,16 +108,16 @@ def _replays(axis, record, rows) -> None:
 
     exact = ours("plain")()
     plain, folded, general = (_median(ours(method)) for method in ("plain", "folded", "general"))
-    _add(rows, "replay, core model, plain", 1e3 * plain, "ms")
-    _add(rows, "replay, core model, folded", 1e3 * folded, "ms")
-    _add(rows, "replay, core model, general stepper", 1e3 * general, "ms")
-    _add(rows, "folded over plain", folded / plain, "times", 0.5)
+    add(rows, "replay, core model, plain", 1e3 * plain, "ms")
+    add(rows, "replay, core model, folded", 1e3 * folded, "ms")
+    add(rows, "replay, core model, general stepper", 1e3 * general, "ms")
+    add(rows, "folded over plain", folded / plain, "times", 0.5)
     in_c = compiled_c()
     if isinstance(in_c, str):
-        _skip(rows, "C", in_c)
+        skip("C", in_c)
     else:
         same = in_c(q_ref, axis, q0)
-        _add(
+        add(
             rows,
             "C and plain, largest difference of position",
             np.abs(same["position"] - exact.position).max(),
@@ -131,25 +125,25 @@ def _replays(axis, record, rows) -> None:
             1e-12,
         )
         seconds = _median(lambda: in_c(q_ref, axis, q0))
-        _add(rows, "replay in C, -O3", 1e3 * seconds, "ms")
-        _add(rows, "plain over C", plain / seconds, "times", 1.3)
-        _add(rows, "folded over C", folded / seconds, "times")
+        add(rows, "replay in C, -O3", 1e3 * seconds, "ms")
+        add(rows, "plain over C", plain / seconds, "times", 1.3)
+        add(rows, "folded over C", folded / seconds, "times")
     peer = python_control()
     if isinstance(peer, str):
-        _skip(rows, "python-control", peer)
+        skip("python-control", peer)
     else:
         begun = time.thread_time()
         same = peer(q_ref, axis, q0)
         seconds = time.thread_time() - begun
-        _add(
+        add(
             rows,
             "python-control and plain, difference of position",
             np.abs(same["position"] - exact.position).max(),
             "m",
             1e-12,
         )
-        _add(rows, "python-control, one nlsys with the exact step", 1e3 * seconds, "ms")
-        _add(rows, "python-control over plain", seconds / plain, "times", 1000.0, least=True)
+        add(rows, "python-control, one nlsys with the exact step", 1e3 * seconds, "ms")
+        add(rows, "python-control over plain", seconds / plain, "times", 1000.0, least=True)
 
 
 def _five(axis, record, rows) -> None:
@@ -159,21 +153,21 @@ def _five(axis, record, rows) -> None:
         fast = plant.closed_loop(record.q_ref, q0=q0, quantise=False)
         tight = plant.closed_loop(record.q_ref, q0=q0, quantise=False, tolerance=1e-4)
         seconds = _median(lambda plant=plant: plant.closed_loop(record.q_ref, q0=q0))
-        _add(rows, f"replay, five effects ({label})", 1e3 * seconds, "ms", 6.0)
+        add(rows, f"replay, five effects ({label})", 1e3 * seconds, "ms", 6.0)
         difference = float(np.abs(fast.position - tight.position).max())
-        _add(rows, f"five effects ({label}), position against tight steps", difference, "m", 1e-9)
+        add(rows, f"five effects ({label}), position against tight steps", difference, "m", 1e-9)
 
 
 def _ensembles(axis, record, rows) -> None:
     drawn = monte_carlo(axis, 0.02, 10_000)
     wall, busy = _together(lambda: simulate_ensemble(axis, drawn, record=record, workers=2))
-    _add(rows, "10,000 plants at +-2 %, metrics, two workers", wall, "s", 0.3)
-    _add(rows, "the same, processor time over two", busy / 2.0, "s")
+    add(rows, "10,000 plants at +-2 %, metrics, two workers", wall, "s", 0.3)
+    add(rows, "the same, processor time over two", busy / 2.0, "s")
     extended = axis.replace(effects=list(FIVE))
     few = monte_carlo(extended, 0.02, 400)
     wall, busy = _together(lambda: simulate_ensemble(extended, few, record=record, workers=2))
-    _add(rows, "plants with five effects, two workers", len(few) / wall, "plants/s", 400.0, least=True)
-    _add(rows, "the same, by processor time over two", 2.0 * len(few) / busy, "plants/s")
+    add(rows, "plants with five effects, two workers", len(few) / wall, "plants/s", 400.0, least=True)
+    add(rows, "the same, by processor time over two", 2.0 * len(few) / busy, "plants/s")
 
 
 def _comanipulation(rows) -> None:
@@ -181,7 +175,7 @@ def _comanipulation(rows) -> None:
     axis = machine("emps2018")
     law = impedance_law(axis, 50.0, 100.0)
     seconds = _median(lambda: mismatch_study(axis, law, 0.02, 10_000, workers=2), least=3, clock=time.perf_counter)
-    _add(rows, "10,000 co-manipulations of 10 s at +-2 %, two workers", seconds, "s", 20.0)
+    add(rows, "10,000 co-manipulations of 10 s at +-2 %, two workers", seconds, "s", 20.0)
 
 
 def _hour(axis, rows) -> None:
@@ -204,9 +198,9 @@ def _hour(axis, rows) -> None:
     )
     answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     tenth, whole, kilobytes = map(float, answer.stdout.split())
-    _add(rows, "one hour at 1 kHz, core model", whole, "s")
-    _add(rows, "one hour over ten times six minutes", whole / (10.0 * tenth), "times", 1.5)
-    _add(rows, "one hour, peak memory", kilobytes / 1024.0**2, "GiB", 1.0)
+    add(rows, "one hour at 1 kHz, core model", whole, "s")
+    add(rows, "one hour over ten times six minutes", whole / (10.0 * tenth), "times", 1.5)
+    add(rows, "one hour, peak memory", kilobytes / 1024.0**2, "GiB", 1.0)
 
 
 def _starts(rows) -> None:
@@ -224,22 +218,16 @@ def _starts(rows) -> None:
         environment = {**os.environ, "NUMBA_CACHE_DIR": folder}
         times = []
         for _ in range(4):
-            begun, used = time.perf_counter(), _children()
+            begun, used = time.perf_counter(), children()
             subprocess.run([sys.executable, "-c", program], check=True, env=environment)
-            times.append((time.perf_counter() - begun, _children() - used))
-    _add(rows, "whole process, cold: core, general stepper, five effects", times[0][0], "s", 20.0)
-    _add(rows, "the same, processor time", times[0][1], "s")
+            times.append((time.perf_counter() - begun, children() - used))
+    add(rows, "whole process, cold: core, general stepper, five effects", times[0][0], "s", 20.0)
+    add(rows, "the same, processor time", times[0][1], "s")
     warm = min(times[1:])
-    _add(rows, "whole process, warm", warm[0], "s", 1.0)
-    _add(rows, "the same, processor time", warm[1], "s")
+    add(rows, "whole process, warm", warm[0], "s", 1.0)
+    add(rows, "the same, processor time", warm[1], "s")
     own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0**2
-    _add(rows, "this process, peak memory", own, "GiB")
-
-
-def _children() -> float:
-    """Processor time of the processes that have ended [s]."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+    add(rows, "this process, peak memory", own, "GiB")
 
 
 def _table(rows) -> None:

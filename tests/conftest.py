@@ -1,12 +1,26 @@
-"""Where measured records are looked for: beside the repository, or in the folder EMPS_DESIGN_DATA names."""
+"""Where measured records are looked for, and what several workers on one machine need.
+
+Records: beside the repository, or in the folder EMPS_DESIGN_DATA names.
+"""
 
 import os
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("EMPS_DESIGN_DATA", REPOSITORY.parent / "shared" / "data"))
+
+# Two processes that compile one function for different arguments may write the same file of numba's cache, so each
+# worker and what it starts have their own. They share the cores, too: one thread of linear algebra for each.
+if worker := os.environ.get("PYTEST_XDIST_WORKER"):
+    os.environ.setdefault("NUMBA_CACHE_DIR", str(REPOSITORY / ".pytest_cache" / "numba" / worker))
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# No test asserts a time: how long an example takes is the machine's.
+settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any machine")
 
 
 @pytest.fixture(scope="session")

@@ -11,15 +11,13 @@ from pathlib import Path
 import pytest
 
 SCREENSHOTS = os.environ.get("EMPS_DESIGN_SCREENSHOTS", "")
+ARGUMENTS = ["--no-sandbox", "--disable-gpu"]
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 
 
 def chromium() -> str:
-    """Path of a Chromium: from the environment, or found."""
-    found = os.environ.get("EMPS_DESIGN_CHROMIUM") or next(filter(None, map(shutil.which, NAMES)), "")
-    if not found:
-        pytest.skip("no Chromium on this machine: install Debian's chromium, or name one in EMPS_DESIGN_CHROMIUM")
-    return found
+    """Path of a Chromium: from the environment, or found; empty where there is none."""
+    return os.environ.get("EMPS_DESIGN_CHROMIUM") or next(filter(None, map(shutil.which, NAMES)), "")
 
 
 @pytest.fixture(scope="session")
@@ -28,8 +26,10 @@ def browser():
     pytest.importorskip("panel", reason="the extra 'studio' is not installed")
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed (extra 'browser')")
     path = chromium()
+    if not path:
+        pytest.skip("no Chromium on this machine: install Debian's chromium, or name one in EMPS_DESIGN_CHROMIUM")
     with playwright.sync_playwright() as driver:
-        running = driver.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu"])
+        running = driver.chromium.launch(executable_path=path, args=ARGUMENTS)
         yield running
         running.close()
 

