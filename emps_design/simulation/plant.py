@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dis
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from emps_design.simulation.kernels import baseline as core
 from emps_design.simulation.kernels import hold_loop as stepper
 from emps_design.simulation.kernels.compile import address
 from emps_design.simulation.laws import Law, law_of, position_pd
+from emps_design.simulation.prepared import Prepared, intention_columns, positive, signal
 from emps_design.simulation.run import Run
 
 HOOKS = ("force", "dry", "inertia", "command", "actuator", "delay", "sensor", "rate", "guard", "jump_time")
@@ -32,26 +32,6 @@ REASONS = {
     stepper.MASSLESS: "the effects leave no mass on the encoder's side",
     stepper.RUNAWAY: "the loop is unstable: the voltage has swung from limit to limit 40 times, each within 0.2 s",
 }
-
-
-@dataclass(frozen=True)
-class Prepared:
-    """What the general stepper is given besides the law, the signals and room for the answer.
-
-    ``baseline`` (4,), ``parameters``, ``settings``, ``y`` the state at first, the table of hooks with its ``starts``,
-    ``columns`` that are written to ``slots`` of the parameters at every sample, ``floors`` and ``scratch``.
-    """
-
-    baseline: np.ndarray
-    parameters: np.ndarray
-    settings: np.ndarray
-    y: np.ndarray
-    hooks: np.ndarray
-    starts: np.ndarray
-    columns: np.ndarray
-    slots: np.ndarray
-    floors: np.ndarray
-    scratch: np.ndarray
 
 
 class Plant:
@@ -163,13 +143,13 @@ class Plant:
         ``plain`` or ``folded``.
         Raises :class:`SimulationError` with time, state and effect where the simulation cannot go on.
         """
-        period = self.axis.sampling.period if period is None else _positive(period)
-        q_ref = _signal(q_ref, "q_ref", "m")
+        period = self.axis.sampling.period if period is None else positive(period)
+        q_ref = signal(q_ref, "q_ref", "m")
         law = law or law_of(self.axis, period)
         if reference is None:
             reference = q_ref if law.follows == "position" else np.diff(q_ref, prepend=q_ref[:1]) / period
         else:
-            reference = _signal(reference, "reference", "m or m/s", q_ref.size)
+            reference = signal(reference, "reference", "m or m/s", q_ref.size)
         q0 = float(q_ref[0]) if q0 is None else float(q0)
         return self._simulate(
             law, reference, q_ref, baseline, parameters, disturbance, voltage_noise, q0, v0, period, quantise,
@@ -196,8 +176,8 @@ class Plant:
 
         The voltage limit applies; ``command`` effects add to ``u``. ``q_ref`` of the run is not a number.
         """
-        period = self.axis.sampling.period if period is None else _positive(period)
-        u = _signal(u, "u", "V")
+        period = self.axis.sampling.period if period is None else positive(period)
+        u = signal(u, "u", "V")
         nothing = np.full(u.size, np.nan)
         return self._simulate(
             None, u, nothing, baseline, parameters, disturbance, None, q0, v0, period, quantise, intention, energy,
@@ -215,8 +195,8 @@ class Plant:
         if not (np.isfinite(q0) and np.isfinite(v0)):
             raise InputError(f"q0, v0: found {q0:g} m, {v0:g} m/s, expected finite numbers")
         n = q_ref.size
-        push = _EMPTY if disturbance is None else _signal(disturbance, "disturbance", "N", n)
-        noise = _EMPTY if noise is None else _signal(noise, "voltage_noise", "V", n)
+        push = _EMPTY if disturbance is None else signal(disturbance, "disturbance", "N", n)
+        noise = _EMPTY if noise is None else signal(noise, "voltage_noise", "V", n)
         resolution = self.axis.sampling.encoder_resolution if quantise else 0.0
         fastest = "general" if energy else self._method(law, noise, resolution)
         possible = (
@@ -387,19 +367,9 @@ class Plant:
         if intention is None and HAND not in self.effects:
             return _NO_SIGNALS, _NO_SLOTS
         hand = self.effects.index(HAND)
-        at = self._p_at[hand]
         wanted = np.zeros(n) if intention is None else np.asarray(intention, dtype=float)
-        grips = ~np.isnan(wanted)
-        speed = np.zeros(n)
-        if n > 1:  # between samples the intention moves evenly; a held force is that of the sample itself
-            step = np.diff(wanted) / period
-            speed = np.gradient(wanted, period) if hand in self._held else np.append(step, 0.0)
-            speed[1:] = np.where(np.isnan(speed[1:]), step, speed[1:])
-        wanted = _signal(np.where(grips, wanted, 0.0), "intention", "m", n)
-        columns = np.column_stack([wanted, np.nan_to_num(speed), np.arange(n) * period])
-        if grips.all():
-            return columns, at + np.array([3, 4, 5])
-        return np.column_stack([grips[:, None] * self.parameters[hand][:3], columns]), at + np.arange(6)
+        columns = intention_columns(wanted, self.parameters[hand], hand in self._held, n, period)
+        return columns, self._p_at[hand] + np.arange(6)
 
 
 def _touches_motion(effect: Effect) -> bool:
@@ -413,21 +383,3 @@ def _sees_command(effect: Effect) -> bool:
         return True
     kernels = [kernel for kernel in (effect.force, effect.dry) if kernel is not None]
     return any("tau" in {step.argval for step in dis.get_instructions(kernel)} for kernel in kernels)
-
-
-def _positive(period: Any) -> float:
-    if not (np.isfinite(period) and period > 0):
-        raise InputError(f"period: found {period:g} s, expected a positive number")
-    return float(period)
-
-
-def _signal(values: Any, name: str, unit: str, n: int | None = None) -> np.ndarray:
-    signal = np.ascontiguousarray(values, dtype=float)
-    if signal.ndim != 1 or signal.size == 0 or (n is not None and signal.size != n):
-        wanted = f"{n} numbers" if n else "a row of numbers"
-        raise InputError(f"{name}: found shape {signal.shape}, expected {wanted} [{unit}]")
-    # A finite sum proves all finite, in one pass; otherwise look for the culprit (there is none if the sum overflowed).
-    if not np.isfinite(signal.sum()) and not np.isfinite(signal).all():
-        first = int(np.argmin(np.isfinite(signal)))
-        raise InputError(f"{name}: sample {first} is {signal[first]}, expected finite numbers [{unit}]")
-    return signal

@@ -464,7 +464,7 @@ def test_assessment_of_an_axis_with_effects(axis):
     nearest = found.nearest
     again = assess_impedance(found.axis, nearest["mass"], nearest["damping"], 0.02, nearest["filter"], plants=0)
     assert again.stable
-    assert any("flexible_coupling is in the poles" in warning for warning in again.to_dict()["warnings"])
+    assert any("flexible_coupling is in the simulated plants" in warning for warning in again.to_dict()["warnings"])
 
 
 def test_diverging_axis_with_effects_is_unstable_in_the_scenario(axis):
