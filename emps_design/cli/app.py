@@ -5,8 +5,10 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+from contextlib import suppress
 
-from emps_design.cli.output import print_json
+from emps_design.cli.interrupts import STATUS as INTERRUPTED
+from emps_design.cli.output import print_json, tell
 from emps_design.errors import EmpsError, SpecificationError, UnstableError
 
 # Commands in the order of the work: record, axis, gains, simulation, what disagrees, page.
@@ -47,29 +49,40 @@ def run(arguments: list[str]) -> int:
                     "warnings": [str(error)],
                 }
             )
-        print(f"emps-design: {error}", file=sys.stderr)
+        tell(error)
         return error.exit_code
     except BrokenPipeError:
-        # The reader of our output has left (`| head`); what is still buffered goes nowhere, in silence.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _print_nowhere()  # the reader of our output has left (`| head`)
+        return 1
+    except OSError as error:
+        if debug:
+            raise
+        _print_nowhere()  # it may be standard output that is full
+        tell(f"{error.filename or 'output'}: {error.strerror or error} (run with --debug for the traceback)")
         return 1
     except Exception as error:
         # Usage errors and Ctrl-C in a prompt come from click, or from the copy of click inside typer: same names.
         if type(error).__name__ == "Abort":
-            print("emps-design: interrupted", file=sys.stderr)
-            return 1
+            tell("interrupted")
+            return INTERRUPTED
         if hasattr(error, "format_message"):
             message = " ".join(error.format_message().split())
             if message:
-                print(f"emps-design: {message}; see 'emps-design --help'", file=sys.stderr)
+                tell(f"{message}; see 'emps-design --help'")
             return 2
         if debug:
             raise
-        print(f"emps-design: {type(error).__name__}: {error} (run with --debug for the traceback)", file=sys.stderr)
+        tell(f"{type(error).__name__}: {error} (run with --debug for the traceback)")
         return 1
     except KeyboardInterrupt:
-        print("emps-design: interrupted", file=sys.stderr)
-        return 1
+        tell("interrupted")
+        return INTERRUPTED
+
+
+def _print_nowhere() -> None:
+    """Let what is still buffered for standard output go nowhere, in silence, when the process ends."""
+    with suppress(OSError, ValueError):  # a ValueError: it has no descriptor, as in a test
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _application(arguments: list[str]):

@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from emps_design.cli.design_options import AsJson
-from emps_design.cli.output import print_json
+from emps_design.cli.output import new_console, print_json, say
 
 if TYPE_CHECKING:
-    from emps_design.control.derivations.step import DerivationStep
+    from emps_design.paper.derivations.step import DerivationStep
 
 
 def command(
     latex: Annotated[bool, typer.Option("--latex", help="equations as LaTeX")] = False,
     as_json: AsJson = False,
 ) -> None:
-    from emps_design.control.derivations.cascade import derive_cascade
-    from emps_design.control.derivations.impedance import cost_of_printed, impedance_derivation
     from emps_design.control.impedance.law import FrictionModel
     from emps_design.machines import machine
+    from emps_design.paper.derivations.cascade import derive_cascade
+    from emps_design.paper.derivations.impedance import cost_of_printed, impedance_derivation
 
     parts = {
         "cascade": ("Velocity and force loop, (6) to (11)", list(derive_cascade())),
@@ -55,36 +55,42 @@ def _print_latex(parts: dict[str, tuple[str, list[DerivationStep]]]) -> None:
     import sympy
 
     for title, steps in parts.values():
-        print(f"\\section*{{{title}}}")
+        say(f"\\section*{{{title}}}")
         for step in steps:
-            print(f"\\paragraph{{{step.title}{f' ({step.number})' if step.number else ''}}} {_escaped(step.text)}")
-            print(f"\\[ {sympy.latex(step.equation)} \\]")
+            say(f"\\paragraph{{{step.title}{f' ({step.number})' if step.number else ''}}} {_escaped(step.text)}")
+            say(f"\\[ {sympy.latex(step.equation)} \\]")
             if step.agrees is False:
-                print(f"printed: \\[ {sympy.latex(step.printed)} \\]")
+                say(f"printed: \\[ {sympy.latex(step.printed)} \\]")
 
 
 def _print_text(
     parts: dict[str, tuple[str, list[DerivationStep]]], errata: list[DerivationStep], cost: dict[str, Any]
 ) -> None:
     import sympy
-    from rich.console import Console
+    from rich.text import Text
 
-    from emps_design.control.derivations.step import plain_symbols
+    from emps_design.paper.derivations.step import plain_symbols
 
-    console = Console()
+    console = new_console()
+    verdicts = {None: "", True: ("  as printed", "green"), False: ("  not as printed", "red")}
     for title, steps in parts.values():
         console.rule(title, align="left")
         for step in steps:
-            verdict = {None: "", True: "  [green]as printed[/]", False: "  [red]not as printed[/]"}[step.agrees]
-            console.print(f"\n[bold]{step.title}[/]{f'  ({step.number})' if step.number else ''}{verdict}")
-            console.print(step.text, markup=False, highlight=False)
-            print(sympy.pretty(plain_symbols(step.equation), use_unicode=True, wrap_line=False))
+            console.print(
+                Text.assemble(
+                    ("\n" + step.title, "bold"),
+                    f"  ({step.number})" if step.number else "",
+                    verdicts[step.agrees],
+                )
+            )
+            console.print(step.text, highlight=False)
+            say(sympy.pretty(plain_symbols(step.equation), use_unicode=True, wrap_line=False))
             if step.agrees is False:
-                print("printed:")
-                print(sympy.pretty(plain_symbols(step.printed), use_unicode=True, wrap_line=False))
+                say("printed:")
+                say(sympy.pretty(plain_symbols(step.printed), use_unicode=True, wrap_line=False))
     console.rule("Where the printed equations differ", align="left")
     for step in errata:
-        console.print(f"({step.number}) {step.title}: {step.text}", markup=False, highlight=False)
+        console.print(f"({step.number}) {step.title}: {step.text}", highlight=False)
     console.print("\nWhat (30) as printed costs on emps2018 with M_a = 50 kg, B = 100 N/(m/s):")
     for name, felt in cost.items():
         console.print(

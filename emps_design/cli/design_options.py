@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from emps_design.axis import Axis
+from emps_design.cli.destinations import OVERWRITE
 from emps_design.cli.output import write_text
 
 AxisArgument = Annotated[str, typer.Argument(help="TOML file or embedded machine")]
@@ -16,6 +17,7 @@ Bandwidth = Annotated[float | None, typer.Option(help="closed-loop -3 dB of T_vc
 PhaseMargin = Annotated[float, typer.Option(help="phase margin phi_v [deg]")]
 Velocity = Annotated[float, typer.Option(help="where the effects of the axis are linearised [m/s]")]
 AsJson = Annotated[bool, typer.Option("--json", help="one JSON document on standard output")]
+Force = Annotated[bool, typer.Option("--force", help=OVERWRITE)]
 Out = Annotated[Path | None, typer.Option(help="write the axis file that runs this design, where it is stable")]
 
 Mass = Annotated[float | None, typer.Option(help="instead of the axis's [kg]")]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Annotated, Any
 
 import typer
@@ -15,6 +14,7 @@ from emps_design.cli.design_options import (
     Crossover,
     CurrentTimeConstant,
     Estimator,
+    Force,
     ForceGain,
     Mass,
     Out,
@@ -25,7 +25,8 @@ from emps_design.cli.design_options import (
     with_numbers,
     write_axis,
 )
-from emps_design.cli.output import print_json
+from emps_design.cli.destinations import AXIS, check_out
+from emps_design.cli.output import print_json, tell
 from emps_design.errors import InputError
 
 
@@ -42,6 +43,7 @@ def command(
     bandwidth: Bandwidth = None,
     phase_margin: PhaseMargin = 60.0,
     out: Out = None,
+    force: Force = False,
     velocity: Velocity = 0.1,
     mass: Mass = None,
     viscous: Viscous = None,
@@ -56,6 +58,7 @@ def command(
     from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
     from emps_design.machines import load_axis
 
+    check_out(out, AXIS, (axis,), force)
     machine = with_numbers(
         load_axis(axis),
         mechanics={"mass": mass, "viscous": viscous},
@@ -102,5 +105,5 @@ def command(
 
         print_force(document)
     if not design.stable:
-        print(f"emps-design: {document['reason']}", file=sys.stderr)
+        tell(document["reason"])
     return 0 if design.stable else 4

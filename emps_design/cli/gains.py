@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +19,7 @@ from emps_design.cli.design_options import (
     CurrentTimeConstant,
     EncoderResolution,
     Estimator,
+    Force,
     ForceGain,
     Mass,
     Out,
@@ -31,7 +31,8 @@ from emps_design.cli.design_options import (
     with_numbers,
     write_axis,
 )
-from emps_design.cli.output import print_json
+from emps_design.cli.destinations import AXIS, check_out
+from emps_design.cli.output import print_json, tell
 from emps_design.errors import InputError
 
 
@@ -45,6 +46,7 @@ def command(
     mismatch: Annotated[float | None, typer.Option(help="relative error of the parameters, such as 0.02")] = None,
     sigma_from: Annotated[Path | None, typer.Option(help="JSON of 'identify --json': +-2 std of its values")] = None,
     out: Out = None,
+    force: Force = False,
     velocity: Velocity = 0.1,
     mass: Mass = None,
     viscous: Viscous = None,
@@ -59,9 +61,10 @@ def command(
     as_json: AsJson = False,
 ) -> int:
     from emps_design.control.velocity.design import design_velocity_loop
-    from emps_design.control.velocity.specification import check_specification, in_words
+    from emps_design.control.velocity.specification import check_specification
     from emps_design.machines import load_axis
 
+    check_out(out, AXIS, (axis, sigma_from), force)
     check_specification(crossover, bandwidth, phase_margin)
     machine = with_numbers(
         load_axis(axis),
@@ -108,7 +111,7 @@ def command(
         document["nearest"] = design.nearest_stable
         document["reason"] = (
             f"the sampled loop with these gains is unstable, its largest pole is {abs(design.sampled.poles[0]):.4g}; "
-            f"{in_words(design.nearest_stable)}"
+            f"{design.nearest_in_words}"
         )
     if as_json:
         print_json(document)
@@ -117,7 +120,7 @@ def command(
 
         print_gains(document)
     if not stable:
-        print(f"emps-design: {document['reason']}", file=sys.stderr)
+        tell(document["reason"])
     return 0 if stable else 4
 
 

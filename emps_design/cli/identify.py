@@ -6,6 +6,8 @@ from pathlib import Path
 
 import typer
 
+from emps_design.cli.destinations import AXIS, OVERWRITE, check_out
+
 
 def command(
     records: list[Path] = typer.Argument(
@@ -41,15 +43,16 @@ def command(
     holdout: Path | None = typer.Option(
         None, "--holdout", help="Judge the fit on this record; without it on the last third, fitted to the rest."
     ),
-    bootstrap: int = typer.Option(0, "--bootstrap", min=0, help="Draws of a block bootstrap, 0: none."),
-    seed: int = typer.Option(0, "--seed", help="Seed of the bootstrap."),
+    bootstrap: int = typer.Option(0, "--bootstrap", min=0, max=100_000, help="Draws of a block bootstrap, 0: none."),
+    seed: int = typer.Option(0, "--seed", min=0, help="Seed of the bootstrap."),
     out: Path | None = typer.Option(None, "--out", help="Write the identified axis to this TOML file."),
+    force: bool = typer.Option(False, "--force", help=OVERWRITE),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     """Identify the parameters of an axis from one record, or from several with their spread."""
     import sys
 
-    from emps_design.cli.output import print_json, progress_bar
+    from emps_design.cli.output import print_json, progress_bar, tell
     from emps_design.errors import InputError, nearest_name
     from emps_design.files import write_text
     from emps_design.machines import load_axis
@@ -64,6 +67,7 @@ def command(
         )
     if holdout is not None and (estimator != "ls" or len(records) > 1):
         raise InputError("--holdout: goes with one record and --estimator ls; several records judge one another")
+    check_out(out, AXIS, (axis, *records, holdout), force)
     loaded = load_axis(axis)
     options = {
         "model": model,
@@ -90,7 +94,8 @@ def command(
         _show_one(found)
     else:
         _show_several(found)
-    _warn(found.warnings)
+    for warning in found.warnings:
+        tell(warning)
 
 
 def _one(estimator, record, axis, options):
@@ -110,12 +115,12 @@ def _one(estimator, record, axis, options):
 
 def _show_one(found) -> None:
     from rich import box
-    from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
 
-    console = Console()
-    title = escape(f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}")
+    from emps_design.cli.output import new_console
+
+    console = new_console()
+    title = f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}"
     table = Table(title=title, box=box.SIMPLE, pad_edge=False, padding=(0, 1, 0, 0))
     for heading in ("parameter", "value", "std (15)", "% (16)", "std *", "95 % ± *", "unit"):
         table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right", no_wrap=True)
@@ -153,8 +158,7 @@ def _show_one(found) -> None:
     if found.extra.get("held_out"):
         judged = found.extra["held_out"]
         console.print(
-            f"held out, {escape(judged['on'])}: {judged['rms_error']:.4f} N rms, "
-            f"{judged['relative_error_percent']:.4f} %"
+            f"held out, {judged['on']}: {judged['rms_error']:.4f} N rms, {judged['relative_error_percent']:.4f} %"
         )
     if "cutoff_from_data" in found.extra:
         console.print(
@@ -178,11 +182,11 @@ def _show_one(found) -> None:
 
 def _show_several(found) -> None:
     from rich import box
-    from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
 
-    console = Console()
+    from emps_design.cli.output import new_console
+
+    console = new_console()
     table = Table(box=box.SIMPLE, title=f"{len(found.records)} records, {found.model} model")
     for heading in ("parameter", "mean", "spread", "std *", "drift/record", "unit"):
         table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right", no_wrap=True)
@@ -203,12 +207,5 @@ def _show_several(found) -> None:
     for number in range(1, len(found.records) + 1):
         matrix.add_column(str(number), justify="right", no_wrap=True)
     for number, (name, row) in enumerate(zip(found.records, found.cross_validation, strict=True), 1):
-        matrix.add_row(f"{number} {escape(name)}", *(f"{value:.3f}" for value in row))
+        matrix.add_row(f"{number} {name}", *(f"{value:.3f}" for value in row))
     console.print(matrix)
-
-
-def _warn(warnings) -> None:
-    import sys
-
-    for warning in warnings:
-        print(f"emps-design: {warning}", file=sys.stderr)

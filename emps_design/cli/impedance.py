@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from emps_design.cli.output import print_json, progress_bar
+from emps_design.cli.output import new_console, print_json, progress_bar, tell
 from emps_design.errors import InputError
 
 
@@ -29,9 +29,9 @@ def command(
     two_quadrant: Annotated[
         bool, typer.Option("--two-quadrant", help="let friction err apart in either direction")
     ] = False,
-    plants: Annotated[int, typer.Option(help="Monte-Carlo plants beside the corners")] = 200,
-    seed: Annotated[int, typer.Option(help="seed of the Monte-Carlo")] = 0,
-    workers: Annotated[int, typer.Option(help="threads; the numbers do not depend on it")] = 1,
+    plants: Annotated[int, typer.Option(min=0, max=1_000_000, help="Monte-Carlo plants beside the corners")] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="seed of the Monte-Carlo")] = 0,
+    workers: Annotated[int, typer.Option(min=1, max=256, help="threads; the numbers do not depend on it")] = 1,
     as_json: Annotated[bool, typer.Option("--json", help="one JSON document on standard output")] = False,
 ) -> int:
     from emps_design.comanipulation.assessment import assess_impedance
@@ -63,7 +63,7 @@ def command(
     else:
         _print(document)
     if not found.stable:
-        print(f"emps-design: {found.reason}", file=sys.stderr)
+        tell(found.reason)
         return 4
     return 0
 
@@ -75,10 +75,9 @@ def _given(option: str, what: str, asked: float | None, own: float | None) -> fl
 
 
 def _print(document: dict[str, Any]) -> None:
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console()
+    console = new_console()
     law, sampled = document["law"], document["sampled"]
     unit = "unfiltered" if law["filter"] is None else f"{law['filter']:g} rad/s"
     console.print(
@@ -109,4 +108,4 @@ def _print(document: dict[str, Any]) -> None:
     if loop["k_e1"] is not None:
         console.print(f"equivalent cascaded loop ({loop['criterion']}): k_e1 = {loop['k_e1']:g} (m/s)/N")
     for warning in document["warnings"]:
-        console.print(f"- {warning}", highlight=False, markup=False)
+        console.print(f"- {warning}", highlight=False)

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import typer
 
+from emps_design.cli.destinations import OVERWRITE, PAGE, check_out
+
 
 def command(
     axis: str | None = typer.Argument(
@@ -28,19 +30,19 @@ def command(
     damping: float | None = typer.Option(None, "--damping", help="Apparent damping B [N/(m/s)], with --mass."),
     filter: float | None = typer.Option(None, "--filter", help="Filter of the impedance law [rad/s]."),
     mismatch: float = typer.Option(0.02, "--mismatch", help="Error of the impedance law's estimates."),
+    force: bool = typer.Option(False, "--force", help=OVERWRITE),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     """The whole design as one self-contained page: specification against achieved, loops, force loop, record."""
-    import sys
-
-    from emps_design.cli.output import print_json, progress_bar
+    from emps_design.cli.output import print_json, progress_bar, say, tell
     from emps_design.errors import UnstableError
     from emps_design.files import write_aside
     from emps_design.report.assemble import assemble_report
 
     if crossover is None and bandwidth is None:
         crossover = 100.0
-    with write_aside(out) as aside, progress_bar() as progress:  # a folder that is not there is told before the work
+    check_out(out, PAGE, (axis, record), force)
+    with write_aside(out) as aside, progress_bar() as progress:
         report = assemble_report(
             axis,
             record,
@@ -64,11 +66,11 @@ def command(
     if as_json:
         print_json(document)
     else:
-        print(out)
+        say(out)
     for warning in report.warnings:
-        print(f"emps-design: {warning}", file=sys.stderr)
+        tell(warning)
     unstable = [] if report.results.velocity.sampled.stable else ["the sampled velocity loop"]
     unstable += [] if mass is None or report.impedance.stable else ["the impedance law"]
     if unstable:
-        print(f"emps-design: unstable: {' and '.join(unstable)}; the page says so first", file=sys.stderr)
+        tell(f"unstable: {' and '.join(unstable)}; the page says so first")
         raise typer.Exit(UnstableError.exit_code)

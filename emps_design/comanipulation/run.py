@@ -12,15 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from emps_design import laws as control_laws
 from emps_design.axis import Axis
 from emps_design.comanipulation.measures import MEASURES, Measures, broken_off, measure
 from emps_design.comanipulation.task import Task
-from emps_design.control.impedance.law import ImpedanceLaw
+from emps_design.control.impedance.law import ImpedanceLaw, law_for
 from emps_design.control.impedance.robustness import VERDICTS, drift_threshold
 from emps_design.errors import InputError
-from emps_design.simulation import laws as control_laws
 from emps_design.simulation.environment import Hand
-from emps_design.simulation.impedance_law import law_for
 from emps_design.simulation.kernels.compile import address, cached
 from emps_design.simulation.kernels.hold_loop import DONE
 from emps_design.simulation.kernels.hold_loop import run as run_samples

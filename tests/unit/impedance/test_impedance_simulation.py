@@ -13,7 +13,7 @@ from emps_design.comanipulation.scenario import run_comanipulation
 from emps_design.comanipulation.sensor_comparison import CASCADE, NO_SENSOR, SENSOR, compare_sensors
 from emps_design.comanipulation.study import mismatch_study
 from emps_design.comanipulation.task import Task, guided_task, pushed_task
-from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, impedance_law
+from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, impedance_law, law_for
 from emps_design.control.impedance.passivity import largest_wall
 from emps_design.control.impedance.response import relay_oscillation
 from emps_design.control.impedance.robustness import VERDICTS, break_away, creep_speed, verdict
@@ -22,8 +22,6 @@ from emps_design.control.impedance.with_effects import extended_loop
 from emps_design.errors import AxisError, InputError, UnstableError
 from emps_design.machines import machine
 from emps_design.simulation.environment import Hand
-from emps_design.simulation.impedance_law import impedance_law as engine_law
-from emps_design.simulation.impedance_law import law_for
 from emps_design.simulation.kernels.compile import cached, pointer
 from emps_design.simulation.kernels.friction_period import BREAKAWAY, REVERSAL, STICK, follow
 from emps_design.simulation.plant import Plant
@@ -502,5 +500,5 @@ def test_axis_file_with_an_impedance_controller_closes_its_loop(axis):
     own = axis.replace(controller={"kind": "impedance", "mass": 50.0, "damping": 100.0})
     found = Plant.of(own).closed_loop(np.zeros(600), disturbance=np.full(600, 40.0))
     assert found.v[-1] == pytest.approx((40.0) / 100.0 * (1 - math.exp(-0.6 * 100 / 50)), rel=0.05)
-    with pytest.raises(AxisError, match="controller: found no mass and damping"):
-        engine_law(axis, 1e-3)
+    with pytest.raises(AxisError, match="controller: kind 'impedance' needs mass, damping"):
+        axis.replace(controller={"kind": "impedance"})
