@@ -78,7 +78,7 @@ class Simulated:
 
 def simulate(state: State, progress: Callable[[str, float], None] | None = None) -> Simulated:
     """Run the impedance law of ``state`` through its task, over its mismatch, and into its wall."""
-    from emps_design.comanipulation.run import run
+    from emps_design.comanipulation.run import run_task
     from emps_design.comanipulation.study import mismatch_study
     from emps_design.comanipulation.task import guided_task, pushed_task
     from emps_design.comanipulation.wall_contact import push_into_wall
@@ -105,7 +105,7 @@ def simulate(state: State, progress: Callable[[str, float], None] | None = None)
     tell("the worst plant", 0.8)
     worst = study.plant(study.worst)
     laws = {"exact estimates": law, "worst estimates": law.with_errors(worst["errors"])}
-    runs = {name: run(axis, one, task) for name, one in laws.items()}
+    runs = {name: run_task(axis, one, task) for name, one in laws.items()}
     tell("the wall", 0.9)
     wall = push_into_wall(axis, law, stiffness, state.push)
     poles = sampled_loop(
