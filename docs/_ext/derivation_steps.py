@@ -34,10 +34,10 @@ class Errata(Directive):
     """``{errata}``: what is printed, what is derived, and why, a paragraph for each place."""
 
     def run(self):
-        from emps_design.paper.errata import errata
+        from emps_design.paper.errata import find_errata
 
         lines: list[str] = []
-        for one in errata():
+        for one in find_errata():
             about = "" if one.place == one.title else f", {one.title[0].lower()}{one.title[1:]}"
             lines += [f"**{one.place}**{about}: {plain(one.text)}", ""]
             if one.step is not None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from emps_design.cli.design_options import AsJson
-from emps_design.cli.output import print_json
+from emps_design.cli.output import new_console, print_json, say
 
 if TYPE_CHECKING:
     from emps_design.paper.derivations import DerivationStep
@@ -27,7 +27,7 @@ def command(
     if latex:
         from emps_design.paper.latex import document
 
-        print(document())
+        say(document())
         return
     cost = cost_of_printed(FrictionModel.of(machine("emps2018")), mass=MASS, damping=DAMPING)
     if as_json:
@@ -37,14 +37,14 @@ def command(
 
 
 def _document(parts: dict[str, tuple[str, tuple[DerivationStep, ...]]], cost: dict[str, Any]) -> dict[str, Any]:
-    from emps_design.paper.errata import errata
+    from emps_design.paper.errata import find_errata
 
     return {
         **{
             name: {"title": title, "steps": [step.to_dict() for step in steps]}
             for name, (title, steps) in parts.items()
         },
-        "errata": [one.to_dict() for one in errata()],
+        "errata": [one.to_dict() for one in find_errata()],
         "cost_of_printed_30": {"axis": "emps2018", "M_a": MASS, "B": DAMPING, **cost},
         "warnings": [
             f"{step.place} {step.title}: {claim}: found false"
@@ -57,29 +57,29 @@ def _document(parts: dict[str, tuple[str, tuple[DerivationStep, ...]]], cost: di
 
 
 def _print_text(parts: dict[str, tuple[str, tuple[DerivationStep, ...]]], cost: dict[str, Any]) -> None:
-    from rich.console import Console
+    from rich.text import Text
 
-    from emps_design.paper.errata import errata
+    from emps_design.paper.errata import find_errata
     from emps_design.paper.written import text
 
-    console = Console()
+    console = new_console()
     for title, steps in parts.values():
         console.rule(title, align="left")
         for step in steps:
             colour = "green" if step.agrees else "red"
-            verdict = f"  [{colour}]{step.verdict}[/]" if step.verdict else ""
-            console.print(f"\n[bold]{step.title}[/]{f'  ({step.number})' if step.number else ''}{verdict}")
-            console.print(step.text, markup=False, highlight=False)
+            number = f"  ({step.number})" if step.number else ""
+            console.print(Text.assemble(("\n" + step.title, "bold"), number, (f"  {step.verdict}", colour)))
+            console.print(step.text, highlight=False)
             if step.assumes:
-                console.print(f"assumes: {'; '.join(step.assumes)}", markup=False, highlight=False)
+                console.print(f"assumes: {'; '.join(step.assumes)}", highlight=False)
             for claim, true in step.checks:
-                console.print(f"checked: {claim}{'' if true else ': FOUND FALSE'}", markup=False, highlight=False)
-            print(f"    {text(step.equation)}")
+                console.print(f"checked: {claim}{'' if true else ': FOUND FALSE'}", highlight=False)
+            say(f"    {text(step.equation)}")
             if step.agrees is False:
-                print(f"printed:\n    {text(step.printed)}")
+                say(f"printed:\n    {text(step.printed)}")
     console.rule("Where the paper differs", align="left")
-    for one in errata():
-        console.print(f"{one.place} {one.title}: {one.text}", markup=False, highlight=False)
+    for one in find_errata():
+        console.print(f"{one.place} {one.title}: {one.text}", highlight=False)
     console.print(f"\nWhat (30) as printed costs on emps2018 with M_a = {MASS:g} kg, B = {DAMPING:g} N/(m/s):")
     for name, felt in cost.items():
         console.print(

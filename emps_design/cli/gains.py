@@ -82,7 +82,7 @@ def command(
         controller={"velocity_estimator": velocity_estimator},
     )
     errors = _errors(machine, mismatch, sigma_from)
-    specification = {
+    specification: dict[str, Any] = {
         "crossover": crossover,
         "bandwidth": bandwidth,
         "phase_margin_deg": phase_margin,
@@ -96,9 +96,9 @@ def command(
         design = design_velocity_loop(machine, **specification)
     document: dict[str, Any] = design.to_dict()
     if errors is not None:
-        from emps_design.control.velocity.sensitivity import mismatch_study
+        from emps_design.control.velocity.sensitivity import margins_under_mismatch
 
-        document["mismatch"] = study = mismatch_study(design, errors)
+        document["mismatch"] = study = margins_under_mismatch(design, errors)
         if study["stable_share"] < 1.0:
             document["warnings"].append(
                 f"unstable at {100 * (1 - study['stable_share']):.3g} % of the mismatch corners"

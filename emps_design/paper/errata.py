@@ -37,10 +37,10 @@ _IN_WORDS = (
 )  # fmt: skip
 
 
-def errata() -> tuple[Erratum, ...]:
+def find_errata() -> tuple[Erratum, ...]:
     """Return what differs, in the order of the paper.
 
-    >>> [one.place for one in errata()]  # doctest: +NORMALIZE_WHITESPACE
+    >>> [one.place for one in find_errata()]  # doctest: +NORMALIZE_WHITESPACE
     ['(1)', 'Break-away force of section III-A', '(8)', '(9)', '(10)', '(13)', '(15)', '(16)', '(18)', '(26)', '(27)',
      '(30)', 'Table II']
     """

@@ -108,11 +108,12 @@ _TABLES = {
         coulomb_negative    9.8  0.21  2.22""",
 }
 TABLE_TEXT: dict[str, dict[str, tuple[str, str, str]]] = {
-    name: {row.split()[0]: tuple(row.split()[1:]) for row in text.strip().splitlines()}
-    for name, text in _TABLES.items()
+    table: {name: (value, two_sigma, percent) for name, value, two_sigma, percent in map(str.split, rows.splitlines())}
+    for table, rows in ((table, text.strip()) for table, text in _TABLES.items())
 }
 TABLES: dict[str, dict[str, tuple[float, float, float]]] = {
-    name: {key: tuple(float(cell) for cell in row) for key, row in table.items()} for name, table in TABLE_TEXT.items()
+    table: {name: (float(row[0]), float(row[1]), float(row[2])) for name, row in rows.items()}
+    for table, rows in TABLE_TEXT.items()
 }
 RANGES: dict[str, tuple[float, float]] = {"rms_1": (3.6, 5.3), "rms_2": (3.9, 5.4), "rms_direct": (2.7, 3.4)}  # N
 BREAK_AWAY = 17.0  # N, F_s+ of section III-A

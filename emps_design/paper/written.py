@@ -82,7 +82,10 @@ def _factors(coefficient: sp.Expr, ratio: tuple[sp.Symbol, sp.Symbol]) -> tuple[
     """Factors of a coefficient: number, ratio, sums in brackets, symbols."""
     over, under = ratio
     R = sp.Dummy("R", positive=True)
-    number, plain, brackets, ratios = sp.Integer(1), [], [], []
+    number = sp.Integer(1)
+    plain: list[sp.Expr] = []
+    brackets: list[sp.Expr] = []
+    ratios: list[sp.Expr] = []
     if coefficient.has(over):
         coefficient = sp.expand(coefficient).subs(under, over / R)
     for factor in sp.Mul.make_args(sp.factor(coefficient)):

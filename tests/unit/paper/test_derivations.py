@@ -13,7 +13,7 @@ from emps_design.paper.derivations.force_loop import carriage_step, characterist
 from emps_design.paper.derivations.impedance import MODEL, TARGET, derive_impedance, derived_law
 from emps_design.paper.derivations.least_squares import column_factor, covariance, covariance_step, estimator
 from emps_design.paper.derivations.velocity_loop import CARRIAGE, CORRECTION, derive_velocity_loop
-from emps_design.paper.errata import errata
+from emps_design.paper.errata import find_errata
 from emps_design.paper.latex import document
 from emps_design.paper.printed import EQUATIONS, TABLE_TEXT
 from emps_design.paper.written import Equation, latex, text
@@ -36,7 +36,7 @@ def test_every_printed_equation_is_compared():
 
 
 def test_what_is_not_as_printed():
-    places = [one.place for one in errata()]
+    places = [one.place for one in find_errata()]
     assert [p for p in places if p.startswith("(")] == [
         "(1)", "(8)", "(9)", "(10)", "(13)", "(15)", "(16)", "(18)", "(26)", "(27)", "(30)",
     ]  # fmt: skip
