@@ -11,16 +11,23 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from emps_design.effects import Effect, get_effect
-from emps_design.errors import AxisError, nearest_name
+from emps_design.errors import AxisError, nearest_name, one_line
 from emps_design.notebook import table
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
 MAX_BYTES = 1_000_000  # of an axis file
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+
+
+def _printable(name: str) -> str:
+    """A name goes to terminals and pages: no line breaks, nor anything else that is not seen."""
+    if not name.isprintable():
+        raise ValueError(f"found {one_line(name)!r}, expected text on one line without control characters")
+    return name
 
 
 class _Table(BaseModel):
@@ -158,7 +165,7 @@ class Axis(_Table):
     True
     """
 
-    name: str = "axis"
+    name: Annotated[str, AfterValidator(_printable)] = "axis"
     mechanics: Mechanics
     drive: Drive
     sampling: Sampling

@@ -36,6 +36,8 @@ def run(arguments: list[str]) -> int:
     try:
         result = _application(arguments)(args=arguments or ["--help"], prog_name="emps-design", standalone_mode=False)
         sys.stdout.flush()
+        if result == INTERRUPTED:
+            tell("interrupted")
         return result if isinstance(result, int) else 0
     except EmpsError as error:
         if debug:

@@ -60,13 +60,15 @@ def diagnose(
     seed: int = 0,
     searches: int = 0,
     progress: Progress | None = None,
+    searched: Callable[[Axis], None] | None = None,
 ) -> Diagnosis:
     """Find where the closed-loop simulation of ``axis`` and ``records`` disagree, and which effect is missing.
 
     ``records`` of one axis are explained together; ``holdout``, or ``confirm_time`` (start, stop) [s] of the first
     record, is opened once, at the end. ``fit_time`` [s] limits what is fitted. ``library`` defaults to every known
     effect. ``searches`` healthy records are simulated and searched like this one, for the gain that chance alone
-    reaches; 0 takes a linearisation of that. Raises :class:`InputError` for records that cannot be judged, and where
+    reaches; 0 takes a linearisation of that. ``searched`` hears the model with which the search ended, before it is
+    confirmed and described. Raises :class:`InputError` for records that cannot be judged, and where
     the controller of ``axis`` is not the one that made them.
     """
     from threadpoolctl import threadpool_limits
@@ -79,6 +81,8 @@ def diagnose(
         given = (holdout, fit_time, confirm_time, seed, searches)
         dropped = [one.effect.name for one in axis.effects]
         work = _explain(records, axis.replace(effects=[]), library, *given, report, dropped)
+        if searched is not None:
+            searched(work.found.best.model.to_axis(axis))
         report("confirming on data not used so far", 0.9)
         return _conclude(work, confirming_on(work, holdout, confirm_time))
 
