@@ -8,19 +8,18 @@ from __future__ import annotations
 import math
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_serializer, model_validator
+from pydantic.fields import FieldInfo
 
 from emps_design.effects import Effect, get_effect
 from emps_design.errors import AxisError, nearest_name, one_line
+from emps_design.laws import NONE, Finite, NonNegative, Positive, fields_of, known_laws, parameters_of
 from emps_design.notebook import table
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
 MAX_BYTES = 1_000_000  # of an axis file
-Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 
 
 def _printable(name: str) -> str:
@@ -92,41 +91,35 @@ class Sampling(_Table):
 
 
 class Controller(_Table):
-    """The law that makes the voltage; each kind needs the numbers listed in ``NEEDS``."""
+    """The law that makes the voltage: its kind, and its parameters as the law's own table has them.
 
-    kind: Literal["position_pd", "ip_velocity", "impedance", "none"] = Field(
-        "none", description="the law: position_pd, ip_velocity, impedance or none"
-    )
-    kp: Positive | None = Field(None, description="position gain", json_schema_extra={"unit": "1/s"})
-    kv: Positive | None = Field(None, description="velocity gain", json_schema_extra={"unit": "V/(m/s)"})
-    k_v1: Positive | None = Field(None, description="velocity-loop gain", json_schema_extra={"unit": "V/(m/s)"})
-    t_v: Positive | None = Field(
-        None, description="integral time of the velocity loop", json_schema_extra={"unit": "s"}
-    )
-    k_e1: Positive | None = Field(None, description="force-loop gain", json_schema_extra={"unit": "(m/s)/N"})
-    mass: Positive | None = Field(None, description="apparent mass M_a", json_schema_extra={"unit": "kg"})
-    damping: NonNegative | None = Field(None, description="apparent damping B", json_schema_extra={"unit": "N/(m/s)"})
-    filter: Positive | None = Field(
-        None, description="low-pass of acceleration and current in the law", json_schema_extra={"unit": "rad/s"}
-    )
-    velocity_estimator: Literal["two_tap", "backward"] = Field(
-        "two_tap", description="two-tap average and backward difference, or backward difference alone"
-    )
+    A parameter reads as an attribute, None where it is not given: ``axis.controller.kp``.
+    """
 
-    @model_validator(mode="after")
-    def _complete(self) -> Controller:
-        missing = [name for name in NEEDS[self.kind] if getattr(self, name) is None]
-        if missing:
-            raise ValueError(f"kind {self.kind!r} needs {', '.join(missing)}")
-        return self
+    kind: str = Field(NONE, description="the law: position_pd, ip_velocity, impedance or none")
+    parameters: dict[str, Any]
 
+    @model_validator(mode="before")
+    @classmethod
+    def _from_flat_table(cls, table: Any) -> Any:
+        if not isinstance(table, dict):
+            return table
+        kind = table.get("kind", NONE)
+        kinds = [*known_laws(), NONE]
+        if kind not in kinds:
+            expected = f"{', '.join(map(repr, kinds[:-1]))} or {NONE!r}"
+            problem = {"type": "literal_error", "loc": ("kind",), "input": kind, "ctx": {"expected": expected}}
+            raise ValidationError.from_exception_data("Controller", [problem])
+        return {"kind": kind, "parameters": parameters_of(kind, {k: v for k, v in table.items() if k != "kind"})}
 
-NEEDS: dict[str, tuple[str, ...]] = {
-    "position_pd": ("kp", "kv"),
-    "ip_velocity": ("k_v1", "t_v"),
-    "impedance": ("mass", "damping"),
-    "none": (),
-}
+    @model_serializer
+    def _flat_table(self) -> dict[str, Any]:
+        return {"kind": self.kind, **self.parameters}
+
+    def __getattr__(self, name: str) -> Any:
+        if not name.startswith("_") and name in fields_of():
+            return self.parameters.get(name)
+        raise AttributeError(f"controller: found {name!r}, expected one of kind, {', '.join(fields_of())}")
 
 
 class AxisEffect(_Table):
@@ -169,7 +162,7 @@ class Axis(_Table):
     mechanics: Mechanics
     drive: Drive
     sampling: Sampling
-    controller: Controller = Controller()
+    controller: Controller = Field(default_factory=lambda: Controller.model_validate({}))
     effects: tuple[AxisEffect, ...] = ()
 
     @classmethod
@@ -229,8 +222,8 @@ class Axis(_Table):
     def _repr_html_(self) -> str:
         rows = [
             (name, key, value, (field.json_schema_extra or {}).get("unit", ""))
-            for name, kind in TABLES.items()
-            for key, field in kind.model_fields.items()
+            for name in TABLES
+            for key, field in _fields(name, self.controller.kind).items()
             if (value := getattr(getattr(self, name), key)) is not None
         ]
         rows += [
@@ -244,10 +237,10 @@ class Axis(_Table):
 def _commented(text: str) -> str:
     """``text`` with what a key is, and its unit, behind each line that sets one."""
     lines, table = [], ""
+    kind = tomllib.loads(text).get("controller", {}).get("kind", NONE)
     for line in text.splitlines():
         table = line.strip("[]") if line.startswith("[") else table
-        key = line.partition(" = ")[0]
-        field = TABLES[table].model_fields.get(key) if table in TABLES else None
+        field = _fields(table, kind).get(line.partition(" = ")[0])
         extra = field.json_schema_extra if field else None
         unit = f" [{extra['unit']}]" if isinstance(extra, dict) else ""
         lines.append(f"{line:<36}  # {field.description}{unit}" if field and field.description else line)
@@ -280,6 +273,13 @@ TABLES: dict[str, type[_Table]] = {
 }
 
 
+def _fields(table: str, kind: str = NONE) -> dict[str, FieldInfo]:
+    """The keys of a ``table`` of the axis file, in that of the controller those of every law; none for another name."""
+    if table == "controller":
+        return {"kind": Controller.model_fields["kind"], **fields_of(kind)}
+    return TABLES[table].model_fields if table in TABLES else {}
+
+
 def _first_line(error: ValidationError) -> str:
     """The first problem of a pydantic error as ``place: found ..., expected ...``; a wrong key comes first."""
     problems = error.errors(include_url=False)
@@ -289,11 +289,11 @@ def _first_line(error: ValidationError) -> str:
         path = [part for part in path if part != "parameters"]
     place = ".".join(path) or "axis"
     if problem["type"] == "extra_forbidden":
-        known = list((TABLES.get(path[0], Axis) if len(path) > 1 else Axis).model_fields)
+        known = list((_fields(path[0]) if len(path) == 2 else {}) or Axis.model_fields)
         return f"{place}: unknown key{nearest_name(path[-1], known)} (known: {', '.join(known)})"
     if problem["type"] == "value_error":
         return f"{place}: {problem['msg'].removeprefix('Value error, ').removeprefix('effects: ')}"
-    field = TABLES[path[0]].model_fields.get(path[1]) if len(path) == 2 and path[0] in TABLES else None
+    field = _fields(path[0]).get(path[1]) if len(path) == 2 else None
     extra = field.json_schema_extra if field and isinstance(field.json_schema_extra, dict) else {}
     unit = str(extra.get("unit", ""))
     expected = _expected(problem["type"], problem.get("ctx", {}), problem["msg"], f" [{unit}]" if unit else "")

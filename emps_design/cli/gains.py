@@ -61,7 +61,7 @@ def command(
     as_json: AsJson = False,
 ) -> int:
     from emps_design.control.velocity.design import design_velocity_loop
-    from emps_design.control.velocity.specification import check_specification, in_words
+    from emps_design.control.velocity.specification import check_specification
     from emps_design.machines import load_axis
 
     check_out(out, AXIS, (axis, sigma_from), force)
@@ -111,7 +111,7 @@ def command(
         document["nearest"] = design.nearest_stable
         document["reason"] = (
             f"the sampled loop with these gains is unstable, its largest pole is {abs(design.sampled.poles[0]):.4g}; "
-            f"{in_words(design.nearest_stable)}"
+            f"{design.nearest_in_words}"
         )
     if as_json:
         print_json(document)

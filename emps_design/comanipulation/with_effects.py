@@ -11,9 +11,8 @@ from emps_design.axis import Axis
 from emps_design.comanipulation import kernel as kernel
 from emps_design.comanipulation.run import Measures, Run, measures_of
 from emps_design.comanipulation.task import Task
-from emps_design.control.impedance.law import ImpedanceLaw
+from emps_design.control.impedance.law import ImpedanceLaw, law_for
 from emps_design.errors import InputError, SimulationError
-from emps_design.simulation.impedance_law import law_for
 from emps_design.simulation.plant import Plant
 
 

@@ -133,6 +133,7 @@ class Effect:
     ``expression(q, v, t, tau, p, b)`` is the SymPy form of :meth:`contribution` (``tau`` stands for the voltage in a
     static actuator map); None where own states are needed.
     ``over``: the variable it is drawn over, "v", "q", "t", "tau", "u", a "loop" of position, or after a "step".
+    ``repeats``: the parameter [m] after which it repeats along the travel; its slope over position then averages out.
     ``passive``: over a motion that ends where it began, at rest, the effect never gives back more work than it took.
     ``parity``: of the contribution in ``v``, "odd", "even" or "" for neither.
     ``checks``: points computed by hand for ``CHECK_BASELINE``, (parameters, arguments of :meth:`contribution`, value).
@@ -166,6 +167,7 @@ class Effect:
     plausible: Callable[[Parameters, Motion], bool] | None = None
     expression: Callable[..., sympy.Expr] | None = None
     over: str = "v"
+    repeats: str = ""
     where: str = ""
     confused_with: tuple[str, ...] = ()
     experiment: str = ""

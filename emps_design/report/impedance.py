@@ -269,7 +269,7 @@ def _effort_table(found: ImpedanceAssessment, runs: Mapping[str, Any]) -> Table:
 
 
 def _errata_table() -> Table:
-    from emps_design.control.derivations.impedance import impedance_derivation
+    from emps_design.paper.derivations.impedance import impedance_derivation
 
     rows = [[f"({step.number})", step.title, step.text] for step in impedance_derivation() if step.agrees is False]
     return Table(

@@ -17,10 +17,10 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import InputError, SimulationError, nearest_name
+from emps_design.laws import law_of
 from emps_design.records import Record
 from emps_design.simulation.kernels import baseline as core
 from emps_design.simulation.kernels.batch import LANES, ROWS, run_lanes
-from emps_design.simulation.laws import law_of
 from emps_design.simulation.plant import Plant
 from emps_design.simulation.scenarios import DROPPED
 

@@ -11,11 +11,12 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.effects import Effect
 from emps_design.errors import InputError, SimulationError
+from emps_design.laws import Law, law_of
+from emps_design.laws.library.position_pd import position_pd
 from emps_design.simulation.environment import HAND, Hand, Wall
 from emps_design.simulation.kernels import baseline as core
 from emps_design.simulation.kernels import hold_loop as stepper
 from emps_design.simulation.kernels.compile import address
-from emps_design.simulation.laws import Law, law_of, position_pd
 from emps_design.simulation.run import Run
 
 HOOKS = ("force", "dry", "inertia", "command", "actuator", "delay", "sensor", "rate", "guard", "jump_time")

@@ -14,8 +14,8 @@ from emps_design.axis import Axis
 from emps_design.discrepancy.model.partition import START_UP
 from emps_design.effects import Effect, Motion
 from emps_design.errors import InputError
+from emps_design.laws import law_of
 from emps_design.records import Record
-from emps_design.simulation.laws import law_of
 
 HOLDS = 0.05  # a law holds where it misses the voltage by less than this share of it, in the median
 STRUCTURE = 4.0  # a gap has structure when its 20 ms means vary this many times more than white noise would

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.laws import Law
+from emps_design.laws.library.position_pd import position_pd
 from emps_design.records import Record
-from emps_design.simulation.laws import Law, position_pd
 
 BANDWIDTH_HZ = 25.0  # of the velocity loop that follows; the encoder's noise, differentiated, sets the upper end
 LEAST_SAMPLES = 40  # a turn of that bandwidth: with fewer the two-tap velocity takes too much phase

@@ -137,7 +137,7 @@ def test_records_that_cannot_be_judged_say_what_to_record():
 
 
 def test_an_effect_of_a_user_takes_part():
-    from emps_design.effects import _added, register
+    from emps_design.effects import REGISTRY, register
 
     own = get_effect("actuator_delay")
     mine = type(own)(**{**own.__dict__, "name": "my_delay"})
@@ -146,7 +146,7 @@ def test_an_effect_of_a_user_takes_part():
         answer = diagnose(record(DELAYED), AXIS, library=(get_effect("elastic_force"), mine))
         assert [f.effect for f in answer.findings] == ["my_delay"]
     finally:
-        _added.pop("my_delay")
+        REGISTRY.added.pop("my_delay")
 
 
 @pytest.mark.parametrize("effect", [{"kind": "elastic_force", "stiffness": 80.0, "rest_position": 0.05}, DELAYED])

@@ -13,7 +13,7 @@ from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Problem, Whitening, fit
 from emps_design.discrepancy.search.beam_search import Search
 from emps_design.discrepancy.search.noise_floor import floor_of_laps
-from emps_design.effects import _added, get_effect, register
+from emps_design.effects import REGISTRY, get_effect, register
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
@@ -146,7 +146,7 @@ def test_without_equivalents_the_effect_s_own_advice_stays():
 def same_delay():
     """The delay under another name."""
     yield register(replace(get_effect("actuator_delay"), name="same_delay", label="Same delay"))
-    _added.pop("same_delay")
+    REGISTRY.added.pop("same_delay")
 
 
 def test_no_program_separates_a_model_from_itself(same_delay):

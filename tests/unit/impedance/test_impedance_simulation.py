@@ -14,7 +14,7 @@ from emps_design.comanipulation.sensor_comparison import CASCADE, NO_SENSOR, SEN
 from emps_design.comanipulation.study import mismatch_study
 from emps_design.comanipulation.task import Task, guided_task, pushed_task
 from emps_design.comanipulation.with_effects import run_extended
-from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, impedance_law
+from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, impedance_law, law_for
 from emps_design.control.impedance.passivity import largest_wall
 from emps_design.control.impedance.response import relay_oscillation
 from emps_design.control.impedance.robustness import VERDICTS, break_away, creep_speed, verdict
@@ -23,8 +23,6 @@ from emps_design.control.impedance.with_effects import extended_loop
 from emps_design.errors import AxisError, InputError, UnstableError
 from emps_design.machines import machine
 from emps_design.simulation.environment import Hand
-from emps_design.simulation.impedance_law import impedance_law as engine_law
-from emps_design.simulation.impedance_law import law_for
 from emps_design.simulation.plant import Plant
 
 PLANT = np.array([100.0, 400.0, 500.0, 20.0, 12.0, 5e-4, 35.0, 10.0, 0.0, 1e-3])
@@ -471,5 +469,5 @@ def test_axis_file_with_an_impedance_controller_closes_its_loop(axis):
     own = axis.replace(controller={"kind": "impedance", "mass": 50.0, "damping": 100.0})
     found = Plant.of(own).closed_loop(np.zeros(600), disturbance=np.full(600, 40.0))
     assert found.v[-1] == pytest.approx((40.0) / 100.0 * (1 - math.exp(-0.6 * 100 / 50)), rel=0.05)
-    with pytest.raises(AxisError, match="controller: found no mass and damping"):
-        engine_law(axis, 1e-3)
+    with pytest.raises(AxisError, match="controller: kind 'impedance' needs mass, damping"):
+        axis.replace(controller={"kind": "impedance"})

@@ -21,7 +21,7 @@ def registry(monkeypatch):
     """Effects registered in a test are forgotten after it."""
     import emps_design.effects as effects
 
-    monkeypatch.setattr(effects, "_added", {})
+    monkeypatch.setattr(effects.REGISTRY, "added", {})
 
 
 def spring(**hooks):
