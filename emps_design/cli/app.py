@@ -9,7 +9,7 @@ from contextlib import suppress
 
 from emps_design.cli.interrupts import STATUS as INTERRUPTED
 from emps_design.cli.output import print_json, tell
-from emps_design.errors import EmpsError, SpecificationError, UnstableError
+from emps_design.errors import EmpsError, InputError, SpecificationError, UnstableError
 
 # Commands in the order of the work: record, axis, gains, simulation, what disagrees, page.
 COMMANDS = (
@@ -26,6 +26,7 @@ COMMANDS = (
     "demo",
     "init",
 )
+BEYOND = "numbers too far apart to compute with; check the units in the axis, the record and the options"
 
 
 def run(arguments: list[str]) -> int:
@@ -74,6 +75,9 @@ def run(arguments: list[str]) -> int:
             return 2
         if debug:
             raise
+        if isinstance(error, ArithmeticError) or type(error).__name__ == "LinAlgError":
+            tell(f"{BEYOND} ({type(error).__name__}: {error})")
+            return InputError.exit_code
         tell(f"{type(error).__name__}: {error} (run with --debug for the traceback)")
         return 1
     except KeyboardInterrupt:
