@@ -10,12 +10,11 @@ import sys
 import numpy as np
 
 from emps_design.effects import Motion
-from emps_design.identification.chains import paper_chain
+from emps_design.identification import paper_chain
 from emps_design.observer import model_force
-from emps_design.paper.section_3 import PRINTED, section_3
-from emps_design.paper.virtual_bench import NUMBERS, bend_of
+from emps_design.paper import NUMBERS, PRINTED, bend_of, reproduce_section_3
 
-found = section_3(seed=0)
+found = reproduce_section_3(seed=0)
 
 for origin in ("paper", "chosen"):
     names = [f"{name} {number.value:g} {number.unit}" for name, number in NUMBERS.items() if number.origin == origin]

@@ -96,7 +96,7 @@ class SectionThree:
         }
 
 
-def section_3(seed: int = 0, progress: Callable[[str, float], None] | None = None) -> SectionThree:
+def reproduce_section_3(seed: int = 0, progress: Callable[[str, float], None] | None = None) -> SectionThree:
     """Run the virtual bench of ``seed`` and evaluate it with the paper's chain of filters."""
     bench = virtual_bench(seed, progress=progress)
     # The paper knows nothing of the machine but G_tau, and takes the current loop for a gain.

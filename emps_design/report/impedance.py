@@ -180,7 +180,7 @@ def _maps(found: ImpedanceAssessment) -> list[Picture]:
 
 
 def _mismatch_blocks(found: ImpedanceAssessment, mismatch: Mapping[str, Any]) -> list[Any]:
-    from emps_design.comanipulation.run import run
+    from emps_design.comanipulation.run import run_task
     from emps_design.comanipulation.task import guided_task
 
     study, worst = found.study, mismatch["worst"]
@@ -188,9 +188,9 @@ def _mismatch_blocks(found: ImpedanceAssessment, mismatch: Mapping[str, Any]) ->
     task = guided_task(found.clock.period)
     law = found.law
     runs = {
-        "exact estimates": run(found.axis, law, task),
-        f"worst within {percent}": run(found.axis, law.with_errors(worst["errors"]), task),
-        "with a force sensor": run(found.axis, replace(law, force_sensor=True), task),
+        "exact estimates": run_task(found.axis, law, task),
+        f"worst within {percent}": run_task(found.axis, law.with_errors(worst["errors"]), task),
+        "with a force sensor": run_task(found.axis, replace(law, force_sensor=True), task),
     }
     low, high = mismatch["stable_share_interval"]
     share = f"{100 * mismatch['stable_share']:.4g} %"
