@@ -304,7 +304,8 @@ def _first_line(error: ValidationError) -> str:
         known = list((_fields(path[0]) if len(path) == 2 else {}) or Axis.model_fields)
         return f"{place}: unknown key{nearest_name(path[-1], known)} (known: {', '.join(known)})"
     if problem["type"] == "value_error":
-        return f"{place}: {problem['msg'].removeprefix('Value error, ').removeprefix('effects: ')}"
+        text = problem["msg"].removeprefix("Value error, ").removeprefix("effects: ")
+        return f"{place}{'.' if _is_field(path, text.partition(':')[0]) else ': '}{text}"
     field = _fields(path[0]).get(path[1]) if len(path) == 2 else None
     extra = field.json_schema_extra if field and isinstance(field.json_schema_extra, dict) else {}
     unit = str(extra.get("unit", ""))
@@ -319,6 +320,13 @@ def _first_line(error: ValidationError) -> str:
     number = isinstance(problem["input"], int | float) and not isinstance(problem["input"], bool)
     found = found if len(found) <= 60 else f"{found[:57]}..."
     return f"{place}: found {found}{f' {unit}' if unit and number else ''}, expected {expected}"
+
+
+def _is_field(path: list[str], name: str) -> bool:
+    """Whether ``name`` is a key of the table at ``path``."""
+    return len(path) == 1 and (
+        name in fields_of() if path == ["controller"] else path[0] in TABLES and name in TABLES[path[0]].model_fields
+    )
 
 
 def _expected(kind: str, context: dict[str, Any], message: str, unit: str) -> str:
