@@ -31,7 +31,6 @@ LIMITS: dict[str, tuple[float, float]] = {
     "": (0.0, 1e6),
 }
 ANY_OTHER = (1e-15, 1e15)
-NOTHING = 1e-30  # of any unit: squares of it and quotients by it still are numbers
 
 
 def check_magnitude(name: str, value: float, unit: str, positive: bool = False) -> float:
@@ -52,8 +51,6 @@ def check_magnitude(name: str, value: float, unit: str, positive: bool = False) 
         expected = f"of at most {largest:g}{spelled}"
     elif positive and 0.0 < value < smallest:
         expected = f"of at least {smallest:g}{spelled}"
-    elif 0.0 < abs(value) < NOTHING:
-        expected = f"of at least {NOTHING:g}{spelled}, or 0"
     else:
         return value
     raise InputError(f"{name}: found {value:g}{spelled}, expected a magnitude {expected}; check its unit")
