@@ -8,7 +8,6 @@ from __future__ import annotations
 import hmac
 import secrets
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit
 
 from tornado.web import RequestHandler
 
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
     from bokeh.server.server import Server
     from tornado.httputil import HTTPServerRequest
 
-NAMES = ("127.0.0.1", "localhost", "::1")
+NAMES = ("127.0.0.1", "localhost", "[::1]")
 
 
 def guard(server: Server) -> str:
@@ -49,20 +48,19 @@ def local(headers: Any, port: int) -> bool:
     >>> local({"Host": "127.0.0.1:80", "Origin": "http://elsewhere.example"}, 80)
     False
     """
-    places = [f"//{headers.get('Host', '')}"] + ([headers["Origin"]] if headers.get("Origin") else [])
-    try:
-        return all((place.hostname, place.port or 80) in {(n, port) for n in NAMES} for place in map(urlsplit, places))
-    except ValueError:  # no port, no address
-        return False
+    places = {f"{name}:{port}" for name in NAMES} | ({*NAMES} if port == 80 else set())
+    return headers.get("Host") in places and headers.get("Origin", "").removeprefix("http://") in places | {""}
 
 
 class Refused(RequestHandler):
     """Any request that is not let in: 403 and one sentence."""
 
     def initialize(self, why: str) -> None:
+        """Keep ``why``, the sentence."""
         self.why = why
 
     def prepare(self) -> None:
+        """Answer before any method of the request is looked at."""
         self.set_status(403)
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(f"emps-design studio: {self.why}\n")
@@ -76,6 +74,7 @@ def _leaving(handler: type[RequestHandler], cookie: str, token: str) -> type[Req
 
     class Leaving(handler):  # type: ignore[misc,valid-type]
         def set_default_headers(self) -> None:
+            """Set the cookie beside the handler's own headers."""
             super().set_default_headers()
             self.set_cookie(cookie, token, httponly=True, samesite="Lax", path="/")
 
