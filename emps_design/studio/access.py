@@ -36,11 +36,11 @@ def guard(server: Server) -> str:
             found.handler_class = _leaving(found.handler_class, cookie, token)
         return found
 
-    application.find_handler = find_handler
+    application.find_handler = find_handler  # type: ignore[method-assign]
     return f"/?token={token}"
 
 
-def local(headers: Any, port: int) -> bool:
+def local(headers: Any, port: int | None) -> bool:
     """Whether ``Host``, and ``Origin`` where there is one, are names of this machine at ``port``.
 
     >>> local({"Host": "localhost:80"}, 80), local({"Host": "rebound.example:80"}, 80)
