@@ -236,7 +236,7 @@ def test_a_force_sensor_nobody_touches_is_no_external_force(record, simulate):
     plain = identify(record, AXIS)
     seen = identify(replace(record, f_ext=noise), AXIS)
     assert seen.values().tolist() == plain.values().tolist()
-    assert "f_ext: its 0.05 N rms are taken for noise of the sensor and left out" in " ".join(seen.warnings)
+    assert "f_ext: its 0.05 N rms are taken for sensor noise and left out" in " ".join(seen.warnings)
     with pytest.raises(RecordError, match="an external force of 30 N rms acts"):
         identify(replace(record, f_ext=np.full(len(record), 30.0)), AXIS)
     with pytest.raises(RecordError, match="simulated-9: an external force of 30 N rms acts"):
