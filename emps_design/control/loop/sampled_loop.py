@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     import control
 
 MARGINAL = 1e-9  # a pole this close to the unit circle is on it: rounding decides no verdict
-SAME = 1e-12  # share of a state's own coefficients by which a repetition of it may differ
+SAME = 1e-9  # share of its own coefficients by which a state and its repetition may differ
 AT_ONCE = 100_000  # systems solved together for a frequency response
 OUTPUTS = ("velocity", "mean_velocity", "force", "voltage")
 _REFERENCE, _FORCE, _MORE = range(3)
