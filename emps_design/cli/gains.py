@@ -61,7 +61,7 @@ def command(
     as_json: AsJson = False,
 ) -> int:
     from emps_design.control.velocity.design import design_velocity_loop
-    from emps_design.control.velocity.specification import check_specification, in_words
+    from emps_design.control.velocity.specification import check_specification
     from emps_design.machines import load_axis
 
     check_out(out, AXIS, (axis, sigma_from), force)
@@ -96,9 +96,9 @@ def command(
         design = design_velocity_loop(machine, **specification)
     document: dict[str, Any] = design.to_dict()
     if errors is not None:
-        from emps_design.control.velocity.sensitivity import mismatch_study
+        from emps_design.control.velocity.sensitivity import margins_under_mismatch
 
-        document["mismatch"] = study = mismatch_study(design, errors)
+        document["mismatch"] = study = margins_under_mismatch(design, errors)
         if study["stable_share"] < 1.0:
             document["warnings"].append(
                 f"unstable at {100 * (1 - study['stable_share']):.3g} % of the mismatch corners"
@@ -111,7 +111,7 @@ def command(
         document["nearest"] = design.nearest_stable
         document["reason"] = (
             f"the sampled loop with these gains is unstable, its largest pole is {abs(design.sampled.poles[0]):.4g}; "
-            f"{in_words(design.nearest_stable)}"
+            f"{design.nearest_in_words}"
         )
     if as_json:
         print_json(document)

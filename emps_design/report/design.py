@@ -109,8 +109,6 @@ def _stops(results: DesignResults) -> list[Callout]:
     velocity, force = results.velocity, results.force
     stops = []
     if not velocity.sampled.stable:
-        from emps_design.control.velocity.specification import in_words
-
         pole = abs(velocity.sampled.poles[0])
         stops.append(
             Callout(
@@ -118,7 +116,7 @@ def _stops(results: DesignResults) -> list[Callout]:
                 "with these gains the sampled velocity loop is unstable.",
                 f"Its largest pole has magnitude {pole:.4f}, outside the unit circle. The margins of the continuous "
                 "loop below say nothing about this drive. Sample faster, remove delay, or ask for less: "
-                f"{in_words(velocity.nearest_stable)}.",
+                f"{velocity.nearest_in_words}.",
             )
         )
     if not force.stable:

@@ -120,7 +120,8 @@ def mismatch_figure(study: MismatchStudy) -> Figure:
                     )
         left.set_xlabel("apparent mass [kg]")
         left.set_ylabel("apparent damping [N/(m/s)]")
-        figure.legend(loc="outside upper left", ncols=3, markerscale=0.9)
+        if shown.any():
+            figure.legend(loc="outside upper left", ncols=3, markerscale=0.9)
         counts = [int(np.sum(study.verdict == place)) for place in range(len(VERDICTS))]
         right.bar(
             [name.replace("_", "\n") for name in VERDICTS], counts, color=[VERDICT_COLORS[name] for name in VERDICTS]

@@ -10,7 +10,10 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.loop.sampled_loop import SampledVelocityLoop
+from emps_design.control.plant.actuator import ActuatorMap
 from emps_design.laws.library import ip_velocity
+
+CONSTANT = 1e-9  # a pole nearer than this to the unit circle belongs to something that stays as it is
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,9 @@ def largest_velocity_step(axis: Axis, loop: SampledVelocityLoop) -> dict[str, fl
     """Return the largest step of the velocity reference [m/s] from rest that keeps the voltage within its limit.
 
     The voltage's peak is that of the sampled linear loop [V per m/s] plus what dry friction and the constant force
-    take, in the worse direction [V]. ``loop`` has to be stable.
+    take, in the worse direction [V]; behind an actuator that saturates or has a dead zone the limit is what still acts.
+    ``window`` [s] is how long the loop is watched, until its motion has died away: a spring goes on asking for more
+    as the carriage travels. ``loop`` has to be stable.
 
     >>> from emps_design.control.plant.discretisation import sample_axis
     >>> from emps_design.machines import machine
@@ -63,16 +68,22 @@ def largest_velocity_step(axis: Axis, loop: SampledVelocityLoop) -> dict[str, fl
     >>> round(step["value"], 4), round(step["dry_friction_voltage"], 3)
     (0.0319, 0.494)
     """
-    slowest = float(np.abs(loop.poles[0]))
-    samples = min(20_000, 10 + math.ceil(math.log(1e-4) / math.log(max(slowest, 1e-3))))
+    sizes = np.abs(loop.poles)
+    dying = sizes[sizes < 1.0 - CONSTANT]  # a pole on z = 1 (a spring's, a load's in its play) does not die away
+    slowest = float(np.max(dying, initial=1e-3))
+    samples = min(20_000, 10 + math.ceil(math.log(1e-4) / math.log(slowest)))
     _, _, voltage = loop.step_response(samples)
     peak = float(np.max(np.abs(voltage)))
     dry = (axis.mechanics.coulomb + abs(axis.mechanics.offset)) / axis.drive.force_gain
+    actuator = ActuatorMap.of(axis)
+    largest = min(abs(actuator.command(actuator.acting(side * axis.drive.voltage_limit))) for side in (1.0, -1.0))
+    needed = max(abs(actuator.command(side * dry)) for side in (1.0, -1.0))
     return {
-        "value": max(0.0, axis.drive.voltage_limit - dry) / peak,
+        "value": max(0.0, largest - needed) / peak,
         "peak_voltage_per_unit": peak,
         "dry_friction_voltage": dry,
-        "voltage_limit": axis.drive.voltage_limit,
+        "voltage_limit": largest,
+        "window": samples * loop.plant.period,
     }
 
 

@@ -2,13 +2,10 @@
 
 import math
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emps_design.control.derivations.cascade import derive_cascade, symbols
-from emps_design.control.derivations.step import plain_symbols
 from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
 from emps_design.control.velocity.gains import (
     MINUS_3_DB,
@@ -18,9 +15,11 @@ from emps_design.control.velocity.gains import (
     second_order_bandwidth,
     velocity_gains,
 )
-from emps_design.control.velocity.specification import check_specification, in_words, nearest_that_works
+from emps_design.control.velocity.specification import check_specification
 from emps_design.errors import InputError, SpecificationError
 from emps_design.machines import machine
+from emps_design.paper.derivations.cascade import derive_cascade, symbols
+from emps_design.paper.derivations.step import plain_symbols
 
 MASS, VISCOUS, FORCE_GAIN = 115.7315, 474.9727, 35.15
 
@@ -174,14 +173,3 @@ def test_infeasible_gains_of_the_plain_function():
 def test_specifications_that_cannot_be_meant(arguments, message):
     with pytest.raises(InputError, match=message):
         check_specification(*arguments)
-
-
-def test_nearest_pair_along_both_lines():
-    found = nearest_that_works(lambda w, phase: w * phase < 5000.0, {"crossover": 100.0, "phase_margin_deg": 60.0})
-    assert found["crossover"] * found["phase_margin_deg"] < 5000.0
-    other = found["or"]
-    assert other["crossover"] * other["phase_margin_deg"] < 5000.0
-    assert (found["crossover"] == 100.0) != (other["crossover"] == 100.0)
-    nothing = nearest_that_works(lambda w, phase: np.zeros(w.size, bool), {"crossover": 1.0, "phase_margin_deg": 60.0})
-    assert nothing == {}
-    assert in_words(nothing) == "no pair nearby works"
