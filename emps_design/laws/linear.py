@@ -212,13 +212,13 @@ def run_linear(
         reference = k * step if follows == "position" else direction * SPEED
         kernel(k, reference, k * step, 0.0, np.inf, values, past)
     at = sample * step
-    reference = Linear(at if follows == "position" else direction * SPEED, 0.0, {"reference": 1.0})
+    followed = Linear(at if follows == "position" else direction * SPEED, 0.0, {"reference": 1.0})
     numbers = list(gains)
     for place, name in (signals or {}).items():
         numbers[place] = Linear(values[place], 0.0, {name: 1.0})
     cells: list[Any] = [Linear(value, 0.0, {place: 1.0}) for place, value in enumerate(past)]
     position, force = Linear(at, 0.0, {"q": 1.0}), Linear(0.0, 0.0, {"f_ext": 1.0})
-    u = kernel(sample, reference, position, force, limit, numbers, cells)
+    u = kernel(sample, followed, position, force, limit, numbers, cells)
     return _linear(u), [_linear(cell) for cell in cells]
 
 

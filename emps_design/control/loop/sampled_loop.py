@@ -166,10 +166,10 @@ def close(
         return rows
 
     voltage = computed(law.C, law.D)
-    arriving = voltage.copy()
+    newest = voltage.copy()
     if plant_input:
-        arriving[..., -1] += 1.0
-    arriving = [arriving, *past_u]
+        newest[..., -1] += 1.0
+    arriving = [newest, *past_u]
     rows = np.zeros((*shape, size, size + len(inputs)))
     rows[..., :n, :n] = plant.Phi
     rows[..., :n, :] += plant.G0[..., :, None] * arriving[plant.delay][..., None, :]
