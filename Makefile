@@ -15,13 +15,14 @@ comma := ,
 PARALLEL = -n $(WORKERS) --dist worksteal
 MARK = $(VENV)/.installed-$(STATE)-$(subst $(comma),-,$(1))
 
-.PHONY: help demo test quick lint fuzz hidden bench docs clean
+.PHONY: help demo test quick lint fuzz hidden bench paper docs clean
 
 help:
 	@echo "make demo    install into $(VENV), run the main job on the embedded machine, print where the report is"
 	@echo "make test    install with the test tools, run every test (make quick: without the slow ones)"
-	@echo "make lint    ruff and the import contract      make fuzz    $(FUZZ) bad inputs for every reader"
+	@echo "make lint    ruff, imports, types               make fuzz    $(FUZZ) bad inputs for every reader"
 	@echo "make bench   measure speed                     make hidden  find effects hidden in records"
+	@echo "make paper   sweep what makes the paper's Table II"
 	@echo "make docs    build docs/_build/html            make clean   remove $(VENV) and everything built"
 
 demo: $(call MARK,run)
@@ -37,6 +38,7 @@ lint: $(call MARK,$(EXTRAS))
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/lint-imports
+	@$(BIN)/mypy
 
 fuzz: $(call MARK,$(EXTRAS))
 	@EMPS_DESIGN_FUZZ=$(FUZZ) $(BIN)/python -m pytest --timeout 3600 tests/property/test_fuzz_records.py tests/property/test_fuzz_axis.py
@@ -48,13 +50,16 @@ hidden: $(call MARK,$(EXTRAS))
 bench: $(call MARK,$(EXTRAS))
 	@$(BIN)/python -m benchmarks
 
+paper: $(call MARK,$(EXTRAS))
+	@$(BIN)/python -m benchmarks.paper
+
 docs: $(call MARK,docs)
 	@$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
 	@test -f docs/_build/html/index.html || { echo "make docs: something ended the build before it wrote a page" >&2; exit 1; }
 	@echo "docs/_build/html/index.html"
 
 clean:
-	rm -rf $(VENV) build dist docs/_build docs/gallery .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) build dist docs/_build docs/gallery .pytest_cache .ruff_cache .mypy_cache .hypothesis .import_linter_cache
 
 $(BIN)/python:
 	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'Python 3.11 or newer is needed, this is ' + sys.version.split()[0] + '; try make PYTHON=python3.12')"

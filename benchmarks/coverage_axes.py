@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.laws import Law
 from emps_design.records import Record
 from emps_design.simulation import Plant
-from emps_design.simulation.laws import Law
 
 FIRST_SEED = 10_000
 
@@ -112,8 +112,8 @@ class Records:
         white = case.push * np.sqrt(1.0 - decay**2) * random.standard_normal(n)
         push = lfilter([1.0], [1.0, -decay], white, zi=[decay * case.push * random.standard_normal()])[0]
         noise = case.encoder_noise * random.standard_normal(n)
-        controller = self.axis.controller
-        gains = np.array([controller.kp * controller.kv, controller.kv, 1.0 / period, case.resolution])
+        kp, kv = (self.axis.controller.parameters[name] for name in ("kp", "kv"))
+        gains = np.array([kp * kv, kv, 1.0 / period, case.resolution])
         law = Law(encoder_pd, np.concatenate([gains, noise]), 2)
         run = self.plant.closed_loop(self.reference, disturbance=push, law=law, quantise=False)
         q = case.resolution * np.floor((run.position + noise) / case.resolution + 0.5)

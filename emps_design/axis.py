@@ -8,23 +8,45 @@ from __future__ import annotations
 import math
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_serializer, model_validator
+from pydantic.fields import FieldInfo
 
 from emps_design.effects import Effect, get_effect
-from emps_design.errors import AxisError, nearest_name
+from emps_design.errors import AxisError, InputError, nearest_name, one_line
+from emps_design.files import read_bytes
+from emps_design.laws import NONE, Finite, NonNegative, Positive, fields_of, known_laws, parameters_of
 from emps_design.notebook import table
+from emps_design.quantities import check_magnitude
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
 MAX_BYTES = 1_000_000  # of an axis file
-Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+
+
+def _printable(name: str) -> str:
+    """A name goes to terminals and pages: no line breaks, nor anything else that is not seen."""
+    if not name.isprintable():
+        raise ValueError(f"found {one_line(name)!r}, expected text on one line without control characters")
+    return name
 
 
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    @model_validator(mode="after")
+    def _possible(self) -> _Table:
+        for name, field in type(self).model_fields.items():
+            _check_magnitude(name, getattr(self, name), field)
+        return self
+
+
+def _check_magnitude(name: str, value: Any, field: FieldInfo) -> None:
+    """Refuse a number that no machine has; ``field`` says in which unit it is, and whether it has to be positive."""
+    extra = field.json_schema_extra
+    if isinstance(value, float) and isinstance(extra, dict) and "unit" in extra:
+        positive = "gt=0" in repr((field.annotation, field.metadata))  # pydantic nests it where None is allowed too
+        check_magnitude(name, value, str(extra["unit"]), positive)
 
 
 class Mechanics(_Table):
@@ -85,41 +107,39 @@ class Sampling(_Table):
 
 
 class Controller(_Table):
-    """The law that makes the voltage; each kind needs the numbers listed in ``NEEDS``."""
+    """The law that makes the voltage: its kind, and its parameters as the law's own table has them.
 
-    kind: Literal["position_pd", "ip_velocity", "impedance", "none"] = Field(
-        "none", description="the law: position_pd, ip_velocity, impedance or none"
-    )
-    kp: Positive | None = Field(None, description="position gain", json_schema_extra={"unit": "1/s"})
-    kv: Positive | None = Field(None, description="velocity gain", json_schema_extra={"unit": "V/(m/s)"})
-    k_v1: Positive | None = Field(None, description="velocity-loop gain", json_schema_extra={"unit": "V/(m/s)"})
-    t_v: Positive | None = Field(
-        None, description="integral time of the velocity loop", json_schema_extra={"unit": "s"}
-    )
-    k_e1: Positive | None = Field(None, description="force-loop gain", json_schema_extra={"unit": "(m/s)/N"})
-    mass: Positive | None = Field(None, description="apparent mass M_a", json_schema_extra={"unit": "kg"})
-    damping: NonNegative | None = Field(None, description="apparent damping B", json_schema_extra={"unit": "N/(m/s)"})
-    filter: Positive | None = Field(
-        None, description="low-pass of acceleration and current in the law", json_schema_extra={"unit": "rad/s"}
-    )
-    velocity_estimator: Literal["two_tap", "backward"] = Field(
-        "two_tap", description="two-tap average and backward difference, or backward difference alone"
-    )
+    A parameter reads as an attribute, None where it is not given: ``axis.controller.kp``.
+    """
 
-    @model_validator(mode="after")
-    def _complete(self) -> Controller:
-        missing = [name for name in NEEDS[self.kind] if getattr(self, name) is None]
-        if missing:
-            raise ValueError(f"kind {self.kind!r} needs {', '.join(missing)}")
-        return self
+    kind: str = Field(NONE, description="the law: position_pd, ip_velocity, impedance or none")
+    parameters: dict[str, Any]
 
+    @model_validator(mode="before")
+    @classmethod
+    def _from_flat_table(cls, table: Any) -> Any:
+        if not isinstance(table, dict):
+            return table
+        kind = table.get("kind", NONE)
+        kinds = [*known_laws(), NONE]
+        if kind not in kinds:
+            expected = f"{', '.join(map(repr, kinds[:-1]))} or {NONE!r}"
+            problem = {"type": "literal_error", "loc": ("kind",), "input": kind, "ctx": {"expected": expected}}
+            raise ValidationError.from_exception_data("Controller", [problem])
+        parameters = parameters_of(kind, {k: v for k, v in table.items() if k != "kind"})
+        fields = fields_of(kind)
+        for name, value in parameters.items():
+            _check_magnitude(name, value, fields[name])
+        return {"kind": kind, "parameters": parameters}
 
-NEEDS: dict[str, tuple[str, ...]] = {
-    "position_pd": ("kp", "kv"),
-    "ip_velocity": ("k_v1", "t_v"),
-    "impedance": ("mass", "damping"),
-    "none": (),
-}
+    @model_serializer
+    def _flat_table(self) -> dict[str, Any]:
+        return {"kind": self.kind, **self.parameters}
+
+    def __getattr__(self, name: str) -> Any:
+        if not name.startswith("_") and name in fields_of():
+            return self.parameters.get(name)
+        raise AttributeError(f"controller: found {name!r}, expected one of kind, {', '.join(fields_of())}")
 
 
 class AxisEffect(_Table):
@@ -158,11 +178,11 @@ class Axis(_Table):
     True
     """
 
-    name: str = "axis"
+    name: Annotated[str, AfterValidator(_printable)] = "axis"
     mechanics: Mechanics
     drive: Drive
     sampling: Sampling
-    controller: Controller = Controller()
+    controller: Controller = Field(default_factory=lambda: Controller.model_validate({}))
     effects: tuple[AxisEffect, ...] = ()
 
     @classmethod
@@ -222,8 +242,8 @@ class Axis(_Table):
     def _repr_html_(self) -> str:
         rows = [
             (name, key, value, (field.json_schema_extra or {}).get("unit", ""))
-            for name, kind in TABLES.items()
-            for key, field in kind.model_fields.items()
+            for name in TABLES
+            for key, field in _fields(name, self.controller.kind).items()
             if (value := getattr(getattr(self, name), key)) is not None
         ]
         rows += [
@@ -237,10 +257,10 @@ class Axis(_Table):
 def _commented(text: str) -> str:
     """``text`` with what a key is, and its unit, behind each line that sets one."""
     lines, table = [], ""
+    kind = tomllib.loads(text).get("controller", {}).get("kind", NONE)
     for line in text.splitlines():
         table = line.strip("[]") if line.startswith("[") else table
-        key = line.partition(" = ")[0]
-        field = TABLES[table].model_fields.get(key) if table in TABLES else None
+        field = _fields(table, kind).get(line.partition(" = ")[0])
         extra = field.json_schema_extra if field else None
         unit = f" [{extra['unit']}]" if isinstance(extra, dict) else ""
         lines.append(f"{line:<36}  # {field.description}{unit}" if field and field.description else line)
@@ -250,19 +270,11 @@ def _commented(text: str) -> str:
 def _text(path: Path) -> str:
     expected = "expected a TOML axis file"
     try:
-        if path.exists() and not path.is_dir() and not path.is_file():
-            raise AxisError(f"{path}: is not an ordinary file; {expected}")
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-        if len(content) > MAX_BYTES:
-            raise AxisError(f"{path}: found more than {MAX_BYTES / 1e6:g} MB; {expected}")
-        return content.decode("utf-8")
+        return read_bytes(path, MAX_BYTES, expected).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise AxisError(f"{path}: not UTF-8 text; {expected}") from error
-    except AxisError:
-        raise
-    except (OSError, ValueError) as error:  # a ValueError is a path with a null byte
-        raise AxisError(f"{path}: {getattr(error, 'strerror', error)}; {expected}") from error
+    except InputError as error:
+        raise AxisError(str(error)) from error
 
 
 TABLES: dict[str, type[_Table]] = {
@@ -271,6 +283,13 @@ TABLES: dict[str, type[_Table]] = {
     "sampling": Sampling,
     "controller": Controller,
 }
+
+
+def _fields(table: str, kind: str = NONE) -> dict[str, FieldInfo]:
+    """The keys of a ``table`` of the axis file, in that of the controller those of every law; none for another name."""
+    if table == "controller":
+        return {"kind": Controller.model_fields["kind"], **fields_of(kind)}
+    return TABLES[table].model_fields if table in TABLES else {}
 
 
 def _first_line(error: ValidationError) -> str:
@@ -282,11 +301,12 @@ def _first_line(error: ValidationError) -> str:
         path = [part for part in path if part != "parameters"]
     place = ".".join(path) or "axis"
     if problem["type"] == "extra_forbidden":
-        known = list((TABLES.get(path[0], Axis) if len(path) > 1 else Axis).model_fields)
+        known = list((_fields(path[0]) if len(path) == 2 else {}) or Axis.model_fields)
         return f"{place}: unknown key{nearest_name(path[-1], known)} (known: {', '.join(known)})"
     if problem["type"] == "value_error":
-        return f"{place}: {problem['msg'].removeprefix('Value error, ').removeprefix('effects: ')}"
-    field = TABLES[path[0]].model_fields.get(path[1]) if len(path) == 2 and path[0] in TABLES else None
+        text = problem["msg"].removeprefix("Value error, ").removeprefix("effects: ")
+        return f"{place}{'.' if _is_field(path, text.partition(':')[0]) else ': '}{text}"
+    field = _fields(path[0]).get(path[1]) if len(path) == 2 else None
     extra = field.json_schema_extra if field and isinstance(field.json_schema_extra, dict) else {}
     unit = str(extra.get("unit", ""))
     expected = _expected(problem["type"], problem.get("ctx", {}), problem["msg"], f" [{unit}]" if unit else "")
@@ -300,6 +320,13 @@ def _first_line(error: ValidationError) -> str:
     number = isinstance(problem["input"], int | float) and not isinstance(problem["input"], bool)
     found = found if len(found) <= 60 else f"{found[:57]}..."
     return f"{place}: found {found}{f' {unit}' if unit and number else ''}, expected {expected}"
+
+
+def _is_field(path: list[str], name: str) -> bool:
+    """Whether ``name`` is a key of the table at ``path``."""
+    return len(path) == 1 and (
+        name in fields_of() if path == ["controller"] else path[0] in TABLES and name in TABLES[path[0]].model_fields
+    )
 
 
 def _expected(kind: str, context: dict[str, Any], message: str, unit: str) -> str:

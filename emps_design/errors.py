@@ -21,8 +21,7 @@ class EmpsError(Exception):
     exit_code = 1
 
     def __init__(self, message: str = ""):
-        # Messages quote what was found in a file, which may hold anything.
-        super().__init__("".join(c if c.isprintable() else "?" for c in " ".join(str(message).split())))
+        super().__init__(one_line(message))
 
 
 class InputError(EmpsError, ValueError):
@@ -73,6 +72,20 @@ class SimulationError(EmpsError, RuntimeError):
     def __init__(self, message: str, time: float, state: tuple[float, ...] = (), effect: str = ""):
         super().__init__(f"{message} (t = {time:.6g} s{', effect ' + effect if effect else ''})")
         self.time, self.state, self.effect = time, state, effect
+
+
+def one_line(text: object) -> str:
+    """Return ``text`` as one line of printable characters: names come from files, which may hold anything.
+
+    >>> one_line("a name\\twith \\x1b[31mcolours \\udcff")
+    'a name with ?[31mcolours ?'
+    """
+    return printable(" ".join(str(text).split()))
+
+
+def printable(text: str) -> str:
+    """Return ``text`` with ``?`` for what is not seen: terminals obey it, and some of it no file can hold."""
+    return "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
 
 
 def nearest_name(found: str, known: list[str] | tuple[str, ...]) -> str:

@@ -2,16 +2,64 @@
 
 from __future__ import annotations
 
+import errno
+import hashlib
 import os
 import platform
+import re
 import shutil
+import stat
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
-from glob import escape
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from emps_design.errors import InputError
+from emps_design.errors import EmpsError, InputError
+
+try:
+    import fcntl
+except ImportError:  # a system without these locks cannot tell what was abandoned, and leaves it
+    fcntl = None  # type: ignore[assignment]
+
+LONGEST_NAME = 100  # bytes that the file aside repeats of a name; file systems take 255 in all
+# What a disk refuses although the name was good.
+_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
+_unfinished: dict[Path, int] = {}  # what is being written aside, and the descriptor that locks it
+
+
+def destination(path: str | Path) -> Path:
+    """Return the file that writing to ``path`` replaces: itself, or where a symbolic link leads in the end.
+
+    Raises :class:`InputError` for what no file may replace (a folder, a device, a pipe, a file that is
+    write-protected), and where the folder does not exist or cannot be written.
+
+    >>> import os
+    >>> destination(os.devnull)
+    Traceback (most recent call last):
+        ...
+    emps_design.errors.InputError: /dev/null: is a device, expected the name of a file to write
+    """
+    try:
+        target = Path(os.path.realpath(path))
+        try:
+            mode = os.stat(target).st_mode
+        except FileNotFoundError:
+            mode = None
+        if mode is not None and not stat.S_ISREG(mode):
+            raise InputError(f"{path}: is {_what(mode)}, expected the name of a file to write")
+        if mode is not None and not os.access(target, os.W_OK):
+            raise InputError(f"{path}: cannot write there, it is write-protected; choose another name")
+        if not stat.S_ISDIR(os.stat(target.parent).st_mode):
+            raise InputError(f"{path}: {target.parent} is not a folder")
+        if not os.access(target.parent, os.W_OK | os.X_OK):
+            raise InputError(f"{path}: cannot write there, no right to make a file in {target.parent}")
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: folder {target.parent} does not exist; make it first") from error
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:  # a ValueError is a name with a null byte
+        raise InputError(f"{path}: cannot write there, {getattr(error, 'strerror', None) or error}") from error
+    return target
 
 
 @contextmanager
@@ -19,8 +67,9 @@ def write_aside(path: str | Path) -> Iterator[Path]:
     """Give a temporary path beside ``path`` to write to, and rename it when the block ends well.
 
     A failure, an interrupt or a kill leaves neither a half-written file nor a changed old one. What a killed process
-    leaves aside, a hidden file that ends in ``.part``, goes with the next writing of ``path``. Raises
-    :class:`InputError` when the folder does not exist or cannot be written.
+    leaves aside, a hidden file that ends in ``.part``, goes with the next writing of ``path``. A file that is replaced
+    keeps its mode, a symbolic link its target's place. Raises :class:`InputError` for what :func:`destination`
+    refuses, and :class:`EmpsError` where the disk is full.
 
     >>> import tempfile
     >>> folder = Path(tempfile.mkdtemp())
@@ -29,24 +78,10 @@ def write_aside(path: str | Path) -> Iterator[Path]:
     >>> [p.name for p in folder.iterdir()]
     ['note.txt']
     """
-    path = Path(path)
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: folder {path.parent} does not exist; make it first")
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder, expected the name of a file to write")
-    _remove_abandoned(path)
-    try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f"{_aside(path)}.{os.getpid()}.", suffix=".part")
-    except OSError as error:
-        raise InputError(f"{path}: cannot write there, {error.strerror}") from error
-    os.close(handle)
-    aside = Path(name)
-    try:
+    target = destination(path)
+    with _aside(path, target, _new_file) as aside, _told(path):
         yield aside
-        os.chmod(aside, 0o666 & ~_umask())
-        os.replace(aside, path)
-    finally:
-        aside.unlink(missing_ok=True)
+        _put(aside, target)
 
 
 @contextmanager
@@ -54,7 +89,7 @@ def write_together(folder: str | Path) -> Iterator[Path]:
     """Give a temporary folder inside ``folder``; when the block ends well its files take their places, one by one.
 
     What belongs together is there together: a failure, an interrupt or a kill before that changes nothing. Raises
-    :class:`InputError` when ``folder`` does not exist or cannot be written.
+    :class:`InputError` when ``folder`` does not exist or cannot be written, or one of its files cannot be replaced.
 
     >>> import tempfile
     >>> folder = Path(tempfile.mkdtemp())
@@ -67,18 +102,34 @@ def write_together(folder: str | Path) -> Iterator[Path]:
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError(f"{folder}: is not a folder; make it first")
-    inside = folder / folder.resolve().name
-    _remove_abandoned(inside)
-    try:
-        aside = Path(tempfile.mkdtemp(dir=folder, prefix=f"{_aside(inside)}.{os.getpid()}.", suffix=".part"))
-    except OSError as error:
-        raise InputError(f"{folder}: cannot write there, {error.strerror}") from error
-    try:
+    with _aside(folder, folder / folder.resolve().name, _new_folder) as aside, _told(folder):
         yield aside
-        for whole in sorted(aside.iterdir()):
-            os.replace(whole, folder / whole.name)
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
+        places = {whole: destination(folder / whole.name) for whole in sorted(aside.iterdir())}
+        try:
+            _put_all(places)
+        except KeyboardInterrupt:  # half of a set is no set: the few renames that are left come first
+            _put_all(places)
+            raise
+
+
+def read_bytes(path: str | Path, most: int, expected: str) -> bytes:
+    """Return the content of an ordinary file of at most ``most`` bytes; nothing larger is ever in memory.
+
+    Raises :class:`InputError` in one line that ends in what was ``expected``: for what cannot be read, for what is too
+    large, and for devices and pipes, which have no end or none yet.
+    """
+    try:
+        with open(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb") as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise InputError(f"{path}: is not an ordinary file; {expected}")
+            content = file.read(most + 1)
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:  # a ValueError is a name with a null byte
+        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}; {expected}") from error
+    if len(content) > most:
+        raise InputError(f"{path}: found more than {most / 1e6:g} MB; {expected}")
+    return content
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -87,27 +138,138 @@ def write_text(path: str | Path, text: str) -> None:
         aside.write_text(text, encoding="utf-8")
 
 
-def _aside(path: Path) -> str:
-    """How the names of files beside ``path`` start that this machine writes; the process number follows."""
-    return f".{path.name}.{platform.node()}"
+def discard_unfinished() -> None:
+    """Remove what this process has written aside and not renamed yet: for an end that unwinds nothing."""
+    for aside in tuple(_unfinished):
+        _remove(aside)
 
 
-def _remove_abandoned(path: Path) -> None:
-    """Remove what processes of this machine that are no more have left beside ``path``."""
-    for left in path.parent.glob(f"{escape(_aside(path))}.*.part"):
-        process = left.name.removeprefix(f"{_aside(path)}.").split(".")[0]
-        if process.isdigit() and not _lives(int(process)):
-            shutil.rmtree(left) if left.is_dir() else left.unlink(missing_ok=True)
+def _what(mode: int) -> str:
+    kinds = {stat.S_ISDIR: "a folder", stat.S_ISFIFO: "a pipe", stat.S_ISSOCK: "a socket"}
+    return next((name for is_kind, name in kinds.items() if is_kind(mode)), "a device")
 
 
-def _lives(process: int) -> bool:
-    if os.name != "posix":  # no signal 0 elsewhere, it would end the process
+@contextmanager
+def _told(path: str | Path) -> Iterator[None]:
+    """Say in one line which file the disk did not take."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in _DISK or isinstance(error, EmpsError):
+            raise
+        raise EmpsError(f"{path}: cannot be written, {error.strerror}; nothing there was changed") from error
+
+
+@contextmanager
+def _aside(path: str | Path, target: Path, new: Callable[[Path, str], Path]) -> Iterator[Path]:
+    """A locked temporary file or folder beside ``target``, removed in the end; ``path`` is what messages call it."""
+    start = _start(target.name)
+    _remove_abandoned(target.parent, start)
+    try:
+        aside = _locked(target.parent, f"{start}{platform.node()[:40]}.{os.getpid()}.", new)
+    except OSError as error:
+        raise InputError(f"{path}: cannot write there, {error.strerror}") from error
+    try:
+        yield aside
+    finally:
+        _remove(aside)
+        os.close(_unfinished.pop(aside))
+
+
+def _start(name: str) -> str:
+    """How the names of what is written aside for a file called ``name`` start; machine and process number follow."""
+    long = len(os.fsencode(name)) > LONGEST_NAME
+    return f".{hashlib.sha256(os.fsencode(name)).hexdigest()[:32] if long else name}."
+
+
+def _new_file(folder: Path, start: str) -> Path:
+    handle, name = tempfile.mkstemp(dir=folder, prefix=start, suffix=".part")
+    os.close(handle)
+    return Path(name)
+
+
+def _new_folder(folder: Path, start: str) -> Path:
+    return Path(tempfile.mkdtemp(dir=folder, prefix=start, suffix=".part"))
+
+
+def _locked(folder: Path, start: str, new: Callable[[Path, str], Path]) -> Path:
+    """Make one with ``new`` and lock it for as long as this process lives; a kill unlocks it."""
+    while True:
+        aside = new(folder, start)
+        handle = os.open(aside, os.O_RDONLY)
+        if fcntl is not None:
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        if aside.exists():
+            _unfinished[aside] = handle
+            return aside
+        os.close(handle)  # another process took it for abandoned in the instant before it was locked
+
+
+def _remove_abandoned(folder: Path, start: str) -> None:
+    """Remove what processes that are no more have left in ``folder`` under names that begin with ``start``."""
+    ours = re.compile(re.escape(start) + r"(.*\.)?\d+\.[a-z0-9_]{8}\.part")
+    for name in os.listdir(folder):
+        if ours.fullmatch(name) and not _in_use(folder / name):
+            _remove(folder / name)
+
+
+def _in_use(left: Path) -> bool:
+    """Whether a living process holds the lock of ``left``."""
+    if fcntl is None:
+        return True
+    if left.is_symlink():  # never made here
+        return False
+    try:
+        handle = os.open(left, os.O_RDONLY | os.O_NONBLOCK)
+    except OSError:  # of another user, or gone by now
         return True
     try:
-        os.kill(process, 0)
-    except OSError as error:  # one of another user's lives, we may only not signal it
-        return not isinstance(error, ProcessLookupError)
-    return True
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return True
+    finally:
+        os.close(handle)
+    return False
+
+
+def _remove(left: Path) -> None:
+    """Remove a file, a link or a folder; one that cannot be removed keeps nobody from writing."""
+    if left.is_dir() and not left.is_symlink():
+        shutil.rmtree(left, ignore_errors=True)
+    else:
+        with suppress(OSError):
+            left.unlink(missing_ok=True)
+
+
+def _put_all(places: dict[Path, Path]) -> None:
+    for whole, target in places.items():
+        if whole.exists():
+            _put(whole, target)
+
+
+def _put(aside: Path, target: Path) -> None:
+    """Let ``aside`` take the place of ``target`` and its mode, when it is on the disk."""
+    handle = os.open(aside, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+    try:
+        old = os.stat(target)
+    except FileNotFoundError:
+        os.chmod(aside, 0o666 & ~_umask())
+    else:
+        if hasattr(os, "chown"):
+            with suppress(OSError):  # only root gives files away
+                os.chown(aside, old.st_uid, old.st_gid)
+        os.chmod(aside, old.st_mode & 0o777)
+    try:
+        os.replace(aside, target)
+    except OSError as error:
+        if error.errno != errno.EXDEV:  # a link may lead to another disk
+            raise
+        with write_aside(target) as beside:
+            shutil.copyfile(aside, beside)
 
 
 def _umask() -> int:

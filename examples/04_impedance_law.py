@@ -7,21 +7,29 @@ import sys
 
 import numpy as np
 
-from emps_design.control.derivations.impedance import cost_of_printed, impedance_derivation
-from emps_design.control.impedance.equivalence import equivalent_impedance, equivalent_loop
-from emps_design.control.impedance.law import FrictionModel, impedance_law
-from emps_design.control.impedance.passivity import contact_map, largest_wall, passivity
-from emps_design.control.impedance.robustness import smallest_mass, stability_map
-from emps_design.control.impedance.sampled import Clock, recursion_poles, sampled_loop
+from emps_design.control import (
+    Clock,
+    FrictionModel,
+    contact_map,
+    equivalent_impedance,
+    equivalent_loop,
+    impedance_law,
+    largest_wall,
+    passivity,
+    recursion_poles,
+    sampled_loop,
+    smallest_mass,
+    stability_map,
+)
 from emps_design.machines import machine
+from emps_design.paper import cost_of_printed, find_errata
 
 axis = machine("emps2018")
 plant, clock = FrictionModel.of(axis), Clock.of(axis)
 
 # 1. The derivation, and where the paper prints something else.
-for step in impedance_derivation():
-    if step.agrees is False:
-        print(f"({step.number}) as printed differs from the derivation by {step.difference}")
+for one in find_errata():
+    print(f"{one.place} {one.title}: {one.text}")
 for name, felt in cost_of_printed(plant, 50.0, 100.0).items():
     print(f"(30) {name:8}", ", ".join(f"{key} {value:.1f}" for key, value in felt.items()))
 

@@ -2,14 +2,37 @@
 
 from __future__ import annotations
 
-import signal
+import os
 import sys
+import warnings
+from io import TextIOWrapper
 
+from emps_design.cli import interrupts
 from emps_design.cli.app import run
+from emps_design.cli.output import tell
 
 
 def main() -> None:
     """Entry point of ``emps-design``."""
-    # A polite kill unwinds like Ctrl-C, so that files written aside are removed.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    sys.exit(run(sys.argv[1:]))
+    _stand_on_three_streams()
+    if sys.stdout is None:
+        tell("standard output is closed, expected somewhere to print; > /dev/null prints nowhere")
+        sys.exit(1)
+    if "--debug" not in sys.argv and not sys.warnoptions:
+        warnings.simplefilter("ignore")  # of libraries, for programmers; our own are printed as such
+    interrupts.listen()
+    status = run(sys.argv[1:])
+    if status == interrupts.STATUS:
+        interrupts.end()
+    sys.exit(status)
+
+
+def _stand_on_three_streams() -> None:
+    """Put the null device where a standard stream is closed, or the next file opened would get its place."""
+    while (free := os.open(os.devnull, os.O_RDWR)) <= 2:
+        continue
+    os.close(free)
+    sys.stdin, sys.stderr = sys.stdin or open(0), sys.stderr or open(2, "w")  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # the name of a file need not be text: show what cannot be encoded
+            stream.reconfigure(errors="backslashreplace")

@@ -5,9 +5,15 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+from contextlib import suppress
+from typing import TYPE_CHECKING
 
-from emps_design.cli.output import print_json
-from emps_design.errors import EmpsError, SpecificationError, UnstableError
+from emps_design.cli.interrupts import STATUS as INTERRUPTED
+from emps_design.cli.output import print_json, tell
+from emps_design.errors import EmpsError, InputError, SpecificationError, UnstableError
+
+if TYPE_CHECKING:
+    import typer
 
 # Commands in the order of the work: record, axis, gains, simulation, what disagrees, page.
 COMMANDS = (
@@ -24,6 +30,7 @@ COMMANDS = (
     "demo",
     "init",
 )
+BEYOND = "numbers too far apart to compute with; check the units in the axis, the record and the options"
 
 
 def run(arguments: list[str]) -> int:
@@ -34,6 +41,8 @@ def run(arguments: list[str]) -> int:
     try:
         result = _application(arguments)(args=arguments or ["--help"], prog_name="emps-design", standalone_mode=False)
         sys.stdout.flush()
+        if result == INTERRUPTED:
+            tell("interrupted")
         return result if isinstance(result, int) else 0
     except EmpsError as error:
         if debug:
@@ -47,32 +56,46 @@ def run(arguments: list[str]) -> int:
                     "warnings": [str(error)],
                 }
             )
-        print(f"emps-design: {error}", file=sys.stderr)
+        tell(error)
         return error.exit_code
     except BrokenPipeError:
-        # The reader of our output has left (`| head`); what is still buffered goes nowhere, in silence.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _print_nowhere()  # the reader of our output has left (`| head`)
+        return 1
+    except OSError as error:
+        if debug:
+            raise
+        _print_nowhere()  # it may be standard output that is full
+        tell(f"{error.filename or 'output'}: {error.strerror or error} (run with --debug for the traceback)")
         return 1
     except Exception as error:
         # Usage errors and Ctrl-C in a prompt come from click, or from the copy of click inside typer: same names.
         if type(error).__name__ == "Abort":
-            print("emps-design: interrupted", file=sys.stderr)
-            return 1
+            tell("interrupted")
+            return INTERRUPTED
         if hasattr(error, "format_message"):
             message = " ".join(error.format_message().split())
             if message:
-                print(f"emps-design: {message}; see 'emps-design --help'", file=sys.stderr)
+                tell(f"{message}; see 'emps-design --help'")
             return 2
         if debug:
             raise
-        print(f"emps-design: {type(error).__name__}: {error} (run with --debug for the traceback)", file=sys.stderr)
+        if isinstance(error, ArithmeticError) or type(error).__name__ == "LinAlgError":
+            tell(f"{BEYOND} ({type(error).__name__}: {error})")
+            return InputError.exit_code
+        tell(f"{type(error).__name__}: {error} (run with --debug for the traceback)")
         return 1
     except KeyboardInterrupt:
-        print("emps-design: interrupted", file=sys.stderr)
-        return 1
+        tell("interrupted")
+        return INTERRUPTED
 
 
-def _application(arguments: list[str]):
+def _print_nowhere() -> None:
+    """Let what is still buffered for standard output go nowhere, in silence, when the process ends."""
+    with suppress(OSError, ValueError):  # a ValueError: it has no descriptor, as in a test
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _application(arguments: list[str]) -> typer.Typer:
     """The Typer application. Only the module of the command that runs is imported, unless help is asked for."""
     import typer
 

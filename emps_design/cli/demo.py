@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
+
+from emps_design.cli.destinations import ARCHIVE, OVERWRITE, PAGE, check_out
+
+if TYPE_CHECKING:
+    from emps_design.report.assemble import Report
 
 MACHINE = "emps2019"
 CROSSOVER, PHASE_MARGIN = 100.0, 60.0  # rad/s, deg
@@ -12,17 +18,23 @@ CROSSOVER, PHASE_MARGIN = 100.0, 60.0  # rad/s, deg
 
 def command(
     out: Path = typer.Option(Path("emps-design-demo.html"), "--out", help="HTML report; the record goes beside it."),
-    seed: int = typer.Option(0, "--seed", help="Seed of the noise in the record."),
+    seed: int = typer.Option(0, "--seed", min=0, help="Seed of the noise in the record."),
+    force: bool = typer.Option(False, "--force", help=OVERWRITE),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     """The main job on the embedded machine, no file needed: simulate a record, identify, gains, force loop, report."""
-    from emps_design.cli.output import print_json, print_warnings, progress_bar, write_text
+    from emps_design.cli.output import print_json, print_warnings, progress_bar, say, write_text
+    from emps_design.errors import InputError
     from emps_design.machines import machine
     from emps_design.report.assemble import assemble_report
     from emps_design.simulation.synthetic_record import practice_record
 
     axis = machine(MACHINE)
     record_file = out.with_suffix(".npz")
+    if out.suffix == record_file.suffix:
+        raise InputError(f"--out: found {out.name!r}, expected a name for a page; the record takes that one")
+    check_out(out, PAGE, (), force)
+    check_out(record_file, ARCHIVE, (), force)
     with progress_bar() as progress:
         progress("simulating a record of the machine", 0.0)
         practice_record(axis, seed=seed).save(record_file)
@@ -38,16 +50,17 @@ def command(
         _show(report, truth, record_file)
     print_warnings(report.warnings)
     if not as_json:
-        print(f"\nThe report, with all figures: {out.resolve()}")
+        say(f"\nThe report, with all figures: {out.resolve()}")
 
 
-def _show(report, truth: dict[str, float], record_file: Path) -> None:
-    from rich.console import Console
+def _show(report: Report, truth: dict[str, float], record_file: Path) -> None:
     from rich.table import Table
 
+    from emps_design.cli.output import new_console, say
+
     velocity, force, found = report.results.velocity, report.results.force, report.found[0]
-    console = Console()
-    print(f"1. A record of {MACHINE}, simulated: {record_file}")
+    console = new_console()
+    say(f"1. A record of {MACHINE}, simulated: {record_file}")
     table = Table(title="2. Identified from the record", title_justify="left")
     for heading in ("parameter", "simulated with", "found", "std", "unit"):
         table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
@@ -58,7 +71,7 @@ def _show(report, truth: dict[str, float], record_file: Path) -> None:
     console.print(table)
     design = velocity.to_dict()
     plant_input, sampled = design["plant_input"], design["sampled"]
-    print(
+    say(
         f"3. Velocity loop for a crossover of {CROSSOVER:g} rad/s and a phase margin of {PHASE_MARGIN:g} deg:\n"
         f"   k_v1 = {design['k_v1']:.2f} V/(m/s), t_v = {1e3 * design['t_v']:.3f} ms; closed-loop bandwidth "
         f"{design['bandwidth']:.1f} rad/s\n"
@@ -68,7 +81,7 @@ def _show(report, truth: dict[str, float], record_file: Path) -> None:
         + (f"stable, phase margin {sampled['phase_margin_deg']:.1f} deg" if sampled["stable"] else "unstable")
     )
     largest = force.to_dict()["k_e1_max"]["sampled"]
-    print(
+    say(
         f"4. Force loop with k_e1 = {force.k_e1:g} (m/s)/N: {'stable' if force.stable else 'unstable'}; "
         f"largest k_e1 for the sampled loop {'unbounded' if largest is None else f'{largest:.4g} (m/s)/N'}"
     )

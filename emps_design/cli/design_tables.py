@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
 from rich.table import Table
+from rich.text import Text
+
+from emps_design.cli.output import new_console
+from emps_design.errors import one_line
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 
 def number(value: float | None, digits: int = 4, nothing: str = "unbounded") -> str:
@@ -20,7 +26,7 @@ def number(value: float | None, digits: int = 4, nothing: str = "unbounded") -> 
 
 def print_gains(document: dict[str, Any]) -> None:
     """Print what ``gains`` found: stability first, then gains, margins at each place, and what is asked next."""
-    console = Console()
+    console = new_console()
     sampled = document["sampled"]
     console.print(_verdict(sampled["stable"], f"{document['axis']}: sampled velocity loop"))
 
@@ -87,15 +93,15 @@ def print_gains(document: dict[str, Any]) -> None:
         _print_mismatch(console, document["mismatch"])
     console.print("\ndifference equation, every sample:")
     for line in document["difference_equation"]["lines"]:
-        console.print(f"    {line}", markup=False, highlight=False)
+        console.print(f"    {line}", highlight=False)
     if "out" in document:
-        console.print(f"axis file with this controller: {document['out']}", markup=False, soft_wrap=True)
+        console.print(f"axis file with this controller: {document['out']}", soft_wrap=True)
     _print_warnings(console, document["warnings"])
 
 
 def print_force(document: dict[str, Any]) -> None:
     """Print what ``force`` found: stability first, then the limits of k_e1, margins and poles."""
-    console = Console()
+    console = new_console()
     console.print(_verdict(document["stable"], f"{document['axis']}: sampled force loop"))
     operator = document["operator"]
     table = _table("Force loop", "", "value", "unit")
@@ -124,13 +130,13 @@ def print_force(document: dict[str, Any]) -> None:
         f"{number(margins['crossover'], nothing='no crossover')} rad/s"
     )
     poles = ", ".join(f"{re:.4g}{im:+.4g}j" for re, im in document["continuous"]["poles"])
-    console.print(f"continuous poles: {poles} rad/s", markup=False)
+    console.print(f"continuous poles: {poles} rad/s")
     reading = document["paper_reading"]
     poles = ", ".join(f"{re:.4g}" for re, _ in reading["poles"])
-    console.print(f"the paper's own reading, {reading['loop']}: poles {poles} rad/s; {reading['text']}", markup=False)
-    console.print(f"sign: {operator['sign']}", markup=False)
+    console.print(f"the paper's own reading, {reading['loop']}: poles {poles} rad/s; {reading['text']}")
+    console.print(f"sign: {operator['sign']}")
     if "out" in document:
-        console.print(f"axis file with this controller: {document['out']}", markup=False, soft_wrap=True)
+        console.print(f"axis file with this controller: {document['out']}", soft_wrap=True)
     _print_warnings(console, document["warnings"])
 
 
@@ -155,8 +161,9 @@ def _print_mismatch(console: Console, study: dict[str, Any]) -> None:
     console.print(f"stable at {100 * study['stable_share']:.4g} % of the corners")
 
 
-def _verdict(stable: bool, what: str) -> str:
-    return f"[bold green]{what} is stable[/]" if stable else f"[bold red]{what} is UNSTABLE[/]"
+def _verdict(stable: bool, what: str) -> Text:
+    said, colour = ("stable", "green") if stable else ("UNSTABLE", "red")
+    return Text(f"{one_line(what)} is {said}", f"bold {colour}")
 
 
 def _table(title: str, *columns: str) -> Table:
@@ -169,4 +176,4 @@ def _table(title: str, *columns: str) -> Table:
 
 def _print_warnings(console: Console, warnings: list[str]) -> None:
     for warning in warnings:
-        console.print(f"note: {warning}", markup=False, highlight=False, soft_wrap=True)
+        console.print(f"note: {warning}", highlight=False, soft_wrap=True)

@@ -9,8 +9,27 @@ from typing import Annotated, Any
 
 import typer
 
-from emps_design.cli.output import print_json, print_warnings, progress_bar, write_aside, write_text
-from emps_design.errors import InputError
+from emps_design.cli.destinations import AXIS, JSON, OVERWRITE, PAGE, TABLE, check_folder
+from emps_design.cli.interrupts import before_the_end
+from emps_design.cli.output import (
+    json_text,
+    new_console,
+    print_json,
+    print_warnings,
+    progress_bar,
+    write_aside,
+    write_text,
+)
+from emps_design.cli.partial_diagnosis import PartialDiagnosis
+from emps_design.errors import InputError, one_line
+
+FILES = {
+    "model.toml": AXIS,
+    "diagnosis.json": JSON,
+    "holdout_prediction.csv": TABLE,
+    "experiment.csv": TABLE,
+    "report.html": PAGE,
+}
 
 
 def command(
@@ -20,26 +39,28 @@ def command(
     fit_time: Annotated[str | None, typer.Option(metavar="A:B", help="fit on this stretch only [s]")] = None,
     confirm_time: Annotated[str | None, typer.Option(metavar="C:D", help="confirm on this stretch [s]")] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="folder for model, report, prediction")] = None,
-    seed: Annotated[int, typer.Option(help="seed of the healthy reference")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="seed of the healthy reference")] = 0,
     healthy_runs: Annotated[
-        int, typer.Option(min=0, help="calibrate on so many simulated records, searched like this one (199: minutes)")
+        int,
+        typer.Option(
+            min=0, max=100_000, help="calibrate on so many simulated records, searched like this one (199: minutes)"
+        ),
     ] = 0,
+    force: Annotated[bool, typer.Option("--force", help=OVERWRITE)] = False,
     as_json: Annotated[bool, typer.Option("--json", help="one JSON document on standard output")] = False,
 ) -> None:
     from emps_design.discrepancy import diagnose
     from emps_design.machines import load_axis
     from emps_design.records import read_record
 
-    if out is not None and out.exists() and not out.is_dir():
-        raise InputError(f"{out}: found a file, expected a folder for the results")
-    if out is not None and not out.parent.is_dir():
-        raise InputError(f"{out}: folder {out.parent} does not exist; make it first")
+    check_folder(out, FILES, (axis, *records, holdout), force)
     if holdout is not None and confirm_time is not None:
         raise InputError("give --holdout or --confirm-time, not both")
     machine = load_axis(axis)
     read = [read_record(path) for path in records]
     held_out = None if holdout is None else read_record(holdout)
-    with progress_bar() as progress:
+    partial = PartialDiagnosis(out)
+    with progress_bar() as bar, before_the_end(partial.write):
         diagnosis = diagnose(
             read,
             machine,
@@ -48,7 +69,8 @@ def command(
             confirm_time=_window(confirm_time, "--confirm-time"),
             seed=seed,
             searches=healthy_runs,
-            progress=progress,
+            progress=partial.hears(bar),
+            searched=partial.knows,
         )
     if out is not None:
         diagnosis = diagnosis.with_file("model.toml")
@@ -75,9 +97,6 @@ def _window(text: str | None, option: str) -> tuple[float, float] | None:
 
 def _write(diagnosis: Any, out: Path, axis: str) -> None:
     """Write everything into ``out``, all files together or none."""
-    import json
-
-    from emps_design.cli.output import plain
     from emps_design.discrepancy.experiment.discrimination import FILE
     from emps_design.files import write_together
     from emps_design.report.diagnosis import diagnosis_page
@@ -86,10 +105,9 @@ def _write(diagnosis: Any, out: Path, axis: str) -> None:
     trace = diagnosis.trace
     with write_together(out) as aside:
         whose = f"numbers that belong to one record (phases, times) are those of {trace.name}"
-        head = f"# {axis}, extended by emps-design diagnose; {whose}\n"
+        head = f"# {one_line(axis)}, extended by emps-design diagnose; {whose}\n"
         write_text(aside / "model.toml", head + diagnosis.axis.to_toml())
-        document = json.dumps(plain(diagnosis.to_dict()), indent=1, ensure_ascii=False)
-        write_text(aside / "diagnosis.json", f"{document}\n")
+        write_text(aside / "diagnosis.json", f"{json_text(diagnosis.to_dict())}\n")
         columns = (trace.t, trace.measured, trace.baseline, trace.extended)
         _table(aside / "holdout_prediction.csv", ("t", "force_measured", "force_baseline", "force_extended"), columns)
         if diagnosis.experiment is not None and diagnosis.experiment.q_ref is not None:
@@ -108,11 +126,11 @@ def _table(path: Path, titles: Sequence[str], columns: Sequence[Any]) -> None:
 
 
 def _show(document: dict[str, Any], out: Path | None) -> None:
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console()
-    console.print(f"[bold]{document['verdict']}[/bold]  {document['sentence']}", highlight=False)
+    console = new_console()
+    console.print(document["verdict"], style="bold", end="  ")
+    console.print(document["sentence"], highlight=False)
     if document["findings"]:
         table = Table("effect", "or", "where", "force gap before [N]", "after [N]", "p")
         for finding in document["findings"]:

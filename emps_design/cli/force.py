@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Annotated, Any
 
 import typer
@@ -15,6 +14,7 @@ from emps_design.cli.design_options import (
     Crossover,
     CurrentTimeConstant,
     Estimator,
+    Force,
     ForceGain,
     Mass,
     Out,
@@ -23,25 +23,34 @@ from emps_design.cli.design_options import (
     Velocity,
     Viscous,
     with_numbers,
+    within,
     write_axis,
 )
-from emps_design.cli.output import print_json
+from emps_design.cli.destinations import AXIS, check_out
+from emps_design.cli.output import print_json, tell
 from emps_design.errors import InputError
 
 
 def command(
     axis: AxisArgument = "emps2018",
-    k_e1: Annotated[float | None, typer.Option("--k-e1", help="force-loop gain [(m/s)/N]")] = None,
-    hand: Annotated[float | None, typer.Option(help="viscous hand k_h, tau_e = -k_h qd [N/(m/s)]")] = None,
-    environment: Annotated[float | None, typer.Option(help="wall K_env, tau_e = -K_env q [N/m]")] = None,
+    k_e1: Annotated[
+        float | None, typer.Option("--k-e1", callback=within("(m/s)/N"), help="force-loop gain [(m/s)/N]")
+    ] = None,
+    hand: Annotated[
+        float | None, typer.Option(callback=within("N/(m/s)"), help="viscous hand k_h, tau_e = -k_h qd [N/(m/s)]")
+    ] = None,
+    environment: Annotated[
+        float | None, typer.Option(callback=within("N/m"), help="wall K_env, tau_e = -K_env q [N/m]")
+    ] = None,
     sensor_only: Annotated[
         bool, typer.Option("--sensor-only", help="the operator's force does not act on the carriage, as in the paper")
     ] = False,
-    sensor_delay: Annotated[int, typer.Option(help="samples between force and its reading")] = 0,
+    sensor_delay: Annotated[int, typer.Option(min=0, max=1000, help="samples between force and its reading")] = 0,
     crossover: Crossover = None,
     bandwidth: Bandwidth = None,
     phase_margin: PhaseMargin = 60.0,
     out: Out = None,
+    force: Force = False,
     velocity: Velocity = 0.1,
     mass: Mass = None,
     viscous: Viscous = None,
@@ -56,6 +65,7 @@ def command(
     from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
     from emps_design.machines import load_axis
 
+    check_out(out, AXIS, (axis,), force)
     machine = with_numbers(
         load_axis(axis),
         mechanics={"mass": mass, "viscous": viscous},
@@ -102,5 +112,5 @@ def command(
 
         print_force(document)
     if not design.stable:
-        print(f"emps-design: {document['reason']}", file=sys.stderr)
+        tell(document["reason"])
     return 0 if design.stable else 4

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +19,7 @@ from emps_design.cli.design_options import (
     CurrentTimeConstant,
     EncoderResolution,
     Estimator,
+    Force,
     ForceGain,
     Mass,
     Out,
@@ -29,10 +29,15 @@ from emps_design.cli.design_options import (
     Viscous,
     VoltageLimit,
     with_numbers,
+    within,
     write_axis,
 )
-from emps_design.cli.output import print_json
+from emps_design.cli.destinations import AXIS, check_out
+from emps_design.cli.output import print_json, tell
 from emps_design.errors import InputError
+from emps_design.files import read_bytes
+
+MAX_BYTES = 10_000_000  # of the JSON of an identification
 
 
 def command(
@@ -42,9 +47,12 @@ def command(
     phase_margin: PhaseMargin = 60.0,
     retune: Annotated[bool, typer.Option("--retune", help="meet the specification in the sampled loop")] = False,
     at: Annotated[str, typer.Option(help="with --retune: plant-input or velocity-error")] = "plant-input",
-    mismatch: Annotated[float | None, typer.Option(help="relative error of the parameters, such as 0.02")] = None,
+    mismatch: Annotated[
+        float | None, typer.Option(callback=within(""), help="relative error of the parameters, such as 0.02")
+    ] = None,
     sigma_from: Annotated[Path | None, typer.Option(help="JSON of 'identify --json': its 95 % intervals")] = None,
     out: Out = None,
+    force: Force = False,
     velocity: Velocity = 0.1,
     mass: Mass = None,
     viscous: Viscous = None,
@@ -59,9 +67,10 @@ def command(
     as_json: AsJson = False,
 ) -> int:
     from emps_design.control.velocity.design import design_velocity_loop
-    from emps_design.control.velocity.specification import check_specification, in_words
+    from emps_design.control.velocity.specification import check_specification
     from emps_design.machines import load_axis
 
+    check_out(out, AXIS, (axis, sigma_from), force)
     check_specification(crossover, bandwidth, phase_margin)
     machine = with_numbers(
         load_axis(axis),
@@ -79,7 +88,7 @@ def command(
         controller={"velocity_estimator": velocity_estimator},
     )
     errors = _errors(machine, mismatch, sigma_from)
-    specification = {
+    specification: dict[str, Any] = {
         "crossover": crossover,
         "bandwidth": bandwidth,
         "phase_margin_deg": phase_margin,
@@ -93,9 +102,9 @@ def command(
         design = design_velocity_loop(machine, **specification)
     document: dict[str, Any] = design.to_dict()
     if errors is not None:
-        from emps_design.control.velocity.sensitivity import mismatch_study
+        from emps_design.control.velocity.sensitivity import margins_under_mismatch
 
-        document["mismatch"] = study = mismatch_study(design, errors)
+        document["mismatch"] = study = margins_under_mismatch(design, errors)
         if study["stable_share"] < 1.0:
             document["warnings"].append(
                 f"unstable at {100 * (1 - study['stable_share']):.3g} % of the mismatch corners"
@@ -108,7 +117,7 @@ def command(
         document["nearest"] = design.nearest_stable
         document["reason"] = (
             f"the sampled loop with these gains is unstable, its largest pole is {abs(design.sampled.poles[0]):.4g}; "
-            f"{in_words(design.nearest_stable)}"
+            f"{design.nearest_in_words}"
         )
     if as_json:
         print_json(document)
@@ -117,7 +126,7 @@ def command(
 
         print_gains(document)
     if not stable:
-        print(f"emps-design: {document['reason']}", file=sys.stderr)
+        tell(document["reason"])
     return 0 if stable else 4
 
 
@@ -133,10 +142,10 @@ def _errors(axis: Axis, mismatch: float | None, sigma_from: Path | None) -> dict
         return relative_mismatch(mismatch)
     assert sigma_from is not None
     try:
-        document = json.loads(sigma_from.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{sigma_from}: {error.strerror}; expected the JSON of 'identify --json'") from error
-    except ValueError as error:
+        document = json.loads(read_bytes(sigma_from, MAX_BYTES, "expected the JSON of 'identify --json'"))
+    except InputError:
+        raise
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{sigma_from}: not JSON, expected what 'identify --json' prints") from error
     parameters = document.get("parameters") if isinstance(document, dict) else None
     if not isinstance(parameters, dict) or not all(isinstance(entry, dict) for entry in parameters.values()):

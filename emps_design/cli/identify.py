@@ -3,8 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import typer
+
+from emps_design.cli.destinations import AXIS, OVERWRITE, check_out
+
+if TYPE_CHECKING:
+    from emps_design.axis import Axis
+    from emps_design.identification.result import Identification
+    from emps_design.identification.several import SeveralIdentifications
+    from emps_design.records import Record
 
 
 def command(
@@ -41,16 +50,19 @@ def command(
     holdout: Path | None = typer.Option(
         None, "--holdout", help="Judge the fit on this record; without it on the last third, fitted to the rest."
     ),
-    bootstrap: int = typer.Option(0, "--bootstrap", min=0, help="Draws of a bootstrap of the residual, 0: none."),
-    seed: int | None = typer.Option(None, "--seed", help="Seed of the bootstrap, default 0."),
+    bootstrap: int = typer.Option(
+        0, "--bootstrap", min=0, max=100_000, help="Draws of a bootstrap of the residual, 0: none."
+    ),
+    seed: int | None = typer.Option(None, "--seed", min=0, help="Seed of the bootstrap, default 0."),
     out: Path | None = typer.Option(None, "--out", help="Write the identified axis to this TOML file."),
+    force: bool = typer.Option(False, "--force", help=OVERWRITE),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     """Identify the parameters of an axis from one record, or from several with their spread."""
     import sys
 
-    from emps_design.cli.output import print_json, progress_bar
-    from emps_design.errors import InputError, nearest_name
+    from emps_design.cli.output import print_json, progress_bar, tell
+    from emps_design.errors import InputError, nearest_name, one_line
     from emps_design.files import write_text
     from emps_design.identification.chains import DEFAULT_CHAIN
     from emps_design.machines import load_axis
@@ -67,8 +79,9 @@ def command(
     _refuse_ignored(estimator, len(records), given)
     if seed is not None and not bootstrap:
         raise InputError("--seed: found without --bootstrap, expected both; nothing else is drawn")
+    check_out(out, AXIS, (axis, *records, holdout), force)
     loaded = load_axis(axis)
-    options = {
+    options: dict[str, Any] = {
         "model": model,
         "chain": chain or DEFAULT_CHAIN,
         "cutoff_hz": cutoff,
@@ -77,7 +90,7 @@ def command(
     read = [read_record(path) for path in records]
     if len(read) == 1:
         judge = None if holdout is None else read_record(holdout)
-        found = _one(
+        found: Any = _one(
             estimator, read[0], loaded, {**options, "bootstrap": bootstrap, "seed": seed or 0, "holdout": judge}
         )
     else:
@@ -86,14 +99,15 @@ def command(
         with progress_bar(not as_json or sys.stderr.isatty()) as progress:
             found = identify_several(read, loaded, progress=progress, **options)
     if out is not None:
-        write_text(out, found.to_axis(name=out.stem).to_toml())
+        write_text(out, found.to_axis(name=one_line(out.stem)).to_toml())
     if as_json:
         print_json(found)
     elif len(read) == 1:
         _show_one(found)
     else:
         _show_several(found)
-    _warn(found.warnings)
+    for warning in found.warnings:
+        tell(warning)
 
 
 def _refuse_ignored(estimator: str, records: int, given: dict[str, bool]) -> None:
@@ -114,7 +128,7 @@ def _refuse_ignored(estimator: str, records: int, given: dict[str, bool]) -> Non
         raise InputError(f"{', '.join(ignored)}: {why}")
 
 
-def _one(estimator, record, axis, options):
+def _one(estimator: str, record: Record, axis: Axis, options: dict[str, Any]) -> Identification:
     if estimator == "ls":
         from emps_design.identification.identify import identify
 
@@ -129,14 +143,14 @@ def _one(estimator, record, axis, options):
     return identify_by_output_error(record, axis, **options)
 
 
-def _show_one(found) -> None:
+def _show_one(found: Identification) -> None:
     from rich import box
-    from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
 
-    console = Console()
-    title = escape(f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}")
+    from emps_design.cli.output import new_console
+
+    console = new_console()
+    title = f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}"
     table = Table(title=title, box=box.SIMPLE, pad_edge=False, padding=(0, 1, 0, 0))
     for heading in ("parameter", "value", "std (15)", "% (16)", "std *", "95 % ± *", "unit"):
         table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right", no_wrap=True)
@@ -174,8 +188,7 @@ def _show_one(found) -> None:
     if found.extra.get("held_out"):
         judged = found.extra["held_out"]
         console.print(
-            f"held out, {escape(judged['on'])}: {judged['rms_error']:.4f} N rms, "
-            f"{judged['relative_error_percent']:.4f} %"
+            f"held out, {judged['on']}: {judged['rms_error']:.4f} N rms, {judged['relative_error_percent']:.4f} %"
         )
     if "cutoff_from_data" in found.extra:
         chosen = found.extra["cutoff_from_data"]["cutoff_hz"]
@@ -198,13 +211,13 @@ def _show_one(found) -> None:
         )
 
 
-def _show_several(found) -> None:
+def _show_several(found: SeveralIdentifications) -> None:
     from rich import box
-    from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
 
-    console = Console()
+    from emps_design.cli.output import new_console
+
+    console = new_console()
     table = Table(box=box.SIMPLE, title=f"{len(found.records)} records, {found.model} model")
     for heading in ("parameter", "mean", "spread", "std *", "drift/record", "unit"):
         table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right", no_wrap=True)
@@ -225,12 +238,5 @@ def _show_several(found) -> None:
     for number in range(1, len(found.records) + 1):
         matrix.add_column(str(number), justify="right", no_wrap=True)
     for number, (name, row) in enumerate(zip(found.records, found.cross_validation, strict=True), 1):
-        matrix.add_row(f"{number} {escape(name)}", *(f"{value:.3f}" for value in row))
+        matrix.add_row(f"{number} {name}", *(f"{value:.3f}" for value in row))
     console.print(matrix)
-
-
-def _warn(warnings) -> None:
-    import sys
-
-    for warning in warnings:
-        print(f"emps-design: {warning}", file=sys.stderr)

@@ -8,30 +8,43 @@ from typing import Annotated, Any
 
 import typer
 
-from emps_design.cli.output import print_json, progress_bar
+from emps_design.cli.design_options import within
+from emps_design.cli.output import new_console, print_json, progress_bar, tell
 from emps_design.errors import InputError
 
 
 def command(
     axis: Annotated[str, typer.Argument(help="TOML file or embedded machine")] = "emps2018",
-    mass: Annotated[float | None, typer.Option(help="apparent mass M_a [kg]; default the axis's controller's")] = None,
-    damping: Annotated[float | None, typer.Option(help="apparent damping B [N/(m/s)]; default likewise")] = None,
-    mismatch: Annotated[float | None, typer.Option(help="relative error of the estimates, such as 0.02")] = None,
+    mass: Annotated[
+        float | None,
+        typer.Option(callback=within("kg"), help="apparent mass M_a [kg]; default the axis's controller's"),
+    ] = None,
+    damping: Annotated[
+        float | None, typer.Option(callback=within("N/(m/s)"), help="apparent damping B [N/(m/s)]; default likewise")
+    ] = None,
+    mismatch: Annotated[
+        float | None, typer.Option(callback=within(""), help="relative error of the estimates, such as 0.02")
+    ] = None,
     filter: Annotated[
-        float | None, typer.Option(help="low-pass of acceleration and current [rad/s]; default 0.5/period, inf: none")
+        float | None,
+        typer.Option(
+            callback=within("rad/s"), help="low-pass of acceleration and current [rad/s]; default 0.5/period, inf: none"
+        ),
     ] = None,
     unfiltered_current: Annotated[
         bool, typer.Option("--unfiltered-current", help="filter the acceleration alone")
     ] = False,
-    stiffness: Annotated[float, typer.Option(help="apparent stiffness K [N/m] about 0")] = 0.0,
-    coulomb_factor: Annotated[float, typer.Option(help="factor on the Coulomb compensation")] = 1.0,
+    stiffness: Annotated[float, typer.Option(callback=within("N/m"), help="apparent stiffness K [N/m] about 0")] = 0.0,
+    coulomb_factor: Annotated[
+        float, typer.Option(callback=within(""), help="factor on the Coulomb compensation")
+    ] = 1.0,
     force_sensor: Annotated[bool, typer.Option("--force-sensor", help="(28) with a measured force")] = False,
     two_quadrant: Annotated[
         bool, typer.Option("--two-quadrant", help="let friction err apart in either direction")
     ] = False,
-    plants: Annotated[int, typer.Option(help="Monte-Carlo plants beside the corners")] = 200,
-    seed: Annotated[int, typer.Option(help="seed of the Monte-Carlo")] = 0,
-    workers: Annotated[int, typer.Option(help="threads; the numbers do not depend on it")] = 1,
+    plants: Annotated[int, typer.Option(min=0, max=1_000_000, help="Monte-Carlo plants beside the corners")] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="seed of the Monte-Carlo")] = 0,
+    workers: Annotated[int, typer.Option(min=1, max=256, help="threads; the numbers do not depend on it")] = 1,
     as_json: Annotated[bool, typer.Option("--json", help="one JSON document on standard output")] = False,
 ) -> int:
     from emps_design.comanipulation.assessment import assess_impedance
@@ -63,22 +76,22 @@ def command(
     else:
         _print(document)
     if not found.stable:
-        print(f"emps-design: {found.reason}", file=sys.stderr)
+        tell(found.reason)
         return 4
     return 0
 
 
 def _given(option: str, what: str, asked: float | None, own: float | None) -> float:
-    if asked is None and own is None:
+    value = own if asked is None else asked
+    if value is None:
         raise InputError(f"{option}: found none, expected {what}, here or in the axis's impedance controller")
-    return own if asked is None else asked
+    return value
 
 
 def _print(document: dict[str, Any]) -> None:
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console()
+    console = new_console()
     law, sampled = document["law"], document["sampled"]
     unit = "unfiltered" if law["filter"] is None else f"{law['filter']:g} rad/s"
     console.print(
@@ -109,4 +122,4 @@ def _print(document: dict[str, Any]) -> None:
     if loop["k_e1"] is not None:
         console.print(f"equivalent cascaded loop ({loop['criterion']}): k_e1 = {loop['k_e1']:g} (m/s)/N")
     for warning in document["warnings"]:
-        console.print(f"- {warning}", highlight=False, markup=False)
+        console.print(f"- {warning}", highlight=False)

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import typer
 
+from emps_design.cli.destinations import ANYTHING, ARCHIVE, AXIS, TABLE, check_folder
+
 # What `puzzle.npz` has and `axis.toml` lacks.
 PUZZLE = ({"kind": "position_ripple", "amplitude": 2.0, "period": 0.0025, "phase": 0.5},)
 
@@ -26,23 +28,25 @@ A .csv may use ; , or tab, a decimal comma, and titles with a unit such as `q [m
 `--help` and prints JSON with `--json`.
 """
 
+FILES = {"axis.toml": AXIS, "record.npz": ARCHIVE, "record.csv": TABLE, "puzzle.npz": ARCHIVE, "README.md": ANYTHING}
+
 
 def command(
     directory: Path = typer.Argument(..., metavar="DIR", help="Folder to make or to fill."),
     machine: str = typer.Option("emps2019", "--machine", help="Embedded machine or axis file to copy."),
-    seed: int = typer.Option(0, "--seed", help="Seed of the noise in the record."),
+    seed: int = typer.Option(0, "--seed", min=0, help="Seed of the noise in the record."),
     force: bool = typer.Option(False, "--force", help="Overwrite files of the same names."),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     """A folder to start from: a commented axis file, synthetic records, and what to do with them."""
-    from emps_design.cli.output import print_json
+    from emps_design.cli.output import print_json, say
     from emps_design.errors import InputError
     from emps_design.files import write_text, write_together
     from emps_design.machines import load_axis
     from emps_design.simulation.synthetic_record import practice_record
 
-    names = ("axis.toml", "record.npz", "record.csv", "puzzle.npz", "README.md")
-    taken = [name for name in names if (directory / name).exists()]
+    check_folder(directory, FILES, (machine,), force=True)
+    taken = [name for name in FILES if (directory / name).exists()]
     if taken and not force:
         raise InputError(f"{directory}: {', '.join(taken)} exist already; choose another folder, or give --force")
     axis = load_axis(machine)
@@ -59,6 +63,6 @@ def command(
         puzzle.save(aside / "puzzle.npz")
         write_text(aside / "README.md", STARTER)
     if as_json:
-        print_json({"directory": str(directory), "files": list(names), "record": record.to_dict(), "seed": seed})
+        print_json({"directory": str(directory), "files": list(FILES), "record": record.to_dict(), "seed": seed})
     else:
-        print(f"{directory}: {', '.join(names)}\nNext: read {directory / 'README.md'}")
+        say(f"{directory}: {', '.join(FILES)}\nNext: read {directory / 'README.md'}")

@@ -3,8 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
+
+from emps_design.cli.destinations import OVERWRITE, TABLE, check_out
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from emps_design.identification.observation import Observation
+    from emps_design.records import Record
 
 LONG = 200_000  # samples from which on it is worth saying how far the work is
 
@@ -24,16 +33,16 @@ def command(
     out: Path | None = typer.Option(
         None, "--out", help="Write the observed forces to this .csv file; cells are empty where none can be known."
     ),
+    force: bool = typer.Option(False, "--force", help=OVERWRITE),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     """Observe the external force of a record, off-line and on-line."""
-    import sys
-
-    from emps_design.cli.output import print_json, progress_bar
+    from emps_design.cli.output import print_json, progress_bar, tell
     from emps_design.identification.observation import observe, with_known_push
     from emps_design.machines import load_axis
     from emps_design.records import read_record
 
+    check_out(out, TABLE, (axis, record), force)
     read, loaded = read_record(record), load_axis(axis)
     if injected is not None:
         read = with_known_push(read, _voltage(injected, read), loaded.drive.force_gain)
@@ -46,10 +55,10 @@ def command(
     else:
         _show(found)
     for warning in found.warnings:
-        print(f"emps-design: {warning}", file=sys.stderr)
+        tell(warning)
 
 
-def _voltage(injected: str, record):
+def _voltage(injected: str, record: Record) -> np.ndarray:
     """The voltage [V] that ``COLUMN:VOLTS`` stands for, one value a sample."""
     import numpy as np
 
@@ -70,7 +79,7 @@ def _voltage(injected: str, record):
     return volts * column
 
 
-def _write(out: Path, found) -> None:
+def _write(out: Path, found: Observation) -> None:
     from emps_design.files import write_aside
 
     names = ["t [s]", *(f"{name} [N]" for name in found.methods)]
@@ -82,21 +91,21 @@ def _write(out: Path, found) -> None:
             file.writelines(",".join("" if x != x else f"{x:.6f}" for x in row) + "\n" for row in rows)
 
 
-def _show(found) -> None:
+def _show(found: Observation) -> None:
     from rich import box
-    from rich.console import Console
-    from rich.markup import escape  # or [ms] is taken for a style
     from rich.table import Table
 
-    console = Console()
-    title = escape(f"External force of {found.record}, axis {found.axis}")
+    from emps_design.cli.output import new_console
+
+    console = new_console()
+    title = f"External force of {found.record}, axis {found.axis}"
     table = Table(title=title, box=box.SIMPLE, pad_edge=False)
     table.add_column("method")
     known = found.f_ext is not None
     headings = ["delay [ms]"]
     headings += ["rms error [N]", "away from edges [N]", "rise [ms]", "plateau"] if known else []
     for heading in headings:
-        table.add_column(escape(heading), justify="right")
+        table.add_column(heading, justify="right")
     for name, result in found.methods.items():
         cells = [f"{1e3 * result.delay:.2f}"]
         if known:

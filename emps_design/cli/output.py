@@ -7,19 +7,41 @@ import math
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from emps_design.cli.flags import in_flags
+from emps_design.errors import one_line, printable
 from emps_design.files import write_aside, write_text
 
-__all__ = ["Progress", "plain", "print_json", "print_warnings", "progress_bar", "write_aside", "write_text"]
+if TYPE_CHECKING:
+    from rich.console import Console
+
+__all__ = [
+    "Progress",
+    "json_text",
+    "new_console",
+    "plain",
+    "print_json",
+    "print_warnings",
+    "progress_bar",
+    "say",
+    "tell",
+    "write_aside",
+    "write_text",
+]
 
 Progress = Callable[[str, float], None]
 
 
 def plain(value: Any) -> Any:
-    """Return ``value`` as JSON data: numpy to Python, complex to [re, im], Infinity and NaN to None."""
+    """Return ``value`` as JSON data: numpy to Python, complex to [re, im], Infinity and NaN to None.
+
+    Arguments that a text names become flags.
+    """
     if hasattr(value, "to_dict"):
         return plain(value.to_dict())
+    if isinstance(value, str):
+        return in_flags(value)
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -33,15 +55,58 @@ def plain(value: Any) -> Any:
     return value
 
 
+def json_text(document: Any) -> str:
+    """Return ``document`` as JSON; what a terminal would take for an order is escaped.
+
+    >>> print(json_text({"name": "é\\x9b31m", "gain": math.inf}))
+    {
+     "name": "é\\u009b31m",
+     "gain": null
+    }
+    """
+    text = json.dumps(plain(document), indent=1, allow_nan=False, ensure_ascii=False)
+    return "".join(c if c.isprintable() or c == "\n" else _escaped(c) for c in text)
+
+
+def _escaped(character: str) -> str:
+    """One character as JSON escapes it: its UTF-16 units."""
+    units = character.encode("utf-16-be", "surrogatepass").hex()
+    return "".join(f"\\u{units[i : i + 4]}" for i in range(0, len(units), 4))
+
+
 def print_json(document: Any) -> None:
     """Print one JSON document on standard output; the same data gives the same bytes."""
-    sys.stdout.write(json.dumps(plain(document), indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+    text = json_text(document)
+    if not (sys.stdout.encoding or "").lower().startswith("utf"):
+        text = "".join(c if c.isascii() else _escaped(c) for c in text)
+    sys.stdout.write(f"{text}\n")
+
+
+def say(text: object = "") -> None:
+    """Print ``text`` on standard output; what in it is no text (names may hold anything) is shown as ``?``."""
+    print(printable(in_flags(str(text))))
+
+
+def tell(text: object) -> None:
+    """Print ``text`` as one line of this program on standard error."""
+    print(f"emps-design: {one_line(in_flags(str(text)))}", file=sys.stderr)
 
 
 def print_warnings(warnings: Iterable[str]) -> None:
     """Print each warning as one line on standard error."""
     for warning in warnings:
-        print(f"emps-design: warning: {warning}", file=sys.stderr)
+        tell(f"warning: {warning}")
+
+
+def new_console() -> Console:
+    """Return a console for tables on standard output, to which text is text: no markup, no escape sequences in it."""
+    from rich.console import Console
+
+    class Plain(Console):
+        def render_str(self, text: str, **options: Any) -> Any:
+            return super().render_str(printable(in_flags(text)), **options)
+
+    return Plain(markup=False, emoji=False)
 
 
 @contextmanager
@@ -68,6 +133,6 @@ def progress_bar(show: bool = True) -> Iterator[Progress]:
         def report(stage: str, fraction: float) -> None:
             if not seen or seen[-1] != stage:
                 seen.append(stage)
-                print(f"emps-design: {stage}", file=sys.stderr)
+                tell(stage)
 
         yield report

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
 import typer
+
+from emps_design.cli.design_options import within
+from emps_design.cli.destinations import ARCHIVE, OVERWRITE, PICTURES, TABLE, check_out
 
 SCENARIOS = ("replay", "reference", "breakaway", "comanipulation")
 
@@ -20,18 +22,29 @@ def command(
     reference: Path | None = typer.Option(
         None, "--reference", help="Reference to follow: columns t, q_ref (.csv, .npz)."
     ),
-    rate: float = typer.Option(1.0, "--rate", help="Break-away: how fast the force rises [N/s]."),
-    peak: float | None = typer.Option(None, "--peak", help="Break-away: largest force [N]."),
-    mismatch: float = typer.Option(0.02, "--mismatch", help="Co-manipulation: relative error of the model."),
-    mass: float | None = typer.Option(None, "--mass", help="Co-manipulation: apparent mass M_a [kg]."),
-    damping: float | None = typer.Option(None, "--damping", help="Co-manipulation: apparent damping B [N/(m/s)]."),
-    plants: int = typer.Option(200, "--plants", help="Co-manipulation: plants drawn within the mismatch."),
-    seed: int = typer.Option(0, "--seed", help="Seed of what is drawn."),
+    rate: float = typer.Option(
+        1.0, "--rate", callback=within("N/s"), help="Break-away: how fast the force rises [N/s]."
+    ),
+    peak: float | None = typer.Option(None, "--peak", callback=within("N"), help="Break-away: largest force [N]."),
+    mismatch: float = typer.Option(
+        0.02, "--mismatch", callback=within(""), help="Co-manipulation: relative error of the model."
+    ),
+    mass: float | None = typer.Option(
+        None, "--mass", callback=within("kg"), help="Co-manipulation: apparent mass M_a [kg]."
+    ),
+    damping: float | None = typer.Option(
+        None, "--damping", callback=within("N/(m/s)"), help="Co-manipulation: apparent damping B [N/(m/s)]."
+    ),
+    plants: int = typer.Option(
+        200, "--plants", min=0, max=1_000_000, help="Co-manipulation: plants drawn within the mismatch."
+    ),
+    seed: int = typer.Option(0, "--seed", min=0, help="Seed of what is drawn."),
     out: Path | None = typer.Option(None, "--out", help="Write the signals to this file: .npz (lossless) or .csv."),
     plot: Path | None = typer.Option(None, "--plot", help="Draw the run into this file: .png, .svg or .pdf."),
+    force: bool = typer.Option(False, "--force", help=OVERWRITE),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> int:
-    from emps_design.cli.output import print_json
+    from emps_design.cli.output import print_json, tell
     from emps_design.errors import InputError
 
     scenario = scenario or ("replay" if record else "reference" if reference else "")
@@ -44,6 +57,7 @@ def command(
         )
     if scenario == "comanipulation" and (out or plot):
         raise InputError("--out and --plot: not for comanipulation, which simulates many plants; see 'impedance'")
+    _check(out, plot, (axis, record, reference), force)
     if scenario == "comanipulation":
         result = _comanipulation(axis, mismatch, seed, plants, mass, damping)
     else:
@@ -54,13 +68,13 @@ def command(
             _draw(plot, result)
     document = result.to_dict()
     for warning in document.get("warnings", []):
-        print(f"emps-design: {warning}", file=sys.stderr)
+        tell(warning)
     if as_json:
         print_json(document)
     else:
         _show(document)
     if "reason" in document:
-        print(f"emps-design: {document['reason']}", file=sys.stderr)
+        tell(document["reason"])
         return 4
     return 0
 
@@ -107,23 +121,29 @@ def _comanipulation(
         )
 
 
-def _write(out: Path, run: Any) -> None:
+def _check(out: Path | None, plot: Path | None, inputs: tuple[str | Path | None, ...], force: bool) -> None:
+    """Refuse a name that cannot be written, or that says another format than there is."""
     from emps_design.errors import InputError
 
+    for option, path, kinds in (("--out", out, {".npz": ARCHIVE, ".csv": TABLE}), ("--plot", plot, PICTURES)):
+        if path is not None and path.suffix not in kinds:
+            *others, last = kinds
+            expected = f"{', '.join(others)} or {last}"
+            raise InputError(f"{option}: found {path.name!r}, expected a name that ends in {expected}")
+        if path is not None:
+            check_out(path, kinds[path.suffix], inputs, force, option)
+
+
+def _write(out: Path, run: Any) -> None:
     if out.suffix == ".npz":
         run.save(out)
-    elif out.suffix == ".csv":
-        run.to_csv(out)
     else:
-        raise InputError(f"--out: found {out.name!r}, expected a name that ends in .npz or .csv")
+        run.to_csv(out)
 
 
 def _draw(path: Path, result: Any) -> None:
-    from emps_design.errors import InputError
     from emps_design.files import write_aside
 
-    if path.suffix not in (".png", ".svg", ".pdf"):
-        raise InputError(f"--plot: found {path.name!r}, expected a name that ends in .png, .svg or .pdf")
     figure = result.run.plot()[0].figure
     with write_aside(path) as aside:
         figure.savefig(aside, format=path.suffix[1:])
@@ -131,15 +151,16 @@ def _draw(path: Path, result: Any) -> None:
 
 def _show(document: dict[str, Any]) -> None:
     from rich import box
-    from rich.console import Console
     from rich.table import Table
+
+    from emps_design.cli.output import new_console
 
     table = Table(title=f"{document['scenario']}, axis {document.get('axis', '')}", box=box.SIMPLE)
     table.add_column("quantity")
     table.add_column("value", justify="right")
     for key, value in _rows(document):
         table.add_row(key, value)
-    Console().print(table)
+    new_console().print(table)
 
 
 def _rows(document: dict[str, Any], before: str = "") -> list[tuple[str, str]]:

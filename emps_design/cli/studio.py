@@ -17,7 +17,7 @@ def command(
     import sys
     from importlib.util import find_spec
 
-    from emps_design.cli.output import print_json
+    from emps_design.cli.output import print_json, say
     from emps_design.errors import InputError
     from emps_design.machines import load_axis
 
@@ -32,12 +32,11 @@ def command(
         if as_json:
             print_json({"address": address})
         else:
-            print(f"emps-design studio: {address} (Ctrl-C ends it)")
+            say(f"emps-design studio: {address} (Ctrl-C ends it)")
         sys.stdout.flush()
 
     try:
         serve(loaded, record, port, ready)
-    except KeyboardInterrupt:
-        print("emps-design: studio ended", file=sys.stderr)
+        raise KeyboardInterrupt  # the server hears Ctrl-C itself, and nothing else ends it
     except OSError as error:
         raise InputError(f"--port: cannot listen on 127.0.0.1:{port}, {error.strerror}; choose another or 0") from error

@@ -27,8 +27,14 @@ from emps_design.control.impedance.robustness import (
     verdict,
     worst_radius,
 )
-from emps_design.control.impedance.sampled import MARGINAL, Clock, SampledLoop, recursion_poles, sampled_loop
-from emps_design.control.impedance.with_effects import extended_loop
+from emps_design.control.impedance.sampled import (
+    MARGINAL,
+    Clock,
+    SampledLoop,
+    extended_loop,
+    recursion_poles,
+    sampled_loop,
+)
 from emps_design.errors import SpecificationError, UnstableError
 from emps_design.notebook import table
 
@@ -182,7 +188,8 @@ class ImpedanceAssessment:
     def _warnings(self, document: dict[str, Any]) -> list[str]:
         words = [self.reason] if not self.stable else []
         words += [
-            f"effect {kind} is in the poles, linearised, but not in apparent impedance, contact and mismatch"
+            f"effect {kind} is in the simulated plants and, linearised, in the poles, but not in apparent impedance "
+            "and contact"
             for kind in left_out(self.axis)
         ]
         words += safety_words(self.axis, self.law.mass, self.law.damping, self.mismatch or 0.0)

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.impedance.law import ImpedanceLaw
+from emps_design.control.impedance.law import ImpedanceLaw, law_for
 from emps_design.errors import InputError, SimulationError
 from emps_design.simulation.environment import Wall
-from emps_design.simulation.impedance_law import law_for
 from emps_design.simulation.plant import Plant
 
 PUSHED = 0.75  # share of the time during which the push lasts; then the hand lets go

@@ -110,6 +110,8 @@ class Effect:
     ``delay``      s, between the recorded voltage and the one that acts
     ``lag``        s, time constant: the effect is a first-order lag of the motor force and nothing else. ``force`` and
                    ``rate`` say the same; the simulation knows the solution and need not step them
+    ``slopes``     ``slopes(p) -> (to +, to -)`` N/(m/s): the effect is viscous friction by direction and nothing else.
+                   ``force`` says the same; the simulation knows the solution, and the impedance law can hold it
     ``sensor``     m, added to the position that the encoder reports
     ``rate``       ``rate(q, v, t, tau, x, p, b, level, dx)`` fills ``dx`` with the derivative of the own states;
                    ``level`` is the Coulomb level L of the moment [N]
@@ -133,7 +135,10 @@ class Effect:
     ``expression(q, v, t, tau, p, b)`` is the SymPy form of :meth:`contribution` (``tau`` stands for the voltage in a
     static actuator map); None where own states are needed.
     ``over``: the variable it is drawn over, "v", "q", "t", "tau", "u", a "loop" of position, or after a "step".
+    ``repeats``: the parameter [m] after which it repeats along the travel; its slope over position then averages out.
     ``passive``: over a motion that ends where it began, at rest, the effect never gives back more work than it took.
+    ``identified_by``: for each model of ``identify`` that has the effect among its parameters, the function that takes
+    those to the effect's own.
     ``parity``: of the contribution in ``v``, "odd", "even" or "" for neither.
     ``checks``: points computed by hand for ``CHECK_BASELINE``, (parameters, arguments of :meth:`contribution`, value).
     """
@@ -151,6 +156,7 @@ class Effect:
     actuator: Kernel | None = None
     delay: Kernel | None = None
     lag: Kernel | None = None
+    slopes: Callable[[np.ndarray], tuple[float, float]] | None = None
     sensor: Kernel | None = None
     rate: Callable[..., None] | None = None
     initial: Callable[..., tuple[float, ...]] | None = None
@@ -166,11 +172,13 @@ class Effect:
     plausible: Callable[[Parameters, Motion], bool] | None = None
     expression: Callable[..., sympy.Expr] | None = None
     over: str = "v"
+    repeats: str = ""
     where: str = ""
     confused_with: tuple[str, ...] = ()
     experiment: str = ""
     remedy: str = ""
-    checks: tuple[tuple[dict[str, float], dict[str, float], float], ...] = ()
+    checks: tuple[tuple[dict[str, float], dict[str, Any], float], ...] = ()
+    identified_by: Mapping[str, Callable[[Parameters], dict[str, float]]] = field(default_factory=dict)
     passive: bool = False
     parity: str = ""
 

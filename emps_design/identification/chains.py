@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from emps_design.effects import Motion
 from emps_design.errors import InputError, RecordError
+from emps_design.identification.cutoff import chosen_cutoff
+from emps_design.identification.filtered import Filtered
 from emps_design.identification.filters import (
     DECIMATION,
     central_difference,
@@ -28,31 +30,6 @@ REPORT_DROPPED = 49  # first samples, spoilt by the ends of filter and differenc
 FEWEST_ROWS = 160  # away from rest, eight in a period of the cut-off, for a regression that leaves rest out
 
 
-@dataclass(frozen=True)
-class Filtered:
-    """A record after its chain of filters.
-
-    ``motion`` has one row a sample of the record that was kept (None once W is made of it), and ``reduce`` brings such
-    a column to the rate of the regression. At that rate are ``t`` [s], ``force`` [N] and ``f_ext`` [N], which rows are
-    ``used``, and which lie ``away`` from rest; ``period`` [s] is the time between two rows. ``cutoff_hz`` [Hz] is the
-    low-pass of the position (None: the chain has none), ``band_hz`` [Hz] what the regression sees.
-    """
-
-    chain: str
-    motion: Motion | None = field(repr=False)
-    t: np.ndarray = field(repr=False)
-    force: np.ndarray
-    f_ext: np.ndarray | None
-    reduce: Callable[[np.ndarray], np.ndarray] = field(repr=False)
-    used: np.ndarray = field(repr=False)
-    away: np.ndarray = field(repr=False)
-    period: float
-    cutoff_hz: float | None
-    band_hz: float
-    decimation: int
-    text: str
-
-
 def report_chain(record: Record, force_gain: float, cutoff_hz: float | None = None) -> Filtered:
     """The chain of the 2019 report: what its tables were made with.
 
@@ -63,7 +40,7 @@ def report_chain(record: Record, force_gain: float, cutoff_hz: float | None = No
         if 0.5 / record.period <= REPORT_CUTOFF:
             raise InputError(
                 f"{record.name}: sampled at {1 / record.period:g} Hz, the report's low-pass of {REPORT_CUTOFF:g} Hz "
-                f"needs more than {2 * REPORT_CUTOFF:g} Hz; use --filter hold, or give --cutoff"
+                f"needs more than {2 * REPORT_CUTOFF:g} Hz; use `chain='hold'`, or give `cutoff_hz`"
             )
         cutoff_hz = REPORT_CUTOFF
     force = _decimated(record.u, force_gain)
@@ -92,7 +69,7 @@ def paper_chain(record: Record, force_gain: float, cutoff_hz: float | None = Non
     the chain's low-pass is the decimation's.
     """
     if cutoff_hz is not None:
-        raise InputError("cut-off: the paper's chain has none, its low-pass is the decimation's; use --filter hold")
+        raise InputError("cut-off: the paper's chain has none, its low-pass is the decimation's; use `chain='hold'`")
     force = _decimated(median_of_three(record.u), force_gain)
     v = median_of_three(np.diff(record.q, prepend=record.q[0]) / record.period)
     a = median_of_three(central_difference(v, record.period))
@@ -156,8 +133,6 @@ def hold_chain(
     Raises :class:`RecordError` where fewer than ``fewest_rows`` are left.
     """
     if cutoff_hz is None:
-        from emps_design.identification.cutoff import chosen_cutoff
-
         cutoff_hz = chosen_cutoff(record)
     # One sample per half period of four times the cut-off: what is left above it is under 1e-5 of the amplitude.
     factor = max(1, int(0.25 / share_of_nyquist(cutoff_hz, record.period)))

@@ -9,6 +9,7 @@ lower one where that noise would be felt. It depends on motion and encoder, not 
 from __future__ import annotations
 
 from bisect import bisect_left
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,8 +25,6 @@ FEWEST_PERIODS = 20  # of the lowest that is tried, in the record
 LEAST, ENOUGH = (0.75, 0.5), (0.9, 0.8)
 NOISE = 2e-4  # of the acceleration's power, by which the encoder's noise may pull the mass down
 LONGEST = 120_000  # samples that are looked at
-
-
 RULE = (
     f"lowest cut-off with {100 * ENOUGH[0]:.0f} % of the rows that are not slow and {100 * ENOUGH[1]:.0f} % of the "
     f"acceleration's power away from rest, or, where the encoder is noisier than {100 * NOISE:g} % of that power, "
@@ -57,10 +56,10 @@ def chosen_cutoff(record: Record) -> float:
 
     # Both shares grow with the cut-off: the first that is enough, by halving.
     least, enough = (
-        tried[bisect_left(range(len(tried) - 1), True, key=lambda index, kept=shares: keeps(index, kept))]
+        float(tried[bisect_left(range(len(tried) - 1), True, key=partial(keeps, shares=shares))])
         for shares in (LEAST, ENOUGH)
     )
-    power = float(np.mean(motion(part, float(least)).a ** 2))
+    power = float(np.mean(motion(part, least).a ** 2))
     return float(f"{np.clip(_quiet(part, power), least, enough):.3g}")
 
 

@@ -143,7 +143,7 @@ def _least(
         jacobian = _jacobian(error, value, residual)
         if fall < CONVERGED:
             return value, residual, jacobian
-    raise InputError(f"{name}: output error did not converge in {ITERATIONS} steps; give --cutoff lower")
+    raise InputError(f"{name}: output error did not converge in {ITERATIONS} steps; give a lower `cutoff_hz`")
 
 
 def _jacobian(error: Callable[[np.ndarray], np.ndarray], value: np.ndarray, residual: np.ndarray) -> np.ndarray:

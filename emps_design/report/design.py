@@ -109,8 +109,6 @@ def _stops(results: DesignResults) -> list[Callout]:
     velocity, force = results.velocity, results.force
     stops = []
     if not velocity.sampled.stable:
-        from emps_design.control.velocity.specification import in_words
-
         pole = abs(velocity.sampled.poles[0])
         stops.append(
             Callout(
@@ -118,7 +116,7 @@ def _stops(results: DesignResults) -> list[Callout]:
                 "with these gains the sampled velocity loop is unstable.",
                 f"Its largest pole has magnitude {pole:.4f}, outside the unit circle. The margins of the continuous "
                 "loop below say nothing about this drive. Sample faster, remove delay, or ask for less: "
-                f"{in_words(velocity.nearest_stable)}.",
+                f"{velocity.nearest_in_words}.",
             )
         )
     if not force.stable:
@@ -132,7 +130,7 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
     velocity = results.velocity
     sampled, period = velocity.sampled, velocity.axis.sampling.period
     blocks: list[Any] = list(_stops(results))
-    facts = [
+    facts: list[tuple[Any, str, str]] = [
         (Html(symbol("k_v1")), quantity(velocity.k_v1, "V/(m/s)"), "gain of the velocity loop"),
         (Html(symbol("t_v")), quantity(velocity.t_v, "s"), "its integral time"),
     ]
@@ -152,7 +150,7 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
     else:
         facts.append(("margins on the drive", "none", "the sampled loop is unstable"))
     blocks.append(Facts(tuple(facts)))
-    blocks += [Text(Html(f"{note}")) for note in results.notes]
+    blocks += [Text(note) for note in results.notes]
     blocks.append(_achieved_table(velocity))
     if sampled.stable:
         lost = velocity.plant_input.phase_margin_deg - sampled.margins.phase_margin_deg

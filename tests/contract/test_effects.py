@@ -146,6 +146,21 @@ def test_declared_parity(effect):
 
 
 @all_effects
+def test_what_is_said_to_repeat_repeats(effect):
+    """A force or an error of the reading that repeats along the travel says so: its slope is then no spring."""
+    parameters = typical(effect)
+    if not effect.repeats:
+        assert not any(p.unit == "m" and p.text.startswith("travel after which") for p in effect.parameters)
+        return
+    assert parameters[effect.repeats] > 0.0
+    for point in points(effect):
+        later = {**point, "q": point["q"] + parameters[effect.repeats]}
+        assert effect.contribution(parameters, B, **later) == pytest.approx(
+            effect.contribution(parameters, B, **point), rel=1e-9, abs=1e-12
+        )
+
+
+@all_effects
 def test_declared_passivity(effect):
     """Work taken over motions that end where they began, at rest; a spring may lend, nothing may give."""
     if effect.channel != "plant":

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from emps_design.axis import TABLES, Axis
 from emps_design.effects import EFFECTS
 from emps_design.errors import AxisError
+from emps_design.laws import fields_of
 from emps_design.machines import machine, machine_names
 from tests.property.fuzzing import fuzz
 
@@ -50,7 +51,7 @@ SCALARS = st.one_of(
     st.text(max_size=8),
     st.sampled_from((1e-3, 1.0, 100.0, 0, -0.0, 5e-324, 1.7e308, "position_pd", "impedance", "none", "two_tap")),
 )
-FIELDS = sorted({field for table in TABLES.values() for field in table.model_fields})
+FIELDS = sorted({field for table in TABLES.values() for field in table.model_fields} | set(fields_of()))
 KEYS = st.sampled_from([*FIELDS, *TABLES, "name", "effects", "kind", "parameters"]) | st.text(max_size=5)
 VALUES = st.recursive(SCALARS, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(KEYS, inner, max_size=3))
 PARAMETERS = sorted({parameter.name for effect in EFFECTS for parameter in effect.parameters})

@@ -1,14 +1,8 @@
-"""Impedance control without a force sensor: the law, its target, and what the carriage then feels like.
+"""Impedance control without a force sensor: the law with all its options, and what the carriage then feels like.
 
-Section IV of the 2018 paper, after Hogan. Plant ``M qdd = tau + tau_e - F_v qd - F_c sign(qd)``, target
-``tau_e = M_a qdd + B qd + K (q - q_0)``. With ``r = Mh/M_a`` and hats for the law's estimates the law is
-
-    tau_eh = Mh a_f + Fh_v v + c Fh_c sign(v) - kappa tau_f                                (29)
-    tau    = (r - 1) tau_eh + (Fh_v - r B) v + c Fh_c sign(v) - r K (q - q_0)               (27), (28)
-
-where ``a_f`` and ``tau_f`` are the acceleration and the motor force G_tau_i I_m behind low-pass filters. ``kappa = 1``
-is what (28) and (29) give; ``kappa = 2`` is (30) as printed. Hats are ``(1 + error)`` times the plant's numbers, so an
-error of +2 % is an over-estimate.
+Section IV of the 2018 paper, after Hogan; the equations stand in :mod:`emps_design.laws.library.impedance`. Plant
+``M qdd = tau + tau_e - F_v qd - F_c sign(qd)``. ``kappa = 1`` is what (28) and (29) give; ``kappa = 2`` is (30) as
+printed. Hats are ``(1 + error)`` times the plant's numbers, so an error of +2 % is an over-estimate.
 """
 
 from __future__ import annotations
@@ -21,79 +15,19 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import InputError
+from emps_design.laws import Law
+from emps_design.laws.friction_model import PARAMETERS, FrictionModel, left_out
+from emps_design.laws.library.impedance import (
+    WAITING,
+    check_filters,
+    default_filter,
+    demanded_force,
+    gains_of,
+    impedance,
+    observed_force,
+)
 
 DERIVED, PRINTED = 1.0, 2.0  # factor in front of (Mh/M_a - 1) G_tau_i I_m in (30)
-PARAMETERS = ("mass", "viscous_positive", "viscous_negative", "coulomb_positive", "coulomb_negative")
-
-
-@dataclass(frozen=True)
-class FrictionModel:
-    """The vector X of equation (5): mass [kg], viscous [N/(m/s)] and Coulomb friction [N] for either direction."""
-
-    mass: float
-    viscous_positive: float
-    viscous_negative: float
-    coulomb_positive: float
-    coulomb_negative: float
-
-    @classmethod
-    def of(cls, axis: Axis) -> FrictionModel:
-        """Read X from an axis; effects proportional to speed join the viscous friction, see :func:`left_out`.
-
-        >>> from emps_design.machines import machine
-        >>> FrictionModel.of(machine("emps2018-two-quadrant")).viscous_negative
-        563.8568
-        """
-        m = axis.mechanics
-        positive, negative = m.viscous, m.viscous
-        for effect in axis.effects:
-            slopes = _viscous_slopes(axis, effect)
-            if slopes is not None:
-                positive, negative = positive + slopes[0], negative + slopes[1]
-        return cls(m.mass, round(positive, 12), round(negative, 12), m.coulomb + m.offset, m.coulomb - m.offset)
-
-    @property
-    def two_quadrant(self) -> bool:
-        """Whether friction differs with the direction."""
-        return self.viscous_positive != self.viscous_negative or self.coulomb_positive != self.coulomb_negative
-
-    @property
-    def coulomb(self) -> tuple[float, float]:
-        """Coulomb friction for motion to + and to - [N]."""
-        return self.coulomb_positive, self.coulomb_negative
-
-    @property
-    def viscous(self) -> tuple[float, float]:
-        """Viscous friction for motion to + and to - [N/(m/s)]."""
-        return self.viscous_positive, self.viscous_negative
-
-    def with_errors(self, errors: dict[str, float]) -> FrictionModel:
-        """Return estimates ``(1 + error)`` times these numbers; raises :class:`InputError` if one turns negative.
-
-        ``errors`` has keys of ``PARAMETERS``, or ``viscous`` and ``coulomb`` for both directions alike.
-
-        >>> FrictionModel(100.0, 400.0, 400.0, 20.0, 20.0).with_errors({"coulomb": 0.05}).coulomb
-        (21.0, 21.0)
-        """
-        both = {name: error for name, error in errors.items() if name in PARAMETERS}
-        for name in ("viscous", "coulomb"):
-            if name in errors:
-                both |= {f"{name}_positive": errors[name], f"{name}_negative": errors[name]}
-        for name, error in both.items():
-            if not math.isfinite(error) or error <= -1.0:
-                raise InputError(
-                    f"mismatch: found {error:g} on {name.replace('_', ' ')}, so the estimate is not positive; "
-                    "expected more than -1"
-                )
-        return replace(self, **{name: getattr(self, name) * (1.0 + error) for name, error in both.items()})
-
-    def array(self) -> np.ndarray:
-        """The five numbers in the order of ``PARAMETERS``."""
-        return np.array([getattr(self, name) for name in PARAMETERS])
-
-    def to_dict(self) -> dict[str, float]:
-        """The five numbers by name, SI."""
-        return {name: getattr(self, name) for name in PARAMETERS}
 
 
 @dataclass(frozen=True)
@@ -179,34 +113,22 @@ class ImpedanceLaw:
 
     def check_period(self, period: float) -> None:
         """Refuse filters above the Nyquist frequency pi/period with :class:`InputError`; inf means no filter."""
-        for name, value in zip(("filter", "current filter"), self.filters, strict=True):
-            if math.isfinite(value) and value >= math.pi / period:
-                raise InputError(
-                    f"{name}: found {value:g} rad/s, expected less than the Nyquist frequency "
-                    f"{math.pi / period:g} rad/s of the {period:g} s sampling; lower it, or give inf for none"
-                )
+        check_filters(period, *self.filters)
 
     def motor_force(self, q: float, v: float, a: float, tau: float, tau_e: float | None = None) -> float:
         """Motor force [N] of the continuous law; ``a`` and ``tau`` are what the filters give, ``tau_e`` a sensor's.
 
         Source: (28) with (29), K and q_0 kept as in (27) derived.
         """
-        s = float(np.sign(v))
-        e = self.estimate
-        f_v = e.viscous_negative if v < 0 else e.viscous_positive
-        f_c = self.coulomb_factor * (e.coulomb_negative if v < 0 else e.coulomb_positive)
+        i, s = int(v < 0), float(np.sign(v))
+        e, coulomb = self.estimate, s * self.coulomb_factor * self.estimate.coulomb[i]
         if self.force_sensor:
             if tau_e is None:
                 raise InputError("tau_e: found none, expected the force sensor's reading [N]")
-            observed = tau_e
         else:
-            observed = e.mass * a + f_v * v + f_c * s - self.current_factor * tau
-        return (
-            (self.ratio - 1.0) * observed
-            + (f_v - self.ratio * self.damping) * v
-            + f_c * s
-            - self.ratio * self.stiffness * (q - self.rest_position)
-        )
+            tau_e = observed_force(e.mass, e.viscous[i], coulomb, self.current_factor, a, v, tau)
+        away = q - self.rest_position
+        return demanded_force(self.ratio, self.damping, self.stiffness, e.viscous[i], coulomb, v, away, tau_e)
 
     def apparent(self, plant: FrictionModel, direction: int = 1) -> ApparentImpedance:
         """Apparent impedance on ``plant`` for motion to + or - (``direction`` 1, -1), ideal current loop, no filter.
@@ -255,14 +177,6 @@ class ImpedanceLaw:
         }
 
 
-def default_filter(period: float) -> float:
-    """Low-pass for acceleration and current where none is asked for, 0.5/period: 500 rad/s at 1 kHz.
-
-    Slower, the Coulomb compensation hunts (see ``relay_oscillation``); faster, the smallest safe M_a grows.
-    """
-    return 0.5 / period
-
-
 def impedance_law(axis: Axis, mass: float, damping: float, filter: float | None = None, **options: Any) -> ImpedanceLaw:
     """Return the law for ``axis`` with the axis's own numbers as estimates.
 
@@ -281,29 +195,25 @@ def impedance_law(axis: Axis, mass: float, damping: float, filter: float | None 
     return law
 
 
-def left_out(axis: Axis) -> tuple[str, ...]:
-    """Kinds of the axis's effects that the friction model X of (5) cannot hold; say so wherever it is used."""
-    return tuple(effect.kind for effect in axis.effects if _viscous_slopes(axis, effect) is None)
+def law_for(axis: Axis, law: ImpedanceLaw, period: float) -> Law:
+    """``law`` as a controller of ``axis`` at a sampling ``period`` [s], for ``Plant.closed_loop(law=...)``.
 
-
-def _viscous_slopes(axis: Axis, entry: Any) -> tuple[float, float] | None:
-    """Viscous friction that an effect adds for motion to + and to -, or None if it is anything else than that."""
-    effect = entry.effect
-    hooks = ("dry", "inertia", "command", "actuator", "delay", "sensor", "rate")
-    if effect.force is None or any(getattr(effect, hook) is not None for hook in hooks):
-        return None
-    p, b, x = effect.values(entry.parameters), axis.mechanics.array(), np.zeros(1)
-    slopes = []
-    for direction in (1.0, -1.0):
-        found = [
-            effect.force(q, direction * v, t, 0.0, x, p, b) / (direction * v)
-            for q, v, t in ((0.0, 0.01, 0.0), (0.1, 0.1, 3.0), (-0.05, 0.5, 11.0))
-        ]
-        if max(found) - min(found) > 1e-9 * (1.0 + abs(found[0])):
-            return None
-        slopes.append(float(found[0]))
-    # No force at any probe: an end stop, or something that happens at another time; not viscous friction.
-    return (slopes[0], slopes[1]) if any(slopes) else None
+    >>> from emps_design.machines import machine
+    >>> from emps_design.simulation.plant import Plant
+    >>> axis = machine("emps2018")
+    >>> law = law_for(axis, impedance_law(axis, 50.0, 100.0), 1e-3)
+    >>> run = Plant.of(axis).closed_loop(np.zeros(500), disturbance=np.full(500, 40.0), law=law)
+    >>> 0.2 < float(run.v[-1]) < 0.3
+    True
+    """
+    law.check_period(period)
+    delay = axis.sampling.computation_delay
+    gains = gains_of(
+        law.estimate, law.mass, law.damping, law.filters, period, law.velocity_estimator, stiffness=law.stiffness,
+        coulomb_factor=law.coulomb_factor, current_factor=law.current_factor, force_sensor=law.force_sensor,
+        force_gain=axis.drive.force_gain, current_time_constant=axis.drive.current_time_constant, delay=delay,
+    )  # fmt: skip
+    return Law(impedance, np.array(gains, dtype=float), WAITING + delay)
 
 
 def _finite(name: str, value: float, unit: str, lower: float = -math.inf, open_below: bool = False) -> None:
@@ -314,3 +224,17 @@ def _finite(name: str, value: float, unit: str, lower: float = -math.inf, open_b
             )
         bound = f"{'more than' if open_below else 'at least'} {lower:g}"
         raise InputError(f"{name}: found {value:g} {unit}".rstrip() + f", expected {bound} {unit}".rstrip())
+
+
+__all__ = [
+    "DERIVED",
+    "PARAMETERS",
+    "PRINTED",
+    "ApparentImpedance",
+    "FrictionModel",
+    "ImpedanceLaw",
+    "default_filter",
+    "impedance_law",
+    "law_for",
+    "left_out",
+]

@@ -4,6 +4,11 @@ Each effect enters by its hooks, differentiated at one operating point: forces, 
 actuator maps, sensor errors and delays. So whatever ``diagnose`` adds to an axis takes part in a design; what a slope
 cannot show (play, steps in time, injected signals) is named in ``warnings``.
 
+The operating point is where the loop works: in steady motion at a velocity, from position 0 on. What repeats along the
+travel (a ripple) counts with its mean over one repeat, so it is no spring; at a corner (a stop that is just touched)
+the flatter side counts; an actuator counts at the command that the motion takes, and one that cannot give it just
+inside its limit.
+
 States: carriage position and velocity, the states of the effects in their order, and the motor force behind the
 current loop where that has a time constant. Inputs: voltage, and an external force on the carriage (+ pushes to +q).
 """
@@ -15,11 +20,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.plant.magnitudes import check_axis_scale, check_scale
+from emps_design.control.plant.actuator import ActuatorMap
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
 from emps_design.errors import InputError
+from emps_design.quantities import check_magnitude
 
 POSITION, VELOCITY = 0, 1
+PLACES = 64  # along one repeat of an effect
+CORNER = 1e-3  # relative difference of the slopes on either side of a place, above which it is a corner
 
 
 @dataclass(frozen=True)
@@ -27,7 +35,8 @@ class LinearPlant:
     """dx/dt = A x + B u(t - delay) + E f_ext, encoder reading C x; SI units.
 
     ``state`` names the states, ``mass`` [kg] and ``viscous`` [N/(m/s)] are the carriage's own inertia and slope of
-    friction at the operating point, ``warnings`` names what the slopes leave out.
+    friction at the operating point, ``steepest`` [N/m] the largest slope over position of what averages out along the
+    travel, ``warnings`` names what the slopes leave out. Arrays may have leading axes, for many plants at once.
     """
 
     A: np.ndarray
@@ -39,17 +48,40 @@ class LinearPlant:
     viscous: float
     state: tuple[str, ...]
     warnings: tuple[str, ...] = ()
+    steepest: float = 0.0
 
-    def with_environment(self, stiffness: float, damping: float) -> LinearPlant:
-        """Return the plant with a spring [N/m] and a damper [N/(m/s)] between carriage and ground."""
-        A = self.A.copy()
-        A[:, POSITION] -= self.E * stiffness
-        A[:, VELOCITY] -= self.E * damping
-        return LinearPlant(A, self.B, self.E, self.C, self.delay, self.mass, self.viscous, self.state, self.warnings)
+
+def rigid_plant(
+    mass: float | np.ndarray,
+    viscous: float | np.ndarray,
+    force_gain: float = 1.0,
+    current_time_constant: float = 0.0,
+) -> LinearPlant:
+    """The plant without effects: ``mass`` [kg] and ``viscous`` friction [N/(m/s)], arrays (m,) for m plants.
+
+    ``force_gain`` G_tau [N/V]; ``current_time_constant`` [s] of the current loop, 0: ideal.
+
+    >>> rigid_plant(2.0, 6.0, 10.0).B.tolist()
+    [0.0, 5.0]
+    """
+    mass, viscous = np.broadcast_arrays(np.asarray(mass, dtype=float), np.asarray(viscous, dtype=float))
+    lag = current_time_constant
+    size = 3 if lag > 0.0 else 2
+    A, B, E = np.zeros((*mass.shape, size, size)), np.zeros((*mass.shape, size)), np.zeros((*mass.shape, size))
+    A[..., POSITION, VELOCITY] = 1.0
+    A[..., VELOCITY, VELOCITY] = -viscous / mass
+    E[..., VELOCITY] = 1.0 / mass
+    if lag > 0.0:
+        A[..., VELOCITY, -1] = 1.0 / mass
+        A[..., -1, -1], B[..., -1] = -1.0 / lag, force_gain / lag
+    else:
+        B[..., VELOCITY] = force_gain / mass
+    names = ("position", "velocity", "motor_force")[:size]
+    return LinearPlant(A, B, E, np.eye(size)[POSITION], 0.0, mass, viscous, names)
 
 
 def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
-    """Return the plant of ``axis`` linearised in steady motion at ``velocity`` [m/s], at position 0.
+    """Return the plant of ``axis`` linearised in steady motion at ``velocity`` [m/s], from position 0 on.
 
     Away from zero velocity Coulomb friction is a constant and drops out. Raises :class:`InputError` at velocity 0.
 
@@ -62,8 +94,7 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
         raise InputError(
             f"velocity: found {velocity:g} m/s, expected a number other than 0: friction has no slope there"
         )
-    check_scale("velocity", velocity, "m/s")
-    check_axis_scale(axis)
+    check_magnitude("velocity", velocity, "m/s")
     b = axis.mechanics.array()
     members = [_Member(entry.effect, entry.effect.values(entry.parameters), b) for entry in axis.effects]
     gain, lag = axis.drive.force_gain, axis.drive.current_time_constant
@@ -83,7 +114,15 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     C = np.zeros(count)
     A[POSITION, VELOCITY] = C[POSITION] = 1.0
 
-    slope = gain * np.prod([member.actuator_slope(tau / gain) for member in members])
+    actuator = ActuatorMap.of(axis)
+    slope = gain * actuator.slope(tau / gain)
+    if slope == 0.0:
+        raise InputError(f"effects: with {' and '.join(actuator.names)} no voltage acts, expected one within the limit")
+    if abs(actuator.reach(tau / gain)) < abs(tau / gain):
+        warnings.append(
+            f"{' and '.join(actuator.names)}: steady motion at {velocity:g} m/s takes {tau / gain:.3g} V and only "
+            f"{actuator.reach(tau / gain):.3g} V act; linearised just inside that, where the loop can work"
+        )
     force_row, force_in = np.zeros(count), 0.0  # d(motor force on the carriage)
     if lag > 0.0:
         A[-1, -1], B[-1] = -1.0 / lag, slope / lag
@@ -114,7 +153,7 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
         C[VELOCITY] += s_v
         C[own] += s_x
         first += size
-        warnings += member.left_out(velocity)
+        warnings += member.left_out(velocity, tau)
     A[VELOCITY] = ((1.0 - drag_tau) * force_row - drag) / mass
     B[VELOCITY] = (1.0 - drag_tau) * force_in / mass
     E[VELOCITY] = 1.0 / mass
@@ -122,7 +161,8 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     names += [f"{member.effect.name}.{state.name}" for member in members for state in member.effect.states]
     names += ["motor_force"] if lag > 0.0 else []
     delay = sum(member.delay(velocity, tau) for member in members)
-    return LinearPlant(A, B, E, C, delay, float(mass), float(drag[VELOCITY]), tuple(names), tuple(warnings))
+    steepest = sum(member.steepest(velocity, tau) for member in members)
+    return LinearPlant(A, B, E, C, delay, float(mass), float(drag[VELOCITY]), tuple(names), tuple(warnings), steepest)
 
 
 class _Member:
@@ -132,6 +172,9 @@ class _Member:
         self.effect, self.p, self.b = effect, p, b
         self.x = np.array(effect.initial(0.0, p, b) if effect.initial else (), dtype=float)
         self.settled = True
+        names = [parameter.name for parameter in effect.parameters]
+        self.repeat = float(p[names.index(effect.repeats)]) if effect.repeats else 0.0
+        self.places = np.arange(PLACES) / PLACES * self.repeat if effect.repeats else np.zeros(1)
 
     def settle(self, v: float, tau: float) -> None:
         """Bring the own states to rest at the operating point (Newton); keep the initial ones where that fails."""
@@ -151,7 +194,11 @@ class _Member:
             self.x = x
 
     def force(self, q: float, v: float, tau: float, x: np.ndarray) -> float:
-        """Everything the effect adds to the resisting force while sliding [N]."""
+        """Everything the effect adds to the resisting force while sliding [N], its mean over one repeat."""
+        return float(np.mean([self.force_at(q + place, v, tau, x) for place in self.places]))
+
+    def force_at(self, q: float, v: float, tau: float, x: np.ndarray) -> float:
+        """Everything the effect adds to the resisting force while sliding at ``q`` [N]."""
         arguments = (q, v, 0.0, tau, x, self.p, self.b)
         total = self.effect.force(*arguments) if self.effect.force else 0.0
         if self.effect.dry:
@@ -170,14 +217,9 @@ class _Member:
             return 0.0
         return float(self.effect.delay(0.0, v, 0.0, tau, self.x, self.p, self.b))
 
-    def actuator_slope(self, u: float) -> float:
-        if self.effect.actuator is None:
-            return 1.0
-        return _slope(lambda value: self.effect.actuator(value, self.p), u, 1e-4)
-
     def force_slopes(self, v: float, tau: float) -> tuple[float, float, float, np.ndarray]:
         return (
-            _slope(lambda q: self.force(q, v, tau, self.x), 0.0, 1e-6),
+            self._over_position(lambda q: self.force_at(q, v, tau, self.x)),
             _slope(lambda value: self.force(0.0, value, tau, self.x), v, 1e-4 * abs(v)),
             _slope(lambda value: self.force(0.0, v, value, self.x), tau, 1e-3),
             np.array([_slope(lambda value: self.force(0.0, v, tau, value), *at) for at in self._each_state()]),
@@ -199,12 +241,30 @@ class _Member:
             return self.effect.sensor(q, v, 0.0, tau, x, self.p, self.b)
 
         return (
-            _slope(lambda q: sensor(q, v, self.x), 0.0, 1e-6),
+            self._over_position(lambda q: sensor(q, v, self.x)),
             _slope(lambda value: sensor(0.0, value, self.x), v, 1e-4 * abs(v)),
             np.array([_slope(lambda value: sensor(0.0, v, value), *at) for at in self._each_state()]),
         )
 
-    def left_out(self, v: float) -> list[str]:
+    def _over_position(self, function) -> float:
+        """Slope of ``function(q)`` [../m]: none where it repeats along the travel, the flatter side's at a corner."""
+        if self.repeat:
+            return 0.0
+        here, step = function(0.0), 1e-6
+        before, after = (here - function(-step)) / step, (function(step) - here) / step
+        if abs(after - before) > CORNER * max(abs(before), abs(after)):
+            return min(before, after, key=abs)
+        return 0.5 * (before + after)
+
+    def steepest(self, v: float, tau: float) -> float:
+        """Largest slope over position [N/m] of a force that repeats along the travel; 0 for any other."""
+        if not self.repeat or not (self.effect.force or self.effect.dry):
+            return 0.0
+        step = 1e-4 * self.repeat
+        slopes = [_slope(lambda q: self.force_at(q, v, tau, self.x), place, step) for place in self.places]
+        return float(np.max(np.abs(slopes)))
+
+    def left_out(self, v: float, tau: float) -> list[str]:
         """What the slopes of this effect do not show."""
         effect, said = self.effect, []
         if effect.guard is not None or effect.jump_time is not None:
@@ -213,6 +273,15 @@ class _Member:
             said.append(f"{effect.name}: a signal added to the voltage, left out of the linear design")
         if not self.settled:
             said.append(f"{effect.name}: has no steady state at {v:g} m/s, linearised at its initial one")
+        if self.repeat:
+            where = f"{effect.name}: repeats every {self.repeat:.4g} m, {abs(v) / self.repeat:.4g} Hz at {v:g} m/s"
+            if effect.sensor is not None:
+                readings = [effect.sensor(q, v, 0.0, tau, self.x, self.p, self.b) for q in self.places]
+                size, what = 0.5 * float(np.ptp(readings)), "an error of the reading of +-{:.3g} m, not a gain"
+            else:
+                forces = [self.force_at(q, v, tau, self.x) for q in self.places]
+                size, what = 0.5 * float(np.ptp(forces)), "a disturbance of +-{:.3g} N, not a spring"
+            said.append(f"{where}; its slope averages out there, so the linear design counts it as {what.format(size)}")
         return said
 
     def _rate(self, q: float, v: float, tau: float, x: np.ndarray) -> np.ndarray:

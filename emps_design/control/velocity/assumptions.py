@@ -6,7 +6,26 @@ from dataclasses import replace
 
 from emps_design.axis import Axis
 from emps_design.control.loop.sampled_loop import SampledVelocityLoop
-from emps_design.control.plant.discretisation import sample_axis
+from emps_design.control.plant.discretisation import sample_axis, sample_plant
+from emps_design.control.plant.environment import Environment, attached
+from emps_design.control.velocity.specification import ROOM
+
+
+def room_in_words(loop: SampledVelocityLoop) -> list[str]:
+    """Say where a stable sampled ``loop`` bears less than ``ROOM`` samples of delay.
+
+    >>> from emps_design.machines import machine
+    >>> plant = sample_axis(machine("emps2018"))
+    >>> [len(room_in_words(SampledVelocityLoop(plant, k_v1, 0.05))) for k_v1 in (550.0, 2500.0)]
+    [0, 1]
+    """
+    margins = loop.margins
+    if not loop.stable or margins.delay_margin_samples is None or margins.delay_margin_samples >= ROOM:
+        return []
+    return [
+        f"the sampled loop is barely stable: {margins.delay_margin_samples:.2g} samples more delay make it unstable "
+        f"(phase margin {margins.phase_margin_deg:.3g} deg at the plant input)"
+    ]
 
 
 def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> list[str]:
@@ -38,4 +57,24 @@ def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> 
             said.append(f"the sampled loop is unstable at {-velocity:g} m/s")
         elif here is not None and there is not None and there < here - 0.5:
             said.append(f"at {-velocity:g} m/s the sampled loop has {there:.3g} deg of phase margin only")
+        said += _where_it_is_steepest(axis, loop)
     return said
+
+
+def _where_it_is_steepest(axis: Axis, loop: SampledVelocityLoop) -> list[str]:
+    """Say whether slow motion is less stable: there the loop sees the slope that averages out in faster motion."""
+    steepest, sampling = loop.plant.linear.steepest, axis.sampling
+    if steepest == 0.0:
+        return []
+    here, found = loop.margins.phase_margin_deg, []
+    for stiffness in (steepest, -steepest):
+        linear = attached(loop.plant.linear, Environment(stiffness=stiffness))
+        plant = sample_plant(linear, sampling.period, sampling.computation_delay, axis.controller.velocity_estimator)
+        slow = replace(loop, plant=plant)
+        where = f"in slow motion, where the force over position has its slope of {stiffness:.3g} N/m,"
+        there = slow.margins.phase_margin_deg
+        if not slow.stable:
+            found.append(f"{where} the sampled loop is unstable")
+        elif here is not None and there is not None and there < here - 0.5:
+            found.append(f"{where} the sampled loop has {there:.3g} deg of phase margin only")
+    return found

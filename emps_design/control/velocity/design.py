@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 
 from emps_design.axis import Axis
 from emps_design.control.loop.margins import Margins
-from emps_design.control.plant.magnitudes import check_axis_scale
 from emps_design.control.velocity.gains import (
     binding_limit,
     crossover_of_bandwidth,
@@ -28,7 +27,12 @@ from emps_design.control.velocity.gains import (
     second_order_bandwidth,
     velocity_gains,
 )
-from emps_design.control.velocity.specification import check_specification, in_words, nearest_that_works, stable_pairs
+from emps_design.control.velocity.specification import (
+    check_specification,
+    in_words,
+    nearest_that_works,
+    pairs_by_closed_form,
+)
 from emps_design.errors import SpecificationError
 from emps_design.notebook import table
 
@@ -127,9 +131,10 @@ class VelocityLoopDesign:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a reader of the numbers has to know, instability first."""
-        from emps_design.control.velocity.assumptions import effects_in_words
+        from emps_design.control.velocity.assumptions import effects_in_words, room_in_words
 
-        said = [*self.sampled.warnings, *effects_in_words(self.axis, self.sampled, self.velocity)]
+        said = [*self.sampled.warnings, *room_in_words(self.sampled)]
+        said += effects_in_words(self.axis, self.sampled, self.velocity)
         if self.retuned_at:
             asked = ", ".join(
                 f"{key.removesuffix('_deg').replace('_', ' ')} {value:g} {'deg' if key.endswith('_deg') else 'rad/s'}"
@@ -173,7 +178,12 @@ class VelocityLoopDesign:
         """The nearest specification whose sampled loop is stable; the request itself where that is."""
         if self.sampled.stable:
             return dict(self.requested)
-        return nearest_that_works(stable_pairs(self.axis, self.requested, self.velocity), self.requested)
+        return nearest_that_works(pairs_by_closed_form(self.axis, self.requested, self.velocity), self.requested)
+
+    @property
+    def nearest_in_words(self) -> str:
+        """:attr:`nearest_stable` for a message, with what it has as implemented."""
+        return in_words(self.nearest_stable, pairs_by_closed_form(self.axis, self.requested, self.velocity))
 
     def controller_table(self) -> dict[str, Any]:
         """The ``[controller]`` table of the axis file that runs this design."""
@@ -256,15 +266,14 @@ def design_velocity_loop(
     100.0
     """
     requested = check_specification(crossover, bandwidth, phase_margin_deg)
-    check_axis_scale(axis)
     mechanics = axis.mechanics
     if not 0.0 < phase_margin_deg < 90.0:
-        raise _infeasible(axis, requested)
+        raise _infeasible(axis, requested, velocity)
     if bandwidth is not None:
         crossover = crossover_of_bandwidth(bandwidth, phase_margin_deg)
     w = float(crossover or 0.0)
     if phase_margin_deg <= feasible_phase_margin(mechanics.mass, mechanics.viscous, w)[0]:
-        raise _infeasible(axis, requested)
+        raise _infeasible(axis, requested, velocity)
     k_v1, t_v = velocity_gains(mechanics.mass, mechanics.viscous, axis.drive.force_gain, w, phase_margin_deg)
     return VelocityLoopDesign(axis, k_v1, t_v, requested, velocity=velocity)
 
@@ -281,12 +290,13 @@ def _continuous_margins(crossover: float, phase: float) -> Margins:
     )
 
 
-def _infeasible(axis: Axis, requested: dict[str, float]) -> SpecificationError:
+def _infeasible(axis: Axis, requested: dict[str, float], velocity: float) -> SpecificationError:
     """The error for a pair outside the feasible range: which limit binds, and the nearest pair that works."""
     name, phase = next(iter(requested)), requested["phase_margin_deg"]
-    nearest = nearest_that_works(stable_pairs(axis, requested), requested)
+    pairs = pairs_by_closed_form(axis, requested, velocity)
+    nearest = nearest_that_works(pairs, requested)
     return SpecificationError(
         f"phase margin: found {phase:g} deg at a {name} of {requested[name]:g} rad/s; {binding_limit(phase)}; "
-        f"{in_words(nearest)} (sampled loop stable)",
+        f"{in_words(nearest, pairs)}",
         nearest,
     )

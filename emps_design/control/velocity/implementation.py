@@ -10,41 +10,35 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.loop.sampled_loop import SampledVelocityLoop
+from emps_design.control.plant.actuator import ActuatorMap
+from emps_design.laws.library import ip_velocity
+
+CONSTANT = 1e-9  # a pole nearer than this to the unit circle belongs to something that stays as it is
 
 
 @dataclass(frozen=True)
 class DifferenceEquation:
-    """The law as it is computed at each sample, with its numbers; ``lines`` are ready to paste."""
+    """The velocity law as it is computed at each sample: its ``table`` of parameters on ``axis``, ready to paste."""
 
-    velocity_estimator: str
-    period: float
-    k_v1: float
-    integral_gain: float
-    voltage_limit: float
+    axis: Axis
+    table: ip_velocity.Table
 
     @property
     def lines(self) -> tuple[str, ...]:
         """One assignment a line; where the limit cuts u, the integral is set back so that it does not wind up."""
-        two_tap = self.velocity_estimator == "two_tap"
-        span, last = (2.0 * self.period, "q[k-2]") if two_tap else (self.period, "q[k-1]")
-        k, limit = f"{self.k_v1:.10g}", f"{self.voltage_limit:.10g}"
-        return (
-            f"v[k] = (q[k] - {last}) / {span:.10g}",
-            f"i[k] = i[k-1] + {self.integral_gain:.10g} * (v_ref[k] - v[k])",
-            f"u[k] = i[k] - {k} * v[k]",
-            f"if u[k] >  {limit}: u[k] =  {limit}; i[k] =  {limit} + {k} * v[k]",
-            f"if u[k] < -{limit}: u[k] = -{limit}; i[k] = -{limit} + {k} * v[k]",
-        )
+        return ip_velocity.LAW.equations(self.table, self.axis, self.axis.sampling.period)
 
     def to_dict(self) -> dict[str, Any]:
         """The lines and the numbers in them; integral_gain is k_v1 T / t_v [V/(m/s)]."""
+        period = self.axis.sampling.period
+        k_v1, integral_gain, *_ = ip_velocity.LAW.gains(self.table, self.axis, period)
         return {
             "lines": list(self.lines),
-            "k_v1": self.k_v1,
-            "integral_gain": self.integral_gain,
-            "period": self.period,
-            "velocity_estimator": self.velocity_estimator,
-            "voltage_limit": self.voltage_limit,
+            "k_v1": k_v1,
+            "integral_gain": integral_gain,
+            "period": period,
+            "velocity_estimator": self.table.velocity_estimator,
+            "voltage_limit": self.axis.drive.voltage_limit,
         }
 
 
@@ -55,17 +49,17 @@ def difference_equation(axis: Axis, k_v1: float, t_v: float) -> DifferenceEquati
     >>> print(difference_equation(machine("emps2018"), 556.766, 8.45505e-3).lines[1])
     i[k] = i[k-1] + 65.85011325 * (v_ref[k] - v[k])
     """
-    period = axis.sampling.period
-    return DifferenceEquation(
-        axis.controller.velocity_estimator, period, k_v1, k_v1 * period / t_v, axis.drive.voltage_limit
-    )
+    estimator = axis.controller.velocity_estimator
+    return DifferenceEquation(axis, ip_velocity.Table(k_v1=k_v1, t_v=t_v, velocity_estimator=estimator))
 
 
 def largest_velocity_step(axis: Axis, loop: SampledVelocityLoop) -> dict[str, float]:
     """Return the largest step of the velocity reference [m/s] from rest that keeps the voltage within its limit.
 
     The voltage's peak is that of the sampled linear loop [V per m/s] plus what dry friction and the constant force
-    take, in the worse direction [V]. ``loop`` has to be stable.
+    take, in the worse direction [V]; behind an actuator that saturates or has a dead zone the limit is what still acts.
+    ``window`` [s] is how long the loop is watched, until its motion has died away: a spring goes on asking for more
+    as the carriage travels. ``loop`` has to be stable.
 
     >>> from emps_design.control.plant.discretisation import sample_axis
     >>> from emps_design.machines import machine
@@ -74,16 +68,22 @@ def largest_velocity_step(axis: Axis, loop: SampledVelocityLoop) -> dict[str, fl
     >>> round(step["value"], 4), round(step["dry_friction_voltage"], 3)
     (0.0319, 0.494)
     """
-    slowest = float(np.abs(loop.poles[0]))
-    samples = min(20_000, 10 + math.ceil(math.log(1e-4) / math.log(max(slowest, 1e-3))))
+    sizes = np.abs(loop.poles)
+    dying = sizes[sizes < 1.0 - CONSTANT]  # a pole on z = 1 (a spring's, a load's in its play) does not die away
+    slowest = float(np.max(dying, initial=1e-3))
+    samples = min(20_000, 10 + math.ceil(math.log(1e-4) / math.log(slowest)))
     _, _, voltage = loop.step_response(samples)
     peak = float(np.max(np.abs(voltage)))
     dry = (axis.mechanics.coulomb + abs(axis.mechanics.offset)) / axis.drive.force_gain
+    actuator = ActuatorMap.of(axis)
+    largest = min(abs(actuator.command(actuator.acting(side * axis.drive.voltage_limit))) for side in (1.0, -1.0))
+    needed = max(abs(actuator.command(side * dry)) for side in (1.0, -1.0))
     return {
-        "value": max(0.0, axis.drive.voltage_limit - dry) / peak,
+        "value": max(0.0, largest - needed) / peak,
         "peak_voltage_per_unit": peak,
         "dry_friction_voltage": dry,
-        "voltage_limit": axis.drive.voltage_limit,
+        "voltage_limit": largest,
+        "window": samples * loop.plant.period,
     }
 
 

@@ -8,19 +8,19 @@ crossover is two real equations, linear in k_v1 and k_v1/t_v. The same holds for
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.loop.sampled_loop import SampledVelocityLoop
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis
 from emps_design.control.velocity.design import VelocityLoopDesign
-from emps_design.control.velocity.specification import check_specification, in_words, nearest_that_works
-from emps_design.control.velocity.sweeps import sweep_sampled_margins
+from emps_design.control.velocity.gains import MINUS_3_DB
+from emps_design.control.velocity.specification import Pairs, check_specification, in_words, nearest_that_works
+from emps_design.control.velocity.sweeps import sweep_stability
 from emps_design.errors import InputError, SpecificationError
 
 PLACES = ("plant-input", "velocity-error")
+GRID = 240  # crossovers looked at for one bandwidth, evenly in their logarithm
 
 
 def retuned_gains(
@@ -35,6 +35,7 @@ def retuned_gains(
     "velocity-error"; they broadcast. Whether the loop is stable with the gains is for its poles to say.
 
     >>> from emps_design.machines import machine
+    >>> from emps_design.control.loop.sampled_loop import SampledVelocityLoop
     >>> plant = sample_axis(machine("emps2018"))
     >>> k_v1, t_v = retuned_gains(plant, 100.0, 60.0)
     >>> round(SampledVelocityLoop(plant, float(k_v1), float(t_v)).margins.phase_margin_deg, 6)
@@ -79,83 +80,117 @@ def retune_velocity_loop(
         raise InputError(f"place of the margin: found {at!r}, expected one of {', '.join(PLACES)}")
     requested = check_specification(crossover, bandwidth, phase_margin_deg)
     plant = sample_axis(axis, velocity)
-
-    def loop_of(w: float, phase: float) -> SampledVelocityLoop | None:
-        k_v1, t_v = (float(gain) for gain in retuned_gains(plant, w, phase, at))
-        loop = SampledVelocityLoop(plant, k_v1, t_v) if math.isfinite(k_v1) else None
-        return loop if loop is not None and loop.stable else None
-
-    def works(w: np.ndarray, phase: np.ndarray) -> np.ndarray:
-        found = sweep_sampled_margins(plant, *retuned_gains(plant, w, phase, at), frequencies=400, at=at)
-        return np.abs(found["phase_margin_deg"] - phase) < 1e-6  # NaN, unstable, compares False
-
-    frequency, reason = requested[next(iter(requested))], ""
-    if not 0.0 < phase_margin_deg < 180.0:
-        loop = None
-    elif bandwidth is None:
-        loop = loop_of(frequency, phase_margin_deg)
-    else:
-        loop, reached = _for_bandwidth(lambda w: loop_of(w, phase_margin_deg), frequency, math.pi / plant.period)
-        reason = (
-            f"with that phase margin at the {at.replace('-', ' ')} the bandwidth reaches {reached:.5g} rad/s at most"
-        )
+    pairs = retuned_pairs(plant, requested, at)
+    name, frequency = next(iter(requested.items()))
+    loop = pairs.loop(frequency, phase_margin_deg) if 0.0 < phase_margin_deg < 180.0 else None
+    if loop is not None and pairs.met(loop, frequency, phase_margin_deg):
+        return VelocityLoopDesign(axis, loop.k_v1, loop.t_v, requested, retuned_at=at, velocity=velocity)
     if loop is not None:
-        margins = loop.margins if at == "plant-input" else loop.velocity_error
-        if abs((margins.phase_margin_deg or 0.0) - phase_margin_deg) > 1e-6:
-            loop, reason = None, "the loop crosses 0 dB more than once, and another crossing has less phase margin"
-    if loop is None:
-        if bandwidth is not None and reason and reached > 0.0:
-            nearest = {"bandwidth": float(f"{0.99 * reached:.3g}"), "phase_margin_deg": phase_margin_deg}
-        elif bandwidth is not None:
-            nearest = {}
-        else:
-            nearest = nearest_that_works(works, requested)
-        raise SpecificationError(
-            f"retune: no gains give the sampled loop {phase_margin_deg:g} deg at a {next(iter(requested))} of "
-            f"{frequency:g} rad/s; {reason or _limit(plant, requested, at)}; {in_words(nearest)}",
-            nearest,
-        )
-    return VelocityLoopDesign(axis, loop.k_v1, loop.t_v, requested, retuned_at=at, velocity=velocity)
+        reason = "the loop crosses 0 dB more than once, and another crossing has less phase margin"
+    else:
+        reason = _limit(plant, requested, at)
+    nearest = nearest_that_works(pairs, requested)
+    raise SpecificationError(
+        f"retune: no gains give the sampled loop {phase_margin_deg:g} deg at a {name} of {frequency:g} rad/s; "
+        f"{reason}; {in_words(nearest, pairs)}",
+        nearest,
+    )
 
 
-def _for_bandwidth(
-    loop_of: Callable[[float], SampledVelocityLoop | None], bandwidth: float, nyquist: float
-) -> tuple[SampledVelocityLoop | None, float]:
-    """The loop with that -3 dB ``bandwidth``, or None, and the largest bandwidth met on the way [rad/s].
+def retuned_pairs(plant: SampledPlant, requested: dict[str, float], at: str) -> Pairs:
+    """Return the pairs like ``requested`` that the sampled loop of ``plant`` broken ``at`` can have.
+
+    >>> from emps_design.machines import machine
+    >>> asked = {"bandwidth": 50.0, "phase_margin_deg": 60.0}
+    >>> pairs = retuned_pairs(sample_axis(machine("emps2018")), asked, "plant-input")
+    >>> pairs.judge(np.array([50.0, 60.0]), np.array([60.0, 60.0])).tolist()
+    [2, 0]
+    """
+    if "bandwidth" in requested:
+        return Pairs(plant, lambda w, phase: bandwidth_gains(plant, w, phase, at), lambda w, phase: w, at, True)
+
+    def passes(w: np.ndarray, phase: np.ndarray) -> np.ndarray:
+        if at == "velocity-error":
+            return w
+        # An ideal plant has there t_v w = tan(phase), and its closed loop passes about 1/t_v.
+        return w * np.clip(1.0 / np.tan(np.radians(phase)), 0.01, 1.0)
+
+    return Pairs(plant, lambda w, phase: retuned_gains(plant, w, phase, at), passes, at)
+
+
+def bandwidth_gains(
+    plant: SampledPlant, bandwidth: np.ndarray, phase_margin_deg: np.ndarray, at: str = "plant-input"
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return k_v1 [V/(m/s)] and t_v [s] of the sampled loops with that -3 dB ``bandwidth`` [rad/s], NaN for none.
 
     With the crossover the bandwidth first rises and then falls, as the plant's lag leaves less and less room for the
-    integral action; the slowest loop that reaches it is taken.
+    integral action; the slowest stable loop that reaches it is taken. Arrays (n,).
+
+    >>> from emps_design.machines import machine
+    >>> from emps_design.control.loop.sampled_loop import SampledVelocityLoop
+    >>> plant = sample_axis(machine("emps2018"))
+    >>> k_v1, t_v = bandwidth_gains(plant, np.array([50.0]), np.array([60.0]))
+    >>> round(SampledVelocityLoop(plant, float(k_v1[0]), float(t_v[0])).bandwidth, 6)
+    50.0
     """
+    B, phase = np.broadcast_arrays(np.asarray(bandwidth, float), np.asarray(phase_margin_deg, float))
 
-    def reach(w: float) -> float:
-        loop = loop_of(w)
-        return (loop.bandwidth or 0.0) if loop else 0.0
+    def over(w: np.ndarray, B: np.ndarray, phase: np.ndarray) -> np.ndarray:
+        """By how much the closed loop with crossover ``w`` is above -3 dB at ``B``."""
+        k_v1, t_v = retuned_gains(plant, w, phase, at)
+        inner = k_v1 * plant.response(B)
+        with np.errstate(invalid="ignore"):
+            forward = inner * plant.period / (1.0 - np.exp(-1j * B * plant.period)) / t_v
+            return np.abs(forward / (1.0 + inner + forward)) - MINUS_3_DB
 
-    grid = np.geomspace(bandwidth / 50.0, min(10.0 * bandwidth, 0.999 * nyquist), 120)
-    found = np.array([reach(float(w)) for w in grid])
-    rising = np.nonzero((found[:-1] < bandwidth) & (found[1:] >= bandwidth) & (found[:-1] > 0.0))[0]
-    if not rising.size:
-        return None, float(np.max(found))
-    low, high = float(grid[rising[0]]), float(grid[rising[0] + 1])
-    while high - low > 1e-13 * high:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if reach(middle) < bandwidth else (low, middle)
-    return loop_of(high), float(np.max(found))
+    nyquist = 0.999 * math.pi / plant.period
+    k_found, t_found = np.full(B.size, np.nan), np.full(B.size, np.nan)
+    lowest, highest = B / 50.0, np.minimum(100.0 * B, nyquist)
+    inside = np.flatnonzero((lowest < highest) & (nyquist > B))
+    shares = np.linspace(0.0, 1.0, GRID)
+    grid = lowest[inside, None] * (highest[inside] / lowest[inside])[:, None] ** shares
+    found = over(grid, B[inside, None], phase[inside, None])
+    rising = (found[:, :-1] < 0.0) & (found[:, 1:] >= 0.0)
+    for turn in range(1, 4):  # the first crossing whose loop is stable
+        here = rising & (np.cumsum(rising, axis=1) == turn)
+        rows, places = np.nonzero(here)
+        todo = np.isnan(k_found[inside[rows]])
+        rows, places = rows[todo], places[todo]
+        if not rows.size:
+            break
+        who = inside[rows]
+        low, high = grid[rows, places], grid[rows, places + 1]
+        for _ in range(50):
+            middle = np.sqrt(low * high)
+            below = over(middle, B[who], phase[who]) < 0.0
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        k_v1, t_v = retuned_gains(plant, high, phase[who], at)
+        good = sweep_stability(plant, k_v1, t_v)
+        k_found[who[good]], t_found[who[good]] = k_v1[good], t_v[good]
+    return k_found, t_found
 
 
 def _limit(plant: SampledPlant, requested: dict[str, float], at: str) -> str:
     """Which limit binds, from the plant's phase at the crossover."""
     if not 0.0 < requested["phase_margin_deg"] < 180.0:
         return "a phase margin lies between 0 and 180 deg"
-    if "crossover" not in requested or at != "plant-input":
+    if "bandwidth" in requested:
+        most = _largest_bandwidth(plant, requested["phase_margin_deg"], at)
+        if requested["bandwidth"] > most > 0.0:
+            return (
+                f"with that phase margin at the {at.replace('-', ' ')} the bandwidth reaches {most:.5g} rad/s at most"
+            )
+        return "the gains would not be positive, or the loop with them unstable"
+    if at != "plant-input":
         return "the gains would not be positive, or the loop with them unstable"
     w, phase = requested["crossover"], requested["phase_margin_deg"]
     if w >= math.pi / plant.period:
         return f"the crossover lies beyond the Nyquist frequency, {math.pi / plant.period:.5g} rad/s"
-    plant_phase = math.degrees(np.angle(complex(plant.response(np.array(w)))))
-    if plant_phase > 90.0:
-        plant_phase -= 360.0
+    grid = np.geomspace(1e-5 * w, w, 2000)
+    plant_phase = math.degrees(np.unwrap(np.angle(plant.response(grid)))[-1])
     low, high = 90.0 + plant_phase + math.degrees(0.5 * w * plant.period), 180.0 + plant_phase
+    if phase >= high and high <= 0.0:
+        return "the upper limit binds: hold, delays, current loop and estimator leave no phase margin there"
     if phase >= high:
         return (
             f"the upper limit binds: hold, delays, current loop and estimator leave at most {high:.4g} deg there, "
@@ -164,3 +199,20 @@ def _limit(plant: SampledPlant, requested: dict[str, float], at: str) -> str:
     if phase <= low:
         return f"the lower limit binds: below {low:.4g} deg k_v1 is not positive"
     return "the sampled loop with those gains is unstable"
+
+
+def _largest_bandwidth(plant: SampledPlant, phase_margin_deg: float, at: str) -> float:
+    """The largest -3 dB bandwidth [rad/s] of a stable sampled loop with that phase margin, 0 where there is none."""
+
+    def works(bandwidth: np.ndarray) -> np.ndarray:
+        return np.isfinite(bandwidth_gains(plant, bandwidth, np.full(bandwidth.size, phase_margin_deg), at)[0])
+
+    grid = np.geomspace(1e-5, 0.99, 400) * math.pi / plant.period
+    found = np.flatnonzero(works(grid))
+    if not found.size:
+        return 0.0
+    low, high = grid[found[-1]], grid[min(found[-1] + 1, grid.size - 1)]
+    for _ in range(30):
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if works(np.array([middle]))[0] else (low, middle)
+    return float(low)

@@ -46,7 +46,7 @@ def identified_mismatch(axis: Axis, parameters: Mapping[str, Mapping[str, float]
         entries = [parameters[key] for key in (name, f"{name}_positive", f"{name}_negative") if key in parameters]
         halves = [half for entry in entries for key, value in entry.items() if (half := _half(key, value)) is not None]
         if not halves:
-            raise InputError(f"identified parameters: {name} has no std, expected the JSON of 'identify --json'")
+            raise InputError(f"identified parameters: {name} has no std, expected those of an identification as JSON")
         own = getattr(axis.mechanics, name)
         found[name] = max(halves) / own if own > 0.0 else 0.0
         if found[name] >= 1.0:
@@ -68,7 +68,7 @@ def _half(key: str, value: Any) -> float | None:
     return half if math.isfinite(half) and half >= 0.0 else None
 
 
-def mismatch_study(design: VelocityLoopDesign, errors: Mapping[str, float]) -> dict[str, Any]:
+def margins_under_mismatch(design: VelocityLoopDesign, errors: Mapping[str, float]) -> dict[str, Any]:
     """Return margins and gains over the corners of ``errors``, the relative error of each parameter.
 
     The gains of ``design`` run on the plant of every corner: ``worst`` has the corner with the least phase margin of
@@ -78,7 +78,7 @@ def mismatch_study(design: VelocityLoopDesign, errors: Mapping[str, float]) -> d
     >>> from emps_design.control.velocity.design import design_velocity_loop
     >>> from emps_design.machines import machine
     >>> design = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)
-    >>> study = mismatch_study(design, relative_mismatch(0.02))
+    >>> study = margins_under_mismatch(design, relative_mismatch(0.02))
     >>> study["stable_share"], round(study["phase_margin_deg"][0], 1), round(study["phase_margin_deg"][1], 1)
     (1.0, 39.1, 39.2)
     """

@@ -1,19 +1,30 @@
-"""What may be asked of the velocity loop, and the nearest that works where it cannot be had."""
+"""What may be asked of the velocity loop, and the nearest that works where it cannot be had.
+
+A pair of a frequency and a phase margin *works* where there are gains for it, the sampled loop with them is stable,
+bears at least ``ROOM`` more samples of delay, and passes ``PASSED`` of the frequency that such a pair stands for. The
+pair next to the edge of stability, or with next to no integral action, would be nearer and of no use.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.plant.discretisation import sample_axis
-from emps_design.control.plant.magnitudes import check_scale
-from emps_design.control.velocity.gains import crossover_of_bandwidth
-from emps_design.control.velocity.sweeps import sweep_stability, sweep_velocity_loop
+from emps_design.control.loop.sampled_loop import SampledVelocityLoop
+from emps_design.control.plant.discretisation import SampledPlant, sample_axis
+from emps_design.control.velocity.gains import MINUS_3_DB, canonical_form, second_order_bandwidth
+from emps_design.control.velocity.sweeps import sweep_sampled_margins, sweep_velocity_loop
 from emps_design.errors import InputError
+from emps_design.quantities import check_magnitude
+
+ROOM = 1.0  # samples of delay margin
+PASSED = 0.5  # share of the frequency, at which the sampled closed loop has not yet fallen to -3 dB
 
 
 def check_specification(crossover: float | None, bandwidth: float | None, phase_margin_deg: float) -> dict[str, float]:
@@ -30,84 +41,170 @@ def check_specification(crossover: float | None, bandwidth: float | None, phase_
     name, value = ("crossover", crossover) if crossover is not None else ("bandwidth", float(bandwidth or 0.0))
     if not math.isfinite(value) or value <= 0.0:
         raise InputError(f"{name}: found {value:g} rad/s, expected a positive number of rad/s")
-    check_scale(name, value, "rad/s")
+    check_magnitude(name, value, "rad/s", positive=True)
     if not math.isfinite(phase_margin_deg):
         raise InputError(f"phase margin: found {phase_margin_deg:g} deg, expected degrees between 0 and 90")
     return {name: float(value), "phase_margin_deg": float(phase_margin_deg)}
 
 
-def nearest_that_works(
-    works: Callable[[np.ndarray, np.ndarray], np.ndarray], requested: dict[str, float]
-) -> dict[str, Any]:
-    """Return the nearest pair for which ``works(frequencies, phase_margins_deg)`` holds, {} where none was found.
+@dataclass(frozen=True)
+class Pairs:
+    """Pairs of a frequency and a phase margin, and the sampled loops that they mean.
 
-    Looks along both lines through the request: the same frequency with another phase margin, in steps of 0.5 deg, and
-    the same phase margin with another frequency, in steps of 1 % (of 10 % far below). Where both lines have one, the
-    other is under "or". ``works`` takes and returns arrays (n,).
-
-    >>> nearest_that_works(lambda w, phase: phase < 80.0, {"crossover": 100.0, "phase_margin_deg": 85.2})
-    {'crossover': 100.0, 'phase_margin_deg': 79.5}
+    ``gains(frequencies, phase_margins_deg)`` gives k_v1 [V/(m/s)] and t_v [s], NaN where there are none; arrays (n,).
+    ``passes(frequencies, phase_margins_deg)`` [rad/s] is what a closed loop with such a pair passes by rights. With
+    ``at`` the phase margin is that of the sampled loop broken there, and it has to be met; "" where (7) is asked.
+    ``bandwidth``: the frequency is the -3 dB of the sampled closed loop, and it has to be met.
     """
-    name = "crossover" if "crossover" in requested else "bandwidth"
-    frequency, phase = requested[name], requested["phase_margin_deg"]
-    pairs = []
-    phases = 0.5 * np.arange(1, 180)
-    found = phases[works(np.full(phases.size, frequency), phases)]
-    if found.size:
-        near = float(found[np.argmin(np.abs(found - phase))])
-        pairs.append((abs(near - phase) / 45.0, {name: frequency, "phase_margin_deg": near}))
-    if 0.0 < phase < 90.0:
-        steps = np.concatenate([-np.arange(1, 500), np.arange(1, 500), -np.arange(500, 5000, 10)])
-        frequencies = np.array([_round(frequency * 1.01**step) for step in steps])
-        found = frequencies[works(frequencies, np.full(frequencies.size, phase))]
-        if found.size:
-            distance = np.abs(np.log(found / frequency))
-            near = float(found[np.argmin(distance)])
-            pairs.append((float(np.min(distance)), {name: near, "phase_margin_deg": phase}))
-    pairs.sort(key=lambda pair: pair[0])
-    if not pairs:
-        return {}
-    return {**pairs[0][1], **({"or": pairs[1][1]} if len(pairs) > 1 else {})}
+
+    plant: SampledPlant
+    gains: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+    passes: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    at: str = ""
+    bandwidth: bool = False
+
+    def loop(self, frequency: float, phase: float) -> SampledVelocityLoop | None:
+        """The sampled loop of one pair; None where there are no gains for it or the loop with them is unstable."""
+        k_v1, t_v = (float(gain[0]) for gain in self.gains(np.array([frequency]), np.array([phase])))
+        loop = SampledVelocityLoop(self.plant, k_v1, t_v) if math.isfinite(k_v1) else None
+        return loop if loop is not None and loop.stable else None
+
+    def met(self, loop: SampledVelocityLoop, frequency: float, phase: float) -> bool:
+        """Whether the margins of ``loop`` are what was asked of the sampled loop, if that was asked."""
+        if self.bandwidth and abs((loop.bandwidth or 0.0) / frequency - 1.0) > 1e-6:
+            return False
+        if not self.at:
+            return True
+        margins = loop.margins if self.at == "plant-input" else loop.velocity_error
+        return margins.phase_margin_deg is not None and abs(margins.phase_margin_deg - phase) < 1e-6
+
+    def judge(self, frequency: np.ndarray, phase: np.ndarray) -> np.ndarray:
+        """How good each pair is (n,): 0 for none or unstable, 1 for stable, 2 where it works. Many at once, quickly."""
+        k_v1, t_v = self.gains(frequency, phase)
+        found = sweep_sampled_margins(self.plant, k_v1, t_v, frequencies=200, at=self.at or "plant-input")
+        good = found["stable"].copy()
+        if self.at:
+            good &= np.abs(found["phase_margin_deg"] - phase) < 1e-6  # NaN compares False
+        room = ~(found["delay_margin"] < ROOM * self.plant.period)  # NaN: unbounded
+        return good.astype(int) + (good & room & self._passes(k_v1, t_v, self.passes(frequency, phase)))
+
+    def _passes(self, k_v1: np.ndarray, t_v: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """Whether the closed loops have not fallen to -3 dB at ``PASSED`` of ``w`` [rad/s]."""
+        w = np.minimum(PASSED * w, 0.5 * math.pi / self.plant.period)
+        integrator = self.plant.period / (1.0 - np.exp(-1j * w * self.plant.period))
+        inner = k_v1 * self.plant.response(w)
+        with np.errstate(invalid="ignore"):
+            forward = inner * integrator / t_v
+            return np.abs(forward / (1.0 + inner + forward)) >= MINUS_3_DB
 
 
-def stable_pairs(
-    axis: Axis, requested: dict[str, float], velocity: float = 0.1
-) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Return the question whether (7) has gains for pairs like ``requested`` and the sampled loop is stable with them.
-
-    ``velocity`` [m/s]: where the effects of ``axis`` are linearised.
+def pairs_by_closed_form(axis: Axis, requested: dict[str, float], velocity: float = 0.1) -> Pairs:
+    """Return the pairs like ``requested`` with the gains of (7) on ``axis``, its effects linearised at ``velocity``.
 
     >>> from emps_design.machines import machine
-    >>> works = stable_pairs(machine("emps2018"), {"crossover": 100.0, "phase_margin_deg": 60.0})
-    >>> works(np.array([100.0, 1000.0, 100.0]), np.array([60.0, 60.0, 2.0])).tolist()
-    [True, False, False]
+    >>> pairs = pairs_by_closed_form(machine("emps2018"), {"crossover": 100.0, "phase_margin_deg": 60.0})
+    >>> pairs.judge(np.array([100.0, 1000.0, 100.0]), np.array([60.0, 60.0, 2.0])).tolist()
+    [2, 0, 0]
     """
-    plant = sample_axis(axis, velocity)
 
-    def works(frequency: np.ndarray, phase: np.ndarray) -> np.ndarray:
+    def gains(frequency: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        inside = (phase > 0.0) & (phase < 90.0)
+        phase = np.where(inside, phase, 45.0)
         if "bandwidth" in requested:
-            pairs = zip(frequency.tolist(), phase.tolist(), strict=True)
-            frequency = np.array([crossover_of_bandwidth(w, angle) for w, angle in pairs])
+            ratio = [second_order_bandwidth(*canonical_form(1.0, angle)) for angle in phase.tolist()]
+            frequency = frequency / np.array(ratio)
         sweep = sweep_velocity_loop(axis, frequency, phase)
-        return sweep_stability(plant, sweep.k_v1, sweep.t_v)
+        return np.where(inside, sweep.k_v1, np.nan), np.where(inside, sweep.t_v, np.nan)
 
-    return works
+    return Pairs(sample_axis(axis, velocity), gains, lambda frequency, phase: frequency)
 
 
-def in_words(nearest: dict[str, Any]) -> str:
-    """The nearest pair in words, for one-line messages.
+def nearest_that_works(pairs: Pairs, requested: dict[str, float]) -> dict[str, Any]:
+    """Return the pair of ``pairs`` next to ``requested`` that works, {} where none was found.
+
+    Looks along both lines through the request: the same frequency with another phase margin, and the same phase margin
+    with another frequency; where both have one, the other is under "or". Where neither has, both may change. Where
+    nothing works, the nearest that is merely stable is returned.
+
+    >>> from emps_design.machines import machine
+    >>> asked = {"crossover": 100.0, "phase_margin_deg": 88.0}
+    >>> nearest_that_works(pairs_by_closed_form(machine("emps2018"), asked), asked)
+    {'crossover': 100.0, 'phase_margin_deg': 77.5, 'or': {'crossover': 19.56, 'phase_margin_deg': 88.0}}
+    """
+    name = "crossover" if "crossover" in requested else "bandwidth"
+    asked, phase = requested[name], requested["phase_margin_deg"]
+    lines = [(np.full(PHASES.size, asked), PHASES)]
+    if 0.0 < phase < 180.0:
+        frequencies = np.unique([_round(asked * 1.01**step) for step in FINE])
+        lines.append((frequencies, np.full(frequencies.size, phase)))
+    coarse = np.unique([_round(asked * 1.1**step) for step in COARSE])
+    plane = tuple(grid.ravel() for grid in np.meshgrid(coarse, PHASES[PHASES % 5.0 == 0.0]))
+    judge = lru_cache(lambda place: pairs.judge(*places[place]))  # the plane only where neither line has one
+    places = [*lines, plane]
+    on_lines, anywhere = range(len(lines)), [len(lines)]
+    for level, chosen in ((2, on_lines), (2, anywhere), (1, on_lines), (1, anywhere)):
+        found = [_nearest(pairs, asked, phase, *places[place], judge(place) >= level) for place in chosen]
+        found = sorted((one for one in found if one is not None), key=lambda one: one[0])
+        if found:
+            first, *others = [{name: w, "phase_margin_deg": angle} for _, w, angle in found]
+            return {**first, **({"or": others[0]} if others else {})}
+    return {}
+
+
+# Phase margins to propose [deg], finer towards 90, where a stiff friction leaves little room below; and steps of the
+# frequency: of 1 % near by and of 10 % far away.
+PHASES = np.unique(
+    np.round([*(0.5 * np.arange(1, 360)), *(90.0 - n * 10.0**-m for n in range(1, 10) for m in range(1, 6))], 6)
+)
+FINE = np.unique([*np.arange(-250, 250), *(10 * np.arange(-150, 50))])
+COARSE = np.arange(-120, 41)
+
+
+def _nearest(
+    pairs: Pairs, asked: float, phase: float, frequencies: np.ndarray, phases: np.ndarray, good: np.ndarray
+) -> tuple[float, float, float] | None:
+    """Distance, frequency and phase margin of the nearest pair that is ``good`` (n,)."""
+    distance = np.abs(np.log(frequencies / asked)) + np.abs(phases - phase) / 45.0
+    candidates = np.flatnonzero(good)
+    for place in candidates[np.argsort(distance[candidates], kind="stable")][:20]:
+        w, angle = float(frequencies[place]), float(phases[place])
+        loop = pairs.loop(w, angle)
+        if loop is not None and pairs.met(loop, w, angle):
+            return float(distance[place]), w, angle
+    return None
+
+
+def in_words(nearest: dict[str, Any], pairs: Pairs | None = None) -> str:
+    """The nearest pair in words, for one-line messages; ``pairs`` tells what it has as implemented.
 
     >>> in_words({"crossover": 100.0, "phase_margin_deg": 79.5})
     'nearest that works: 79.5 deg at a crossover of 100 rad/s'
     """
     if not nearest:
-        return "no pair nearby works"
-
-    def words(pair: dict[str, Any]) -> str:
+        return "no pair of a frequency and a phase margin works"
+    both = [nearest, nearest["or"]] if "or" in nearest else [nearest]
+    words, rooms = [], []
+    for pair in both:
         name = "crossover" if "crossover" in pair else "bandwidth"
-        return f"{pair['phase_margin_deg']:g} deg at a {name} of {pair[name]:.5g} rad/s"
+        said = f"{pair['phase_margin_deg']:.7g} deg at a {name} of {pair[name]:.5g} rad/s"
+        loop = pairs.loop(pair[name], pair["phase_margin_deg"]) if pairs else None
+        if loop is not None:
+            said += f" (sampled: {', '.join(_achieved(loop))})"
+            rooms.append(loop.margins.delay_margin_samples)
+        words.append(said)
+    barely = any(room is not None and room < ROOM for room in rooms)
+    return f"nearest that {'is stable, and barely' if barely else 'works'}: {', or '.join(words)}"
 
-    return f"nearest that works: {words(nearest)}" + (f", or {words(nearest['or'])}" if "or" in nearest else "")
+
+def _achieved(loop: SampledVelocityLoop) -> Iterator[str]:
+    """What a proposal has as implemented."""
+    margins = loop.margins
+    if margins.phase_margin_deg is not None:
+        yield f"{margins.phase_margin_deg:.3g} deg"
+    if margins.delay_margin_samples is not None:
+        yield f"room for {margins.delay_margin_samples:.3g} samples of delay"
+    if loop.bandwidth is not None:
+        yield f"-3 dB at {loop.bandwidth:.4g} rad/s"
 
 
 def _round(value: float) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.control.loop.margins import KEYS, margin_arrays
 from emps_design.control.plant.discretisation import SampledPlant
+from emps_design.control.plant.linear_plant import POSITION
 from emps_design.control.velocity.gains import MINUS_3_DB
 from emps_design.errors import InputError
 
@@ -93,12 +94,17 @@ def sweep_stability(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> n
     array([ True, False])
     """
     numerator, denominator = plant.polynomials
+    integrated = plant.period * np.append(numerator, 0.0)  # T z N, over (z - 1) in the law
+    proportional, open_loop = np.polymul(numerator, [1.0, -1.0]), np.polymul(denominator, [1.0, -1.0])
+    if plant.kept[0] == POSITION and abs(np.sum(numerator)) < 1e-6 * np.sum(np.abs(numerator)):
+        # A force over position: the voltage moves no velocity at last, and N's root on z = 1 meets the integrator's.
+        integrated = plant.period * np.append(np.polydiv(numerator, [1.0, -1.0])[0], 0.0)
+        proportional, open_loop = numerator, denominator
     k, t = np.asarray(k_v1, dtype=float)[:, None], np.asarray(t_v, dtype=float)[:, None]
-    open_loop = np.polymul(denominator, [1.0, -1.0])
     size = open_loop.size
     both = np.zeros((2, size))  # what k_v1 and k_v1/t_v multiply
-    both[0, size - numerator.size - 1 :] = np.polymul(numerator, [1.0, -1.0])
-    both[1, size - numerator.size - 1 : size - 1] = plant.period * numerator
+    both[0, size - proportional.size :] = proportional
+    both[1, size - integrated.size :] = integrated
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         a = open_loop + k * both[0] + k / t * both[1]
         stable = np.ones(len(a), dtype=bool)

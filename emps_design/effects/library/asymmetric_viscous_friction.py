@@ -15,6 +15,10 @@ def force(q, v, t, tau, x, p, b):
     return p[0] * abs(v)
 
 
+def slopes(p):
+    return p[0], -p[0]
+
+
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
     return np.abs(motion.v)[:, None]
 
@@ -23,6 +27,10 @@ def expression(q, v, t, tau, p, b):
     import sympy
 
     return p["viscous_difference"] * sympy.Abs(v)
+
+
+def of_two_quadrants(identified: Parameters) -> dict[str, float]:
+    return {"viscous_difference": 0.5 * (identified["viscous_positive"] - identified["viscous_negative"])}
 
 
 EFFECT = Effect(
@@ -42,6 +50,7 @@ EFFECT = Effect(
         ),
     ),
     force=force,
+    slopes=slopes,
     regressor=regressor,
     expression=expression,
     over="v",
@@ -53,5 +62,6 @@ EFFECT = Effect(
         ({"viscous_difference": -40.0}, {"v": 0.5}, -20.0),
         ({"viscous_difference": -40.0}, {"v": -0.25}, -10.0),
     ),
+    identified_by={"asymmetric": of_two_quadrants},
     parity="even",
 )

@@ -78,6 +78,7 @@ EFFECT = Effect(
     plausible=plausible,
     expression=expression,
     over="q",
+    repeats="period",
     where="one line in the spectrum over position, whose force grows with the square of speed",
     confused_with=("position_ripple", "periodic_disturbance"),
     experiment="constant-velocity strokes at two speeds: an encoder's error quadruples in force at twice the speed",

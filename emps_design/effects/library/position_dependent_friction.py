@@ -58,6 +58,7 @@ EFFECT = Effect(
     plausible=plausible,
     expression=expression,
     over="q",
+    repeats="length",
     where="slowly along the travel, with opposite sign in the two directions, at every speed alike",
     confused_with=("position_ripple", "elastic_force", "friction_drift"),
     experiment="one slow constant-velocity stroke over the whole travel in each direction",

@@ -71,6 +71,7 @@ EFFECT = Effect(
     plausible=plausible,
     expression=expression,
     over="q",
+    repeats="period",
     where="one line in the spectrum over position, at every speed with the same amplitude",
     confused_with=("encoder_error", "position_dependent_friction", "periodic_disturbance"),
     experiment="two slow constant-velocity strokes at different speeds: the period stays in mm and the force in N",

@@ -32,7 +32,7 @@ def run_raising(monkeypatch, error, *arguments):
         (SpecificationError("too fast", {"crossover": 50.0}), 3),
         (UnstableError("diverges", {"k_e1": 0.1}), 4),
         (RuntimeError("what nobody foresaw"), 1),
-        (KeyboardInterrupt(), 1),
+        (KeyboardInterrupt(), 130),
     ],
 )
 def test_status_and_one_line(monkeypatch, capsys, error, status):

@@ -9,6 +9,7 @@ from emps_design.control.plant.discretisation import sample_axis
 from emps_design.control.plant.linear_plant import linear_plant
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.effects import EFFECTS
+from emps_design.errors import InputError
 from emps_design.machines import machine
 
 IDEAL = machine("emps2018").replace(drive={"current_time_constant": 0.0})
@@ -56,6 +57,88 @@ def test_spring_keeps_the_position_among_the_states():
     w = 0.05
     expected = 1j * w * 35.15 / 2e3
     assert complex(plant.response(np.array(w))) == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize("crossover", [40.0, 100.0, 150.0])
+def test_a_ripple_is_no_spring(crossover):
+    """Along the travel its slope averages out: the design is that without it, and says what it is instead."""
+    ripple = with_effect(machine("emps2018"), "position_ripple", amplitude=3.0, phase=0.5, period=2.5e-3)
+    found = design_velocity_loop(ripple, crossover=crossover).to_dict()
+    plain = design_velocity_loop(machine("emps2018"), crossover=crossover).to_dict()
+    for key in ("value", "peak_voltage_per_unit", "window"):
+        assert found["largest_velocity_step"][key] == pytest.approx(plain["largest_velocity_step"][key], rel=1e-9)
+    assert found["sampled"]["phase_margin_deg"] == pytest.approx(plain["sampled"]["phase_margin_deg"], abs=1e-9)
+    assert any("40 Hz at 0.1 m/s" in text and "+-3 N, not a spring" in text for text in found["warnings"])
+
+
+def test_slow_motion_over_a_steep_ripple_is_looked_at():
+    """2 pi 300 N / 1 mm: in slow motion a spring of 1.9e6 N/m, as stiff as the loop itself."""
+    ripple = with_effect(machine("emps2018"), "position_ripple", amplitude=300.0, phase=0.5, period=1e-3)
+    assert linear_plant(ripple).steepest == pytest.approx(6e5 * math.pi, rel=2e-3)
+    said = design_velocity_loop(ripple, crossover=100.0).warnings
+    assert any("in slow motion" in text and "of phase margin only" in text for text in said)
+    steeper = with_effect(machine("emps2018"), "position_ripple", amplitude=3000.0, phase=0.5, period=1e-3)
+    assert any(
+        "in slow motion" in text and "unstable" in text for text in design_velocity_loop(steeper, 100.0).warnings
+    )
+
+
+def test_a_spring_is_judged_while_the_loop_moves():
+    """A spring asks for more as the carriage travels; a step is watched until the loop's own motion has died away."""
+    from scipy.signal import dlsim, dlti
+
+    axis = with_effect(IDEAL, "elastic_force", stiffness=50.0, rest_position=0.0)
+    found = design_velocity_loop(axis, crossover=100.0)
+    loop, step = found.sampled.loop, found.to_dict()["largest_velocity_step"]
+    count = round(step["window"] / axis.sampling.period)
+    system = dlti(loop.A, loop.B, loop.C, loop.D, dt=1e-3)
+    inputs = np.zeros((count, 3))
+    inputs[:, 0] = 1.0  # the reference; the last output is the voltage
+    voltage = dlsim(system, inputs)[1][:, -1]
+    assert step["peak_voltage_per_unit"] == pytest.approx(np.max(np.abs(voltage)), rel=1e-9)
+    assert step["window"] < 0.5
+
+
+def test_a_stop_just_touched_is_left():
+    """At a corner the flatter side counts: the axis works away from the stop, not half in it."""
+    plant = linear_plant(with_effect(IDEAL, "end_stop", stiffness=1e4, position=0.0, side=-1.0))
+    assert plant.A[1, 0] == 0.0
+    inside = linear_plant(with_effect(IDEAL, "end_stop", stiffness=1e4, position=0.05, side=-1.0))
+    assert inside.A[1, 0] == pytest.approx(-1e4 / plant.mass)
+
+
+@pytest.mark.parametrize(
+    ("kind", "parameters", "limit"),
+    [("actuator_saturation", {"limit": 3.0}, 3.0), ("actuator_deadzone", {"width": 0.4}, 10.0)],
+)
+def test_an_actuator_counts_at_the_command_that_the_motion_takes(kind, parameters, limit):
+    axis = with_effect(IDEAL, kind, **parameters)
+    assert pytest.approx(linear_plant(IDEAL).B, rel=1e-6) == linear_plant(axis).B
+    frictionless = axis.replace(mechanics={"viscous": 0.0, "coulomb": 0.0, "offset": 0.0})
+    assert pytest.approx(linear_plant(IDEAL).B, rel=1e-6) == linear_plant(frictionless).B
+    step = design_velocity_loop(axis, crossover=100.0).to_dict()["largest_velocity_step"]
+    dry = step["dry_friction_voltage"] + parameters.get("width", 0.0)
+    assert step["value"] * step["peak_voltage_per_unit"] == pytest.approx(limit - dry, rel=1e-6)
+
+
+def test_an_actuator_too_weak_for_the_motion_is_said():
+    axis = with_effect(IDEAL, "actuator_saturation", limit=0.05)
+    assert pytest.approx(linear_plant(IDEAL).B, rel=1e-6) == linear_plant(axis).B
+    assert any("takes 1.85 V and only 0.05 V act" in text for text in linear_plant(axis).warnings)
+    with pytest.raises(InputError, match="with actuator_deadzone no voltage acts"):
+        linear_plant(with_effect(IDEAL, "actuator_deadzone", width=10.0))
+
+
+@pytest.mark.parametrize("kind", ["elastic_force", "end_stop"])
+def test_the_nearest_pair_is_found_on_a_spring(kind):
+    """A force over position leaves a root on z = 1 that no velocity shows; it is no instability."""
+    parameters = {"stiffness": 2e3, "rest_position": 0.0}
+    if kind == "end_stop":
+        parameters = {"stiffness": 2e3, "position": 0.05, "side": -1.0}
+    axis = with_effect(machine("emps2018"), kind, **parameters)
+    design = design_velocity_loop(axis, crossover=400.0)
+    assert not design.sampled.stable
+    assert design_velocity_loop(axis, **design.nearest_stable).sampled.stable
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)

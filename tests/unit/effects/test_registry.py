@@ -38,7 +38,7 @@ def own_file(tmp_path):
     path = tmp_path / "air_drag.py"
     path.write_text(OWN, encoding="utf-8")
     yield path
-    effects._added.clear()
+    effects.REGISTRY.added.clear()
 
 
 def test_a_users_file_takes_part(own_file):

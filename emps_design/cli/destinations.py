@@ -1,0 +1,96 @@
+"""What a command is asked to write is checked before its work: nothing is lost for it, and nothing is done in vain."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from emps_design.errors import InputError
+from emps_design.files import destination
+
+HEAD = 65536  # bytes that say what a file holds
+OVERWRITE = "Overwrite a file that holds something else."  # the help of --force
+AXIS, PAGE, ARCHIVE, TABLE = "an axis file", "an HTML page", "a NumPy archive", "a text table"
+JSON, ANYTHING = "a JSON document", "something else"
+PICTURES = {".png": "a PNG picture", ".svg": "an SVG picture", ".pdf": "a PDF document"}
+
+_MAGIC = (
+    (b"PK", ARCHIVE),
+    (b"\x89PNG", PICTURES[".png"]),
+    (b"%PDF", PICTURES[".pdf"]),
+    (b"\x89HDF", "a MATLAB file"),
+    (b"MATLAB", "a MATLAB file"),
+)
+_TEXT = (
+    (r"<(!doctype )?html\b", PAGE),
+    (r"<(\?xml|svg)\b", PICTURES[".svg"]),
+    (r"(?m)(\A|.*^)\s*\[?\s*mechanics\b", AXIS),
+    (r"\{|\[\s*(\Z|[\[{\"\d-])", JSON),
+    (r"[^\n]*[;,\t][^\n]*\n\s*[-+.\d]", TABLE),
+)
+
+
+def check_out(
+    out: Path | None,
+    kind: str,
+    inputs: Sequence[str | Path | None] = (),
+    force: bool = False,
+    option: str = "--out",
+) -> None:
+    """Refuse, with :class:`InputError`, what could not be written to ``out``, or would destroy something there.
+
+    That is a file that the command reads (``inputs``; names of embedded machines and None count for nothing), and,
+    without ``force``, a file that holds anything but ``kind``.
+    """
+    if out is None:
+        return
+    target = destination(out)
+    if not target.exists():
+        return
+    for given in inputs:
+        if given is not None and os.path.exists(given) and os.path.samefile(given, target):
+            raise InputError(f"{option}: {out} is what this command reads ({given}); choose another name")
+    found = content(target)
+    if found not in ("", kind) and not force:
+        raise InputError(
+            f"{option}: {out} holds {found}, expected {kind} or no such file; choose another name, or give --force"
+        )
+
+
+def check_folder(
+    out: Path | None, kinds: Mapping[str, str], inputs: Sequence[str | Path | None] = (), force: bool = False
+) -> None:
+    """The same for a folder ``out`` in which files of ``kinds`` (what each name will hold) are to be written."""
+    if out is None:
+        return
+    if os.path.lexists(out) and not os.path.isdir(out):
+        raise InputError(f"{out}: found a file, expected a folder for the results")
+    if not os.path.isdir(out):
+        destination(out)
+        return
+    for name, kind in kinds.items():
+        check_out(out / name, kind, inputs, force)
+
+
+def content(path: Path) -> str:
+    """What the file at ``path`` holds, in words; nothing for an empty one.
+
+    >>> import tempfile
+    >>> path = Path(tempfile.mkdtemp()) / "a"
+    >>> def of(text):
+    ...     _ = path.write_text(text)
+    ...     return content(path)
+    >>> of("name = 'a'\\n[mechanics]\\nmass = 1"), of("<!DOCTYPE html>"), of("t;q;u\\n0;0;0"), of("{}"), of("words")
+    ('an axis file', 'an HTML page', 'a text table', 'a JSON document', 'something else')
+    """
+    with path.open("rb") as file:
+        head = file.read(HEAD)
+    for start, kind in _MAGIC:
+        if head.startswith(start):
+            return kind
+    text = head.decode("utf-8-sig", errors="replace").strip().lower()
+    if not text or "\0" in text:
+        return ANYTHING if text else ""
+    return next((kind for pattern, kind in _TEXT if re.match(pattern, text, re.DOTALL)), ANYTHING)

@@ -1,0 +1,86 @@
+"""Signals that end the work: heard whatever it is at, over within two seconds, exit status 130.
+
+Python acts on a signal between two of its own instructions; compiled code and linear algebra may be minutes away from
+the next one. So a thread listens too, and ends the process where it does not unwind in time.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import NoReturn
+
+from emps_design.cli.output import tell
+from emps_design.files import discard_unfinished
+
+STATUS = 130
+GRACE = 1.5  # s, for the work to unwind by itself
+ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+heard = threading.Event()  # set by the first of them
+_last_deeds: list[Callable[[], None]] = []
+_only_one = threading.Lock()
+
+
+def listen() -> None:
+    """Let the signals in ``ENDING`` that are not ignored end this process, from now on."""
+    for number in ENDING:
+        if signal.getsignal(number) is not signal.SIG_IGN:  # nohup, and jobs in the background of a shell
+            signal.signal(number, _interrupt)
+    reads, tells = os.pipe()
+    os.set_blocking(tells, False)
+    signal.set_wakeup_fd(tells, warn_on_full_buffer=False)
+    threading.Thread(target=_wait, args=(reads,), daemon=True).start()
+
+
+@contextmanager
+def before_the_end(deed: Callable[[], None]) -> Iterator[None]:
+    """Do ``deed`` where the block is interrupted, once, whether it unwinds or not."""
+    done = threading.Lock()
+
+    def once() -> None:
+        if done.acquire(blocking=False):
+            deed()
+
+    _last_deeds.append(once)
+    try:
+        yield
+    except KeyboardInterrupt:
+        once()
+        raise
+    finally:
+        _last_deeds.remove(once)
+
+
+def end() -> NoReturn:
+    """End this process here and now, with nothing half-written left; threads at work do not hold it up."""
+    if not _only_one.acquire(blocking=False):
+        threading.Event().wait()  # the other thread is ending the process
+    try:
+        for deed in tuple(_last_deeds):
+            deed()
+        discard_unfinished()
+        sys.stdout.flush()
+        sys.stderr.flush()
+    finally:
+        os._exit(STATUS)
+
+
+def _interrupt(number: int, frame: object) -> None:
+    heard.set()
+    for ending in ENDING:  # one is enough: what removes files is not to be interrupted
+        signal.signal(ending, signal.SIG_IGN)
+    raise KeyboardInterrupt
+
+
+def _wait(reads: int) -> None:
+    while not set(ENDING) & set(os.read(reads, 64)):
+        continue
+    time.sleep(GRACE)
+    tell("interrupted")
+    end()

@@ -1,0 +1,101 @@
+"""What a control law is: a difference equation, its parameters, and what joins them.
+
+The kernel *is* the law, in plain Python of numbers, computed once a sample:
+
+    ``u = kernel(k, reference, q, f_ext, limit, gains, memory)``
+
+``k`` counts samples from 0; ``reference`` is what the law follows, a position [m] or a velocity [m/s]; ``q`` [m] is
+what the encoder reports, ``f_ext`` [N] what a force sensor on the carriage reports; ``limit`` [V] bounds the voltage
+``u``; ``gains`` are its numbers and ``memory`` its own, zero at first. Before the first sample the carriage stood still
+at ``q[0]``. Simulations compile it; :mod:`.linear` runs it on linear numbers, which gives a loop its poles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from emps_design.errors import AxisError
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
+Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+
+FOLLOWS = ("position", "velocity")
+TWO_TAP = "two_tap"
+
+
+def parameter(description: str, unit: str, default: Any = ...) -> Any:
+    """A field of a law's table: what it is, its unit, and its default (none: it has to be given)."""
+    return Field(default, description=description, json_schema_extra={"unit": unit})
+
+
+class LawTable(BaseModel):
+    """The ``[controller]`` table of one kind of law without its ``kind``; what every law has."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    velocity_estimator: Literal["two_tap", "backward"] = Field(
+        TWO_TAP, description="two-tap average and backward difference, or backward difference alone"
+    )
+
+
+@dataclass(frozen=True)
+class Law:
+    """A control law with its numbers: the kernel, its ``gains``, the length of its ``memory``, what it follows."""
+
+    kernel: Callable[..., float]
+    gains: np.ndarray
+    memory: int
+    follows: str = "position"  # or "velocity"
+
+
+@dataclass(frozen=True)
+class LawKind:
+    """One kind of control law: its words, its table in the axis file, its kernel, and the numbers the kernel gets.
+
+    ``table`` is the pydantic model of its parameters, with units, bounds and descriptions. ``gains(p, axis, period)``
+    gives the kernel's numbers from a table ``p``, the :class:`~emps_design.axis.Axis` it runs on and the sampling
+    ``period`` [s]; ``memory`` is the length of the kernel's memory, or a function of the axis. ``equations(p, axis,
+    period)`` are the lines to paste into a drive. Raises :class:`AxisError` for a law that follows nothing known.
+    """
+
+    name: str
+    label: str
+    source: str
+    table: type[LawTable]
+    kernel: Callable[..., float]
+    gains: Callable[[Any, Any, float], Sequence[float]]
+    memory: int | Callable[[Any], int]
+    equations: Callable[[Any, Any, float], tuple[str, ...]]
+    follows: str = "position"
+
+    def __post_init__(self) -> None:
+        if self.follows not in FOLLOWS:
+            raise AxisError(f"law {self.name}: follows {self.follows!r}, expected one of {', '.join(FOLLOWS)}")
+        if not (isinstance(self.table, type) and issubclass(self.table, LawTable)):
+            raise AxisError(f"law {self.name}: table {self.table!r}, expected a class derived from LawTable")
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Names of the parameters that have to be given."""
+        return tuple(name for name, field in self.table.model_fields.items() if field.is_required())
+
+    def law(self, p: Any, axis: Any, period: float) -> Law:
+        """The law with the numbers of the table ``p``, on ``axis``, at a sampling ``period`` [s]."""
+        memory = self.memory(axis) if callable(self.memory) else self.memory
+        return Law(self.kernel, np.array(self.gains(p, axis, period), dtype=float), memory, self.follows)
+
+
+def velocity_in_words(p: Any, period: float) -> str:
+    """The velocity estimate of a law as a line to paste.
+
+    >>> velocity_in_words(LawTable(velocity_estimator="backward"), 1e-3)
+    'v[k] = (q[k] - q[k-1]) / 0.001'
+    """
+    two_tap = p.velocity_estimator == TWO_TAP
+    return f"v[k] = (q[k] - q[{'k-2' if two_tap else 'k-1'}]) / {2.0 * period if two_tap else period:.10g}"

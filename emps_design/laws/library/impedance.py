@@ -1,0 +1,171 @@
+"""Impedance law without a force sensor: the carriage is to feel like ``M_a qdd + B qd + K (q - q_0) = tau_e``.
+
+With ``r = Mh/M_a`` and hats for the estimates of mass and friction, the force tau_e of the hand is observed by (29) and
+answered by (28), K and q_0 kept as in (27) derived:
+
+    tau_eh = Mh a_f + Fh_v v + c Fh_c sign(v) - kappa tau_f
+    tau    = (r - 1) tau_eh + (Fh_v - r B) v + c Fh_c sign(v) - r K (q - q_0)
+
+``a_f`` and ``tau_f`` are acceleration and motor force behind first-order low-passes; ``kappa`` 1 is (30) derived, 2 as
+printed. The motor force is not wired to the controller: the law takes it from the current loop's own model,
+``tau[k+1] = e tau[k] + (1 - e) G_tau u[k]`` with ``e = exp(-T/T_c)``, exact while the drive does what it is told. What
+the axis follows is q_0, of use only with a stiffness. Source: section IV of the paper, (24) to (30), after Hogan.
+"""
+
+import math
+
+import numpy as np
+
+from emps_design.errors import InputError
+from emps_design.laws.friction_model import FrictionModel
+from emps_design.laws.law import TWO_TAP, LawKind, LawTable, NonNegative, Positive, parameter, velocity_in_words
+
+# What stands where in the kernel's gains.
+RATIO, MASS, DAMPING, STIFFNESS, VISCOUS_POSITIVE, VISCOUS_NEGATIVE, COULOMB_POSITIVE, COULOMB_NEGATIVE = range(8)
+KEEP_ACCELERATION, KEEP_CURRENT, CURRENT_FACTOR, FORCE_SENSOR, FORCE_GAIN, KEEP_MOTOR, DELAY, RATE, TAPS = range(8, 17)
+# And in its memory, before the voltages on their way: three encoder readings, what the filters and the model hold.
+SLOW_ACCELERATION, SLOW_MOTOR, MOTOR, WAITING = 3, 4, 5, 6
+
+
+def observed_force(mass, viscous, coulomb, factor, a, v, tau):
+    """The hand's force by (29); ``coulomb`` carries the sign of the motion."""
+    return mass * a + viscous * v + coulomb - factor * tau
+
+
+def demanded_force(ratio, damping, stiffness, viscous, coulomb, v, away, tau_e):
+    """The motor force by (28), ``away`` from q_0."""
+    return (ratio - 1.0) * tau_e + (viscous - ratio * damping) * v + coulomb - ratio * stiffness * away
+
+
+def impedance(k, reference, q, f_ext, limit, gains, memory):
+    """Voltage of the law at sample k."""
+    if k == 0:
+        memory[0] = memory[1] = memory[2] = q
+        memory[SLOW_ACCELERATION] = memory[SLOW_MOTOR] = memory[MOTOR] = 0.0
+    rate = gains[RATE]
+    if gains[TAPS] > 0.0:
+        v = 0.5 * (q - memory[1]) * rate
+        a = 0.5 * (q - memory[0] - memory[1] + memory[2]) * rate * rate
+    else:
+        v = (q - memory[0]) * rate
+        a = (q - 2.0 * memory[0] + memory[1]) * rate * rate
+    memory[2] = memory[1]
+    memory[1] = memory[0]
+    memory[0] = q
+    viscous = 0.0
+    coulomb = 0.0
+    if v > 0.0:
+        viscous = gains[VISCOUS_POSITIVE]
+        coulomb = gains[COULOMB_POSITIVE]
+    elif v < 0.0:
+        viscous = gains[VISCOUS_NEGATIVE]
+        coulomb = -gains[COULOMB_NEGATIVE]
+    if gains[FORCE_SENSOR] > 0.0:
+        tau_e = f_ext
+    else:
+        kept = gains[KEEP_ACCELERATION]
+        memory[SLOW_ACCELERATION] = kept * memory[SLOW_ACCELERATION] + (1.0 - kept) * a
+        kept = gains[KEEP_CURRENT]
+        memory[SLOW_MOTOR] = kept * memory[SLOW_MOTOR] + (1.0 - kept) * memory[MOTOR]
+        tau_e = observed_force(
+            gains[MASS], viscous, coulomb, gains[CURRENT_FACTOR], memory[SLOW_ACCELERATION], v, memory[SLOW_MOTOR]
+        )
+    away = q - reference
+    tau = demanded_force(gains[RATIO], gains[DAMPING], gains[STIFFNESS], viscous, coulomb, v, away, tau_e)
+    u = min(max(tau / gains[FORCE_GAIN], -limit), limit)
+    # The model of the current loop runs on what reaches it: this voltage, or that of some samples ago.
+    arriving = u
+    delay = int(gains[DELAY])
+    if delay > 0:
+        arriving = memory[WAITING + delay - 1]
+        for i in range(delay - 1, 0, -1):
+            memory[WAITING + i] = memory[WAITING + i - 1]
+        memory[WAITING] = u
+    memory[MOTOR] = gains[KEEP_MOTOR] * memory[MOTOR] + (1.0 - gains[KEEP_MOTOR]) * gains[FORCE_GAIN] * arriving
+    return u
+
+
+def gains_of(
+    estimate, mass, damping, filters, period, velocity_estimator=TWO_TAP, *, stiffness=0.0, coulomb_factor=1.0,
+    current_factor=1.0, force_sensor=False, force_gain=1.0, current_time_constant=0.0, delay=0,
+):  # fmt: skip
+    """Gains of the kernel: ``estimate`` as a :class:`FrictionModel`, M_a, B, both low-passes [rad/s], the drive.
+
+    Any number may be an array (m,) for as many laws, but for ``delay`` and what is yes or no.
+    """
+    keep_acceleration, keep_current = (np.exp(-w * period) for w in filters)
+    keep_motor = np.exp(-period / current_time_constant) if current_time_constant else 0.0
+    coulomb = [coulomb_factor * level for level in estimate.coulomb]
+    return [
+        estimate.mass / mass, estimate.mass, damping, stiffness, *estimate.viscous, *coulomb, keep_acceleration,
+        keep_current, current_factor, float(force_sensor), force_gain, keep_motor, delay, 1.0 / period,
+        float(velocity_estimator == TWO_TAP),
+    ]  # fmt: skip
+
+
+def default_filter(period: float) -> float:
+    """Low-pass for acceleration and current where none is asked for, 0.5/period: 500 rad/s at 1 kHz.
+
+    Slower, the Coulomb compensation hunts (see ``relay_oscillation``); faster, the smallest safe M_a grows.
+    """
+    return 0.5 / period
+
+
+def check_filters(period: float, acceleration: float, current: float) -> None:
+    """Refuse filters above the Nyquist frequency pi/period with :class:`InputError`; inf means no filter."""
+    for name, value in (("filter", acceleration), ("current filter", current)):
+        if math.isfinite(value) and value >= math.pi / period:
+            raise InputError(
+                f"{name}: found {value:g} rad/s, expected less than the Nyquist frequency "
+                f"{math.pi / period:g} rad/s of the {period:g} s sampling; lower it, or give inf for none"
+            )
+
+
+class Table(LawTable):
+    mass: Positive = parameter("apparent mass M_a", "kg")
+    damping: NonNegative = parameter("apparent damping B", "N/(m/s)")
+    filter: Positive | None = parameter("low-pass of acceleration and current in the law", "rad/s", None)
+
+
+def gains(p, axis, period):
+    cutoff = p.filter or default_filter(axis.sampling.period)
+    check_filters(period, cutoff, cutoff)
+    return gains_of(
+        FrictionModel.of(axis), p.mass, p.damping, (cutoff, cutoff), period, p.velocity_estimator,
+        force_gain=axis.drive.force_gain, current_time_constant=axis.drive.current_time_constant,
+        delay=axis.sampling.computation_delay,
+    )  # fmt: skip
+
+
+def equations(p, axis, period):
+    g = gains(p, axis, period)
+    delay, keep = axis.sampling.computation_delay, g[KEEP_MOTOR]
+    limit, two_tap = f"{axis.drive.voltage_limit:.10g}", p.velocity_estimator == TWO_TAP
+    change = "q[k] - q[k-1] - q[k-2] + q[k-3]" if two_tap else "q[k] - 2 * q[k-1] + q[k-2]"
+    lines = (
+        velocity_in_words(p, period),
+        f"a[k] = ({change}) / {(2.0 if two_tap else 1.0) * period**2:.10g}",
+        f"af[k] = {g[KEEP_ACCELERATION]:.10g} * af[k-1] + {1.0 - g[KEEP_ACCELERATION]:.10g} * a[k]",
+        f"tf[k] = {g[KEEP_CURRENT]:.10g} * tf[k-1] + {1.0 - g[KEEP_CURRENT]:.10g} * tau[k]",
+        f"fr[k] = {g[VISCOUS_POSITIVE]:.10g} * v[k] + {g[COULOMB_POSITIVE]:.10g}   (v[k] > 0)",
+        f"fr[k] = {g[VISCOUS_NEGATIVE]:.10g} * v[k] - {g[COULOMB_NEGATIVE]:.10g}   (v[k] < 0; 0 at rest)",
+        f"hand[k] = {g[MASS]:.10g} * af[k] + fr[k] - {g[CURRENT_FACTOR]:.10g} * tf[k]",
+        f"c[k] = {g[RATIO] - 1.0:.10g} * hand[k] + fr[k] - {g[RATIO] * g[DAMPING]:.10g} * v[k]",
+        f"u[k] = c[k] / {g[FORCE_GAIN]:.10g}",
+        f"if u[k] >  {limit}: u[k] =  {limit}",
+        f"if u[k] < -{limit}: u[k] = -{limit}",
+    )
+    late = f"u[k-{delay}]" if delay else "u[k]"
+    return (*lines, f"tau[k+1] = {keep:.10g} * tau[k] + {(1.0 - keep) * g[FORCE_GAIN]:.10g} * {late}")
+
+
+LAW = LawKind(
+    name="impedance",
+    label="impedance law without a force sensor",
+    source="paper, section IV, (24) to (30)",
+    table=Table,
+    kernel=impedance,
+    gains=gains,
+    memory=lambda axis: WAITING + axis.sampling.computation_delay,
+    equations=equations,
+)

@@ -1,0 +1,66 @@
+"""Velocity law of Fig. 4: integral of the velocity error, proportional on the measured velocity.
+
+``u = I - k_v1 v``, ``I += (k_v1 T / t_v) (v_ref + k_e1 f_ext - v)``; where the voltage limit cuts ``u``, ``I`` is set
+back to the value that just reaches the limit. With ``k_e1`` the measured force sets the velocity, (10) and (11).
+Source: section II-C of the paper, (6) to (9).
+"""
+
+from emps_design.laws.law import TWO_TAP, LawKind, LawTable, Positive, parameter, velocity_in_words
+
+
+def ip_velocity(k, reference, q, f_ext, limit, gains, memory):
+    """Gains: k_v1, k_v1 T / t_v, k_e1, 1/T, two-tap. Memory: q[k-1], q[k-2], I."""
+    if k == 0:
+        memory[0] = q
+        memory[1] = q
+        memory[2] = 0.0
+    if gains[4] > 0.0:
+        v = 0.5 * (q - memory[1]) * gains[3]
+    else:
+        v = (q - memory[0]) * gains[3]
+    memory[1] = memory[0]
+    memory[0] = q
+    memory[2] += gains[1] * (reference + gains[2] * f_ext - v)
+    u = memory[2] - gains[0] * v
+    if u > limit:
+        memory[2] = limit + gains[0] * v
+        u = limit
+    elif u < -limit:
+        memory[2] = -limit + gains[0] * v
+        u = -limit
+    return u
+
+
+class Table(LawTable):
+    k_v1: Positive = parameter("velocity-loop gain", "V/(m/s)")
+    t_v: Positive = parameter("integral time of the velocity loop", "s")
+    k_e1: Positive | None = parameter("force-loop gain", "(m/s)/N", None)
+
+
+def gains(p, axis, period):
+    return p.k_v1, p.k_v1 * period / p.t_v, p.k_e1 or 0.0, 1.0 / period, p.velocity_estimator == TWO_TAP
+
+
+def equations(p, axis, period):
+    gain, limit = f"{p.k_v1:.10g}", f"{axis.drive.voltage_limit:.10g}"
+    force = f" + {p.k_e1:.10g} * f_ext[k]" if p.k_e1 else ""
+    return (
+        velocity_in_words(p, period),
+        f"i[k] = i[k-1] + {p.k_v1 * period / p.t_v:.10g} * (v_ref[k]{force} - v[k])",
+        f"u[k] = i[k] - {gain} * v[k]",
+        f"if u[k] >  {limit}: u[k] =  {limit}; i[k] =  {limit} + {gain} * v[k]",
+        f"if u[k] < -{limit}: u[k] = -{limit}; i[k] = -{limit} + {gain} * v[k]",
+    )
+
+
+LAW = LawKind(
+    name="ip_velocity",
+    label="velocity law, integral on the error, proportional on the velocity",
+    source="paper, section II-C, (6) to (9)",
+    table=Table,
+    kernel=ip_velocity,
+    gains=gains,
+    memory=3,
+    equations=equations,
+    follows="velocity",
+)

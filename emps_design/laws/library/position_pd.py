@@ -1,0 +1,51 @@
+"""Position law of the 2019 data set: ``u = kp kv (q_ref - q) - kv v``, v from the encoder.
+
+Source: the data set's own description (data/emps/README.md); the voltage is limited by the drive.
+"""
+
+from emps_design.laws.law import TWO_TAP, LawKind, LawTable, Positive, parameter, velocity_in_words
+
+
+def position_pd(k, reference, q, f_ext, limit, gains, memory):
+    """Gains: kp kv, kv, 1/T, two-tap. Memory: q[k-1], q[k-2]."""
+    if k == 0:
+        memory[0] = q
+        memory[1] = q
+    if gains[3] > 0.0:
+        v = 0.5 * (q - memory[1]) * gains[2]
+    else:
+        v = (q - memory[0]) * gains[2]
+    memory[1] = memory[0]
+    memory[0] = q
+    return gains[0] * (reference - q) - gains[1] * v
+
+
+class Table(LawTable):
+    kp: Positive = parameter("position gain", "1/s")
+    kv: Positive = parameter("velocity gain", "V/(m/s)")
+
+
+def gains(p, axis, period):
+    return p.kp * p.kv, p.kv, 1.0 / period, p.velocity_estimator == TWO_TAP
+
+
+def equations(p, axis, period):
+    limit = f"{axis.drive.voltage_limit:.10g}"
+    return (
+        velocity_in_words(p, period),
+        f"u[k] = {p.kp * p.kv:.10g} * (q_ref[k] - q[k]) - {p.kv:.10g} * v[k]",
+        f"if u[k] >  {limit}: u[k] =  {limit}",
+        f"if u[k] < -{limit}: u[k] = -{limit}",
+    )
+
+
+LAW = LawKind(
+    name="position_pd",
+    label="position law with velocity feedback",
+    source="data set of 2019",
+    table=Table,
+    kernel=position_pd,
+    gains=gains,
+    memory=2,
+    equations=equations,
+)

@@ -1,0 +1,83 @@
+"""What the package knows by name, and what a user adds from a file: physical effects, control laws.
+
+A user's file is a plain import, its code runs. Named in the environment, it is there in every process.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from emps_design.errors import AxisError, nearest_name
+
+Entry = TypeVar("Entry")
+
+
+@dataclass(eq=False)
+class Registry(Generic[Entry]):
+    """The entries of one ``kind`` ("effect"), each with a ``name``: the package's ``own``, then those added.
+
+    ``entry`` is their class, found in a user's file under ``kind`` in capitals; ``variable`` is the environment
+    variable with the paths of such files, ``key`` what an axis file calls the name.
+    """
+
+    kind: str
+    entry: type[Entry]
+    own: tuple[Entry, ...]
+    variable: str
+    key: str
+    added: dict[str, Entry] = field(default_factory=dict)
+
+    def known(self) -> dict[str, Entry]:
+        """Every entry by name, those of the package first."""
+        return {**{_name(entry): entry for entry in self.own}, **self.added}
+
+    def get(self, name: str) -> Entry:
+        """Return the entry called ``name``; :class:`AxisError` names the nearest one otherwise."""
+        known = self.known()
+        if name not in known:
+            raise AxisError(
+                f"{self.key}: found kind {name!r}, expected one of {', '.join(known)}{nearest_name(name, list(known))}"
+            )
+        return known[name]
+
+    def register(self, entry: Entry) -> Entry:
+        """Let a user's own entry take part in everything the package's take part in; returns it."""
+        if _name(entry) in map(_name, self.own):
+            raise AxisError(f"{self.kind} {_name(entry)}: the package has one of that name, choose another")
+        self.added[_name(entry)] = entry
+        return entry
+
+    def load_file(self, path: str | Path) -> Entry:
+        """Run the Python file at ``path``, register what it defines, return it; :class:`AxisError` names the file."""
+        path, title = Path(path), self.kind.upper()
+        expected = f"expected a Python file with {'an' if title[0] in 'AEIOU' else 'a'} {title}"
+        if not path.is_file():
+            raise AxisError(f"{path}: no such file; {expected}")
+        spec = importlib.util.spec_from_file_location(f"emps_design_{self.kind}_{path.stem}", path)
+        if spec is None or spec.loader is None:
+            raise AxisError(f"{path}: found a name that does not end in .py, {expected}")
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[spec.name] = module  # kernels compiled by another process are found again by their module's name
+        try:
+            spec.loader.exec_module(module)
+        except Exception as error:  # whatever a user's file may raise, told with its name
+            raise AxisError(f"{path}: {type(error).__name__}: {error}") from error
+        found = getattr(module, title, None)
+        if not isinstance(found, self.entry):
+            place = self.entry.__module__.rpartition(".")[0]
+            raise AxisError(f"{path}: found {title} = {found!r}, expected an {place}.{self.entry.__name__}")
+        return self.register(found)
+
+    def load_environment(self) -> None:
+        """Load every file that the environment variable names, separated as paths are."""
+        for path in filter(None, os.environ.get(self.variable, "").split(os.pathsep)):
+            self.load_file(path)
+
+
+def _name(entry: Any) -> str:
+    return str(entry.name)

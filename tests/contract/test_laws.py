@@ -1,0 +1,193 @@
+"""Every control law keeps the contract: words, units, bounds, axis file there and back; and so does a user's own."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import emps_design.laws as laws
+from emps_design.axis import Axis
+from emps_design.errors import AxisError
+from emps_design.laws import LAWS, fields_of, law_of
+from emps_design.machines import machine
+
+GIVEN = {
+    "position_pd": {"kp": 160.18, "kv": 243.45},
+    "ip_velocity": {"k_v1": 400.0, "t_v": 0.02, "k_e1": 0.002},
+    "impedance": {"mass": 50.0, "damping": 100.0, "filter": 300.0},
+}
+EVERY = pytest.mark.parametrize("kind", LAWS, ids=lambda kind: kind.name)
+
+
+def axis_with(kind, machine_name="emps2018", **more) -> Axis:
+    table = {**machine(machine_name).to_dict(), "controller": {"kind": kind.name, **GIVEN[kind.name], **more}}
+    return Axis.from_dict(table)
+
+
+def test_one_file_a_law():
+    from pathlib import Path
+
+    files = {path.stem for path in Path(laws.library.__file__).parent.glob("*.py")} - {"__init__"}
+    assert {kind.name for kind in LAWS} == files
+    assert {kind.name for kind in LAWS} == set(GIVEN)
+
+
+@EVERY
+def test_parameters_have_words_and_units(kind):
+    for name, field in kind.table.model_fields.items():
+        assert field.description
+        if name != "velocity_estimator":
+            assert field.json_schema_extra["unit"]
+    assert kind.label
+    assert kind.source
+
+
+@EVERY
+def test_axis_file_there_and_back(kind):
+    axis = axis_with(kind)
+    assert Axis.from_toml(axis.to_toml()) == axis
+    assert Axis.from_toml(axis.to_toml(comments=True)) == axis
+    for name, value in GIVEN[kind.name].items():
+        assert getattr(axis.controller, name) == value
+        assert kind.table.model_fields[name].description in axis.to_toml(comments=True)
+
+
+@EVERY
+def test_a_parameter_out_of_bounds_or_missing_is_told(kind):
+    for name in kind.needs:
+        with pytest.raises(AxisError, match=rf"controller\.{name}: found -1.0 .*, expected a number"):
+            axis_with(kind, **{name: -1.0})
+        with pytest.raises(AxisError, match=f"controller: kind '{kind.name}' needs {name}"):
+            axis_with(kind, **{name: None})
+    with pytest.raises(AxisError, match=r"controller\.gian: unknown key \(known: kind, "):
+        axis_with(kind, gian=1.0)
+
+
+@EVERY
+@pytest.mark.parametrize("estimator", ["two_tap", "backward"])
+def test_the_words_mention_every_gain(kind, estimator):
+    """The difference equation printed for a drive moves with every parameter, and with the period."""
+    axis = axis_with(kind, velocity_estimator=estimator)
+    table = kind.table(**axis.controller.parameters)
+    said = kind.equations(table, axis, 1e-3)
+    for name, value in GIVEN[kind.name].items():
+        other = kind.table(**{**axis.controller.parameters, name: 1.1 * value})
+        assert kind.equations(other, axis, 1e-3) != said, name
+    assert kind.equations(table, axis, 2e-3) != said
+    assert kind.equations(table, axis.replace(drive={"voltage_limit": 7.0}), 1e-3) != said
+
+
+@EVERY
+def test_parameters_of_other_kinds_wait_in_the_table(kind):
+    more = {name: value for given in GIVEN.values() for name, value in given.items()}
+    axis = axis_with(kind, **more)
+    assert {name: getattr(axis.controller, name) for name in more} == more
+    assert Axis.from_toml(axis.to_toml()) == axis
+    np.testing.assert_array_equal(law_of(axis, 1e-3).gains, law_of(axis_with(kind), 1e-3).gains)
+
+
+def test_no_law_has_no_gains():
+    axis = machine("emps2018")
+    assert axis.controller.kind == "none"
+    assert axis.controller.kp is None
+    with pytest.raises(AttributeError, match="controller: found 'gain', expected one of kind, kp"):
+        _ = axis.controller.gain
+
+
+OWN = '''"""A position law with a spring that hardens: u = kp (r - q) + kc (r - q)^3 - kv v."""
+
+from emps_design.laws import LawKind, LawTable, Positive, parameter, velocity_in_words
+
+
+def hardening(k, reference, q, f_ext, limit, gains, memory):
+    if k == 0:
+        memory[0] = q
+    v = (q - memory[0]) * gains[3]
+    memory[0] = q
+    e = reference - q
+    return gains[0] * e + gains[1] * e * e * e - gains[2] * v
+
+
+class Table(LawTable):
+    kp: Positive = parameter("gain on the position error", "V/m")
+    kc: Positive = parameter("gain on its cube", "V/m^3")
+    kv: Positive = parameter("gain on the velocity", "V/(m/s)")
+
+
+LAW = LawKind(
+    name="hardening",
+    label="position law with a hardening spring",
+    source="a user",
+    table=Table,
+    kernel=hardening,
+    gains=lambda p, axis, period: (p.kp, p.kc, p.kv, 1.0 / period),
+    memory=1,
+    equations=lambda p, axis, period: (velocity_in_words(p, period), f"u[k] = {p.kp:g} * e[k]"),
+)
+'''
+
+
+@pytest.fixture
+def own_file(tmp_path):
+    path = tmp_path / "hardening.py"
+    path.write_text(OWN, encoding="utf-8")
+    yield path
+    laws.REGISTRY.added.clear()
+
+
+OWN_TABLE = {"kind": "hardening", "kp": 39000.0, "kc": 1e6, "kv": 243.0, "velocity_estimator": "backward"}
+
+
+def test_a_users_law_is_an_axis_like_ours(own_file):
+    laws.load_file(own_file)
+    axis = Axis.from_dict({**machine("emps2019").to_dict(), "controller": OWN_TABLE})
+    assert Axis.from_toml(axis.to_toml(comments=True)) == axis
+    assert "# gain on its cube [V/m^3]" in axis.to_toml(comments=True)
+    assert fields_of("hardening")["kp"].json_schema_extra["unit"] == "V/m"  # its own meaning, not the position law's
+    from emps_design.simulation import Plant
+
+    q_ref = 0.05 * (1.0 - np.cos(np.arange(2000) * 3e-3))
+    run = Plant.of(axis).closed_loop(q_ref)
+    error = q_ref - run.q
+    v = np.diff(run.q, prepend=run.q[0]) / 1e-3
+    np.testing.assert_allclose(run.u, 39000.0 * error + 1e6 * error**3 - 243.0 * v, atol=1e-9)
+    assert np.abs(error).max() < 1e-3
+
+
+def test_the_environment_names_files(own_file, tmp_path):
+    import os
+
+    path = tmp_path / "axis.toml"
+    base = machine("emps2019").to_dict()
+    laws.load_file(own_file)
+    path.write_text(Axis.from_dict({**base, "controller": OWN_TABLE}).to_toml(), encoding="utf-8")
+    environment = {**os.environ, laws.VARIABLE: str(own_file)}
+    code = f"from emps_design import load_axis; print(load_axis({str(path)!r}).controller.kc)"
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["1000000.0"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1 / 0", "ZeroDivisionError: division by zero"),
+        ("LAW = 3", "found LAW = 3, expected an emps_design.laws.LawKind"),
+        (OWN.replace('"hardening"', '"impedance"'), "law impedance: the package has one of that name, choose another"),
+        (OWN.replace("memory=1,", 'memory=1, follows="force",'), "follows 'force', expected one of position, velocity"),
+        (OWN.replace("table=Table", "table=dict"), "expected a class derived from LawTable"),
+    ],
+)
+def test_a_bad_file_is_told_by_name(tmp_path, text, message):
+    path = tmp_path / "bad.py"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(AxisError, match="law|bad.py") as caught:
+        laws.load_file(path)
+    assert message in str(caught.value)
+
+
+def test_unknown_kinds_are_told():
+    with pytest.raises(AxisError, match="did you mean 'impedance'"):
+        laws.get_law("impedence")
+    with pytest.raises(AxisError, match=r"controller\.kind: found 3, expected 'position_pd', "):
+        Axis.from_dict({**machine("emps2019").to_dict(), "controller": {"kind": 3}})

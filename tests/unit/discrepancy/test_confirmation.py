@@ -1,0 +1,92 @@
+"""What a confirming record asks of a model, and what counts as noise between laps."""
+
+import numpy as np
+import pytest
+
+from emps_design.discrepancy.model.bootstrap import rms_interval
+from emps_design.discrepancy.model.candidate import Candidate
+from emps_design.discrepancy.model.partition import split
+from emps_design.discrepancy.model.problem import Hypothesis, Problem
+from emps_design.discrepancy.search.noise_floor import floor_of_laps, floor_of_residual
+from emps_design.discrepancy.validation.confirmation import asked_for
+from emps_design.effects import get_effect
+from emps_design.effects.guesses import pulses
+from emps_design.machines import machine
+from emps_design.records import Record
+from emps_design.simulation import Plant
+from emps_design.simulation.synthetic_record import trapezoid_laps
+
+AXIS = machine("emps2019")
+Q_REF = trapezoid_laps(1e-3, stroke=0.1, speed=0.2, laps=4)
+
+
+def problem(stiffness):
+    noise = 4e-3 * np.random.default_rng(3).standard_normal(Q_REF.size)
+    spring = {"kind": "elastic_force", "stiffness": stiffness, "rest_position": 0.05}
+    run = Plant.of(AXIS.replace(effects=[spring])).closed_loop(Q_REF, voltage_noise=noise)
+    record = Record(t=run.t, q_ref=Q_REF, q=run.q, u=run.u, period=1e-3, name="run")
+    quiet = Plant.of(AXIS.replace(effects=[spring])).closed_loop(Q_REF)
+    return Problem(
+        AXIS, (record,), (split(record),), floor_of_residual((run.force - quiet.force,), 1e-3, "noise").whitening
+    )
+
+
+def model(**effects):
+    found = Candidate(AXIS.mechanics.array())
+    for name, parameters in effects.items():
+        effect = get_effect(name)
+        found = found.with_effect(effect, effect.values(parameters))
+    return found
+
+
+SPRING = {"stiffness": 60.0, "rest_position": 0.05}
+
+
+@pytest.mark.parametrize(("there", "share", "refuted"), [(60.0, 1.0, False), (30.0, 0.5, True), (120.0, 2.0, True)])
+def test_a_record_asks_for_the_share_that_is_there(there, share, refuted):
+    (asked,) = asked_for(Hypothesis(problem(there), model(elastic_force=SPRING)))
+    assert asked.exercised
+    assert asked.share == pytest.approx(share, abs=max(5 * asked.std, 0.02))
+    assert asked.refuted is refuted
+
+
+def test_an_effect_that_the_record_does_not_bring_out_is_not_refuted():
+    far = {"stiffness": 5e4, "position": 10.0, "side": 1.0}  # m
+    asked = asked_for(Hypothesis(problem(60.0), model(elastic_force=SPRING, end_stop=far)))
+    assert [a.exercised for a in asked] == [True, False]
+    assert not any(a.refuted for a in asked)
+
+
+def test_a_drift_between_laps_is_no_noise():
+    lap = split(Record(np.arange(Q_REF.size) * 1e-3, Q_REF, Q_REF, 0 * Q_REF, 1e-3))
+    noise = 0.5 * np.random.default_rng(0).standard_normal(Q_REF.size)
+    drift = 20.0 * np.arange(Q_REF.size) / Q_REF.size * np.sign(np.gradient(Q_REF))
+    floor = floor_of_laps((noise + drift,), (lap,), 1e-3)
+    assert floor.force == pytest.approx(0.5, rel=0.05)
+    assert floor_of_laps((noise,), (lap,), 1e-3).force == pytest.approx(0.5, rel=0.05)
+
+
+def test_the_interval_of_an_rms_holds_it_for_coloured_noise():
+    random, inside = np.random.default_rng(1), 0
+    for _ in range(60):
+        noise = np.convolve(random.standard_normal(10_200), np.ones(50) / np.sqrt(50), mode="valid")
+        low, high = rms_interval(noise)
+        inside += low < 1.0 < high
+    assert inside >= 51  # 95 % of 60 is 57; fewer than 51 happens once in ten thousand
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_pulse_trains_are_found_to_two_milliseconds(sign):
+    t = np.arange(25_000) * 1e-3
+    train = sign * 17.0 * ((np.mod(t - 2.547, 5.279) < 0.2247) & (t > 2.547))
+    found = pulses(train + np.random.default_rng(0).standard_normal(t.size), t, 1e-3)
+    best = max(found, key=lambda p: p["every"])
+    assert best["amplitude"] == pytest.approx(sign * 17.0, rel=0.03)
+    assert [best[n] for n in ("start", "duration", "every")] == pytest.approx([2.547, 0.2247, 5.279], abs=3e-3)
+
+
+def test_a_hum_out_of_step_with_the_laps_is_no_noise():
+    lap = split(Record(np.arange(Q_REF.size) * 1e-3, Q_REF, Q_REF, 0 * Q_REF, 1e-3))
+    noise = 0.5 * np.random.default_rng(0).standard_normal(Q_REF.size)
+    hum = 8.0 * np.sin(2 * np.pi * 3.66 * 1e-3 * np.arange(Q_REF.size))
+    assert floor_of_laps((noise + hum,), (lap,), 1e-3).force == pytest.approx(0.5, rel=0.1)
