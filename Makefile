@@ -22,7 +22,7 @@ help:
 	@echo "make test    install with the test tools, run every test (make quick: without the slow ones)"
 	@echo "make lint    ruff, imports, types               make fuzz    $(FUZZ) bad inputs for every reader"
 	@echo "make bench   measure speed                     make hidden  find effects hidden in records"
-	@echo "make paper   sweep what makes the paper's Table II"
+	@echo "make paper   sweep what makes the paper's Table II  make coverage  how often intervals hold the truth"
 	@echo "make docs    build docs/_build/html            make clean   remove $(VENV) and everything built"
 
 demo: $(call MARK,run)
@@ -46,6 +46,9 @@ fuzz: $(call MARK,$(EXTRAS))
 hidden: $(call MARK,$(EXTRAS))
 	@$(BIN)/python -m tests.hidden
 	@$(BIN)/python -m tests.hidden --no-laps
+
+coverage: $(call MARK,$(EXTRAS))
+	@$(BIN)/python -m benchmarks.coverage
 
 bench: $(call MARK,$(EXTRAS))
 	@$(BIN)/python -m benchmarks

@@ -22,9 +22,8 @@ given = [read_record(path) for path in sys.argv[1:]]
 records = given or [practice_record(axis, seed=seed) for seed in range(3)]
 record = records[0]
 
-# 1. Up to which frequency does the inverse model explain the force?
-cutoff = chosen_cutoff(record)
-print(f"cut-off chosen from the data: {cutoff.cutoff_hz:g} Hz")
+# 1. The cut-off that motion and encoder ask for.
+print(f"cut-off chosen from the data: {chosen_cutoff(record):g} Hz")
 
 # 2. Least squares on three chains, instruments, output error.
 estimates = {f"least squares, {chain}": identify(record, axis, chain=chain) for chain in ("report", "paper", "hold")}
@@ -37,8 +36,8 @@ for label, found in estimates.items():
 test = instruments.extra["hausman_test"]
 print(f"Durbin-Wu-Hausman: p = {test['p_value']:.2g}, at most {test['shift_in_std']:.2f} standard deviations")
 
-# 3. Standard deviations: (15), the long-run covariance, HAC, blocks redrawn.
-found = identify(record, axis, chain="hold", bootstrap=200)
+# 3. Standard deviations: (15), the long-run covariance, HAC, noise redrawn.
+found = identify(record, axis, bootstrap=200)
 print(f"\n{found.samples} rows count as {found.residual.effective_samples:.0f}; HAC lag {found.hac_lag:.2f} s")
 for name, one in found.parameters.items():
     print(f"{name:16} (15) {one.std:.4f}  long-run {one.std_long_run:.4f}  HAC {one.std_hac:.4f}", end="")
@@ -46,7 +45,7 @@ for name, one in found.parameters.items():
 
 # 4. Several records: mean, spread, drift, and each judged with the parameters of the others.
 if len(records) > 1:
-    several = identify_several(records, axis, chain="hold")
+    several = identify_several(records, axis)
     for row in several.table():
         print(f"{row['name']:16} mean {row['mean']:9.3f}  spread {row['spread']:.3f}", end="")
         print(f"  within {row['std']:.3f} {row['unit']}")

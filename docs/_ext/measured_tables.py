@@ -30,7 +30,8 @@ class Measured(Directive):
         columns = self.options["columns"].split()
         rows = [[shown(row.get(key)) for key in columns] for row in json.loads(path.read_text())["rows"]]
         titles = [title.strip() for title in self.options["titles"].split("|")] if "titles" in self.options else columns
-        return [written(self), table(rows, titles)]
+        document = json.loads(path.read_text())
+        return [written(self, document.get("date")), table(rows, titles)]
 
 
 class MeasuredPage(Directive):
@@ -55,10 +56,11 @@ def missing(directive, file: str) -> nodes.paragraph:
     return nodes.paragraph(text, text)
 
 
-def written(directive) -> nodes.paragraph:
-    """Say what measured it."""
+def written(directive, date: str | None = None) -> nodes.paragraph:
+    """Say what measured it, and when."""
     command = directive.options["command"]
-    return nodes.paragraph("", "", nodes.Text("Written by "), nodes.literal(command, command), nodes.Text(":"))
+    when = f" on {date}:" if date else ":"
+    return nodes.paragraph("", "", nodes.Text("Written by "), nodes.literal(command, command), nodes.Text(when))
 
 
 def shown(value) -> str:
