@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
+import inspect
 import os
 import sys
+from collections.abc import Callable
 from contextlib import suppress
+from typing import Any, get_type_hints
 
 from emps_design.cli.interrupts import STATUS as INTERRUPTED
 from emps_design.cli.output import print_json, tell
@@ -101,8 +105,25 @@ def _application(arguments: list[str]):
     wanted = arguments[0] if arguments else ""
     for name in (wanted,) if wanted in COMMANDS else COMMANDS:
         module = importlib.import_module(f"emps_design.cli.{name}")
-        app.command(name, help=module.__doc__)(module.command)
+        app.command(name, help=module.__doc__)(_with_debug(module.command))
     return app
+
+
+def _with_debug(command: Callable[..., int | None]) -> Callable[..., int | None]:
+    """``command`` with ``--debug`` among its options, for its help: :func:`run` has taken the word out before."""
+    import typer
+
+    @functools.wraps(command)
+    def with_debug(*arguments: Any, debug: bool = False, **options: Any) -> int | None:
+        return command(*arguments, **options)
+
+    hints = get_type_hints(command, include_extras=True)
+    own = [one.replace(annotation=hints[name]) for name, one in inspect.signature(command).parameters.items()]
+    option = typer.Option(False, "--debug", help="The traceback of an error.")
+    added = inspect.Parameter("debug", inspect.Parameter.KEYWORD_ONLY, default=option, annotation=bool)
+    with_debug.__signature__ = inspect.Signature([*own, added])
+    with_debug.__annotations__ = {**hints, "debug": bool}
+    return with_debug
 
 
 def _root() -> None:

@@ -9,11 +9,12 @@ import typer
 
 from emps_design.axis import Axis
 from emps_design.cli.destinations import OVERWRITE
+from emps_design.cli.frequency import RAD_S
 from emps_design.cli.output import write_text
 
 AxisArgument = Annotated[str, typer.Argument(help="TOML file or embedded machine")]
-Crossover = Annotated[float | None, typer.Option(help="crossover w_v of T_vo [rad/s]")]
-Bandwidth = Annotated[float | None, typer.Option(help="closed-loop -3 dB of T_vc [rad/s]")]
+Crossover = Annotated[float | None, typer.Option(**RAD_S, help="crossover w_v of T_vo [rad/s, or such as 30Hz]")]
+Bandwidth = Annotated[float | None, typer.Option(**RAD_S, help="closed-loop -3 dB of T_vc [rad/s, or such as 30Hz]")]
 PhaseMargin = Annotated[float, typer.Option(help="phase margin phi_v [deg]")]
 Velocity = Annotated[float, typer.Option(help="where the effects of the axis are linearised [m/s]")]
 AsJson = Annotated[bool, typer.Option("--json", help="one JSON document on standard output")]

@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from emps_design.cli.destinations import AXIS, OVERWRITE, check_out
+from emps_design.cli.frequency import HERTZ
 
 
 def command(
@@ -30,7 +31,8 @@ def command(
     cutoff: float | None = typer.Option(
         None,
         "--cutoff",
-        help="Low-pass [Hz] instead of the filter's own; what the data say is printed with the result.",
+        **HERTZ,
+        help="Low-pass [Hz, or such as 370rad/s] instead of the filter's own; what the data say is printed too.",
     ),
     estimator: str = typer.Option(
         "ls",

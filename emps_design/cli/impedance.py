@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from emps_design.cli.frequency import RAD_S
 from emps_design.cli.output import new_console, print_json, progress_bar, tell
 from emps_design.errors import InputError
 
@@ -18,7 +19,11 @@ def command(
     damping: Annotated[float | None, typer.Option(help="apparent damping B [N/(m/s)]; default likewise")] = None,
     mismatch: Annotated[float | None, typer.Option(help="relative error of the estimates, such as 0.02")] = None,
     filter: Annotated[
-        float | None, typer.Option(help="low-pass of acceleration and current [rad/s]; default 0.5/period, inf: none")
+        float | None,
+        typer.Option(
+            **RAD_S,
+            help="low-pass of acceleration and current [rad/s, or such as 80Hz]; default 0.5/period, inf: none",
+        ),
     ] = None,
     unfiltered_current: Annotated[
         bool, typer.Option("--unfiltered-current", help="filter the acceleration alone")

@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from emps_design.cli.destinations import OVERWRITE, PAGE, check_out
+from emps_design.cli.frequency import RAD_S
 
 
 def command(
@@ -15,8 +16,12 @@ def command(
     ),
     record: Path | None = typer.Option(None, "--record", help="Record to identify: .mat, .csv or .npz."),
     out: Path = typer.Option(..., "--out", help="HTML file to write."),
-    crossover: float | None = typer.Option(None, "--crossover", help="Crossover of the velocity loop [rad/s]."),
-    bandwidth: float | None = typer.Option(None, "--bandwidth", help="Closed-loop -3 dB bandwidth [rad/s]."),
+    crossover: float | None = typer.Option(
+        None, "--crossover", **RAD_S, help="Crossover of the velocity loop [rad/s, or such as 30Hz]."
+    ),
+    bandwidth: float | None = typer.Option(
+        None, "--bandwidth", **RAD_S, help="Closed-loop -3 dB bandwidth [rad/s, or such as 30Hz]."
+    ),
     phase_margin: float = typer.Option(60.0, "--phase-margin", help="Phase margin [deg]."),
     retune: bool = typer.Option(False, "--retune", help="Meet the specification in the sampled loop."),
     design_on: str | None = typer.Option(
@@ -28,7 +33,9 @@ def command(
     environment: float = typer.Option(1e4, "--environment", help="Stiffness of the wall [N/m]."),
     mass: float | None = typer.Option(None, "--mass", help="Apparent mass M_a of the impedance law [kg]."),
     damping: float | None = typer.Option(None, "--damping", help="Apparent damping B [N/(m/s)], with --mass."),
-    filter: float | None = typer.Option(None, "--filter", help="Filter of the impedance law [rad/s]."),
+    filter: float | None = typer.Option(
+        None, "--filter", **RAD_S, help="Filter of the impedance law [rad/s, or such as 80Hz]."
+    ),
     mismatch: float = typer.Option(0.02, "--mismatch", help="Error of the impedance law's estimates."),
     force: bool = typer.Option(False, "--force", help=OVERWRITE),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
