@@ -15,13 +15,14 @@ comma := ,
 PARALLEL = -n $(WORKERS) --dist worksteal
 MARK = $(VENV)/.installed-$(STATE)-$(subst $(comma),-,$(1))
 
-.PHONY: help demo test quick lint fuzz hidden bench docs clean
+.PHONY: help demo test quick lint fuzz hidden bench paper docs clean
 
 help:
 	@echo "make demo    install into $(VENV), run the main job on the embedded machine, print where the report is"
 	@echo "make test    install with the test tools, run every test (make quick: without the slow ones)"
 	@echo "make lint    ruff and the import contract      make fuzz    $(FUZZ) bad inputs for every reader"
 	@echo "make bench   measure speed                     make hidden  find effects hidden in records"
+	@echo "make paper   sweep what makes the paper's Table II"
 	@echo "make docs    build docs/_build/html            make clean   remove $(VENV) and everything built"
 
 demo: $(call MARK,run)
@@ -47,6 +48,9 @@ hidden: $(call MARK,$(EXTRAS))
 
 bench: $(call MARK,$(EXTRAS))
 	@$(BIN)/python -m benchmarks
+
+paper: $(call MARK,$(EXTRAS))
+	@$(BIN)/python -m benchmarks.paper
 
 docs: $(call MARK,docs)
 	@$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html

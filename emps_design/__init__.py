@@ -2,36 +2,44 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING
+
+from emps_design.exports import on_first_use
 
 __version__ = "0.1.0"
 
-# Names resolve on first use: importing the package must not cost a second of start-up.
-_HOME = {
-    "Axis": "emps_design.axis",
-    "Plant": "emps_design.simulation",
-    "Record": "emps_design.records",
-    "design_force_loop": "emps_design.control.force.design",
-    "design_velocity_loop": "emps_design.control.velocity.design",
-    "diagnose": "emps_design.discrepancy",
-    "identify": "emps_design.identification",
-    "impedance_law": "emps_design.control.impedance.law",
-    "load_axis": "emps_design.machines",
-    "machine": "emps_design.machines",
-    "observe": "emps_design.identification.observation",
-    "practice_record": "emps_design.simulation.synthetic_record",
-    "read_record": "emps_design.records",
-}
-
-__all__ = [*sorted(_HOME)]
-
-
-def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        return getattr(import_module(_HOME[name]), name)
-    raise AttributeError(f"module 'emps_design' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return [*__all__, "__version__"]
+if TYPE_CHECKING:
+    from emps_design.axis import Axis as Axis
+    from emps_design.comanipulation import run_task as run_task
+    from emps_design.control import (
+        ForceLoopDesign as ForceLoopDesign,
+        ImpedanceLaw as ImpedanceLaw,
+        VelocityLoopDesign as VelocityLoopDesign,
+        design_force_loop as design_force_loop,
+        design_velocity_loop as design_velocity_loop,
+        impedance_law as impedance_law,
+        retune_velocity_loop as retune_velocity_loop,
+    )
+    from emps_design.discrepancy import Diagnosis as Diagnosis, diagnose as diagnose
+    from emps_design.effects import Effect as Effect
+    from emps_design.errors import EmpsError as EmpsError
+    from emps_design.identification import (
+        Identification as Identification,
+        identify as identify,
+        identify_several as identify_several,
+        observe as observe,
+    )
+    from emps_design.laws import Law as Law
+    from emps_design.machines import load_axis as load_axis, machine as machine
+    from emps_design.records import Record as Record, read_record as read_record
+    from emps_design.report import Report as Report, assemble_report as assemble_report
+    from emps_design.simulation import (
+        Hand as Hand,
+        Plant as Plant,
+        Wall as Wall,
+        practice_record as practice_record,
+        replay as replay,
+        trapezoid_laps as trapezoid_laps,
+    )
+else:
+    __getattr__, __dir__, __all__ = on_first_use(__name__)

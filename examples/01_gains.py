@@ -7,11 +7,15 @@ import sys
 
 import numpy as np
 
-from emps_design.control.plant.discretisation import sample_axis
-from emps_design.control.velocity.design import design_velocity_loop
-from emps_design.control.velocity.retune import retune_velocity_loop
-from emps_design.control.velocity.sensitivity import mismatch_study, relative_mismatch
-from emps_design.control.velocity.sweeps import sweep_sampled_margins, sweep_velocity_loop
+from emps_design.control import (
+    design_velocity_loop,
+    margins_under_mismatch,
+    relative_mismatch,
+    retune_velocity_loop,
+    sample_axis,
+    sweep_sampled_margins,
+    sweep_velocity_loop,
+)
 from emps_design.machines import machine
 
 axis = machine("emps2018")
@@ -40,7 +44,7 @@ print(
 )
 
 # A model that is 2 % wrong.
-study = mismatch_study(design, relative_mismatch(0.02))
+study = margins_under_mismatch(design, relative_mismatch(0.02))
 low, high = study["phase_margin_deg"]
 print(f"+-2 % on mass, friction and gain: {low:.1f} to {high:.1f} deg in the sampled loop")
 

@@ -7,8 +7,7 @@ import sys
 
 import numpy as np
 
-from emps_design.control.force.design import design_force_loop
-from emps_design.control.velocity.design import design_velocity_loop
+from emps_design.control import design_force_loop, design_velocity_loop
 from emps_design.machines import machine
 
 loop = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)

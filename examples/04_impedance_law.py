@@ -7,13 +7,22 @@ import sys
 
 import numpy as np
 
-from emps_design.control.derivations.impedance import cost_of_printed, impedance_derivation
-from emps_design.control.impedance.equivalence import equivalent_impedance, equivalent_loop
-from emps_design.control.impedance.law import FrictionModel, impedance_law
-from emps_design.control.impedance.passivity import contact_map, largest_wall, passivity
-from emps_design.control.impedance.robustness import smallest_mass, stability_map
-from emps_design.control.impedance.sampled import Clock, recursion_poles, sampled_loop
+from emps_design.control import (
+    Clock,
+    FrictionModel,
+    contact_map,
+    equivalent_impedance,
+    equivalent_loop,
+    impedance_law,
+    largest_wall,
+    passivity,
+    recursion_poles,
+    sampled_loop,
+    smallest_mass,
+    stability_map,
+)
 from emps_design.machines import machine
+from emps_design.paper import cost_of_printed, impedance_derivation
 
 axis = machine("emps2018")
 plant, clock = FrictionModel.of(axis), Clock.of(axis)

@@ -5,10 +5,8 @@ Run: python examples/05_mismatch_study.py [figure.png]
 
 import sys
 
-from emps_design.comanipulation.sensor_comparison import compare_sensors
-from emps_design.comanipulation.study import mismatch_study
-from emps_design.control.impedance.law import FrictionModel, impedance_law
-from emps_design.control.impedance.robustness import VERDICTS, coulomb_factor_without_creep
+from emps_design.comanipulation import compare_sensors, mismatch_study
+from emps_design.control import VERDICTS, FrictionModel, coulomb_factor_without_creep, impedance_law
 from emps_design.machines import machine
 
 axis = machine("emps2018")

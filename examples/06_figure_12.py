@@ -7,9 +7,8 @@ The paper plots its figure with M_a and B from an equivalence whose value (0.87 
 
 import sys
 
-from emps_design.comanipulation.run import run
-from emps_design.comanipulation.task import pushed_task
-from emps_design.control.impedance.law import impedance_law
+from emps_design.comanipulation import pushed_task, run_task
+from emps_design.control import impedance_law
 from emps_design.machines import machine
 
 axis = machine("emps2018")
@@ -17,7 +16,7 @@ task = pushed_task(axis.sampling.period, force=40.0)
 runs = {}
 for error in (-0.02, 0.0, 0.02):
     law = impedance_law(axis, 50.0, 100.0).with_errors({"mass": error, "viscous": error, "coulomb": error})
-    runs[error] = found = run(axis, law, task)
+    runs[error] = found = run_task(axis, law, task)
     mass, damping, r2 = (float(values[0]) for values in found.measures.fit)
     print(
         f"estimates {100 * error:+.0f} %: {found.verdict:9}  felt {mass:.1f} kg, {damping:.1f} N/(m/s), R^2 {r2:.4f}; "

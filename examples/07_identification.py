@@ -6,14 +6,16 @@ stands beside the estimates.
 
 import sys
 
-from emps_design.identification import identify
-from emps_design.identification.cutoff import chosen_cutoff
-from emps_design.identification.instruments import identify_with_instruments
-from emps_design.identification.output_error import identify_by_output_error
-from emps_design.identification.several import identify_several
+from emps_design.identification import (
+    chosen_cutoff,
+    identify,
+    identify_by_output_error,
+    identify_several,
+    identify_with_instruments,
+)
 from emps_design.machines import machine
 from emps_design.records import read_record
-from emps_design.simulation.synthetic_record import practice_record
+from emps_design.simulation import practice_record
 
 axis = machine("emps2019")
 given = [read_record(path) for path in sys.argv[1:]]

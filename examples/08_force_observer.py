@@ -9,13 +9,11 @@ import sys
 
 import numpy as np
 
-from emps_design.identification import identify
-from emps_design.identification.observation import observe, with_known_push
+from emps_design.identification import identify, observe, with_known_push
 from emps_design.machines import machine
 from emps_design.observer import kalman_trade_off
 from emps_design.records import Record, read_record
-from emps_design.simulation import Plant
-from emps_design.simulation.synthetic_record import practice_record, trapezoid_laps
+from emps_design.simulation import Plant, practice_record, trapezoid_laps
 
 VOLTS_PER_PULSE = 1.0139  # V for a unit of pulses_N: regressed from the record, residual 4.7 mV
 

@@ -1,7 +1,8 @@
 """Section III of the paper on the virtual bench: Tables I and II, the RMS ranges, Figs. 3, 5, 6, 8, 9 and 10.
 
 Run: python examples/09_paper_section_3.py [figures.pdf]. The paper's records are not public; the bench is a machine
-with its Table I, and numbers chosen so that the errors come out alike. It lists which are which.
+with its Table I, and numbers chosen so that tables and errors come out alike. It lists which are which;
+`make paper` sweeps what makes Table II.
 """
 
 import sys
@@ -9,12 +10,11 @@ import sys
 import numpy as np
 
 from emps_design.effects import Motion
-from emps_design.identification.chains import paper_chain
-from emps_design.identification.section_3 import PRINTED, section_3
-from emps_design.identification.virtual_bench import NUMBERS
+from emps_design.identification import paper_chain
 from emps_design.observer import model_force
+from emps_design.paper import NUMBERS, PRINTED, bend_of, reproduce_section_3
 
-found = section_3(seed=0)
+found = reproduce_section_3(seed=0)
 
 for origin in ("paper", "chosen"):
     names = [f"{name} {number.value:g} {number.unit}" for name, number in NUMBERS.items() if number.origin == origin]
@@ -59,7 +59,8 @@ if len(sys.argv) > 1:
         steady = Motion(t=still, q=still, v=v, a=still, tau=still, period=record.period)
         figure, panel = plt.subplots(layout="constrained")
         panel.plot(v, classical, "r", label="classical, (3), as identified")
-        panel.plot(v, model_force(steady, found.bench.axis, rest_velocity=0.0), "b", label="of the machine, with (4)")
+        machine = model_force(steady, found.bench.axis, rest_velocity=0.0) + bend_of(v)
+        panel.plot(v, machine, "b", label="of the machine, with (4)")
         panel.set(xlabel="velocity [m/s]", ylabel="friction [N]", title="Fig. 3: friction over velocity")
         panel.legend()
         pages.savefig(figure)

@@ -11,8 +11,7 @@ import numpy as np
 from emps_design.discrepancy import diagnose
 from emps_design.machines import machine
 from emps_design.records import Record
-from emps_design.simulation import Plant
-from emps_design.simulation.synthetic_record import trapezoid_laps
+from emps_design.simulation import Plant, trapezoid_laps
 
 HIDDEN = {"kind": "stribeck_friction", "excess": 8.0, "stribeck_velocity": 0.008, "exponent": 1.0}
 
@@ -49,6 +48,6 @@ for finding in diagnosis.findings:
 print(diagnosis.axis.to_toml())
 
 if len(sys.argv) > 1:
-    from emps_design.report.diagnosis_figures import before_after_figure
+    from emps_design.report import before_after_figure
 
     before_after_figure(diagnosis).savefig(sys.argv[1])

@@ -29,8 +29,7 @@ class Derivation(Directive):
 
 def steps(name: str) -> list:
     """The steps of the derivation ``name``."""
-    from emps_design.control.derivations.cascade import derive_cascade
-    from emps_design.control.derivations.impedance import impedance_derivation
+    from emps_design.paper import derive_cascade, impedance_derivation
 
     return list({"cascade": derive_cascade, "impedance": impedance_derivation}[name]())
 

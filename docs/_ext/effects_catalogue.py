@@ -7,8 +7,7 @@ from pathlib import Path
 
 from emps_design.effects import EFFECTS
 from emps_design.machines import machine
-from emps_design.simulation import Plant
-from emps_design.simulation.synthetic_record import trapezoid_laps
+from emps_design.simulation import Plant, trapezoid_laps
 
 MACHINE = "emps2019"
 

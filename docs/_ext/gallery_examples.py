@@ -80,12 +80,9 @@ def pictures(block, block_vars: dict, gallery_conf: dict) -> str:
 
 def of_results(names: dict) -> list:
     """A figure for each result of another type among the values of ``names``."""
-    from emps_design.discrepancy.result import Diagnosis
-    from emps_design.identification import Identification
-    from emps_design.identification.observation import Observation
-    from emps_design.report.diagnosis_figures import before_after_figure
-    from emps_design.report.observation import observation_figure
-    from emps_design.report.record_figures import force_figure
+    from emps_design.discrepancy import Diagnosis
+    from emps_design.identification import Identification, Observation
+    from emps_design.report import before_after_figure, force_figure, observation_figure
 
     draw = {Identification: force_figure, Observation: observation_figure, Diagnosis: before_after_figure}
     last = {type(value): value for value in names.values() if type(value) in draw}

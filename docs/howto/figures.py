@@ -1,8 +1,7 @@
 """A figure for a paper, and the pictures of a whole report, as matplotlib objects."""
 
 from emps_design import design_velocity_loop, machine
-from emps_design.report.assemble import assemble_report
-from emps_design.report.loop_figures import velocity_loop_figures
+from emps_design.report import assemble_report, velocity_loop_figures
 
 axis = machine("emps2018")
 design = design_velocity_loop(axis, crossover=100.0, phase_margin_deg=60.0)

@@ -1,8 +1,7 @@
 """A thousand machines within two percent of the identified one, on every core."""
 
 from emps_design import load_axis
-from emps_design.simulation.ensembles import monte_carlo, simulate_ensemble
-from emps_design.simulation.synthetic_record import trapezoid_laps
+from emps_design.simulation import monte_carlo, simulate_ensemble, trapezoid_laps
 
 axis = load_axis("emps2019")
 plants = monte_carlo(axis, spread=0.02, plants=1000, seed=1)

@@ -28,8 +28,7 @@ LAW = LawKind(
 if __name__ == "__main__":
     from emps_design import load_axis
     from emps_design.laws import register
-    from emps_design.simulation import Plant
-    from emps_design.simulation.synthetic_record import trapezoid_laps
+    from emps_design.simulation import Plant, trapezoid_laps
 
     register(LAW)
     theirs = load_axis("emps2019")

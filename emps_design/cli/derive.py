@@ -10,17 +10,17 @@ from emps_design.cli.design_options import AsJson
 from emps_design.cli.output import new_console, print_json, say
 
 if TYPE_CHECKING:
-    from emps_design.control.derivations.step import DerivationStep
+    from emps_design.paper.derivations.step import DerivationStep
 
 
 def command(
     latex: Annotated[bool, typer.Option("--latex", help="equations as LaTeX")] = False,
     as_json: AsJson = False,
 ) -> None:
-    from emps_design.control.derivations.cascade import derive_cascade
-    from emps_design.control.derivations.impedance import cost_of_printed, impedance_derivation
     from emps_design.control.impedance.law import FrictionModel
     from emps_design.machines import machine
+    from emps_design.paper.derivations.cascade import derive_cascade
+    from emps_design.paper.derivations.impedance import cost_of_printed, impedance_derivation
 
     parts = {
         "cascade": ("Velocity and force loop, (6) to (11)", list(derive_cascade())),
@@ -69,7 +69,7 @@ def _print_text(
     import sympy
     from rich.text import Text
 
-    from emps_design.control.derivations.step import plain_symbols
+    from emps_design.paper.derivations.step import plain_symbols
 
     console = new_console()
     verdicts = {None: "", True: ("  as printed", "green"), False: ("  not as printed", "red")}

@@ -96,9 +96,9 @@ def command(
         design = design_velocity_loop(machine, **specification)
     document: dict[str, Any] = design.to_dict()
     if errors is not None:
-        from emps_design.control.velocity.sensitivity import mismatch_study
+        from emps_design.control.velocity.sensitivity import margins_under_mismatch
 
-        document["mismatch"] = study = mismatch_study(design, errors)
+        document["mismatch"] = study = margins_under_mismatch(design, errors)
         if study["stable_share"] < 1.0:
             document["warnings"].append(
                 f"unstable at {100 * (1 - study['stable_share']):.3g} % of the mismatch corners"

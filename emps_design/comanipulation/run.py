@@ -117,14 +117,14 @@ class Run:
         return VERDICTS[int(self.measures.verdict[0])]
 
 
-def run(axis: Axis, law: Law, task: Task, plant: FrictionModel | None = None) -> Run:
+def run_task(axis: Axis, law: Law, task: Task, plant: FrictionModel | None = None) -> Run:
     """Simulate ``law`` on ``plant`` (the axis's own by default) through ``task``, and keep the whole trace.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.control.impedance.law import impedance_law
     >>> from emps_design.comanipulation.task import pushed_task
     >>> axis = machine("emps2018")
-    >>> run(axis, impedance_law(axis, 50.0, 100.0), pushed_task(axis.sampling.period)).verdict
+    >>> run_task(axis, impedance_law(axis, 50.0, 100.0), pushed_task(axis.sampling.period)).verdict
     'stable'
     """
     plant = FrictionModel.of(axis) if plant is None else plant

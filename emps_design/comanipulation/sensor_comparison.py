@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from emps_design.axis import Axis
-from emps_design.comanipulation.run import CascadeLaw, Run, run
+from emps_design.comanipulation.run import CascadeLaw, Run, run_task
 from emps_design.comanipulation.task import guided_task
 from emps_design.control.impedance.equivalence import equivalent_impedance
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
@@ -78,5 +78,5 @@ def compare_sensors(
             laws[CASCADE] = CascadeLaw(loop.k_e1, loop.k_v1, loop.t_v, law.velocity_estimator)
             forces[CASCADE] = None
     tasks = {scale: guided_task(axis.sampling.period, scale=scale) for scale in scales}
-    runs = {name: {scale: run(axis, one, task) for scale, task in tasks.items()} for name, one in laws.items()}
+    runs = {name: {scale: run_task(axis, one, task) for scale, task in tasks.items()} for name, one in laws.items()}
     return SensorComparison(runs, forces)

@@ -135,6 +135,8 @@ class Effect:
     ``over``: the variable it is drawn over, "v", "q", "t", "tau", "u", a "loop" of position, or after a "step".
     ``repeats``: the parameter [m] after which it repeats along the travel; its slope over position then averages out.
     ``passive``: over a motion that ends where it began, at rest, the effect never gives back more work than it took.
+    ``identified_by``: for each model of ``identify`` that has the effect among its parameters, the function that takes
+    those to the effect's own.
     ``parity``: of the contribution in ``v``, "odd", "even" or "" for neither.
     ``checks``: points computed by hand for ``CHECK_BASELINE``, (parameters, arguments of :meth:`contribution`, value).
     """
@@ -173,6 +175,7 @@ class Effect:
     experiment: str = ""
     remedy: str = ""
     checks: tuple[tuple[dict[str, float], dict[str, float], float], ...] = ()
+    identified_by: Mapping[str, Callable[[Parameters], dict[str, float]]] = field(default_factory=dict)
     passive: bool = False
     parity: str = ""
 

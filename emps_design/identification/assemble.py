@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.identification.chains import Filtered
 from emps_design.identification.cutoff import LONGEST
 from emps_design.identification.excitation import WEAK_RELIABILITY, reliability, share_near_gaps
+from emps_design.identification.filtered import Filtered
 from emps_design.identification.inverse_model import LeastSquares, parameters_of, regression
 from emps_design.identification.known import filter_record
 from emps_design.identification.result import Estimate, Identification

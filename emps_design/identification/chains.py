@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from emps_design.effects import Motion
 from emps_design.errors import InputError, RecordError
+from emps_design.identification.cutoff import chosen_cutoff
+from emps_design.identification.filtered import Filtered
 from emps_design.identification.filters import (
     DECIMATION,
     central_difference,
@@ -27,31 +29,6 @@ REPORT_DROPPED = 49  # first samples, spoilt by the ends of filter and differenc
 REST_VELOCITY = 2e-3  # m/s, below it friction may be that of rest
 FEWEST_ROWS = 400  # away from rest, for a regression that leaves rest out
 REACH = 1.5  # periods of the cut-off over which the low-pass spreads a jump
-
-
-@dataclass(frozen=True)
-class Filtered:
-    """A record after its chain of filters.
-
-    ``motion`` has one row a sample of the record that was kept (None once W is made of it), and ``reduce`` brings such
-    a column to the rate of the regression. At that rate are ``t`` [s], ``force`` [N] and ``f_ext`` [N], which rows are
-    ``used``, and which lie ``away`` from rest; ``period`` [s] is the time between two rows. ``cutoff_hz`` [Hz] is the
-    low-pass of the position (None: the chain has none), ``band_hz`` [Hz] what the regression sees.
-    """
-
-    chain: str
-    motion: Motion | None = field(repr=False)
-    t: np.ndarray = field(repr=False)
-    force: np.ndarray
-    f_ext: np.ndarray | None
-    reduce: Callable[[np.ndarray], np.ndarray] = field(repr=False)
-    used: np.ndarray = field(repr=False)
-    away: np.ndarray = field(repr=False)
-    period: float
-    cutoff_hz: float | None
-    band_hz: float
-    decimation: int
-    text: str
 
 
 def report_chain(record: Record, force_gain: float, cutoff_hz: float | None = None) -> Filtered:
@@ -154,8 +131,6 @@ def hold_chain(record: Record, force_gain: float, cutoff_hz: float | None = None
     ``cutoff_hz`` [Hz] defaults to the one :func:`emps_design.identification.cutoff.chosen_cutoff` finds in the data.
     """
     if cutoff_hz is None:
-        from emps_design.identification.cutoff import chosen_cutoff
-
         cutoff_hz = chosen_cutoff(record).cutoff_hz
     # One sample per half period of four times the cut-off: what is left above it is under 1e-5 of the amplitude.
     factor = max(1, int(0.25 / share_of_nyquist(cutoff_hz, record.period)))

@@ -10,12 +10,12 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.errors import InputError, RankError, RecordError
 from emps_design.identification.assemble import assemble
-from emps_design.identification.chains import Filtered
 from emps_design.identification.cutoff import LONGEST, can_choose, chosen_cutoff
 from emps_design.identification.excitation import (
     check_record,
     force_free,
 )
+from emps_design.identification.filtered import Filtered
 from emps_design.identification.inverse_model import (
     LeastSquares,
     least_squares,

@@ -15,16 +15,18 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.errors import AxisError, RecordError, SimulationError
 from emps_design.identification.assemble import assemble, residual_statistics, resolved_steps
-from emps_design.identification.chains import Filtered, hold_chain
+from emps_design.identification.chains import hold_chain
 from emps_design.identification.excitation import check_record
+from emps_design.identification.filtered import Filtered
 from emps_design.identification.inverse_model import (
     LeastSquares,
+    baseline_of,
     least_squares,
     parameters_of,
     regression,
     relative_error,
 )
-from emps_design.identification.known import ASYMMETRY, filter_record, known_part, notes
+from emps_design.identification.known import filter_record, identified_effects, known_part, notes
 from emps_design.identification.result import Identification
 from emps_design.identification.statistics import long_run
 from emps_design.records import Record
@@ -138,25 +140,15 @@ def instruments(record: Record, axis: Axis, model: str, value: np.ndarray, filte
 def simulate(record: Record, axis: Axis, model: str, value: np.ndarray):
     """Closed-loop run of ``record`` from its reference and measured external force with parameters ``value``."""
     p = dict(zip((q.name for q in parameters_of(model)), map(float, value), strict=True))
-    effects = list(known_part(axis, model).effects)
-    if model == "asymmetric":
-        positive, negative = p["viscous_positive"], p["viscous_negative"]
-        p["viscous"] = 0.5 * (positive + negative)
-        p["coulomb"] = 0.5 * (p["coulomb_positive"] + p["coulomb_negative"])
-        p["constant_force"] = 0.5 * (p["coulomb_positive"] - p["coulomb_negative"])
-        effects = [{"kind": ASYMMETRY, "viscous_difference": 0.5 * (positive - negative)}, *effects]
+    mechanics = dict(zip(("mass", "viscous", "coulomb", "offset"), baseline_of(model, p).tolist(), strict=True))
     for name in ("mass", "viscous", "coulomb"):
-        if not p[name] > 0:
+        if not mechanics[name] > 0:
             raise RecordError(
-                f"{record.name}: {name} came out as {p[name]:.4g}, and no simulation starts from that; the record does "
-                "not determine it: record several constant speeds in both directions, with acceleration between them"
+                f"{record.name}: {name} came out as {mechanics[name]:.4g}, and no simulation starts from that; the "
+                "record does not determine it: record several constant speeds in both directions, with acceleration "
+                "between them"
             )
-    mechanics = {
-        "mass": p["mass"],
-        "viscous": p["viscous"],
-        "coulomb": p["coulomb"],
-        "offset": p["constant_force"],
-    }
+    effects = [*identified_effects(model, p), *known_part(axis, model).effects]
     machine = axis.replace(mechanics=mechanics, effects=effects, sampling={"period": record.period})
     try:
         return Plant.of(machine).closed_loop(

@@ -6,13 +6,14 @@ velocity (asymmetric). Columns are built at the record's rate and then brought t
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from emps_design.effects import Motion
 from emps_design.errors import InputError, RankError, nearest_name
-from emps_design.identification.chains import Filtered
+from emps_design.identification.filtered import Filtered
 from emps_design.identification.filters import BLOCK
 from emps_design.quantities import Quantity
 
@@ -69,6 +70,25 @@ def column(motion: Motion, name: str) -> np.ndarray:
     if name == "constant_force":
         return np.ones_like(v)
     raise InputError(f"column: found {name!r}, expected a parameter of {' or '.join(MODELS)}")
+
+
+def baseline_of(model: str, p: Mapping[str, float]) -> np.ndarray:
+    """Mass, viscous, coulomb and constant force of the parameters ``p`` of ``model``: the means of two quadrants.
+
+    >>> two = {"viscous_positive": 5.0, "viscous_negative": 3.0, "coulomb_positive": 8.0, "coulomb_negative": 6.0}
+    >>> baseline_of("asymmetric", {"mass": 2.0, **two}).tolist()
+    [2.0, 4.0, 7.0, 1.0]
+    """
+    if model == "symmetric":
+        return np.array([p[quantity.name] for quantity in MODELS[model]])
+    return np.array(
+        [
+            p["mass"],
+            0.5 * (p["viscous_positive"] + p["viscous_negative"]),
+            0.5 * (p["coulomb_positive"] + p["coulomb_negative"]),
+            0.5 * (p["coulomb_positive"] - p["coulomb_negative"]),
+        ]
+    )
 
 
 def baseline_columns(motion: Motion) -> np.ndarray:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.effects import known_effects
 from emps_design.errors import InputError, nearest_name
-from emps_design.identification.chains import CHAINS, Filtered
+from emps_design.identification.chains import CHAINS
+from emps_design.identification.filtered import Filtered
 from emps_design.identification.inverse_model import with_predicted_force
 from emps_design.observer import acting_voltage, effects_force, left_out
 from emps_design.records import Record
-
-ASYMMETRY = "asymmetric_viscous_friction"
 
 
 def known_part(axis: Axis, model: str) -> Axis:
@@ -23,9 +25,20 @@ def known_part(axis: Axis, model: str) -> Axis:
     >>> [len(known_part(machine("emps2018-two-quadrant"), model).effects) for model in ("symmetric", "asymmetric")]
     [1, 0]
     """
-    if model != "asymmetric":
-        return axis
-    return axis.replace(effects=[one for one in axis.effects if one.kind != ASYMMETRY])
+    return axis.replace(effects=[one for one in axis.effects if model not in one.effect.identified_by])
+
+
+def identified_effects(model: str, p: Mapping[str, float]) -> list[dict[str, Any]]:
+    """The effects that the parameters ``p`` of ``model`` describe, as tables of an axis.
+
+    >>> identified_effects("asymmetric", {"viscous_positive": 5.0, "viscous_negative": 3.0})
+    [{'kind': 'asymmetric_viscous_friction', 'viscous_difference': 1.0}]
+    """
+    return [
+        {"kind": effect.name, **effect.identified_by[model](p)}
+        for effect in known_effects().values()
+        if model in effect.identified_by
+    ]
 
 
 def acting(record: Record, axis: Axis) -> Record:

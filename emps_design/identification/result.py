@@ -9,7 +9,8 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import AxisError
-from emps_design.identification.known import ASYMMETRY
+from emps_design.identification.inverse_model import baseline_of
+from emps_design.identification.known import identified_effects
 from emps_design.identification.statistics import LongRun
 from emps_design.quantities import Quantity
 
@@ -92,28 +93,15 @@ class Identification:
 
     def baseline(self) -> np.ndarray:
         """Mass, viscous, coulomb, offset, with an asymmetric model's means; raises where one is not determined."""
-        self._need_all("the axis")
-        p = {name: float(e.value) for name, e in self.parameters.items()}
-        if self.model == "symmetric":
-            return np.array([p["mass"], p["viscous"], p["coulomb"], p["constant_force"]])
-        return np.array(
-            [
-                p["mass"],
-                0.5 * (p["viscous_positive"] + p["viscous_negative"]),
-                0.5 * (p["coulomb_positive"] + p["coulomb_negative"]),
-                0.5 * (p["coulomb_positive"] - p["coulomb_negative"]),
-            ]
-        )
+        return baseline_of(self.model, self._determined("the axis"))
 
     def to_axis(self, name: str | None = None) -> Axis:
         """The axis with the identified mechanics and its known effects; asymmetric viscous friction is one more."""
         mass, viscous, coulomb, offset = (float(f"{x:.10g}") for x in self.baseline())
         data = self.axis.to_dict()
-        if self.model == "asymmetric":
-            positive, negative = self.parameters["viscous_positive"].value, self.parameters["viscous_negative"].value
-            half = float(f"{0.5 * (positive - negative):.10g}")
-            asymmetry = {"kind": ASYMMETRY, "viscous_difference": half}
-            data["effects"] = [asymmetry, *data.get("effects", [])]
+        found = identified_effects(self.model, self._determined("the axis"))
+        rounded = [{k: x if k == "kind" else float(f"{x:.10g}") for k, x in one.items()} for one in found]
+        data["effects"] = [*rounded, *data.get("effects", [])]
         data["name"] = name or self.axis.name
         data["mechanics"] = {"mass": mass, "viscous": viscous, "coulomb": coulomb, "offset": offset}
         data["sampling"] = {**data["sampling"], "period": self.period}
@@ -149,13 +137,16 @@ class Identification:
             f"<th>unit</th></tr>{rows}</table>"
         )
 
-    def _need_all(self, purpose: str) -> None:
-        missing = [name for name, estimate in self.parameters.items() if not estimate.determined]
+    def _determined(self, purpose: str) -> dict[str, float]:
+        """Every parameter as a number; :class:`AxisError` names those that the record does not determine."""
+        values = {name: one.value for name, one in self.parameters.items() if one.value is not None}
+        missing = [name for name in self.parameters if name not in values]
         if missing:
             raise AxisError(
                 f"{self.record}: {', '.join(missing)} not determined by the record, {purpose} needs all; record motion "
                 "that excites them"
             )
+        return values
 
 
 def _number(value: float | None) -> str:

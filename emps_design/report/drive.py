@@ -20,7 +20,7 @@ def drive_section(velocity: VelocityLoopDesign, mismatch: float = MISMATCH) -> S
         encoder_voltage_noise,
         largest_velocity_step,
     )
-    from emps_design.control.velocity.sensitivity import mismatch_study, relative_mismatch
+    from emps_design.control.velocity.sensitivity import margins_under_mismatch, relative_mismatch
 
     axis = velocity.axis
     equation = difference_equation(axis, velocity.k_v1, velocity.t_v)
@@ -46,7 +46,7 @@ def drive_section(velocity: VelocityLoopDesign, mismatch: float = MISMATCH) -> S
                 "Room below the voltage limit, and the price of the encoder's resolution.",
             )
         )
-    blocks.append(_mismatch_table(mismatch_study(velocity, relative_mismatch(mismatch)), mismatch))
+    blocks.append(_mismatch_table(margins_under_mismatch(velocity, relative_mismatch(mismatch)), mismatch))
     return Section("On the drive", *blocks)
 
 

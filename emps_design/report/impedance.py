@@ -180,7 +180,7 @@ def _maps(found: ImpedanceAssessment) -> list[Picture]:
 
 
 def _mismatch_blocks(found: ImpedanceAssessment, mismatch: Mapping[str, Any]) -> list[Any]:
-    from emps_design.comanipulation.run import run
+    from emps_design.comanipulation.run import run_task
     from emps_design.comanipulation.task import guided_task
 
     study, worst = found.study, mismatch["worst"]
@@ -188,9 +188,9 @@ def _mismatch_blocks(found: ImpedanceAssessment, mismatch: Mapping[str, Any]) ->
     task = guided_task(found.clock.period)
     law = found.law
     runs = {
-        "exact estimates": run(found.axis, law, task),
-        f"worst within {percent}": run(found.axis, law.with_errors(worst["errors"]), task),
-        "with a force sensor": run(found.axis, replace(law, force_sensor=True), task),
+        "exact estimates": run_task(found.axis, law, task),
+        f"worst within {percent}": run_task(found.axis, law.with_errors(worst["errors"]), task),
+        "with a force sensor": run_task(found.axis, replace(law, force_sensor=True), task),
     }
     low, high = mismatch["stable_share_interval"]
     share = f"{100 * mismatch['stable_share']:.4g} %"
@@ -269,7 +269,7 @@ def _effort_table(found: ImpedanceAssessment, runs: Mapping[str, Any]) -> Table:
 
 
 def _errata_table() -> Table:
-    from emps_design.control.derivations.impedance import impedance_derivation
+    from emps_design.paper.derivations.impedance import impedance_derivation
 
     rows = [[f"({step.number})", step.title, step.text] for step in impedance_derivation() if step.agrees is False]
     return Table(

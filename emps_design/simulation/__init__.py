@@ -1,24 +1,27 @@
 """Simulation of the nonlinear axis: exact where the physics is, event-driven everywhere."""
 
-from emps_design.laws import Law
-from emps_design.simulation.ensembles import Ensemble, Plants, corners, monte_carlo, simulate_ensemble, sweep
-from emps_design.simulation.environment import Hand, Wall
-from emps_design.simulation.plant import Plant
-from emps_design.simulation.run import Run
-from emps_design.simulation.scenarios import breakaway, replay
+from __future__ import annotations
 
-__all__ = [
-    "Ensemble",
-    "Hand",
-    "Law",
-    "Plant",
-    "Plants",
-    "Run",
-    "Wall",
-    "breakaway",
-    "corners",
-    "monte_carlo",
-    "replay",
-    "simulate_ensemble",
-    "sweep",
-]
+from typing import TYPE_CHECKING
+
+from emps_design.exports import on_first_use
+
+if TYPE_CHECKING:
+    from emps_design.simulation.ensembles import (
+        Ensemble as Ensemble,
+        Plants as Plants,
+        corners as corners,
+        monte_carlo as monte_carlo,
+        simulate_ensemble as simulate_ensemble,
+        sweep as sweep,
+    )
+    from emps_design.simulation.environment import Hand as Hand, Wall as Wall
+    from emps_design.simulation.plant import Plant as Plant
+    from emps_design.simulation.run import Run as Run
+    from emps_design.simulation.scenarios import breakaway as breakaway, replay as replay
+    from emps_design.simulation.synthetic_record import (
+        practice_record as practice_record,
+        trapezoid_laps as trapezoid_laps,
+    )
+else:
+    __getattr__, __dir__, __all__ = on_first_use(__name__)

@@ -83,7 +83,7 @@ class Simulated:
 
 def simulate(state: State, progress: Callable[[str, float], None] | None = None) -> Simulated:
     """Run the impedance law of ``state`` through its task, over its mismatch, and into its wall."""
-    from emps_design.comanipulation.run import run
+    from emps_design.comanipulation.run import run_task
     from emps_design.comanipulation.study import mismatch_study
     from emps_design.comanipulation.task import guided_task, pushed_task
     from emps_design.comanipulation.wall_contact import push_into_wall
@@ -96,9 +96,9 @@ def simulate(state: State, progress: Callable[[str, float], None] | None = None)
     period, effects = axis.sampling.period, left_out(axis)
     law = impedance_law(axis, state.mass, state.damping, state.filter)
     if state.task == "guided":
-        task, simulated = guided_task(period, hand=(state.hand_stiffness, state.hand_damping)), run
+        task, simulated = guided_task(period, hand=(state.hand_stiffness, state.hand_damping)), run_task
     else:
-        task, simulated = pushed_task(period, force=state.push), run_extended if effects else run
+        task, simulated = pushed_task(period, force=state.push), run_extended if effects else run_task
     study = mismatch_study(
         axis,
         law,

@@ -56,7 +56,7 @@ def identified_mismatch(axis: Axis, parameters: Mapping[str, Mapping[str, float]
     return found
 
 
-def mismatch_study(design: VelocityLoopDesign, errors: Mapping[str, float]) -> dict[str, Any]:
+def margins_under_mismatch(design: VelocityLoopDesign, errors: Mapping[str, float]) -> dict[str, Any]:
     """Return margins and gains over the corners of ``errors``, the relative error of each parameter.
 
     The gains of ``design`` run on the plant of every corner: ``worst`` has the corner with the least phase margin of
@@ -66,7 +66,7 @@ def mismatch_study(design: VelocityLoopDesign, errors: Mapping[str, float]) -> d
     >>> from emps_design.control.velocity.design import design_velocity_loop
     >>> from emps_design.machines import machine
     >>> design = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)
-    >>> study = mismatch_study(design, relative_mismatch(0.02))
+    >>> study = margins_under_mismatch(design, relative_mismatch(0.02))
     >>> study["stable_share"], round(study["phase_margin_deg"][0], 1), round(study["phase_margin_deg"][1], 1)
     (1.0, 39.1, 39.2)
     """

@@ -25,6 +25,10 @@ def expression(q, v, t, tau, p, b):
     return p["viscous_difference"] * sympy.Abs(v)
 
 
+def of_two_quadrants(identified: Parameters) -> dict[str, float]:
+    return {"viscous_difference": 0.5 * (identified["viscous_positive"] - identified["viscous_negative"])}
+
+
 EFFECT = Effect(
     name="asymmetric_viscous_friction",
     label="Asymmetric viscous friction",
@@ -53,5 +57,6 @@ EFFECT = Effect(
         ({"viscous_difference": -40.0}, {"v": 0.5}, -20.0),
         ({"viscous_difference": -40.0}, {"v": -0.25}, -10.0),
     ),
+    identified_by={"asymmetric": of_two_quadrants},
     parity="even",
 )

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emps_design.control.derivations.cascade import derive_cascade, symbols
 from emps_design.control.force.design import design_force_loop, largest_force_gain
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.errors import InputError
 from emps_design.machines import machine
+from emps_design.paper.derivations.cascade import derive_cascade, symbols
 
 LOOP = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)
 

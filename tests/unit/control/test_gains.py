@@ -6,8 +6,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emps_design.control.derivations.cascade import derive_cascade, symbols
-from emps_design.control.derivations.step import plain_symbols
 from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
 from emps_design.control.velocity.gains import (
     MINUS_3_DB,
@@ -20,6 +18,8 @@ from emps_design.control.velocity.gains import (
 from emps_design.control.velocity.specification import check_specification
 from emps_design.errors import InputError, SpecificationError
 from emps_design.machines import machine
+from emps_design.paper.derivations.cascade import derive_cascade, symbols
+from emps_design.paper.derivations.step import plain_symbols
 
 MASS, VISCOUS, FORCE_GAIN = 115.7315, 474.9727, 35.15
 

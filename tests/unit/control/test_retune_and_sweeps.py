@@ -12,7 +12,7 @@ from emps_design.control.plant.discretisation import sample_axis
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.control.velocity.implementation import encoder_voltage_noise, largest_velocity_step
 from emps_design.control.velocity.retune import retune_velocity_loop
-from emps_design.control.velocity.sensitivity import identified_mismatch, mismatch_study, relative_mismatch
+from emps_design.control.velocity.sensitivity import identified_mismatch, margins_under_mismatch, relative_mismatch
 from emps_design.control.velocity.sweeps import sweep_sampled_margins, sweep_stability, sweep_velocity_loop
 from emps_design.errors import InputError, SpecificationError
 from emps_design.machines import machine
@@ -144,7 +144,7 @@ def test_polynomial_test_agrees_with_the_poles(k_v1, t_v, delay, kind):
 
 def test_mismatch_brackets_the_design():
     design = design_velocity_loop(AXIS, crossover=100.0, phase_margin_deg=60.0)
-    study = mismatch_study(design, relative_mismatch(0.02))
+    study = margins_under_mismatch(design, relative_mismatch(0.02))
     assert study["corners"] == 8
     assert study["stable_share"] == 1.0
     nominal = design.sampled.margins
@@ -160,7 +160,7 @@ def test_mismatch_brackets_the_design():
 def test_mismatch_finds_the_corner_that_breaks():
     late = AXIS.replace(sampling={"computation_delay": 1})
     design = design_velocity_loop(late, crossover=100.0, phase_margin_deg=77.5)
-    study = mismatch_study(design, relative_mismatch(0.2))
+    study = margins_under_mismatch(design, relative_mismatch(0.2))
     assert 0.0 < study["stable_share"] < 1.0
     assert not study["worst"]["stable"]
     assert study["worst"]["parameters"]["mass"] == -0.2

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from emps_design.axis import Axis
-from emps_design.control.derivations.impedance import closed_loop, cost_of_printed, derived_law, impedance_derivation
 from emps_design.control.impedance.equivalence import (
     CRITERIA,
     LEAST_SQUARES,
@@ -18,6 +17,7 @@ from emps_design.control.impedance.law import PRINTED, FrictionModel, ImpedanceL
 from emps_design.effects import known_effects
 from emps_design.errors import InputError, SpecificationError
 from emps_design.machines import machine
+from emps_design.paper.derivations.impedance import closed_loop, cost_of_printed, derived_law, impedance_derivation
 
 
 def alike(error: float) -> dict[str, float]:
@@ -35,7 +35,7 @@ def test_derived_law_gives_the_target_and_printed_30_does_not(plant):
 @pytest.mark.parametrize("factor", [1.0, PRINTED])
 @pytest.mark.parametrize("error", [-0.02, 0.0, 0.05])
 def test_closed_forms_agree_with_sympy(plant, factor, error):
-    from emps_design.control.derivations import impedance as d
+    from emps_design.paper.derivations import impedance as d
 
     law = ImpedanceLaw(50.0, 100.0, plant.with_errors(alike(error)), current_factor=factor)
     numbers = {
@@ -51,7 +51,7 @@ def test_closed_forms_agree_with_sympy(plant, factor, error):
 def test_full_law_with_stiffness_closes_to_the_target():
     import sympy as sp
 
-    from emps_design.control.derivations import impedance as d
+    from emps_design.paper.derivations import impedance as d
 
     # (24) holds, tau_m is the derived (27): what is left for tau_e must be (25), K and q_0 included.
     model = sp.Eq(d.tau_m + d.tau_e, d.M_h * d.qdd + d.F_vh * d.qd + d.F_ch * d.S)
@@ -72,7 +72,7 @@ def test_program_finds_the_misprints():
 def test_covariance_is_that_of_many_least_squares_fits():
     import sympy as sp
 
-    from emps_design.control.derivations.impedance import least_squares_covariance
+    from emps_design.paper.derivations.impedance import least_squares_covariance
 
     regressor = np.array([[1.0, 0.2], [0.5, -1.0], [2.0, 0.3]])
     errors = 0.1 * np.random.default_rng(0).standard_normal((3, 20000))

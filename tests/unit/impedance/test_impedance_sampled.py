@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from emps_design.comanipulation.run import run
+from emps_design.comanipulation.run import run_task
 from emps_design.comanipulation.task import Task
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, impedance_law
 from emps_design.control.impedance.passivity import (
@@ -85,7 +85,7 @@ def test_compiled_plant_without_dry_friction_is_the_linear_loop(axis, force_sens
     reference = np.zeros((n, 3))
     reference[:, 0] = 10.0 + 30.0 * np.random.default_rng(1).standard_normal(n)  # white, and mostly one way
     reference[0, 0] = 500.0  # off and away, so that the velocity keeps its sign
-    found = run(smooth, law, Task("noise", reference, (0.0, 0.0), n - 1, n - 1, 1e-3))
+    found = run_task(smooth, law, Task("noise", reference, (0.0, 0.0), n - 1, n - 1, 1e-3))
     assert found.v[1:].min() > 0.0
     loop = sampled_loop(law, plant, Clock.of(smooth))
     state, velocity = np.zeros(len(loop.matrix)), []

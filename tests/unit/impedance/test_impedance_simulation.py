@@ -8,7 +8,7 @@ import pytest
 
 from emps_design.comanipulation import period as one_period
 from emps_design.comanipulation.assessment import assess_impedance
-from emps_design.comanipulation.run import law_array, plant_array, run, run_many
+from emps_design.comanipulation.run import law_array, plant_array, run_many, run_task
 from emps_design.comanipulation.scenario import run_comanipulation
 from emps_design.comanipulation.sensor_comparison import CASCADE, NO_SENSOR, SENSOR, compare_sensors
 from emps_design.comanipulation.study import mismatch_study
@@ -91,7 +91,7 @@ def test_carriage_sticks_until_friction_is_overcome():
 
 def test_energy_is_accounted_for(axis, plant):
     # Work of motor and hand is kinetic energy plus what friction takes; both per period, from the trace.
-    found = run(axis, impedance_law(axis, 50.0, 100.0), guided_task(1e-3))
+    found = run_task(axis, impedance_law(axis, 50.0, 100.0), guided_task(1e-3))
     e = axis.replace(mechanics={"coulomb": 0.0})
     assert e.mechanics.coulomb == 0.0
     dq, speed = np.diff(found.q), 0.5 * (found.v[1:] + found.v[:-1])
@@ -109,7 +109,7 @@ def test_energy_is_accounted_for(axis, plant):
 def test_simulated_creep_is_the_closed_form(axis, plant, task):
     law = impedance_law(axis, 50.0, 100.0).with_errors(over(0.02))
     predicted = creep_speed(law, plant)
-    found = run(axis, law, task)
+    found = run_task(axis, law, task)
     assert found.verdict == "creeping"
     after = task.release + 8000
     assert (found.q[after + 1000] - found.q[after]) == pytest.approx(predicted, rel=2e-3)  # m/s over one second
@@ -119,7 +119,7 @@ def test_simulated_creep_is_the_closed_form(axis, plant, task):
 
 def test_simulated_dead_band_is_the_closed_form(axis, plant):
     law = impedance_law(axis, 50.0, 100.0).with_errors(over(-0.02))
-    found = run(axis, law, pushed_task(1e-3))
+    found = run_task(axis, law, pushed_task(1e-3))
     left = law.apparent(plant)
     assert found.verdict == "dead_band"
     assert -float(found.measures.drift[0]) * left.damping == pytest.approx(0.02 * plant.coulomb_positive, rel=1e-3)
@@ -127,15 +127,15 @@ def test_simulated_dead_band_is_the_closed_form(axis, plant):
 
 def test_coulomb_factor_rules_creep_out_in_simulation(axis, plant):
     law = impedance_law(axis, 50.0, 100.0, coulomb_factor=1 / 1.02).with_errors(over(0.02))
-    assert run(axis, law, guided_task(1e-3)).verdict in ("stable", "dead_band")
+    assert run_task(axis, law, guided_task(1e-3)).verdict in ("stable", "dead_band")
 
 
 def test_acceleration_filtered_and_current_not_diverges(axis):
     law = impedance_law(axis, 50.0, 100.0, 200.0, current_filter=math.inf)
-    assert run(axis, law.with_errors(over(0.02)), guided_task(1e-3)).verdict == "unstable"
-    assert run(axis, law.with_errors(over(-0.02)), guided_task(1e-3)).verdict == "dead_band"
+    assert run_task(axis, law.with_errors(over(0.02)), guided_task(1e-3)).verdict == "unstable"
+    assert run_task(axis, law.with_errors(over(-0.02)), guided_task(1e-3)).verdict == "dead_band"
     free = axis.replace(drive={"voltage_limit": 1e15})  # nothing but the divergence itself
-    assert run(free, law.with_errors(over(0.02)), guided_task(1e-3)).measures.diverged[0] == 1.0
+    assert run_task(free, law.with_errors(over(0.02)), guided_task(1e-3)).measures.diverged[0] == 1.0
 
 
 def test_analysis_and_simulation_agree_on_432_designs(axis, plant, clock):
@@ -188,7 +188,7 @@ def test_analysis_and_simulation_agree_on_432_designs(axis, plant, clock):
 def test_predicted_oscillation_of_the_relay_is_there(axis, plant, clock, mass, filter, error):
     law = impedance_law(axis, mass, 100.0, filter).with_errors(over(error))
     frequency, speed = relay_oscillation(law, plant, clock)
-    found = run(axis, law, guided_task(1e-3, 20.0))
+    found = run_task(axis, law, guided_task(1e-3, 20.0))
     v = found.v[-6000:]
     rising = np.flatnonzero((v[:-1] <= 0.0) & (v[1:] > 0.0))
     assert found.verdict == "limit_cycle"
@@ -200,7 +200,7 @@ def test_force_regression_returns_the_apparent_impedance(axis, plant):
     task = guided_task(1e-3)
     for error in (-0.02, 0.02):
         law = impedance_law(axis, 50.0, 100.0).with_errors({"mass": error})
-        mass, damping, r2 = (float(x[0]) for x in run(axis, law, task).measures.fit)
+        mass, damping, r2 = (float(x[0]) for x in run_task(axis, law, task).measures.fit)
         assert mass == pytest.approx(law.apparent(plant).mass, rel=0.01)
         assert damping == pytest.approx(100.0, rel=0.03)
         assert r2 > 0.999
@@ -228,7 +228,7 @@ def test_break_away_force_is_what_a_ramp_needs(axis, plant):
     task = Task("ramp", ramp, (0.0, 0.0), 9999, 9999, 1e-3)
     for force_sensor in (False, True):
         law = impedance_law(axis, 50.0, 100.0, force_sensor=force_sensor)
-        found = run(axis, law, task)
+        found = run_task(axis, law, task)
         start = found.tau_e[np.argmax(found.v != 0.0)]
         assert start == pytest.approx(break_away(law, plant), abs=0.02)
 
@@ -291,7 +291,7 @@ def test_two_quadrant_study(axis):
     # Over-estimated only for motion to -: let go moving to +, the carriage would stop.
     law = impedance_law(machine2, 50.0, 100.0)
     one_way = law.with_errors({"coulomb_positive": -0.02, "coulomb_negative": 0.02})
-    assert run(machine2, one_way, guided_task(1e-3)).verdict == "dead_band"
+    assert run_task(machine2, one_way, guided_task(1e-3)).verdict == "dead_band"
     row = [i for i, e in enumerate(study.errors[:32]) if e[3] < 0 < e[4]]
     assert set(study.verdict[row]) == {VERDICTS.index("creeping")}
     asked = mismatch_study(axis, impedance_law(axis, 50.0, 100.0), 0.02, 0, two_quadrant=True)
@@ -323,7 +323,7 @@ def test_comanipulation_takes_the_axis_controller_and_names_what_it_leaves_out(a
 
 def test_law_with_stiffness_returns_to_its_rest_position(axis):
     law = impedance_law(axis, 50.0, 100.0, stiffness=200.0, rest_position=0.05)
-    found = run(axis, law, pushed_task(1e-3))
+    found = run_task(axis, law, pushed_task(1e-3))
     assert abs(found.q[-1] - 0.05) * 200.0 < 18.0  # stops where the spring no longer overcomes dry friction
 
 
@@ -342,7 +342,7 @@ def test_bad_tasks_are_refused(axis):
     with pytest.raises(InputError, match="scale: found -1"):
         guided_task(1e-3, scale=-1.0)
     with pytest.raises(InputError, match="task: found a period of 0.002 s, expected the axis's 0.001 s"):
-        run(axis, impedance_law(axis, 50.0, 100.0), guided_task(2e-3))
+        run_task(axis, impedance_law(axis, 50.0, 100.0), guided_task(2e-3))
     for wrong in ({"plants": -1}, {"plants": 10**9}, {"seed": -1}, {"workers": 0}):
         ((name, value),) = wrong.items()
         with pytest.raises(InputError, match=f"{name}: found {value}, expected a whole number from"):
@@ -365,7 +365,7 @@ def test_general_simulator_runs_the_same_law(axis, lag, delay, force_sensor):
     other = axis.replace(drive={"current_time_constant": lag}, sampling=sampling)
     law = impedance_law(other, 60.0, 100.0, force_sensor=force_sensor).with_errors(over(0.02))
     task = pushed_task(1e-3, 4.0)
-    own = run(other, law, task)
+    own = run_task(other, law, task)
     general = Plant.of(other).closed_loop(
         np.zeros(len(task.reference)), disturbance=task.reference[:, 0], law=law_for(other, law, 1e-3)
     )
@@ -376,7 +376,7 @@ def test_general_simulator_runs_the_same_law(axis, lag, delay, force_sensor):
 def test_a_hard_push_is_not_an_instability(axis):
     # The voltage reaches both limits at every swing of the hand, slowly: that is no flip.
     tight = axis.replace(drive={"voltage_limit": 2.0})
-    found = run(tight, impedance_law(tight, 50.0, 100.0), guided_task(1e-3))
+    found = run_task(tight, impedance_law(tight, 50.0, 100.0), guided_task(1e-3))
     assert found.measures.clipped[0] > 500
     assert found.measures.flips[0] == 0
     assert found.verdict == "stable"
@@ -387,7 +387,7 @@ def test_general_simulator_gives_the_same_measures(axis):
     for error, limit in ((-0.02, 10.0), (0.02, 10.0), (0.0, 2.5)):
         axis = axis.replace(drive={"voltage_limit": limit}, sampling={"encoder_resolution": 0.0})
         law = impedance_law(axis, 50.0, 100.0).with_errors(over(error))
-        own, general = run(axis, law, task), run_extended(axis, law, task)
+        own, general = run_task(axis, law, task), run_extended(axis, law, task)
         np.testing.assert_allclose(general.measures.raw, own.measures.raw, rtol=1e-5, atol=1e-7)
         assert general.verdict == own.verdict
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from emps_design.errors import AxisError, InputError, SimulationError
-from emps_design.laws import law_of
+from emps_design.laws import Law, law_of
 from emps_design.laws.library.ip_velocity import ip_velocity
 from emps_design.machines import machine
-from emps_design.simulation import Hand, Law, Plant
+from emps_design.simulation import Hand, Plant
 
 AXIS = machine("emps2019")
 IP = AXIS.replace(controller={"kind": "ip_velocity", "kp": None, "kv": None, "k_v1": 400.0, "t_v": 0.02})

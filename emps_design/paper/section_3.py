@@ -13,7 +13,7 @@ from emps_design.identification.inverse_model import regression
 from emps_design.identification.observation import direct_validation
 from emps_design.identification.result import Identification
 from emps_design.identification.several import SeveralIdentifications, identify_several
-from emps_design.identification.virtual_bench import Bench, virtual_bench
+from emps_design.paper.virtual_bench import Bench, virtual_bench
 from emps_design.quantities import Quantity
 from emps_design.records import Record
 
@@ -96,9 +96,9 @@ class SectionThree:
         }
 
 
-def section_3(seed: int = 0, progress: Callable[[str, float], None] | None = None) -> SectionThree:
+def reproduce_section_3(seed: int = 0, progress: Callable[[str, float], None] | None = None) -> SectionThree:
     """Run the virtual bench of ``seed`` and evaluate it with the paper's chain of filters."""
-    bench = virtual_bench(seed, progress)
+    bench = virtual_bench(seed, progress=progress)
     # The paper knows nothing of the machine but G_tau, and takes the current loop for a gain.
     plain = bench.axis.replace(effects=[], drive={"current_time_constant": 0.0})
     several = identify_several(bench.identification, plain, model=MODEL, chain="paper")

@@ -15,7 +15,7 @@ from functools import cache
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from emps_design.control.derivations.step import DerivationStep
+from emps_design.paper.derivations.step import DerivationStep
 
 if TYPE_CHECKING:
     import sympy

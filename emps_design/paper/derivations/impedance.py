@@ -11,8 +11,8 @@ from typing import Any
 
 import sympy as sp
 
-from emps_design.control.derivations.step import DerivationStep
 from emps_design.control.impedance.law import FrictionModel
+from emps_design.paper.derivations.step import DerivationStep
 
 M, F_v, F_c = sp.symbols("M F_v F_c", positive=True)
 M_h, F_vh, F_ch = sp.symbols(r"\hat{M} \hat{F}_v \hat{F}_c", positive=True)

@@ -1,0 +1,35 @@
+"""A record after one of the chains of filters, ready for a regression."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from emps_design.effects import Motion
+
+
+@dataclass(frozen=True)
+class Filtered:
+    """A record after its chain of filters.
+
+    ``motion`` has one row a sample of the record that was kept (None once W is made of it), and ``reduce`` brings such
+    a column to the rate of the regression. At that rate are ``t`` [s], ``force`` [N] and ``f_ext`` [N], which rows are
+    ``used``, and which lie ``away`` from rest; ``period`` [s] is the time between two rows. ``cutoff_hz`` [Hz] is the
+    low-pass of the position (None: the chain has none), ``band_hz`` [Hz] what the regression sees.
+    """
+
+    chain: str
+    motion: Motion | None = field(repr=False)
+    t: np.ndarray = field(repr=False)
+    force: np.ndarray
+    f_ext: np.ndarray | None
+    reduce: Callable[[np.ndarray], np.ndarray] = field(repr=False)
+    used: np.ndarray = field(repr=False)
+    away: np.ndarray = field(repr=False)
+    period: float
+    cutoff_hz: float | None
+    band_hz: float
+    decimation: int
+    text: str
