@@ -13,7 +13,7 @@ from typing import Any, get_type_hints
 
 from emps_design.cli.interrupts import STATUS as INTERRUPTED
 from emps_design.cli.output import print_json, tell
-from emps_design.errors import EmpsError, SpecificationError, UnstableError
+from emps_design.errors import EmpsError, SimulationError, SpecificationError, UnstableError
 
 # Commands in the order of the work: record, axis, gains, simulation, what disagrees, page.
 COMMANDS = (
@@ -44,12 +44,12 @@ def run(arguments: list[str]) -> int:
     except EmpsError as error:
         if debug:
             raise
-        if as_json and isinstance(error, SpecificationError | UnstableError):
+        if as_json and isinstance(error, SpecificationError | UnstableError | SimulationError):
             print_json(
                 {
                     "error": type(error).__name__,
                     "reason": str(error),
-                    "nearest": error.nearest,
+                    "nearest": getattr(error, "nearest", {}),
                     "warnings": [str(error)],
                 }
             )

@@ -89,7 +89,7 @@ def _print(document: dict[str, Any]) -> None:
         f"{document['axis']}: impedance law M_a = {law['mass']:g} kg, B = {law['damping']:g} N/(m/s), filter {unit}"
     )
     console.print(f"sampled loop: {'stable' if sampled['stable'] else 'UNSTABLE'}, released: {sampled['verdict']}")
-    table = Table("ideal current loop", "apparent mass, kg", "apparent damping, N/(m/s)", "Coulomb left, N")
+    table = Table("felt, ideal current loop", "mass, kg", "damping, N/(m/s)", "Coulomb left, N")
     for name, label in (("derived", "derived"), ("printed", "(30) as printed")):
         values = document[name]
         table.add_row(label, *(f"{values[key]:.1f}" for key in ("apparent_mass", "apparent_damping", "coulomb_left")))
@@ -108,7 +108,7 @@ def _print(document: dict[str, Any]) -> None:
         worst = found["worst"]
         errors = ", ".join(f"{name} {100 * value:+.2f} %" for name, value in worst["errors"].items())
         table.add_row("worst", f"{worst['verdict']} at {errors}")
-        console.print(table)
+        console.print(table, width=min(80, console.width))
     loop = document["equivalent_loop"]
     if loop["k_e1"] is not None:
         console.print(f"equivalent cascaded loop ({loop['criterion']}): k_e1 = {loop['k_e1']:g} (m/s)/N")
