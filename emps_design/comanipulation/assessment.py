@@ -182,7 +182,8 @@ class ImpedanceAssessment:
     def _warnings(self, document: dict[str, Any]) -> list[str]:
         words = [self.reason] if not self.stable else []
         words += [
-            f"effect {kind} is in the poles, linearised, but not in apparent impedance, contact and mismatch"
+            f"effect {kind} is in the simulated plants and, linearised, in the poles, but not in apparent impedance "
+            "and contact"
             for kind in left_out(self.axis)
         ]
         words += safety_words(self.axis, self.law.mass, self.law.damping, self.mismatch or 0.0)

@@ -1,18 +1,29 @@
-"""Run impedance laws on friction plants: one with its whole trace, or many with what a verdict needs."""
+"""Run a law through a task on an axis with all its effects: one with its whole trace, or many with their measures.
+
+Every plant is one call of the general stepper; nothing is shared between plants, so the numbers are the same for any
+number of workers.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from emps_design import laws as control_laws
 from emps_design.axis import Axis
-from emps_design.comanipulation import kernel as kernel
+from emps_design.comanipulation.measures import MEASURES, Measures, broken_off, measure
 from emps_design.comanipulation.task import Task
-from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
+from emps_design.control.impedance.law import ImpedanceLaw, law_for
 from emps_design.control.impedance.robustness import VERDICTS, drift_threshold
 from emps_design.errors import InputError
+from emps_design.simulation.environment import Hand
+from emps_design.simulation.kernels.compile import address, cached
+from emps_design.simulation.kernels.hold_loop import DONE
+from emps_design.simulation.kernels.hold_loop import run as run_samples
+from emps_design.simulation.plant import Plant
 
 BLOCK = 256  # plants a worker takes at a time; no number depends on it
 
@@ -34,78 +45,15 @@ Law = ImpedanceLaw | CascadeLaw
 
 
 @dataclass(frozen=True)
-class Measures:
-    """What was measured on m simulated plants; every attribute is an array (m,)."""
-
-    raw: np.ndarray
-    period: float
-    threshold: float
-    cascade: np.ndarray
-
-    def __getattr__(self, name: str) -> np.ndarray:
-        place = getattr(kernel, f"P_{name.upper()}", None)
-        if place is None:
-            raise AttributeError(name)
-        return self.raw[:, place]
-
-    @property
-    def verdict(self) -> np.ndarray:
-        """Places in ``VERDICTS``.
-
-        Unstable: it diverged, ended against the voltage limit after the release, swung from limit to limit ten times
-        or more, or its free motion grows. Limit cycle: in the last tenth of the task the velocity still takes both
-        signs, by two thresholds, or comes to zero ten times. Then by the speed that free motion tends to, which a
-        cascaded loop, whose integral rules dry friction out, is not asked for.
-        """
-        low, high = -2.0 * self.threshold, 2.0 * self.threshold
-        peak = np.maximum(self.end_max_v, -self.end_min_v)
-        with np.errstate(invalid="ignore"):
-            grows = (self.ratio > 1.0) & (np.abs(self.end_speed) > 10.0 * high)
-            unstable = (self.diverged > 0) | (self.clipped_end > 0) | (self.flips >= 10)
-            cycle = ((self.end_min_v < low) & (self.end_max_v > high)) | (
-                (self.end_turns >= 10) & (peak > self.threshold)
-            )
-            unstable |= grows & ~cycle
-        at_rest = (self.end_max_v == 0.0) & (self.end_min_v == 0.0)
-        creeping = ~at_rest & (self.drift > self.threshold) & ~self.cascade
-        dead = (self.drift < -self.threshold) & ~self.cascade
-        return np.select([unstable, cycle, creeping, dead], [4, 3, 2, 1], 0)
-
-    @property
-    def fit(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Apparent mass [kg], damping [N/(m/s)] and R^2 from force regressed on acceleration and velocity, in motion.
-
-        Means over each period, no constant column, R^2 about zero.
-        """
-        determinant = self.aa * self.vv - self.av**2
-        with np.errstate(divide="ignore", invalid="ignore"):
-            mass = (self.vv * self.af - self.av * self.vf) / determinant
-            damping = (self.aa * self.vf - self.av * self.af) / determinant
-            r2 = 1.0 - (self.ff - mass * self.af - damping * self.vf) / self.ff
-        return mass, damping, r2
-
-    @property
-    def effort(self) -> dict[str, np.ndarray]:
-        """The operator's effort: rms, peak force [N], impulse [N s], work [J], N per (m/s), tracking error [m]."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return {
-                "rms_force": np.sqrt(self.force2 / self.held),
-                "peak_force": self.peak_force,
-                "impulse": self.impulse,
-                "work": self.work,
-                "force_per_speed": np.where(self.path > 0, self.impulse / self.path, np.nan),
-                "tracking_error": np.sqrt(self.miss2 / self.held),
-            }
-
-
-@dataclass(frozen=True)
 class Run:
-    """One simulated task: ``t`` [s], ``q`` [m], ``v`` [m/s], ``tau`` [N], ``tau_e`` [N], ``u`` [V], ``encoder`` [m]."""
+    """One simulated task: ``t`` [s], ``q`` [m], ``v`` [m/s], ``tau_e`` [N], ``u`` [V], ``encoder`` [m], each (n,).
+
+    Where the simulation found the loop unstable and gave up, the signals end there.
+    """
 
     t: np.ndarray
     q: np.ndarray
     v: np.ndarray
-    tau: np.ndarray
     tau_e: np.ndarray
     u: np.ndarray
     encoder: np.ndarray
@@ -117,8 +65,8 @@ class Run:
         return VERDICTS[int(self.measures.verdict[0])]
 
 
-def run_task(axis: Axis, law: Law, task: Task, plant: FrictionModel | None = None) -> Run:
-    """Simulate ``law`` on ``plant`` (the axis's own by default) through ``task``, and keep the whole trace.
+def run_task(axis: Axis, law: Law, task: Task) -> Run:
+    """Simulate ``law`` on ``axis`` with all its effects through ``task``, and keep the whole trace.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.control.impedance.law import impedance_law
@@ -127,117 +75,100 @@ def run_task(axis: Axis, law: Law, task: Task, plant: FrictionModel | None = Non
     >>> run_task(axis, impedance_law(axis, 50.0, 100.0), pushed_task(axis.sampling.period)).verdict
     'stable'
     """
-    plant = FrictionModel.of(axis) if plant is None else plant
-    _same_clock(axis, task)
-    trace = np.zeros((len(task.reference), 6))
-    raw = np.empty((1, kernel.MEASURES))
-    numbers = law_array(axis, law)
-    kernel.run_plant(
-        plant_array(axis, plant),
-        numbers,
-        task.reference,
-        np.array(task.hand),
-        task.release,
-        task.end,
-        trace,
-        raw[0],
-    )
-    columns = {name: trace[:, place] for place, name in enumerate(("q", "v", "tau", "tau_e", "u", "encoder"))}
-    return Run(t=task.time, measures=measures_of(axis, raw, numbers[None, kernel.L_KIND] == kernel.CASCADE), **columns)
+    raw, out, good = _blocks(axis, [law], task)
+    rows = dict(zip(("encoder", "q", "v", "u", "tau_e"), out[:, : min(good, len(task.push))], strict=True))
+    return Run(t=task.time[: len(rows["q"])], measures=_measures(axis, [law], raw), **rows)
 
 
-def run_many(
-    axis: Axis,
-    laws: Law | np.ndarray,
-    task: Task,
-    plants: FrictionModel | np.ndarray | None = None,
-    workers: int = 1,
-    progress: Any = None,
-) -> Measures:
-    """Simulate many laws and plants: one object for all, or arrays of :func:`law_array` and :func:`plant_array`.
+def run_many(axis: Axis, laws: Sequence[Law], task: Task, workers: int = 1, progress: Any = None) -> Measures:
+    """Simulate every one of ``laws`` on ``axis`` with all its effects through ``task``; what was measured, law by law.
 
     ``workers`` threads; the numbers do not depend on it. ``progress(stage, fraction)`` is called as blocks finish.
     """
-    _same_clock(axis, task)
-    own = FrictionModel.of(axis) if plants is None else plants
-    plant_rows = plant_array(axis, own)[None] if isinstance(own, FrictionModel) else np.atleast_2d(own)
-    law_rows = np.atleast_2d(laws) if isinstance(laws, np.ndarray) else law_array(axis, laws)[None]
-    m = max(len(plant_rows), len(law_rows))
-    plant_rows = np.ascontiguousarray(np.broadcast_to(plant_rows, (m, plant_rows.shape[1])))
-    law_rows = np.ascontiguousarray(np.broadcast_to(law_rows, (m, law_rows.shape[1])))
-    raw = np.empty((m, kernel.MEASURES))
-    hand = np.array(task.hand)
+    m = len(laws)
+    parts = [laws[start : start + BLOCK] for start in range(0, m, BLOCK)]
 
-    def block(start: int) -> int:
-        rows = slice(start, min(start + BLOCK, m))
-        kernel.run_block(plant_rows[rows], law_rows[rows], task.reference, hand, task.release, task.end, raw[rows])
-        return start
+    def block(part: Sequence[Law]) -> np.ndarray:
+        return _blocks(axis, part, task)[0]
 
-    starts = range(0, m, BLOCK)
-    if workers == 1 or m <= BLOCK:
-        finished = map(block, starts)
+    if workers == 1 or len(parts) == 1:
+        finished = map(block, parts)
     else:
         from joblib import Parallel, delayed
 
-        finished = Parallel(n_jobs=workers, prefer="threads", return_as="generator")(delayed(block)(s) for s in starts)
-    for start in finished:
+        finished = Parallel(n_jobs=workers, prefer="threads", return_as="generator")(delayed(block)(p) for p in parts)
+    raw = np.empty((m, MEASURES))
+    done = 0
+    for rows in finished:
+        raw[done : done + len(rows)] = rows
+        done += len(rows)
         if progress is not None:
-            progress("plants", min(1.0, (start + BLOCK) / m))
-    return measures_of(axis, raw, law_rows[:, kernel.L_KIND] == kernel.CASCADE)
+            progress("plants", done / m)
+    return _measures(axis, laws, raw)
 
 
-def plant_array(axis: Axis, plant: FrictionModel) -> np.ndarray:
-    """The plant's numbers in the kernel's order, shape (10,)."""
-    drive, sampling = axis.drive, axis.sampling
-    return np.array(
-        [
-            *plant.array(),
-            drive.current_time_constant,
-            drive.force_gain,
-            drive.voltage_limit,
-            sampling.encoder_resolution,
-            sampling.period,
-        ]
-    )
-
-
-def law_array(axis: Axis, law: Law) -> np.ndarray:
-    """The law's numbers in the kernel's order, shape (15,)."""
-    period, delay = axis.sampling.period, float(axis.sampling.computation_delay)
-    backward = float(law.velocity_estimator == "backward")
-    if isinstance(law, CascadeLaw):
-        numbers = [kernel.CASCADE, law.k_e1, law.k_v1, law.t_v, 0.0, *(1.0,) * 5, 0.0, 0.0, 0.0, backward, delay]
-        return np.array(numbers)
-    law.check_period(period)
-    e, c = law.estimate, law.coulomb_factor
-    return np.array(
-        [
-            kernel.SENSOR if law.force_sensor else kernel.SENSORLESS,
-            law.mass,
-            law.damping,
-            law.stiffness,
-            law.rest_position,
-            e.mass,
-            *e.viscous,
-            c * e.coulomb_positive,
-            c * e.coulomb_negative,
-            *np.exp(-np.array(law.filters) * period),
-            law.current_factor,
-            backward,
-            delay,
-        ]
-    )
-
-
-def measures_of(axis: Axis, raw: np.ndarray, cascade: np.ndarray) -> Measures:
-    """Join the kernel's rows ``raw`` (m, MEASURES) with what a verdict needs to know of the axis."""
-    threshold = drift_threshold(axis.sampling.period, axis.sampling.encoder_resolution)
-    return Measures(raw, axis.sampling.period, threshold, cascade)
-
-
-def _same_clock(axis: Axis, task: Task) -> None:
+def _blocks(axis: Axis, laws: Sequence[Law], task: Task) -> tuple[np.ndarray, np.ndarray, int]:
+    """Measures (m, MEASURES) of ``laws``, the signals of the last one, and how many samples of them are good."""
     if task.period != axis.sampling.period:
         raise InputError(
             f"task: found a period of {task.period:g} s, expected the axis's {axis.sampling.period:g} s; "
             "make the task with the axis's period"
         )
+    compiled = [_compiled(axis, law) for law in laws]
+    first = compiled[0]
+    stiffness, damping = task.hand
+    plant = Plant.of(axis)
+    wish = None
+    if stiffness or damping:
+        plant, wish = plant.touched_by(Hand(0.0, damping, stiffness, held=True)), np.append(task.wish, np.nan)
+    n = len(task.push) + 1  # one sample more: the state in which the last period ends
+    sampling = axis.sampling
+    b, p = plant.numbers()
+    ready = plant.prepared(b, p, 0.0, 0.0, n, sampling.period, sampling.encoder_resolution, wish)
+    raw, out = np.empty((len(laws), MEASURES)), np.empty((5, n))
+    reference = np.full(n, getattr(laws[0], "rest_position", 0.0))
+    good = run_block(
+        np.tile(ready.parameters, (len(laws), 1)), ready.baseline, ready.settings, ready.y, ready.hooks, ready.starts,
+        ready.columns, ready.slots, ready.floors, ready.scratch, address(first.kernel, "law"),
+        np.array([law.gains for law in compiled]), np.zeros(first.memory), reference, np.append(task.push, 0.0),
+        np.nan_to_num(task.wish), axis.drive.voltage_limit, task.release, task.end, out, raw,
+    )  # fmt: skip
+    return raw, out, good
+
+
+@cached()
+def run_block(
+    parameters, baseline, settings, y0, hooks, starts, columns, slots, floors, scratch, law, gains, memory, reference,
+    push, wish, limit, release, end, out, measures,
+):  # fmt: skip
+    """Run one plant for each row of ``parameters`` and ``gains``; returns the number of good samples of the last."""
+    y, none, noted, found = y0.copy(), np.zeros(0), np.zeros((0, 3)), np.zeros(2, np.int64)
+    good = 0
+    for i in range(gains.shape[0]):
+        y[:] = y0
+        memory[:] = 0.0
+        found[0] = 0
+        status, good, _ = run_samples(
+            (baseline, hooks, starts, parameters[i], settings), y, law, gains[i], memory, reference, push, none,
+            columns, slots, floors, scratch, out, noted, found,
+        )  # fmt: skip
+        if status == DONE:
+            measure(out[1], out[2], out[3], out[4], wish, limit, settings[0], release, end, measures[i])
+        else:
+            broken_off(limit, measures[i])
+    return good
+
+
+def _compiled(axis: Axis, law: Law) -> control_laws.Law:
+    """``law`` as the stepper takes it."""
+    period = axis.sampling.period
+    if isinstance(law, CascadeLaw):
+        own = {"kind": "ip_velocity", "k_v1": law.k_v1, "t_v": law.t_v, "k_e1": law.k_e1}
+        controller = {**own, "velocity_estimator": law.velocity_estimator}
+        return control_laws.law_of(axis.replace(controller=controller), period)
+    return law_for(axis, law, period)
+
+
+def _measures(axis: Axis, laws: Sequence[Law], raw: np.ndarray) -> Measures:
+    threshold = drift_threshold(axis.sampling.period, axis.sampling.encoder_resolution)
+    return Measures(raw, threshold, np.array([isinstance(law, CascadeLaw) for law in laws]))

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.comanipulation.assessment import ImpedanceAssessment
 from emps_design.comanipulation.study import MismatchStudy, mismatch_study
 from emps_design.comanipulation.task import Task, guided_task, pushed_task
-from emps_design.control.impedance.law import PARAMETERS, ImpedanceLaw, impedance_law, left_out
+from emps_design.control.impedance.law import ImpedanceLaw, impedance_law
 from emps_design.control.impedance.robustness import VERDICTS
 
 MASS, DAMPING = 50.0, 100.0  # M_a [kg] and B [N/(m/s)] of the paper's experiments, section IV-B
@@ -22,14 +20,12 @@ MASS, DAMPING = 50.0, 100.0  # M_a [kg] and B [N/(m/s)] of the paper's experimen
 class Comanipulation:
     """Result of :func:`run_comanipulation`: the worst plant's verdict, and the transparency of the exact law.
 
-    ``nominal`` has no mismatch, ``extended`` the corners with the axis's effects (None where it has none).
+    ``nominal`` has no mismatch. Every plant is simulated with all effects of the axis.
     """
 
     assessment: ImpedanceAssessment
     nominal: MismatchStudy
     study: MismatchStudy
-    extended: MismatchStudy | None
-    warnings: tuple[str, ...]
 
     @property
     def law(self) -> ImpedanceLaw:
@@ -41,19 +37,17 @@ class Comanipulation:
 
         ``verdict`` is that of the worst plant tried, ``nominal_verdict`` that without mismatch; ``transparency`` is
         the law's without mismatch: apparent mass [kg] and damping [N/(m/s)] from force regressed on acceleration and
-        velocity in motion, r2 about zero, and error, the rms relative error of the impedance over 0-20 rad/s. On an
-        axis with effects nominal plant and corners are simulated with them; the Monte-Carlo is without. A law with
-        unstable poles adds reason and nearest.
+        velocity in motion, r2 about zero, and error, the rms relative error of the impedance over 0-20 rad/s. A law
+        with unstable poles adds reason and nearest.
         """
         exact = self.nominal.plant(0)
         nominal_words = [word for word in self.nominal.warnings if not word.startswith("stable_share")]
-        judged = self.study if self.extended is None else self.extended
         refused = self.assessment
         return {
             **({} if refused.stable else {"reason": refused.reason, "nearest": refused.nearest}),
             "scenario": "comanipulation",
             "axis": refused.axis.name,
-            "verdict": VERDICTS[judged.verdict.max()],
+            "verdict": VERDICTS[self.study.verdict.max()],
             "nominal_verdict": exact["verdict"],
             "transparency": {name: exact[name] for name in ("apparent_mass", "apparent_damping", "r2", "error")},
             "peak_voltage": exact["peak_voltage"],
@@ -64,8 +58,7 @@ class Comanipulation:
             "task": self.study.task,
             "law": self.law.to_dict(),
             "study": self.study.to_dict(),
-            **({} if self.extended is None else {"corners_with_effects": self.extended.to_dict()["corners"]}),
-            "warnings": [*self.warnings, *dict.fromkeys((*nominal_words, *self.study.warnings))],
+            "warnings": list(dict.fromkeys((*nominal_words, *self.study.warnings))),
         }
 
 
@@ -100,29 +93,7 @@ def run_comanipulation(
     damping = damping if damping is not None else DAMPING if controller.damping is None else controller.damping
     law = impedance_law(axis, mass, damping, filter, **options)
     period = axis.sampling.period
-    others = left_out(axis)
-    if others and force is None:
-        force = max(40.0, 2.5 * axis.mechanics.coulomb)  # the general simulator has no hand that lets go
     task: Task = guided_task(period, duration) if force is None else pushed_task(period, duration, force)
     nominal = mismatch_study(axis, law, 0.0, 0, seed, False, task)
     study = mismatch_study(axis, law, mismatch, plants, seed, two_quadrant, task, workers, progress)
-    extended = None
-    if others:
-        nominal = _with_effects(axis, nominal, task)
-        extended = _with_effects(axis, mismatch_study(axis, law, mismatch, 0, seed, two_quadrant, task), task)
-    warnings = tuple(
-        f"effect {kind} is in the simulated nominal plant and corners, not in the Monte-Carlo" for kind in others
-    )
-    return Comanipulation(ImpedanceAssessment(axis, law, mismatch, study), nominal, study, extended, warnings)
-
-
-def _with_effects(axis: Axis, study: MismatchStudy, task: Task) -> MismatchStudy:
-    """The corners of ``study`` simulated again on the axis with all its effects."""
-    from emps_design.comanipulation.with_effects import diverged, run_extended
-
-    rows = []
-    for errors in study.errors[: study.corners]:
-        found = run_extended(axis, study.law.with_errors(dict(zip(PARAMETERS, errors, strict=True))), task)
-        rows.append((diverged(axis) if found is None else found.measures).raw[0])
-    measures = replace(study.measures, raw=np.array(rows), cascade=np.zeros(len(rows), dtype=bool))
-    return replace(study, measures=measures)
+    return Comanipulation(ImpedanceAssessment(axis, law, mismatch, study), nominal, study)

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.comanipulation import kernel as kernel
-from emps_design.comanipulation.run import Measures, law_array, run_many
+from emps_design.comanipulation.measures import Measures
+from emps_design.comanipulation.run import run_many
 from emps_design.comanipulation.task import Task, guided_task
 from emps_design.control.impedance.law import PARAMETERS, FrictionModel, ImpedanceLaw
 from emps_design.control.impedance.response import impedance_error
@@ -26,13 +26,6 @@ from emps_design.errors import InputError
 
 MOST = 1_000_000  # plants; more would not fit into memory
 STABLE = (0, 1, 2)  # places in VERDICTS that are neither a limit cycle nor unstable
-_ESTIMATES = (
-    kernel.L_MASS_HAT,
-    kernel.L_VISCOUS_P,
-    kernel.L_VISCOUS_N,
-    kernel.L_COULOMB_P,
-    kernel.L_COULOMB_N,
-)
 
 
 @dataclass(frozen=True)
@@ -188,8 +181,7 @@ def mismatch_study(
     rows = np.vstack([[list(corner.values()) for corner in corners], drawn])
     errors = rows if split else rows[:, [0, 1, 1, 2, 2]]
 
-    laws = np.tile(law_array(axis, law), (len(errors), 1))
-    laws[:, _ESTIMATES] *= 1.0 + errors
+    laws = [law.with_errors(dict(zip(PARAMETERS, row, strict=True))) for row in errors.tolist()]
     clock = Clock.of(axis)
     options = {"velocity_estimator": law.velocity_estimator, "force_sensor": law.force_sensor}
     error, radius = np.zeros(len(errors)), np.zeros(len(errors))
@@ -204,9 +196,9 @@ def mismatch_study(
         radius = np.maximum(radius, spectral_radius(n, clock, **options))
     error[radius > 1.0 + MARGINAL] = np.nan
     task = guided_task(axis.sampling.period) if task is None else task
-    measures = run_many(axis, laws, task, plant, workers, progress)
+    measures = run_many(axis, laws, task, workers, progress)
     if split or plant.two_quadrant:  # let go moving the other way too; each plant is judged by its worse direction
-        other = run_many(axis, laws, replace(task, reference=-task.reference), plant, workers, progress)
+        other = run_many(axis, laws, task.reversed, workers, progress)
         worse = other.verdict > measures.verdict
         measures = replace(measures, raw=np.where(worse[:, None], other.raw, measures.raw))
     return MismatchStudy(axis.name, law, mismatch, seed, task.name, len(corners), errors, error, radius, measures)

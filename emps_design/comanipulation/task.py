@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,13 +13,14 @@ from emps_design.errors import InputError
 class Task:
     """An operator's task, sampled with the controller.
 
-    ``reference`` (n, 3): force added [N], where the hand wants to be [m], how fast [m/s]. ``hand``: its stiffness [N/m]
-    and damping [N/(m/s)]; the force it makes is held over each period. The carriage is let go at sample ``release``;
-    verdicts look at the samples from ``end`` on.
+    ``push`` (n,) [N] is added by the operator, nothing from ``release`` on; ``wish`` (n,) [m] is where the hand means
+    to be, nan from ``release`` on. ``hand``: its stiffness [N/m] and damping [N/(m/s)]; the force it makes is held over
+    each period. The carriage is let go at sample ``release``; verdicts look at the samples from ``end`` on.
     """
 
     name: str
-    reference: np.ndarray
+    push: np.ndarray
+    wish: np.ndarray
     hand: tuple[float, float]
     release: int
     end: int
@@ -28,12 +29,17 @@ class Task:
     @property
     def time(self) -> np.ndarray:
         """Sample times [s], shape (n,)."""
-        return np.arange(len(self.reference)) * self.period
+        return np.arange(len(self.push)) * self.period
+
+    @property
+    def reversed(self) -> Task:
+        """The same task the other way round."""
+        return replace(self, push=-self.push, wish=-self.wish)
 
     @property
     def duration(self) -> float:
         """Length [s]."""
-        return len(self.reference) * self.period
+        return len(self.push) * self.period
 
 
 def guided_task(
@@ -55,9 +61,7 @@ def guided_task(
     )
     rise = np.clip(t / min(0.5, 0.5 * until), 0.0, 1.0)
     position = scale * position * rise**2 * (3.0 - 2.0 * rise)
-    reference = np.zeros((n, 3))
-    reference[:, 1], reference[:, 2] = position, np.gradient(position, period)
-    return Task("guided", reference, hand, release, end, period)
+    return Task("guided", np.zeros(n), np.where(np.arange(n) < release, position, np.nan), hand, release, end, period)
 
 
 def pushed_task(period: float, duration: float = 10.0, force: float = 40.0) -> Task:
@@ -71,9 +75,8 @@ def pushed_task(period: float, duration: float = 10.0, force: float = 40.0) -> T
     t = np.arange(n) * period / (release * period / 5.0)  # the plan is written for 5 s
     corners = [0.0, 0.25, 0.5, 1.5, 2.0, 3.25, 3.75, 4.75, 5.0]
     levels = [0.0, 0.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0, 0.0]
-    reference = np.zeros((n, 3))
-    reference[:, 0] = force * np.interp(t, corners, levels, right=0.0)
-    return Task("pushed", reference, (0.0, 0.0), release, end, period)
+    push = force * np.interp(t, corners, levels, right=0.0)
+    return Task("pushed", push, np.full(n, np.nan), (0.0, 0.0), release, end, period)
 
 
 def _samples(period: float, duration: float) -> tuple[int, int, int]:

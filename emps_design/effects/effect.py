@@ -110,6 +110,8 @@ class Effect:
     ``delay``      s, between the recorded voltage and the one that acts
     ``lag``        s, time constant: the effect is a first-order lag of the motor force and nothing else. ``force`` and
                    ``rate`` say the same; the simulation knows the solution and need not step them
+    ``slopes``     ``slopes(p) -> (to +, to -)`` N/(m/s): the effect is viscous friction by direction and nothing else.
+                   ``force`` says the same; the simulation knows the solution, and the impedance law can hold it
     ``sensor``     m, added to the position that the encoder reports
     ``rate``       ``rate(q, v, t, tau, x, p, b, level, dx)`` fills ``dx`` with the derivative of the own states;
                    ``level`` is the Coulomb level L of the moment [N]
@@ -154,6 +156,7 @@ class Effect:
     actuator: Kernel | None = None
     delay: Kernel | None = None
     lag: Kernel | None = None
+    slopes: Callable[[np.ndarray], tuple[float, float]] | None = None
     sensor: Kernel | None = None
     rate: Callable[..., None] | None = None
     initial: Callable[..., tuple[float, ...]] | None = None
@@ -174,7 +177,7 @@ class Effect:
     confused_with: tuple[str, ...] = ()
     experiment: str = ""
     remedy: str = ""
-    checks: tuple[tuple[dict[str, float], dict[str, float], float], ...] = ()
+    checks: tuple[tuple[dict[str, float], dict[str, Any], float], ...] = ()
     identified_by: Mapping[str, Callable[[Parameters], dict[str, float]]] = field(default_factory=dict)
     passive: bool = False
     parity: str = ""

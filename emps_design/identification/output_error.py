@@ -6,6 +6,7 @@ residuals of both signals are low-passed alike and weighed by their own size (Ga
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -91,7 +92,7 @@ def identify_by_output_error(
     return _result(record, axis, model, filtered, value, residual, jacobian, scale, names)
 
 
-def _jacobian(outputs, value: np.ndarray, residual: np.ndarray) -> np.ndarray:
+def _jacobian(outputs: Callable[[np.ndarray], np.ndarray], value: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """Derivative of the simulated outputs by each parameter, shape (2, n, p)."""
     columns = []
     for i, one in enumerate(value):

@@ -33,9 +33,9 @@ class FrictionModel:
         """
         m = axis.mechanics
         positive, negative = m.viscous, m.viscous
-        for effect in axis.effects:
-            slopes = _viscous_slopes(axis, effect)
-            if slopes is not None:
+        for entry in axis.effects:
+            if entry.effect.slopes is not None:
+                slopes = entry.effect.slopes(entry.effect.values(entry.parameters))
                 positive, negative = positive + slopes[0], negative + slopes[1]
         return cls(m.mass, round(positive, 12), round(negative, 12), m.coulomb + m.offset, m.coulomb - m.offset)
 
@@ -85,24 +85,4 @@ class FrictionModel:
 
 def left_out(axis: Any) -> tuple[str, ...]:
     """Kinds of the axis's effects that the friction model X of (5) cannot hold; say so wherever it is used."""
-    return tuple(effect.kind for effect in axis.effects if _viscous_slopes(axis, effect) is None)
-
-
-def _viscous_slopes(axis: Any, entry: Any) -> tuple[float, float] | None:
-    """Viscous friction that an effect adds for motion to + and to -, or None if it is anything else than that."""
-    effect = entry.effect
-    hooks = ("dry", "inertia", "command", "actuator", "delay", "sensor", "rate")
-    if effect.force is None or any(getattr(effect, hook) is not None for hook in hooks):
-        return None
-    p, b, x = effect.values(entry.parameters), axis.mechanics.array(), np.zeros(1)
-    slopes = []
-    for direction in (1.0, -1.0):
-        found = [
-            effect.force(q, direction * v, t, 0.0, x, p, b) / (direction * v)
-            for q, v, t in ((0.0, 0.01, 0.0), (0.1, 0.1, 3.0), (-0.05, 0.5, 11.0))
-        ]
-        if max(found) - min(found) > 1e-9 * (1.0 + abs(found[0])):
-            return None
-        slopes.append(float(found[0]))
-    # No force at any probe: an end stop, or something that happens at another time; not viscous friction.
-    return (slopes[0], slopes[1]) if any(slopes) else None
+    return tuple(entry.kind for entry in axis.effects if entry.effect.slopes is None)

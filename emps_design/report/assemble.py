@@ -12,7 +12,7 @@ from emps_design.axis import Axis
 from emps_design.errors import InputError, nearest_name
 from emps_design.machines import load_axis, machine_names
 from emps_design.report.design import DesignResults, design_page, design_results
-from emps_design.report.page import Page
+from emps_design.report.page import Page, Section
 
 if TYPE_CHECKING:
     from emps_design.comanipulation.assessment import ImpedanceAssessment
@@ -96,7 +96,9 @@ def assemble_report(
     from emps_design.control.velocity.design import check_specification, design_velocity_loop
 
     check_specification(crossover, bandwidth, phase_margin_deg)  # before the record: a wrong number is told at once
-    parts, notes, found = [], [], ()
+    parts: list[Section] = []
+    notes: list[str] = []
+    found: tuple[Identification, ...] = ()
     if record is not None:
         tell("reading the record", 0.05)
         loaded, found, section = _from_record(record, loaded, model, design_on, inputs, tell)

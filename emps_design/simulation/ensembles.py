@@ -252,8 +252,8 @@ def _side_by_side(task: dict[str, Any], baselines: np.ndarray) -> np.ndarray:
     q0 = float(measured_q[0] if measured_q.size else reference[0])
     first = min(DROPPED, reference.size - 1)
     result = np.empty((len(padded), len(METRICS)))
-    scratch = np.zeros((ROWS, LANES))
-    run_lanes(padded, numbers, (q0, 0.0), reference, push, measured_q, measured_u, first, scratch, result)
+    scratch, none = np.zeros((ROWS, LANES)), np.zeros(2, np.int64)
+    run_lanes(padded, numbers, (q0, 0.0), reference, push, measured_q, measured_u, first, scratch, none, result)
     n = reference.size - first
     result[:, :3] = np.sqrt(result[:, :3] / n)
     result[:, 2] *= drive.force_gain

@@ -80,6 +80,8 @@ class Hand:
     """A hand on the carriage: ``mass`` [kg] moves with it, ``damping`` [N/(m/s)] and ``stiffness`` [N/m] pull it along.
 
     Where it means to go is given to the simulation as ``intention`` (n,) [m]; in between the intention moves evenly.
+    Not a number: the hand has let go. ``held``: its force is that of the sample for the whole period, as the drive's
+    voltage is; then the hand has no mass of its own.
 
     >>> Hand(mass=1.0, damping=20.0, stiffness=500.0).stiffness
     500.0
@@ -88,10 +90,13 @@ class Hand:
     mass: float = 0.0
     damping: float = 0.0
     stiffness: float = 0.0
+    held: bool = False
 
     def __post_init__(self) -> None:
         for quantity in (_MASS, _DAMPING, _STIFFNESS):
             quantity.check(getattr(self, quantity.name))
+        if self.held and self.mass > 0.0:
+            raise InputError(f"hand: found {self.mass:g} kg and a held force, expected no mass or held=False")
 
     def effect(self) -> tuple[Effect, np.ndarray]:
         """The hand as the stepper takes it."""

@@ -17,6 +17,7 @@ from emps_design.simulation.environment import HAND, Hand, Wall
 from emps_design.simulation.kernels import baseline as core
 from emps_design.simulation.kernels import hold_loop as stepper
 from emps_design.simulation.kernels.compile import address
+from emps_design.simulation.prepared import Prepared, intention_columns, positive, signal
 from emps_design.simulation.run import Run
 
 HOOKS = ("force", "dry", "inertia", "command", "actuator", "delay", "sensor", "rate", "guard", "jump_time")
@@ -44,13 +45,19 @@ class Plant:
     0.0097
     """
 
-    def __init__(self, axis: Axis, effects: Sequence[tuple[Effect, np.ndarray]], surroundings: int = 0):
-        """``effects`` with their parameters; the last ``surroundings`` of them are what touches the carriage."""
+    def __init__(
+        self, axis: Axis, effects: Sequence[tuple[Effect, np.ndarray]], environment: tuple[Hand | Wall, ...] = ()
+    ):
+        """``effects`` with their parameters; ``environment`` is what touches the carriage."""
         self.axis = axis
         self.baseline = axis.mechanics.array()
-        self.effects = tuple(effect for effect, _ in effects)
-        self.parameters = tuple(values for _, values in effects)
-        self._surroundings = surroundings
+        self.environment = environment
+        both = [*effects, *(thing.effect() for thing in environment)]
+        self.effects = tuple(effect for effect, _ in both)
+        self.parameters = tuple(values for _, values in both)
+        own = len(effects)
+        self._outside = range(own, len(both))
+        self._held = [own + i for i, thing in enumerate(environment) if isinstance(thing, Hand) and thing.held]
         self._lag = axis.drive.current_time_constant
         # An effect that is a lag of the motor force takes the place of an ideal current loop.
         lags = [i for i, effect in enumerate(self.effects) if effect.lag]
@@ -69,8 +76,8 @@ class Plant:
         ]
         self._hooks, self._starts = self._table()
         dynamic = self._states > 2 or any(effect.guard or effect.jump_time for effect in self.effects)
-        lagged = self._lag > 0 or self._lagging >= 0
-        self._exact = not lagged and not any(_touches_motion(effect) for effect in self.effects)
+        moving = [effect for i, effect in enumerate(self.effects) if i not in self._held]
+        self._exact = not any(_touches_motion(effect) for effect in moving if effect.slopes is None)
         seen = any(_sees_command(effect) for i, effect in enumerate(self.effects) if i != self._lagging)
         self._glides = 0 if dynamic else 1 if seen else 2
 
@@ -81,21 +88,25 @@ class Plant:
 
     def touched_by(self, *things: Hand | Wall) -> Plant:
         """Return this plant with a hand, walls, or both at the carriage."""
-        own = [(effect, values) for effect, values in zip(self.effects, self.parameters, strict=True)]
-        return Plant(self.axis, own + [thing.effect() for thing in things], len(things) + self._surroundings)
+        own = len(self.effects) - len(self.environment)
+        effects = list(zip(self.effects[:own], self.parameters[:own], strict=True))
+        return Plant(self.axis, effects, (*self.environment, *things))
 
     def _table(self) -> tuple[np.ndarray, np.ndarray]:
-        rows: list[list[tuple[int, int, int]]] = [[] for _ in range(stepper.TOUCH_MASS + 1)]
+        rows: list[list[tuple[int, int, int]]] = [[] for _ in range(stepper.HELD + 1)]
         for i, effect in enumerate(self.effects):
             place = (int(self._x_at[i]), int(self._p_at[i]))
             if i == self._lagging:
+                continue
+            if i in self._held:
+                rows[stepper.HELD].append((address(effect.force), *place))
                 continue
             for row, hook in enumerate(HOOKS):
                 kernel = getattr(effect, hook)
                 if kernel is not None:
                     form = hook if hook in ("actuator", "rate") else "kernel"
                     rows[row].append((address(kernel, form), *place))
-            if i >= len(self.effects) - self._surroundings:
+            if i in self._outside:
                 for row, hook in ((stepper.TOUCH, effect.force), (stepper.TOUCH_MASS, effect.inertia)):
                     if hook is not None:
                         rows[row].append((address(hook), *place))
@@ -123,22 +134,23 @@ class Plant:
     ) -> Run:
         """Simulate the axis under its controller (or ``law``) and return the :class:`Run`.
 
-        ``q_ref`` (n,) [m]; ``baseline`` [mass, viscous, coulomb, offset] and ``parameters`` (one array an effect) in
+        ``q_ref`` (n,) [m]; ``baseline`` [mass, viscous, coulomb, offset] and ``parameters`` (one array per effect) in
         place of the axis's; ``disturbance`` (n,) [N] on the carriage, held over each period; ``voltage_noise`` (n,) [V]
         added after the controller; ``q0`` [m] first position (default ``q_ref[0]``) and ``v0`` [m/s]; ``reference`` is
         what the law follows, by default ``q_ref``, or its backward difference for a law that follows a velocity;
-        ``intention`` (n,) [m] is where a hand means to be; ``energy`` asks for the energy balance; ``quantise=False``
+        ``intention`` (n,) [m] is where a hand means to be, nan where it has let go; ``energy`` asks for the energy
+        balance; ``quantise=False``
         takes an exact encoder; ``tolerance`` scales what one step may be wrong by; ``method`` is ``auto``, ``general``,
         ``plain`` or ``folded``.
         Raises :class:`SimulationError` with time, state and effect where the simulation cannot go on.
         """
-        period = self.axis.sampling.period if period is None else _positive(period)
-        q_ref = _signal(q_ref, "q_ref", "m")
+        period = self.axis.sampling.period if period is None else positive(period)
+        q_ref = signal(q_ref, "q_ref", "m")
         law = law or law_of(self.axis, period)
         if reference is None:
             reference = q_ref if law.follows == "position" else np.diff(q_ref, prepend=q_ref[:1]) / period
         else:
-            reference = _signal(reference, "reference", "m or m/s", q_ref.size)
+            reference = signal(reference, "reference", "m or m/s", q_ref.size)
         q0 = float(q_ref[0]) if q0 is None else float(q0)
         return self._simulate(
             law, reference, q_ref, baseline, parameters, disturbance, voltage_noise, q0, v0, period, quantise,
@@ -165,8 +177,8 @@ class Plant:
 
         The voltage limit applies; ``command`` effects add to ``u``. ``q_ref`` of the run is not a number.
         """
-        period = self.axis.sampling.period if period is None else _positive(period)
-        u = _signal(u, "u", "V")
+        period = self.axis.sampling.period if period is None else positive(period)
+        u = signal(u, "u", "V")
         nothing = np.full(u.size, np.nan)
         return self._simulate(
             None, u, nothing, baseline, parameters, disturbance, None, q0, v0, period, quantise, intention, energy,
@@ -177,12 +189,15 @@ class Plant:
         self, law, reference, q_ref, baseline, parameters, disturbance, noise, q0, v0, period, quantise, intention,
         energy, tolerance, method,
     ) -> Run:  # fmt: skip
-        b, p = self._numbers(baseline, parameters)
+        b, p = self.numbers(baseline, parameters)
+        hands = self.effects.count(HAND)
+        if hands > 1 or (intention is not None and not hands):
+            raise InputError(f"intention: found {hands} hands at the carriage, expected one; see Plant.touched_by")
         if not (np.isfinite(q0) and np.isfinite(v0)):
             raise InputError(f"q0, v0: found {q0:g} m, {v0:g} m/s, expected finite numbers")
         n = q_ref.size
-        push = _EMPTY if disturbance is None else _signal(disturbance, "disturbance", "N", n)
-        noise = _EMPTY if noise is None else _signal(noise, "voltage_noise", "V", n)
+        push = _EMPTY if disturbance is None else signal(disturbance, "disturbance", "N", n)
+        noise = _EMPTY if noise is None else signal(noise, "voltage_noise", "V", n)
         resolution = self.axis.sampling.encoder_resolution if quantise else 0.0
         fastest = "general" if energy else self._method(law, noise, resolution)
         possible = (
@@ -194,12 +209,12 @@ class Plant:
             raise InputError(
                 f"method: found {method!r}, expected one of {', '.join(('auto', *possible))} for this axis"
             )
-        signals = self._intended(intention, n, period)
         events, found = np.empty((n + 1000, 3)), np.array([0, n + 1000])
         if method == "general":
             rows, balance = self._general(
-                b, p, law, reference, push, noise, q0, v0, period, resolution, signals, energy, tolerance, events, found
-            )
+                law, reference, push, noise, q0, v0, period, energy, events, found,
+                self.prepared(b, p, q0, v0, n, period, resolution, intention, energy, tolerance),
+            )  # fmt: skip
         else:
             balance = None
             rows = self._core(method, b, law, reference, push, noise, (q0, v0), period, resolution, events, found)
@@ -220,7 +235,8 @@ class Plant:
             name=self.axis.name,
         )
 
-    def _numbers(self, baseline: Any, parameters: Any) -> tuple[np.ndarray, np.ndarray]:
+    def numbers(self, baseline: Any = None, parameters: Any = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return ``baseline`` (4,) and ``parameters``, end to end, checked; by default the axis's own."""
         b = self.baseline if baseline is None else np.array(baseline, dtype=float)
         p = self._p.copy() if parameters is None else np.concatenate([_EMPTY, *parameters])
         if b.shape != (4,) or not np.isfinite(b).all() or b[0] <= 0 or b[1] < 0 or b[2] < 0:
@@ -263,11 +279,22 @@ class Plant:
             raise SimulationError(REASONS[reason], at * period, (float(position[at]), float(velocity[at])))
         return encoder, position, velocity, u, push if push.size else np.broadcast_to(0.0, n)
 
-    def _general(
-        self, b, p, law, reference, push, noise, q0, v0, period, resolution, signals, energy, tolerance, events, found
-    ):
-        n, drive = reference.size, self.axis.drive
-        settings = np.zeros(stepper.SERIES + 1)
+    def prepared(
+        self,
+        b: np.ndarray,
+        p: np.ndarray,
+        q0: float,
+        v0: float,
+        n: int,
+        period: float,
+        resolution: float,
+        intention: np.ndarray | None = None,
+        energy: bool = False,
+        tolerance: float = 1.0,
+    ) -> Prepared:
+        """Return what the general stepper needs to run ``n`` samples from ``q0`` [m], ``v0`` [m/s]."""
+        columns, slots = self._intended(intention, n, period)
+        drive, settings = self.axis.drive, np.zeros(stepper.SETTINGS)
         settings[stepper.PERIOD], settings[stepper.GAIN] = period, drive.force_gain
         settings[stepper.LIMIT], settings[stepper.RESOLUTION] = drive.voltage_limit, resolution
         settings[stepper.DELAYED], settings[stepper.LAG] = self.axis.sampling.computation_delay, self._lag
@@ -275,49 +302,44 @@ class Plant:
             at = self._lagging
             mine = p[self._p_at[at] : self._p_at[at + 1]]
             settings[stepper.LAG] = self.effects[at].lag(q0, v0, 0.0, 0.0, _EMPTY, mine, b)
+        settings[stepper.VISCOUS_P] = settings[stepper.VISCOUS_N] = b[1]
+        for i, effect in enumerate(self.effects):
+            if effect.slopes is not None:
+                mine = p[self._p_at[i] : self._p_at[i + 1]]
+                settings[[stepper.VISCOUS_P, stepper.VISCOUS_N]] += effect.slopes(mine)
         states = self._states + (4 if energy else 0)
         settings[stepper.FREE], settings[stepper.STATES] = self._free, states
         settings[stepper.TOLERANCE], settings[stepper.ENERGY] = tolerance, self._states if energy else 0
+        settings[stepper.SERIES] = self._lag > 0 and any(effect.lag for effect in self.effects)
         if not energy:
             settings[stepper.GLIDES], settings[stepper.EXACT] = self._glides, self._exact
-        y = np.zeros(states)
+        y, floors = np.zeros(states), np.zeros(states)
         y[0], y[1] = q0, v0
         for i, effect in enumerate(self.effects):
             if effect.initial is not None and i != self._lagging:
                 own = p[self._p_at[i] : self._p_at[i + 1]]
                 y[self._x_at[i] : self._x_at[i + 1]] = effect.initial(q0, own, b)
-        out = np.empty((5, n))
+        floors[2 : self._states] = self._floors
         guards = int(self._starts[stepper.GUARD + 1] - self._starts[stepper.GUARD])
         scratch = np.zeros(stepper.room(states, guards))
-        columns, slots = signals
+        return Prepared(b, p, settings, y, self._hooks, self._starts, columns, slots, floors, scratch)
+
+    def _general(self, law, reference, push, noise, q0, v0, period, energy, events, found, ready):
+        n, y = reference.size, ready.y
+        out = np.empty((5, n))
         place, gains, memory = 0, _EMPTY, _EMPTY
         if law is not None:
             place, gains, memory = address(law.kernel, "law"), law.gains, np.zeros(law.memory)
-        settings[stepper.SERIES] = self._lag > 0 and any(effect.lag for effect in self.effects)
-        floors = np.zeros(states)
-        floors[2 : self._states] = self._floors
-        plant = (b, self._hooks, self._starts, p, settings)
+        plant = (ready.baseline, ready.hooks, ready.starts, ready.parameters, ready.settings)
         status, k, within = stepper.run(
-            plant,
-            y,
-            place,
-            gains,
-            memory,
-            reference,
-            push,
-            noise,
-            columns,
-            slots,
-            floors,
-            scratch,
-            out,
-            events,
-            found,
-        )
+            plant, y, place, gains, memory, reference, push, noise, ready.columns, ready.slots, ready.floors,
+            ready.scratch, out, events, found,
+        )  # fmt: skip
         if status != stepper.DONE:
             names = ", ".join(effect.name for effect in self.effects) or "none"
             raise SimulationError(REASONS[status], k * period + within, tuple(y.tolist()), names)
-        return out, self._balance(b, p, y, q0, v0, n * period) if energy else None
+        balance = self._balance(ready.baseline, ready.parameters, y, q0, v0, n * period) if energy else None
+        return out, balance
 
     def _balance(self, b, p, y, q0, v0, end) -> dict[str, float]:
         """Where the energy went [J]; ``residual`` is what the integration, or a jump of the mass, lost or made."""
@@ -343,15 +365,12 @@ class Plant:
 
     def _intended(self, intention: Any, n: int, period: float) -> tuple[np.ndarray, np.ndarray]:
         """Columns that the hand's intention writes to its parameters at every sample, and where."""
-        hands = [i for i, effect in enumerate(self.effects) if effect is HAND]
-        if intention is None and not hands:
+        if intention is None and HAND not in self.effects:
             return _NO_SIGNALS, _NO_SLOTS
-        if len(hands) != 1:
-            raise InputError(f"intention: found {len(hands)} hands at the carriage, expected one; see Plant.touched_by")
-        wanted = np.zeros(n) if intention is None else _signal(intention, "intention", "m", n)
-        columns = np.column_stack([wanted, np.zeros(n), np.arange(n) * period])
-        columns[:-1, 1] = np.diff(wanted) / period
-        return columns, self._p_at[hands[0]] + np.array([3, 4, 5])
+        hand = self.effects.index(HAND)
+        wanted = np.zeros(n) if intention is None else np.asarray(intention, dtype=float)
+        columns = intention_columns(wanted, self.parameters[hand], hand in self._held, n, period)
+        return columns, self._p_at[hand] + np.arange(6)
 
 
 def _touches_motion(effect: Effect) -> bool:
@@ -365,21 +384,3 @@ def _sees_command(effect: Effect) -> bool:
         return True
     kernels = [kernel for kernel in (effect.force, effect.dry) if kernel is not None]
     return any("tau" in {step.argval for step in dis.get_instructions(kernel)} for kernel in kernels)
-
-
-def _positive(period: Any) -> float:
-    if not (np.isfinite(period) and period > 0):
-        raise InputError(f"period: found {period:g} s, expected a positive number")
-    return float(period)
-
-
-def _signal(values: Any, name: str, unit: str, n: int | None = None) -> np.ndarray:
-    signal = np.ascontiguousarray(values, dtype=float)
-    if signal.ndim != 1 or signal.size == 0 or (n is not None and signal.size != n):
-        wanted = f"{n} numbers" if n else "a row of numbers"
-        raise InputError(f"{name}: found shape {signal.shape}, expected {wanted} [{unit}]")
-    # A finite sum proves all finite, in one pass; otherwise look for the culprit (there is none if the sum overflowed).
-    if not np.isfinite(signal.sum()) and not np.isfinite(signal).all():
-        first = int(np.argmin(np.isfinite(signal)))
-        raise InputError(f"{name}: sample {first} is {signal[first]}, expected finite numbers [{unit}]")
-    return signal

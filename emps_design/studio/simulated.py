@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Simulated:
-    """The runs that did not diverge by name, the study over the mismatch, and the push into the wall."""
+    """The runs by name, the study over the mismatch, and the push into the wall."""
 
     state: State
     runs: dict[str, Run]
@@ -27,7 +27,6 @@ class Simulated:
     worst: dict[str, Any]
     wall: WallContact
     wall_poles_stable: bool
-    effects: tuple[str, ...]  # those that the plants of the study do not have
 
     def verdict(self) -> tuple[str, str]:
         """How good it is, and the sentence that says it."""
@@ -36,16 +35,12 @@ class Simulated:
             f"M_a {state.mass:g} kg, B {state.damping:g} N/(m/s), filter {state.filter:g} rad/s on {state.axis.name}: "
             f"the worst of {self.study.corners} corners and {state.plants} random plants is {worst.replace('_', ' ')}."
         )
-        if self.effects:
-            traced = state.task == "pushed"
-            act, do_not = ("the wall and traces", "") if traced else ("the wall", "the traces of a hand and ")
-            text += f" The axis's effects ({', '.join(self.effects)}) act on {act}, not on {do_not}the plants."
         return ("good" if worst in ("stable", "dead_band") else "stop"), text
 
     def rows(self) -> list[tuple[str, str]]:
         """The verdicts, and what the worst plant feels like."""
         state, worst, wall = self.state, self.worst, self.wall
-        exact = self.runs["exact estimates"].verdict if "exact estimates" in self.runs else "unstable"
+        exact = self.runs["exact estimates"].verdict
         share, low, high = self.study.stable_share
         peak = "" if wall.peak_force is None else f", at most {quantity(wall.peak_force, 'N')}"
         off = ", ".join(f"{name} {100 * e:+.1f} %".replace("-", "−") for name, e in worst["errors"].items())
@@ -87,18 +82,17 @@ def simulate(state: State, progress: Callable[[str, float], None] | None = None)
     from emps_design.comanipulation.study import mismatch_study
     from emps_design.comanipulation.task import guided_task, pushed_task
     from emps_design.comanipulation.wall_contact import push_into_wall
-    from emps_design.comanipulation.with_effects import run_extended
-    from emps_design.control.impedance.law import FrictionModel, impedance_law, left_out
+    from emps_design.control.impedance.law import FrictionModel, impedance_law
     from emps_design.control.impedance.sampled import Clock, Environment, sampled_loop
 
     tell = progress or (lambda stage, share: None)
     axis, mismatch, stiffness = state.axis, state.mismatch_percent / 100.0, state.wall * 1e3
-    period, effects = axis.sampling.period, left_out(axis)
+    period = axis.sampling.period
     law = impedance_law(axis, state.mass, state.damping, state.filter)
     if state.task == "guided":
-        task, simulated = guided_task(period, hand=(state.hand_stiffness, state.hand_damping)), run_task
+        task = guided_task(period, hand=(state.hand_stiffness, state.hand_damping))
     else:
-        task, simulated = pushed_task(period, force=state.push), run_extended if effects else run_task
+        task = pushed_task(period, force=state.push)
     study = mismatch_study(
         axis,
         law,
@@ -111,11 +105,11 @@ def simulate(state: State, progress: Callable[[str, float], None] | None = None)
     tell("the worst plant", 0.8)
     worst = study.plant(study.worst)
     laws = {"exact estimates": law, "worst estimates": law.with_errors(worst["errors"])}
-    runs = {name: found for name, one in laws.items() if (found := simulated(axis, one, task)) is not None}
+    runs = {name: run_task(axis, one, task) for name, one in laws.items()}
     tell("the wall", 0.9)
     wall = push_into_wall(axis, law, stiffness, state.push)
     poles = sampled_loop(
         law, FrictionModel.of(axis), Clock.of(axis), environment=Environment(stiffness=stiffness)
     ).stable
     tell("drawing", 0.95)
-    return Simulated(state, runs, study, worst, wall, poles, effects)
+    return Simulated(state, runs, study, worst, wall, poles)

@@ -15,6 +15,10 @@ def force(q, v, t, tau, x, p, b):
     return p[0] * abs(v)
 
 
+def slopes(p):
+    return p[0], -p[0]
+
+
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
     return np.abs(motion.v)[:, None]
 
@@ -46,6 +50,7 @@ EFFECT = Effect(
         ),
     ),
     force=force,
+    slopes=slopes,
     regressor=regressor,
     expression=expression,
     over="v",

@@ -1,8 +1,6 @@
-"""Step the baseline ``M dv/dt = tau - F_v v - offset - F_c S(v)`` exactly: under a held force it is piecewise linear.
+"""Run the baseline ``M dv/dt = tau - F_v v - offset - F_c S(v)`` under ``position_pd``, or under a given voltage.
 
-With ``a = F_v/M`` and ``n`` the net force over mass, motion over ``h`` is ``v' = v e + n g1``, ``q' = q + v g1 + n g2``
-with ``e = exp(-a h)``, ``g1 = (1 - e)/a``, ``g2 = (h - g1)/a``. Velocity is zero at ``log(1 - a v/n)/a``; there the
-carriage stays where dry friction holds the force, or turns. :func:`run_plain` does this sample by sample;
+The period is that of :mod:`friction_period` with an ideal current loop. :func:`run_plain` steps sample by sample;
 :func:`run_folded` folds controller and motion into one affine map for as long as the carriage slides and the voltage
 is inside its limit.
 """
@@ -13,44 +11,13 @@ import math
 
 import numpy as np
 
-from emps_design.simulation.kernels.compile import cached, part
+from emps_design.simulation.kernels.compile import cached, part, pointer
+from emps_design.simulation.kernels.friction_period import follow, response
 
 MASS, VISCOUS, COULOMB, OFFSET = range(4)
 # Places in ``numbers``.
 PERIOD, GAIN, LIMIT, RESOLUTION, PROPORTIONAL, DAMPING, TWO_TAP = range(7)
-REVERSAL, STICK, BREAKAWAY = range(3)
 SWINGS = 40.0  # swings of the voltage from limit to limit that make a loop unstable
-
-
-@part
-def factors(a, h):
-    """``e``, ``g1`` [s] and ``g2`` [s^2] of a step of ``h`` seconds; series where ``a h`` is small."""
-    x = a * h
-    if x < 1e-3:
-        g2 = 0.5 - x * (1.0 / 6.0 - x * (1.0 / 24.0 - x * (1.0 / 120.0 - x / 720.0)))
-        return math.exp(-x), h * (1.0 - x * g2), h * h * g2
-    g1 = -math.expm1(-x) / a
-    return math.exp(-x), g1, (h - g1) / a
-
-
-@part
-def turn(q, v, net, dry, mass, a, h):
-    """Motion over ``h`` when velocity reaches zero, or is zero at the start: position, velocity, time of rest or turn.
-
-    ``net`` [N] without dry friction, ``dry`` its level [N].
-    """
-    at = 0.0
-    if v != 0.0:
-        n = (net - dry if v > 0.0 else net + dry) / mass
-        at = math.log1p(-a * v / n) / a if a > 0.0 else -v / n
-        at = min(max(at, 0.0), h)
-        _, g1, g2 = factors(a, at)
-        q += v * g1 + n * g2
-    if abs(net) <= dry:
-        return q, 0.0, at
-    n = (net - dry if net > 0.0 else net + dry) / mass
-    _, g1, g2 = factors(a, h - at)
-    return q + n * g2, n * g1, at
 
 
 @part
@@ -67,25 +34,6 @@ def swing(volts, k, period, swings):
     return side, count, at
 
 
-@part
-def note(events, found, time, kind, place):
-    """Record an event where there is room; count it in any case."""
-    if found[0] < events.shape[0]:
-        events[found[0], 0] = time
-        events[found[0], 1] = kind
-        events[found[0], 2] = place
-    found[0] += 1
-
-
-@part
-def note_turn(events, found, t, at, before, after, where):
-    """Record what :func:`turn` did."""
-    if before != 0.0:
-        note(events, found, t + at, STICK if after == 0.0 else REVERSAL, where)
-    elif after != 0.0:
-        note(events, found, t + at, BREAKAWAY, where)
-
-
 @cached()
 def run_plain(b, numbers, delay, start, reference, push, noise, position, encoder, velocity, u, events, found):
     """Close the loop of ``position_pd`` sample by sample; returns the number of good samples, or -1 - k.
@@ -96,9 +44,10 @@ def run_plain(b, numbers, delay, start, reference, push, noise, position, encode
     arrays behind them are filled.
     """
     mass, dry, offset = b[MASS], b[COULOMB], b[OFFSET]
-    a, period, limit, gain = b[VISCOUS] / mass, numbers[PERIOD], numbers[LIMIT], numbers[GAIN]
-    e, g1, g2 = factors(a, period)
-    m1, m2 = g1 / mass, g2 / mass
+    period, limit, gain = numbers[PERIOD], numbers[LIMIT], numbers[GAIN]
+    e, _, m1, g1, _, m2, _ = response(period, mass, b[VISCOUS], 0.0)
+    friction = (mass, b[VISCOUS], b[VISCOUS], dry + offset, dry - offset, 0.0)
+    events_, found_ = pointer(events), pointer(found)
     proportional, resolution, two_tap = numbers[PROPORTIONAL], numbers[RESOLUTION], numbers[TWO_TAP] > 0.0
     damping = numbers[DAMPING] / period * (0.5 if two_tap else 1.0)
     q, v = start
@@ -139,9 +88,7 @@ def run_plain(b, numbers, delay, start, reference, push, noise, position, encode
                 continue
         elif abs(net) <= dry:
             continue
-        before = v
-        q, v, at = turn(q, v, net, dry, mass, a, period)
-        note_turn(events, found, k * period, at, before, v, q)
+        q, v, _ = follow(q, v, 0.0, net + offset, 0.0, period, friction, k * period, events_, found_)
         if not abs(q) < 1e3:
             return k
     return reference.size
@@ -151,9 +98,10 @@ def run_plain(b, numbers, delay, start, reference, push, noise, position, encode
 def run_folded(b, numbers, start, reference, push, position, velocity, u, events, found):
     """The same without delay, quantisation and noise, sliding folded into one affine map a sample."""
     mass, dry, offset = b[MASS], b[COULOMB], b[OFFSET]
-    a, period, limit, gain = b[VISCOUS] / mass, numbers[PERIOD], numbers[LIMIT], numbers[GAIN]
-    e, g1, g2 = factors(a, period)
-    m1, m2 = g1 / mass, g2 / mass
+    period, limit, gain = numbers[PERIOD], numbers[LIMIT], numbers[GAIN]
+    e, _, m1, g1, _, m2, _ = response(period, mass, b[VISCOUS], 0.0)
+    friction = (mass, b[VISCOUS], b[VISCOUS], dry + offset, dry - offset, 0.0)
+    events_, found_ = pointer(events), pointer(found)
     proportional, two_tap = numbers[PROPORTIONAL], numbers[TWO_TAP] > 0.0
     damping = numbers[DAMPING] / period * (0.5 if two_tap else 1.0)
     both = proportional + damping
@@ -205,9 +153,7 @@ def run_folded(b, numbers, start, reference, push, position, velocity, u, events
         elif abs(net) <= dry:
             k += 1
             continue
-        before = v
-        q, v, at = turn(q, v, net, dry, mass, a, period)
-        note_turn(events, found, k * period, at, before, v, q)
+        q, v, _ = follow(q, v, 0.0, net + offset, 0.0, period, friction, k * period, events_, found_)
         k += 1
         if not abs(q) < 1e3:
             return k - 1
@@ -218,9 +164,10 @@ def run_folded(b, numbers, start, reference, push, position, velocity, u, events
 def run_open(b, numbers, start, voltage, push, position, velocity, u, events, found):
     """Drive the baseline with ``voltage`` (n,) [V]; returns the number of good samples."""
     mass, dry, offset = b[MASS], b[COULOMB], b[OFFSET]
-    a, period, limit, gain = b[VISCOUS] / mass, numbers[PERIOD], numbers[LIMIT], numbers[GAIN]
-    e, g1, g2 = factors(a, period)
-    m1, m2 = g1 / mass, g2 / mass
+    period, limit, gain = numbers[PERIOD], numbers[LIMIT], numbers[GAIN]
+    e, _, m1, g1, _, m2, _ = response(period, mass, b[VISCOUS], 0.0)
+    friction = (mass, b[VISCOUS], b[VISCOUS], dry + offset, dry - offset, 0.0)
+    events_, found_ = pointer(events), pointer(found)
     q, v = start
     for k in range(voltage.size):
         volts = min(max(voltage[k], -limit), limit)
@@ -237,28 +184,10 @@ def run_open(b, numbers, start, voltage, push, position, velocity, u, events, fo
                 q += v * g1 + force * m2
                 v = new
                 continue
-        before = v
-        q, v, at = turn(q, v, net, dry, mass, a, period)
-        note_turn(events, found, k * period, at, before, v, q)
+        q, v, _ = follow(q, v, 0.0, net + offset, 0.0, period, friction, k * period, events_, found_)
         if not abs(q) < 1e3:
             return k
     return voltage.size
-
-
-@part
-def step_exactly(b, q, v, net, h):
-    """One exact step of ``h`` seconds under the force ``net`` [N]: position, velocity, time of rest or turn (or -1)."""
-    mass, dry = b[MASS], b[COULOMB]
-    a = b[VISCOUS] / mass
-    if v != 0.0:
-        n = (net - dry if v > 0.0 else net + dry) / mass
-        e, g1, g2 = factors(a, h)
-        new = v * e + n * g1
-        if new * v > 0.0:
-            return q + v * g1 + n * g2, new, -1.0
-    elif abs(net) <= dry:
-        return q, 0.0, -1.0
-    return turn(q, v, net, dry, mass, a, h)
 
 
 def numbers_of(period: float, gain: float, limit: float, resolution: float, gains: np.ndarray) -> np.ndarray:

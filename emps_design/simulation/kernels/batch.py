@@ -23,10 +23,9 @@ from emps_design.simulation.kernels.baseline import (
     RESOLUTION,
     TWO_TAP,
     VISCOUS,
-    factors,
-    turn,
 )
 from emps_design.simulation.kernels.compile import cached, pointer, shifted
+from emps_design.simulation.kernels.friction_period import follow, response
 
 LANES = 32
 ROWS = 20
@@ -34,17 +33,17 @@ METRICS = 5  # columns of the result
 
 
 @cached()
-def run_lanes(baselines, numbers, start, reference, push, measured_q, measured_u, first, scratch, result):
+def run_lanes(baselines, numbers, start, reference, push, measured_q, measured_u, first, scratch, found, result):
     """Simulate ``baselines`` (m, 4), m a multiple of 32, and fill ``result`` (m, 5).
 
     Columns: sums of squares over the samples from ``first`` on of reference minus position, measured minus encoder
     position and measured minus simulated voltage (0 where nothing was measured), then the largest voltage and the
-    number of samples at rest. ``scratch`` has 20 rows of 32.
+    number of samples at rest. ``scratch`` has 20 rows of 32; ``found`` two zeros: no event is kept.
     """
-    room = pointer(scratch)
+    room, nothing = pointer(scratch), pointer(found)
     q, v, older, last = room, shifted(room, 32), shifted(room, 64), shifted(room, 96)
     e, g1, m1, m2 = shifted(room, 128), shifted(room, 160), shifted(room, 192), shifted(room, 224)
-    dry, offset, mass, a = shifted(room, 256), shifted(room, 288), shifted(room, 320), shifted(room, 352)
+    dry, offset, mass, viscous = shifted(room, 256), shifted(room, 288), shifted(room, 320), shifted(room, 352)
     seen, net, ahead, place = shifted(room, 384), shifted(room, 416), shifted(room, 448), shifted(room, 480)
     tracked, missed, voltage, peak = shifted(room, 512), shifted(room, 544), shifted(room, 576), shifted(room, 608)
     period, limit, gain, resolution = numbers[PERIOD], numbers[LIMIT], numbers[GAIN], numbers[RESOLUTION]
@@ -54,9 +53,8 @@ def run_lanes(baselines, numbers, start, reference, push, measured_q, measured_u
     for block in range(0, baselines.shape[0], 32):
         for i in range(32):
             b = baselines[block + i]
-            mass[i], dry[i], offset[i], a[i] = b[MASS], b[COULOMB], b[OFFSET], b[VISCOUS] / b[MASS]
-            decay, first_factor, second_factor = factors(a[i], period)
-            e[i], g1[i], m1[i], m2[i] = decay, first_factor, first_factor / mass[i], second_factor / mass[i]
+            mass[i], dry[i], offset[i], viscous[i] = b[MASS], b[COULOMB], b[OFFSET], b[VISCOUS]
+            e[i], _, m1[i], g1[i], _, m2[i], _ = response(period, mass[i], viscous[i], 0.0)
             q[i], v[i] = start
             begun = math.floor(start[0] / resolution + 0.5) * resolution if resolution > 0.0 else start[0]
             older[i], last[i] = begun, begun
@@ -101,7 +99,10 @@ def run_lanes(baselines, numbers, start, reference, push, measured_q, measured_u
                         if v[i] == 0.0 and abs(net[i]) <= dry[i]:
                             place[i], ahead[i] = q[i], 0.0
                         else:
-                            place[i], ahead[i], _ = turn(q[i], v[i], net[i], dry[i], mass[i], a[i], period)
+                            friction = (mass[i], viscous[i], viscous[i], dry[i], dry[i], 0.0)
+                            place[i], ahead[i], _ = follow(
+                                q[i], v[i], 0.0, net[i], 0.0, period, friction, 0.0, room, nothing
+                            )
             for i in range(32):
                 q[i] = place[i]
                 v[i] = ahead[i]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from emps_design.simulation.kernels.compile import part
+from emps_design.simulation.kernels.friction_period import BREAKAWAY, GUARDED, REVERSAL, STICK, note
 from emps_design.simulation.kernels.motion import (
     CROSSING,
     FREE,
@@ -26,19 +27,7 @@ from emps_design.simulation.kernels.motion import (
 )
 
 DONE, DIVERGED, NO_STEP, CHATTER = range(4)  # what a stretch can end with
-REVERSAL, STICK, BREAKAWAY, GUARDED = range(4)  # kinds of events that are recorded
 _SHORTEST = 1e-12  # s, a step that must be shorter than this does not converge
-
-
-@part
-def note(events, found, time, kind, place):
-    """Record an event where there is room; count it in any case."""
-    i = found[0]
-    if i < found[1]:
-        events[3 * i] = time
-        events[3 * i + 1] = kind
-        events[3 * i + 2] = place
-    found[0] = i + 1
 
 
 @part

@@ -1,27 +1,18 @@
 """Run an axis with any effects: sample, control, hold, and move it through every hold period.
 
 A period is cut where a delayed voltage arrives and where a kernel jumps in time. Each piece is stepped exactly where
-the effects leave the motion alone (:mod:`core`), in one glide where they have no own states (:mod:`glide`), or from
-event to event (:mod:`stretch`), whichever is the first that can.
+the effects leave the friction plant as it is (:mod:`friction_period`), in one glide where they have no own states
+(:mod:`smooth_period`), or from event to event (:mod:`event_steps`), whichever is the first that can.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from emps_design.simulation.kernels import baseline as core
+from emps_design.simulation.kernels.baseline import SWINGS, swing
 from emps_design.simulation.kernels.compile import cached, call_actuator, call_kernel, call_law, part, pointer, shifted
-from emps_design.simulation.kernels.event_steps import (
-    BREAKAWAY,
-    CHATTER,
-    DIVERGED,
-    DONE,
-    NO_STEP,
-    REVERSAL,
-    STICK,
-    note,
-    stretch,
-)
+from emps_design.simulation.kernels.event_steps import CHATTER, DIVERGED, DONE, NO_STEP, stretch
+from emps_design.simulation.kernels.friction_period import advance, follow, response
 from emps_design.simulation.kernels.motion import (
     ACTUATOR,
     COMMAND,
@@ -33,6 +24,7 @@ from emps_design.simulation.kernels.motion import (
     GAIN,
     GLIDES,
     GUARD,
+    HELD,
     INERTIA,
     INSTANT,
     JUMP,
@@ -42,10 +34,13 @@ from emps_design.simulation.kernels.motion import (
     RESOLUTION,
     SENSOR,
     SERIES,
+    SETTINGS,
     STATES,
     TOLERANCE,
     TOUCH,
     TOUCH_MASS,
+    VISCOUS_N,
+    VISCOUS_P,
     balance,
     derivative,
     motor,
@@ -102,6 +97,7 @@ def run(
     period, limit, resolution = settings[PERIOD], settings[LIMIT], settings[RESOLUTION]
     jumps, late = starts[JUMP + 1] > starts[JUMP], starts[DELAY + 1] > starts[DELAY]
     touched, weighs = starts[TOUCH + 1] > starts[TOUCH], starts[TOUCH_MASS + 1] > starts[TOUCH_MASS]
+    holds = starts[HELD + 1] > starts[HELD]
     weighed = starts[INERTIA + 1] > starts[INERTIA]
     bounds[0], bounds[1] = -np.inf, np.inf
     glides, steady = settings[GLIDES] > 0.0, settings[GLIDES] > 1.0
@@ -109,6 +105,12 @@ def run(
     feel = shifted(before, starts[GUARD + 1] - starts[GUARD])
     if glides:
         feeling(y_, plant, work, feel)
+    base = plant[0]
+    friction = (
+        base[0], settings[VISCOUS_P], settings[VISCOUS_N], base[2] + base[3], base[2] - base[3], settings[LAG]
+    )  # fmt: skip
+    forward = response(period, friction[0], friction[1], friction[5])
+    backward = response(period, friction[0], friction[2], friction[5])
     fresh, before_force, before_mass = False, 0.0, 1.0
     tau, reached, s, hint = 0.0, 0.0, 0.0, period
     drive[0], drive[1], drive[2], drive[3], drive[4] = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -120,6 +122,8 @@ def run(
         for i in range(slots.size):
             p[slots[i]] = signals[k, i]
         force = push[k] if push.size else 0.0
+        if holds:
+            force -= total(HELD, y_, t, tau, plant)
         position[k], velocity[k] = y[0], y[1]
         seen = y[0] + total(SENSOR, y_, t, tau, plant)
         if resolution > 0.0:
@@ -146,8 +150,8 @@ def run(
         if abs(volts) >= limit:
             volts = limit if volts > 0.0 else -limit
             if law != 0:
-                swings = core.swing(volts, k, period, swings)
-                if swings[1] >= core.SWINGS:
+                swings = swing(volts, k, period, swings)
+                if swings[1] >= SWINGS:
                     return RUNAWAY, k, 0.0
         u[k] = volts
 
@@ -175,20 +179,21 @@ def run(
                         end = max(after, start + 2.0 * _APART)
                         bounds[1] = t + end - _APART
             h = end - start
-            if lagged:
-                drive[0], drive[1] = reached - tau, t + start
             if exact:
-                speed = y[1]
-                y[0], y[1], at = core.step_exactly(plant[0], y[0], speed, tau + force - plant[0][3], h)
-                if at >= 0.0:
-                    if speed != 0.0:
-                        note(events_, found_, t + start + at, STICK if y[1] == 0.0 else REVERSAL, y[0])
-                    elif y[1] != 0.0:
-                        note(events_, found_, t + start, BREAKAWAY, y[0])
+                if h == period:
+                    y[0], y[1], reached = advance(
+                        y[0], y[1], reached, tau, force, h, forward, backward, friction, t, events_, found_
+                    )
+                else:
+                    y[0], y[1], reached = follow(
+                        y[0], y[1], reached, tau, force, h, friction, t + start, events_, found_
+                    )
                 if not (abs(y[0]) < 1e3 and abs(y[1]) < 1e3):
                     return DIVERGED, k, start
                 start = end
                 continue
+            if lagged:
+                drive[0], drive[1] = reached - tau, t + start
             if glides and s * y[1] > 0.0:
                 if fresh and steady:
                     k1[1] += (tau + drive[0] + force - before_force) / before_mass
@@ -219,7 +224,7 @@ def room(states: int, guards: int) -> int:
 
 
 __all__ = [
-    "CHATTER", "DELAYED", "DIVERGED", "DONE", "ENERGY", "EXACT", "FREE", "GAIN", "GLIDES", "GUARD", "LAG", "LIMIT",
-    "MASSLESS", "NO_STEP", "PERIOD", "RESOLUTION", "RUNAWAY", "SERIES", "STATES", "TOLERANCE", "TOUCH", "TOUCH_MASS",
-    "room", "run",
+    "CHATTER", "DELAYED", "DIVERGED", "DONE", "ENERGY", "EXACT", "FREE", "GAIN", "GLIDES", "GUARD", "HELD", "LAG",
+    "LIMIT", "MASSLESS", "NO_STEP", "PERIOD", "RESOLUTION", "RUNAWAY", "SERIES", "SETTINGS", "STATES", "TOLERANCE",
+    "TOUCH", "TOUCH_MASS", "VISCOUS_N", "VISCOUS_P", "room", "run",
 ]  # fmt: skip

@@ -18,9 +18,11 @@ import numpy as np
 from emps_design.simulation.kernels.compile import call_kernel, call_rate, part
 
 # Rows of the table of hooks: one list of (address, first own state in y, first parameter) for each.
-FORCE, DRY, INERTIA, COMMAND, ACTUATOR, DELAY, SENSOR, RATE, GUARD, JUMP, TOUCH, TOUCH_MASS = range(12)
+FORCE, DRY, INERTIA, COMMAND, ACTUATOR, DELAY, SENSOR, RATE, GUARD, JUMP, TOUCH, TOUCH_MASS, HELD = range(13)
 # Places in ``settings``.
-PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, GLIDES, EXACT, ENERGY, SERIES = range(13)
+(PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, GLIDES, EXACT, ENERGY, SERIES,
+ VISCOUS_P, VISCOUS_N) = range(15)  # fmt: skip
+SETTINGS = 15
 
 ORDER = 4  # of convergence, measured in the tests
 # What one step may be wrong by in position [m], velocity [m/s], and relative to the largest value of an own state.

@@ -82,14 +82,13 @@ def test_compiled_plant_without_dry_friction_is_the_linear_loop(axis, force_sens
     plant = FrictionModel.of(smooth)
     law = impedance_law(smooth, 60.0, 100.0, 300.0, force_sensor=force_sensor).with_errors({"mass": 0.01})
     n = 400
-    reference = np.zeros((n, 3))
-    reference[:, 0] = 10.0 + 30.0 * np.random.default_rng(1).standard_normal(n)  # white, and mostly one way
-    reference[0, 0] = 500.0  # off and away, so that the velocity keeps its sign
-    found = run_task(smooth, law, Task("noise", reference, (0.0, 0.0), n - 1, n - 1, 1e-3))
+    push = 10.0 + 30.0 * np.random.default_rng(1).standard_normal(n)  # white, and mostly one way
+    push[0] = 500.0  # off and away, so that the velocity keeps its sign
+    found = run_task(smooth, law, Task("noise", push, np.full(n, np.nan), (0.0, 0.0), n - 1, n - 1, 1e-3))
     assert found.v[1:].min() > 0.0
     loop = sampled_loop(law, plant, Clock.of(smooth))
     state, velocity = np.zeros(len(loop.matrix)), []
-    for force in reference[: n - 1, 0]:
+    for force in push[: n - 1]:
         velocity.append(state[0])
         state = loop.matrix @ state + loop.column * force
     np.testing.assert_allclose(found.v[: n - 1], velocity, rtol=1e-9, atol=1e-12)

@@ -133,9 +133,17 @@ def test_the_steppers_cache_depends_on_every_file_it_is_built_from():
     from emps_design.simulation.kernels.compile import source_files
 
     files = {
-        hold_loop.run: {"compile", "baseline", "smooth_period", "motion", "hold_loop", "event_steps"},
-        baseline.run_folded: {"compile", "baseline"},
-        batch.run_lanes: {"compile", "baseline", "batch"},
+        hold_loop.run: {
+            "baseline",
+            "compile",
+            "event_steps",
+            "friction_period",
+            "hold_loop",
+            "motion",
+            "smooth_period",
+        },
+        baseline.run_folded: {"baseline", "compile", "friction_period"},
+        batch.run_lanes: {"batch", "compile", "friction_period"},
     }
     for dispatcher, names in files.items():
         assert {path.stem for path in source_files(dispatcher.py_func)} == names

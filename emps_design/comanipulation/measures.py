@@ -1,0 +1,175 @@
+"""What is measured on a run of a task, from its samples, and the verdict that follows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from emps_design.simulation.kernels.compile import part
+
+# Places in the measures of a run.
+(P_PEAK_U, P_CLIPPED, P_CLIPPED_END, P_FLIPS, P_PEAK_FORCE, P_FORCE2, P_IMPULSE, P_WORK, P_PATH, P_MISS2, P_HELD,
+ P_N, P_AA, P_AV, P_VV, P_AF, P_VF, P_FF, P_END_MIN_V, P_END_MAX_V, P_END_TURNS, P_END_MIN_U, P_END_MAX_U,
+ P_DRIFT, P_RATIO, P_MOVING, P_END_SPEED, P_DIVERGED) = range(28)  # fmt: skip
+MEASURES = 28
+_SWING = 50  # samples within which a voltage that was at one limit must be at the other to count as a flip
+
+
+@part
+def measure(q, v, u, force, wish, limit, period, release, end, measures):
+    """Fill ``measures`` (MEASURES,) from a run: ``q`` [m], ``v`` [m/s] (n + 1,), with the state in which it ended.
+
+    ``u`` [V], ``force`` [N] of the operator, held over each period, and ``wish`` [m], where the hand means to be, have
+    n samples or one more; the carriage is let go at sample ``release``; a verdict looks at the samples from ``end`` on.
+    """
+    n = q.size - 1
+    measures[:] = 0.0
+    last_clip, clipped_at, stopped = 0.0, 0, n
+    clipped = clipped_end = flips = turns_end = moving = 0
+    peak_u = peak_force = force2 = impulse = work = path = miss2 = end_speed = 0.0
+    aa = av = vv = af = vf = ff = 0.0
+    min_v = min_u = np.inf
+    max_v = max_u = -np.inf
+    rate = 1.0 / period
+    for k in range(n):
+        moved = q[k + 1] - q[k]
+        volts, v0, v1 = u[k], v[k], v[k + 1]
+        peak_u = max(peak_u, abs(volts))
+        if abs(volts) >= limit:
+            clip = 1.0 if volts > 0.0 else -1.0
+            clipped += 1
+            clipped_end += k >= end
+            flips += clip * last_clip < 0.0 and k - clipped_at <= _SWING
+            last_clip, clipped_at = clip, k
+        if k < release:
+            f = force[k]
+            peak_force = max(peak_force, abs(f))
+            force2 += f * f
+            impulse += abs(f) * period
+            work += f * moved
+            path += abs(moved)
+            miss2 += (wish[k] - q[k]) ** 2
+            if v0 * v1 > 0.0:  # in motion; means over the period for which the force is held
+                a, w = (v1 - v0) * rate, moved * rate
+                moving += 1
+                aa += a * a
+                av += a * w
+                vv += w * w
+                af += a * f
+                vf += w * f
+                ff += f * f
+        elif v1 == 0.0 and stopped == n:
+            stopped = k + 1
+        if k >= end:
+            min_v, max_v = min(min_v, v1), max(max_v, v1)
+            min_u, max_u = min(min_u, volts), max(max_u, volts)
+            turns_end += v0 * v1 < 0.0 or (v0 != 0.0 and v1 == 0.0)
+            end_speed += moved
+    measures[P_PEAK_U], measures[P_PEAK_FORCE] = peak_u, peak_force
+    measures[P_CLIPPED], measures[P_CLIPPED_END], measures[P_FLIPS] = clipped, clipped_end, flips
+    measures[P_FORCE2], measures[P_IMPULSE], measures[P_WORK] = force2, impulse, work
+    measures[P_PATH], measures[P_MISS2], measures[P_HELD], measures[P_N] = path, miss2, release, moving
+    measures[P_AA], measures[P_AV], measures[P_VV] = aa, av, vv
+    measures[P_AF], measures[P_VF], measures[P_FF] = af, vf, ff
+    measures[P_END_MIN_V], measures[P_END_MAX_V], measures[P_END_TURNS] = min_v, max_v, turns_end
+    measures[P_END_MIN_U], measures[P_END_MAX_U] = min_u, max_u
+    measures[P_END_SPEED] = end_speed / (period * max(n - end, 1))
+    _drift(q[release:], stopped - release, period, measures)
+
+
+@part
+def _drift(free, moving, period, measures):
+    """Speed that the free motion tends to, from its steps over three equal spans (Aitken: exact for one decay).
+
+    The first tenth is left out (filters settle). A negative product with the direction of motion means that dry
+    friction stops the carriage in finite time.
+    """
+    measures[P_MOVING] = moving
+    skip = moving // 10
+    span = (moving - skip) // 3
+    if span < 1:
+        measures[P_RATIO] = np.nan
+        return
+    v1 = (free[skip + span] - free[skip]) / (span * period)
+    v2 = (free[skip + 2 * span] - free[skip + span]) / (span * period)
+    v3 = (free[skip + 3 * span] - free[skip + 2 * span]) / (span * period)
+    side = 1.0 if v1 >= 0.0 else -1.0
+    first, second = v2 - v1, v3 - v2
+    bend = second - first
+    measures[P_RATIO] = second / first if first != 0.0 else 0.0
+    if abs(bend) > 1e-12 * (abs(v1) + abs(v3)):
+        measures[P_DRIFT] = side * (v3 - second * second / bend)
+    else:
+        measures[P_DRIFT] = side * v3
+
+
+@part
+def broken_off(limit, measures):
+    """Measures of a run that could not be finished: unstable, and nothing else known."""
+    measures[:] = np.nan
+    measures[P_DIVERGED], measures[P_PEAK_U] = 1.0, limit
+
+
+@dataclass(frozen=True)
+class Measures:
+    """What was measured on m simulated plants; every attribute is an array (m,)."""
+
+    raw: np.ndarray
+    threshold: float
+    integrates: np.ndarray
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        place = globals().get(f"P_{name.upper()}")
+        if place is None:
+            raise AttributeError(name)
+        return self.raw[:, place]
+
+    @property
+    def verdict(self) -> np.ndarray:
+        """Places in ``VERDICTS``.
+
+        Unstable: it diverged, ended against the voltage limit after the release, swung from limit to limit ten times
+        or more, or its free motion grows. Limit cycle: in the last tenth of the task the velocity still takes both
+        signs, by two thresholds, or comes to zero ten times. Then by the speed that free motion tends to, which a
+        cascaded loop, whose integral rules dry friction out, is not asked for.
+        """
+        low, high = -2.0 * self.threshold, 2.0 * self.threshold
+        peak = np.maximum(self.end_max_v, -self.end_min_v)
+        with np.errstate(invalid="ignore"):
+            grows = (self.ratio > 1.0) & (np.abs(self.end_speed) > 10.0 * high)
+            unstable = (self.diverged > 0) | (self.clipped_end > 0) | (self.flips >= 10)
+            cycle = ((self.end_min_v < low) & (self.end_max_v > high)) | (
+                (self.end_turns >= 10) & (peak > self.threshold)
+            )
+            unstable |= grows & ~cycle
+        at_rest = (self.end_max_v == 0.0) & (self.end_min_v == 0.0)
+        creeping = ~at_rest & (self.drift > self.threshold) & ~self.integrates
+        dead = (self.drift < -self.threshold) & ~self.integrates
+        return np.select([unstable, cycle, creeping, dead], [4, 3, 2, 1], 0)
+
+    @property
+    def fit(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Apparent mass [kg], damping [N/(m/s)] and R^2 from force regressed on acceleration and velocity, in motion.
+
+        Means over each period, no constant column, R^2 about zero.
+        """
+        determinant = self.aa * self.vv - self.av**2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            mass = (self.vv * self.af - self.av * self.vf) / determinant
+            damping = (self.aa * self.vf - self.av * self.af) / determinant
+            r2 = 1.0 - (self.ff - mass * self.af - damping * self.vf) / self.ff
+        return mass, damping, r2
+
+    @property
+    def effort(self) -> dict[str, np.ndarray]:
+        """The operator's effort: rms, peak force [N], impulse [N s], work [J], N per (m/s), tracking error [m]."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return {
+                "rms_force": np.sqrt(self.force2 / self.held),
+                "peak_force": self.peak_force,
+                "impulse": self.impulse,
+                "work": self.work,
+                "force_per_speed": np.where(self.path > 0, self.impulse / self.path, np.nan),
+                "tracking_error": np.sqrt(self.miss2 / self.held),
+            }
