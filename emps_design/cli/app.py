@@ -124,9 +124,10 @@ def _with_debug(command: Callable[..., int | None]) -> Callable[..., int | None]
     own = [one.replace(annotation=hints[name]) for name, one in inspect.signature(command).parameters.items()]
     option = typer.Option(False, "--debug", help="The traceback of an error.")
     added = inspect.Parameter("debug", inspect.Parameter.KEYWORD_ONLY, default=option, annotation=bool)
-    with_debug.__signature__ = inspect.Signature([*own, added])
-    with_debug.__annotations__ = {**hints, "debug": bool}
-    return with_debug
+    described: Any = with_debug
+    described.__signature__ = inspect.Signature([*own, added])
+    described.__annotations__ = {**hints, "debug": bool}
+    return described
 
 
 def _root() -> None:
