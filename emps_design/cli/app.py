@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, get_type_hints
 
 from emps_design.cli.interrupts import STATUS as INTERRUPTED
 from emps_design.cli.output import print_json, tell
-from emps_design.errors import EmpsError, SimulationError, SpecificationError, UnstableError
+from emps_design.errors import EmpsError, InputError, SimulationError, SpecificationError, UnstableError
 
 if TYPE_CHECKING:
     import typer
@@ -33,6 +33,7 @@ COMMANDS = (
     "demo",
     "init",
 )
+BEYOND = "numbers too far apart to compute with; check the units in the axis, the record and the options"
 
 
 def run(arguments: list[str]) -> int:
@@ -43,6 +44,8 @@ def run(arguments: list[str]) -> int:
     try:
         result = _application(arguments)(args=arguments or ["--help"], prog_name="emps-design", standalone_mode=False)
         sys.stdout.flush()
+        if result == INTERRUPTED:
+            tell("interrupted")
         return result if isinstance(result, int) else 0
     except EmpsError as error:
         if debug:
@@ -79,6 +82,9 @@ def run(arguments: list[str]) -> int:
             return 2
         if debug:
             raise
+        if isinstance(error, ArithmeticError) or type(error).__name__ == "LinAlgError":
+            tell(f"{BEYOND} ({type(error).__name__}: {error})")
+            return InputError.exit_code
         tell(f"{type(error).__name__}: {error} (run with --debug for the traceback)")
         return 1
     except KeyboardInterrupt:

@@ -62,7 +62,7 @@ def command(
     import sys
 
     from emps_design.cli.output import print_json, progress_bar, tell
-    from emps_design.errors import InputError, nearest_name
+    from emps_design.errors import InputError, nearest_name, one_line
     from emps_design.files import write_text
     from emps_design.machines import load_axis
     from emps_design.records import read_record
@@ -98,7 +98,7 @@ def command(
         with progress_bar(not as_json or sys.stderr.isatty()) as progress:
             found = identify_several(read, loaded, progress=progress, **options)
     if out is not None:
-        write_text(out, found.to_axis(name=out.stem).to_toml())
+        write_text(out, found.to_axis(name=one_line(out.stem)).to_toml())
     if as_json:
         print_json(found)
     elif len(read) == 1:

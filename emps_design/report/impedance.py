@@ -142,7 +142,7 @@ def _sampled_table(document: Mapping[str, Any]) -> Table:
             "every softer one is stable too",
         ],
         [
-            Html(f"equivalent force loop {symbol('k_e1')}"),
+            Html("equivalent force loop " + symbol("k_e1")),
             "none" if loop["k_e1"] is None else f"{number(loop['k_e1'])} (m/s)/N",
             f"{loop['criterion'].replace('_', ' ')} match",
         ],
