@@ -20,8 +20,8 @@ BLOCKS = 50  # in whose median the noise of the encoder is read
 def encoder_variance(record: Record) -> float:
     """Variance of the encoder's white noise, rounding included [m^2]: the fourth difference of a motion is 70 of it.
 
-    >>> t = np.arange(2000) * 1e-3
-    >>> q = 0.1 * np.sin(t) + 2e-6 * np.random.default_rng(0).standard_normal(2000)
+    >>> t = np.arange(20000) * 1e-3
+    >>> q = 0.1 * np.sin(t) + 2e-6 * np.random.default_rng(0).standard_normal(20000)
     >>> round(1e6 * encoder_variance(Record(t=t, q_ref=q, q=q, u=q, period=1e-3)) ** 0.5, 1)
     2.0
     """
