@@ -30,13 +30,17 @@ def transfers(
     omega: np.ndarray,
     velocity_estimator: str = "two_tap",
     force_sensor: bool = False,
+    wall: float = 0.0,
 ) -> Transfers:
-    """Solve the recursions of the sampled law in z for many loops (m,) at ``omega`` (w,) [rad/s]."""
+    """Solve the recursions of the sampled law in z for many loops (m,) at ``omega`` (w,) [rad/s].
+
+    ``wall`` [N/m] is the stiffness of an undamped wall at the carriage.
+    """
     values = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, dtype=float)) for x in n.values()))
     flat = dict(zip(n, values, strict=True))
     p = {name: value[:, None] for name, value in flat.items()}
     period, lag = clock.period, clock.current_time_constant
-    step = plant_step(flat["mass"], flat["viscous"], np.zeros_like(flat["mass"]), lag, period)[:, :, :, None]
+    step = plant_step(flat["mass"], flat["viscous"], np.full_like(flat["mass"], wall), lag, period)[:, :, :, None]
     z = np.exp(1j * np.asarray(omega, dtype=float) * period)[None, :]
     # q and v from command and held force, through tau = g c: (z - A) [q, v] = b_c c + b_e tau_e.
     g = step[:, 2, 3] / (z - step[:, 2, 2])
@@ -51,7 +55,7 @@ def transfers(
     taps = (1.0 - z**-2) / (2.0 * period) if velocity_estimator == "two_tap" else (1.0 - 1.0 / z) / period
     late = z ** -float(clock.delay)
     if force_sensor:
-        of_q = (p["viscous_hat"] - r * p["damping"]) * taps - r * p["stiffness"]
+        of_q = (p["viscous_hat"] - r * p["damping"]) * taps - r * p["stiffness"] - (r - 1.0) * wall
         of_c, of_e = 0.0, r - 1.0
     else:
         slow_a, slow_tau = (
@@ -101,7 +105,9 @@ def impedance_error(
     return np.sqrt(np.mean(np.abs(found / target - 1.0) ** 2, axis=1))
 
 
-def relay_oscillation(law: ImpedanceLaw, plant: FrictionModel, clock: Clock) -> tuple[float, float] | None:
+def relay_oscillation(
+    law: ImpedanceLaw, plant: FrictionModel, clock: Clock, wall: float = 0.0
+) -> tuple[float, float] | None:
     """Predict the oscillation the Coulomb compensation can keep up: (frequency [rad/s], velocity amplitude [m/s]).
 
     The law pushes with ``r c Fh_c sign(v_k)`` at once, but takes back what its current already does only through the
@@ -110,13 +116,14 @@ def relay_oscillation(law: ImpedanceLaw, plant: FrictionModel, clock: Clock) -> 
 
         (4/pi) (-F_c Y_e(jw) + r c Fh_c Y_c(jw) e^{j angle(v_k/v)}) = A > 0
 
-    with Y_e, Y_c the mean velocity per force at the hand and per force added to the law's. Looked for between 0.5
-    rad/s and a quarter of the Nyquist frequency; the largest is returned, None if there is none. An approximation:
-    simulated speeds are up to twice as large and, since the carriage lingers near rest, frequencies two to six times
-    lower; sticking may end the oscillation before it settles. It explains a limit cycle and does not promise one.
+    with Y_e, Y_c the mean velocity per force at the hand and per force added to the law's, both against a ``wall``
+    [N/m] where one is given. Looked for between 0.5 rad/s and a quarter of the Nyquist frequency (half of it against a
+    wall); the largest is returned, None if there is none. An approximation: simulated speeds are up to twice as large
+    and, since the carriage lingers near rest, frequencies two to six times lower; sticking may end the oscillation
+    before it settles. It explains a limit cycle and does not promise one.
     """
-    omega = np.geomspace(0.5, 0.25 * np.pi / clock.period, 600)
-    options = {"velocity_estimator": law.velocity_estimator, "force_sensor": law.force_sensor}
+    omega = np.geomspace(0.5, (0.5 if wall else 0.25) * np.pi / clock.period, 600)
+    options = {"velocity_estimator": law.velocity_estimator, "force_sensor": law.force_sensor, "wall": wall}
     compensation = law.coulomb_factor * (1.0 if law.force_sensor else law.ratio)
     found = []
     for direction in (1, -1) if plant.two_quadrant else (1,):
