@@ -80,7 +80,12 @@ def one_line(text: object) -> str:
     >>> one_line("a name\\twith \\x1b[31mcolours \\udcff")
     'a name with ?[31mcolours ?'
     """
-    return "".join(c if c.isprintable() else "?" for c in " ".join(str(text).split()))
+    return printable(" ".join(str(text).split()))
+
+
+def printable(text: str) -> str:
+    """Return ``text`` with ``?`` for what is not seen: terminals obey it, and some of it no file can hold."""
+    return "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
 
 
 def nearest_name(found: str, known: list[str] | tuple[str, ...]) -> str:

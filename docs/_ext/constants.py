@@ -11,7 +11,7 @@ ASSIGNED = re.compile(r"^([A-Z][A-Z_0-9]*) = ([^#]+?)(?:\s+# (.*))?$", re.MULTIL
 
 
 class Constants(Directive):
-    """``{constants}`` with lines ``module NAME NAME ...``: a row a number."""
+    """``{constants}`` with lines ``module NAME NAME ...``, or ``module`` for all of them: one row per number."""
 
     has_content = True
 
@@ -22,7 +22,7 @@ class Constants(Directive):
             path = next(ROOM.rglob(f"{module}.py"))
             self.state.document.settings.env.note_dependency(str(path))
             found = {name: rest for name, *rest in ASSIGNED.findall(path.read_text(encoding="utf-8"))}
-            for name in names:
+            for name in names or found:
                 if name not in found:
                     raise self.error(f"{path}: no constant {name}; found {', '.join(found)}")
                 value, meaning = found[name]

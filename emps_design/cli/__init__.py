@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
+from io import TextIOWrapper
 
 from emps_design.cli import interrupts
 from emps_design.cli.app import run
@@ -16,6 +18,8 @@ def main() -> None:
     if sys.stdout is None:
         tell("standard output is closed, expected somewhere to print; > /dev/null prints nowhere")
         sys.exit(1)
+    if "--debug" not in sys.argv and not sys.warnoptions:
+        warnings.simplefilter("ignore")  # of libraries, for programmers; our own are printed as such
     interrupts.listen()
     status = run(sys.argv[1:])
     if status == interrupts.STATUS:
@@ -30,5 +34,5 @@ def _stand_on_three_streams() -> None:
     os.close(free)
     sys.stdin, sys.stderr = sys.stdin or open(0), sys.stderr or open(2, "w")  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
-        if stream is not None:  # a name of a file need not be text: what cannot be encoded is shown as its number
+        if isinstance(stream, TextIOWrapper):  # the name of a file need not be text: show what cannot be encoded
             stream.reconfigure(errors="backslashreplace")

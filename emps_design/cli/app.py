@@ -6,10 +6,14 @@ import importlib
 import os
 import sys
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 from emps_design.cli.interrupts import STATUS as INTERRUPTED
 from emps_design.cli.output import print_json, tell
-from emps_design.errors import EmpsError, SpecificationError, UnstableError
+from emps_design.errors import EmpsError, InputError, SpecificationError, UnstableError
+
+if TYPE_CHECKING:
+    import typer
 
 # Commands in the order of the work: record, axis, gains, simulation, what disagrees, page.
 COMMANDS = (
@@ -26,6 +30,7 @@ COMMANDS = (
     "demo",
     "init",
 )
+BEYOND = "numbers too far apart to compute with; check the units in the axis, the record and the options"
 
 
 def run(arguments: list[str]) -> int:
@@ -36,6 +41,8 @@ def run(arguments: list[str]) -> int:
     try:
         result = _application(arguments)(args=arguments or ["--help"], prog_name="emps-design", standalone_mode=False)
         sys.stdout.flush()
+        if result == INTERRUPTED:
+            tell("interrupted")
         return result if isinstance(result, int) else 0
     except EmpsError as error:
         if debug:
@@ -72,6 +79,9 @@ def run(arguments: list[str]) -> int:
             return 2
         if debug:
             raise
+        if isinstance(error, ArithmeticError) or type(error).__name__ == "LinAlgError":
+            tell(f"{BEYOND} ({type(error).__name__}: {error})")
+            return InputError.exit_code
         tell(f"{type(error).__name__}: {error} (run with --debug for the traceback)")
         return 1
     except KeyboardInterrupt:
@@ -85,7 +95,7 @@ def _print_nowhere() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _application(arguments: list[str]):
+def _application(arguments: list[str]) -> typer.Typer:
     """The Typer application. Only the module of the command that runs is imported, unless help is asked for."""
     import typer
 

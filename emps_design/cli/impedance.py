@@ -8,23 +8,36 @@ from typing import Annotated, Any
 
 import typer
 
+from emps_design.cli.design_options import within
 from emps_design.cli.output import new_console, print_json, progress_bar, tell
 from emps_design.errors import InputError
 
 
 def command(
     axis: Annotated[str, typer.Argument(help="TOML file or embedded machine")] = "emps2018",
-    mass: Annotated[float | None, typer.Option(help="apparent mass M_a [kg]; default the axis's controller's")] = None,
-    damping: Annotated[float | None, typer.Option(help="apparent damping B [N/(m/s)]; default likewise")] = None,
-    mismatch: Annotated[float | None, typer.Option(help="relative error of the estimates, such as 0.02")] = None,
+    mass: Annotated[
+        float | None,
+        typer.Option(callback=within("kg"), help="apparent mass M_a [kg]; default the axis's controller's"),
+    ] = None,
+    damping: Annotated[
+        float | None, typer.Option(callback=within("N/(m/s)"), help="apparent damping B [N/(m/s)]; default likewise")
+    ] = None,
+    mismatch: Annotated[
+        float | None, typer.Option(callback=within(""), help="relative error of the estimates, such as 0.02")
+    ] = None,
     filter: Annotated[
-        float | None, typer.Option(help="low-pass of acceleration and current [rad/s]; default 0.5/period, inf: none")
+        float | None,
+        typer.Option(
+            callback=within("rad/s"), help="low-pass of acceleration and current [rad/s]; default 0.5/period, inf: none"
+        ),
     ] = None,
     unfiltered_current: Annotated[
         bool, typer.Option("--unfiltered-current", help="filter the acceleration alone")
     ] = False,
-    stiffness: Annotated[float, typer.Option(help="apparent stiffness K [N/m] about 0")] = 0.0,
-    coulomb_factor: Annotated[float, typer.Option(help="factor on the Coulomb compensation")] = 1.0,
+    stiffness: Annotated[float, typer.Option(callback=within("N/m"), help="apparent stiffness K [N/m] about 0")] = 0.0,
+    coulomb_factor: Annotated[
+        float, typer.Option(callback=within(""), help="factor on the Coulomb compensation")
+    ] = 1.0,
     force_sensor: Annotated[bool, typer.Option("--force-sensor", help="(28) with a measured force")] = False,
     two_quadrant: Annotated[
         bool, typer.Option("--two-quadrant", help="let friction err apart in either direction")
@@ -69,9 +82,10 @@ def command(
 
 
 def _given(option: str, what: str, asked: float | None, own: float | None) -> float:
-    if asked is None and own is None:
+    value = own if asked is None else asked
+    if value is None:
         raise InputError(f"{option}: found none, expected {what}, here or in the axis's impedance controller")
-    return own if asked is None else asked
+    return value
 
 
 def _print(document: dict[str, Any]) -> None:

@@ -18,7 +18,7 @@ from emps_design.discrepancy.validation.gap import Gap, Prediction
 from emps_design.quantities import display_unit
 
 SCHEMA = "emps-design/diagnosis/1"
-TOLD_WHOLE = 2  # findings told with all their numbers in the sentence
+MOST_IN_FULL = 2  # findings with all their numbers in the sentence
 
 
 @dataclass(frozen=True)
@@ -66,12 +66,12 @@ class Finding:
         force, place = self.where["force"], self.where["text"]
         much = f"up to {force['value']:.3g} {force['unit']}"
         if self.channel == "controller":
-            said = f"the controller adds {much}"
+            text = f"the controller adds {much}"
         elif force["sense"] == "more or less":
-            said = f"the motor's force differs from the model's by {much}"
+            text = f"the motor's force differs from the model's by {much}"
         else:
-            said = f"the motor needs {much} {force['sense']} than the model"
-        return said if place == EVERYWHERE else f"{place}, {said}"
+            text = f"the motor needs {much} {force['sense']} than the model"
+        return text if place == EVERYWHERE else f"{place}, {text}"
 
 
 def in_unit(value: float, std: float, unit: str) -> str:
@@ -113,7 +113,7 @@ class Diagnosis:
     views: tuple[View, ...]
     details: Mapping[str, Any] = field(default_factory=dict)
     experiment: Experiment | None = None
-    stretch: tuple[float, float] | None = None  # s, of the record, where only that confirms
+    window: tuple[float, float] | None = None  # s, of the record, where only that confirms
     model_file: str | None = None
 
     @property
@@ -127,7 +127,7 @@ class Diagnosis:
         judged, where = (self.holdout, "held-out") if self.holdout else (self.train, "training")
         gap = f"{where} force error {judged.baseline:.2f} N -> {judged.extended:.2f} N, noise {self.floor:.2f} N"
         if self.verdict in ("named", "ambiguous"):
-            if len(self.findings) <= TOLD_WHOLE:
+            if len(self.findings) <= MOST_IN_FULL:
                 text = "; ".join(finding.in_words() for finding in self.findings)
             else:
                 text = f"{len(self.findings)} effects are missing: "
@@ -157,7 +157,7 @@ class Diagnosis:
     def trace(self) -> Trace:
         """The force over time of the record that confirms, or of the training record."""
         p = self.prediction
-        return Trace(p.record.name, p.record.t, p.measured, p.baseline, p.extended, self.stretch)
+        return Trace(p.record.name, p.record.t, p.measured, p.baseline, p.extended, self.window)
 
     def to_dict(self) -> dict[str, Any]:
         """The contract's document, and what the report shows besides."""

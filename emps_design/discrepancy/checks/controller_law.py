@@ -11,16 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.partition import START_UP
 from emps_design.effects import Effect, Motion
 from emps_design.errors import InputError
 from emps_design.laws import law_of
 from emps_design.records import Record
 
-HOLDS = 0.05  # a law holds where it misses the voltage by less than this share of it, in the median
-STRUCTURE = 4.0  # a gap has structure when its 20 ms means vary this many times more than white noise would
-BLOCK_TIME = 0.02  # s
-NAMED = 0.9  # share of the structure an effect must explain
+BLOCK_TIME = 0.02  # s, of the means in which structure shows
 
 
 @dataclass(frozen=True)
@@ -34,6 +32,16 @@ class LawCheck:
     effect: Effect | None = None
     values: np.ndarray | None = None
 
+    @property
+    def added(self) -> str:
+        """Name of the effect that the controller adds, or ""."""
+        return "" if self.effect is None else self.effect.name
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether the controller does something that no effect explains."""
+        return self.structured and self.effect is None
+
 
 def check_law(record: Record, axis: Axis, library: tuple[Effect, ...]) -> LawCheck:
     """Check the law of ``axis`` on ``record`` and name a gap with one of the ``library``'s controller effects.
@@ -43,17 +51,17 @@ def check_law(record: Record, axis: Axis, library: tuple[Effect, ...]) -> LawChe
     limit = axis.drive.voltage_limit
     gap = record.u - law_voltage(record, axis)
     gap[:START_UP] = 0.0
-    free = np.abs(record.u) < 0.999 * limit
+    free = np.abs(record.u) < rules.AT_LIMIT * limit
     centre = np.median(np.abs(gap[free]))
     swing = float(np.std(record.u))
     low = float(np.quantile(np.abs(gap[free] - np.median(gap[free])), 0.25))
-    if min(centre, low) > HOLDS * swing:
+    if min(centre, low) > rules.LAW_HOLDS * swing:
         raise InputError(_wrong_law(record, axis, swing, float(np.std(gap))))
     noise = _noise(gap)
     width = max(2, round(BLOCK_TIME / record.period))
     blocks = gap[: gap.size // width * width].reshape(-1, width).mean(axis=1)
-    structured = float(np.var(blocks)) * width > STRUCTURE * noise**2 and float(np.std(blocks)) > 1e-3 * swing
-    if not structured:
+    varying = float(np.var(blocks)) * width > rules.LAW_STRUCTURE * noise**2
+    if not (varying and float(np.std(blocks)) > rules.LAW_VISIBLE * swing):
         return LawCheck(gap, noise, False)
     best: tuple[float, Effect, np.ndarray] | None = None
     for effect in library:
@@ -64,7 +72,7 @@ def check_law(record: Record, axis: Axis, library: tuple[Effect, ...]) -> LawChe
             left = float(np.var(gap - command_of(effect, values, record)))
             if best is None or left < best[0]:
                 best = (left, effect, values)
-    if best is None or best[0] > (1 - NAMED) * float(np.var(gap)):
+    if best is None or best[0] > (1 - rules.LAW_NAMED) * float(np.var(gap)):
         return LawCheck(gap, noise, True)
     return LawCheck(gap, noise, True, best[1], best[2])
 
@@ -124,7 +132,7 @@ def _wrong_law(record: Record, axis: Axis, swing: float, miss: float) -> str:
         columns = np.column_stack([record.q_ref - record.q, -rate])[START_UP:]
         position, velocity = np.linalg.lstsq(columns, record.u[START_UP:], rcond=None)[0]
         left = float(np.std(record.u[START_UP:] - columns @ (position, velocity)))
-        if left < HOLDS * swing and velocity > 0:
+        if left < rules.LAW_HOLDS * swing and velocity > 0:
             fitting = f"kp = {position / velocity:.5g} 1/s and kv = {velocity:.5g} V/(m/s)"
             return f"{text}; {fitting} fit it, correct the axis file"
     return f'{text}; give the controller that made this record, or kind = "none"'

@@ -5,24 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.missing_force import CUTOFF_HZ
 from emps_design.errors import RecordError
 from emps_design.records import Record
 
-SHORTEST = 2.0  # s
 SLOWEST_PERIOD = 0.8 * 0.5 / CUTOFF_HZ  # s, for the filters of the missing force
-STILL = 1e-4  # m, a reference that moves less is no motion
-SATURATED = 0.5  # share of samples at the voltage limit beyond which nothing can be said
-PERIODS_ALIKE = 1e-4
 DRIVE = {"gtau", "kp", "kv"}  # numbers of the drive that a record may carry
 
 
 def check_records(records: tuple[Record, ...], axis: Axis) -> list[str]:
-    """Refuse what cannot be judged; return what can be judged but not everything of it, one sentence each."""
-    said: list[str] = []
+    """Refuse what cannot be judged; return what the records cannot tell, one sentence each."""
+    gaps: list[str] = []
     for record in records:
         period = axis.sampling.period
-        if abs(record.period / period - 1) > PERIODS_ALIKE:
+        if abs(record.period / period - 1) > rules.PERIODS_ALIKE:
             raise RecordError(
                 f"{record.name}: found a sampling period of {1e3 * record.period:g} ms, expected the axis's "
                 f"{1e3 * period:g} ms; records and axis must come from one drive"
@@ -32,25 +29,26 @@ def check_records(records: tuple[Record, ...], axis: Axis) -> list[str]:
                 f"{record.name}: found a sampling period of {1e3 * record.period:g} ms, expected at most "
                 f"{1e3 * SLOWEST_PERIOD:g} ms: forces are looked at up to {CUTOFF_HZ:g} Hz"
             )
-        if record.duration < SHORTEST:
+        if record.duration < rules.SHORTEST:
             raise RecordError(
-                f"{record.name}: found {record.duration:.3g} s, expected at least {SHORTEST:g} s; record whole strokes"
+                f"{record.name}: found {record.duration:.3g} s, expected at least {rules.SHORTEST:g} s; record whole "
+                "strokes"
             )
-        if np.ptp(record.q_ref) < STILL or np.ptp(record.q) < STILL:
+        if np.ptp(record.q_ref) < rules.STILL or np.ptp(record.q) < rules.STILL:
             raise RecordError(f"{record.name}: the axis does not move; record strokes in both directions")
-        limited = float(np.mean(np.abs(record.u) >= 0.999 * axis.drive.voltage_limit))
-        if limited > SATURATED:
+        limited = float(np.mean(np.abs(record.u) >= rules.AT_LIMIT * axis.drive.voltage_limit))
+        if limited > rules.SATURATED:
             raise RecordError(
                 f"{record.name}: {100 * limited:.0f} % of the samples are at the voltage limit, expected less than "
-                f"{100 * SATURATED:.0f} %; lower speed or acceleration"
+                f"{100 * rules.SATURATED:.0f} %; lower speed or acceleration"
             )
-        said += [f"{record.name}: {text}" for text in _tame(record)]
-    return said
+        gaps += [f"{record.name}: {text}" for text in _not_excited(record)]
+    return gaps
 
 
 def check_same_drive(record: Record, other: Record) -> None:
     """Refuse an ``other`` record that was not sampled like ``record``, or whose file names another drive."""
-    if abs(record.period / other.period - 1) > PERIODS_ALIKE:
+    if abs(record.period / other.period - 1) > rules.PERIODS_ALIKE:
         raise RecordError(
             f"{other.name}: found a sampling period of {1e3 * other.period:g} ms, expected "
             f"{1e3 * record.period:g} ms of {record.name}; all records must come from one drive"
@@ -69,14 +67,15 @@ def same_run(one: Record, other: Record) -> bool:
     return len(one) == len(other) and np.array_equal(one.q, other.q) and np.array_equal(one.u, other.u)
 
 
-def _tame(record: Record) -> list[str]:
+def _not_excited(record: Record) -> list[str]:
+    """What the speeds of ``record`` leave open."""
     v = np.gradient(record.q_ref, record.period)
     fastest = float(np.abs(v).max())
     steady = np.abs(v)[(np.abs(np.gradient(v, record.period)) < 0.01) & (np.abs(v) > 0.02 * fastest)]
-    said = []
+    gaps = []
     if steady.size and np.ptp(steady) < 0.1 * fastest:
-        said.append("one speed only, so viscous friction and its curvature cannot be told from Coulomb friction")
+        gaps.append("one speed only, so viscous friction and its curvature cannot be told from Coulomb friction")
     moving = np.abs(v) > 0
     if moving.any() and float(np.mean(np.abs(v[moving]) < 0.02)) < 0.005:
-        said.append("hardly any motion below 20 mm/s, so Stribeck friction is seen at reversals only")
-    return said
+        gaps.append("hardly any motion below 20 mm/s, so Stribeck friction is seen at reversals only")
+    return gaps

@@ -1,8 +1,8 @@
-"""The experiment that would tell apart what the records could not: the program on which the rivals differ most.
+"""The experiment that would tell apart what the records could not: the excitation on which the rivals differ most.
 
-Each rival is simulated on each program of the menu, as if it were the machine, and another is fitted to what it does,
-its numbers held by what the records already know of them. What is left of the difference, whitened like any residual,
-has a length D in standard deviations of the noise: with a real record of that program the wrong model will cost D^2
+Each rival is simulated on each excitation, as if it were the machine, and another is fitted to what it does, its
+numbers held by what the records already know of them. What is left of the difference, whitened like any residual,
+has a length D in standard deviations of the noise: with a real record of that excitation the wrong model will cost D^2
 more than the right one, give or take 2 D.
 """
 
@@ -14,46 +14,46 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
 
-from emps_design.discrepancy.experiment.excitation import Envelope, in_words, menu
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.experiment.excitation import Envelope, excitations, in_words
 from emps_design.discrepancy.model.candidate import Candidate, Slot
+from emps_design.discrepancy.model.fit import Fit
+from emps_design.discrepancy.model.least_squares import descend
+from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.partition import START_UP
-from emps_design.discrepancy.model.problem import LOOSE, Fit, Problem, descend
-from emps_design.discrepancy.search.acceptance import MOST_EQUIVALENTS
-from emps_design.discrepancy.search.beam_search import CORES, Search
+from emps_design.discrepancy.model.problem import Hypothesis
+from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.effects import Effect, get_effect
 from emps_design.errors import SimulationError
 from emps_design.simulation import Run
 
 FILE = "experiment.csv"
-LUCK = 2.0  # standard deviations of a difference in cost that chance may take from the right model
-SLACK = 0.05  # by which a program may exceed what the same model does on the records
 PULSE = 1e-6  # m, small enough for no voltage limit
-REFITTED = 2  # programs at most that are looked at with the rivals fitted to the end
+REFITTED = 2  # excitations at most that are looked at with the rivals fitted to convergence
 STEPS = 3
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """What to record next: ``text``; with a ``program``, its reference ``q_ref`` (n,) [m] at ``period`` [s].
+    """What to record next: ``text``; with an ``excitation``, its reference ``q_ref`` (n,) [m] at ``period`` [s].
 
     ``distance`` [N rms] is how far apart the models with one and the other of ``between`` are on it, fitted to one
-    another; ``over_noise`` the same in standard deviations of the noise, of which ``needed`` decide. ``menu`` has the
-    first two for every program that is safe, the best first, after one step of the fits only. ``file`` is where the
-    reference was written.
+    another; ``over_noise`` the same in standard deviations of the noise, of which ``needed`` decide. ``compared`` has
+    the first two for every excitation that is safe, the best first, after one step of the fits only. ``file`` is where
+    the reference was written.
 
     >>> Experiment("crawl", q_ref=np.zeros(3), period=0.5).written().to_dict()["file"]
     'experiment.csv'
     """
 
     text: str
-    program: str | None = None
+    excitation: str | None = None
     between: tuple[str, str] | None = None
     distance: float | None = None
     over_noise: float | None = None
     needed: float | None = None
-    menu: tuple[dict[str, Any], ...] = ()
+    compared: tuple[dict[str, Any], ...] = ()
     q_ref: np.ndarray | None = None
     period: float = 0.0
     file: str | None = None
@@ -61,7 +61,7 @@ class Experiment:
     def to_dict(self) -> dict[str, Any]:
         """Everything but the reference itself."""
         return {
-            "program": self.program,
+            "program": self.excitation,
             "text": self.text,
             "duration": None if self.q_ref is None else self.q_ref.size * self.period,
             "distance": self.distance,
@@ -69,7 +69,7 @@ class Experiment:
             "needed": self.needed,
             "between": self.between,
             "file": self.file,
-            "menu": self.menu,
+            "menu": self.compared,
             "units": {"duration": "s", "distance": "N", "over_noise": "standard deviations"},
         }
 
@@ -83,41 +83,40 @@ class Experiment:
         return self if self.q_ref is None else replace(self, file=FILE)
 
 
-def experiment(
-    problem: Problem, search: Search, named: tuple[str, ...], equivalents: dict[str, list[str]], threshold: float
-) -> Experiment | None:
-    """What to record next: a program where findings have ``equivalents``, else what the first finding's file advises.
+def experiment(outcome: Outcome, named: tuple[str, ...], equivalents: dict[str, list[str]]) -> Experiment | None:
+    """What to record next: an excitation where findings have ``equivalents``, else what the first finding's file says.
 
-    ``named`` are the findings; too many equivalents leave a finding without a name and with the same question.
-    ``threshold`` is the gain in whitened cost that counts. None where nothing is asked.
+    ``named`` are the findings; too many equivalents leave a finding without a name and with the same question. None
+    where nothing is asked.
     """
-    best = search.best
+    best = outcome.best
     rivals = [
-        search.tried[frozenset((*best.model.names, other)) - {name}]
+        outcome.tried[frozenset((*best.model.names, other)) - {name}]
         for name, others in equivalents.items()
         for other in others
-        if name in named or len(others) > MOST_EQUIVALENTS
+        if name in named or len(others) > rules.MOST_EQUIVALENTS
     ]
-    if rivals and problem.axis.controller.kind != "none":
-        left = best.cost / problem.samples("used")  # structure that nothing explains blurs like noise
-        chosen = choose(problem, (best, *rivals[:MOST_EQUIVALENTS]), threshold, np.sqrt(max(1.0, left)))
+    if rivals and best.problem.axis.controller.kind != "none":
+        left = best.cost / best.problem.samples("used")  # structure that nothing explains blurs like noise
+        threshold = outcome.calibration.healthy.threshold
+        chosen = choose((best, *rivals[: rules.MOST_EQUIVALENTS]), threshold, np.sqrt(max(1.0, left)))
         if chosen is not None:
             return chosen
     return Experiment(get_effect(named[0]).experiment) if named else None
 
 
-def choose(problem: Problem, rivals: tuple[Fit, ...], threshold: float, noise: float = 1.0) -> Experiment | None:
-    """The program of the menu on which the two of ``rivals`` that are nearest to one another are farthest apart.
+def choose(rivals: tuple[Fit, ...], threshold: float, noise: float = 1.0) -> Experiment | None:
+    """The excitation on which the two of ``rivals`` that are nearest to one another are farthest apart.
 
-    ``noise`` [standard deviations of the whitening] is what the best of them leaves. None where no program is safe.
+    ``threshold`` is the gain in whitened cost that counts; ``noise`` [standard deviations of the whitening] is what
+    the best of them leaves. None where no excitation is safe.
     """
-    # This also makes the plants: the threads below only read them.
-    seen = [_extremes(*problem.runs(rival.model)) for rival in rivals]
-    envelope = replace(Envelope.of(problem.records), follows=_following(problem, rivals[0].model))
-    programs = menu(envelope)
-    run = Parallel(n_jobs=CORES, prefer="threads")
-    looked_at = run(delayed(_nearest)(problem, rivals, seen, q_ref, noise) for q_ref in programs.values())
-    first = {name: found for name, found in zip(programs, looked_at, strict=True) if found is not None}
+    records = rivals[0].problem.records
+    seen = [_extremes(*rival.runs()) for rival in rivals]
+    envelope = replace(Envelope.of(records), follows=_following(rivals[0]))
+    references = excitations(envelope)
+    looked_at = side_by_side(_nearest, [(rivals, seen, q_ref, noise) for q_ref in references.values()])
+    first = {name: found for name, found in zip(references, looked_at, strict=True) if found is not None}
     if not first:
         return None
     ranked = sorted(first, key=lambda name: -first[name].over_noise)
@@ -127,33 +126,31 @@ def choose(problem: Problem, rivals: tuple[Fit, ...], threshold: float, noise: f
         if best is not None and best.over_noise >= first[name].over_noise:
             break
         pair = first[name].pair
-        found = min(
-            run(delayed(_apart)(problem, *way, programs[name], noise, STEPS) for way in _directions(pair)),
-            key=lambda apart: apart.over_noise,
-        )
+        both_ways = side_by_side(_apart, [(*way, references[name], noise, STEPS) for way in _directions(pair)])
+        found = min(both_ways, key=lambda apart: apart.over_noise)
         if best is None or found.over_noise > best.over_noise:
             chosen, best = name, replace(found, pair=pair)
-    needed = LUCK + float(np.sqrt(LUCK**2 + threshold))  # D^2 - 2 LUCK D = threshold
+    needed = rules.LUCK + float(np.sqrt(rules.LUCK**2 + threshold))  # D^2 - 2 LUCK D = threshold
     decides = best.over_noise >= needed
     return Experiment(
-        text=_text(chosen, best, needed, programs[chosen].size * envelope.period),
-        program=chosen if decides else None,
+        text=_text(chosen, best, needed, references[chosen].size * envelope.period),
+        excitation=chosen if decides else None,
         between=tuple(effect.name for effect in best.effects),
         distance=best.distance,
         over_noise=best.over_noise,
         needed=needed,
-        menu=tuple(
+        compared=tuple(
             {"program": n, "text": in_words(n), "distance": first[n].distance, "over_noise": first[n].over_noise}
             for n in ranked
         ),
-        q_ref=programs[chosen] if decides else None,
+        q_ref=references[chosen] if decides else None,
         period=envelope.period,
     )
 
 
 @dataclass(frozen=True)
 class _Apart:
-    """How far two models are apart on a program, [N rms] and in standard deviations of the noise."""
+    """How far two models are apart on an excitation, [N rms] and in standard deviations of the noise."""
 
     pair: tuple[Fit, Fit]
     distance: float
@@ -166,14 +163,12 @@ class _Apart:
         return next(one[name] for name in one if name not in other), next(other[n] for n in other if n not in one)
 
 
-def _nearest(
-    problem: Problem, rivals: tuple[Fit, ...], seen: list[np.ndarray], q_ref: np.ndarray, noise: float
-) -> _Apart | None:
+def _nearest(rivals: tuple[Fit, ...], seen: list[np.ndarray], q_ref: np.ndarray, noise: float) -> _Apart | None:
     """The two rivals nearest to one another on ``q_ref``; None where one of them makes it unsafe."""
-    if not all(_safe(problem, rival.model, q_ref, limits) for rival, limits in zip(rivals, seen, strict=True)):
+    if not all(_safe(rival, q_ref, limits) for rival, limits in zip(rivals, seen, strict=True)):
         return None
     pairs = [pair for pair in combinations(rivals, 2) if len(set(pair[0].model.names) ^ set(pair[1].model.names)) == 2]
-    found = [replace(_apart(problem, *_directions(pair)[0], q_ref, noise, 1), pair=pair) for pair in pairs]
+    found = [replace(_apart(*_directions(pair)[0], q_ref, noise, 1), pair=pair) for pair in pairs]
     return min(found, key=lambda apart: apart.over_noise)
 
 
@@ -183,16 +178,17 @@ def _directions(pair: tuple[Fit, Fit]) -> list[tuple[Fit, Fit]]:
     return [way for way in both if not any(effect.takes_dry for effect in way[1].model.effects)] or both
 
 
-def _apart(problem: Problem, machine: Fit, rival: Fit, q_ref: np.ndarray, noise: float, steps: int) -> _Apart:
+def _apart(machine: Fit, rival: Fit, q_ref: np.ndarray, noise: float, steps: int) -> _Apart:
     """Fit ``rival`` to what ``machine`` does on ``q_ref``, its numbers held by what the records know of them."""
-    force = _run(problem, machine.model, q_ref).force
+    force = machine.simulate(0, q_ref=q_ref).force
     start, slots, known = _one_record(rival)
 
     def missed(model: Candidate) -> np.ndarray:
-        return force[START_UP:] - _run(problem, model, q_ref).force[START_UP:]
+        return force[START_UP:] - rival.with_model(model).simulate(0, q_ref=q_ref).force[START_UP:]
 
     def residual(model: Candidate) -> np.ndarray:
-        return np.concatenate((problem.whitening.apply(missed(model)), known @ (model.vector(slots) - at) / noise))
+        innovations = rival.problem.whitening.apply(missed(model))
+        return np.concatenate((innovations, known @ (model.vector(slots) - at) / noise))
 
     at = start.vector(slots)
     found = descend(start, slots, residual, steps)
@@ -207,28 +203,23 @@ def _one_record(fitted: Fit) -> tuple[Candidate, tuple[Slot, ...], np.ndarray]:
     model = replace(fitted.model, values=tuple(v[:1] for v in fitted.model.values))
     slots = tuple(slot for slot in fitted.slots if slot.record in (None, 0))
     shared = [k for k, slot in enumerate(fitted.slots) if slot.record is None]
-    scale = np.array([fitted.slots[k].scale for k in shared])
-    information = np.linalg.pinv(fitted.covariance[np.ix_(shared, shared)] / np.outer(scale, scale), hermitian=True)
+    unit = np.array([fitted.slots[k].magnitude for k in shared])
+    information = np.linalg.pinv(fitted.covariance[np.ix_(shared, shared)] / np.outer(unit, unit), hermitian=True)
     size, directions = np.linalg.eigh(information)
     known = np.zeros((len(shared), len(slots)))
     columns = [k for k, slot in enumerate(slots) if slot.record is None]
-    known[:, columns] = np.sqrt(np.maximum(size, 0.0))[:, None] * directions.T / scale
+    known[:, columns] = np.sqrt(np.maximum(size, 0.0))[:, None] * directions.T / unit
     return model, slots, known
 
 
-def _run(problem: Problem, model: Candidate, q_ref: np.ndarray) -> Run:
-    return problem.plant(model).closed_loop(
-        q_ref, baseline=model.baseline, parameters=model.parameters(0), quantise=False, tolerance=LOOSE
-    )
-
-
-def _following(problem: Problem, model: Candidate) -> Callable[[np.ndarray], np.ndarray]:
+def _following(hypothesis: Hypothesis) -> Callable[[np.ndarray], np.ndarray]:
     """Gain (n,) from reference to position over angular frequencies (n,) [rad/s], dry friction and effects aside."""
     pulse = np.zeros(8192)
     pulse[1] = PULSE
-    mass, viscous, *_ = model.baseline
-    answer = _run(problem, Candidate(np.array([mass, viscous, 0.0, 0.0])), pulse).position
-    omega = 2 * np.pi * np.fft.rfftfreq(pulse.size, problem.records[0].period)
+    mass, viscous, *_ = hypothesis.model.baseline
+    smooth = hypothesis.with_model(Candidate(np.array([mass, viscous, 0.0, 0.0])))
+    answer = smooth.simulate(0, q_ref=pulse).position
+    omega = 2 * np.pi * np.fft.rfftfreq(pulse.size, hypothesis.problem.period)
     gain = np.abs(np.fft.rfft(answer)) / PULSE
     return lambda wanted: np.interp(wanted, omega, gain)
 
@@ -244,26 +235,26 @@ def _extremes(*runs: Run) -> np.ndarray:
     )
 
 
-def _safe(problem: Problem, model: Candidate, q_ref: np.ndarray, seen: np.ndarray) -> bool:
-    """Whether ``model`` goes on ``q_ref`` no farther, faster or harder than ``seen``, what it does on the records."""
+def _safe(hypothesis: Hypothesis, q_ref: np.ndarray, seen: np.ndarray) -> bool:
+    """Whether a model goes on ``q_ref`` no farther, faster or harder than ``seen``, what it does on the records."""
     try:
-        asked = _extremes(_run(problem, model, q_ref))
+        asked = _extremes(hypothesis.simulate(0, q_ref=q_ref))
     except SimulationError:
         return False
-    room = SLACK * np.array([seen[0] + seen[1], seen[0] + seen[1], *seen[2:]])
+    room = rules.SLACK * np.array([seen[0] + seen[1], seen[0] + seen[1], *seen[2:]])
     return bool(np.all(asked <= seen + room))
 
 
-def _text(program: str, apart: _Apart, needed: float, duration: float) -> str:
+def _text(excitation: str, apart: _Apart, needed: float, duration: float) -> str:
     one, other = apart.effects
     names = f"{one.label.lower()} from {other.label.lower()}"
     far = f"{apart.distance:.2g} N rms and {apart.over_noise:.1f} standard deviations of the noise"
     if apart.over_noise < needed:
         return (
-            f"no program within what the records show tells {names}: at best ({in_words(program)}) they are {far} "
+            f"no motion within what the records show tells {names}: at best ({in_words(excitation)}) they are {far} "
             f"apart, where {needed:.1f} decide; beyond it, {one.experiment}"
         )
     return (
-        f"{in_words(program)}, {duration:.0f} s, to tell {names}: fitted to one another they are still {far} apart, "
+        f"{in_words(excitation)}, {duration:.0f} s, to tell {names}: fitted to one another they are still {far} apart, "
         f"where {needed:.1f} decide; diagnose the new record together with the old"
     )

@@ -1,6 +1,6 @@
-"""Motion programs that bring out what a record did not show, inside what the machine has been seen to do.
+"""Excitations that bring out what a record did not show, inside what the machine has been seen to do.
 
-Every program is a reference ``q_ref`` (n,) [m] at the record's period that begins and ends at rest where the record
+Every excitation is a reference ``q_ref`` (n,) [m] at the record's period that begins and ends at rest where the record
 began, lasts ten to thirty seconds on an ordinary axis, and stays within the positions, speeds, accelerations and jerks
 of the record. The order of its strokes leaves some of every kind to fit and some to select (every third one).
 """
@@ -27,8 +27,8 @@ Move = tuple[float, float, float, float]  # target [m], share of the speed, of t
 
 @dataclass(frozen=True)
 class Envelope:
-    """What a program may use: positions ``low`` to ``high`` [m], ``speed`` [m/s], ``acceleration`` [m/s^2], ``jerk``
-    [m/s^3]; it starts from rest at ``home`` [m] and is sampled every ``period`` [s].
+    """What an excitation may use: positions ``low`` to ``high`` [m], ``speed`` [m/s], ``acceleration`` [m/s^2],
+    ``jerk`` [m/s^3]; it starts from rest at ``home`` [m] and is sampled every ``period`` [s].
 
     ``follows`` (n,) -> (n,) is the gain from reference to position at angular frequencies [rad/s]. What a loop does not
     follow may be asked for in proportion: the limits are those of the machine, not of its reference.
@@ -192,7 +192,7 @@ def chirp_on_a_slow_run(e: Envelope) -> np.ndarray:
     turning = np.abs(np.gradient(base, e.period)) < 0.99 * slow * e.speed
     width = e.samples(0.2)
     fade = np.convolve(turning, np.ones(3 * width), mode="same") < 0.5
-    for _ in range(3):  # in and out inside the stretches of constant speed, without a step of jerk
+    for _ in range(3):  # in and out inside the runs at constant speed, without a step of jerk
         fade = np.convolve(fade, np.full(width, 1 / width), mode="same")
     first, last = SWEEP_HZ[0], min(SWEEP_HZ[1], 0.2 / e.period)
     up_and_down = 0.5 - 0.5 * np.cos(2 * np.pi * (base - e.low) / stroke)
@@ -204,7 +204,7 @@ def chirp_on_a_slow_run(e: Envelope) -> np.ndarray:
     return base + fade * amplitude * np.sin(np.cumsum(omega) * e.period)
 
 
-PROGRAMS: tuple[Callable[[Envelope], np.ndarray], ...] = (
+EXCITATIONS: tuple[Callable[[Envelope], np.ndarray], ...] = (
     slow_crawl,
     speed_staircase,
     two_speeds,
@@ -218,26 +218,26 @@ PROGRAMS: tuple[Callable[[Envelope], np.ndarray], ...] = (
 )
 
 
-def menu(envelope: Envelope) -> dict[str, np.ndarray]:
-    """Every program by name: ``q_ref`` (n,) [m] inside ``envelope``.
+def excitations(envelope: Envelope) -> dict[str, np.ndarray]:
+    """Every excitation by name: ``q_ref`` (n,) [m] inside ``envelope``.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic_record import practice_record
     >>> envelope = Envelope.of([practice_record(machine("emps2019"), laps=1)])
-    >>> crawl = menu(envelope)["slow_crawl"]
+    >>> crawl = excitations(envelope)["slow_crawl"]
     >>> bool(np.abs(np.diff(crawl)).max() <= envelope.speed * envelope.period), crawl.size * envelope.period > 10
     (True, True)
     """
-    return {program.__name__: program(envelope) for program in PROGRAMS}
+    return {excitation.__name__: excitation(envelope) for excitation in EXCITATIONS}
 
 
 def in_words(name: str) -> str:
-    """What the program called ``name`` does, as an instruction.
+    """What the excitation called ``name`` does, as an instruction.
 
     >>> in_words("slow_crawl")
     'crawl from rest, both ways, at 0.5 to 5 % of the top speed'
     """
-    text = next(program.__doc__ for program in PROGRAMS if program.__name__ == name)
+    text = next(excitation.__doc__ for excitation in EXCITATIONS if excitation.__name__ == name)
     return text[0].lower() + text[1:].rstrip(".")
 
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.discrepancy.model.problem import gather
-from emps_design.discrepancy.search.acceptance import AUDIBLE, WORTH_AT_FLOOR
-from emps_design.discrepancy.search.outcome import Work
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.model.fit import Fit
+from emps_design.discrepancy.search.calibration import Calibration
 from emps_design.discrepancy.search.starts import Start, Tangent, tangent
 from emps_design.effects import Parameter
 from emps_design.errors import SimulationError
@@ -22,24 +22,26 @@ FAR = 300.0  # times a parameter that shapes an effect, where the effect has fad
 CLOSE = 1.1  # ratio to which the limit of what is seen is sought
 
 
-def not_excluded(work: Work, found: Sequence[str]) -> list[dict[str, Any]]:
+def not_excluded(calibration: Calibration, found: Sequence[str]) -> list[dict[str, Any]]:
     """A row for each effect that is not among ``found``: its size just seen, None where no size would have been."""
-    gain = max(work.healthy.threshold, WORTH_AT_FLOOR * work.problem.samples("fit"))
-    absorbed, screened = tangent(work.problem, work.found.path[0]), {s[0].model.names[-1]: s for s in work.screened}
+    baseline = calibration.baseline
+    gain = max(calibration.healthy.threshold, rules.WORTH_AT_FLOOR * baseline.problem.samples("fit"))
+    least = rules.AUDIBLE * calibration.floor.force
+    absorbed, screened = tangent(baseline), {s[0].model.names[-1]: s for s in calibration.screened}
     rows = []
-    for effect in work.library:
+    for effect in calibration.preparation.library:
         if effect.name in found:
             continue
-        starts, said = screened.get(effect.name, ()), "or more"
+        starts, side = screened.get(effect.name, ()), "or more"
         if not starts:
             parameter, size, text = effect.parameters[0], None, NO_START
         elif effect.linear:
-            parameter, size = _by_amplitude(work, starts, gain)
+            parameter, size = _by_amplitude(starts, gain, least)
         else:
-            parameter, size, grows = _by_shape(work, absorbed, starts, gain)
-            said = "or less" if grows else "or more"
+            parameter, size, grows = _by_shape(baseline, absorbed, starts, gain)
+            side = "or less" if grows else "or more"
         if starts:
-            text = HIDDEN if size is None else f"{_rounded(parameter, size)} {said}"
+            text = HIDDEN if size is None else f"{_rounded(parameter, size)} {side}"
         rows.append(
             {"effect": effect.name, "label": effect.label, "size": size, "unit": parameter.unit, "text": text},
         )
@@ -60,8 +62,8 @@ def least_visible(rows: Sequence[Mapping[str, Any]]) -> str | None:
     return f"{row['text'].removesuffix(' or more')} ({row['label'].lower()})"
 
 
-def _by_amplitude(work: Work, starts: Sequence[Start], gain: float) -> tuple[Parameter, float | None]:
-    """The amplitude of an effect that is linear in it: its signatures, scaled."""
+def _by_amplitude(starts: Sequence[Start], gain: float, least: float) -> tuple[Parameter, float | None]:
+    """The amplitude of an effect that is linear in it, from its signatures; a force is ``least`` [N] at least."""
     effect = starts[0].model.effects[-1]
     place = [p.name for p in effect.parameters].index(effect.linear[0])
     parameter = effect.parameters[place]
@@ -76,18 +78,18 @@ def _by_amplitude(work: Work, starts: Sequence[Start], gain: float) -> tuple[Par
     if not sane:
         return parameter, None
     size = float(np.median(sane))
-    return parameter, max(size, AUDIBLE * work.floor.force) if parameter.unit == "N" else size
+    return parameter, max(size, least) if parameter.unit == "N" else size
 
 
 def _by_shape(
-    work: Work, absorbed: Tangent, starts: Sequence[Start], gain: float
+    baseline: Fit, absorbed: Tangent, starts: Sequence[Start], gain: float
 ) -> tuple[Parameter, float | None, bool]:
     """The first parameter of an effect without an amplitude, moved from the faintest shape seen until it is not.
 
     Judged against the end at which the effect fades, which may be another effect: play without its gap is an elastic
     coupling. Also returns whether the effect fades as the parameter grows, as a stiffness does.
     """
-    problem, baseline, effect = work.problem, work.found.path[0], starts[0].model.effects[-1]
+    effect = starts[0].model.effects[-1]
     parameter = effect.parameters[0]
     seen = [start for start in starts if start.size**2 >= gain]
     if not seen:
@@ -97,12 +99,12 @@ def _by_shape(
     def innovations(value: float) -> np.ndarray:
         values = faintest.copy()
         values[:, 0] = value
-        return gather(problem, problem.whitened(baseline.model.with_effect(effect, values)), "fit")
+        return baseline.with_model(baseline.model.with_effect(effect, values)).residual("fit")
 
     def apart(one: np.ndarray, other: np.ndarray) -> float:
         return float(np.sum(absorbed.free(one - other) ** 2))
 
-    value, base = float(faintest[0, 0]), gather(problem, baseline.innovations, "fit")
+    value, base = float(faintest[0, 0]), baseline.residual("fit")
     try:
         ends = [min(max(value * far, parameter.lower), parameter.upper) for far in (FAR, 1 / FAR)]
         grows = apart(innovations(ends[0]), base) < apart(innovations(ends[1]), base)

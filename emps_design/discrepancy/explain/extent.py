@@ -1,4 +1,4 @@
-"""Where a force acts: the shortest stretch of each coordinate that holds most of it, in numbers and words."""
+"""Where a force acts: the shortest interval of each coordinate that holds most of it, in numbers and words."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from emps_design.records import Record
 
 SHARE = 0.8  # of the squared force that an extent holds
 LOCAL = 0.3  # an extent is worth words when it covers less than this share of what the record visits
-LONG = 0.9  # the same for one stretch of time, which may begin with an event and last
+LONG = 0.9  # the same for one interval of time, which may begin with an event and last
 CELLS = 160  # of a coordinate; an extent is read to one of them
 RESTING = 0.02  # of the top speed, from which on an extent of velocity begins at rest
 EVERYWHERE = "everywhere the record goes"
 REVERSAL_TIME = 0.1  # s on both sides of a reversal
 SMOOTH_TIME = 0.02  # s
-STRETCH_TIME = 0.05  # s
-APART = 0.3  # s between two stretches of time that are not one
-SEEN = 0.05  # of the largest mean square, from which on a stretch of time counts
-MOST_STRETCHES = 6  # more are not events
+CELL_TIME = 0.05  # s
+APART = 0.3  # s between two intervals of time that are not one
+SEEN = 0.05  # of the largest mean square, from which on a cell of time counts
+MOST_INTERVALS = 6  # more are not events
 PEAK = 0.995  # quantile of the force that "up to" means
 ONE_SIDED = 0.7  # share of the force that resists, or drives, from which on it is "more", or "less"
 
 
 @dataclass(frozen=True)
 class Extent:
-    """Where a force acts: intervals of speed [m/s] and position [m], stretches of time [s], the ``share`` of what the
+    """Where a force acts: intervals of speed [m/s], position [m] and time [s], the ``share`` of what the
     record visits in each, and how the force is spread over directions, reversals and frequencies."""
 
     speed: tuple[float, float]
@@ -62,17 +62,17 @@ def extent(record: Record, force: np.ndarray, window: np.ndarray, noise: float =
     total, moving = max(float(energy.sum()), 1e-30), np.where(v != 0, energy, 0.0)
     turning = near_reversals(v, record.period, REVERSAL_TIME)
     speed, position = (_shortest(x, energy, window) for x in (np.abs(v), record.q))
-    stretches = _stretches(t, energy, record.period)
+    intervals = _intervals_of_time(t, energy, record.period)
     share = {
         "speed": (speed[1] - speed[0]) / float(np.ptp(np.abs(v[window]))),
         "position": (position[1] - position[0]) / float(np.ptp(record.q[window])),
-        "time": sum(stop - start for start, stop in stretches) / float(np.ptp(t[window])),
+        "time": sum(stop - start for start, stop in intervals) / float(np.ptp(t[window])),
         "reversals": float(turning[window].mean()),
     }
     return Extent(
         speed,
         position,
-        stretches,
+        intervals,
         share,
         forwards=float(moving[v > 0].sum() / max(moving.sum(), 1e-30)),
         turning=float(energy[turning].sum()) / total,
@@ -105,7 +105,7 @@ def described(found: Extent, others: Sequence[Extent] = ()) -> dict[str, Any]:
         "text": words or EVERYWHERE,
         "velocity": [-fast if backwards else slow, fast if forwards else -slow],
         "position": list(found.position),
-        "time": [list(stretch) for stretch in found.time],
+        "time": [list(interval) for interval in found.time],
         "frequency": list(found.frequency),
         "force": {"value": found.peak, "unit": "N", "sense": _sense(found.resisting)},
     }
@@ -126,8 +126,8 @@ def _between(interval: tuple[float, float], unit: str) -> str:
     return f"between {1e3 * interval[0]:.4g} and {1e3 * interval[1]:.4g} {unit}"
 
 
-def _times(stretches: tuple[tuple[float, float], ...]) -> str:
-    (start, stop), rest = stretches[0], len(stretches) - 1
+def _times(intervals: tuple[tuple[float, float], ...]) -> str:
+    (start, stop), rest = intervals[0], len(intervals) - 1
     others = f" and {rest} time{'s' if rest > 1 else ''} more" if rest else ""
     return f"from {start:.3g} to {stop:.3g} s{others}"
 
@@ -152,17 +152,17 @@ def _shortest(x: np.ndarray, energy: np.ndarray, window: np.ndarray) -> tuple[fl
     return float(edges[best]), float(edges[stops[best]])
 
 
-def _stretches(t: np.ndarray, energy: np.ndarray, period: float) -> tuple[tuple[float, float], ...]:
-    """Stretches of ``t`` [s] in which ``energy`` is seen; from the first to the last of them where they are many."""
-    width = max(1, round(STRETCH_TIME / period))
+def _intervals_of_time(t: np.ndarray, energy: np.ndarray, period: float) -> tuple[tuple[float, float], ...]:
+    """Intervals of ``t`` [s] in which ``energy`` is seen; from the first to the last of them where they are many."""
+    width = max(1, round(CELL_TIME / period))
     cells = energy[: energy.size // width * width].reshape(-1, width).mean(axis=1)
     high = np.nonzero(cells > SEEN * cells.max())[0]
     whole = ((float(t[0]), float(t[-1])),)
     if high.size == 0:
         return whole
-    breaks = np.nonzero(np.diff(high) * STRETCH_TIME > APART)[0]
+    breaks = np.nonzero(np.diff(high) * CELL_TIME > APART)[0]
     starts, stops = high[np.append(0, breaks + 1)], high[np.append(breaks, high.size - 1)] + 1
-    if starts.size > MOST_STRETCHES:
+    if starts.size > MOST_INTERVALS:
         starts, stops = starts[:1], stops[-1:]
     edges = t[np.minimum(np.stack((starts, stops), axis=1) * width, t.size - 1)]
     return tuple((float(start), float(stop)) for start, stop in edges)

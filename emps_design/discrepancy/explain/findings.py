@@ -7,54 +7,52 @@ from typing import Any
 
 import numpy as np
 
+from emps_design.discrepancy.checks.preparation import Preparation
 from emps_design.discrepancy.explain.contribution import contribution, drawn, most_exercised
 from emps_design.discrepancy.explain.extent import described, extent
-from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.problem import Fit, Problem, fit
+from emps_design.discrepancy.model.fit import Fit, fit
 from emps_design.discrepancy.result import Finding
 from emps_design.discrepancy.search.acceptance import force_rms
-from emps_design.discrepancy.search.outcome import Work
+from emps_design.discrepancy.validation.verdict import Validation
 from emps_design.effects import Parameter
 from emps_design.errors import SimulationError
 
 
-def findings(work: Work, extended: Fit, equivalents: dict[str, list[str]]) -> tuple[Finding, ...]:
+def findings(validation: Validation) -> tuple[Finding, ...]:
     """The accepted effects in the order found, each with the force gap before and after it."""
-    problem, model = work.problem, extended.model
-    order = [name for step in work.found.path for name in step.model.names]
-    names = [name for name in dict.fromkeys(order) if name in model.names]
-    result = []
-    for name in names:
-        index = model.names.index(name)
-        record = most_exercised(problem, model, index)
-        effect, values = model.effects[index], model.parameters(record)[index]
-        without = _without(work, model, index)
-        gain = without.cost - extended.cost
-        parameters = {
-            p.name: {
-                "value": float(values[place]),
-                "std": deviation(extended, work.found.best, index, place, record),
-                "unit": p.unit,
-                **_per_record(p, model.values[index][:, place]),
-            }
-            for place, p in enumerate(effect.parameters)
+    extended, outcome = validation.extended, validation.outcome
+    model = extended.model
+    order = dict.fromkeys(name for step in outcome.path for name in step.model.names)
+    return tuple(_finding(validation, model.names.index(name)) for name in order if name in model.names)
+
+
+def _finding(validation: Validation, index: int) -> Finding:
+    extended, outcome = validation.extended, validation.outcome
+    record = most_exercised(extended, index)
+    effect, values = extended.model.effects[index], extended.model.parameters(record)[index]
+    without = _without(extended, index, outcome.path[0])
+    parameters = {
+        p.name: {
+            "value": float(values[place]),
+            "std": deviation(extended, outcome.best, index, place, record),
+            "unit": p.unit,
+            **_per_record(p, extended.model.values[index][:, place]),
         }
-        result.append(
-            Finding(
-                effect=name,
-                label=effect.label,
-                channel=effect.channel,
-                where=_where(problem, extended, index, record),
-                parameters=parameters,
-                p_value=work.healthy.p_value(gain),
-                gap_before=force_rms(problem, without),
-                gap_after=force_rms(problem, extended),
-                equivalents=tuple(equivalents.get(name, ())),
-                remedy=effect.remedy,
-                note=_note(work, effect.channel, record),
-            )
-        )
-    return tuple(result)
+        for place, p in enumerate(effect.parameters)
+    }
+    return Finding(
+        effect=effect.name,
+        label=effect.label,
+        channel=effect.channel,
+        where=_where(extended, index, record),
+        parameters=parameters,
+        p_value=outcome.calibration.healthy.p_value(without.cost - extended.cost),
+        gap_before=force_rms(without),
+        gap_after=force_rms(extended),
+        equivalents=tuple(validation.equivalents.get(effect.name, ())),
+        remedy=effect.remedy,
+        note=_note(outcome.calibration.preparation, effect.channel, record),
+    )
 
 
 def deviation(fitted: Fit, before: Fit, index: int, place: int, record: int = 0) -> float:
@@ -71,41 +69,42 @@ def deviation(fitted: Fit, before: Fit, index: int, place: int, record: int = 0)
 
 
 def _per_record(parameter: Parameter, values: np.ndarray) -> dict[str, Any]:
-    """What is said besides of a number that is not one and the same: whether by nature, and that of each record."""
-    said: dict[str, Any] = {"per_record": True} if parameter.per_record else {}
-    return said | ({"values": values.tolist()} if np.ptp(values) > 0 else {})
+    """What is added for a number that is not one and the same: whether by nature, and that of each record."""
+    entry: dict[str, Any] = {"per_record": True} if parameter.per_record else {}
+    return entry | ({"values": values.tolist()} if np.ptp(values) > 0 else {})
 
 
-def _without(work: Work, model: Candidate, index: int) -> Fit:
-    """``model`` without effect ``index``, the rest re-adjusted: against it stands what the effect itself is good for.
+def _without(extended: Fit, index: int, first: Fit) -> Fit:
+    """The model without effect ``index``, the rest re-adjusted: against it stands what the effect itself is good for.
 
-    An effect may have taken a baseline number far from where it is alone: both are tried for a start.
+    An effect may have taken a baseline number far from where it is alone, in the ``first`` model: both are tried for a
+    start.
     """
-    rest, first = model.without(index), work.found.path[0]
-    tried = [
-        fit(work.problem, start, part="used", steps=5) for start in (rest, replace(rest, baseline=first.model.baseline))
-    ]
+    rest = extended.model.without(index)
+    begins = (rest, replace(rest, baseline=first.model.baseline))
+    tried = [fit(extended.with_model(begin), part="used", steps=5) for begin in begins]
     # What does not run without the effect stands against the baseline alone.
     return min((fitted for fitted in tried if fitted.innovations), key=lambda fitted: fitted.cost, default=first)
 
 
-def _where(problem: Problem, fitted: Fit, index: int, number: int) -> dict[str, Any]:
+def _where(fitted: Fit, index: int, number: int) -> dict[str, Any]:
     """Where the force of effect ``index`` acts on record ``number``, with what its numbers' deviations leave open."""
-    found, record = [], problem.records[number]
-    for model in (fitted.model, *drawn(problem, fitted, index)):
+    found, record = [], fitted.problem.records[number]
+    for hypothesis in (fitted, *drawn(fitted, index)):
         try:
-            found.append(extent(record, *contribution(problem, model, index, number)))
+            found.append(extent(record, *contribution(hypothesis, index, number)))
         except SimulationError:
             continue  # numbers at which the model is unstable do not describe this machine
     if not found:  # nothing runs without the effect: it acts wherever the model moves
-        found.append(extent(record, problem.run(fitted.model, number).force, problem.splits[number].used))
-    said = described(found[0], found[1:])
-    return said if len(problem.records) == 1 else {**said, "record": record.name}
+        found.append(extent(record, fitted.run(number).force, fitted.problem.splits[number].used))
+    where = described(found[0], found[1:])
+    return where if len(fitted.problem.records) == 1 else {**where, "record": record.name}
 
 
-def _note(work: Work, channel: str, record: int) -> str:
+def _note(preparation: Preparation, channel: str, record: int) -> str:
     if channel != "controller":
-        whose = "training record" if len(work.problem.records) == 1 else "training records together"
+        alone = len(preparation.start.problem.records) == 1
+        whose = "training record" if alone else "training records together"
         return f"gap of the {whose}, with the other effects refitted"
-    noise = 1e3 * work.checks[record].noise
+    noise = 1e3 * preparation.laws[record].noise
     return f"seen in u minus the controller's law, noise {noise:.2g} mV; the force balance holds with it"

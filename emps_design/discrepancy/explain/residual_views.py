@@ -142,7 +142,7 @@ def _spectrum(pairs: tuple[np.ndarray, np.ndarray], window: np.ndarray, period: 
 def force_map(missing: MissingForce) -> dict[str, Any]:
     """Mean missing force [N] over position and velocity, away from reversals: a picture that assumes no effect.
 
-    ``force`` has a row a velocity; None where the record does not go.
+    ``force`` has one row per velocity; None where the record does not go.
     """
     kept = missing.away if missing.away.any() else np.ones_like(missing.away)  # where all is reversals, take them
     q, v, force = (x[kept] for x in (missing.motion.q, missing.motion.v, missing.force))
@@ -158,7 +158,7 @@ def force_map(missing: MissingForce) -> dict[str, Any]:
 def spectrum_over_time(missing: MissingForce) -> dict[str, Any]:
     """Rms [N] of the missing force in each line of its spectrum, over time: what comes, goes, or changes its pitch.
 
-    ``force`` has a row a frequency.
+    ``force`` has one row per frequency.
     """
     from scipy.signal import spectrogram
 

@@ -21,18 +21,21 @@ BASELINE = (
 
 @dataclass(frozen=True)
 class Slot:
-    """Where one free number lives: ``effect`` -1 is the baseline; ``record`` None means shared by all records."""
+    """Where one free number lives: ``effect`` -1 is the baseline; ``record`` None means shared by all records.
+
+    ``magnitude`` is the size by which a fit measures its steps.
+    """
 
     effect: int
     place: int
     record: int | None
     quantity: Quantity
-    scale: float
+    magnitude: float
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """Baseline (4,) and, an array an effect, parameters (n_records, n_parameters): rows differ where per record."""
+    """Baseline (4,) and one array (n_records, n_parameters) per effect; rows differ in what belongs to one record."""
 
     baseline: np.ndarray
     effects: tuple[Effect, ...] = ()
@@ -60,8 +63,9 @@ class Candidate:
         slots = []
         if not frozen:
             # A constant force may have to grow to the size of the friction before a spring fits.
-            scales = np.maximum(np.abs(self.baseline), (1.0, 10.0, 1.0, max(1.0, self.baseline[COULOMB])))
-            slots += [Slot(-1, i, None, q, s) for i, (q, s) in enumerate(zip(BASELINE, scales, strict=True))]
+            least = (1.0, 10.0, 1.0, max(1.0, self.baseline[COULOMB]))
+            sizes = np.maximum(np.abs(self.baseline), least)
+            slots += [Slot(-1, i, None, q, s) for i, (q, s) in enumerate(zip(BASELINE, sizes, strict=True))]
         for index, (effect, values) in enumerate(zip(self.effects, self.values, strict=True)):
             for place, parameter in enumerate(effect.parameters):
                 if parameter.discrete or effect.channel == "controller" or (frozen and not parameter.per_record):
@@ -72,6 +76,11 @@ class Candidate:
                     typical = parameter.scale or max((abs(s) for s in parameter.starts), default=0.0)
                     slots.append(Slot(index, place, row, parameter, max(value, 0.1 * typical, 1e-12)))
         return tuple(slots)
+
+    def with_row(self, index: int, row: np.ndarray) -> Candidate:
+        """The same model with parameters ``row`` (n_parameters,) of effect number ``index`` on one record."""
+        values = [*self.values[:index], np.atleast_2d(row), *self.values[index + 1 :]]
+        return replace(self, values=tuple(values))
 
     def only(self, record: int) -> Candidate:
         """The same model with the numbers of one record."""
@@ -97,7 +106,7 @@ class Candidate:
         return replace(self, baseline=baseline, values=tuple(values))
 
     def parameters(self, record: int) -> tuple[np.ndarray, ...]:
-        """Kernel parameters of ``record``, one array an effect."""
+        """Kernel parameters of ``record``, one array per effect."""
         return tuple(v[min(record, len(v) - 1)] for v in self.values)
 
     def to_axis(self, axis: Axis, record: int = 0) -> Axis:

@@ -1,8 +1,8 @@
 """What drives the simulation of a record: its reference through the controller, or the recorded motion itself.
 
 Where the controller is not known (``controller.kind = "none"``) the model becomes an inverse model: it gets the
-recorded voltage, and a position law of our own adds what keeps it on the recorded motion. That correction is the force
-the model lacks, seen through the bandwidth of the law, with every hidden state of the model in its place.
+recorded voltage, and a position law of this module adds what keeps it on the recorded motion. That correction is the
+force the model lacks, seen through the bandwidth of the law, with every hidden state of the model in its place.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from emps_design.laws.library.position_pd import position_pd
 from emps_design.records import Record
 
 BANDWIDTH_HZ = 25.0  # of the velocity loop that follows; the encoder's noise, differentiated, sets the upper end
-LEAST_SAMPLES = 40  # a turn of that bandwidth: with fewer the two-tap velocity takes too much phase
+LEAST_SAMPLES = 40  # per period of that bandwidth: with fewer the two-tap velocity loses too much phase
 POSITION_SHARE = 0.25  # of the velocity loop's bandwidth, for the position loop around it
 
 

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.problem import Problem
+from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.effects import Motion
 from emps_design.effects.effect import MASS, VISCOUS
 from emps_design.identification.filters import held_force, motion
@@ -33,19 +32,19 @@ class MissingForce:
     away: np.ndarray
 
 
-def missing_force(problem: Problem, model: Candidate, cutoff_hz: float = CUTOFF_HZ) -> tuple[MissingForce, ...]:
-    """Return the missing force of ``model``, one a record, low-passed at ``cutoff_hz`` [Hz] without phase."""
+def missing_force(hypothesis: Hypothesis, cutoff_hz: float = CUTOFF_HZ) -> tuple[MissingForce, ...]:
+    """Return the missing force of a model, one per record, low-passed at ``cutoff_hz`` [Hz] without phase."""
+    problem, baseline = hypothesis.problem, hypothesis.model.baseline
     gain, result = problem.axis.drive.force_gain, []
-    mass, viscous = model.baseline[MASS], model.baseline[VISCOUS]
-    for record, run, split in zip(problem.records, problem.runs(model), problem.splits, strict=True):
-        simulated = replace(record, q=run.q, u=run.u)
-        moved, told = motion(record, cutoff_hz), motion(simulated, cutoff_hz)
-        predicted = held_force(simulated, gain, cutoff_hz)
-        force = (
-            held_force(record, gain, cutoff_hz) - predicted - mass * (moved.a - told.a) - viscous * (moved.v - told.v)
-        )
-        away = away_from_reversals(moved.v, record.period) & split.used
-        result.append(MissingForce(replace(moved, tau=predicted, voltage=record.u, force_gain=gain), force, away))
+    for record, run, split in zip(problem.records, hypothesis.runs(), problem.splits, strict=True):
+        played = replace(record, q=run.q, u=run.u)
+        measured, simulated = motion(record, cutoff_hz), motion(played, cutoff_hz)
+        predicted = held_force(played, gain, cutoff_hz)
+        inertia = baseline[MASS] * (measured.a - simulated.a)
+        viscous = baseline[VISCOUS] * (measured.v - simulated.v)
+        force = held_force(record, gain, cutoff_hz) - predicted - inertia - viscous
+        away = away_from_reversals(measured.v, record.period) & split.used
+        result.append(MissingForce(replace(measured, tau=predicted, voltage=record.u, force_gain=gain), force, away))
     return tuple(result)
 
 
@@ -58,7 +57,7 @@ def away_from_reversals(v: np.ndarray, period: float, margin: float = REVERSAL_M
 def near_reversals(v: np.ndarray, period: float, margin: float) -> np.ndarray:
     """Samples (n,) bool within ``margin`` [s] of a change of sign of ``v`` (n,)."""
     near = np.zeros(v.size, bool)
-    reach = max(1, round(margin / period))
+    width = max(1, round(margin / period))
     for edge in np.nonzero(np.diff(np.sign(v)) != 0)[0]:
-        near[max(0, edge - reach) : edge + reach + 1] = True
+        near[max(0, edge - width) : edge + width + 1] = True
     return near

@@ -12,10 +12,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from emps_design.discrepancy.model.fit import Fit
 from emps_design.discrepancy.model.missing_force import SLOWEST
-from emps_design.discrepancy.model.problem import Fit, Problem, gather
-from emps_design.discrepancy.search.beam_search import screen
-from emps_design.discrepancy.search.starts import tangent
+from emps_design.discrepancy.search.starts import screen, tangent
 from emps_design.effects import Effect
 from emps_design.errors import SimulationError
 
@@ -27,19 +26,20 @@ FADING_WAYS = (1e-4, 5e-4, 2e-3, 1e-2)  # m since a reversal
 MEMORIES = (0.03, 0.1, 0.3, 1.0, 3.0)  # s
 
 
-def unpredicted(problem: Problem, fitted: Fit, library: tuple[Effect, ...]) -> tuple[np.ndarray, ...]:
-    """Force [N] of the used samples that the other strokes do not predict of each, one array a record.
+def unpredicted(fitted: Fit, library: tuple[Effect, ...]) -> tuple[np.ndarray, ...]:
+    """Force [N] of the used samples that the other strokes do not predict of each, one array per record.
 
     ``fitted`` is the baseline, judged without whitening: its innovations are forces.
     """
+    problem = fitted.problem
     rows = _evenly(problem.strokes("used"))
     kept = np.concatenate([np.arange(stroke.start, stroke.stop) for stroke in rows])
-    base = gather(problem, fitted.innovations, "used")[kept]
-    states = [smooth_of_state(run.q, problem.period) for run in problem.runs(fitted.model)]
-    columns = [tangent(problem, fitted, "used").basis[kept], gather(problem, tuple(states), "used")[kept]]
-    for start in (start for found in screen(problem, fitted, library, tangent(problem, fitted)) for start in found):
+    base = fitted.residual("used")[kept]
+    states = tuple(smooth_of_state(run.q, problem.period) for run in fitted.runs())
+    columns = [tangent(fitted, "used").basis[kept], problem.gather(states, "used")[kept]]
+    for start in (start for found in screen(fitted, library, tangent(fitted)) for start in found):
         try:
-            columns.append((gather(problem, problem.whitened(start.model), "used")[kept] - base)[:, None])
+            columns.append((start.hypothesis.residual("used")[kept] - base)[:, None])
         except SimulationError:
             continue
     design = np.column_stack(columns)

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.model.bootstrap import PIECE, rms_interval
 from emps_design.discrepancy.model.partition import START_UP, Split
-from emps_design.discrepancy.model.problem import ORDER, Whitening, yule_walker
+from emps_design.discrepancy.model.whitening import ORDER, Whitening
 
 BAND_HZ = 60.0
-PIECE = 500  # samples
-UNUSUAL = 2.5  # times the typical deviation of a piece
 FIRST_DIFFERENCE, SECOND_DIFFERENCE = (-1.0, 1.0), (1.0, -2.0, 1.0)
 NEIGHBOURS = 40  # lines of a spectrum on both sides, the median of which is usual
-LINE = 25.0  # times the usual power, beyond which a line is a tone
 LAPS, STROKES, LEFT = "what differs between laps", "what other strokes do not predict", "what the best model leaves"
-DRIFTS = 0.7  # of the first difference's rms, below which the second is the floor
 
 
 @dataclass(frozen=True)
@@ -42,13 +41,13 @@ class Floor:
 
     def to_dict(self) -> dict[str, object]:
         """The contract's ``floor`` of ``gap``, with its interval."""
-        return self._told(self.force, self.interval)
+        return self._entry(self.force, self.interval)
 
     def to_dict_60hz(self) -> dict[str, object]:
         """The contract's ``floor`` of ``gap_inverse_60hz``, with its interval."""
-        return self._told(self.force_60hz, self.interval_60hz)
+        return self._entry(self.force_60hz, self.interval_60hz)
 
-    def _told(self, rms: float, interval: tuple[float, float]) -> dict[str, object]:
+    def _entry(self, rms: float, interval: tuple[float, float]) -> dict[str, object]:
         return {"floor": rms, "floor_interval": list(interval), "floor_from": self.source}
 
 
@@ -73,7 +72,7 @@ def floor_of_laps(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], 
             found.append(_steady(raw, smooth))
     if not found:
         return None
-    drifts = len(found) == 2 and _rms(found[1][0]) < DRIFTS * _rms(found[0][0])
+    drifts = len(found) == 2 and _rms(found[1][0]) < rules.DRIFTS * _rms(found[0][0])
     return _floor(*found[drifts], LAPS)
 
 
@@ -82,11 +81,11 @@ def _laps(split: Split, together: int) -> list[tuple[int, int]]:
     used = np.nonzero(split.used)[0]
     if split.lap == 0 or used.size < together * split.lap - START_UP:
         return []
-    first, last, reach = int(used[0]), int(used[-1]) + 1, (together - 1) * split.lap
+    first, last, others = int(used[0]), int(used[-1]) + 1, (together - 1) * split.lap
     # The first lap starts from rest unlike the others: leave it out where there are laps to spare.
     begin = first + split.lap if last - first > (together + 0.5) * split.lap else first
-    groups = [(a, min(a + split.lap, last - reach)) for a in range(begin, last - reach - START_UP, split.lap)]
-    return [(a, b) for a, b in groups if split.used[a : b + reach].all()]  # what confirms stays closed
+    groups = [(a, min(a + split.lap, last - others)) for a in range(begin, last - others - START_UP, split.lap)]
+    return [(a, b) for a, b in groups if split.used[a : b + others].all()]  # what confirms stays closed
 
 
 def _difference(signal: np.ndarray, start: int, stop: int, lap: int, weights: tuple[float, ...]) -> np.ndarray:
@@ -95,8 +94,8 @@ def _difference(signal: np.ndarray, start: int, stop: int, lap: int, weights: tu
     return np.sum(laps, axis=0) / np.sqrt(np.sum(np.square(weights)))
 
 
-def floor_of_residual(left: tuple[np.ndarray, ...], period: float, source: str) -> Floor:
-    """Floor taken from what a model leaves of the used samples, (n_used,) [N] a record; ``source`` names the model."""
+def floor_of_residual(left: Sequence[np.ndarray], period: float, source: str) -> Floor:
+    """Floor taken from what a model leaves of the used samples, (n_used,) [N] per record; ``source`` says which."""
     from emps_design.identification.filters import low_pass
 
     return _floor(*_steady(list(left), [low_pass(part, BAND_HZ, period) for part in left]), source)
@@ -104,7 +103,7 @@ def floor_of_residual(left: tuple[np.ndarray, ...], period: float, source: str) 
 
 def _floor(raw: list[np.ndarray], smooth: list[np.ndarray], source: str) -> Floor:
     (force, lags), (force_60hz, _) = _broadband(raw), _broadband(smooth)
-    whitening = yule_walker(lags)
+    whitening = Whitening.of_autocovariance(lags)
     draws = np.concatenate([whitening.apply(d - d.mean())[START_UP:] for d in raw])
     intervals = []
     for parts, rms in ((raw, force), (smooth, force_60hz)):
@@ -128,28 +127,14 @@ def _broadband(parts: list[np.ndarray]) -> tuple[float, np.ndarray]:
         power += np.abs(np.fft.rfft(window * (part - part.mean()), 2 * size)) ** 2 / np.mean(window**2)
         samples += part.size
     usual = median_filter(power, 2 * NEIGHBOURS + 1, mode="nearest")
-    power = np.where(power > LINE * usual, usual, power)
+    power = np.where(power > rules.LINE * usual, usual, power)
     lags = np.fft.irfft(power)[: ORDER + 1] / samples
     return float(np.sqrt(lags[0])), lags
 
 
-def rms_interval(error: np.ndarray, draws: int = 199, seed: int = 0) -> tuple[float, float]:
-    """Interval that holds the rms of ``error`` (n,) with 95 %: stationary bootstrap of pieces of it (``arch``).
-
-    >>> low, high = rms_interval(np.random.default_rng(0).standard_normal(20_000))
-    >>> 0.97 < low < 1.0 < high < 1.03
-    True
-    """
-    from arch.bootstrap import StationaryBootstrap
-
-    means = StationaryBootstrap(min(PIECE, error.size // 4), error**2, seed=seed).apply(np.mean, draws)
-    low, high = np.sqrt(np.quantile(means, (0.025, 0.975)))
-    return float(low), float(high)
-
-
-def usual_rms(left: list[np.ndarray]) -> float:
-    """Rms [N] of ``left``, (n,) a record, without the pieces in which it is far larger than it usually is."""
-    return _rms(_steady(left, left)[0])
+def usual_rms(left: Sequence[np.ndarray]) -> float:
+    """Rms [N] of ``left``, (n,) per record, without the pieces in which it is far larger than it usually is."""
+    return _rms(_steady(list(left), list(left))[0])
 
 
 def _steady(raw: list[np.ndarray], smooth: list[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
@@ -162,7 +147,7 @@ def _steady(raw: list[np.ndarray], smooth: list[np.ndarray]) -> tuple[list[np.nd
     typical = np.median([np.std(piece) for part in raw for piece in _pieces(part, length)])
     kept_raw, kept_smooth = [], []
     for part, slow in zip(raw, smooth, strict=True):
-        usual = [np.std(piece) <= UNUSUAL * typical for piece in _pieces(part, length)]
+        usual = [np.std(piece) <= rules.UNUSUAL * typical for piece in _pieces(part, length)]
         if any(usual):
             mask = np.repeat(usual, length)
             kept_raw.append(part[: mask.size][mask])

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from emps_design.discrepancy import rules
 from emps_design.discrepancy.search.starts import Start, Tangent
 
 RESAMPLES = 199
 BLOCK = 250  # samples of noise kept together, so that what correlation the whitening left stays in
-LEVEL = 0.01  # family-wise
 
 
 @dataclass(frozen=True)
@@ -30,24 +30,23 @@ class Healthy:
 
     @property
     def threshold(self) -> float:
-        """The gain that a share ``LEVEL`` of healthy records reaches [whitened cost]."""
-        return float(self.largest[min(self.largest.size - 1, int(np.ceil((1 - LEVEL) * (self.largest.size + 1))) - 1)])
+        """The gain that a share ``rules.LEVEL`` of healthy records reaches [whitened cost]."""
+        rank = int(np.ceil((1 - rules.LEVEL) * (self.largest.size + 1)))
+        return float(self.largest[min(rank, self.largest.size) - 1])
 
     def p_value(self, gain: float) -> float:
         """Share of healthy records, this one included, whose largest gain is at least ``gain``."""
         return float((1 + np.sum(self.largest >= gain)) / (1 + self.largest.size))
 
 
-def healthy_reference(
-    screened: list[list[Start]], absorbed: Tangent, draws: np.ndarray, seed: int, resamples: int = RESAMPLES
-) -> Healthy:
+def healthy_reference(screened: list[list[Start]], absorbed: Tangent, draws: np.ndarray, seed: int) -> Healthy:
     """Lay the signatures of ``screened`` over resampled noise ``draws`` (m,), circular blocks of it."""
     if not screened:  # nothing was tried, so nothing can be gained by chance
-        return Healthy(np.zeros(resamples))
+        return Healthy(np.zeros(RESAMPLES))
     generator = np.random.default_rng(seed)
     signatures = np.column_stack([start.signature for found in screened for start in found])
-    largest = np.empty(resamples)
-    for i in range(resamples):
+    largest = np.empty(RESAMPLES)
+    for i in range(RESAMPLES):
         noise = absorbed.free(resampled(draws, absorbed.residual.size, generator))
         largest[i] = float(np.max((noise @ signatures) ** 2))
     return Healthy(np.sort(largest))

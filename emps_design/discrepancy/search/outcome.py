@@ -1,49 +1,30 @@
-"""What the search, and the confirming record, leave for the words."""
+"""What a search found, on what it was judged by, and what it tried besides."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from emps_design.discrepancy.checks.controller_law import LawCheck
-from emps_design.discrepancy.model.problem import Problem
-from emps_design.discrepancy.search.acceptance import Judge
-from emps_design.discrepancy.search.beam_search import Search
-from emps_design.discrepancy.search.noise_floor import Floor
-from emps_design.discrepancy.search.null_distribution import Healthy
-from emps_design.discrepancy.search.starts import Start
-from emps_design.discrepancy.validation.gap import Asked
-from emps_design.effects import Effect
-from emps_design.records import Record
+from emps_design.discrepancy.model.fit import Fit
+from emps_design.discrepancy.search.calibration import Calibration
 
 
 @dataclass(frozen=True)
-class Work:
-    """The problem, the rules, all fits, the noise, the checks of the law, the ``library`` of the plant."""
+class Outcome:
+    """The ``path`` of best models, baseline first, found under a ``calibration``.
 
-    problem: Problem
-    judge: Judge
-    found: Search
-    floor: Floor
-    checks: tuple[LawCheck, ...]
-    healthy: Healthy
-    screened: list[list[Start]]
-    warnings: tuple[str, ...]
-    library: tuple[Effect, ...] = ()
-    holdout_law: LawCheck | None = None
+    ``tried`` are all admissible models fitted in full, by their sets of effects; ``alone`` is what each effect gained
+    alone in the first round [whitened cost]; ``interrupted``: by the user, before the search had ended; ``warnings``
+    are those of this search and of the ones that it took the place of.
+    """
+
+    calibration: Calibration
+    path: tuple[Fit, ...]
+    tried: dict[frozenset[str], Fit] = field(repr=False)
+    alone: dict[str, float] = field(default_factory=dict, repr=False)
+    interrupted: bool = False
+    warnings: tuple[str, ...] = ()
 
     @property
-    def unnamed_law(self) -> bool:
-        """Whether the controller's law has a gap with structure that no effect explains."""
-        return any(check.structured and check.effect is None for check in self.checks)
-
-
-@dataclass(frozen=True)
-class Confirmation:
-    """What the confirming record did besides judging: the names it fitted anew, the effects it refuted, and what its
-    own controller added: the effect's name, or that nothing explains it."""
-
-    record: Record
-    refitted: tuple[str, ...]
-    refuted: tuple[Asked, ...]
-    own: str = ""
-    unnamed_law: bool = False
+    def best(self) -> Fit:
+        """The model accepted last."""
+        return self.path[-1]

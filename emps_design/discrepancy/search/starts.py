@@ -12,28 +12,35 @@ from itertools import product
 
 import numpy as np
 
+from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.missing_force import MissingForce
-from emps_design.discrepancy.model.problem import Fit, Problem, gather, sensitivities
+from emps_design.discrepancy.model.fit import Fit, sensitivities
+from emps_design.discrepancy.model.missing_force import MissingForce, missing_force
+from emps_design.discrepancy.model.parallel import side_by_side
+from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.effects import Effect
 from emps_design.effects.guesses import thin
 from emps_design.errors import SimulationError
 
-LEAST_AMPLITUDE = 0.05  # of a parameter's typical size
-BENT = 20.0  # whitened cost per sample beyond which a fitted baseline may have been bent by what is missing
-
 
 @dataclass(frozen=True)
 class Start:
-    """A model to start a fit from, its first-order ``gain`` in whitened cost, its unit ``signature`` (n,) and the
-    ``size`` of that signature before it was made unit, in standard deviations of the noise. ``anchored``: the rest of
-    the model is the fitted one, whose tangent tells what it absorbs."""
+    """A hypothesis to start a fit from, its first-order ``gain`` in whitened cost, its unit ``signature`` (n,).
 
-    model: Candidate
+    ``size`` is the length of the signature before it was made unit, in standard deviations of the noise. ``anchored``:
+    the rest of the model is the fitted one, whose tangent tells what it absorbs.
+    """
+
+    hypothesis: Hypothesis
     gain: float
     signature: np.ndarray
     size: float
     anchored: bool
+
+    @property
+    def model(self) -> Candidate:
+        """The model to start from; its last effect is the one that was added."""
+        return self.hypothesis.model
 
 
 @dataclass(frozen=True)
@@ -48,29 +55,35 @@ class Tangent:
         return vector - self.basis @ (self.basis.T @ vector)
 
 
-def tangent(problem: Problem, current: Fit, part: str = "fit") -> Tangent:
+def tangent(current: Fit, part: str = "fit") -> Tangent:
     """Finite-difference sensitivities of the whitened residual to the free numbers of ``current``."""
-    base = gather(problem, current.innovations, part)
-    u, s, _ = np.linalg.svd(sensitivities(problem, current, current.model.slots(), part), full_matrices=False)
+    base = current.residual(part)
+    u, s, _ = np.linalg.svd(sensitivities(current, current.model.slots(), part), full_matrices=False)
     basis = u[:, s > 1e-9 * s[0]]
     return Tangent(base - basis @ (basis.T @ base), basis)
 
 
-def starts(
-    problem: Problem, current: Fit, effect: Effect, missing: tuple[MissingForce, ...], absorbed: Tangent
-) -> list[Start]:
+def screen(current: Fit, library: tuple[Effect, ...], absorbed: Tangent) -> list[list[Start]]:
+    """Starts of each effect of ``library`` that ``current`` does not have, the most promising of each first."""
+    missing = missing_force(current)
+    absent = [effect for effect in library if effect.name not in current.model.names]
+    tried = side_by_side(starts, [(current, effect, missing, absorbed) for effect in absent])
+    return [found for found in tried if found]
+
+
+def starts(current: Fit, effect: Effect, missing: tuple[MissingForce, ...], absorbed: Tangent) -> list[Start]:
     """Return the starts of ``current`` with ``effect`` added, the one with the largest gain first.
 
     A gap so large that it bent the fitted baseline is looked at from the axis file's numbers too: there the gain is
     what the start itself explains.
     """
-    base, found = gather(problem, current.innovations, "fit"), []
-    told = replace(current.model, baseline=problem.axis.mechanics.array())
+    base, found = current.residual("fit"), []
+    given = replace(current.model, baseline=current.problem.axis.mechanics.array())
     far = bent(current, float(base @ base) / base.size)
-    for values in _values(problem, current.model, effect, missing):
-        trial = current.model.with_effect(effect, values)
+    for values in _values(current, effect, missing):
+        trial = current.with_model(current.model.with_effect(effect, values))
         try:
-            change = absorbed.free(gather(problem, problem.whitened(trial), "fit") - base)
+            change = absorbed.free(trial.residual("fit") - base)
             size = float(np.linalg.norm(change))
             if size == 0:
                 continue
@@ -79,8 +92,8 @@ def starts(
             along = float(absorbed.residual @ signature)
             found.append(Start(trial, along**2 if along < 0 else 0.0, signature, size, anchored=True))
             if far:
-                other = told.with_effect(effect, values)
-                left = gather(problem, problem.whitened(other), "fit")
+                other = current.with_model(given.with_effect(effect, values))
+                left = other.residual("fit")
                 gain = max(0.0, float(base @ base - left @ left))
                 found.append(Start(other, gain, signature, size, anchored=False))
         except SimulationError:
@@ -89,20 +102,21 @@ def starts(
 
 
 def bent(current: Fit, cost: float) -> bool:
-    """Whether the gap, of ``cost`` a sample, is so large that it bent the baseline fitted to it."""
-    return cost > BENT and not current.model.effects
+    """Whether the gap, of ``cost`` per sample, is so large that it bent the baseline fitted to it."""
+    return cost > rules.BENT and not current.model.effects
 
 
-def _values(problem: Problem, model: Candidate, effect: Effect, missing: tuple[MissingForce, ...]) -> list[np.ndarray]:
+def _values(current: Hypothesis, effect: Effect, missing: tuple[MissingForce, ...]) -> list[np.ndarray]:
     """Parameter arrays (n_records, n_parameters) to try."""
-    tables = []
-    for seen, split in zip(missing, problem.splits, strict=True):
+    model, tables = current.model, []
+    for seen, split in zip(missing, current.problem.splits, strict=True):
         if effect.propose is not None:
             force = np.where(split.used, seen.force, 0.0)  # what confirms stays closed
             shapes = effect.propose(seen.motion, force, model.baseline, seen.away)
         else:
             names = [p.name for p in effect.parameters if p.starts]
-            shapes = [dict(zip(names, combination, strict=True)) for combination in product(*_grids(effect))]
+            grids = [p.starts for p in effect.parameters if p.starts]
+            shapes = [dict(zip(names, combination, strict=True)) for combination in product(*grids)]
         tables.append([_complete(effect, shape, seen, model) for shape in shapes])
     # Each record proposes; the others follow with their own per-record numbers where they proposed as many.
     own = np.array([p.per_record for p in effect.parameters])
@@ -118,10 +132,6 @@ def _values(problem: Problem, model: Candidate, effect: Effect, missing: tuple[M
     return rows
 
 
-def _grids(effect: Effect) -> list[tuple[float, ...]]:
-    return [p.starts for p in effect.parameters if p.starts]
-
-
 def _complete(effect: Effect, shape: dict[str, float], seen: MissingForce, model: Candidate) -> np.ndarray | None:
     """Fill in what ``shape`` leaves out, by regression of the missing force, and hold everything within bounds."""
     absent = [p.name for p in effect.parameters if p.name not in shape]
@@ -132,11 +142,11 @@ def _complete(effect: Effect, shape: dict[str, float], seen: MissingForce, model
         absorbing = np.column_stack([m.a, m.v, sign, np.ones_like(m.v)])
         kept = thin(seen.away)
         design = np.column_stack([columns, absorbing])[kept]
-        scale = np.sqrt((design**2).mean(axis=0))
-        if not np.all(scale[: columns.shape[1]] > 0):
+        size = np.sqrt((design**2).mean(axis=0))
+        if not np.all(size[: columns.shape[1]] > 0):
             return None
-        scale[scale == 0] = 1.0
-        solution = np.linalg.lstsq(design / scale, seen.force[kept], rcond=1e-8)[0] / scale
+        size[size == 0] = 1.0
+        solution = np.linalg.lstsq(design / size, seen.force[kept], rcond=1e-8)[0] / size
         shape = {**shape, **effect.from_coefficients(solution[: columns.shape[1]], shape)}
     elif absent:
         return None
@@ -144,6 +154,6 @@ def _complete(effect: Effect, shape: dict[str, float], seen: MissingForce, model
     for p in effect.parameters:
         value = min(max(shape[p.name], p.lower), p.upper)
         # A signature needs some of the effect, even where the regression wants none.
-        least = LEAST_AMPLITUDE * p.scale if p.linear and p.scale and not p.per_record else 0.0
+        least = rules.LEAST_AMPLITUDE * p.scale if p.linear and p.scale and not p.per_record else 0.0
         values.append(value if abs(value) >= least else float(np.copysign(least, value)))
     return np.array(values)

@@ -1,129 +1,89 @@
-"""The confirming record: both models on it, what belongs to it alone, and what it withdraws."""
+"""The data that nothing was decided on: what belongs to one record is fitted there anew, everything else stands."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from emps_design.discrepancy.checks.controller_law import LawCheck
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.checks.controller_law import check_law, propose_command
+from emps_design.discrepancy.checks.preparation import HeldOut
 from emps_design.discrepancy.model.candidate import Candidate
+from emps_design.discrepancy.model.fit import evaluate, fit
+from emps_design.discrepancy.model.missing_force import missing_force
 from emps_design.discrepancy.model.partition import split
-from emps_design.discrepancy.model.problem import Fit, Problem
-from emps_design.discrepancy.search.outcome import Work
-from emps_design.discrepancy.validation.gap import Asked, Gap, Prediction, asked_for, gap_of, predict, refit_per_record
-from emps_design.errors import InputError
-from emps_design.records import Record
+from emps_design.discrepancy.model.problem import Hypothesis, Problem
+from emps_design.discrepancy.validation.gap import Comparison, compare
 
 
 @dataclass(frozen=True)
-class Confirming:
-    """The confirming record as a problem of its own, the samples (n,) bool that confirm, what its controller does."""
+class Holdout:
+    """The confirming data as a problem of its own, under the noise of the training records."""
 
     problem: Problem
-    window: np.ndarray
-    law: LawCheck | None = None
+    data: HeldOut
 
-    @property
-    def stretch(self) -> tuple[float, float] | None:
-        """Start and stop [s] of what confirms, None where it is a whole record."""
-        t = self.problem.records[0].t[self.window]
-        return None if self.window.all() else (float(t[0]), float(t[-1]))
+    @classmethod
+    def of(cls, training: Problem, data: HeldOut) -> Holdout:
+        """Open ``data``."""
+        return cls(replace(training, records=(data.record,), splits=(split(data.record, data.window),)), data)
 
-    @property
-    def added(self) -> str:
-        """Name of the effect that the controller adds here, or ""."""
-        return self.law.effect.name if self.law is not None and self.law.effect is not None else ""
+    def compare(self, baseline: Candidate, extended: Candidate) -> Comparison:
+        """Compare two models of the training records, each with what belongs to this record fitted anew."""
+        before, after = self.adapted(baseline, extended), self.adapted(extended, extended)
+        return compare(self.problem, before, after, per_record_names(after))
 
-    @property
-    def unnamed_law(self) -> bool:
-        """Whether the controller does something here that no effect explains."""
-        return self.law is not None and self.law.structured and self.law.effect is None
-
-    def of_this_record(self, model: Candidate, found: Candidate) -> Candidate:
-        """``model`` of the training record with what the controller does here, which may be more or less than there.
+    def adapted(self, model: Candidate, found: Candidate) -> Candidate:
+        """``model`` of the training records, with what the controller does here, and what belongs to this record.
 
         What is part of ``found`` is no part of a baseline.
         """
-        if self.law is None:
-            return model
-        for name in [e.name for e in model.effects if e.channel == "controller" and e.name != self.added]:
-            model = model.without(model.names.index(name))
-        if self.added in ("", *model.names, *found.names):
-            return model
-        return model.with_effect(self.law.effect, self.law.values)
+        if self.data.law is not None:
+            for name in [e.name for e in model.effects if e.channel == "controller" and e.name != self.data.added]:
+                model = model.without(model.names.index(name))
+            if self.data.added not in ("", *model.names, *found.names):
+                model = model.with_effect(self.data.law.effect, self.data.law.values)
+        return refit_per_record(Hypothesis(self.problem, model.only(0)))
 
 
-def confirming_on(work: Work, holdout: Record | None, confirm_time: tuple[float, float] | None) -> Confirming | None:
-    """What confirms; None where there is nothing."""
-    if holdout is None and confirm_time is None:
-        return None
-    record = work.problem.records[0] if holdout is None else holdout
-    window = np.ones(len(record), bool) if confirm_time is None else between(record, confirm_time, "--confirm-time")
-    own = replace(work.problem, records=(record,), splits=(split(record, window),))
-    return Confirming(own, window, work.holdout_law)
+def per_record_names(model: Candidate) -> tuple[str, ...]:
+    """Names of the numbers of ``model`` that belong to one record and can be fitted."""
+    pairs = [(effect, p) for effect in model.effects for p in effect.parameters]
+    return tuple(f"{effect.name}.{p.name}" for effect, p in pairs if p.per_record and not p.discrete)
 
 
-@dataclass(frozen=True)
-class Judged:
-    """Both models on one record: the gap, the prediction, the extended model and what was fitted anew for it."""
+def refit_per_record(hypothesis: Hypothesis) -> Candidate:
+    """Fit what belongs to one record on the only record of ``hypothesis``.
 
-    gap: Gap
-    prediction: Prediction
-    extended: Candidate
-    refitted: tuple[str, ...]
-
-
-def confirm(work: Work, confirming: Confirming, baseline: Fit, extended: Fit) -> tuple[Judged, Fit, tuple[Asked, ...]]:
-    """Judge both models on the confirming data; withdraw what those data refute and refit the rest.
-
-    An effect of the controller has its evidence in the law, and is not asked for.
+    Starts are the numbers of the record before and the effect's own proposals here; the old numbers stay unless new
+    ones are clearly better.
     """
-    refuted: list[Asked] = []
-    while True:
-        asked = asked_for(confirming.problem, _refitted(confirming, extended.model, extended.model)[0])
-        claims = [effect.name for effect in extended.model.effects if effect.channel != "controller"]
-        doubtful = [a for a in asked if a.refuted and a.name in claims]
-        worst = max(doubtful, key=lambda a: abs(a.share - 1) / a.std, default=None)
-        if worst is None:
-            return confirming_gap(confirming, baseline.model, extended.model), extended, tuple(refuted)
-        refuted.append(worst)
-        rest = extended.model.without(extended.model.names.index(worst.name))
-        extended = work.judge.refitted(rest)
+    if not per_record_names(hypothesis.model):
+        return hypothesis.model
+    for index, effect in enumerate(hypothesis.model.effects):
+        if any(p.per_record for p in effect.parameters):
+            rows = [hypothesis.model.values[index][0], *_proposals(hypothesis, index)]
+            trials = [evaluate(hypothesis.with_model(hypothesis.model.with_row(index, row))) for row in rows]
+            best = min(trials, key=lambda trial: trial.cost)
+            if best.cost < rules.BETTER_PROPOSAL * trials[0].cost:
+                hypothesis = hypothesis.with_model(best.model)
+    before = evaluate(hypothesis)
+    after = fit(hypothesis, "used", hypothesis.model.slots(frozen=True))
+    return after.model if after.cost < rules.BETTER_FIT * before.cost else before.model
 
 
-def confirming_gap(confirming: Confirming, baseline: Candidate, extended: Candidate) -> Judged:
-    """Both models on the confirming record, what belongs to a record fitted anew there."""
-    (before, _), (after, names) = (_refitted(confirming, model, extended) for model in (baseline, extended))
-    return gap_on(confirming.problem, before, after, names)
-
-
-def _refitted(confirming: Confirming, model: Candidate, extended: Candidate) -> tuple[Candidate, list[str]]:
-    """``model`` with what belongs to the confirming record fitted anew, and the names of that."""
-    return refit_per_record(confirming.problem, confirming.of_this_record(model, extended).only(0))
-
-
-def gap_on(problem: Problem, baseline: Candidate, extended: Candidate, refitted: Sequence[str] = ()) -> Judged:
-    """Both models on the records of ``problem``: the gap over all, the rest of the one the baseline misses most."""
-    each = range(len(problem.records))
-    predictions = [predict(problem.only(i), baseline.only(i), extended.only(i)) for i in each]
-    shown = most_missed(problem, baseline)
-    gap = gap_of(problem, predictions, baseline, extended)
-    return Judged(gap, predictions[shown], extended.only(shown), tuple(refitted))
-
-
-def most_missed(problem: Problem, model: Candidate) -> int:
-    """The record of which ``model`` leaves most."""
-    return int(np.argmax([np.std(force) for force in problem.left(model)]))
-
-
-def between(record: Record, window: tuple[float, float], option: str) -> np.ndarray:
-    """Samples (n,) bool of ``record`` inside ``window`` (start, stop) [s]; refuses an empty one."""
-    inside = (record.t >= window[0]) & (record.t < window[1])
-    if not inside.any():
-        raise InputError(
-            f"{option}: found {window[0]:g}:{window[1]:g} s, expected a stretch of {record.name}, which lasts "
-            f"{record.duration:.3g} s"
-        )
-    return inside
+def _proposals(hypothesis: Hypothesis, index: int) -> list[np.ndarray]:
+    """Parameters (n_parameters,) of effect ``index`` with what belongs to the record as the effect proposes it."""
+    problem, model = hypothesis.problem, hypothesis.model
+    record, effect, row = problem.records[0], model.effects[index], model.values[index][0]
+    own = [p.per_record for p in effect.parameters]
+    if effect.channel == "controller":
+        found = propose_command(effect, record, check_law(record, problem.axis, ()).gap)
+        return [] if found is None else [np.where(own, found, row)]
+    if effect.propose is None:
+        return []
+    seen = missing_force(hypothesis.with_model(model.without(index)))[0]
+    tables = effect.propose(seen.motion, seen.force, model.baseline, seen.away)
+    full = [[t.get(p.name, old) for p, old in zip(effect.parameters, row, strict=True)] for t in tables]
+    return [np.where(own, values, row) for values in full]

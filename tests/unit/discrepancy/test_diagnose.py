@@ -130,9 +130,9 @@ def test_records_that_cannot_be_judged_say_what_to_record():
         diagnose(whole, AXIS, holdout=Record(2 * whole.t, whole.q_ref, whole.q, whole.u, 2e-3))
     with pytest.raises(InputError, match="record two reversals or more"):
         diagnose(record(q_ref=np.linspace(0.0, 0.4, 4000)), AXIS, library=SHORT)
-    with pytest.raises(InputError, match="--confirm-time: found 39 samples"):
+    with pytest.raises(InputError, match="`confirm_time`: found 39 samples"):
         diagnose(whole, AXIS, library=SHORT, confirm_time=(0.001, 0.04))
-    with pytest.raises(InputError, match="--confirm-time"):
+    with pytest.raises(InputError, match="`confirm_time`"):
         diagnose(whole, AXIS, confirm_time=(1e4, 2e4))
 
 
@@ -157,7 +157,7 @@ def test_without_a_controller_the_models_follow_the_recorded_motion(effect):
     assert answer.holdout.extended < 0.5 * answer.holdout.baseline
     document = answer.to_dict()
     assert document["simulation"] == "inverse model"
-    assert any("the controller is not known" in said for said in document["warnings"])
+    assert any("the controller is not known" in text for text in document["warnings"])
     assert answer.axis.controller.kind == "none"
 
 
@@ -167,15 +167,15 @@ def test_the_confirming_record_withdraws_what_it_does_not_ask_for():
     answer = diagnose(record(spring), AXIS, holdout=record(seed=1), library=SHORT)
     assert answer.findings == ()
     assert answer.verdict == "unnamed"
-    assert any("elastic force" in said and "withdrawn" in said for said in answer.details["warnings"])
+    assert any("elastic force" in text and "withdrawn" in text for text in answer.details["warnings"])
 
 
 def test_what_nothing_explains_has_a_place_and_a_map():
-    told = diagnose(record(DELAYED), AXIS, library=(get_effect("elastic_force"),)).details["unexplained"]
-    force = np.array(told["map"]["force"], float)
-    assert force.shape == (len(told["map"]["velocity"]), len(told["map"]["position"]))
+    unexplained = diagnose(record(DELAYED), AXIS, library=(get_effect("elastic_force"),)).details["unexplained"]
+    force = np.array(unexplained["map"]["force"], float)
+    assert force.shape == (len(unexplained["map"]["velocity"]), len(unexplained["map"]["position"]))
     assert np.isfinite(force).any()
-    assert told["text"]
+    assert unexplained["text"]
 
 
 def test_where_is_told_in_the_words_of_the_effect():
@@ -218,18 +218,18 @@ def test_an_interrupt_leaves_what_is_known_by_then():
 
     answer = diagnose(record(low), AXIS, library=SHORT, progress=stop)
     assert [f.effect for f in answer.findings] == ["stribeck_friction"]
-    assert any("interrupted" in said for said in answer.details["warnings"])
+    assert any("interrupted" in text for text in answer.details["warnings"])
 
 
 @pytest.mark.parametrize(
-    ("q_ref", "said"),
+    ("q_ref", "warning"),
     [
         (np.abs((1e-4 * np.arange(8000) + 0.1) % 0.2 - 0.1), "one speed only"),
         (np.abs((1e-4 * np.arange(8000) + 0.1) % 0.2 - 0.1), "hardly any motion below 20 mm/s"),
     ],
 )
-def test_a_tame_record_says_what_it_cannot_tell(q_ref, said):
-    assert any(said in text for text in check_records((record(q_ref=q_ref),), AXIS))
+def test_a_tame_record_says_what_it_cannot_tell(q_ref, warning):
+    assert any(warning in text for text in check_records((record(q_ref=q_ref),), AXIS))
 
 
 def test_what_the_controller_adds_on_the_confirming_record_only_is_known_there():
@@ -237,7 +237,7 @@ def test_what_the_controller_adds_on_the_confirming_record_only_is_known_there()
     answer = diagnose(record(DELAYED), AXIS, holdout=record(DELAYED, pulses, seed=1), library=SHORT)
     assert [f.effect for f in answer.findings] == ["actuator_delay"]
     assert answer.holdout.extended < 0.4 * answer.holdout.baseline
-    assert any("controller disturbance on the confirming record" in said for said in answer.details["warnings"])
+    assert any("controller disturbance on the confirming record" in text for text in answer.details["warnings"])
 
 
 def test_a_disturbance_of_the_controller_need_not_be_there_on_the_confirming_record():

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from emps_design.discrepancy.model.candidate import Candidate
+from emps_design.discrepancy.model.fit import evaluate, fit
+from emps_design.discrepancy.model.least_squares import descend
 from emps_design.discrepancy.model.partition import split
-from emps_design.discrepancy.model.problem import Problem, descend, evaluate, fit
+from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.search.noise_floor import floor_of_laps, floor_of_residual
 from emps_design.effects import get_effect
 from emps_design.machines import machine
@@ -28,7 +30,7 @@ def problem(effects=(), noise=4e-3, seed=0) -> Problem:
 
 def test_the_baseline_comes_back_within_its_deviations():
     judged = problem()
-    fitted = fit(judged, Candidate(np.array([100.0, 180.0, 24.0, 0.0])), part="used")
+    fitted = fit(Hypothesis(judged, Candidate(np.array([100.0, 180.0, 24.0, 0.0]))), part="used")
     truth = AXIS.mechanics.array()
     deviations = [fitted.std(-1, place) for place in range(4)]
     assert np.all(np.abs(fitted.model.baseline - truth) < 4 * np.array(deviations))
@@ -39,7 +41,7 @@ def test_the_baseline_comes_back_within_its_deviations():
 def test_an_effect_comes_back_with_the_baseline():
     hidden = {"kind": "actuator_lag", "time_constant": 2e-3}
     start = Candidate(AXIS.mechanics.array()).with_effect(get_effect("actuator_lag"), np.array([[1e-3]]))
-    fitted = fit(problem([hidden]), start)
+    fitted = fit(Hypothesis(problem([hidden]), start))
     assert fitted.model.values[0][0, 0] == pytest.approx(2e-3, abs=4 * fitted.std(0, 0))
     assert fitted.std(0, 0) < 1e-4
 
@@ -50,7 +52,7 @@ def test_bounds_hold_and_a_model_that_cannot_run_costs_a_lot():
     moved = model.with_vector(slots, np.array([100.0, -5.0, 20.0, 0.0, 1.0]))
     assert moved.baseline[1] == 0.0
     assert moved.values[0][0, 0] == get_effect("actuator_delay").parameters[0].upper
-    unstable = evaluate(problem(), moved)
+    unstable = evaluate(Hypothesis(problem(), moved))
     assert unstable.cost > 1e6 * problem().samples("used")
 
 

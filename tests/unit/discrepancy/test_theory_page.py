@@ -16,10 +16,11 @@ def full_name(module: str) -> str:
 
 def test_every_constant_of_the_page_exists_and_is_in_its_table():
     text = PAGE.read_text(encoding="utf-8")
-    said = set(re.findall(r"`(\w+)\.([A-Z][A-Z_0-9]+)`", text))
-    lines = text.split("```{constants}\n")[1].split("```")[0].split("\n")
-    listed = {(line.split()[0], name) for line in lines if line for name in line.split()[1:]}
-    assert len(said) > 20
-    assert said <= listed
+    used = set(re.findall(r"`(\w+)\.([A-Z][A-Z_0-9]+)`", text))
+    lines = [line.split() for line in text.split("```{constants}\n")[1].split("```")[0].split("\n") if line]
+    modules = {module: importlib.import_module(full_name(module)) for module, *_ in lines}
+    listed = {(module, name) for module, *names in lines for name in names or vars(modules[module])}
+    assert len(used) > 20
+    assert used <= listed
     for module, name in listed:
-        assert hasattr(importlib.import_module(full_name(module)), name), f"{module}.{name}"
+        assert hasattr(modules[module], name), f"{module}.{name}"

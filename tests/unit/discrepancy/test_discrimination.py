@@ -1,4 +1,4 @@
-"""Programs stay inside what the record shows; the one that is chosen tells two models apart, as far as it says."""
+"""Excitations stay inside what the record shows; the chosen one tells two models apart, as far as it says."""
 
 from dataclasses import replace
 
@@ -7,12 +7,16 @@ import pytest
 
 from emps_design.discrepancy import diagnose
 from emps_design.discrepancy.experiment.discrimination import choose, experiment
-from emps_design.discrepancy.experiment.excitation import PROGRAMS, Envelope, in_words, menu
+from emps_design.discrepancy.experiment.excitation import EXCITATIONS, Envelope, excitations, in_words
 from emps_design.discrepancy.model.candidate import Candidate
+from emps_design.discrepancy.model.fit import fit
 from emps_design.discrepancy.model.partition import split
-from emps_design.discrepancy.model.problem import Problem, Whitening, fit
-from emps_design.discrepancy.search.beam_search import Search
+from emps_design.discrepancy.model.problem import Hypothesis, Problem
+from emps_design.discrepancy.model.whitening import Whitening
+from emps_design.discrepancy.search.calibration import Calibration
 from emps_design.discrepancy.search.noise_floor import floor_of_laps
+from emps_design.discrepancy.search.null_distribution import Healthy
+from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.effects import REGISTRY, get_effect, register
 from emps_design.machines import machine
 from emps_design.records import Record
@@ -50,12 +54,12 @@ def test_the_envelope_is_what_the_record_shows():
 
 
 @pytest.mark.parametrize("reference", REFERENCES)
-def test_programs_stay_inside_the_record_and_begin_and_end_at_rest_where_it_began(reference):
+def test_excitations_stay_inside_the_record_and_begin_and_end_at_rest_where_it_began(reference):
     period = 2e-3 if reference == "2 ms" else 1e-3
     seen = Envelope.of([record(AXIS.replace(sampling={"period": period}), REFERENCES[reference])])
-    programs = menu(seen)
-    assert list(programs) == [program.__name__ for program in PROGRAMS]
-    for name, q_ref in programs.items():
+    references = excitations(seen)
+    assert list(references) == [excitation.__name__ for excitation in EXCITATIONS]
+    for name, q_ref in references.items():
         derivatives = [np.diff(q_ref, order) / period**order for order in (1, 2, 3)]
         limits = (seen.speed, seen.acceleration, seen.jerk)
         for derivative, limit in zip(derivatives, limits, strict=True):
@@ -73,14 +77,16 @@ def test_programs_stay_inside_the_record_and_begin_and_end_at_rest_where_it_bega
 
 def problem_of(effect: dict, q_ref: np.ndarray) -> Problem:
     made = record(AXIS.replace(effects=[effect]), q_ref)
-    problem = Problem(AXIS, (made,), (split(made),), Whitening(np.array([1.0]), 1.0))
-    floor = floor_of_laps(problem.residuals(Candidate(AXIS.mechanics.array())), problem.splits, made.period)
+    problem = Problem(AXIS, (made,), (split(made),), Whitening.none())
+    floor = floor_of_laps(
+        Hypothesis(problem, Candidate(AXIS.mechanics.array())).residuals(), problem.splits, made.period
+    )
     return problem.with_whitening(floor.whitening)
 
 
 def fitted(problem: Problem, effect, **parameters: float):
     values = np.array([[parameters[p.name] for p in effect.parameters]])
-    return fit(problem, Candidate(AXIS.mechanics.array()).with_effect(effect, values))
+    return fit(Hypothesis(problem, Candidate(AXIS.mechanics.array()).with_effect(effect, values)))
 
 
 RIPPLE = {"amplitude": 0.1, "phase": 0.3, "period": 0.0025}
@@ -91,21 +97,24 @@ PAIRS = {
 
 
 @pytest.mark.parametrize("pair", PAIRS)
-def test_a_record_of_the_chosen_program_tells_the_two_apart_by_as_much_as_was_promised(pair):
+def test_a_record_of_the_chosen_excitation_tells_the_two_apart_by_as_much_as_was_promised(pair):
     (true, numbers), (other, guess) = PAIRS[pair]
     problem = problem_of({"kind": true, **numbers}, trapezoid_laps(1e-3, stroke=0.1, laps=3))
     rivals = fitted(problem, get_effect(true), **numbers), fitted(problem, get_effect(other), **guess)
-    chosen = choose(problem, rivals, THRESHOLD)
+    chosen = choose(rivals, THRESHOLD)
     assert chosen.between == (true, other)
     assert chosen.over_noise > chosen.needed
-    assert [row["over_noise"] for row in chosen.menu] == sorted(
-        (row["over_noise"] for row in chosen.menu), reverse=True
+    assert [row["over_noise"] for row in chosen.compared] == sorted(
+        (row["over_noise"] for row in chosen.compared), reverse=True
     )
     for index, truth in enumerate(rivals):
         new = record(truth.model.to_axis(AXIS), chosen.q_ref, seed=7)
         both = replace(problem, records=(*problem.records, new), splits=(*problem.splits, split(new)))
         costs = [
-            fit(both, replace(f.model, values=tuple(np.vstack((v, v)) for v in f.model.values)), "used").cost - f.cost
+            fit(
+                Hypothesis(both, replace(f.model, values=tuple(np.vstack((v, v)) for v in f.model.values))), "used"
+            ).cost
+            - f.cost
             for f in rivals
         ]
         gain = max(costs) - min(costs)
@@ -130,16 +139,19 @@ def test_without_equivalents_the_effect_s_own_advice_stays():
     problem = problem_of({"kind": "actuator_delay", "delay": 1e-3}, trapezoid_laps(1e-3, stroke=0.1, laps=3))
     delay, lag = get_effect("actuator_delay"), get_effect("actuator_lag")
     best, rival = fitted(problem, delay, delay=1e-3), fitted(problem, lag, time_constant=1e-3)
-    found = Search((best,), {frozenset(f.model.names): f for f in (best, rival)})
-    alone = experiment(problem, found, ("actuator_delay",), {"actuator_delay": []}, THRESHOLD).to_dict()
+    tried = {frozenset(f.model.names): f for f in (best, rival)}
+    calibration = Calibration(None, best, None, Healthy(np.full(199, THRESHOLD)), [])
+    found = Outcome(calibration, (best,), tried)
+    alone = experiment(found, ("actuator_delay",), {"actuator_delay": []}).to_dict()
     assert alone["text"] == delay.experiment
     assert {alone[key] for key in ("program", "duration", "distance", "over_noise", "between", "file")} == {None}
-    assert experiment(problem, found, (), {"actuator_delay": ["actuator_lag"]}, THRESHOLD) is None
-    asked = experiment(problem, found, ("actuator_delay",), {"actuator_delay": ["actuator_lag"]}, THRESHOLD)
-    assert asked.between == ("actuator_delay", "actuator_lag")
+    both = {"actuator_delay": ["actuator_lag"]}
+    assert experiment(found, (), both) is None
+    assert experiment(found, ("actuator_delay",), both).between == ("actuator_delay", "actuator_lag")
     unknown = replace(problem, axis=AXIS.replace(controller={"kind": "none"}))
-    told = experiment(unknown, found, ("actuator_delay",), {"actuator_delay": ["actuator_lag"]}, THRESHOLD)
-    assert (told.text, told.program) == (delay.experiment, None)
+    blind = replace(found, path=(replace(best, problem=unknown),))
+    advice = experiment(blind, ("actuator_delay",), both)
+    assert (advice.text, advice.excitation) == (delay.experiment, None)
 
 
 @pytest.fixture
@@ -149,12 +161,12 @@ def same_delay():
     REGISTRY.added.pop("same_delay")
 
 
-def test_no_program_separates_a_model_from_itself(same_delay):
+def test_no_excitation_separates_a_model_from_itself(same_delay):
     problem = problem_of({"kind": "actuator_delay", "delay": 3e-4}, trapezoid_laps(1e-3, stroke=0.1, laps=3))
     rivals = tuple(fitted(problem, effect, delay=3e-4) for effect in (get_effect("actuator_delay"), same_delay))
-    chosen = choose(problem, rivals, THRESHOLD)
+    chosen = choose(rivals, THRESHOLD)
     assert chosen.over_noise < 0.5
     assert chosen.distance < 1e-3
-    assert (chosen.program, chosen.q_ref) == (None, None)
-    assert "no program" in chosen.text
+    assert (chosen.excitation, chosen.q_ref) == (None, None)
+    assert "no motion" in chosen.text
     assert same_delay.experiment in chosen.text

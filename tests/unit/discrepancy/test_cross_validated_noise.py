@@ -49,7 +49,7 @@ def test_the_noise_of_a_healthy_record_is_what_was_put_in():
     answer = diagnose(healthy, AXIS, library=LIBRARY)
     assert answer.verdict == "nothing-missing"
     assert answer.floor == pytest.approx(put_in, rel=0.05)
-    assert any("not what differs between laps" in said for said in answer.details["warnings"])
+    assert any("not what differs between laps" in text for text in answer.details["warnings"])
 
 
 def test_an_effect_without_a_start_is_said_not_to_be_looked_for():

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from emps_design.discrepancy.model.bootstrap import rms_interval
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.partition import split
-from emps_design.discrepancy.model.problem import Problem
-from emps_design.discrepancy.search.noise_floor import floor_of_laps, floor_of_residual, rms_interval
-from emps_design.discrepancy.validation.gap import asked_for
+from emps_design.discrepancy.model.problem import Hypothesis, Problem
+from emps_design.discrepancy.search.noise_floor import floor_of_laps, floor_of_residual
+from emps_design.discrepancy.validation.confirmation import asked_for
 from emps_design.effects import get_effect
 from emps_design.effects.guesses import pulses
 from emps_design.machines import machine
@@ -43,7 +44,7 @@ SPRING = {"stiffness": 60.0, "rest_position": 0.05}
 
 @pytest.mark.parametrize(("there", "share", "refuted"), [(60.0, 1.0, False), (30.0, 0.5, True), (120.0, 2.0, True)])
 def test_a_record_asks_for_the_share_that_is_there(there, share, refuted):
-    (asked,) = asked_for(problem(there), model(elastic_force=SPRING))
+    (asked,) = asked_for(Hypothesis(problem(there), model(elastic_force=SPRING)))
     assert asked.exercised
     assert asked.share == pytest.approx(share, abs=max(5 * asked.std, 0.02))
     assert asked.refuted is refuted
@@ -51,7 +52,7 @@ def test_a_record_asks_for_the_share_that_is_there(there, share, refuted):
 
 def test_an_effect_that_the_record_does_not_bring_out_is_not_refuted():
     far = {"stiffness": 5e4, "position": 10.0, "side": 1.0}  # m
-    asked = asked_for(problem(60.0), model(elastic_force=SPRING, end_stop=far))
+    asked = asked_for(Hypothesis(problem(60.0), model(elastic_force=SPRING, end_stop=far)))
     assert [a.exercised for a in asked] == [True, False]
     assert not any(a.refuted for a in asked)
 

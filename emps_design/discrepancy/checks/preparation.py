@@ -1,0 +1,151 @@
+"""The first stage: records that can be judged, split, with what their controller's law already tells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.checks.controller_law import LawCheck, check_law
+from emps_design.discrepancy.checks.requirements import check_records, check_same_drive, same_run
+from emps_design.discrepancy.model.candidate import Candidate
+from emps_design.discrepancy.model.partition import Split, split
+from emps_design.discrepancy.model.problem import Hypothesis, Problem
+from emps_design.discrepancy.model.whitening import Whitening
+from emps_design.effects import Effect
+from emps_design.errors import InputError
+from emps_design.records import Record
+from emps_design.simulation import Plant
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """The data that confirm: a record, the samples (n,) bool of it that count, and what its controller does.
+
+    Without a ``law`` the controller is unknown, or does what it does on the training record that this is a part of.
+    """
+
+    record: Record
+    window: np.ndarray
+    law: LawCheck | None
+
+    @property
+    def interval(self) -> Interval | None:
+        """Start and stop [s] of what confirms, None where it is a whole record."""
+        t = self.record.t[self.window]
+        return None if self.window.all() else (float(t[0]), float(t[-1]))
+
+    @property
+    def added(self) -> str:
+        """Name of the effect that the controller adds here, or ""."""
+        return "" if self.law is None else self.law.added
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """What a diagnosis starts from.
+
+    ``start`` is the axis file's own model of the records, with what the controller adds to its law; ``library`` are
+    the effects to look for, ``laws`` the checks of the controller's law, one per record where the controller is known.
+    """
+
+    start: Hypothesis
+    library: tuple[Effect, ...]
+    laws: tuple[LawCheck, ...]
+    held_out: HeldOut | None
+    warnings: tuple[str, ...]
+
+    @property
+    def unexplained_law(self) -> bool:
+        """Whether the controller does something on the training records that no effect explains."""
+        return any(law.unexplained for law in self.laws)
+
+
+def prepare(
+    records: tuple[Record, ...],
+    axis: Axis,
+    library: tuple[Effect, ...],
+    holdout: Record | None,
+    fit_time: Interval | None,
+    confirm_time: Interval | None,
+) -> Preparation:
+    """Check the records and the controller's law, and split what may be fitted; what confirms stays closed."""
+    dropped = [one.effect.name for one in axis.effects]
+    axis = axis.replace(effects=[])
+    warnings = check_records(records, axis)
+    if dropped:
+        warnings.append(f"the axis's own effects are left out and looked for again: {', '.join(dropped)}")
+    for other in (*records[1:], *(() if holdout is None else (holdout,))):
+        check_same_drive(records[0], other)
+    for one, other in combinations(records, 2):
+        if same_run(one, other):
+            raise InputError(f"{other.name}: is the record {one.name} again; give each record once")
+    known, law = axis.controller.kind != "none", None
+    if holdout is not None:
+        if any(same_run(holdout, record) for record in records):
+            raise InputError(f"{holdout.name}: is a training record too; confirm on one that nothing was fitted to")
+        warnings += check_records((holdout,), axis)
+        # A foreign controller is to be refused before the search; the law says nothing of the plant.
+        law = check_law(holdout, axis, library) if known else None
+    laws = tuple(check_law(record, axis, library) for record in records if known)
+    splits = _splits(records, fit_time, confirm_time)
+    problem = Problem(axis, records, splits, Whitening.none())
+    held_out = None
+    if holdout is not None or confirm_time is not None:
+        record = records[0] if holdout is None else holdout
+        window = np.ones(len(record), bool) if confirm_time is None else between(record, confirm_time, "`confirm_time`")
+        held_out = HeldOut(record, window, law)
+    # Kernels are compiled here: simulations run side by side later, and must not compile the same one twice.
+    Plant(axis, [(effect, np.zeros(len(effect.parameters))) for effect in library])
+    start = Hypothesis(problem, _as_the_axis_says(axis, laws))
+    plant = tuple(effect for effect in library if effect.channel != "controller")
+    return Preparation(start, plant, laws, held_out, tuple(warnings))
+
+
+def _splits(records: tuple[Record, ...], fit_time: Interval | None, confirm_time: Interval | None) -> tuple[Split, ...]:
+    """What fits and what selects of each record; refuses what is too little."""
+    allowed = [np.ones(len(r), bool) if fit_time is None else between(r, fit_time, "`fit_time`") for r in records]
+    if confirm_time is not None:
+        kept = between(records[0], confirm_time, "`confirm_time`")
+        if kept.sum() < rules.FEWEST_TO_CONFIRM:
+            raise InputError(
+                f"`confirm_time`: found {kept.sum()} samples of {records[0].name}, expected at least "
+                f"{rules.FEWEST_TO_CONFIRM}"
+            )
+        allowed[0] &= ~kept
+    splits = tuple(split(r, mask) for r, mask in zip(records, allowed, strict=True))
+    for record, made in zip(records, splits, strict=True):
+        if made.fit.sum() < rules.FEWEST_TO_FIT or made.select.sum() < rules.FEWEST_TO_SELECT:
+            raise InputError(
+                f"{record.name}: found {made.used.sum()} samples to fit, in {len(made.strokes)} strokes; expected at "
+                "least two strokes to fit and one to select from: record two reversals or more (identify needs none)"
+            )
+    return splits
+
+
+def _as_the_axis_says(axis: Axis, laws: tuple[LawCheck, ...]) -> Candidate:
+    """The axis file's numbers, with the effect that explains what the controller adds to its law."""
+    start = Candidate(axis.mechanics.array())
+    named = [law for law in laws if law.effect is not None]
+    if not named:
+        return start
+    effect = named[0].effect
+    # A record without the disturbance has none of it, whatever its rhythm elsewhere.
+    idle = np.where([p.unit == "V" for p in effect.parameters], 0.0, named[0].values)
+    return start.with_effect(effect, np.array([law.values if law.effect is effect else idle for law in laws]))
+
+
+def between(record: Record, window: Interval, option: str) -> np.ndarray:
+    """Samples (n,) bool of ``record`` inside ``window`` (start, stop) [s]; refuses an empty one."""
+    inside = (record.t >= window[0]) & (record.t < window[1])
+    if not inside.any():
+        raise InputError(
+            f"{option}: found {window[0]:g}:{window[1]:g} s, expected a part of {record.name}, which lasts "
+            f"{record.duration:.3g} s"
+        )
+    return inside

@@ -1,0 +1,85 @@
+"""What a reader must know beside the findings: what is assumed, how it was judged, what is doubtful."""
+
+from __future__ import annotations
+
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.checks.preparation import HeldOut
+from emps_design.discrepancy.search.acceptance import force_rms
+from emps_design.discrepancy.search.calibration import Calibration
+from emps_design.discrepancy.validation.verdict import Validation
+from emps_design.effects import get_effect
+
+ASSUMPTIONS = (
+    "the force gain of the drive is known: an error of it scales every mechanical parameter and shows nowhere else",
+    "the drive holds each voltage over the period that follows its sample",
+    "a Coulomb asymmetry and a constant force are one and the same in any record, and both are the constant force here",
+)
+FOLLOWED = (
+    "the controller is not known: the models follow the recorded motion and voltage, and what the controller itself "
+    "adds to the voltage cannot be checked"
+)
+
+
+def calibration_in_words(calibration: Calibration) -> str:
+    """What a finding had to gain, and why."""
+    healthy, runs = calibration.healthy, calibration.healthy.largest.size
+    level = max(rules.LEVEL, 1 / (runs + 1))
+    made = f"{runs} simulated healthy records, each searched like this one"
+    if not healthy.searched:
+        made = f"{runs} healthy references made of resampled noise"
+    return (
+        f"A finding must gain more than {healthy.threshold:.1f} in whitened cost, the largest gain of any "
+        f"candidate in {100 * level:.2g} % of {made}, and more than {100 * rules.WORTH:g} % of the cost "
+        f"({100 * rules.WORTH_AT_FLOOR:g} % where it is noise already); the noise is {calibration.floor.source}."
+    )
+
+
+def warnings(validation: Validation) -> list[str]:
+    """Everything that limits what the verdict says."""
+    preparation = validation.outcome.calibration.preparation
+    remarks = [*preparation.warnings, *validation.outcome.warnings, *_limits(validation)]
+    if preparation.held_out is not None:
+        remarks += _of_holdout(validation, preparation.held_out)
+    if validation.given_up:
+        labels = ", ".join(get_effect(name).label.lower() for name in validation.given_up)
+        remarks.append(
+            f"a model with {labels} explains {100 * validation.share:.0f} % of the gap, and does not stand: too little "
+            "of it, not on both records, or too many others would do"
+        )
+    return remarks
+
+
+def _limits(validation: Validation) -> list[str]:
+    calibration, extended = validation.outcome.calibration, validation.extended
+    floor = calibration.floor
+    remarks = [FOLLOWED] if extended.problem.axis.controller.kind == "none" else []
+    if not floor.from_laps:
+        remarks.append(
+            f"noise is {floor.source}, not what differs between laps: what is unlike all candidates, and differs "
+            "from stroke to stroke, would pass for it"
+        )
+    if validation.verdict in ("named", "ambiguous") and calibration.judge.leaves_structure(extended):
+        remarks.append(
+            f"structure remains after the last finding: {force_rms(extended):.2f} N where noise is "
+            f"{floor.force:.2f} N; no further effect of the library is clear enough to name"
+        )
+    if calibration.preparation.unexplained_law:
+        remarks.append("the controller's law has a gap that no effect explains: look at u minus the law first")
+    return remarks
+
+
+def _of_holdout(validation: Validation, held_out: HeldOut) -> list[str]:
+    remarks = [
+        f"{get_effect(a.name).label.lower()} fitted the training record and is withdrawn: the confirming record asks "
+        f"for {a.share:.2f} +- {a.std:.2f} of it"
+        for a in validation.refuted
+    ]
+    if held_out.added not in ("", *validation.extended.model.names):
+        label = get_effect(held_out.added).label.lower()
+        remarks.append(f"{label} on the confirming record, seen in its voltage: taken as known there, by both models")
+    elif held_out.law is not None and held_out.law.unexplained:
+        remarks.append("the controller's law has a gap on the confirming record that no effect explains")
+    if validation.held_out.refitted:
+        names = ", ".join(validation.held_out.refitted)
+        remarks.append(f"fitted anew on the confirming record, because they belong to one record: {names}")
+    return remarks

@@ -1,0 +1,71 @@
+"""A hypothesis fitted to its records: the closed-loop least squares, and what its numbers do to the residual."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from emps_design.discrepancy.model.candidate import Slot
+from emps_design.discrepancy.model.least_squares import WORST, descend
+from emps_design.discrepancy.model.problem import Hypothesis
+from emps_design.errors import SimulationError
+
+STEP = 1e-3  # finite difference of a sensitivity, in magnitudes of the number
+
+
+@dataclass(frozen=True)
+class Fit(Hypothesis):
+    """A fitted model: its whitened residuals, and the covariance (k, k) of the numbers in ``slots``."""
+
+    slots: tuple[Slot, ...]
+    covariance: np.ndarray
+    innovations: tuple[np.ndarray, ...]
+    cost_fit: float
+    cost_select: float
+
+    @property
+    def cost(self) -> float:
+        """Sum of squared innovations over fitting and selecting samples."""
+        return self.cost_fit + self.cost_select
+
+    def whitened(self) -> tuple[np.ndarray, ...]:
+        """The innovations, one array (n,) per record; none where the model cannot be simulated."""
+        return self.innovations
+
+    def std(self, effect: int, place: int, record: int = 0) -> float:
+        """Standard deviation of one number; 0 where it was not free."""
+        for i, slot in enumerate(self.slots):
+            if slot.effect == effect and slot.place == place and slot.record in (None, record):
+                return float(np.sqrt(max(self.covariance[i, i], 0.0)))
+        return 0.0
+
+
+def fit(start: Hypothesis, part: str = "fit", slots: tuple[Slot, ...] | None = None, steps: int = 12) -> Fit:
+    """Fit ``start`` to the closed-loop force on the samples of ``part``; ``slots`` (default: all) says what is free."""
+    slots = start.model.slots() if slots is None else slots
+    found = descend(start.model, slots, lambda model: start.with_model(model).residual(part), steps)
+    return evaluate(start.with_model(found.model), slots, found.covariance)
+
+
+def evaluate(hypothesis: Hypothesis, slots: tuple[Slot, ...] = (), covariance: np.ndarray | None = None) -> Fit:
+    """Judge a model as it is on the fitting and on the selecting samples."""
+    problem, model = hypothesis.problem, hypothesis.model
+    covariance = np.zeros((len(slots),) * 2) if covariance is None else covariance
+    try:
+        innovations = hypothesis.whitened()
+    except SimulationError:
+        return Fit(problem, model, slots, np.zeros((len(slots),) * 2), (), WORST, WORST)
+    costs = [sum(float(w @ w) for w in problem.pick(innovations, part)) for part in ("fit", "select")]
+    return Fit(problem, model, slots, covariance, innovations, *costs)
+
+
+def sensitivities(fitted: Fit, slots: tuple[Slot, ...], part: str) -> np.ndarray:
+    """What ``STEP`` magnitudes of each number in ``slots`` change in the whitened residual on ``part``, (n, k)."""
+    model, base = fitted.model, fitted.residual(part)
+    x, columns = model.vector(slots), []
+    for k, slot in enumerate(slots):
+        moved, step = x.copy(), STEP * slot.magnitude
+        moved[k] += step * (1 if x[k] + step <= slot.quantity.upper else -1)
+        columns.append(fitted.with_model(model.with_vector(slots, moved)).residual(part) - base)
+    return np.column_stack(columns)

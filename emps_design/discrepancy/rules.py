@@ -1,0 +1,73 @@
+"""Every threshold that decides on an answer, in the order of the procedure; docs/theory/diagnosis.md says why each."""
+
+from __future__ import annotations
+
+# Records that can be judged
+SHORTEST = 2.0  # s
+STILL = 1e-4  # m, a reference that moves less is no motion
+AT_LIMIT = 0.999  # of the voltage limit, from which on a sample counts as limited
+SATURATED = 0.5  # share of samples at the voltage limit beyond which nothing can be judged
+PERIODS_ALIKE = 1e-4  # relative difference of two sampling periods that count as one
+FEWEST_TO_FIT = 500  # samples
+FEWEST_TO_SELECT = 200  # samples
+FEWEST_TO_CONFIRM = 500  # samples
+
+# The controller's law
+LAW_HOLDS = 0.05  # a law holds where it misses the voltage by less than this share of it, in the median
+LAW_STRUCTURE = 4.0  # a gap has structure when its block means vary this many times more than white noise would
+LAW_VISIBLE = 1e-3  # of the voltage's deviation, below which the block means are no structure
+LAW_NAMED = 0.9  # share of the structure an effect must explain
+
+# Noise
+DRIFTS = 0.7  # of the rms of first differences between laps, below which second differences are the floor
+UNUSUAL = 2.5  # times the typical deviation of a piece, beyond which a piece is an event and no noise
+LINE = 25.0  # times the usual power, beyond which a line of the spectrum is a tone
+FINER = 0.95  # of the floor: a model that leaves less than this share shows that it was no noise
+FINER_THAN_LAPS = 0.7  # the same where laps repeat, which tells noise better than any model
+
+# What chance gains
+LEVEL = 0.01  # share of healthy records on which the threshold is reached, over all candidates together
+
+# The search
+LEAST_AMPLITUDE = 0.05  # of a parameter's typical size, below which an effect is none
+BENT = 20.0  # whitened cost per sample beyond which a fitted baseline may have been bent by what is missing
+SMALLEST_GAIN = 30.0  # in whitened cost; below the chance level of a search over hundreds of shapes
+WORTH_FITTING = 0.05  # of the largest first-order gain
+RIVAL = 0.5  # a set joins the beam, an effect the full fits, with this share of what the best one explains
+CLOSE_RIVAL = 0.9  # of what an effect explains, from which on another one in its place is fitted as long as it was
+LEAST_EXPLAINED = 0.4  # of the excess over noise, below which a search is given up after ENOUGH_ROUNDS
+ENOUGH_ROUNDS = 3
+STILL_PAYS = 0.005  # of the cost: a fit that gains less has converged
+ON_BOUND = 1e-6  # of a number's magnitude: a parameter this close to its bound ended on it
+
+# What is accepted
+WORTH = 0.01  # of the whitened cost: what lowers the residual force by less than half a percent is no finding
+WORTH_AT_FLOOR = 0.03  # the same where only noise is left to explain
+AUDIBLE = 0.3  # of the floor: amplitudes of force below it are not findings
+SEEN_AGAIN = 0.3  # of the gain per sample on the fitting part must be there on the selecting part
+STROKES = 0.8  # of what the selecting strokes change must be improvement
+CHANCE = 2.0  # standard deviations of a stroke's cost
+BURST = 5.0  # standard deviations beyond which a sample counts no more
+BURST_AT_FLOOR = 2.5  # the same where only noise is left to explain: an effect then shows in all samples a little
+STRUCTURED = 1.5  # whitened cost per sample beyond which a model leaves structure
+AT_FLOOR = 1.2  # whitened cost per sample up to which a model leaves nothing but noise
+
+# What the confirming record says
+ASKED_APART = 0.3  # from all of an effect, beyond which a record refutes it
+SURE = 3.0  # standard deviations
+EXERCISED = 0.05  # standard deviations of the noise that an effect must change in the mean to be seen at all
+BETTER_PROPOSAL = 0.98  # of the cost: a proposal for what belongs to a record must leave less than with the old numbers
+BETTER_FIT = 0.995  # the same for the fit that follows
+
+# The verdict
+EXPLAINED = 0.8  # of the excess over the floor, in force, a model must explain to stand where it does not reach it
+HELD = 0.8  # of the share explained on the training record must be explained on the confirming one
+LOST = 0.05  # of what the model explained; if refuted effects carried more, the rest is doubtful too
+MOST_EQUIVALENTS = 3
+EQUIVALENT = 0.03  # of what a finding gains: a rival this close is an equivalent where structure is left
+OFF = 0.005  # of a number's magnitude: an axis file that is further off, for sure, is wrong
+OFF_SURELY = 3.0  # standard deviations
+
+# The experiment
+LUCK = 2.0  # standard deviations of a difference in cost that chance may take from the right model
+SLACK = 0.05  # by which a motion may exceed what the same model does on the records

@@ -1,0 +1,68 @@
+"""The second stage: the fitted baseline, the noise it is judged by, and what chance alone would gain."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+from emps_design.discrepancy.checks.preparation import Preparation
+from emps_design.discrepancy.model.fit import Fit, fit
+from emps_design.discrepancy.model.problem import Hypothesis
+from emps_design.discrepancy.search.acceptance import Judge
+from emps_design.discrepancy.search.cross_validated_noise import unpredicted
+from emps_design.discrepancy.search.noise_floor import STROKES, Floor, floor_of_laps, floor_of_residual
+from emps_design.discrepancy.search.null_distribution import Healthy, healthy_reference
+from emps_design.discrepancy.search.simulated_null import healthy_runs
+from emps_design.discrepancy.search.starts import Start, screen, tangent
+
+Progress = Callable[[str, float], None]
+BASELINE_STEPS = 20  # of the baseline's fit, which starts from the axis file
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The baseline fitted under the noise of ``floor``, the starts on top of it, and what healthy records gain."""
+
+    preparation: Preparation
+    baseline: Fit
+    floor: Floor
+    healthy: Healthy
+    screened: list[list[Start]]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def judge(self) -> Judge:
+        """What accepts a finding under this noise and this chance."""
+        return Judge(self.floor, self.healthy)
+
+
+def first_noise(preparation: Preparation) -> tuple[Hypothesis, Floor]:
+    """Fit the baseline by plain least squares, and take the noise from what it leaves: of laps, or of other strokes."""
+    rough = fit(preparation.start, steps=BASELINE_STEPS)
+    floor = floor_of_laps(rough.residuals(), rough.problem.splits, rough.problem.period)
+    if floor is None:
+        floor = floor_of_residual(unpredicted(rough, preparation.library), rough.problem.period, STROKES)
+    return rough, floor
+
+
+def calibrate(
+    preparation: Preparation, start: Hypothesis, floor: Floor, seed: int, runs: int, progress: Progress
+) -> Calibration:
+    """Fit the baseline from ``start`` under the noise of ``floor``; see what chance gains, on ``runs`` healthy records.
+
+    With 0 ``runs`` chance is a linearisation: signatures over resampled noise.
+    """
+    progress("healthy reference", 0.0)
+    weighed = Hypothesis(start.problem.with_whitening(floor.whitening), start.model)
+    baseline, warnings = fit(weighed, steps=BASELINE_STEPS), ()
+    absorbed = tangent(baseline)
+    screened = screen(baseline, preparation.library, absorbed)
+    healthy = healthy_reference(screened, absorbed, floor.draws, seed)
+    if runs:
+        try:
+            report = partial(progress, "healthy records, each searched")
+            healthy = healthy_runs(baseline, preparation.library, floor, runs, seed, report)
+        except KeyboardInterrupt:
+            warnings = ("interrupted: calibrated on resampled noise, not on healthy records searched",)
+    return Calibration(preparation, baseline, floor, healthy, screened, warnings)

@@ -1,0 +1,97 @@
+"""One effect more: fits of every effect of the library on top of a model, and a fit brought to convergence.
+
+Poor fits are given up early (successive halving): many starts get a short fit of the new effect's own numbers, few a
+fit of everything.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.model.fit import Fit, evaluate, fit
+from emps_design.discrepancy.model.least_squares import Descent, descend
+from emps_design.discrepancy.model.missing_force import missing_force
+from emps_design.discrepancy.model.parallel import side_by_side
+from emps_design.discrepancy.search.admissible import admissible, plausible
+from emps_design.discrepancy.search.starts import Start, Tangent, bent, starts, tangent
+
+REFINED = 2  # starts of each effect that are worth a short fit
+SHORT_STEPS = 4
+FINALISTS = 4  # effects worth a full fit
+BENT_EFFECTS, BENT_STARTS = 2, 6  # fitted in full where the gap bent the baseline
+REVISED = 4  # other shapes of an effect that are fitted when it is accepted
+MOST_FITS = 8  # one after the other until they have converged
+
+
+def extensions(current: Fit, screened: list[list[Start]], absorbed: Tangent) -> tuple[list[Fit], dict[str, float]]:
+    """Fit those of the ``screened`` starts on top of ``current`` that promise a gain; best first.
+
+    A short fit moves the new effect alone and lets the tangent stand for what the rest absorbs; the best few effects
+    are then fitted with everything free. Also returns what each effect gained in its short fit [whitened cost].
+    """
+    best = max((found[0].gain for found in screened), default=0.0)
+    least = max(rules.SMALLEST_GAIN, rules.WORTH_FITTING * best)
+    worth = [start for found in screened for start in found[:REFINED] if start.gain >= least]
+    leading: dict[str, Descent] = {}
+    for short in side_by_side(_short_fit, [(start, absorbed) for start in worth]):
+        name = short.model.names[-1]
+        if name not in leading or short.cost < leading[name].cost:
+            leading[name] = short
+    before = float(absorbed.residual @ absorbed.residual)
+    gains = {found[0].model.names[-1]: found[0].gain for found in screened}
+    gains |= {name: before - short.cost for name, short in leading.items()}
+    shorts = [(short.cost, current.with_model(short.model)) for short in leading.values()]
+    ranked = sorted(((cost, short) for cost, short in shorts if plausible(short)), key=lambda pair: pair[0])
+    begins = [short for cost, short in ranked[:FINALISTS] if before - cost >= rules.RIVAL * (before - ranked[0][0])]
+    if bent(current, before / absorbed.residual.size):
+        # A baseline bent by the gap leads short fits astray: the leading effects are fitted from several starts.
+        leaders = sorted(screened, key=lambda found: -found[0].gain)[:BENT_EFFECTS]
+        more = [start.hypothesis for found in leaders for start in found[:BENT_STARTS]]
+        begins += [hypothesis for hypothesis in more if plausible(hypothesis)]
+    return sorted(side_by_side(fit, [(begin,) for begin in begins]), key=lambda f: f.cost), gains
+
+
+def converged(fitted: Fit) -> Fit:
+    """``fitted`` until it pays no more, other shapes of its last effect tried; as it was where that leaves its physics.
+
+    A fit that has not converged looks like another effect.
+    """
+    further = _revised(_settled(fitted))
+    return further if admissible(further) else fitted
+
+
+def _short_fit(start: Start, absorbed: Tangent) -> Descent:
+    own = tuple(slot for slot in start.model.slots() if slot.effect == len(start.model.effects) - 1)
+    free = absorbed.free if start.anchored else lambda residual: residual
+    return descend(start.model, own, lambda m: free(start.hypothesis.with_model(m).residual("fit")), SHORT_STEPS)
+
+
+def _settled(fitted: Fit) -> Fit:
+    """Fit on until it pays no more."""
+    for _ in range(MOST_FITS):
+        further = fit(fitted)
+        if further.cost > (1 - rules.STILL_PAYS) * fitted.cost:
+            return min(fitted, further, key=lambda f: f.cost)
+        fitted = further
+    return fitted
+
+
+def _revised(fitted: Fit) -> Fit:
+    """Look again at the shapes of the effect found last, now that all numbers fit it.
+
+    A descent does not cross to another exponent, nor to another stroke of the time at which something happened.
+    """
+    model = fitted.model
+    effect, values = model.effects[-1], model.values[-1]
+    shapes = [i for i, p in enumerate(effect.parameters) if p.discrete or (p.per_record and p.unit == "s")]
+    if not shapes:
+        return fitted
+    without = evaluate(fitted.with_model(model.without(len(model.effects) - 1)))
+    if not without.innovations:
+        return fitted
+    found = starts(without, effect, missing_force(without), tangent(without))
+    other = [s for s in found if s.anchored and not np.array_equal(s.model.values[-1][:, shapes], values[:, shapes])]
+    tried = side_by_side(fit, [(start.hypothesis,) for start in other[:REVISED]])
+    best = min((fitted, *tried), key=lambda f: f.cost)
+    return fitted if best is fitted or not admissible(best) else _settled(best)

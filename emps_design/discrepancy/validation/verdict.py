@@ -1,0 +1,132 @@
+"""The fourth stage: the model refitted to everything, confirmed, and what it all amounts to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.model.candidate import BASELINE
+from emps_design.discrepancy.model.fit import Fit, evaluate, fit
+from emps_design.discrepancy.search.acceptance import Judge, explained, force_rms
+from emps_design.discrepancy.search.outcome import Outcome
+from emps_design.discrepancy.validation.confirmation import Asked, confirm
+from emps_design.discrepancy.validation.gap import Comparison, compare
+from emps_design.discrepancy.validation.holdout import Holdout
+
+
+@dataclass(frozen=True)
+class Validation:
+    """The verdict on an ``outcome`` and the models it speaks of, both fitted to all that may be used.
+
+    ``equivalents`` of each finding are effects that could stand in its place; ``refuted`` is what the held-out data
+    withdrew; ``given_up`` are the effects of a model that explained ``share`` of the gap and did not stand.
+    """
+
+    outcome: Outcome
+    verdict: str
+    baseline: Fit
+    extended: Fit
+    equivalents: dict[str, list[str]]
+    train: Comparison
+    held_out: Comparison | None
+    refuted: tuple[Asked, ...]
+    given_up: tuple[str, ...]
+    share: float
+
+
+def validate(outcome: Outcome) -> Validation:
+    """Refit the search's best model on everything, open the confirming data, and reach a verdict."""
+    calibration = outcome.calibration
+    judge, preparation, problem = calibration.judge, calibration.preparation, calibration.baseline.problem
+    start = fit(calibration.baseline, part="used")
+    # The baseline knows nothing of the controller's disturbance, which the search took as known from the law.
+    baseline = start
+    if start.model.names:
+        bare = replace(start.model, effects=(), values=())
+        baseline = evaluate(start.with_model(bare), start.slots, start.covariance)
+    extended = judge.refitted(outcome.best) if len(outcome.path) > 1 else start
+    holdout = None if preparation.held_out is None else Holdout.of(problem, preparation.held_out)
+    refuted, lost = (), 0.0
+    if holdout is not None:
+        learnt = start.cost - extended.cost
+        extended, refuted = confirm(judge, holdout, extended)
+        lost = 1 - (start.cost - extended.cost) / learnt if refuted else 0.0
+
+    # What the plant's effects explain, beside a disturbance of the controller that is known from its law.
+    floor, searched = calibration.floor.force, extended.model.names != start.model.names
+    shares = [explained(force_rms(start), force_rms(extended), floor)]
+    held_out = None if holdout is None else holdout.compare(start.model, extended.model)
+    if held_out is not None:
+        shares.append(explained(held_out.gap.baseline, held_out.gap.extended, floor))
+    found = {n: others for n, others in equivalents(outcome).items() if n in extended.model.names}
+    verdict = _verdict(judge, extended, start, found, shares[-1])
+    # A gap closed on its own record only was not understood; nor was one of which a good part was refuted.
+    forgotten = searched and shares[-1] < rules.HELD * shares[0]
+    doubtful = lost > rules.LOST and not judge.at_floor(extended)
+    nothing_yet = outcome.interrupted and not extended.model.names
+    if preparation.unexplained_law or forgotten or doubtful or nothing_yet:
+        verdict = "unnamed"
+    given_up = extended.model.names if verdict == "unnamed" and searched else ()
+    stands = start if given_up else extended
+    if holdout is not None and (given_up or baseline is not start):
+        held_out = holdout.compare(baseline.model, stands.model)
+    return Validation(
+        outcome=outcome,
+        verdict=verdict,
+        baseline=baseline,
+        extended=stands,
+        equivalents=found,
+        train=compare(problem, baseline.model, stands.model),
+        held_out=held_out,
+        refuted=refuted,
+        given_up=given_up,
+        share=shares[-1],
+    )
+
+
+def _verdict(judge: Judge, best: Fit, known: Fit, equivalents: dict[str, list[str]], share: float) -> str:
+    """The verdict on ``best``, which explains ``share`` of the force gap; ``known`` is what the search began with.
+
+    Where the model leaves structure, what was found stands only if it explains most of the gap.
+    """
+    if best.model.names == known.model.names:
+        if judge.leaves_structure(best):
+            return "unnamed"
+        if not best.model.names:
+            return "parameters-only" if wrong_numbers(best) else "nothing-missing"
+    elif not judge.at_floor(best) and share < rules.EXPLAINED:
+        return "unnamed"
+    if any(len(names) > rules.MOST_EQUIVALENTS for names in equivalents.values()):
+        return "unnamed"
+    return "ambiguous" if any(equivalents.values()) else "named"
+
+
+def wrong_numbers(fitted: Fit) -> list[int]:
+    """Places in the baseline at which the axis file is off: clearly, and by more than next to nothing."""
+    off = fitted.model.baseline - fitted.problem.axis.mechanics.array()
+    return [
+        slot.place
+        for slot in fitted.slots[: len(BASELINE)]
+        if abs(off[slot.place]) > rules.OFF_SURELY * fitted.std(-1, slot.place)
+        and abs(off[slot.place]) > rules.OFF * slot.magnitude
+    ]
+
+
+def equivalents(outcome: Outcome) -> dict[str, list[str]]:
+    """For each accepted effect, those that could stand in its place as far as these records tell."""
+    best, judge = outcome.best, outcome.calibration.judge
+    threshold, found = judge.healthy.threshold, {}
+    for name in best.model.names:
+        others = frozenset(best.model.names) - {name}
+        without = outcome.tried.get(others, outcome.path[0]).cost
+        # At the floor chance is the only excuse; above it, what is missing may favour either by a few percent.
+        margin = threshold
+        if not judge.at_floor(best):
+            margin = max(threshold, rules.EQUIVALENT * (without - best.cost))
+        rivals = [
+            (rival.cost, next(iter(key - others)))
+            for key, rival in outcome.tried.items()
+            if len(key) == len(others) + 1 and others < key and name not in key and rival.cost <= best.cost + margin
+        ]
+        found[name] = [rival for _, rival in sorted(rivals)]
+    return found

@@ -1,0 +1,120 @@
+"""What a search leaves at its end: no stand-in beside the real thing, rivals fitted as long, deviations that hold."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from emps_design.discrepancy import diagnose, rules
+from emps_design.discrepancy.model.candidate import Candidate
+from emps_design.discrepancy.model.fit import fit
+from emps_design.discrepancy.model.least_squares import descend
+from emps_design.discrepancy.model.partition import split
+from emps_design.discrepancy.model.problem import Hypothesis, Problem
+from emps_design.discrepancy.model.whitening import Whitening
+from emps_design.discrepancy.search.beam_search import _late, _pruned, _rivals
+from emps_design.effects import get_effect
+from emps_design.machines import machine
+from emps_design.records import Record
+from emps_design.simulation import Plant
+from emps_design.simulation.synthetic_record import trapezoid_laps
+
+AXIS = machine("emps2019")
+Q_REF = trapezoid_laps(1e-3, stroke=0.1, speed=0.2, laps=3)
+DELAY, LAG, SPRING = (get_effect(name) for name in ("actuator_delay", "actuator_lag", "elastic_force"))
+
+
+def hypothesis(model, *effects) -> Hypothesis:
+    """``model`` of a record of a machine with ``effects``."""
+    noise = 4e-3 * np.random.default_rng(0).standard_normal(Q_REF.size)
+    run = Plant.of(AXIS.replace(effects=list(effects))).closed_loop(Q_REF, voltage_noise=noise)
+    record = Record(t=run.t, q_ref=Q_REF, q=run.q, u=run.u, period=1e-3, name="run")
+    return Hypothesis(Problem(AXIS, (record,), (split(record),), Whitening(np.array([1.0]), 0.2)), model)
+
+
+BASELINE = Candidate(AXIS.mechanics.array())
+DELAYED = {"kind": "actuator_delay", "delay": 1.6e-3}
+
+
+def test_a_stand_in_that_was_found_first_goes():
+    start = BASELINE.with_effect(LAG, np.array([[2e-4]])).with_effect(DELAY, np.array([[1.5e-3]]))
+    both = fit(hypothesis(start, DELAYED))
+    worth = lambda better, worse: worse.cost - better.cost > 0.01 * worse.cost  # noqa: E731
+    path = _pruned(both, (), worth)
+    assert path[-1].model.names == ("actuator_delay",)
+    assert path[-1].model.values[0][0, 0] == pytest.approx(1.6e-3, rel=0.02)
+
+
+def test_what_is_known_from_the_law_is_never_pruned():
+    start = BASELINE.with_effect(LAG, np.array([[1e-4]])).with_effect(SPRING, np.array([[5.0, 0.0]]))
+    assert _pruned(fit(hypothesis(start)), ("actuator_lag",), lambda better, worse: False) == []
+
+
+def test_a_rival_is_fitted_as_long_as_the_finding():
+    baseline = fit(hypothesis(BASELINE, DELAYED))
+    best = fit(baseline.with_model(BASELINE.with_effect(DELAY, np.array([[1.5e-3]]))))
+    short = fit(baseline.with_model(BASELINE.with_effect(LAG, np.array([[1.2e-3]]))), steps=1)
+    tried = {frozenset(f.model.names): f for f in (baseline, best, short)}
+    close = _rivals([baseline, best], tried)
+    assert set(close) == {frozenset({"actuator_lag"})}
+    assert close[frozenset({"actuator_lag"})].cost < short.cost
+
+
+def test_deviations_hold_where_the_residual_is_structure():
+    """Monte Carlo: the spread of a fitted level under slow noise, against its deviation."""
+    slot = Candidate(AXIS.mechanics.array()).slots()[3:4]
+    found, stated = [], []
+    for seed in range(40):
+        white = np.random.default_rng(seed).standard_normal(20_000)
+        slow = np.convolve(white, np.full(200, 200**-0.5), mode="same")
+        level = descend(
+            Candidate(AXIS.mechanics.array()), slot, lambda model, slow=slow: slow - model.baseline[3], steps=8
+        )
+        found.append(level.model.baseline[3])
+        stated.append(np.sqrt(level.covariance[0, 0]))
+    naive = 20_000**-0.5
+    assert np.std(found) > 8 * naive
+    assert np.mean(stated) == pytest.approx(np.std(found), rel=0.35)
+
+
+def test_an_interrupt_of_the_second_search_keeps_the_first(monkeypatch):
+    t = np.arange(16_000) * 1e-3
+    wave = sum(np.sin(2 * np.pi * f * t + i) / f for i, f in enumerate((0.13, 0.31, 0.47, 0.71)))
+    q_ref = 0.1 * (wave - wave[0]) * np.minimum(t / 2, 1) ** 2 / np.ptp(wave)
+    axis = AXIS.replace(effects=[{"kind": "elastic_force", "stiffness": 500.0, "rest_position": 0.1}])
+    run = Plant.of(axis).closed_loop(q_ref, voltage_noise=4e-3 * np.random.default_rng(1).standard_normal(t.size))
+    record = Record(t=run.t, q_ref=q_ref, q=run.q, u=run.u, period=1e-3, name="free")
+    module = sys.modules["emps_design.discrepancy.diagnose"]
+    searched, calls = module.search, []
+
+    def interrupted(*arguments):
+        calls.append(arguments)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return searched(*arguments)
+
+    monkeypatch.setattr(module, "search", interrupted)
+    monkeypatch.setattr(rules, "FINER", 10.0)  # so that there is a second search
+    answer = diagnose(record, AXIS, library=(SPRING,))
+    assert [f.effect for f in answer.findings] == ["elastic_force"]
+    assert any("was not repeated" in text for text in answer.details["warnings"])
+    assert answer.verdict == "named"
+
+
+def test_what_explains_most_of_the_rest_is_fitted_to_convergence_before_it_is_turned_down():
+    baseline = fit(hypothesis(BASELINE, DELAYED))
+    short = fit(baseline.with_model(BASELINE.with_effect(DELAY, np.array([[1.2e-3]]))), steps=1)
+    sound = {frozenset(short.model.names): short}
+    better = _late(baseline, sound, lambda one, other: one.cost < 0.9 * short.cost)
+    assert [f.model.names for f in better] == [("actuator_delay",)]
+    assert _late(baseline, {}, lambda one, other: True) == []
+    poor = fit(baseline.with_model(BASELINE.with_effect(SPRING, np.array([[1.0, 0.0]]))))
+    assert _late(baseline, {frozenset(poor.model.names): poor}, lambda one, other: True) == []
+
+
+def test_nothing_is_fitted_on_where_less_than_the_noise_is_left():
+    baseline = fit(hypothesis(BASELINE))
+    quiet = replace(baseline, cost_fit=10.0, cost_select=5.0)
+    assert _late(quiet, {}, lambda one, other: True) == []
+    assert _late(quiet, {frozenset({"actuator_lag"}): baseline}, lambda one, other: True) == []
