@@ -190,6 +190,9 @@ class ImpedanceAssessment:
     def _under_mismatch(self, study: MismatchStudy, mismatch: float) -> dict[str, Any]:
         corners = [self.law.with_errors(errors) for errors in corner_errors(mismatch, self.plant.two_quadrant)]
         summary = study.to_dict()
+        if not self.stable and summary["worst"]["verdict"] not in ("unstable", "limit_cycle"):
+            # Poles that the plants of the study do not have: sticking, or with effects linearised.
+            summary["worst"] = {**summary["worst"], "verdict": "unstable"}
         return {
             "mismatch": mismatch,
             "creep_speed": max(creep_speed(law, self.plant) for law in corners),

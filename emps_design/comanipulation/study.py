@@ -60,8 +60,8 @@ class MismatchStudy:
 
     @cached_property
     def verdict(self) -> np.ndarray:
-        """Places in ``VERDICTS``, shape (m,)."""
-        return self.measures.verdict
+        """Places in ``VERDICTS``, shape (m,): as simulated, and unstable wherever the poles are."""
+        return np.where(self.radius > 1.0 + MARGINAL, VERDICTS.index("unstable"), self.measures.verdict)
 
     @property
     def plants(self) -> int:

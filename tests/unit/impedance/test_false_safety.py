@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from emps_design.comanipulation.assessment import assess_impedance
 from emps_design.comanipulation.run import run_task
 from emps_design.comanipulation.scenario import run_comanipulation
 from emps_design.comanipulation.study import mismatch_study
@@ -13,6 +14,7 @@ from emps_design.control.impedance.law import FrictionModel, impedance_law
 from emps_design.control.impedance.robustness import creep_speed, drift_threshold, verdict
 from emps_design.control.impedance.sampled import Clock
 from emps_design.machines import machine
+from emps_design.report.impedance import impedance_section
 
 
 def axis_of(mass, viscous, coulomb, force_gain, period=1e-3, lag=0.0, step=5e-8):
@@ -128,6 +130,19 @@ def test_without_friction_the_poles_decide_at_the_wall():
     found = wall_limit(axis, impedance_law(axis, 50.0, 100.0))
     assert found.predicted == found.linear
     assert 0.7 * found.linear < found.simulated <= found.linear
+
+
+def test_no_plant_is_called_stable_where_the_poles_are_not():
+    axis = STIFF.replace(drive={"current_time_constant": 5e-3}, sampling={"computation_delay": 2})
+    found = assess_impedance(axis, 10.0, 200.0, 0.02, plants=20)
+    document = found.to_dict()
+    assert max(abs(pole) for pole in document["sampled"]["poles"]) > 1.01
+    assert document["mismatch"]["worst"]["verdict"] == "unstable"
+    assert document["mismatch"]["stable_share"] == 0.0
+    weak = mismatch_study(axis, found.law, 0.02, 20, task=pushed_task(1e-3, force=1.0))  # nothing moves
+    assert weak.to_dict()["verdicts"]["unstable"] == 20
+    html = "".join(str(block) for block in impedance_section(found).blocks)
+    assert "unstable" in html
 
 
 def test_pushes_take_the_same_time_after_the_release():

@@ -152,7 +152,7 @@ def test_acceleration_filtered_and_current_not_diverges(axis):
     law = impedance_law(axis, 50.0, 100.0, 200.0, current_filter=math.inf)
     assert run_task(axis, law.with_errors(over(0.02)), guided_task(1e-3)).verdict == "unstable"
     assert run_task(axis, law.with_errors(over(-0.02)), guided_task(1e-3)).verdict == "dead_band"
-    free = axis.replace(drive={"voltage_limit": 1e15})  # nothing but the divergence itself
+    free = axis.replace(drive={"voltage_limit": 1e10})  # nothing but the divergence itself
     assert run_task(free, law.with_errors(over(0.02)), guided_task(1e-3)).measures.diverged[0] == 1.0
 
 
