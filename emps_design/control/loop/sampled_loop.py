@@ -18,12 +18,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from emps_design.axis import Axis
 from emps_design.control.loop.margins import Margins, loop_margins
-from emps_design.control.plant.discretisation import SampledPlant
+from emps_design.control.plant.discretisation import SampledPlant, sample_axis
 from emps_design.control.plant.environment import Felt
 from emps_design.control.plant.linear_plant import POSITION, VELOCITY
+from emps_design.errors import InputError
+from emps_design.laws import law_of
 from emps_design.laws.library import ip_velocity
-from emps_design.laws.linear import LinearLaw, linear_form
+from emps_design.laws.linear import LinearLaw, linear_form, linear_law
 
 if TYPE_CHECKING:
     import control
@@ -86,9 +89,23 @@ class SampledLoop:
 
     def loop_gain(self, w: np.ndarray) -> np.ndarray:
         """Open loop broken at the plant input, which has to be among the inputs, at ``w`` (f,) [rad/s], (..., f)."""
-        column, row = self.B[..., self.inputs.index("voltage")], self.C[..., OUTPUTS.index("voltage"), :]
-        opened = self.A - column[..., :, None] * row[..., None, :]
+        opened, column, row = self._opened
         return -_response(opened, column, row, np.zeros(column.shape[:-1]), np.asarray(w) * self.period)
+
+    @property
+    def _opened(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Matrix, column and row of the loop broken at the plant input, from the voltage there to the law's."""
+        if "voltage" not in self.inputs:
+            raise InputError("plant input: the loop was closed without it, expected close(..., plant_input=True)")
+        column, row = self.B[..., self.inputs.index("voltage")], self.C[..., OUTPUTS.index("voltage"), :]
+        return self.A - column[..., :, None] * row[..., None, :], column, row
+
+    def loop_gain_to_ss(self) -> control.StateSpace:
+        """The loop broken at the plant input as a discrete ``control.StateSpace``, for negative feedback."""
+        import control
+
+        A, column, row = self._opened
+        return control.ss(A, column[:, None], -row[None], [[0.0]], self.period, name="loop_gain")
 
     def simulate(self, w: np.ndarray) -> np.ndarray:
         """Outputs (k, 4) of a single loop from rest under inputs ``w`` (k, i)."""
@@ -199,6 +216,24 @@ def close(
     return SampledLoop(A, B, out[..., keep], out[..., ends], plant.period, inputs)
 
 
+def axis_loop(axis: Axis, velocity: float = 0.1) -> SampledLoop:
+    """Close the loop of the controller that ``axis`` has, a user's own too; effects linearised at ``velocity`` [m/s].
+
+    Raises :class:`~emps_design.errors.AxisError` where it has none. The plant input is among the loop's inputs.
+
+    >>> from emps_design.machines import machine
+    >>> loop = axis_loop(machine("emps2019"))
+    >>> loop.stable, round(float(abs(loop.loop_gain([242.1])[0])), 3)
+    (True, 0.488)
+    """
+    period = axis.sampling.period
+    return close(
+        sample_axis(axis, velocity),
+        linear_law(law_of(axis, period), period, float(np.sign(velocity))),
+        plant_input=True,
+    )
+
+
 def _without_repetitions(rows: np.ndarray, out: np.ndarray, keep: list[int], cells: range) -> list[int]:
     """``keep`` without those ``cells`` that repeat another state from rest on; their columns are added to its own."""
     ends = range(rows.shape[-2], rows.shape[-1])
@@ -272,7 +307,10 @@ class SampledVelocityLoop:
 
     def plant_input_response(self, w: np.ndarray) -> np.ndarray:
         """Open loop broken at the plant input at ``w`` [rad/s]."""
-        return self.k_v1 * (1.0 + self.integrator(w) / self.t_v) * self.plant.response(w)
+        return self._controller(w) * self.plant.response(w)
+
+    def _controller(self, w: np.ndarray) -> np.ndarray:
+        return self.k_v1 * (1.0 + self.integrator(w) / self.t_v)
 
     def velocity_error_response(self, w: np.ndarray) -> np.ndarray:
         """Open loop broken at the velocity error at ``w`` [rad/s], the sampled T_vo."""
@@ -287,7 +325,13 @@ class SampledVelocityLoop:
     @cached_property
     def margins(self) -> Margins:
         """Margins of the loop broken at the plant input."""
-        return loop_margins(self.plant_input_response, self.plant.frequencies(), self.stable, self.plant.period)
+        return loop_margins(
+            self.plant_input_response,
+            self.plant.frequencies(),
+            self.stable,
+            self.plant.period,
+            lambda w, delay: self._controller(w) * self.plant.delayed_response(w, delay),
+        )
 
     @cached_property
     def velocity_error(self) -> Margins:
