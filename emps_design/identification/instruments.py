@@ -157,7 +157,7 @@ def simulate(record: Record, axis: Axis, model: str, value: np.ndarray) -> Run:
     except SimulationError as error:
         raise RecordError(
             f"{record.name}: no simulation with the controller of {axis.name} at {1 / record.period:g} Hz ({error}), "
-            "so the record was made with another one; put its controller into the axis, or use --estimator ls"
+            "so the record was made with another one; put its controller into the axis, or use `identify`"
         ) from error
 
 

@@ -88,7 +88,9 @@ def identify_by_output_error(
         if fall < CONVERGED:
             break
     else:
-        raise InputError(f"{record.name}: output error did not converge in {ITERATIONS} steps; give --cutoff lower")
+        raise InputError(
+            f"{record.name}: output error did not converge in {ITERATIONS} steps; give a lower `cutoff_hz`"
+        )
     return _result(record, axis, model, filtered, value, residual, jacobian, scale, names)
 
 
