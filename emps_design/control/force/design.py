@@ -23,11 +23,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from emps_design.control.loop.margins import Margins, loop_margins
-from emps_design.control.loop.sampled_loop import SampledLoop, SampledVelocityLoop, close, ip_law
+from emps_design.control.loop.sampled_loop import SampledLoop, close
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis, sample_plant
 from emps_design.control.plant.environment import Environment, attached, felt
 from emps_design.control.plant.linear_plant import POSITION, VELOCITY
 from emps_design.control.velocity.design import VelocityLoopDesign
+from emps_design.control.velocity.sampled import SampledVelocityLoop, ip_law
 from emps_design.errors import InputError
 from emps_design.notebook import table
 from emps_design.quantities import check_magnitude

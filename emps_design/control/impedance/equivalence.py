@@ -22,9 +22,10 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.impedance.law import FrictionModel, default_filter
-from emps_design.control.loop.sampled_loop import MARGINAL, close, ip_law
+from emps_design.control.loop.sampled_loop import MARGINAL, close
 from emps_design.control.plant.discretisation import sample_axis
 from emps_design.control.velocity.gains import canonical_form, velocity_gains
+from emps_design.control.velocity.sampled import ip_law
 from emps_design.errors import InputError, SpecificationError
 
 LOW_FREQUENCY, LEAST_SQUARES = "low_frequency", "least_squares"
