@@ -37,6 +37,9 @@ if TYPE_CHECKING:
     import control
 
 
+ROUNDING = 1e-12  # of a pole: a limit is where the poles cross the circle, a verdict leaves MARGINAL room
+
+
 def largest_force_gain(
     omega_0v: float, z_v: float, K_v: float, hand: float = 0.0, environment: float = 0.0, on_carriage: bool = True
 ) -> float | None:
@@ -153,7 +156,7 @@ class ForceLoopDesign:
         loop = self.velocity_loop
         start = 1e-3 / (self.hand + self.environment / loop.omega_0v) if self.hand + self.environment > 0.0 else 1.0
         if self._plant.delay + self.sensor_delay <= 100 or self.hand + self.environment == 0.0:
-            return _first_instability(lambda gains: self.sampled_loop(gains).stable, start)
+            return _first_instability(lambda gains: self.sampled_loop(gains).radius <= 1.0 + ROUNDING, start)
         gently = replace(self, k_e1=start)
         if not gently.stable:
             return 0.0
