@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from emps_design.errors import InputError
-from emps_design.simulation.synthetic_record import trapezoid_laps
+from emps_design.simulation.synthetic import trapezoid_laps
 
 
 def half_ramp_program(

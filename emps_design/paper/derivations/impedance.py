@@ -62,7 +62,7 @@ def derived_law() -> dict[str, sp.Expr]:
     }
 
 
-def closed_loop(law: sp.Expr) -> dict[str, sp.Expr]:
+def felt_under(law: sp.Expr) -> dict[str, sp.Expr]:
     """Apparent mass, damping and Coulomb force that ``law`` (a right-hand side like (30)) leaves on the plant (2).
 
     Ideal current loop: ``tau_m = G_tau_i I_m``, so the law is solved for the force it asks of itself.
@@ -77,7 +77,7 @@ def closed_loop(law: sp.Expr) -> dict[str, sp.Expr]:
 
 
 def cost_of_printed(plant: FrictionModel, mass: float, damping: float) -> dict[str, dict[str, float]]:
-    """Numbers of :func:`closed_loop` for (30) derived and printed, estimates exact, motion to +; SI.
+    """Numbers of :func:`felt_under` for (30) derived and printed, estimates exact, motion to +; SI.
 
     >>> plant = FrictionModel(115.7315, 474.9727, 474.9727, 17.3811, 17.3811)
     >>> {k: round(v, 1) for k, v in cost_of_printed(plant, 50.0, 100.0)["printed"].items()}
@@ -87,7 +87,7 @@ def cost_of_printed(plant: FrictionModel, mass: float, damping: float) -> dict[s
     numbers = {M: plant.mass, M_h: plant.mass, F_v: f_v, F_vh: f_v, F_c: f_c, F_ch: f_c, M_a: mass, B: damping}
     laws = {"derived": derived_law()["30"], "printed": PRINTED["30"]}
     return {
-        name: {key: float(value.subs(numbers)) for key, value in closed_loop(law).items()} for name, law in laws.items()
+        name: {key: float(value.subs(numbers)) for key, value in felt_under(law).items()} for name, law in laws.items()
     }
 
 
@@ -130,10 +130,10 @@ def _closed_steps() -> list[DerivationStep]:
         ("Felt with (30) as printed", PRINTED["30"].subs(exact), "Exact estimates: more mass, more damping, and dry "
          "friction is left."),
     ):  # fmt: skip
-        felt = {name: sp.factor(value) for name, value in closed_loop(law).items()}
+        felt = {name: sp.factor(value) for name, value in felt_under(law).items()}
         expression = felt["apparent_mass"] * qdd + felt["apparent_damping"] * qd + felt["coulomb_left"] * S
         steps.append(DerivationStep(title, "", sp.Eq(tau_e, expression), text))
-    left = closed_loop(derived_law()["30"])
+    left = felt_under(derived_law()["30"])
     v = sp.Symbol("v", positive=True)
     creep = sp.solve(sp.Eq(0, left["apparent_damping"] * v + left["coulomb_left"]), v)[0]
     steps.append(

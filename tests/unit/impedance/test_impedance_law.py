@@ -17,7 +17,7 @@ from emps_design.control.impedance.law import PRINTED, FrictionModel, ImpedanceL
 from emps_design.effects import known_effects
 from emps_design.errors import InputError, SpecificationError
 from emps_design.machines import machine
-from emps_design.paper.derivations.impedance import closed_loop, cost_of_printed, derived_law, impedance_derivation
+from emps_design.paper.derivations.impedance import cost_of_printed, derived_law, felt_under, impedance_derivation
 
 
 def alike(error: float) -> dict[str, float]:
@@ -43,7 +43,7 @@ def test_closed_forms_agree_with_sympy(plant, factor, error):
         d.M_h: law.estimate.mass, d.F_vh: law.estimate.viscous_positive, d.F_ch: law.estimate.coulomb_positive,
         d.M_a: 50.0, d.B: 100.0,
     }  # fmt: skip
-    felt = closed_loop(derived_law()["30"] if factor == 1.0 else d.PRINTED["30"])
+    felt = felt_under(derived_law()["30"] if factor == 1.0 else d.PRINTED["30"])
     for name, value in law.apparent(plant).to_dict().items():
         assert float(felt[name].subs(numbers)) == pytest.approx(value, abs=1e-9)
 
