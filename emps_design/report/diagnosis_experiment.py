@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from emps_design.report.display import quantity, words
-from emps_design.report.page import Html, Picture, Section, Table, Text
+from emps_design.report.page import Picture, Section, Table, Text, html
 from emps_design.report.style import BLUE, look, subplots, thin
 
 if TYPE_CHECKING:
@@ -36,9 +36,11 @@ def experiment_section(chosen: Mapping[str, Any] | None, experiment: Any = None)
     if chosen.get("file"):
         blocks.append(
             Text(
-                Html(
-                    f"It is in <code>{chosen['file']}</code>, columns t [s] and q_ref [m]. Try it first: "
-                    f"<code>emps-design simulate model.toml --reference {chosen['file']}</code>."
+                html(
+                    "It is in <code>{}</code>, columns t [s] and q_ref [m]. Try it first: "
+                    "<code>emps-design simulate model.toml --reference {}</code>.",
+                    chosen["file"],
+                    chosen["file"],
                 )
             )
         )

@@ -182,5 +182,5 @@ class Run:
             for begin, end in self.stick_intervals:
                 panel.axvspan(begin, end, color="0.85", lw=0)
             panel.legend(loc="upper right")
-        top.set_title(f"{self.name} (grey: at rest)")
+        top.set_title(f"{self.name} (grey: at rest)", parse_math=False)  # a name may hold a dollar
         return axes

@@ -11,6 +11,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.errors import InputError
 from emps_design.records import Record
+from emps_design.records.check import SHORTEST_PERIOD
 from emps_design.simulation.plant import Plant
 
 VOLTAGE_NOISE = 0.004  # V
@@ -33,6 +34,8 @@ def trapezoid_laps(
     for name, value in values.items():
         if not (np.isfinite(value) and value > 0):
             raise InputError(f"{name}: found {value:g}, expected a positive number")
+    if period < SHORTEST_PERIOD:
+        raise InputError(f"period: found {period:g} s, expected at least {SHORTEST_PERIOD:g} s, or a record has no end")
     pause = np.zeros(round(0.1 / period))
     lap = [pause]
     for share in SPEEDS:

@@ -79,7 +79,7 @@ def page(browser, studio, tmp_path):
 
     def only_here(route):
         url = route.request.url
-        if url.startswith((studio.address, "data:", "blob:")):
+        if url.startswith((studio.address.partition("?")[0], "data:", "blob:")):
             route.continue_()
         else:
             page.outside.append(url)

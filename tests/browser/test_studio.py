@@ -196,7 +196,7 @@ def test_interrupt_ends_it_cleanly():
     from tests.browser.conftest import Studio
 
     status, said = Studio().interrupt()
-    assert status == 0
+    assert status == 130
     assert "Traceback" not in said
 
 

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 
 from emps_design.axis import Axis
 from emps_design.control.loop.margins import Margins
-from emps_design.control.plant.magnitudes import check_axis_scale
 from emps_design.control.velocity.gains import (
     binding_limit,
     crossover_of_bandwidth,
@@ -267,7 +266,6 @@ def design_velocity_loop(
     100.0
     """
     requested = check_specification(crossover, bandwidth, phase_margin_deg)
-    check_axis_scale(axis)
     mechanics = axis.mechanics
     if not 0.0 < phase_margin_deg < 90.0:
         raise _infeasible(axis, requested, velocity)

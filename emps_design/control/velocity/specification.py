@@ -18,10 +18,10 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.control.loop.sampled_loop import SampledVelocityLoop
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis
-from emps_design.control.plant.magnitudes import check_scale
 from emps_design.control.velocity.gains import MINUS_3_DB, canonical_form, second_order_bandwidth
 from emps_design.control.velocity.sweeps import sweep_sampled_margins, sweep_velocity_loop
 from emps_design.errors import InputError
+from emps_design.quantities import check_magnitude
 
 ROOM = 1.0  # samples of delay margin
 PASSED = 0.5  # share of the frequency, at which the sampled closed loop has not yet fallen to -3 dB
@@ -41,7 +41,7 @@ def check_specification(crossover: float | None, bandwidth: float | None, phase_
     name, value = ("crossover", crossover) if crossover is not None else ("bandwidth", float(bandwidth or 0.0))
     if not math.isfinite(value) or value <= 0.0:
         raise InputError(f"{name}: found {value:g} rad/s, expected a positive number of rad/s")
-    check_scale(name, value, "rad/s")
+    check_magnitude(name, value, "rad/s", positive=True)
     if not math.isfinite(phase_margin_deg):
         raise InputError(f"phase margin: found {phase_margin_deg:g} deg, expected degrees between 0 and 90")
     return {name: float(value), "phase_margin_deg": float(phase_margin_deg)}

@@ -1,12 +1,16 @@
 """The studio without a browser: its state, what can be reached, what it hands out, what it lets in."""
 
+import http.client
 import json
 import socket
 import threading
+import time
 import zipfile
+from contextlib import closing
 from dataclasses import replace
 from io import BytesIO
 from itertools import combinations
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -18,7 +22,7 @@ from emps_design.cli.app import run
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.errors import InputError, RecordError, SpecificationError
 from emps_design.machines import machine, machine_names
-from emps_design.studio import exports
+from emps_design.studio import exports, jobs
 from emps_design.studio.app import Session
 from emps_design.studio.data_view import LIMIT_MB, read_upload
 from emps_design.studio.design_view import DesignView
@@ -27,6 +31,7 @@ from emps_design.studio.jobs import Job
 from emps_design.studio.plots import PlanePlot
 from emps_design.studio.simulated import simulate
 from emps_design.studio.state import CHOICES, SPECIFICATIONS, TASKS, State
+from tests.browser.conftest import Studio
 from tests.unit.report.test_colours import SEEN_BY, lab
 
 
@@ -259,6 +264,69 @@ def test_a_job_that_runs_refuses_a_second_one():
     job._poll = object()
     assert job.running
     assert not job.start(lambda progress: None, print, print)
+
+
+def test_work_that_never_looks_up_is_cancelled_within_two_seconds(monkeypatch):
+    """The poll is called by hand here, where no page calls it."""
+    polls, said = [], []
+
+    class Callback:
+        def stop(self):
+            polls.clear()
+
+    monkeypatch.setattr(jobs.pn.state, "add_periodic_callback", lambda poll, period: polls.append(poll) or Callback())
+
+    def deaf(progress):
+        while True:
+            sum(range(1000))
+
+    job = Job()
+    assert job.start(deaf, lambda result: said.append("done"), said.append)
+    job._stop.set()
+    end = time.monotonic() + 2.0
+    while polls and time.monotonic() < end:
+        polls[0]()
+        time.sleep(0.05)
+    assert said == [jobs.CANCELLED]
+    assert not job.running
+
+
+def ask(address, path, **headers):
+    place = urlsplit(address)
+    with closing(http.client.HTTPConnection(place.hostname, place.port, timeout=20)) as connection:
+        connection.request("GET", path, headers=headers)
+        with connection.getresponse() as answer:
+            return answer.status, answer.getheader("Set-Cookie")
+
+
+def test_the_studio_answers_this_machine_and_its_token_only():
+    studio = Studio()
+    try:
+        place = urlsplit(studio.address)
+        whole = f"{place.path}?{place.query}"
+        status, cookie = ask(studio.address, whole)
+        assert status == 200
+        kept = {"Cookie": cookie.split(";")[0]}
+        assert ask(studio.address, "/", **kept)[0] == 200
+        assert ask(studio.address, "/", Host=f"localhost:{place.port}", **kept)[0] == 200
+        upgrade = {
+            "Upgrade": "websocket",
+            "Connection": "Upgrade",
+            "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+            "Sec-WebSocket-Version": "13",
+        }
+        rebound = f"rebound.example:{place.port}"
+        assert ask(studio.address, "/")[0] == 403
+        assert ask(studio.address, "/?token=guessed")[0] == 403
+        assert ask(studio.address, whole, Host=rebound)[0] == 403
+        assert ask(studio.address, whole, Host=f"127.0.0.1:{place.port + 1}")[0] == 403
+        assert ask(studio.address, whole, Origin="http://elsewhere.example")[0] == 403
+        assert ask(studio.address, "/static/js/bokeh.min.js")[0] == 403
+        assert ask(studio.address, "/ws", **upgrade)[0] == 403
+        assert ask(studio.address, "/ws", Host=rebound, Origin=f"http://{rebound}", **upgrade, **kept)[0] == 403
+    finally:
+        status, _ = studio.interrupt()
+    assert status == 130
 
 
 def test_a_port_that_is_taken_is_told_in_one_line(capsys):
