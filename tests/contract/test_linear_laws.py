@@ -163,7 +163,7 @@ GENTLE = OWN.replace(
 def own_axis(tmp_path):
     """An axis file with a user's own law, harder beyond 2 mm of error, and a record that it made."""
     from emps_design.simulation import Plant
-    from emps_design.simulation.synthetic_record import trapezoid_laps
+    from emps_design.simulation.synthetic import trapezoid_laps
 
     (tmp_path / "hardening.py").write_text(GENTLE, encoding="utf-8")
     laws.load_file(tmp_path / "hardening.py")
