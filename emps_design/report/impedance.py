@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emps_design.report.diagrams import impedance_law
+from emps_design.report.diagrams import impedance_law_diagram
 from emps_design.report.display import NOTHING, frequency, number, quantity, symbol
 from emps_design.report.impedance_figures import (
     apparent_impedance_figure,
@@ -39,7 +39,7 @@ def impedance_section(found: ImpedanceAssessment, chosen: str = "") -> Section:
         ),
         _verdict(found, document),
         Picture(
-            impedance_law(),
+            impedance_law_diagram(),
             "(a) The law sees motion and motor current, no force. (b) The impedance it aims at; in co-manipulation K "
             "and the reference velocity are zero.",
             "Impedance control, after Fig. 11 of the paper",
@@ -152,7 +152,8 @@ def _sampled_table(document: Mapping[str, Any]) -> Table:
         [
             Html("equivalent force loop " + symbol("k_e1")),
             "none" if loop["k_e1"] is None else f"{number(loop['k_e1'])} (m/s)/N",
-            f"{loop['criterion'].replace('_', ' ')} match",
+            f"{loop['criterion'].replace('_', ' ')} match"
+            + ("" if loop["k_e1"] is None or loop["sampled"]["stable"] else "; unstable on this drive"),
         ],
     ]
     return Table(["quantity", "value", "meaning"], rows, "The law as implemented, on the sampled drive.")
