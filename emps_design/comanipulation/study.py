@@ -140,9 +140,10 @@ class MismatchStudy:
         wanders = self.measures.wanders
         if wanders.any():
             speed = 1e3 * float(self.measures.drift[wanders].max())
+            who = f"{int(wanders.sum())} of {len(self.errors)} plants go" if self.mismatch else "the carriage goes"
             words.append(
-                f"{int(wanders.sum())} of {len(self.errors)} plants go on at up to {speed:.2g} mm/s, one or two "
-                "encoder steps a period: no friction drives them, the encoder's steps do"
+                f"{who} on at up to {speed:.2g} mm/s, one or two encoder steps a period: no friction drives it, the "
+                "encoder's steps do"
             )
         here = int(self.verdict.max())
         worse = [f"{one['what']}: {one['verdict']}" for one in self.beyond if VERDICTS.index(one["verdict"]) > here]
