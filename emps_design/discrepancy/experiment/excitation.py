@@ -205,17 +205,9 @@ def chirp_on_a_slow_run(e: Envelope) -> np.ndarray:
 
 
 EXCITATIONS: tuple[Callable[[Envelope], np.ndarray], ...] = (
-    slow_crawl,
-    speed_staircase,
-    two_speeds,
-    three_accelerations,
-    fast_strokes,
-    small_reversals,
-    small_strokes,
-    stop_and_dwell,
-    identical_laps,
-    chirp_on_a_slow_run,
-)
+    slow_crawl, speed_staircase, two_speeds, three_accelerations, fast_strokes,
+    small_reversals, small_strokes, stop_and_dwell, identical_laps, chirp_on_a_slow_run,
+)  # fmt: skip
 
 
 def excitations(envelope: Envelope) -> dict[str, np.ndarray]:

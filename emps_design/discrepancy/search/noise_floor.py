@@ -39,15 +39,9 @@ class Floor:
         """Whether it is what differs between laps of the same reference, and no model's residual."""
         return self.source == LAPS
 
-    def to_dict(self) -> dict[str, object]:
-        """The contract's ``floor`` of ``gap``, with its interval."""
-        return self._entry(self.force, self.interval)
-
-    def to_dict_60hz(self) -> dict[str, object]:
-        """The contract's ``floor`` of ``gap_inverse_60hz``, with its interval."""
-        return self._entry(self.force_60hz, self.interval_60hz)
-
-    def _entry(self, rms: float, interval: tuple[float, float]) -> dict[str, object]:
+    def to_dict(self, measure: str = "") -> dict[str, object]:
+        """The contract's ``floor`` with its interval, of ``gap`` or, by ``measure`` "_60hz", of the inverse model."""
+        rms, interval = getattr(self, f"force{measure}"), getattr(self, f"interval{measure}")
         return {"floor": rms, "floor_interval": list(interval), "floor_from": self.source}
 
 
