@@ -46,7 +46,7 @@ def explain(validation: Validation) -> Diagnosis:
         noise=floor,
         train=validation.train.gap,
         holdout=None if validation.held_out is None else validation.held_out.gap,
-        trace=replace(judged.prediction, window=None if held_out is None else held_out.interval),
+        trace=replace(judged.prediction, window=None if held_out is None else held_out.window),
         views=_marked(drawn, found),
         details=_details(validation, before),
         experiment=experiment(outcome, validation.extended.model.names, validation.equivalents),
@@ -106,8 +106,8 @@ def _records(validation: Validation) -> list[dict[str, Any]]:
     preparation = validation.outcome.calibration.preparation
     roles = [(record, "train") for record in preparation.start.problem.records]
     held_out = preparation.held_out
-    if held_out is not None and all(held_out.record is not record for record, _ in roles):
-        roles.append((held_out.record, "holdout"))
+    if held_out is not None and all(held_out.problem.records[0] is not record for record, _ in roles):
+        roles.append((held_out.problem.records[0], "holdout"))
     return [{"name": record.name, "role": role, "sha256": record.sha256} for record, role in roles]
 
 

@@ -11,7 +11,7 @@ from emps_design.discrepancy.search.acceptance import Judge, explained, force_rm
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.validation.confirmation import Asked, confirm
 from emps_design.discrepancy.validation.gap import Comparison, compare
-from emps_design.discrepancy.validation.holdout import Holdout
+from emps_design.discrepancy.validation.holdout import compare_on
 
 
 @dataclass(frozen=True)
@@ -45,17 +45,17 @@ def validate(outcome: Outcome) -> Validation:
         bare = replace(start.model, effects=(), values=())
         baseline = evaluate(start.with_model(bare), start.slots, start.covariance)
     extended = judge.refitted(outcome.best) if len(outcome.path) > 1 else start
-    holdout = None if preparation.held_out is None else Holdout.of(problem, preparation.held_out)
-    refuted, lost = (), 0.0
-    if holdout is not None:
+    data, refuted, lost = preparation.held_out, (), 0.0
+    if data is not None:
+        data = replace(data, problem=data.problem.with_whitening(problem.whitening))
         learnt = start.cost - extended.cost
-        extended, refuted = confirm(judge, holdout, extended)
+        extended, refuted = confirm(judge, data, extended)
         lost = 1 - (start.cost - extended.cost) / learnt if refuted else 0.0
 
     # What the plant's effects explain, beside a disturbance of the controller that is known from its law.
     floor, searched = calibration.floor.force, extended.model.names != start.model.names
     shares = [explained(force_rms(start), force_rms(extended), floor)]
-    held_out = None if holdout is None else holdout.compare(start.model, extended.model)
+    held_out = None if data is None else compare_on(data, start.model, extended.model)
     if held_out is not None:
         shares.append(explained(held_out.gap.baseline, held_out.gap.extended, floor))
     found = {n: others for n, others in equivalents(outcome).items() if n in extended.model.names}
@@ -68,8 +68,8 @@ def validate(outcome: Outcome) -> Validation:
         verdict = "unnamed"
     given_up = extended.model.names if verdict == "unnamed" and searched else ()
     stands = start if given_up else extended
-    if holdout is not None and (given_up or baseline is not start):
-        held_out = holdout.compare(baseline.model, stands.model)
+    if data is not None and (given_up or baseline is not start):
+        held_out = compare_on(data, baseline.model, stands.model)
     return Validation(
         outcome=outcome,
         verdict=verdict,
