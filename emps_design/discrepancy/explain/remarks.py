@@ -63,6 +63,12 @@ def _limits(validation: Validation) -> list[str]:
             f"structure remains after the last finding: {force_rms(extended):.2f} N where noise is "
             f"{floor.force:.2f} N; no further effect of the library is clear enough to name"
         )
+    if validation.verdict == "unnamed":
+        remarks.append(
+            "mass and friction are estimated so that the structure that is left pulls little at them: they leave "
+            f"{force_rms(extended):.2f} N, where plain least squares would bend them to leave "
+            f"{force_rms(validation.outcome.path[0]):.2f} N"
+        )
     if calibration.preparation.unexplained_law:
         remarks.append("the controller's law has a gap that no effect explains: look at u minus the law first")
     return remarks

@@ -12,12 +12,14 @@ from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.validation.confirmation import Asked, confirm
 from emps_design.discrepancy.validation.gap import Comparison, compare
 from emps_design.discrepancy.validation.holdout import compare_on
+from emps_design.discrepancy.validation.robust import robust
 
 
 @dataclass(frozen=True)
 class Validation:
     """The verdict on an ``outcome`` and the models it speaks of, both fitted to all that may be used.
 
+    Where structure is left that has no name, both are the robust estimate of the baseline.
     ``equivalents`` of each finding are effects that could stand in its place; ``refuted`` is what the held-out data
     withdrew; ``given_up`` are the effects of a model that explained ``share`` of the gap and did not stand.
     """
@@ -39,11 +41,6 @@ def validate(outcome: Outcome) -> Validation:
     calibration = outcome.calibration
     judge, preparation, problem = calibration.judge, calibration.preparation, calibration.baseline.problem
     start = fit(calibration.baseline, part="used")
-    # The baseline knows nothing of the controller's disturbance, which the search took as known from the law.
-    baseline = start
-    if start.model.names:
-        bare = replace(start.model, effects=(), values=())
-        baseline = evaluate(start.with_model(bare), start.slots, start.covariance)
     extended = judge.refitted(outcome.best) if len(outcome.path) > 1 else start
     data, refuted, lost = preparation.held_out, (), 0.0
     if data is not None:
@@ -67,21 +64,30 @@ def validate(outcome: Outcome) -> Validation:
     if preparation.unexplained_law or forgotten or doubtful or nothing_yet:
         verdict = "unnamed"
     given_up = extended.model.names if verdict == "unnamed" and searched else ()
-    stands = start if given_up else extended
-    if data is not None and (given_up or baseline is not start):
-        held_out = compare_on(data, baseline.model, stands.model)
+    if verdict == "unnamed":
+        extended = start = robust(start)
+    baseline = _alone(start)
+    if data is not None and (verdict == "unnamed" or baseline is not start):
+        held_out = compare_on(data, baseline.model, extended.model)
     return Validation(
         outcome=outcome,
         verdict=verdict,
         baseline=baseline,
-        extended=stands,
+        extended=extended,
         equivalents=found,
-        train=compare(problem, baseline.model, stands.model),
+        train=compare(problem, baseline.model, extended.model),
         held_out=held_out,
         refuted=refuted,
         given_up=given_up,
         share=shares[-1],
     )
+
+
+def _alone(start: Fit) -> Fit:
+    """The baseline without the controller's disturbance, which the search took as known from the law."""
+    if not start.model.names:
+        return start
+    return evaluate(start.with_model(replace(start.model, effects=(), values=())), start.slots, start.covariance)
 
 
 def _verdict(judge: Judge, best: Fit, known: Fit, equivalents: dict[str, list[str]], share: float) -> str:
