@@ -20,7 +20,7 @@ MARK = $(VENV)/.installed-$(STATE)-$(subst $(comma),-,$(1))
 help:
 	@echo "make demo    install into $(VENV), run the main job on the embedded machine, print where the report is"
 	@echo "make test    install with the test tools, run every test (make quick: without the slow ones)"
-	@echo "make lint    ruff and the import contract      make fuzz    $(FUZZ) bad inputs for every reader"
+	@echo "make lint    ruff, imports, types               make fuzz    $(FUZZ) bad inputs for every reader"
 	@echo "make bench   measure speed                     make hidden  find effects hidden in records"
 	@echo "make paper   sweep what makes the paper's Table II"
 	@echo "make docs    build docs/_build/html            make clean   remove $(VENV) and everything built"
@@ -38,6 +38,7 @@ lint: $(call MARK,$(EXTRAS))
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/lint-imports
+	@$(BIN)/mypy
 
 fuzz: $(call MARK,$(EXTRAS))
 	@EMPS_DESIGN_FUZZ=$(FUZZ) $(BIN)/python -m pytest --timeout 3600 tests/property/test_fuzz_records.py tests/property/test_fuzz_axis.py
@@ -58,7 +59,7 @@ docs: $(call MARK,docs)
 	@echo "docs/_build/html/index.html"
 
 clean:
-	rm -rf $(VENV) build dist docs/_build docs/gallery .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) build dist docs/_build docs/gallery .pytest_cache .ruff_cache .mypy_cache .hypothesis .import_linter_cache
 
 $(BIN)/python:
 	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'Python 3.11 or newer is needed, this is ' + sys.version.split()[0] + '; try make PYTHON=python3.12')"

@@ -6,6 +6,7 @@ import ast
 import sys
 from collections.abc import Callable
 from importlib import import_module
+from inspect import getsource
 from typing import Any
 
 
@@ -27,7 +28,7 @@ def on_first_use(room: str) -> tuple[Callable[[str], Any], Callable[[], list[str
     same list. :class:`AttributeError` for any other.
     """
     module = sys.modules[room]
-    homes = offered(module.__spec__.loader.get_source(room))
+    homes = offered(getsource(module))
 
     def resolve(name: str) -> Any:
         if name not in homes:

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.effects import Effect, Motion
+from emps_design.effects import Motion
 from emps_design.effects.curve import Resolved, states_along
-from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
+from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS, Kernel
 from emps_design.errors import InputError
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def inverse_force(axis: Axis, q: np.ndarray, v: np.ndarray, a: np.ndarray, t: np
         force = force + axis.drive.current_time_constant * np.gradient(force, t)
     for effect, p in reversed(_resolve(axis, "actuator")):
         if effect.actuator is not None:
-            force = gain * _undo(effect, p, force / gain)
+            force = gain * _undo(effect.actuator, p, force / gain)
         elif effect.delay is not None and t.size > 1:
             force = np.interp(t + effect.delay(0.0, 0.0, 0.0, 0.0, (), p, b), t, force)
         elif effect.regressor is not None and t.size > 1:
@@ -98,11 +98,11 @@ def inverse_force(axis: Axis, q: np.ndarray, v: np.ndarray, a: np.ndarray, t: np
     return force
 
 
-def _undo(effect: Effect, p: np.ndarray, acting: np.ndarray) -> np.ndarray:
+def _undo(actuator: Kernel, p: np.ndarray, acting: np.ndarray) -> np.ndarray:
     """The smallest voltages that a static actuator map turns into ``acting`` (n,) [V]."""
     reach = 2.0 * float(np.abs(acting).max(initial=0.0)) + 2.0 * float(np.abs(p).max(initial=0.0)) + 1.0
     asked = np.linspace(-reach, reach, _GRID)
-    given = np.array([effect.actuator(u, p) for u in asked])
+    given = np.array([actuator(u, p) for u in asked])
     order = np.lexsort((np.abs(asked), given))
     first = np.concatenate(([True], np.diff(given[order]) > 0))
     return np.interp(acting, given[order][first], asked[order][first])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from io import TextIOWrapper
 
 from emps_design.cli import interrupts
 from emps_design.cli.app import run
@@ -30,5 +31,5 @@ def _stand_on_three_streams() -> None:
     os.close(free)
     sys.stdin, sys.stderr = sys.stdin or open(0), sys.stderr or open(2, "w")  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
-        if stream is not None:  # a name of a file need not be text: what cannot be encoded is shown as its number
+        if isinstance(stream, TextIOWrapper):  # the name of a file need not be text: show what cannot be encoded
             stream.reconfigure(errors="backslashreplace")

@@ -6,10 +6,14 @@ import importlib
 import os
 import sys
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 from emps_design.cli.interrupts import STATUS as INTERRUPTED
 from emps_design.cli.output import print_json, tell
 from emps_design.errors import EmpsError, SpecificationError, UnstableError
+
+if TYPE_CHECKING:
+    import typer
 
 # Commands in the order of the work: record, axis, gains, simulation, what disagrees, page.
 COMMANDS = (
@@ -85,7 +89,7 @@ def _print_nowhere() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _application(arguments: list[str]):
+def _application(arguments: list[str]) -> typer.Typer:
     """The Typer application. Only the module of the command that runs is imported, unless help is asked for."""
     import typer
 

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from emps_design.cli.destinations import ARCHIVE, OVERWRITE, PAGE, check_out
+
+if TYPE_CHECKING:
+    from emps_design.report.assemble import Report
 
 MACHINE = "emps2019"
 CROSSOVER, PHASE_MARGIN = 100.0, 60.0  # rad/s, deg
@@ -49,7 +53,7 @@ def command(
         say(f"\nThe report, with all figures: {out.resolve()}")
 
 
-def _show(report, truth: dict[str, float], record_file: Path) -> None:
+def _show(report: Report, truth: dict[str, float], record_file: Path) -> None:
     from rich.table import Table
 
     from emps_design.cli.output import new_console, say

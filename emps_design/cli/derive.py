@@ -72,7 +72,11 @@ def _print_text(
     from emps_design.paper.derivations.step import plain_symbols
 
     console = new_console()
-    verdicts = {None: "", True: ("  as printed", "green"), False: ("  not as printed", "red")}
+    verdicts: dict[bool | None, str | tuple[str, str]] = {
+        None: "",
+        True: ("  as printed", "green"),
+        False: ("  not as printed", "red"),
+    }
     for title, steps in parts.values():
         console.rule(title, align="left")
         for step in steps:

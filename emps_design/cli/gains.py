@@ -82,7 +82,7 @@ def command(
         controller={"velocity_estimator": velocity_estimator},
     )
     errors = _errors(machine, mismatch, sigma_from)
-    specification = {
+    specification: dict[str, Any] = {
         "crossover": crossover,
         "bandwidth": bandwidth,
         "phase_margin_deg": phase_margin,

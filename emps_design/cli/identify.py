@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from emps_design.cli.destinations import AXIS, OVERWRITE, check_out
+
+if TYPE_CHECKING:
+    from emps_design.axis import Axis
+    from emps_design.identification.result import Identification
+    from emps_design.identification.several import SeveralIdentifications
+    from emps_design.records import Record
 
 
 def command(
@@ -69,7 +76,7 @@ def command(
         raise InputError("--holdout: goes with one record and --estimator ls; several records judge one another")
     check_out(out, AXIS, (axis, *records, holdout), force)
     loaded = load_axis(axis)
-    options = {
+    options: dict[str, Any] = {
         "model": model,
         "chain": chain,
         "cutoff_hz": cutoff,
@@ -78,7 +85,9 @@ def command(
     read = [read_record(path) for path in records]
     if len(read) == 1:
         judge = None if holdout is None else read_record(holdout)
-        found = _one(estimator, read[0], loaded, {**options, "bootstrap": bootstrap, "seed": seed, "holdout": judge})
+        found: Any = _one(
+            estimator, read[0], loaded, {**options, "bootstrap": bootstrap, "seed": seed, "holdout": judge}
+        )
     else:
         from emps_design.identification.several import identify_several
 
@@ -98,7 +107,7 @@ def command(
         tell(warning)
 
 
-def _one(estimator, record, axis, options):
+def _one(estimator: str, record: Record, axis: Axis, options: dict[str, Any]) -> Identification:
     if estimator == "ls":
         from emps_design.identification.identify import identify
 
@@ -113,7 +122,7 @@ def _one(estimator, record, axis, options):
     return identify_by_output_error(record, axis, **options)
 
 
-def _show_one(found) -> None:
+def _show_one(found: Identification) -> None:
     from rich import box
     from rich.table import Table
 
@@ -180,7 +189,7 @@ def _show_one(found) -> None:
         )
 
 
-def _show_several(found) -> None:
+def _show_several(found: SeveralIdentifications) -> None:
     from rich import box
     from rich.table import Table
 

@@ -69,9 +69,10 @@ def command(
 
 
 def _given(option: str, what: str, asked: float | None, own: float | None) -> float:
-    if asked is None and own is None:
+    value = own if asked is None else asked
+    if value is None:
         raise InputError(f"{option}: found none, expected {what}, here or in the axis's impedance controller")
-    return own if asked is None else asked
+    return value
 
 
 def _print(document: dict[str, Any]) -> None:

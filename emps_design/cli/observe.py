@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from emps_design.cli.destinations import OVERWRITE, TABLE, check_out
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from emps_design.identification.observation import Observation
+    from emps_design.records import Record
 
 LONG = 200_000  # samples from which on it is worth saying how far the work is
 
@@ -51,7 +58,7 @@ def command(
         tell(warning)
 
 
-def _voltage(injected: str, record):
+def _voltage(injected: str, record: Record) -> np.ndarray:
     """The voltage [V] that ``COLUMN:VOLTS`` stands for, one value a sample."""
     import numpy as np
 
@@ -72,7 +79,7 @@ def _voltage(injected: str, record):
     return volts * column
 
 
-def _write(out: Path, found) -> None:
+def _write(out: Path, found: Observation) -> None:
     from emps_design.files import write_aside
 
     names = ["t [s]", *(f"{name} [N]" for name in found.methods)]
@@ -84,7 +91,7 @@ def _write(out: Path, found) -> None:
             file.writelines(",".join("" if x != x else f"{x:.6f}" for x in row) + "\n" for row in rows)
 
 
-def _show(found) -> None:
+def _show(found: Observation) -> None:
     from rich import box
     from rich.table import Table
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from emps_design.cli.flags import in_flags
 from emps_design.errors import one_line
 from emps_design.files import write_aside, write_text
 
@@ -33,9 +34,14 @@ Progress = Callable[[str, float], None]
 
 
 def plain(value: Any) -> Any:
-    """Return ``value`` as JSON data: numpy to Python, complex to [re, im], Infinity and NaN to None."""
+    """Return ``value`` as JSON data: numpy to Python, complex to [re, im], Infinity and NaN to None.
+
+    Arguments that a text names become flags.
+    """
     if hasattr(value, "to_dict"):
         return plain(value.to_dict())
+    if isinstance(value, str):
+        return in_flags(value)
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -78,12 +84,12 @@ def print_json(document: Any) -> None:
 
 def say(text: object = "") -> None:
     """Print ``text`` on standard output; what in it is no text (names may hold anything) is shown as ``?``."""
-    print("\n".join(_clean(line) for line in str(text).split("\n")))
+    print("\n".join(_clean(line) for line in in_flags(str(text)).split("\n")))
 
 
 def tell(text: object) -> None:
     """Print ``text`` as one line of this program on standard error."""
-    print(f"emps-design: {one_line(text)}", file=sys.stderr)
+    print(f"emps-design: {one_line(in_flags(str(text)))}", file=sys.stderr)
 
 
 def print_warnings(warnings: Iterable[str]) -> None:
@@ -98,7 +104,7 @@ def new_console() -> Console:
 
     class Plain(Console):
         def render_str(self, text: str, **options: Any) -> Any:
-            return super().render_str("\n".join(map(_clean, text.split("\n"))), **options)
+            return super().render_str("\n".join(map(_clean, in_flags(text).split("\n"))), **options)
 
     return Plain(markup=False, emoji=False)
 

@@ -27,8 +27,14 @@ from emps_design.control.impedance.robustness import (
     verdict,
     worst_radius,
 )
-from emps_design.control.impedance.sampled import MARGINAL, Clock, SampledLoop, recursion_poles, sampled_loop
-from emps_design.control.impedance.with_effects import extended_loop
+from emps_design.control.impedance.sampled import (
+    MARGINAL,
+    Clock,
+    SampledLoop,
+    extended_loop,
+    recursion_poles,
+    sampled_loop,
+)
 from emps_design.errors import SpecificationError, UnstableError
 from emps_design.notebook import table
 

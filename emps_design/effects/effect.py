@@ -177,7 +177,7 @@ class Effect:
     confused_with: tuple[str, ...] = ()
     experiment: str = ""
     remedy: str = ""
-    checks: tuple[tuple[dict[str, float], dict[str, float], float], ...] = ()
+    checks: tuple[tuple[dict[str, float], dict[str, Any], float], ...] = ()
     identified_by: Mapping[str, Callable[[Parameters], dict[str, float]]] = field(default_factory=dict)
     passive: bool = False
     parity: str = ""

@@ -41,7 +41,7 @@ def report_chain(record: Record, force_gain: float, cutoff_hz: float | None = No
         if 0.5 / record.period <= REPORT_CUTOFF:
             raise InputError(
                 f"{record.name}: sampled at {1 / record.period:g} Hz, the report's low-pass of {REPORT_CUTOFF:g} Hz "
-                f"needs more than {2 * REPORT_CUTOFF:g} Hz; use --filter hold, or give --cutoff"
+                f"needs more than {2 * REPORT_CUTOFF:g} Hz; use `chain='hold'`, or give `cutoff_hz`"
             )
         cutoff_hz = REPORT_CUTOFF
     force = _decimated(record.u, force_gain)
@@ -70,7 +70,7 @@ def paper_chain(record: Record, force_gain: float, cutoff_hz: float | None = Non
     the chain's low-pass is the decimation's.
     """
     if cutoff_hz is not None:
-        raise InputError("cut-off: the paper's chain has none, its low-pass is the decimation's; use --filter hold")
+        raise InputError("cut-off: the paper's chain has none, its low-pass is the decimation's; use `chain='hold'`")
     force = _decimated(median_of_three(record.u), force_gain)
     v = median_of_three(np.diff(record.q, prepend=record.q[0]) / record.period)
     a = median_of_three(central_difference(v, record.period))
@@ -147,7 +147,7 @@ def hold_chain(record: Record, force_gain: float, cutoff_hz: float | None = None
     if int(used.sum()) < FEWEST_ROWS:
         raise RecordError(
             f"{record.name}: {int(used.sum())} rows away from rest at a cut-off of {cutoff_hz:g} Hz, expected at least "
-            f"{FEWEST_ROWS}; record longer strokes above {1e3 * REST_VELOCITY:g} mm/s, or use --filter report"
+            f"{FEWEST_ROWS}; record longer strokes above {1e3 * REST_VELOCITY:g} mm/s, or use `chain='report'`"
         )
     return Filtered(
         chain="hold",

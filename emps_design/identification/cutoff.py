@@ -67,7 +67,7 @@ def chosen_cutoff(record: Record) -> Cutoff:
     top = HIGHEST / part.period
     if not can_choose(record):
         raise InputError(
-            f"{record.name}: sampled at {1 / part.period:g} Hz, too slow to choose a cut-off; give --cutoff"
+            f"{record.name}: sampled at {1 / part.period:g} Hz, too slow to choose a cut-off; give `cutoff_hz`"
         )
     W = baseline_columns(motion(part, top))
     force = low_pass(held(part.u), top, part.period)

@@ -55,11 +55,11 @@ def force_free(record: Record, axis: Axis, external_force_known: bool = False) -
     if rms > SENSOR_NOISE * motor:
         raise RecordError(
             f"{record.name}: an external force of {rms:.3g} N rms acts, and (12) holds without one; record without "
-            "touching the carriage, or let the measured force take part with --external-force known"
+            "touching the carriage, or let the measured force take part with `external_force_known=True`"
         )
     if rms == 0.0:
         return replace(record, f_ext=None)
-    note = f"f_ext: its {rms:.2g} N rms are taken for noise of the sensor and left out (--external-force known uses it)"
+    note = f"f_ext: its {rms:.2g} N rms are taken for sensor noise and left out (`external_force_known=True` uses it)"
     return replace(record, f_ext=None, warnings=(*record.warnings, note))
 
 

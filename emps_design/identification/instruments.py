@@ -30,7 +30,7 @@ from emps_design.identification.known import filter_record, identified_effects, 
 from emps_design.identification.result import Identification
 from emps_design.identification.statistics import long_run
 from emps_design.records import Record
-from emps_design.simulation import Plant
+from emps_design.simulation import Plant, Run
 
 ITERATIONS = 8
 WEAK_INSTRUMENT = 0.1  # share of a column that its instrument explains, below which it says nothing
@@ -137,7 +137,7 @@ def instruments(record: Record, axis: Axis, model: str, value: np.ndarray, filte
     return Z * filtered.used[:, None]
 
 
-def simulate(record: Record, axis: Axis, model: str, value: np.ndarray):
+def simulate(record: Record, axis: Axis, model: str, value: np.ndarray) -> Run:
     """Closed-loop run of ``record`` from its reference and measured external force with parameters ``value``."""
     p = dict(zip((q.name for q in parameters_of(model)), map(float, value), strict=True))
     mechanics = dict(zip(("mass", "viscous", "coulomb", "offset"), baseline_of(model, p).tolist(), strict=True))
@@ -157,7 +157,7 @@ def simulate(record: Record, axis: Axis, model: str, value: np.ndarray):
     except SimulationError as error:
         raise RecordError(
             f"{record.name}: no simulation with the controller of {axis.name} at {1 / record.period:g} Hz ({error}), "
-            "so the record was made with another one; put its controller into the axis, or use --estimator ls"
+            "so the record was made with another one; put its controller into the axis, or use `identify`"
         ) from error
 
 

@@ -55,7 +55,7 @@ def filter_record(record: Record, axis: Axis, chain: str, cutoff_hz: float | Non
     Raises :class:`InputError`, which names the nearest chain.
     """
     if chain not in CHAINS:
-        raise InputError(f"filter: found {chain!r}, expected {', '.join(CHAINS)}{nearest_name(chain, list(CHAINS))}")
+        raise InputError(f"`chain`: found {chain!r}, expected {', '.join(CHAINS)}{nearest_name(chain, list(CHAINS))}")
     voltage, rest = acting_voltage(axis.replace(sampling={"period": record.period}), record.u)
     filtered = CHAINS[chain](replace(record, u=voltage), axis.drive.force_gain, cutoff_hz)
     if not rest.effects:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.effects import Motion
 from emps_design.errors import RecordError
 from emps_design.identification.filters import held_force, motion, share_of_nyquist
 from emps_design.identification.identify import identify
@@ -199,7 +200,7 @@ def with_known_push(record: Record, voltage: np.ndarray, force_gain: float) -> R
     return replace(record, u=record.u - push, f_ext=force_gain * push, name=f"{record.name}, push unknown")
 
 
-def _parameter_bound(seen, axis: Axis, std: np.ndarray | None) -> float:
+def _parameter_bound(seen: Motion, axis: Axis, std: np.ndarray | None) -> float:
     mechanics = axis.mechanics.array()
     std = PARAMETER_UNCERTAINTY * np.abs(mechanics) if std is None else np.asarray(std, dtype=float)
     bare = axis.replace(effects=[])

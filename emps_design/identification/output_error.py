@@ -6,6 +6,7 @@ residuals of both signals are low-passed alike and weighed by their own size (Ga
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -87,11 +88,13 @@ def identify_by_output_error(
         if fall < CONVERGED:
             break
     else:
-        raise InputError(f"{record.name}: output error did not converge in {ITERATIONS} steps; give --cutoff lower")
+        raise InputError(
+            f"{record.name}: output error did not converge in {ITERATIONS} steps; give a lower `cutoff_hz`"
+        )
     return _result(record, axis, model, filtered, value, residual, jacobian, scale, names)
 
 
-def _jacobian(outputs, value: np.ndarray, residual: np.ndarray) -> np.ndarray:
+def _jacobian(outputs: Callable[[np.ndarray], np.ndarray], value: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """Derivative of the simulated outputs by each parameter, shape (2, n, p)."""
     columns = []
     for i, one in enumerate(value):

@@ -57,7 +57,7 @@ def step_answer(force: np.ndarray, truth: np.ndarray, period: float, inner: slic
     mean = np.mean([answer for answer in answers if np.all(np.isfinite(answer))], axis=0)
     share = mean / float(np.mean(mean[-reach // 4 :]))
     crossing = {level: _first_crossing(share, level) for level in (0.1, 0.5, 0.9)}
-    complete = all(value is not None for value in crossing.values())
+    complete = bool(np.all(np.isfinite(list(crossing.values()))))
     return Steps(
         edges=int(edges.size),
         delay=float(period * (crossing[0.5] - reach)) if complete else None,
@@ -68,10 +68,10 @@ def step_answer(force: np.ndarray, truth: np.ndarray, period: float, inner: slic
     )
 
 
-def _first_crossing(share: np.ndarray, level: float) -> float | None:
-    """Index, between samples, at which ``share`` last comes from below ``level`` to above it for good."""
+def _first_crossing(share: np.ndarray, level: float) -> float:
+    """Index, between samples, at which ``share`` last comes from below ``level`` to above it for good; NaN: never."""
     below = np.flatnonzero(share < level)
     if not below.size or below[-1] + 1 >= len(share):
-        return None
+        return float("nan")
     i = int(below[-1])
     return i + (level - share[i]) / (share[i + 1] - share[i])

@@ -85,12 +85,12 @@ def fields_of(kind: str = NONE) -> dict[str, FieldInfo]:
 def _table(kind: str, laws: tuple[LawKind, ...]) -> type[LawTable]:
     """The table of ``kind`` with what the other ``laws`` have as well, none of it needed."""
     base = next((law.table for law in laws if law.name == kind), LawTable)
-    more = {}
+    more: dict[str, Any] = {}
     for name, field in fields_of(kind).items():
         if name not in base.model_fields:
             optional = copy(field)
             optional.default = None
-            constrained = Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation
+            constrained: Any = Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation
             optional.metadata = []
             more[name] = (constrained | None, optional)
     return create_model("Controller", __base__=base, **more)

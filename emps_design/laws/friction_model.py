@@ -36,7 +36,7 @@ class FrictionModel:
         for entry in axis.effects:
             if entry.effect.slopes is not None:
                 slopes = entry.effect.slopes(entry.effect.values(entry.parameters))
-                positive, negative = positive + slopes[0], negative + slopes[1]
+                positive, negative = positive + float(slopes[0]), negative + float(slopes[1])
         return cls(m.mass, round(positive, 12), round(negative, 12), m.coulomb + m.offset, m.coulomb - m.offset)
 
     @property

@@ -172,11 +172,11 @@ def _plausible(named: Mapping[str, np.ndarray], period: float, source: str) -> N
             f"{source}: columns q_ref and q: found ranges of {np.ptp(named['q_ref']):.4g} and "
             f"{np.ptp(named['q']):.4g} m, expected the same unit in both; one is probably {hint.format('q_ref')}"
         )
-    for column, most, less in (("u", HIGHEST_VOLTAGE, "mV"), ("f_ext", HIGHEST_FORCE, "mN")):
+    for column, highest, less in (("u", HIGHEST_VOLTAGE, "mV"), ("f_ext", HIGHEST_FORCE, "mN")):
         largest = float(np.max(np.abs(named[column]))) if column in named else 0.0
-        if largest > most:
+        if largest > highest:
             raise RecordError(
-                f"{source}: column {column}: found {largest:.4g} {UNITS[column]}, expected at most {most:g} "
+                f"{source}: column {column}: found {largest:.4g} {UNITS[column]}, expected at most {highest:g} "
                 f"{UNITS[column]}; if it is in {less}, title the column '{column} [{less}]'"
             )
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Iterator
-from typing import BinaryIO
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 
@@ -104,7 +104,7 @@ def _array(data: memoryview, order: str, source: str) -> dict[str, np.ndarray]:
         return {}
     if len(parts) < 4 or parts[3][0] not in NUMBERS:
         raise _damaged(source, "an array has no values")
-    number = np.dtype(NUMBERS[parts[3][0]]).newbyteorder(order)
+    number = np.dtype(NUMBERS[parts[3][0]]).newbyteorder(cast(Any, order))
     if len(parts[1][1]) % 4 or len(parts[3][1]) % number.itemsize:
         raise _damaged(source, "an array is cut off")
     values = np.frombuffer(parts[3][1], dtype=number)

@@ -12,7 +12,7 @@ from emps_design.axis import Axis
 from emps_design.errors import InputError, nearest_name
 from emps_design.machines import load_axis, machine_names
 from emps_design.report.design import DesignResults, design_page, design_results
-from emps_design.report.page import Page
+from emps_design.report.page import Page, Section
 
 if TYPE_CHECKING:
     from emps_design.comanipulation.assessment import ImpedanceAssessment
@@ -82,10 +82,10 @@ def assemble_report(
     tell = progress or (lambda stage, fraction: None)
     if design_on not in (None, *DESIGN_ON):
         raise InputError(
-            f"design-on: found {design_on!r}, expected {' or '.join(DESIGN_ON)}{nearest_name(design_on, DESIGN_ON)}"
+            f"`design_on`: found {design_on!r}, expected {' or '.join(DESIGN_ON)}{nearest_name(design_on, DESIGN_ON)}"
         )
     if record is None and design_on == "record":
-        raise InputError("design-on: found 'record' without a record; give one with --record")
+        raise InputError("`design_on`: found 'record' without a record; give one with `record`")
     if (mass is None) != (damping is None):
         raise InputError("impedance law: found one of mass and damping, expected both [kg, N/(m/s)] or neither")
     design_on = design_on or ("record" if axis is None and record is not None else "axis")
@@ -96,7 +96,9 @@ def assemble_report(
     from emps_design.control.velocity.design import check_specification, design_velocity_loop
 
     check_specification(crossover, bandwidth, phase_margin_deg)  # before the record: a wrong number is told at once
-    parts, notes, found = [], [], ()
+    parts: list[Section] = []
+    notes: list[str] = []
+    found: tuple[Identification, ...] = ()
     if record is not None:
         tell("reading the record", 0.05)
         loaded, found, section = _from_record(record, loaded, model, design_on, inputs, tell)
@@ -150,7 +152,7 @@ def _impedance(axis, mass, damping, mismatch, filter):
         mass, damping = controller.mass, controller.damping
     elif mass is None:
         mass, damping = MASS, DAMPING
-        chosen = "These are the values of the paper's experiments (section IV-B); --mass and --damping choose others."
+        chosen = "These are the values of the paper's experiments (section IV-B), as no others were given."
     assessed = assess_impedance(axis, mass, damping, mismatch, filter)
     return assessed, impedance_section(assessed, chosen)
 

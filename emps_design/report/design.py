@@ -130,7 +130,7 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
     velocity = results.velocity
     sampled, period = velocity.sampled, velocity.axis.sampling.period
     blocks: list[Any] = list(_stops(results))
-    facts = [
+    facts: list[tuple[Any, str, str]] = [
         (Html(symbol("k_v1")), quantity(velocity.k_v1, "V/(m/s)"), "gain of the velocity loop"),
         (Html(symbol("t_v")), quantity(velocity.t_v, "s"), "its integral time"),
     ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from emps_design.report.style import BLACK, BLUE, GREEN, GREY, RED, look, subplots
 
@@ -61,8 +61,9 @@ def _node(axes: Axes, x: float, y: float) -> None:
     axes.plot([x], [y], "o", color=BLACK, markersize=3.5, zorder=4)
 
 
-def _label(axes: Axes, x: float, y: float, text: str, **options: object) -> None:
-    axes.text(x, y, text, **{"ha": "center", "va": "bottom", "fontsize": 9.5, **options})
+def _label(axes: Axes, x: float, y: float, text: str, **options: Any) -> None:
+    style: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": 9.5, **options}
+    axes.text(x, y, text, **style)
 
 
 def _canvas(width: float, height: float) -> tuple[Figure, Axes]:

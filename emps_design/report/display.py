@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from html import escape
+from typing import TypeGuard
 
 from emps_design.quantities import display_unit
 
 NOTHING = "—"
 
 
-def _missing(value: float | None) -> bool:
-    return value is None or not math.isfinite(value)
+def _known(value: float | None) -> TypeGuard[float]:
+    return value is not None and math.isfinite(value)
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -20,7 +21,7 @@ def number(value: float | None, digits: int = 4) -> str:
     >>> number(556.7661), number(0.000123456), number(1e7), number(None)
     ('556.8', '0.0001235', '1.000e7', '—')
     """
-    if _missing(value):
+    if not _known(value):
         return NOTHING
     value = float(value)
     if value == 0:
@@ -40,7 +41,7 @@ def quantity(value: float | None, unit: str, digits: int = 4) -> str:
     >>> quantity(0.00845505, "s"), quantity(115.73, "kg"), quantity(None, "s")
     ('8.455 ms', '115.7 kg', '—')
     """
-    if _missing(value):
+    if not _known(value):
         return NOTHING
     unit, factor = display_unit(value, unit)
     value = value * factor
@@ -53,7 +54,7 @@ def frequency(omega: float | None, digits: int = 4) -> str:
     >>> frequency(100.0)
     '100.0 rad/s (15.92 Hz)'
     """
-    if _missing(omega):
+    if not _known(omega):
         return NOTHING
     return f"{number(omega, digits)} rad/s ({number(omega / (2 * math.pi), digits)} Hz)"
 
@@ -64,7 +65,7 @@ def angle(degrees: float | None) -> str:
     >>> angle(60.0)
     '60.0°'
     """
-    return NOTHING if _missing(degrees) else f"{degrees:.1f}°".replace("-", "−")
+    return f"{degrees:.1f}°".replace("-", "−") if _known(degrees) else NOTHING
 
 
 def ratio(gain: float | None) -> str:
@@ -73,7 +74,7 @@ def ratio(gain: float | None) -> str:
     >>> ratio(2.0), ratio(None)
     ('2.00 (6.0 dB)', 'unbounded')
     """
-    if _missing(gain):
+    if not _known(gain):
         return "unbounded"
     if gain <= 0:
         return number(gain)
@@ -86,7 +87,7 @@ def delay(seconds: float | None, period: float | None = None) -> str:
     >>> delay(0.00533, 1e-3)
     '5.330 ms (5.33 samples)'
     """
-    if _missing(seconds):
+    if not _known(seconds):
         return "unbounded"
     samples = f" ({seconds / period:.2f} samples)" if period else ""
     return f"{quantity(seconds, 's')}{samples}"
@@ -98,9 +99,9 @@ def with_std(value: float | None, std: float | None, unit: str = "") -> str:
     >>> with_std(95.1089, 0.1085, "kg"), with_std(0.0081, 0.0004, "m/s"), with_std(3.0, None, "N")
     ('95.11 ± 0.11 kg', '8.10 ± 0.40 mm/s', '3.000 N')
     """
-    if _missing(value):
+    if not _known(value):
         return NOTHING
-    if _missing(std) or std <= 0:
+    if not _known(std) or std <= 0:
         return quantity(value, unit)
     unit, factor = display_unit(value, unit)
     value, std = value * factor, std * factor
@@ -116,7 +117,7 @@ def interval(value: float | None, std: float | None, unit: str = "") -> str:
     >>> interval(95.1089, 0.1085, "kg"), interval(0.005, 1.5e-7, "m"), interval(1.0, 0.0)
     ('94.90 to 95.32 kg', '4.99971 to 5.00029 mm', '—')
     """
-    if _missing(value) or _missing(std) or std <= 0:
+    if not _known(value) or not _known(std) or std <= 0:
         return NOTHING
     unit, factor = display_unit(value, unit)
     low, high = factor * (value - 1.96 * std), factor * (value + 1.96 * std)
@@ -130,7 +131,7 @@ def probability(p: float | None) -> str:
     >>> probability(0.0004), probability(0.03)
     ('< 0.001', '0.030')
     """
-    if _missing(p):
+    if not _known(p):
         return NOTHING
     return "< 0.001" if p < 0.001 else f"{p:.3f}"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from emps_design.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, R
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
     from emps_design.comanipulation.run import Run
     from emps_design.comanipulation.study import MismatchStudy
@@ -89,7 +90,7 @@ def stability_map_figure(found: StabilityMap, mass: float, filter: float) -> Fig
     return figure
 
 
-def _line(color: str, label: str, **options: str):
+def _line(color: str, label: str, **options: Any) -> Line2D:
     from matplotlib.lines import Line2D
 
     return Line2D([], [], color=color, label=label, **options)

@@ -8,11 +8,12 @@ import numpy as np
 
 from emps_design.report.display import angle, delay, number, quantity, ratio
 from emps_design.report.loops import BrokenLoop, LoopCurve, broken_loops
-from emps_design.report.style import BLACK, BLUE, GREEN, GREY, RED, look, note, subplots
+from emps_design.report.style import BLACK, BLUE, GREEN, GREY, RED, hertz_axis, look, note, subplots
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.ticker import MultipleLocator
 
     from emps_design.control.velocity.design import VelocityLoopDesign
     from emps_design.control.velocity.step_response import StepResponse
@@ -59,20 +60,11 @@ def bode_figure(loop: BrokenLoop, period: float) -> Figure:
         bottom.set_ylabel("phase [deg]")
         bottom.set_xlabel("frequency [rad/s]")
         figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=2)
-        hertz = top.secondary_xaxis("top", functions=(_to_hertz, _from_hertz))
-        hertz.set_xlabel("frequency [Hz]")
+        hertz_axis(top)
     return figure
 
 
-def _to_hertz(w: np.ndarray) -> np.ndarray:
-    return w / (2 * np.pi)
-
-
-def _from_hertz(f: np.ndarray) -> np.ndarray:
-    return f * (2 * np.pi)
-
-
-def _locator(base: float):
+def _locator(base: float) -> MultipleLocator:
     from matplotlib.ticker import MultipleLocator
 
     return MultipleLocator(base)
@@ -92,7 +84,7 @@ def _mark_margins(top: Axes, bottom: Axes, curve: LoopCurve) -> None:
     m = curve.margins
     if not m.stable:
         return
-    if m.crossover is not None:
+    if m.crossover is not None and m.phase_margin_deg is not None:
         top.plot([m.crossover], [0.0], "o", color=curve.color, markersize=5, zorder=5)
         bottom.plot(
             [m.crossover] * 2, [-180.0, -180.0 + m.phase_margin_deg], color=curve.color, linewidth=2.6, alpha=0.6

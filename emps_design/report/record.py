@@ -63,7 +63,7 @@ def _parameters_table(found: Identification, axis: Axis) -> Table:
     rows: list[list[Any]] = []
     for name, estimate in found.parameters.items():
         unit = estimate.quantity.unit
-        if not estimate.determined:
+        if estimate.interval_95 is None:
             rows.append([words(name), unit, "not determined", NOTHING, NOTHING, NOTHING, known.get(name)])
             continue
         low, high = estimate.interval_95

@@ -6,7 +6,7 @@ import re
 import threading
 from contextlib import contextmanager
 from io import BytesIO, StringIO
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -24,7 +24,7 @@ PALETTE = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY, BLACK)
 
 WIDTH = 8.8  # inches, the text column of a page
 
-RC = {
+RC: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # shipped with matplotlib, so that every machine draws the same
     "font.size": 9.5,
     "axes.titlesize": 10.5,
@@ -132,8 +132,16 @@ def thin(x: np.ndarray, y: np.ndarray, bins: int = 900) -> tuple[np.ndarray, np.
 
 def hertz_axis(axes: Axes) -> None:
     """Add a frequency axis in Hz on top of an axis in rad/s."""
-    top = axes.secondary_xaxis("top", functions=(lambda w: w / (2 * np.pi), lambda f: 2 * np.pi * f))
+    top = axes.secondary_xaxis("top", functions=cast(Any, (_to_hertz, _from_hertz)))
     top.set_xlabel("frequency [Hz]")
+
+
+def _to_hertz(w: np.ndarray) -> np.ndarray:
+    return w / (2 * np.pi)
+
+
+def _from_hertz(f: np.ndarray) -> np.ndarray:
+    return f * (2 * np.pi)
 
 
 def note(axes: Axes, text: str, x: float = 0.02, y: float = 0.04, **options: Any) -> None:

@@ -177,7 +177,7 @@ def breakaway(axis: Axis, rate: float = 1.0, peak: float | None = None, q0: floa
         limits.append(limit)
         runs.append(run)
     warnings = [
-        f"the carriage held to {side * peak:g} N; raise --peak"
+        f"the carriage held to {side * peak:g} N; raise `peak`"
         for side, limit in zip((1.0, -1.0), limits, strict=True)
         if limit is None
     ]

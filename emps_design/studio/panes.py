@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from importlib.resources import files
+from typing import Any
 
 import panel as pn
 
@@ -30,7 +31,7 @@ h3 { margin: 6px 0; font-size: 15px; }
 """
 
 
-def html(text: str = "", **options) -> pn.pane.HTML:
+def html(text: str = "", **options: Any) -> pn.pane.HTML:
     """Return a pane of HTML that stretches over the width it has."""
     return pn.pane.HTML(text, stylesheets=[STYLE], **{"sizing_mode": "stretch_width", "margin": (0, 5), **options})
 

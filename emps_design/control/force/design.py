@@ -23,8 +23,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from emps_design.control.loop.margins import Margins, loop_margins
-from emps_design.control.loop.sampled_loop import ClosedLoop, SampledVelocityLoop, closed_loop
+from emps_design.control.loop.sampled_loop import SampledLoop, SampledVelocityLoop, close, ip_law
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis, sample_plant
+from emps_design.control.plant.environment import Environment, attached, felt
 from emps_design.control.plant.linear_plant import POSITION, VELOCITY
 from emps_design.control.plant.magnitudes import check_scale
 from emps_design.control.velocity.design import VelocityLoopDesign
@@ -93,6 +94,10 @@ class ForceLoopDesign:
         loop = self.velocity_loop
         return largest_force_gain(loop.omega_0v, loop.z_v, loop.K_v, self.hand, self.environment, self.on_carriage)
 
+    @property
+    def _operator(self) -> Environment:
+        return Environment(damping=self.hand, stiffness=self.environment)
+
     @cached_property
     def _plant(self) -> SampledPlant:
         plant = sample_axis(self.velocity_loop.axis, self.velocity_loop.velocity)
@@ -100,16 +105,20 @@ class ForceLoopDesign:
             return plant
         sampling, controller = self.velocity_loop.axis.sampling, self.velocity_loop.axis.controller
         return sample_plant(
-            plant.linear.with_environment(self.environment, self.hand),
+            attached(plant.linear, self._operator),
             sampling.period,
             sampling.computation_delay,
             controller.velocity_estimator,
         )
 
-    def sampled_loop(self, k_e1: float | None = None) -> ClosedLoop:
-        """The sampled closed loop at ``k_e1`` [(m/s)/N], this design's by default."""
+    def sampled_loop(self, k_e1: float | np.ndarray | None = None) -> SampledLoop:
+        """The sampled closed loop at ``k_e1`` [(m/s)/N], this design's by default; its reference is a velocity.
+
+        An array (m,) gives m loops.
+        """
         loop, gain = self.velocity_loop, self.k_e1 if k_e1 is None else k_e1
-        return closed_loop(self._plant, loop.k_v1, loop.t_v, gain, (self.environment, self.hand), self.sensor_delay)
+        law = ip_law(self._plant, loop.k_v1, loop.t_v, gain)
+        return close(self._plant, law, felt(self._plant.linear, self._operator), self.sensor_delay)
 
     @property
     def poles(self) -> np.ndarray:
@@ -143,7 +152,7 @@ class ForceLoopDesign:
         loop = self.velocity_loop
         start = 1e-3 / (self.hand + self.environment / loop.omega_0v) if self.hand + self.environment > 0.0 else 1.0
         if self._plant.delay + self.sensor_delay <= 100 or self.hand + self.environment == 0.0:
-            return _first_instability(lambda gain: self.sampled_loop(gain).stable, start)
+            return _first_instability(lambda gains: self.sampled_loop(gains).stable, start)
         gently = replace(self, k_e1=start)
         if not gently.stable:
             return 0.0
@@ -287,22 +296,17 @@ def design_force_loop(
     return ForceLoopDesign(velocity_loop, float(k_e1), float(hand), float(environment), sensor_delay, on_carriage)
 
 
-def _first_instability(stable: Callable[[float], bool], start: float) -> float | None:
-    """The gain above ``start`` where ``stable`` first turns false; None below 1e9 starts, 0.0 at once."""
-    if not stable(start):
-        return 0.0
-    low, factor = start, 1.15
-    while stable(low * factor):
-        low *= factor
+def _first_instability(stable: Callable[[np.ndarray], np.ndarray], start: float) -> float | None:
+    """The gain where ``stable``, asked of many gains at once, turns false; None below 1e9 starts, 0.0 at ``start``."""
+    low, high = 0.0, start
+    while bool(np.all(found := stable(grid := high * 1.15 ** np.arange(16.0)))):
+        low, high = float(grid[-1]), float(grid[-1]) * 1.15
         if low > 1e9 * start:
             return None
-    high = low * factor
-    while high - low > 1e-12 * high:
-        middle = 0.5 * (low + high)
-        if middle in (low, high):
-            break
-        if stable(middle):
-            low = middle
-        else:
-            high = middle
-    return low
+    while True:
+        first = int(np.argmin(found))
+        low, high = (float(grid[first - 1]) if first else low), float(grid[first])
+        if low == 0.0 or high - low <= 1e-12 * high:
+            return low
+        grid = np.linspace(low, high, 18)[1:]
+        found = stable(grid)

@@ -22,8 +22,8 @@ from emps_design.laws.library.impedance import (
     check_filters,
     default_filter,
     demanded_force,
+    gains_of,
     impedance,
-    numbers,
     observed_force,
 )
 
@@ -208,7 +208,7 @@ def law_for(axis: Axis, law: ImpedanceLaw, period: float) -> Law:
     """
     law.check_period(period)
     delay = axis.sampling.computation_delay
-    gains = numbers(
+    gains = gains_of(
         law.estimate, law.mass, law.damping, law.filters, period, law.velocity_estimator, stiffness=law.stiffness,
         coulomb_factor=law.coulomb_factor, current_factor=law.current_factor, force_sensor=law.force_sensor,
         force_gain=axis.drive.force_gain, current_time_constant=axis.drive.current_time_constant, delay=delay,

@@ -190,9 +190,15 @@ def contact_map(
         force_sensor=law.force_sensor,
         environment=hand,
     ).reshape(grid_k.shape)
-    if not np.any(law.stiffness):  # without any spring position is free: its pole at 1 says nothing
-        free = [sampled_loop(law, plant, clock, direction, Environment(mass, b, 0.0)).radius for b in damping]
-        radius[:, stiffness == 0.0] = np.array(free)[:, None]
+    if not np.any(law.stiffness) and np.any(stiffness == 0.0):  # position is free there: its pole at 1 says nothing
+        free = spectral_radius(
+            numbers(law, plant, direction),
+            clock,
+            velocity_estimator=law.velocity_estimator,
+            force_sensor=law.force_sensor,
+            environment=Environment(mass, damping, 0.0),
+        )
+        radius[:, stiffness == 0.0] = free[:, None]
     return ContactMap(stiffness, damping, mass, radius)
 
 

@@ -135,21 +135,20 @@ def worst_radius(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mismatch
     """
     masses, filters = np.broadcast_arrays(np.asarray(masses, dtype=float), np.asarray(filters, dtype=float))
     shape, masses, filters = masses.shape, masses.ravel(), filters.ravel()
-    worst = np.zeros(len(masses))
-    same = law.current_filter is None
-    corners = {(0.0, 0.0), *product((-mismatch, mismatch), repeat=2)}
+    errors = np.array([(0.0, 0.0), *product((-mismatch, mismatch), repeat=2)] if mismatch else [(0.0, 0.0)])
+    corner = np.repeat(1.0 + errors.T, masses.size, axis=1)  # of mass and viscous friction, for every pair in turn
+    worst = np.zeros(corner.shape[1])
     for direction in (1, -1) if plant.two_quadrant else (1,):
-        for error_m, error_v in sorted(corners):
-            off = law.with_errors({"mass": error_m, "viscous": error_v})
-            n = {**numbers(off, plant, direction), "apparent_mass": masses, "filter": filters}
-            if same:
-                n["current_filter"] = filters
-            options = {"velocity_estimator": law.velocity_estimator, "force_sensor": law.force_sensor}
-            worst = np.maximum(worst, spectral_radius(n, clock, **options))
-            if not law.force_sensor:
-                gain = law.current_factor * (off.estimate.mass / masses - 1.0)
-                worst = np.maximum(worst, recursion_radius(gain, n["current_filter"], clock))
-    return worst.reshape(shape)
+        n = numbers(law, plant, direction)
+        n |= {"mass_hat": n["mass_hat"] * corner[0], "viscous_hat": n["viscous_hat"] * corner[1]}
+        n |= {"apparent_mass": np.tile(masses, len(errors)), "filter": np.tile(filters, len(errors))}
+        if law.current_filter is None:
+            n["current_filter"] = n["filter"]
+        options = {"velocity_estimator": law.velocity_estimator, "force_sensor": law.force_sensor}
+        worst = np.maximum(worst, spectral_radius(n, clock, **options))
+        if not law.force_sensor:
+            worst = np.maximum(worst, recursion_radius(n, clock, law.velocity_estimator))
+    return worst.reshape(len(errors), -1).max(axis=0).reshape(shape)
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,13 @@
-"""The velocity loop as implemented: hold, delays, current loop, effects and velocity estimator.
+"""The one sampled loop: any law around any plant, with hold, delays, current loop, effects, environment and sensor.
 
-With period T the controller computes at sample k, from the velocity estimate v of :mod:`.discretisation`,
+A law in its linear form and a plant discretised exactly make one state-space system,
 
-    i[k] = i[k-1] + (T / t_v) (r[k] - v[k])
-    u[k] = k_v1 (i[k] - v[k])
+    s[k+1] = A s[k] + B w[k],    y[k] = C s[k] + D w[k].
 
-Stability is read from the closed-loop poles first; an unstable loop has no margins.
+Stability is read from its poles first; an unstable loop has no margins. Two things are taken out of the state: where
+the carriage is, if nothing asks for it (its pole at 1 would be there in every free loop), and a memory cell of the law
+that repeats a state of the plant from rest on, as the model of the current loop in the impedance law does while the
+drive does what it is told.
 """
 
 from __future__ import annotations
@@ -18,103 +20,217 @@ import numpy as np
 
 from emps_design.control.loop.margins import Margins, loop_margins
 from emps_design.control.plant.discretisation import SampledPlant
+from emps_design.control.plant.environment import Felt
 from emps_design.control.plant.linear_plant import POSITION, VELOCITY
+from emps_design.laws.library import ip_velocity
+from emps_design.laws.linear import LinearLaw, linear_form
 
 if TYPE_CHECKING:
     import control
 
-
-ROUNDING = 1e-12
+MARGINAL = 1e-9  # a pole this close to the unit circle is on it: rounding decides no verdict
+SAME = 1e-9  # share of its own coefficients by which a state and its repetition may differ
+AT_ONCE = 100_000  # systems solved together for a frequency response
+OUTPUTS = ("velocity", "mean_velocity", "force", "voltage")
+_REFERENCE, _FORCE, _MORE = range(3)
 
 
 @dataclass(frozen=True)
-class ClosedLoop:
-    """s[k+1] = S s[k] + R r[k] with u[k] = U s[k] + D r[k].
+class SampledLoop:
+    """A closed loop at its samples; arrays may have leading axes, for many loops at once.
 
-    ``velocity`` is the row of the true carriage velocity, ``force`` the row of the force that the law reads.
+    ``A`` (..., n, n), ``B`` (..., n, i), ``C`` (..., 4, n), ``D`` (..., 4, i). ``inputs``: ``reference`` [m or m/s],
+    ``force`` [N] from outside, held over each period so that the energy it brings in is exactly force times position
+    step, and what was asked for: signals of the law, ``voltage`` [V] added at the plant input. Outputs: the true
+    velocity at the sample and its mean over the period that follows [m/s], the force that the law reads [N], the
+    voltage of the law [V].
     """
 
-    S: np.ndarray
-    R: np.ndarray
-    U: np.ndarray
-    D: float
-    velocity: np.ndarray
-    force: np.ndarray
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    period: float
+    inputs: tuple[str, ...]
 
     @cached_property
     def poles(self) -> np.ndarray:
-        """Closed-loop poles in the z plane, largest first."""
-        poles = np.linalg.eigvals(self.S)
-        return poles[np.lexsort((poles.imag, -np.abs(poles)))]
+        """Poles in the z plane (..., n), largest first."""
+        return sorted_poles(np.linalg.eigvals(self.A))
 
     @property
-    def stable(self) -> bool:
-        """Whether no pole lies outside the unit circle, rounding left aside.
+    def radius(self) -> Any:
+        """Largest modulus of the poles: a float, (...) for many loops."""
+        found = np.abs(self.poles[..., 0])
+        return found if found.ndim else float(found)
 
-        A force that depends on position puts a pole on z = 1 that the velocity does not show; an eigenvalue routine
-        returns it a few 1e-16 on either side.
+    @property
+    def stable(self) -> Any:
+        """Whether no pole lies outside the unit circle, :data:`MARGINAL` left aside: a bool, (...) for many loops.
+
+        A force that depends on position puts a pole on z = 1 that the velocity does not show, and so does an apparent
+        damping of zero.
         """
-        return bool(np.max(np.abs(self.poles)) < 1.0 + ROUNDING)
+        return self.radius <= 1.0 + MARGINAL
+
+    def response(self, w: np.ndarray, output: str = "mean_velocity", by: str = "force") -> np.ndarray:
+        """Frequency response from the input ``by`` to ``output`` at ``w`` (f,) [rad/s], shape (..., f)."""
+        place, row = self.inputs.index(by), OUTPUTS.index(output)
+        return _response(
+            self.A, self.B[..., place], self.C[..., row, :], self.D[..., row, place], np.asarray(w) * self.period
+        )
+
+    def admittance(self, w: np.ndarray) -> np.ndarray:
+        """Mean velocity over held force at ``w`` (f,) [rad/s], shape (..., f) [m/s/N]."""
+        return self.response(w)
+
+    def loop_gain(self, w: np.ndarray) -> np.ndarray:
+        """Open loop broken at the plant input, which has to be among the inputs, at ``w`` (f,) [rad/s], (..., f)."""
+        column, row = self.B[..., self.inputs.index("voltage")], self.C[..., OUTPUTS.index("voltage"), :]
+        opened = self.A - column[..., :, None] * row[..., None, :]
+        return -_response(opened, column, row, np.zeros(column.shape[:-1]), np.asarray(w) * self.period)
+
+    def simulate(self, w: np.ndarray) -> np.ndarray:
+        """Outputs (k, 4) of a single loop from rest under inputs ``w`` (k, i)."""
+        state, found = np.zeros(len(self.A)), np.empty((len(w), len(OUTPUTS)))
+        for k, now in enumerate(np.asarray(w, dtype=float)):
+            found[k] = self.C @ state + self.D @ now
+            state = self.A @ state + self.B @ now
+        return found
+
+    def to_ss(self) -> control.StateSpace:
+        """The loop as a discrete ``control.StateSpace`` with named inputs and outputs."""
+        import control
+
+        return control.ss(
+            self.A, self.B, self.C, self.D, self.period, inputs=list(self.inputs), outputs=list(OUTPUTS), name="loop"
+        )
+
+    def to_tf(self, output: str = "mean_velocity", by: str = "force") -> control.TransferFunction:
+        """The transfer function in z from the input ``by`` to ``output``."""
+        import control
+
+        return control.ss2tf(self.to_ss()[OUTPUTS.index(output), self.inputs.index(by)])
 
 
-def closed_loop(
+def close(
     plant: SampledPlant,
-    k_v1: float,
-    t_v: float,
-    k_e1: float = 0.0,
-    force: tuple[float, float] = (0.0, 0.0),
+    law: LinearLaw,
+    felt: Felt | None = None,
     sensor_delay: int = 0,
-    extra_delay: int = 0,
-) -> ClosedLoop:
-    """Return the loop of the module's equations around ``plant``, optionally inside the force loop of Fig. 4.
+    plant_input: bool = False,
+) -> SampledLoop:
+    """Close the loop of ``law`` around ``plant``; ``felt`` is what its force sensor reads, so many samples late.
 
-    With ``k_e1`` [(m/s)/N] the reference is k_e1 (r + f) with f = -(K q + k_h v), ``force`` = (K [N/m], k_h [N/(m/s)]),
-    read ``sensor_delay`` samples late; else it is r. ``extra_delay``: more samples between law and voltage.
+    Without ``felt`` the sensor reads the force from outside. ``plant_input`` adds the input ``voltage``, of which a
+    model of the current in the law hears nothing. Leading axes of ``plant`` and ``law`` broadcast.
 
     >>> from emps_design.control.plant.discretisation import sample_axis
+    >>> from emps_design.laws import law_of
+    >>> from emps_design.laws.linear import linear_law
     >>> from emps_design.machines import machine
-    >>> plant = sample_axis(machine("emps2018"))
-    >>> [closed_loop(plant, 556.766, 8.45505e-3, extra_delay=n).stable for n in (3, 4)]
-    [True, False]
+    >>> axis = machine("emps2018").replace(controller={"kind": "ip_velocity", "k_v1": 556.766, "t_v": 8.45505e-3})
+    >>> loop = close(sample_axis(axis), linear_law(law_of(axis, 1e-3), 1e-3))
+    >>> loop.stable, round(float(abs(loop.response([1e-3], "velocity", "reference")[0])), 6)
+    (True, 1.0)
     """
-    keep = np.arange(plant.C.size) if force[0] else plant.kept
-    row, d0, d1 = plant.increment
-    n, delay = keep.size, plant.delay + extra_delay
-    history = delay + (1 if np.any(plant.G1) else 0)
-    # s = [x, q[k]-q[k-1], q[k-1]-q[k-2], i[k-1], u[k-1] ... u[k-history], f[k-1] ... f[k-sensor_delay]]
-    size = n + 3 + history + sensor_delay
-    unit = np.eye(size)
-    X, newer, older, integral = unit[:n], unit[n], unit[n + 1], unit[n + 2]
-    past_u, past_f = unit[n + 3 : n + 3 + history], unit[n + 3 + history :]
+    n, cells = plant.Phi.shape[-1], law.A.shape[-1]
+    felt = Felt(np.zeros(n)) if felt is None else felt
+    shape = np.broadcast_shapes(plant.Phi.shape[:-2], law.A.shape[:-2], np.shape(felt.state)[:-1])
+    split, heard = bool(np.any(plant.G1)), bool(np.any(felt.voltage))
+    history = plant.delay + (1 if split or heard else 0)
+    # s = [x, memory of the law, u[k-1] ... u[k-history], f[k-1] ... f[k-sensor_delay]], then the inputs
+    memory, past, late = n, n + cells, n + cells + history
+    size = late + sensor_delay
+    inputs = ("reference", "force", *law.inputs[3:], *(["voltage"] if plant_input else []))
+    signals = slice(size + _MORE, size + _MORE + len(law.inputs) - 3)
 
-    estimate = (plant.weights[0] * newer + plant.weights[1] * older) / plant.period
-    state = np.zeros(plant.C.size)
-    state[POSITION], state[VELOCITY] = -force[0], -force[1]
-    f = state[keep] @ X
-    read = past_f[-1] if sensor_delay else f
-    reference, into = (k_e1 * read, k_e1) if k_e1 else (np.zeros(size), 1.0)
-    i = integral + plant.period / t_v * (reference - estimate)
-    U = k_v1 * (i - estimate)
-    i_in, D = plant.period / t_v * into, k_v1 * plant.period / t_v * into
+    def line(place: int, value: Any = 1.0) -> np.ndarray:
+        row = np.zeros((*shape, size + len(inputs)))
+        row[..., place] = value
+        return row
 
-    lines = [U, *past_u]  # u[k], u[k-1], ...
-    acting, acting_in = lines[delay], D if delay == 0 else 0.0
-    earlier = lines[delay + 1] if np.any(plant.G1) else np.zeros(size)
-    G0, G1 = plant.G0[keep], plant.G1[keep]
-    S, R = np.zeros((size, size)), np.zeros(size)
-    S[:n] = plant.Phi[np.ix_(keep, keep)] @ X + np.outer(G0, acting) + np.outer(G1, earlier)
-    R[:n] = G0 * acting_in
-    S[n] = row[keep] @ X + d0 * acting + d1 * earlier
-    R[n] = d0 * acting_in
-    S[n + 1] = newer
-    S[n + 2], R[n + 2] = i, i_in
-    if history:
-        S[n + 3 : n + 3 + history] = lines[:history]
-        R[n + 3] = D
-    if sensor_delay:
-        S[n + 3 + history :] = [f, *past_f][:sensor_delay]
-    place = int(np.nonzero(keep == VELOCITY)[0][0])
-    return ClosedLoop(S, R, U, D, unit[place], read)
+    encoder, reading = line(0, 0.0), line(size + _FORCE, felt.force)
+    encoder[..., :n], reading[..., :n] = plant.C, felt.state
+    past_u, past_f = [line(past + i) for i in range(history)], [line(late + i) for i in range(sensor_delay)]
+    if heard:  # the voltage that acted until now
+        reading[..., past + plant.delay] += felt.voltage
+    read = past_f[-1] if sensor_delay else reading
+
+    def computed(own: np.ndarray, by: np.ndarray) -> np.ndarray:
+        """Rows (..., size + inputs) of what the law computes from its memory and from its inputs."""
+        rows = by[..., 1, None] * encoder + by[..., 2, None] * read
+        rows[..., memory:past] += own
+        rows[..., size + _REFERENCE] += by[..., 0]
+        rows[..., signals] += by[..., 3:]
+        return rows
+
+    voltage = computed(law.C, law.D)
+    newest = voltage.copy()
+    if plant_input:
+        newest[..., -1] += 1.0
+    arriving = [newest, *past_u]
+    rows = np.zeros((*shape, size, size + len(inputs)))
+    rows[..., :n, :n] = plant.Phi
+    rows[..., :n, :] += plant.G0[..., :, None] * arriving[plant.delay][..., None, :]
+    if split:
+        rows[..., :n, :] += plant.G1[..., :, None] * arriving[plant.delay + 1][..., None, :]
+    rows[..., :n, size + _FORCE] += plant.H
+    for i in range(cells):
+        rows[..., memory + i, :] = computed(law.A[..., i, :], law.B[..., i, :])
+    for place, kept in ((past, arriving[:history]), (late, [reading, *past_f][:sensor_delay])):
+        for i, row in enumerate(kept):
+            rows[..., place + i, :] = row
+    step = rows[..., POSITION, :] / plant.period
+    step[..., POSITION] -= 1.0 / plant.period
+    out = np.stack([line(VELOCITY), step, read, voltage], axis=-2)
+
+    free = bool(np.all(plant.integrates)) and not np.any(felt.state[..., POSITION]) and law.keeps_to_changes
+    if free:  # the memory counted from where the carriage is
+        moved = law.moved * plant.C[..., POSITION, None]
+        for table in (rows, out):
+            table[..., POSITION] += np.sum(table[..., memory:past] * moved[..., None, :], axis=-1)
+        rows[..., memory:past, :] -= moved[..., :, None] * rows[..., POSITION, None, :]
+    used = law.used
+    keep = [i for i in range(size) if not (free and i == POSITION) and (i not in range(memory, past) or used[i - n])]
+    keep = _without_repetitions(rows, out, keep, range(memory, past))
+    ends = list(range(size, size + len(inputs)))
+    A, B = rows[..., keep, :][..., keep], rows[..., keep, :][..., ends]
+    return SampledLoop(A, B, out[..., keep], out[..., ends], plant.period, inputs)
+
+
+def _without_repetitions(rows: np.ndarray, out: np.ndarray, keep: list[int], cells: range) -> list[int]:
+    """``keep`` without those ``cells`` that repeat another state from rest on; their columns are added to its own."""
+    ends = range(rows.shape[-2], rows.shape[-1])
+    for cell, other in [(cell, other) for cell in cells for other in keep if other not in cells] * 2:
+        if cell not in keep:
+            continue
+        rest = [i for i in (*keep, *ends) if i not in (cell, other)]
+        gap = rows[..., other, :] - rows[..., cell, :]
+        scale = SAME * np.abs(rows[..., cell, :]).max(axis=-1)
+        apart = np.abs(gap[..., other] + gap[..., cell])
+        if np.all(np.abs(gap[..., rest]) <= scale[..., None]) and np.all(apart <= scale):
+            for table in (rows, out):
+                table[..., other] += table[..., cell]
+            keep = [i for i in keep if i != cell]
+    return keep
+
+
+def _response(A: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """c (z I - A)^-1 b + d at z = exp(j angle): (..., n, n), (..., n), (..., n), (...), (f,) -> (..., f)."""
+    if A.ndim > 2 and len(A) > 1 and len(A) * angle.size > AT_ONCE:  # in pieces that fit into memory
+        half = len(A) // 2
+        return np.concatenate([_response(A[i], b[i], c[i], d[i], angle) for i in (slice(half), slice(half, None))])
+    z = np.exp(1j * angle)
+    systems = z[:, None, None] * np.eye(A.shape[-1]) - A[..., None, :, :]
+    columns = np.broadcast_to(b[..., None, :, None], (*systems.shape[:-1], 1))
+    return np.sum(c[..., None, :] * np.linalg.solve(systems, columns)[..., 0], axis=-1) + np.asarray(d)[..., None]
+
+
+def sorted_poles(poles: np.ndarray) -> np.ndarray:
+    """Poles (..., n) by falling modulus, then by imaginary part, so that the same loop prints the same list."""
+    poles = np.asarray(poles, dtype=complex)
+    return np.take_along_axis(poles, np.lexsort((-poles.imag, -np.round(np.abs(poles), 12)), axis=-1), axis=-1)
 
 
 @dataclass(frozen=True)
@@ -136,9 +252,9 @@ class SampledVelocityLoop:
     t_v: float
 
     @cached_property
-    def loop(self) -> ClosedLoop:
+    def loop(self) -> SampledLoop:
         """The closed loop from velocity reference to voltage and velocity."""
-        return closed_loop(self.plant, self.k_v1, self.t_v)
+        return close(self.plant, ip_law(self.plant, self.k_v1, self.t_v), plant_input=True)
 
     @property
     def poles(self) -> np.ndarray:
@@ -220,14 +336,10 @@ class SampledVelocityLoop:
         >>> round(float(v[-1]), 6)
         1.0
         """
-        loop = self.loop
-        s = np.zeros(len(loop.S))
-        v, u = np.empty(samples), np.empty(samples)
-        for k in range(samples):
-            v[k] = loop.velocity @ s
-            u[k] = loop.U @ s + loop.D
-            s = loop.S @ s + loop.R
-        return np.arange(samples) * self.plant.period, v, u
+        inputs = np.zeros((samples, len(self.loop.inputs)))
+        inputs[:, _REFERENCE] = 1.0
+        found = self.loop.simulate(inputs)
+        return np.arange(samples) * self.plant.period, found[:, 0], found[:, 3]
 
     def transfer_function(self) -> control.TransferFunction:
         """The open loop at the plant input as a discrete ``control.TransferFunction`` in z."""
@@ -248,3 +360,10 @@ class SampledVelocityLoop:
             "poles": [[float(p.real), float(p.imag)] for p in self.poles],
             "period": self.plant.period,
         }
+
+
+def ip_law(plant: SampledPlant, k_v1: float, t_v: float, k_e1: float | np.ndarray = 0.0) -> LinearLaw:
+    """The velocity law with the estimator of ``plant`` in its linear form; ``k_e1`` [(m/s)/N] of a force loop."""
+    law, period = ip_velocity.LAW, plant.period
+    gains = (k_v1, k_v1 * period / t_v, k_e1, 1.0 / period, float(plant.weights[1] > 0.0))
+    return linear_form(law.kernel, gains, 3, law.follows, period)

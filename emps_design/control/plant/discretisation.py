@@ -25,9 +25,10 @@ ESTIMATORS = {"two_tap": (0.5, 0.5), "backward": (1.0, 0.0)}
 
 @dataclass(frozen=True)
 class SampledPlant:
-    """x[k+1] = Phi x[k] + G0 u[k-d] + G1 u[k-d-1]; encoder C x; period T [s]; the estimator's two weights.
+    """x[k+1] = Phi x[k] + G0 u[k-d] + G1 u[k-d-1] + H f[k]; encoder C x; period T [s]; the estimator's two weights.
 
-    ``delay`` is d, whole samples; G1 carries the fraction of a sample. ``linear`` is the continuous plant it came from.
+    ``delay`` is d, whole samples; G1 carries the fraction of a sample; ``f`` is a force on the carriage, held like u.
+    ``linear`` is the continuous plant it came from. Arrays may have leading axes, for many plants at once.
 
     >>> from emps_design.machines import machine
     >>> plant = sample_axis(machine("emps2019"))
@@ -38,6 +39,7 @@ class SampledPlant:
     Phi: np.ndarray
     G0: np.ndarray
     G1: np.ndarray
+    H: np.ndarray
     C: np.ndarray
     delay: int
     period: float
@@ -46,16 +48,19 @@ class SampledPlant:
 
     @cached_property
     def increment(self) -> tuple[np.ndarray, float, float]:
-        """Row and feedthroughs of q[k+1] - q[k] = row x[k] + d0 u[k-d] + d1 u[k-d-1]."""
+        """Row and feedthroughs of q[k+1] - q[k] = row x[k] + d0 u[k-d] + d1 u[k-d-1]; of a single plant."""
         row = self.C @ (self.Phi - np.eye(self.C.size))
         return row, float(self.C @ self.G0), float(self.C @ self.G1)
 
     @cached_property
+    def integrates(self) -> np.ndarray:
+        """Whether nothing depends on where the carriage is, shape (...)."""
+        return np.all(self.Phi[..., :, POSITION] == np.eye(self.Phi.shape[-1])[POSITION], axis=-1)
+
+    @cached_property
     def kept(self) -> np.ndarray:
         """Indices of the states that act on the increments: all, or all but a purely integrating position."""
-        row, _, _ = self.increment
-        integrates = row[POSITION] == 0.0 and not np.any(np.delete(self.Phi[:, POSITION], POSITION))
-        return np.arange(1 if integrates else 0, self.C.size)
+        return np.arange(1 if self.integrates else 0, self.C.size)
 
     @cached_property
     def polynomials(self) -> tuple[np.ndarray, np.ndarray]:
@@ -116,7 +121,7 @@ def sample_plant(
     >>> round(float(plant.Phi[1, 1]), 6)  # exp(-F_v T / M)
     0.997863
     """
-    growth = float(np.max(np.linalg.eigvals(linear.A).real)) * period
+    growth = float(np.max(np.linalg.eigvals(linear.A).real)) * period if linear.A.ndim == 2 else 0.0
     if growth > 50.0:
         raise InputError(
             f"period: found {period:g} s, in which the unstable plant grows e^{growth:.3g} times; expected a period "
@@ -127,13 +132,16 @@ def sample_plant(
         whole, fraction = whole + 1.0, 0.0
     if fraction < period * 1e-9:
         fraction = 0.0
-    late_phi, late = _held(linear.A, linear.B, period - fraction)
-    _, early = _held(linear.A, linear.B, fraction)
-    Phi, _ = _held(linear.A, linear.B, period)
+    Phi, (now, H) = _held(linear.A, (linear.B, linear.E), period)
+    before = np.zeros_like(now)
+    if fraction:
+        late_phi, (now,) = _held(linear.A, (linear.B,), period - fraction)
+        before = (late_phi @ _held(linear.A, (linear.B,), fraction)[1][0][..., None])[..., 0]
     return SampledPlant(
         Phi,
-        late,
-        late_phi @ early,
+        now,
+        before,
+        H,
         linear.C,
         delay_samples + int(whole),
         period,
@@ -155,27 +163,30 @@ def sample_axis(axis: Axis, velocity: float = 0.1) -> SampledPlant:
     )
 
 
-def expm(matrix: np.ndarray) -> np.ndarray:
-    """Exponential of a small square matrix by Taylor's series, scaled and squared; scipy would cost the start-up.
+def expm(matrices: np.ndarray) -> np.ndarray:
+    """Exponential of small square matrices (..., n, n) by Taylor's series, scaled and squared; scipy is slow to start.
 
     >>> expm(np.array([[0.0, 2.0], [0.0, 0.0]])).tolist()
     [[1.0, 2.0], [0.0, 1.0]]
     """
-    squarings = max(0, math.ceil(math.log2(max(np.linalg.norm(matrix, 1), 1e-300))) + 2)
-    scaled = matrix / 2.0**squarings
-    total = term = np.eye(len(matrix))
-    for order in range(1, 19):
-        term = term @ scaled / order
-        total = total + term
+    norm = float(np.abs(matrices).sum(axis=-1).max())
+    squarings = max(0, math.ceil(math.log2(norm / 0.1))) if norm > 0.0 else 0
+    scaled = matrices / 2.0**squarings
+    identity = np.eye(matrices.shape[-1])
+    total = identity + scaled / 12.0
+    for order in range(11, 0, -1):  # Horner
+        total = identity + scaled @ total / order
     for _ in range(squarings):
         total = total @ total
     return total
 
 
-def _held(A: np.ndarray, B: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """exp(A t) and the integral of exp(A s) B over [0, t]."""
-    size = len(A)
-    augmented = np.zeros((size + 1, size + 1))
-    augmented[:size, :size], augmented[:size, size] = A * time, B * time
+def _held(A: np.ndarray, inputs: tuple[np.ndarray, ...], time: float) -> tuple[np.ndarray, list[np.ndarray]]:
+    """exp(A t), and the integral of exp(A s) b over [0, t] for each b of ``inputs``."""
+    size = A.shape[-1]
+    augmented = np.zeros((*A.shape[:-2], size + len(inputs), size + len(inputs)))
+    augmented[..., :size, :size] = A * time
+    for i, b in enumerate(inputs):
+        augmented[..., :size, size + i] = b * time
     exponential = expm(augmented)
-    return exponential[:size, :size], exponential[:size, size]
+    return exponential[..., :size, :size], [exponential[..., :size, size + i] for i in range(len(inputs))]

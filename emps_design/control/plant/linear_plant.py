@@ -15,7 +15,7 @@ current loop where that has a time constant. Inputs: voltage, and an external fo
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,7 +36,7 @@ class LinearPlant:
 
     ``state`` names the states, ``mass`` [kg] and ``viscous`` [N/(m/s)] are the carriage's own inertia and slope of
     friction at the operating point, ``steepest`` [N/m] the largest slope over position of what averages out along the
-    travel, ``warnings`` names what the slopes leave out.
+    travel, ``warnings`` names what the slopes leave out. Arrays may have leading axes, for many plants at once.
     """
 
     A: np.ndarray
@@ -50,12 +50,34 @@ class LinearPlant:
     warnings: tuple[str, ...] = ()
     steepest: float = 0.0
 
-    def with_environment(self, stiffness: float, damping: float) -> LinearPlant:
-        """Return the plant with a spring [N/m] and a damper [N/(m/s)] between carriage and ground."""
-        A = self.A.copy()
-        A[:, POSITION] -= self.E * stiffness
-        A[:, VELOCITY] -= self.E * damping
-        return replace(self, A=A)
+
+def rigid_plant(
+    mass: float | np.ndarray,
+    viscous: float | np.ndarray,
+    force_gain: float = 1.0,
+    current_time_constant: float = 0.0,
+) -> LinearPlant:
+    """The plant without effects: ``mass`` [kg] and ``viscous`` friction [N/(m/s)], arrays (m,) for m plants.
+
+    ``force_gain`` G_tau [N/V]; ``current_time_constant`` [s] of the current loop, 0: ideal.
+
+    >>> rigid_plant(2.0, 6.0, 10.0).B.tolist()
+    [0.0, 5.0]
+    """
+    mass, viscous = np.broadcast_arrays(np.asarray(mass, dtype=float), np.asarray(viscous, dtype=float))
+    lag = current_time_constant
+    size = 3 if lag > 0.0 else 2
+    A, B, E = np.zeros((*mass.shape, size, size)), np.zeros((*mass.shape, size)), np.zeros((*mass.shape, size))
+    A[..., POSITION, VELOCITY] = 1.0
+    A[..., VELOCITY, VELOCITY] = -viscous / mass
+    E[..., VELOCITY] = 1.0 / mass
+    if lag > 0.0:
+        A[..., VELOCITY, -1] = 1.0 / mass
+        A[..., -1, -1], B[..., -1] = -1.0 / lag, force_gain / lag
+    else:
+        B[..., VELOCITY] = force_gain / mass
+    names = ("position", "velocity", "motor_force")[:size]
+    return LinearPlant(A, B, E, np.eye(size)[POSITION], 0.0, mass, viscous, names)
 
 
 def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from emps_design.axis import Axis
 from emps_design.control.loop.sampled_loop import SampledVelocityLoop
 from emps_design.control.plant.discretisation import sample_axis, sample_plant
+from emps_design.control.plant.environment import Environment, attached
 from emps_design.control.velocity.specification import ROOM
 
 
@@ -67,7 +68,7 @@ def _where_it_is_steepest(axis: Axis, loop: SampledVelocityLoop) -> list[str]:
         return []
     here, found = loop.margins.phase_margin_deg, []
     for stiffness in (steepest, -steepest):
-        linear = loop.plant.linear.with_environment(stiffness, 0.0)
+        linear = attached(loop.plant.linear, Environment(stiffness=stiffness))
         plant = sample_plant(linear, sampling.period, sampling.computation_delay, axis.controller.velocity_estimator)
         slow = replace(loop, plant=plant)
         where = f"in slow motion, where the force over position has its slope of {stiffness:.3g} N/m,"

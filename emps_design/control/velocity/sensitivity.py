@@ -46,7 +46,7 @@ def identified_mismatch(axis: Axis, parameters: Mapping[str, Mapping[str, float]
         stds = [value for entry in entries for key, value in entry.items() if key.startswith("std")]
         stds = [std for std in stds if isinstance(std, int | float) and math.isfinite(std) and std >= 0.0]
         if not stds:
-            raise InputError(f"identified parameters: {name} has no std, expected the JSON of 'identify --json'")
+            raise InputError(f"identified parameters: {name} has no std, expected those of an identification as JSON")
         own = getattr(axis.mechanics, name)
         found[name] = 2.0 * max(stds) / own if own > 0.0 else 0.0
         if found[name] >= 1.0:

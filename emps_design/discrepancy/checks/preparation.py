@@ -92,7 +92,9 @@ def prepare(
     held_out = None
     if holdout is not None or confirm_time is not None:
         record, window = records[0] if holdout is None else holdout, None
-        inside = np.ones(len(record), bool) if confirm_time is None else between(record, confirm_time, "--confirm-time")
+        inside = np.ones(len(record), bool)
+        if confirm_time is not None:
+            inside = between(record, confirm_time, "`confirm_time`")
         if not inside.all():
             window = float(record.t[inside][0]), float(record.t[inside][-1])
         held_out = HeldOut(Problem(axis, (record,), (split(record, inside),), Whitening.none()), window, law)
@@ -105,12 +107,12 @@ def prepare(
 
 def _splits(records: tuple[Record, ...], fit_time: Interval | None, confirm_time: Interval | None) -> tuple[Split, ...]:
     """What fits and what selects of each record; refuses what is too little."""
-    allowed = [np.ones(len(r), bool) if fit_time is None else between(r, fit_time, "--fit-time") for r in records]
+    allowed = [np.ones(len(r), bool) if fit_time is None else between(r, fit_time, "`fit_time`") for r in records]
     if confirm_time is not None:
-        kept = between(records[0], confirm_time, "--confirm-time")
+        kept = between(records[0], confirm_time, "`confirm_time`")
         if kept.sum() < rules.FEWEST_TO_CONFIRM:
             raise InputError(
-                f"--confirm-time: found {kept.sum()} samples of {records[0].name}, expected at least "
+                f"`confirm_time`: found {kept.sum()} samples of {records[0].name}, expected at least "
                 f"{rules.FEWEST_TO_CONFIRM}"
             )
         allowed[0] &= ~kept

@@ -85,13 +85,13 @@ def impedance(k, reference, q, f_ext, limit, gains, memory):
     return u
 
 
-def numbers(
+def gains_of(
     estimate, mass, damping, filters, period, velocity_estimator=TWO_TAP, *, stiffness=0.0, coulomb_factor=1.0,
     current_factor=1.0, force_sensor=False, force_gain=1.0, current_time_constant=0.0, delay=0,
 ):  # fmt: skip
     """Gains of the kernel: ``estimate`` as a :class:`FrictionModel`, M_a, B, both low-passes [rad/s], the drive.
 
-    Any number may be an array (m,) for as many laws, or a SymPy expression, but for ``delay`` and what is yes or no.
+    Any number may be an array (m,) for as many laws, but for ``delay`` and what is yes or no.
     """
     keep_acceleration, keep_current = (np.exp(-w * period) for w in filters)
     keep_motor = np.exp(-period / current_time_constant) if current_time_constant else 0.0
@@ -130,7 +130,7 @@ class Table(LawTable):
 def gains(p, axis, period):
     cutoff = p.filter or default_filter(axis.sampling.period)
     check_filters(period, cutoff, cutoff)
-    return numbers(
+    return gains_of(
         FrictionModel.of(axis), p.mass, p.damping, (cutoff, cutoff), period, p.velocity_estimator,
         force_gain=axis.drive.force_gain, current_time_constant=axis.drive.current_time_constant,
         delay=axis.sampling.computation_delay,

@@ -53,7 +53,8 @@ def _velocity_loop() -> list[DerivationStep]:
     import sympy
 
     y = symbols()
-    s, v, qd, u, e = y.s, *sympy.symbols(r"v_{\dot{q}} \dot{q}_1 u e_v")
+    s = y.s
+    v, qd, u, e = sympy.symbols(r"v_{\dot{q}} \dot{q}_1 u e_v")
     K = y.k * y.G
     law = sympy.Eq(u, y.k * (e / (y.t * s) - qd))
     drive = sympy.Eq((y.M * s + y.F) * qd, y.G * u)
@@ -160,7 +161,8 @@ def _force_loop() -> list[DerivationStep]:
     import sympy
 
     y = symbols()
-    s, r, tau_e, qd = y.s, *sympy.symbols(r"\tau_{in} tau_e \dot{q}_1")
+    s = y.s
+    r, tau_e, qd = sympy.symbols(r"\tau_{in} tau_e \dot{q}_1")
     T_vc = 1 / (1 + 2 * y.z / y.w0 * s + s**2 / y.w0**2)
     solved = sympy.solve([sympy.Eq(qd, T_vc * y.k_e1 * r), sympy.Eq(tau_e, y.k_c * qd)], [qd, tau_e], dict=True)[0]
     T_eo = sympy.simplify(solved[tau_e] / r)

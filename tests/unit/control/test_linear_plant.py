@@ -91,8 +91,10 @@ def test_a_spring_is_judged_while_the_loop_moves():
     found = design_velocity_loop(axis, crossover=100.0)
     loop, step = found.sampled.loop, found.to_dict()["largest_velocity_step"]
     count = round(step["window"] / axis.sampling.period)
-    system = dlti(loop.S, loop.R[:, None], loop.U[None], [[loop.D]], dt=1e-3)
-    voltage = dlsim(system, np.ones((count, 1)))[1]
+    system = dlti(loop.A, loop.B, loop.C, loop.D, dt=1e-3)
+    inputs = np.zeros((count, 3))
+    inputs[:, 0] = 1.0  # the reference; the last output is the voltage
+    voltage = dlsim(system, inputs)[1][:, -1]
     assert step["peak_voltage_per_unit"] == pytest.approx(np.max(np.abs(voltage)), rel=1e-9)
     assert step["window"] < 0.5
 

@@ -130,9 +130,9 @@ def test_records_that_cannot_be_judged_say_what_to_record():
         diagnose(whole, AXIS, holdout=Record(2 * whole.t, whole.q_ref, whole.q, whole.u, 2e-3))
     with pytest.raises(InputError, match="record two reversals or more"):
         diagnose(record(q_ref=np.linspace(0.0, 0.4, 4000)), AXIS, library=SHORT)
-    with pytest.raises(InputError, match="--confirm-time: found 39 samples"):
+    with pytest.raises(InputError, match="`confirm_time`: found 39 samples"):
         diagnose(whole, AXIS, library=SHORT, confirm_time=(0.001, 0.04))
-    with pytest.raises(InputError, match="--confirm-time"):
+    with pytest.raises(InputError, match="`confirm_time`"):
         diagnose(whole, AXIS, confirm_time=(1e4, 2e4))
 
 

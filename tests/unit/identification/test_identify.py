@@ -81,7 +81,7 @@ def test_measured_external_force_takes_part(record, truth, reference_plant):
     push = 30.0 * np.sin(2 * np.pi * 0.7 * record.t)
     run = reference_plant.closed_loop(record.q_ref, disturbance=push)
     pushed = replace(record, q=run.q, u=run.u, f_ext=push)
-    with pytest.raises(RecordError, match=r"external force of 21\.\d N rms acts.*--external-force known"):
+    with pytest.raises(RecordError, match=r"external force of 21\.\d N rms acts.*`external_force_known=True`"):
         identify(pushed, AXIS)
     found = identify(pushed, AXIS, external_force_known=True, chain="hold", cutoff_hz=40.0)
     assert found.parameters["mass"].value == pytest.approx(truth["mass"], rel=5e-3)
@@ -121,7 +121,7 @@ def test_rank_deficiency_names_the_columns():
 def test_refusals_name_the_nearest(record):
     with pytest.raises(InputError, match="model: found 'asymetric'.*did you mean 'asymmetric'"):
         identify(record, AXIS, model="asymetric")
-    with pytest.raises(InputError, match="filter: found 'holt'.*did you mean 'hold'"):
+    with pytest.raises(InputError, match="`chain`: found 'holt'.*did you mean 'hold'"):
         identify(record, AXIS, chain="holt")
     with pytest.raises(InputError, match="Nyquist frequency 500 Hz"):
         identify(record, AXIS, cutoff_hz=600.0)
@@ -236,7 +236,7 @@ def test_a_force_sensor_nobody_touches_is_no_external_force(record, simulate):
     plain = identify(record, AXIS)
     seen = identify(replace(record, f_ext=noise), AXIS)
     assert seen.values().tolist() == plain.values().tolist()
-    assert "f_ext: its 0.05 N rms are taken for noise of the sensor and left out" in " ".join(seen.warnings)
+    assert "f_ext: its 0.05 N rms are taken for sensor noise and left out" in " ".join(seen.warnings)
     with pytest.raises(RecordError, match="an external force of 30 N rms acts"):
         identify(replace(record, f_ext=np.full(len(record), 30.0)), AXIS)
     with pytest.raises(RecordError, match="simulated-9: an external force of 30 N rms acts"):
@@ -252,7 +252,7 @@ def test_a_cutoff_of_nothing_is_refused(record):
 def test_slow_sampling_says_what_to_use_instead(record):
     tenth = Record.from_arrays(10 * record.period, record.q_ref[::10], record.q[::10], record.u[::10], name="tenth")
     with pytest.raises(
-        InputError, match="tenth: sampled at 100 Hz, the report's low-pass .* use --filter hold, or give"
+        InputError, match="tenth: sampled at 100 Hz, the report's low-pass .* use `chain='hold'`, or give"
     ):
         identify(tenth, AXIS)
     with pytest.raises(

@@ -31,7 +31,6 @@ from emps_design.control.impedance.sampled import (
     Clock,
     Environment,
     numbers,
-    plant_step,
     recursion_poles,
     sampled_loop,
     spectral_radius,
@@ -53,22 +52,46 @@ def test_matrices_and_z_transform_are_the_same_loop(plant, estimator, force_sens
         force_sensor=force_sensor, velocity_estimator=estimator,
     )  # fmt: skip
     omega = np.array([0.1, 1.0, 20.0, 300.0, 1500.0])
-    options = {"velocity_estimator": estimator, "force_sensor": force_sensor}
-    found = impedance_response(numbers(law, plant), clock, omega, **options)[0]
-    np.testing.assert_allclose(1.0 / sampled_loop(law, plant, clock).admittance(omega), found, rtol=1e-8)
+    loop = sampled_loop(law, plant, clock)
+    per_force, per_coulomb = z_transform(law, plant, clock, omega)
+    np.testing.assert_allclose(loop.admittance(omega), per_force, rtol=1e-8)
+    np.testing.assert_allclose(loop.response(omega, by="coulomb"), per_coulomb, rtol=1e-8)
 
 
-def test_plant_step_is_the_matrix_exponential():
+def z_transform(law, plant, clock, omega):
+    """Mean velocity per held force, and per newton of the Coulomb compensation: the recursions solved by hand in z."""
     from scipy.linalg import expm
 
-    mass, viscous, stiffness = np.array([100.0, 3.0]), np.array([400.0, 0.0]), np.array([0.0, 2e6])
-    step = plant_step(mass, viscous, stiffness, 5e-4, 1e-3)
-    for i in range(2):
-        generator = np.zeros((5, 5))
-        generator[0, 1] = 1.0
-        generator[1, [0, 1, 2, 4]] = (-stiffness[i] / mass[i], -viscous[i] / mass[i], 1 / mass[i], 1 / mass[i])
-        generator[2, [2, 3]] = -2000.0, 2000.0
-        np.testing.assert_allclose(step[i], expm(generator * 1e-3)[:3], rtol=1e-11, atol=1e-17)
+    T, lag, z = clock.period, clock.current_time_constant, np.exp(1j * omega * clock.period)
+    generator = np.zeros((5, 5))  # q, v, tau; the law's force, the force from outside
+    generator[0, 1] = 1.0
+    generator[1, [1, 4]] = -plant.viscous_positive / plant.mass, 1.0 / plant.mass
+    if lag:
+        generator[1, 2], generator[2, [2, 3]] = 1.0 / plant.mass, (-1.0 / lag, 1.0 / lag)
+    else:
+        generator[1, 3] = 1.0 / plant.mass
+    step = expm(generator * T)[:3]
+    if not lag:
+        step[2] = 0.0, 0.0, 0.0, 1.0, 0.0
+    motor = step[2, 3] / (z - step[2, 2])
+    a11, a12, a21, a22 = z - step[0, 0], -step[0, 1], -step[1, 0], z - step[1, 1]
+    by_law, by_hand = step[:2, 3, None] + step[:2, 2, None] * motor, step[:2, 4]
+    from_c, from_e = ((a22 * b[0] - a12 * b[1]) / (a11 * a22 - a12 * a21) for b in (by_law, by_hand))
+
+    r, estimate = law.ratio, law.estimate
+    two_tap = law.velocity_estimator == "two_tap"
+    taps = (1.0 - z**-2) / (2.0 * T) if two_tap else (1.0 - 1.0 / z) / T
+    of_q = (estimate.viscous_positive - r * law.damping) * taps - r * law.stiffness
+    of_c, of_e, of_level = 0.0, r - 1.0, 1.0
+    if not law.force_sensor:
+        low_a, low_t = ((1.0 - keep) / (1.0 - keep / z) for keep in (np.exp(-w * T) for w in law.filters))
+        seen = estimate.mass * low_a * taps * (1.0 - 1.0 / z) / T + estimate.viscous_positive * taps
+        of_q, of_c = of_q + (r - 1.0) * seen, -law.current_factor * (r - 1.0) * low_t * motor
+        of_e, of_level = 0.0, r
+    late = z ** -float(clock.delay)
+    held = 1.0 - late * of_c
+    closed = (1.0 - from_c * late * of_q / held) * T / (z - 1.0)
+    return (from_e + from_c * late * of_e / held) / closed, from_c * late * of_level / held / closed
 
 
 @pytest.mark.parametrize("force_sensor", [False, True])
@@ -87,11 +110,9 @@ def test_compiled_plant_without_dry_friction_is_the_linear_loop(axis, force_sens
     found = run_task(smooth, law, Task("noise", push, np.full(n, np.nan), (0.0, 0.0), n - 1, n - 1, 1e-3))
     assert found.v[1:].min() > 0.0
     loop = sampled_loop(law, plant, Clock.of(smooth))
-    state, velocity = np.zeros(len(loop.matrix)), []
-    for force in push[: n - 1]:
-        velocity.append(state[0])
-        state = loop.matrix @ state + loop.column * force
-    np.testing.assert_allclose(found.v[: n - 1], velocity, rtol=1e-9, atol=1e-12)
+    inputs = np.zeros((n - 1, len(loop.inputs)))
+    inputs[:, loop.inputs.index("force")] = push[: n - 1]
+    np.testing.assert_allclose(found.v[: n - 1], loop.simulate(inputs)[:, 0], rtol=1e-9, atol=1e-12)
 
 
 def test_slowest_pole_is_the_apparent_impedance(plant, clock):

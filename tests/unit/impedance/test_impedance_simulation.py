@@ -17,8 +17,7 @@ from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, imped
 from emps_design.control.impedance.passivity import largest_wall
 from emps_design.control.impedance.response import relay_oscillation
 from emps_design.control.impedance.robustness import VERDICTS, break_away, creep_speed, verdict
-from emps_design.control.impedance.sampled import Clock, sampled_loop
-from emps_design.control.impedance.with_effects import extended_loop
+from emps_design.control.impedance.sampled import Clock, extended_loop, sampled_loop
 from emps_design.errors import AxisError, InputError, UnstableError
 from emps_design.machines import machine
 from emps_design.simulation.environment import Hand

@@ -131,7 +131,9 @@ def test_an_axis_that_is_named_stays_as_it_is(emps_data, undrawn):
 
 
 def test_bad_combinations_are_refused():
-    with pytest.raises(InputError, match="design-on: found 'reccord', expected record or axis, did you mean 'record'"):
+    with pytest.raises(
+        InputError, match="`design_on`: found 'reccord', expected record or axis, did you mean 'record'"
+    ):
         assemble_report("emps2018", crossover=100.0, design_on="reccord")
     with pytest.raises(InputError, match="found 'record' without a record"):
         assemble_report("emps2018", crossover=100.0, design_on="record")

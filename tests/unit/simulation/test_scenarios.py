@@ -62,7 +62,7 @@ def test_breakaway_of_a_bending_contact_and_one_that_holds():
     assert bent["static_friction"] == pytest.approx(AXIS.mechanics.coulomb, rel=0.1)
     held = breakaway(AXIS, rate=5.0, peak=5.0)
     assert held.to_dict()["static_friction"] is None
-    assert "raise --peak" in held.warnings[0]
+    assert "raise `peak`" in held.warnings[0]
     with pytest.raises(InputError, match="rate: found -1 N/s"):
         breakaway(AXIS, rate=-1.0)
 

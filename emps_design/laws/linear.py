@@ -1,0 +1,243 @@
+"""The linear form of a law while the carriage slides one way, from the law's own kernel run on linear numbers.
+
+A linear number carries a value, which decides comparisons and branches, and beside it what the number is as a function
+of the law's inputs and memory: a constant and one slope for each. The slopes are exact, no finite differences, and may
+come from any ring: floats, arrays (m,) for as many laws at once, SymPy expressions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from emps_design.errors import AxisError
+from emps_design.laws.law import Law
+
+INPUTS = ("reference", "q", "f_ext")
+SPEED = 0.1  # m/s, of the slide in which the branches are taken
+
+
+class Linear:
+    """``constant + sum(slopes[name] * name)``, with the ``value`` it has where the branches are taken.
+
+    >>> x = Linear(2.0, 0.0, {"x": 1.0})
+    >>> y = 3.0 * x - 1.0
+    >>> y.value, y.constant, y.slopes, max(y, 0.0) is y
+    (5.0, -1.0, {'x': 3.0}, True)
+    """
+
+    __array_ufunc__ = None  # arrays leave arithmetic with these numbers to them
+    __slots__ = ("constant", "slopes", "value")
+
+    def __init__(self, value: float, constant: Any, slopes: dict[Any, Any] | None = None):
+        self.value, self.constant, self.slopes = value, constant, slopes or {}
+
+    def __add__(self, other: Any) -> Linear:
+        if not isinstance(other, Linear):
+            return Linear(self.value + _value(other), self.constant + other, self.slopes)
+        slopes = dict(self.slopes)
+        for name, slope in other.slopes.items():
+            slopes[name] = slopes[name] + slope if name in slopes else slope
+        return Linear(self.value + other.value, self.constant + other.constant, slopes)
+
+    def __mul__(self, other: Any) -> Linear:
+        if isinstance(other, Linear):
+            if not other.slopes:
+                return self._scaled(other.value, other.constant)
+            if not self.slopes:
+                return other._scaled(self.value, self.constant)
+            raise AxisError(
+                "law: found a product of two signals, expected one that is linear while the carriage slides"
+            )
+        return self._scaled(_value(other), other)
+
+    def __truediv__(self, other: Any) -> Linear:
+        if isinstance(other, Linear):
+            if other.slopes:
+                raise AxisError("law: found a division by a signal, expected a law linear while the carriage slides")
+            return self._scaled(1.0 / other.value, 1.0 / other.constant)
+        return self._scaled(1.0 / _value(other), 1.0 / other)
+
+    def _scaled(self, value: float, factor: Any) -> Linear:
+        slopes = {name: slope * factor for name, slope in self.slopes.items()}
+        return Linear(self.value * value, self.constant * factor, slopes)
+
+    def __neg__(self) -> Linear:
+        return self._scaled(-1.0, -1.0)
+
+    def __sub__(self, other: Any) -> Linear:
+        return self + (-other)
+
+    def __rsub__(self, other: Any) -> Linear:
+        return -self + other
+
+    def __rtruediv__(self, other: Any) -> Linear:
+        return Linear(_value(other), other) / self
+
+    def __abs__(self) -> Linear:
+        return -self if self.value < 0.0 else self
+
+    def __int__(self) -> int:
+        return int(self.value)
+
+    def __lt__(self, other: Any) -> bool:
+        return self.value < _value(other)
+
+    def __le__(self, other: Any) -> bool:
+        return self.value <= _value(other)
+
+    def __gt__(self, other: Any) -> bool:
+        return self.value > _value(other)
+
+    def __ge__(self, other: Any) -> bool:
+        return self.value >= _value(other)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+
+def _value(number: Any) -> float:
+    if type(number) is float:
+        return number
+    return number.value if isinstance(number, Linear) else float(np.ravel(number)[0])
+
+
+@dataclass(frozen=True)
+class LinearLaw:
+    """``u = C m + D w``, ``m[k+1] = A m + B w`` with the memory ``m`` and the inputs ``w``, deviations from the slide.
+
+    ``inputs`` names them: reference, q, f_ext, and any gains taken as signals. Shapes (..., n, n), (..., n, i),
+    (..., n), (..., i); leading axes are those of arrays among the gains. ``moved`` (..., n) is what the memory of a law
+    at rest gains for each metre of position.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    moved: np.ndarray
+    inputs: tuple[str, ...] = INPUTS
+
+    @property
+    def used(self) -> np.ndarray:
+        """Which cells of the memory the output hears of, at once or later (n,)."""
+        onward, heard = _somewhere(self.A, 2), _somewhere(self.C, 1)
+        for _ in heard:
+            heard = heard | (heard @ onward)
+        return heard
+
+    @property
+    def keeps_to_changes(self) -> bool:
+        """Whether the law asks for changes of position only: moved as a whole it would do the same."""
+        A, B, s = self.A, self.B[..., 1], self.moved
+        left = (A @ s[..., None])[..., 0] + B - s, np.sum(self.C * s, axis=-1) + self.D[..., 1]
+        size = np.abs(A) @ np.abs(s)[..., None], np.sum(np.abs(self.C * s), axis=-1) + np.abs(self.D[..., 1])
+        small = (1e-14 * (size[0][..., 0] + np.abs(B) + np.abs(s)), 1e-14 * size[1])
+        return all(bool(np.all(np.abs(rest) <= bound)) for rest, bound in zip(left, small, strict=True))
+
+
+def linear_law(law: Law, period: float, direction: float = 1.0) -> LinearLaw:
+    """The linear form of ``law`` at a sampling ``period`` [s] while the carriage slides to + or - (0: sticks).
+
+    Raises :class:`AxisError` for a law that multiplies signals.
+
+    >>> from emps_design.laws import law_of
+    >>> from emps_design.machines import machine
+    >>> found = linear_law(law_of(machine("emps2019"), 1e-3), 1e-3)
+    >>> found.D.round(1).tolist(), found.C.round(1).tolist(), found.keeps_to_changes
+    ([38995.8, -160720.8, 0.0], [0.0, 121725.0], False)
+    """
+    return linear_form(law.kernel, law.gains.tolist(), law.memory, law.follows, period, direction)
+
+
+def linear_form(
+    kernel: Callable[..., Any],
+    gains: Sequence[Any],
+    memory: int,
+    follows: str,
+    period: float,
+    direction: float = 1.0,
+    signals: dict[int, str] | None = None,
+) -> LinearLaw:
+    """As :func:`linear_law` for ``gains`` in which arrays (m,) make m laws; ``signals`` names gains as inputs."""
+    u, cells = run_linear(kernel, gains, memory, follows, period, direction, signals)
+    start: list[Any] = [0.0] * memory
+    kernel(0, 0.0, Linear(0.0, 0.0, {"q": 1.0}), 0.0, np.inf, gains, start)
+    inputs = (*INPUTS, *(signals or {}).values())
+    names = (*range(memory), *inputs)
+    moved = _dense([_linear(cell) for cell in start], ("q",))[..., 0]
+    rows = _dense([*cells, u], names)
+    A, B = rows[..., :-1, :memory], rows[..., :-1, memory:]
+    return LinearLaw(A, B, rows[..., -1, :memory], rows[..., -1, memory:], moved, inputs)
+
+
+def own_poles(kernel: Callable[..., Any], gains: Sequence[Any], memory: int, follows: str, period: float) -> np.ndarray:
+    """Poles (..., count) of what a law hears of its own voltage while the carriage sticks, without any plant.
+
+    The memory cells in question are those that the voltage reaches and that reach the voltage; what it reaches is seen
+    by holding it at its limit. Filters that only pass the position on are not among them.
+    """
+    u, cells = run_linear(kernel, gains, memory, follows, period, 0.0)
+    _, limited = run_linear(kernel, gains, memory, follows, period, 0.0, limit=-1.0)
+    A, held, C = _dense(cells, range(memory)), _dense(limited, range(memory)), _dense([u], range(memory))[..., 0, :]
+    onward = _somewhere(held, 2)
+    fed, feeds = _somewhere(A - held, 2).any(axis=1), _somewhere(C, 1)
+    for _ in range(memory):
+        fed, feeds = fed | (onward @ fed), feeds | (feeds @ onward)
+    inside = np.flatnonzero(fed & feeds)
+    return np.linalg.eigvals(A[..., inside, :][..., inside])
+
+
+def run_linear(
+    kernel: Callable[..., Any],
+    gains: Sequence[Any],
+    memory: int,
+    follows: str,
+    period: float,
+    direction: float = 1.0,
+    signals: dict[int, str] | None = None,
+    limit: float = np.inf,
+) -> tuple[Linear, list[Linear]]:
+    """Output and next memory of ``kernel`` as linear numbers of its memory, by place, and of its inputs, by name.
+
+    ``gains`` may be linear numbers themselves: a value to decide branches by, and a symbol as its constant. With a
+    ``limit`` below zero the voltage is at its limit, whatever it would be.
+    """
+    values = [_value(gain) for gain in gains]
+    step, past = direction * SPEED * period, [0.0] * memory
+    sample = memory + 4
+    for k in range(sample):
+        reference = k * step if follows == "position" else direction * SPEED
+        kernel(k, reference, k * step, 0.0, np.inf, values, past)
+    at = sample * step
+    followed = Linear(at if follows == "position" else direction * SPEED, 0.0, {"reference": 1.0})
+    numbers = list(gains)
+    for place, name in (signals or {}).items():
+        numbers[place] = Linear(values[place], 0.0, {name: 1.0})
+    cells: list[Any] = [Linear(value, 0.0, {place: 1.0}) for place, value in enumerate(past)]
+    position, force = Linear(at, 0.0, {"q": 1.0}), Linear(0.0, 0.0, {"f_ext": 1.0})
+    u = kernel(sample, followed, position, force, limit, numbers, cells)
+    return _linear(u), [_linear(cell) for cell in cells]
+
+
+def _somewhere(matrix: np.ndarray, axes: int) -> np.ndarray:
+    """Where a matrix is not 0 in any of the laws of its leading axes."""
+    return np.any(matrix.reshape(-1, *matrix.shape[matrix.ndim - axes :]) != 0.0, axis=0)
+
+
+def _linear(number: Any) -> Linear:
+    return number if isinstance(number, Linear) else Linear(_value(number), number)
+
+
+def _dense(rows: list[Linear], names: Sequence[Any]) -> np.ndarray:
+    """Slopes of the ``rows`` by the ``names``, shape (..., rows, names)."""
+    shape = np.broadcast_shapes(*(np.shape(slope) for row in rows for slope in row.slopes.values()), ())
+    found = np.zeros((*shape, len(rows), len(names)))
+    places = {name: place for place, name in enumerate(names)}
+    for i, row in enumerate(rows):
+        for name, slope in row.slopes.items():
+            if name in places:
+                found[..., i, places[name]] = slope
+    return found

@@ -1,0 +1,57 @@
+"""The library's messages name arguments; the command line alone knows of flags, in one table."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+import typer
+
+from emps_design.cli.app import COMMANDS, _application
+from emps_design.cli.flags import FLAGS, in_flags
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+PACKAGE = REPOSITORY / "emps_design"
+LIBRARY = [p for p in sorted(PACKAGE.rglob("*.py")) if p.relative_to(PACKAGE).parts[0] not in ("cli", "studio")]
+FLAG = re.compile(r"(?<![\w-])--[a-z]")
+COMMAND = re.compile(r"emps-design [a-z]+( [^\"'<]*)?")  # a whole command, to be typed as it stands
+ARGUMENT = re.compile(r"`([^`]+)`")
+
+
+def texts(source: str) -> list[str]:
+    """Every string of Python ``source`` but its docstrings."""
+    nodes = list(ast.walk(ast.parse(source)))
+    documented = [
+        n for n in nodes if isinstance(n, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(n)
+    ]
+    docstrings = {id(node.body[0].value) for node in documented}
+    found = [node for node in nodes if isinstance(node, ast.Constant) and id(node) not in docstrings]
+    return [node.value for node in found if isinstance(node.value, str)]
+
+
+def named(module: Path) -> str:
+    return str(module.relative_to(REPOSITORY))
+
+
+@pytest.mark.parametrize("module", LIBRARY, ids=named)
+def test_the_library_names_no_flag(module):
+    found = texts(module.read_text(encoding="utf-8"))
+    assert [text for text in found if FLAG.search(COMMAND.sub("", text))] == []
+
+
+@pytest.mark.parametrize("module", LIBRARY, ids=named)
+def test_every_argument_that_a_message_names_has_its_flag(module):
+    arguments = [one for text in texts(module.read_text(encoding="utf-8")) for one in ARGUMENT.findall(text)]
+    assert [one for one in arguments if in_flags(f"`{one}`") == f"`{one}`"] == []
+
+
+def test_every_flag_of_the_table_is_one():
+    group = typer.main.get_command(_application([]))
+    known = {name for command in COMMANDS for option in group.commands[command].params for name in option.opts}
+    assert {flag.split()[0] for flag in FLAGS.values()} <= known
+
+
+def test_a_flag_in_a_message_is_seen():
+    found = texts('"""Docstring --here."""\nraise InputError(f"{name}: too slow; give --cutoff")')
+    assert [text for text in found if FLAG.search(COMMAND.sub("", text))] == [": too slow; give --cutoff"]
+    assert not FLAG.search(COMMAND.sub("", "emps-design simulate model.toml --reference next.csv"))
