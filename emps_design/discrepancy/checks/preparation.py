@@ -129,13 +129,15 @@ def _splits(records: tuple[Record, ...], fit_time: Interval | None, confirm_time
 def _as_the_axis_says(axis: Axis, laws: tuple[LawCheck, ...]) -> Candidate:
     """The axis file's numbers, with the effect that explains what the controller adds to its law."""
     start = Candidate(axis.mechanics.array())
-    named = [law for law in laws if law.effect is not None]
-    if not named:
+    additions = [law.addition for law in laws]
+    first = next((addition for addition in additions if addition is not None), None)
+    if first is None:
         return start
-    effect = named[0].effect
+    effect, values = first
     # A record without the disturbance has none of it, whatever its rhythm elsewhere.
-    idle = np.where([p.unit == "V" for p in effect.parameters], 0.0, named[0].values)
-    return start.with_effect(effect, np.array([law.values if law.effect is effect else idle for law in laws]))
+    idle = np.where([p.unit == "V" for p in effect.parameters], 0.0, values)
+    rows = [idle if addition is None or addition[0] is not effect else addition[1] for addition in additions]
+    return start.with_effect(effect, np.array(rows))
 
 
 def between(record: Record, window: Interval, option: str) -> np.ndarray:

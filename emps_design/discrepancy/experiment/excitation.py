@@ -229,7 +229,7 @@ def in_words(name: str) -> str:
     >>> in_words("slow_crawl")
     'crawl from rest, both ways, at 0.5 to 5 % of the top speed'
     """
-    text = next(excitation.__doc__ for excitation in EXCITATIONS if excitation.__name__ == name)
+    text = next(excitation.__doc__ or name for excitation in EXCITATIONS if excitation.__name__ == name)
     return text[0].lower() + text[1:].rstrip(".")
 
 

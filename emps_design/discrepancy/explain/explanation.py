@@ -57,7 +57,7 @@ def _marked(drawn: list[View], found: tuple[Finding, ...]) -> tuple[View, ...]:
     """The residual over each quantity, the extents of the findings marked, the one that shows most first."""
     marked = []
     for view in drawn:
-        marks = []
+        marks: list[Any] = []
         for finding in found:
             place = finding.where.get(view.quantity)
             if place is not None and view.quantity not in SPECTRAL:

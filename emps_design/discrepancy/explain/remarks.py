@@ -85,7 +85,7 @@ def _of_holdout(validation: Validation, held_out: HeldOut) -> list[str]:
         remarks.append(f"{label} on the confirming record, seen in its voltage: taken as known there, by both models")
     elif held_out.law is not None and held_out.law.unexplained:
         remarks.append("the controller's law has a gap on the confirming record that no effect explains")
-    if validation.held_out.refitted:
+    if validation.held_out is not None and validation.held_out.refitted:
         names = ", ".join(validation.held_out.refitted)
         remarks.append(f"fitted anew on the confirming record, because they belong to one record: {names}")
     return remarks

@@ -103,5 +103,6 @@ def _predict(baseline: Hypothesis, extended: Hypothesis) -> Prediction:
     """Simulate the first record from its reference alone with both models, encoder quantised as it is."""
     problem = baseline.problem
     axis, record = problem.axis, problem.records[0]
-    forces = [Plant.of(h.model.to_axis(axis)).closed_loop(**drive(axis, record)).force for h in (baseline, extended)]
-    return Prediction(record, axis.drive.force_gain * record.u, *forces, problem.splits[0].used)
+    plants = (Plant.of(hypothesis.model.to_axis(axis)) for hypothesis in (baseline, extended))
+    before, after = (plant.closed_loop(**drive(axis, record)).force for plant in plants)
+    return Prediction(record, axis.drive.force_gain * record.u, before, after, problem.splits[0].used)

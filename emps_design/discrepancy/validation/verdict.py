@@ -42,7 +42,8 @@ def validate(outcome: Outcome) -> Validation:
     judge, preparation, problem = calibration.judge, calibration.preparation, calibration.baseline.problem
     start = fit(calibration.baseline, part="used")
     extended = judge.refitted(outcome.best) if len(outcome.path) > 1 else start
-    data, refuted, lost = preparation.held_out, (), 0.0
+    data, lost = preparation.held_out, 0.0
+    refuted: tuple[Asked, ...] = ()
     if data is not None:
         data = replace(data, problem=data.problem.with_whitening(problem.whitening))
         learnt = start.cost - extended.cost
