@@ -11,19 +11,42 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_serializer, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_serializer, model_validator
 from pydantic.fields import FieldInfo
 
 from emps_design.effects import Effect, get_effect
-from emps_design.errors import AxisError, nearest_name
+from emps_design.errors import AxisError, InputError, nearest_name, one_line
+from emps_design.files import read_bytes
 from emps_design.laws import NONE, Finite, NonNegative, Positive, fields_of, known_laws, parameters_of
 from emps_design.notebook import table
+from emps_design.quantities import check_magnitude
 
 MAX_BYTES = 1_000_000  # of an axis file
 
 
+def _printable(name: str) -> str:
+    """A name goes to terminals and pages: no line breaks, nor anything else that is not seen."""
+    if not name.isprintable():
+        raise ValueError(f"found {one_line(name)!r}, expected text on one line without control characters")
+    return name
+
+
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    @model_validator(mode="after")
+    def _possible(self) -> _Table:
+        for name, field in type(self).model_fields.items():
+            _check_magnitude(name, getattr(self, name), field)
+        return self
+
+
+def _check_magnitude(name: str, value: Any, field: FieldInfo) -> None:
+    """Refuse a number that no machine has; ``field`` says in which unit it is, and whether it has to be positive."""
+    extra = field.json_schema_extra
+    if isinstance(value, float) and isinstance(extra, dict) and "unit" in extra:
+        positive = "gt=0" in repr((field.annotation, field.metadata))  # pydantic nests it where None is allowed too
+        check_magnitude(name, value, str(extra["unit"]), positive)
 
 
 class Mechanics(_Table):
@@ -103,7 +126,11 @@ class Controller(_Table):
             expected = f"{', '.join(map(repr, kinds[:-1]))} or {NONE!r}"
             problem = {"type": "literal_error", "loc": ("kind",), "input": kind, "ctx": {"expected": expected}}
             raise ValidationError.from_exception_data("Controller", [problem])
-        return {"kind": kind, "parameters": parameters_of(kind, {k: v for k, v in table.items() if k != "kind"})}
+        parameters = parameters_of(kind, {k: v for k, v in table.items() if k != "kind"})
+        fields = fields_of(kind)
+        for name, value in parameters.items():
+            _check_magnitude(name, value, fields[name])
+        return {"kind": kind, "parameters": parameters}
 
     @model_serializer
     def _flat_table(self) -> dict[str, Any]:
@@ -151,7 +178,7 @@ class Axis(_Table):
     True
     """
 
-    name: str = "axis"
+    name: Annotated[str, AfterValidator(_printable)] = "axis"
     mechanics: Mechanics
     drive: Drive
     sampling: Sampling
@@ -243,19 +270,11 @@ def _commented(text: str) -> str:
 def _text(path: Path) -> str:
     expected = "expected a TOML axis file"
     try:
-        if path.exists() and not path.is_dir() and not path.is_file():
-            raise AxisError(f"{path}: is not an ordinary file; {expected}")
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-        if len(content) > MAX_BYTES:
-            raise AxisError(f"{path}: found more than {MAX_BYTES / 1e6:g} MB; {expected}")
-        return content.decode("utf-8")
+        return read_bytes(path, MAX_BYTES, expected).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise AxisError(f"{path}: not UTF-8 text; {expected}") from error
-    except AxisError:
-        raise
-    except (OSError, ValueError) as error:  # a ValueError is a path with a null byte
-        raise AxisError(f"{path}: {getattr(error, 'strerror', error)}; {expected}") from error
+    except InputError as error:
+        raise AxisError(str(error)) from error
 
 
 TABLES: dict[str, type[_Table]] = {
@@ -285,7 +304,8 @@ def _first_line(error: ValidationError) -> str:
         known = list((_fields(path[0]) if len(path) == 2 else {}) or Axis.model_fields)
         return f"{place}: unknown key{nearest_name(path[-1], known)} (known: {', '.join(known)})"
     if problem["type"] == "value_error":
-        return f"{place}: {problem['msg'].removeprefix('Value error, ').removeprefix('effects: ')}"
+        text = problem["msg"].removeprefix("Value error, ").removeprefix("effects: ")
+        return f"{place}{'.' if _is_field(path, text.partition(':')[0]) else ': '}{text}"
     field = _fields(path[0]).get(path[1]) if len(path) == 2 else None
     extra = field.json_schema_extra if field and isinstance(field.json_schema_extra, dict) else {}
     unit = str(extra.get("unit", ""))
@@ -300,6 +320,13 @@ def _first_line(error: ValidationError) -> str:
     number = isinstance(problem["input"], int | float) and not isinstance(problem["input"], bool)
     found = found if len(found) <= 60 else f"{found[:57]}..."
     return f"{place}: found {found}{f' {unit}' if unit and number else ''}, expected {expected}"
+
+
+def _is_field(path: list[str], name: str) -> bool:
+    """Whether ``name`` is a key of the table at ``path``."""
+    return len(path) == 1 and (
+        name in fields_of() if path == ["controller"] else path[0] in TABLES and name in TABLES[path[0]].model_fields
+    )
 
 
 def _expected(kind: str, context: dict[str, Any], message: str, unit: str) -> str:

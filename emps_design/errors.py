@@ -69,6 +69,8 @@ class UnstableError(EmpsError, RuntimeError):
 class SimulationError(EmpsError, RuntimeError):
     """A simulation that could not go on: when, in which state, and which effect was at work."""
 
+    exit_code = 4
+
     def __init__(self, message: str, time: float, state: tuple[float, ...] = (), effect: str = ""):
         super().__init__(f"{message} (t = {time:.6g} s{', effect ' + effect if effect else ''})")
         self.time, self.state, self.effect = time, state, effect
@@ -80,7 +82,12 @@ def one_line(text: object) -> str:
     >>> one_line("a name\\twith \\x1b[31mcolours \\udcff")
     'a name with ?[31mcolours ?'
     """
-    return "".join(c if c.isprintable() else "?" for c in " ".join(str(text).split()))
+    return printable(" ".join(str(text).split()))
+
+
+def printable(text: str) -> str:
+    """Return ``text`` with ``?`` for what is not seen: terminals obey it, and some of it no file can hold."""
+    return "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
 
 
 def nearest_name(found: str, known: list[str] | tuple[str, ...]) -> str:

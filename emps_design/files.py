@@ -112,6 +112,26 @@ def write_together(folder: str | Path) -> Iterator[Path]:
             raise
 
 
+def read_bytes(path: str | Path, most: int, expected: str) -> bytes:
+    """Return the content of an ordinary file of at most ``most`` bytes; nothing larger is ever in memory.
+
+    Raises :class:`InputError` in one line that ends in what was ``expected``: for what cannot be read, for what is too
+    large, and for devices and pipes, which have no end or none yet.
+    """
+    try:
+        with open(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb") as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise InputError(f"{path}: is not an ordinary file; {expected}")
+            content = file.read(most + 1)
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:  # a ValueError is a name with a null byte
+        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}; {expected}") from error
+    if len(content) > most:
+        raise InputError(f"{path}: found more than {most / 1e6:g} MB; {expected}")
+    return content
+
+
 def write_text(path: str | Path, text: str) -> None:
     """Write ``text`` to ``path`` as UTF-8, whole or not at all."""
     with write_aside(path) as aside:

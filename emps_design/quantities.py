@@ -3,9 +3,58 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 from emps_design.errors import InputError
+
+# What one axis with a motor can have, by unit: the smallest that is not nothing, and the largest. Generous by decades
+# on either side of the smallest and the largest machine; beyond is a mistaken unit, or a number to break things with.
+LIMITS: dict[str, tuple[float, float]] = {
+    "kg": (1e-9, 1e7),
+    "N": (1e-9, 1e8),
+    "N/m": (1e-9, 1e12),
+    "N/(m/s)": (1e-9, 1e9),
+    "N/V": (1e-9, 1e8),
+    "A/V": (1e-6, 1e6),
+    "rad/m": (1e-6, 1e8),
+    "N m/A": (1e-9, 1e6),
+    "V": (1e-6, 1e10),  # 1e9 stands for no limit
+    "V/(m/s)": (1e-9, 1e12),
+    "(m/s)/N": (1e-12, 1e6),
+    "N/s": (1e-6, 1e9),
+    "s": (1e-9, 1e5),
+    "m": (1e-15, 1e5),
+    "m/s": (1e-9, 1e4),
+    "1/s": (1e-6, 1e9),
+    "rad/s": (1e-6, 1e9),
+    "Hz": (1e-6, 1e9),
+    "": (0.0, 1e6),
+}
+ANY_OTHER = (1e-15, 1e15)
+
+
+def check_magnitude(name: str, value: float, unit: str, positive: bool = False) -> float:
+    """Return ``value`` [``unit``], or raise :class:`InputError` where no such machine exists.
+
+    Only what has to be ``positive`` can be too small: 1e-20 N of friction is none. What is not finite is for others.
+
+    >>> check_magnitude("mass", 95.1, "kg", positive=True)
+    95.1
+    >>> check_magnitude("mass", 1e308, "kg")
+    Traceback (most recent call last):
+        ...
+    emps_design.errors.InputError: mass: found 1e+308 kg, expected a magnitude of at most 1e+07 kg; check its unit
+    """
+    smallest, largest = LIMITS.get(unit, ANY_OTHER)
+    spelled = f" {unit}" if unit else ""
+    if math.isfinite(value) and abs(value) > largest:
+        expected = f"of at most {largest:g}{spelled}"
+    elif positive and 0.0 < value < smallest:
+        expected = f"of at least {smallest:g}{spelled}"
+    else:
+        return value
+    raise InputError(f"{name}: found {value:g}{spelled}, expected a magnitude {expected}; check its unit")
 
 
 @dataclass(frozen=True)
@@ -32,7 +81,29 @@ class Quantity:
             raise InputError(
                 f"{self.name}: found {number:g}{unit}, expected a number in [{self.lower:g}, {self.upper:g}]{unit}"
             )
-        return number
+        return check_magnitude(self.name, number, self.unit)
+
+
+# what a frequency may be given in -> rad/s
+_FREQUENCIES = {"": 1.0, "rad/s": 1.0, "1/s": 1.0, "hz": 2.0 * math.pi, "khz": 2000.0 * math.pi}
+
+
+def frequency(text: str | float, unit: str = "rad/s") -> float:
+    """Return a frequency as someone writes it, in ``unit`` ("rad/s" or "Hz"), which is also what a bare number means.
+
+    Raises :class:`InputError` for anything else; whether the number makes sense is for others to say.
+
+    >>> round(frequency("30Hz"), 4), frequency("188.5"), frequency("188.5 rad/s"), round(frequency("377rad/s", "Hz"), 3)
+    (188.4956, 188.5, 188.5, 60.001)
+    """
+    written = str(text).strip()
+    match = re.fullmatch(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan))\s*([a-zA-Z/1]*)", written)
+    given = (match[2].lower() or unit.lower()) if match else "?"
+    if match is None or given not in _FREQUENCIES:
+        raise InputError(f"frequency: found {written!r}, expected a number of {unit}, or such as 30Hz")
+    if given == unit.lower():
+        return float(match[1])
+    return float(match[1]) * _FREQUENCIES[given] / _FREQUENCIES[unit.lower()]
 
 
 # unit of the library -> (below this size, display unit, factor), smallest first

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from io import TextIOWrapper
 
 from emps_design.cli import interrupts
@@ -17,6 +18,8 @@ def main() -> None:
     if sys.stdout is None:
         tell("standard output is closed, expected somewhere to print; > /dev/null prints nowhere")
         sys.exit(1)
+    if "--debug" not in sys.argv and not sys.warnoptions:
+        warnings.simplefilter("ignore")  # of libraries, for programmers; our own are printed as such
     interrupts.listen()
     status = run(sys.argv[1:])
     if status == interrupts.STATUS:

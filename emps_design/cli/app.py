@@ -1,16 +1,19 @@
-"""One Typer application, one module a command; errors become one line and an exit status here and nowhere else."""
+"""One Typer application, one module per command; errors become one line and an exit status here and nowhere else."""
 
 from __future__ import annotations
 
+import functools
 import importlib
+import inspect
 import os
 import sys
+from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 from emps_design.cli.interrupts import STATUS as INTERRUPTED
 from emps_design.cli.output import print_json, tell
-from emps_design.errors import EmpsError, SpecificationError, UnstableError
+from emps_design.errors import EmpsError, InputError, SimulationError, SpecificationError, UnstableError
 
 if TYPE_CHECKING:
     import typer
@@ -30,6 +33,7 @@ COMMANDS = (
     "demo",
     "init",
 )
+BEYOND = "numbers too far apart to compute with; check the units in the axis, the record and the options"
 
 
 def run(arguments: list[str]) -> int:
@@ -40,16 +44,18 @@ def run(arguments: list[str]) -> int:
     try:
         result = _application(arguments)(args=arguments or ["--help"], prog_name="emps-design", standalone_mode=False)
         sys.stdout.flush()
+        if result == INTERRUPTED:
+            tell("interrupted")
         return result if isinstance(result, int) else 0
     except EmpsError as error:
         if debug:
             raise
-        if as_json and isinstance(error, SpecificationError | UnstableError):
+        if as_json and isinstance(error, SpecificationError | UnstableError | SimulationError):
             print_json(
                 {
                     "error": type(error).__name__,
                     "reason": str(error),
-                    "nearest": error.nearest,
+                    "nearest": getattr(error, "nearest", {}),
                     "warnings": [str(error)],
                 }
             )
@@ -76,6 +82,9 @@ def run(arguments: list[str]) -> int:
             return 2
         if debug:
             raise
+        if isinstance(error, ArithmeticError) or type(error).__name__ == "LinAlgError":
+            tell(f"{BEYOND} ({type(error).__name__}: {error})")
+            return InputError.exit_code
         tell(f"{type(error).__name__}: {error} (run with --debug for the traceback)")
         return 1
     except KeyboardInterrupt:
@@ -105,8 +114,26 @@ def _application(arguments: list[str]) -> typer.Typer:
     wanted = arguments[0] if arguments else ""
     for name in (wanted,) if wanted in COMMANDS else COMMANDS:
         module = importlib.import_module(f"emps_design.cli.{name}")
-        app.command(name, help=module.__doc__)(module.command)
+        app.command(name, help=module.__doc__)(_with_debug(module.command))
     return app
+
+
+def _with_debug(command: Callable[..., int | None]) -> Callable[..., int | None]:
+    """``command`` with ``--debug`` among its options, for its help: :func:`run` has taken the word out before."""
+    import typer
+
+    @functools.wraps(command)
+    def with_debug(*arguments: Any, debug: bool = False, **options: Any) -> int | None:
+        return command(*arguments, **options)
+
+    hints = get_type_hints(command, include_extras=True)
+    own = [one.replace(annotation=hints[name]) for name, one in inspect.signature(command).parameters.items()]
+    option = typer.Option(False, "--debug", help="The traceback of an error.")
+    added = inspect.Parameter("debug", inspect.Parameter.KEYWORD_ONLY, default=option, annotation=bool)
+    described: Any = with_debug
+    described.__signature__ = inspect.Signature([*own, added])
+    described.__annotations__ = {**hints, "debug": bool}
+    return described
 
 
 def _root() -> None:

@@ -9,13 +9,33 @@ import typer
 
 from emps_design.axis import Axis
 from emps_design.cli.destinations import OVERWRITE
+from emps_design.cli.frequency import RAD_S
 from emps_design.cli.output import write_text
+from emps_design.quantities import check_magnitude
+
+
+def within(unit: str) -> Any:
+    """The ``callback`` of an option in ``unit``: refuses, in one line, a number that no machine has."""
+
+    def check(option: typer.CallbackParam, value: float | None) -> float | None:
+        name = f"--{(option.name or '').replace('_', '-')}"
+        return value if value is None else check_magnitude(name, value, unit, positive=True)
+
+    return check
+
 
 AxisArgument = Annotated[str, typer.Argument(help="TOML file or embedded machine")]
-Crossover = Annotated[float | None, typer.Option(help="crossover w_v of T_vo [rad/s]")]
-Bandwidth = Annotated[float | None, typer.Option(help="closed-loop -3 dB of T_vc [rad/s]")]
-PhaseMargin = Annotated[float, typer.Option(help="phase margin phi_v [deg]")]
-Velocity = Annotated[float, typer.Option(help="where the effects of the axis are linearised [m/s]")]
+Crossover = Annotated[
+    float | None, typer.Option(**RAD_S, callback=within("rad/s"), help="crossover w_v of T_vo [rad/s, or such as 30Hz]")
+]
+Bandwidth = Annotated[
+    float | None,
+    typer.Option(**RAD_S, callback=within("rad/s"), help="closed-loop -3 dB of T_vc [rad/s, or such as 30Hz]"),
+]
+PhaseMargin = Annotated[float, typer.Option(callback=within("deg"), help="phase margin phi_v [deg]")]
+Velocity = Annotated[
+    float, typer.Option(callback=within("m/s"), help="where the effects of the axis are linearised [m/s]")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="one JSON document on standard output")]
 Force = Annotated[bool, typer.Option("--force", help=OVERWRITE)]
 Out = Annotated[Path | None, typer.Option(help="write the axis file that runs this design, where it is stable")]

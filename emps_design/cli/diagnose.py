@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from emps_design.cli.destinations import AXIS, JSON, OVERWRITE, PAGE, TABLE, check_folder
+from emps_design.cli.interrupts import before_the_end
 from emps_design.cli.output import (
     json_text,
     new_console,
@@ -19,6 +20,7 @@ from emps_design.cli.output import (
     write_aside,
     write_text,
 )
+from emps_design.cli.partial_diagnosis import PartialDiagnosis
 from emps_design.errors import InputError, one_line
 
 FILES = {
@@ -34,8 +36,8 @@ def command(
     records: Annotated[list[Path], typer.Argument(metavar="RECORD...", help="records of one axis (.mat, .csv, .npz)")],
     axis: Annotated[str, typer.Option(help="axis file or embedded machine")] = "emps2019",
     holdout: Annotated[Path | None, typer.Option(help="a record to confirm on, opened once, at the end")] = None,
-    fit_time: Annotated[str | None, typer.Option(metavar="A:B", help="fit on this stretch only [s]")] = None,
-    confirm_time: Annotated[str | None, typer.Option(metavar="C:D", help="confirm on this stretch [s]")] = None,
+    fit_time: Annotated[str | None, typer.Option(metavar="A:B", help="fit on this interval only [s]")] = None,
+    confirm_time: Annotated[str | None, typer.Option(metavar="C:D", help="confirm on this interval [s]")] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="folder for model, report, prediction")] = None,
     seed: Annotated[int, typer.Option(min=0, help="seed of the healthy reference")] = 0,
     healthy_runs: Annotated[
@@ -57,7 +59,8 @@ def command(
     machine = load_axis(axis)
     read = [read_record(path) for path in records]
     held_out = None if holdout is None else read_record(holdout)
-    with progress_bar() as progress:
+    partial = PartialDiagnosis(out)
+    with progress_bar() as bar, before_the_end(partial.write):
         diagnosis = diagnose(
             read,
             machine,
@@ -66,7 +69,8 @@ def command(
             confirm_time=_window(confirm_time, "--confirm-time"),
             seed=seed,
             searches=healthy_runs,
-            progress=progress,
+            progress=partial.hears(bar),
+            searched=partial.knows,
         )
     if out is not None:
         diagnosis = diagnosis.with_file("model.toml")
@@ -128,7 +132,7 @@ def _show(document: dict[str, Any], out: Path | None) -> None:
     console.print(document["verdict"], style="bold", end="  ")
     console.print(document["sentence"], highlight=False)
     if document["findings"]:
-        table = Table("effect", "or", "where", "force gap before [N]", "after [N]", "p")
+        table = Table("effect", "or", "where", "gap before [N]", "after [N]", "p")
         for finding in document["findings"]:
             table.add_row(
                 finding["label"],
@@ -138,7 +142,7 @@ def _show(document: dict[str, Any], out: Path | None) -> None:
                 f"{finding['gap_after']:.3f}",
                 f"{finding['p_value']:.3f}",
             )
-        console.print(table)
+        console.print(table, width=min(80, console.width))
     if document.get("experiment"):
         console.print(f"Next experiment: {document['experiment']['text']}", highlight=False)
     for remedy in document["remedies"]:

@@ -23,6 +23,7 @@ from emps_design.cli.design_options import (
     Velocity,
     Viscous,
     with_numbers,
+    within,
     write_axis,
 )
 from emps_design.cli.destinations import AXIS, check_out
@@ -32,13 +33,19 @@ from emps_design.errors import InputError
 
 def command(
     axis: AxisArgument = "emps2018",
-    k_e1: Annotated[float | None, typer.Option("--k-e1", help="force-loop gain [(m/s)/N]")] = None,
-    hand: Annotated[float | None, typer.Option(help="viscous hand k_h, tau_e = -k_h qd [N/(m/s)]")] = None,
-    environment: Annotated[float | None, typer.Option(help="wall K_env, tau_e = -K_env q [N/m]")] = None,
+    k_e1: Annotated[
+        float | None, typer.Option("--k-e1", callback=within("(m/s)/N"), help="force-loop gain [(m/s)/N]")
+    ] = None,
+    hand: Annotated[
+        float | None, typer.Option(callback=within("N/(m/s)"), help="viscous hand k_h, tau_e = -k_h qd [N/(m/s)]")
+    ] = None,
+    environment: Annotated[
+        float | None, typer.Option(callback=within("N/m"), help="wall K_env, tau_e = -K_env q [N/m]")
+    ] = None,
     sensor_only: Annotated[
         bool, typer.Option("--sensor-only", help="the operator's force does not act on the carriage, as in the paper")
     ] = False,
-    sensor_delay: Annotated[int, typer.Option(help="samples between force and its reading")] = 0,
+    sensor_delay: Annotated[int, typer.Option(min=0, max=1000, help="samples between force and its reading")] = 0,
     crossover: Crossover = None,
     bandwidth: Bandwidth = None,
     phase_margin: PhaseMargin = 60.0,

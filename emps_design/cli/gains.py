@@ -29,11 +29,15 @@ from emps_design.cli.design_options import (
     Viscous,
     VoltageLimit,
     with_numbers,
+    within,
     write_axis,
 )
 from emps_design.cli.destinations import AXIS, check_out
 from emps_design.cli.output import print_json, tell
 from emps_design.errors import InputError
+from emps_design.files import read_bytes
+
+MAX_BYTES = 10_000_000  # of the JSON of an identification
 
 
 def command(
@@ -43,7 +47,9 @@ def command(
     phase_margin: PhaseMargin = 60.0,
     retune: Annotated[bool, typer.Option("--retune", help="meet the specification in the sampled loop")] = False,
     at: Annotated[str, typer.Option(help="with --retune: plant-input or velocity-error")] = "plant-input",
-    mismatch: Annotated[float | None, typer.Option(help="relative error of the parameters, such as 0.02")] = None,
+    mismatch: Annotated[
+        float | None, typer.Option(callback=within(""), help="relative error of the parameters, such as 0.02")
+    ] = None,
     sigma_from: Annotated[Path | None, typer.Option(help="JSON of 'identify --json': +-2 std of its values")] = None,
     out: Out = None,
     force: Force = False,
@@ -136,10 +142,10 @@ def _errors(axis: Axis, mismatch: float | None, sigma_from: Path | None) -> dict
         return relative_mismatch(mismatch)
     assert sigma_from is not None
     try:
-        document = json.loads(sigma_from.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{sigma_from}: {error.strerror}; expected the JSON of 'identify --json'") from error
-    except ValueError as error:
+        document = json.loads(read_bytes(sigma_from, MAX_BYTES, "expected the JSON of 'identify --json'"))
+    except InputError:
+        raise
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{sigma_from}: not JSON, expected what 'identify --json' prints") from error
     parameters = document.get("parameters") if isinstance(document, dict) else None
     if not isinstance(parameters, dict) or not all(isinstance(entry, dict) for entry in parameters.values()):

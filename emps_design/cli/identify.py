@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from emps_design.cli.destinations import AXIS, OVERWRITE, check_out
+from emps_design.cli.frequency import HERTZ
 
 if TYPE_CHECKING:
     from emps_design.axis import Axis
@@ -37,7 +38,8 @@ def command(
     cutoff: float | None = typer.Option(
         None,
         "--cutoff",
-        help="Low-pass [Hz] instead of the filter's own; what the data say is printed with the result.",
+        **HERTZ,
+        help="Low-pass [Hz, or such as 370rad/s] instead of the filter's own; what the data say is printed too.",
     ),
     estimator: str = typer.Option(
         "ls",
@@ -60,7 +62,7 @@ def command(
     import sys
 
     from emps_design.cli.output import print_json, progress_bar, tell
-    from emps_design.errors import InputError, nearest_name
+    from emps_design.errors import InputError, nearest_name, one_line
     from emps_design.files import write_text
     from emps_design.machines import load_axis
     from emps_design.records import read_record
@@ -96,7 +98,7 @@ def command(
         with progress_bar(not as_json or sys.stderr.isatty()) as progress:
             found = identify_several(read, loaded, progress=progress, **options)
     if out is not None:
-        write_text(out, found.to_axis(name=out.stem).to_toml())
+        write_text(out, found.to_axis(name=one_line(out.stem)).to_toml())
     if as_json:
         print_json(found)
     elif len(read) == 1:

@@ -8,23 +8,39 @@ from typing import Annotated, Any
 
 import typer
 
+from emps_design.cli.design_options import within
+from emps_design.cli.frequency import RAD_S
 from emps_design.cli.output import new_console, print_json, progress_bar, tell
 from emps_design.errors import InputError
 
 
 def command(
     axis: Annotated[str, typer.Argument(help="TOML file or embedded machine")] = "emps2018",
-    mass: Annotated[float | None, typer.Option(help="apparent mass M_a [kg]; default the axis's controller's")] = None,
-    damping: Annotated[float | None, typer.Option(help="apparent damping B [N/(m/s)]; default likewise")] = None,
-    mismatch: Annotated[float | None, typer.Option(help="relative error of the estimates, such as 0.02")] = None,
+    mass: Annotated[
+        float | None,
+        typer.Option(callback=within("kg"), help="apparent mass M_a [kg]; default the axis's controller's"),
+    ] = None,
+    damping: Annotated[
+        float | None, typer.Option(callback=within("N/(m/s)"), help="apparent damping B [N/(m/s)]; default likewise")
+    ] = None,
+    mismatch: Annotated[
+        float | None, typer.Option(callback=within(""), help="relative error of the estimates, such as 0.02")
+    ] = None,
     filter: Annotated[
-        float | None, typer.Option(help="low-pass of acceleration and current [rad/s]; default 0.5/period, inf: none")
+        float | None,
+        typer.Option(
+            **RAD_S,
+            callback=within("rad/s"),
+            help="low-pass of acceleration and current [rad/s, or such as 80Hz]; default 0.5/period, inf: none",
+        ),
     ] = None,
     unfiltered_current: Annotated[
         bool, typer.Option("--unfiltered-current", help="filter the acceleration alone")
     ] = False,
-    stiffness: Annotated[float, typer.Option(help="apparent stiffness K [N/m] about 0")] = 0.0,
-    coulomb_factor: Annotated[float, typer.Option(help="factor on the Coulomb compensation")] = 1.0,
+    stiffness: Annotated[float, typer.Option(callback=within("N/m"), help="apparent stiffness K [N/m] about 0")] = 0.0,
+    coulomb_factor: Annotated[
+        float, typer.Option(callback=within(""), help="factor on the Coulomb compensation")
+    ] = 1.0,
     force_sensor: Annotated[bool, typer.Option("--force-sensor", help="(28) with a measured force")] = False,
     two_quadrant: Annotated[
         bool, typer.Option("--two-quadrant", help="let friction err apart in either direction")
@@ -85,7 +101,7 @@ def _print(document: dict[str, Any]) -> None:
         f"{document['axis']}: impedance law M_a = {law['mass']:g} kg, B = {law['damping']:g} N/(m/s), filter {unit}"
     )
     console.print(f"sampled loop: {'stable' if sampled['stable'] else 'UNSTABLE'}, released: {sampled['verdict']}")
-    table = Table("ideal current loop", "apparent mass, kg", "apparent damping, N/(m/s)", "Coulomb left, N")
+    table = Table("felt, ideal current loop", "mass, kg", "damping, N/(m/s)", "Coulomb left, N")
     for name, label in (("derived", "derived"), ("printed", "(30) as printed")):
         values = document[name]
         table.add_row(label, *(f"{values[key]:.1f}" for key in ("apparent_mass", "apparent_damping", "coulomb_left")))
@@ -104,7 +120,7 @@ def _print(document: dict[str, Any]) -> None:
         worst = found["worst"]
         errors = ", ".join(f"{name} {100 * value:+.2f} %" for name, value in worst["errors"].items())
         table.add_row("worst", f"{worst['verdict']} at {errors}")
-        console.print(table)
+        console.print(table, width=min(80, console.width))
     loop = document["equivalent_loop"]
     if loop["k_e1"] is not None:
         console.print(f"equivalent cascaded loop ({loop['criterion']}): k_e1 = {loop['k_e1']:g} (m/s)/N")

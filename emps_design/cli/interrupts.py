@@ -22,6 +22,7 @@ STATUS = 130
 GRACE = 1.5  # s, for the work to unwind by itself
 ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
+heard = threading.Event()  # set by the first of them
 _last_deeds: list[Callable[[], None]] = []
 _only_one = threading.Lock()
 
@@ -31,10 +32,10 @@ def listen() -> None:
     for number in ENDING:
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup, and jobs in the background of a shell
             signal.signal(number, _interrupt)
-    heard, tells = os.pipe()
+    reads, tells = os.pipe()
     os.set_blocking(tells, False)
     signal.set_wakeup_fd(tells, warn_on_full_buffer=False)
-    threading.Thread(target=_wait, args=(heard,), daemon=True).start()
+    threading.Thread(target=_wait, args=(reads,), daemon=True).start()
 
 
 @contextmanager
@@ -71,13 +72,14 @@ def end() -> NoReturn:
 
 
 def _interrupt(number: int, frame: object) -> None:
+    heard.set()
     for ending in ENDING:  # one is enough: what removes files is not to be interrupted
         signal.signal(ending, signal.SIG_IGN)
     raise KeyboardInterrupt
 
 
-def _wait(heard: int) -> None:
-    while not set(ENDING) & set(os.read(heard, 64)):
+def _wait(reads: int) -> None:
+    while not set(ENDING) & set(os.read(reads, 64)):
         continue
     time.sleep(GRACE)
     tell("interrupted")

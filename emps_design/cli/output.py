@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from emps_design.cli.flags import in_flags
-from emps_design.errors import one_line
+from emps_design.errors import one_line, printable
 from emps_design.files import write_aside, write_text
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def print_json(document: Any) -> None:
 
 def say(text: object = "") -> None:
     """Print ``text`` on standard output; what in it is no text (names may hold anything) is shown as ``?``."""
-    print("\n".join(_clean(line) for line in in_flags(str(text)).split("\n")))
+    print(printable(in_flags(str(text))))
 
 
 def tell(text: object) -> None:
@@ -104,18 +104,14 @@ def new_console() -> Console:
 
     class Plain(Console):
         def render_str(self, text: str, **options: Any) -> Any:
-            return super().render_str("\n".join(map(_clean, in_flags(text).split("\n"))), **options)
+            return super().render_str(printable(in_flags(text)), **options)
 
     return Plain(markup=False, emoji=False)
 
 
-def _clean(line: str) -> str:
-    return "".join(c if c.isprintable() else "?" for c in line)
-
-
 @contextmanager
 def progress_bar(show: bool = True) -> Iterator[Progress]:
-    """Give a ``progress(stage, fraction)`` that draws on standard error: a bar, or a line a stage."""
+    """Give a ``progress(stage, fraction)`` that draws on standard error: a bar, or one line per stage."""
     if not show:
         yield lambda stage, fraction: None
     elif sys.stderr.isatty():

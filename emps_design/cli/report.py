@@ -6,7 +6,9 @@ from pathlib import Path
 
 import typer
 
+from emps_design.cli.design_options import within
 from emps_design.cli.destinations import OVERWRITE, PAGE, check_out
+from emps_design.cli.frequency import RAD_S
 
 
 def command(
@@ -15,21 +17,47 @@ def command(
     ),
     record: Path | None = typer.Option(None, "--record", help="Record to identify: .mat, .csv or .npz."),
     out: Path = typer.Option(..., "--out", help="HTML file to write."),
-    crossover: float | None = typer.Option(None, "--crossover", help="Crossover of the velocity loop [rad/s]."),
-    bandwidth: float | None = typer.Option(None, "--bandwidth", help="Closed-loop -3 dB bandwidth [rad/s]."),
-    phase_margin: float = typer.Option(60.0, "--phase-margin", help="Phase margin [deg]."),
+    crossover: float | None = typer.Option(
+        None,
+        "--crossover",
+        **RAD_S,
+        callback=within("rad/s"),
+        help="Crossover of the velocity loop [rad/s, or such as 30Hz].",
+    ),
+    bandwidth: float | None = typer.Option(
+        None,
+        "--bandwidth",
+        **RAD_S,
+        callback=within("rad/s"),
+        help="Closed-loop -3 dB bandwidth [rad/s, or such as 30Hz].",
+    ),
+    phase_margin: float = typer.Option(60.0, "--phase-margin", callback=within("deg"), help="Phase margin [deg]."),
     retune: bool = typer.Option(False, "--retune", help="Meet the specification in the sampled loop."),
     design_on: str | None = typer.Option(
         None, "--design-on", help="record: design on what the record gives; axis: on the axis as it is."
     ),
     model: str = typer.Option("symmetric", "--model", help="Friction model for the design: symmetric or asymmetric."),
-    k_e1: float = typer.Option(0.01, "--k-e1", help="Force gain [(m/s)/N]."),
-    hand: float = typer.Option(0.0, "--hand", help="Viscous hand [N/(m/s)]."),
-    environment: float = typer.Option(1e4, "--environment", help="Stiffness of the wall [N/m]."),
-    mass: float | None = typer.Option(None, "--mass", help="Apparent mass M_a of the impedance law [kg]."),
-    damping: float | None = typer.Option(None, "--damping", help="Apparent damping B [N/(m/s)], with --mass."),
-    filter: float | None = typer.Option(None, "--filter", help="Filter of the impedance law [rad/s]."),
-    mismatch: float = typer.Option(0.02, "--mismatch", help="Error of the impedance law's estimates."),
+    k_e1: float = typer.Option(0.01, "--k-e1", callback=within("(m/s)/N"), help="Force gain [(m/s)/N]."),
+    hand: float = typer.Option(0.0, "--hand", callback=within("N/(m/s)"), help="Viscous hand [N/(m/s)]."),
+    environment: float = typer.Option(
+        1e4, "--environment", callback=within("N/m"), help="Stiffness of the wall [N/m]."
+    ),
+    mass: float | None = typer.Option(
+        None, "--mass", callback=within("kg"), help="Apparent mass M_a of the impedance law [kg]."
+    ),
+    damping: float | None = typer.Option(
+        None, "--damping", callback=within("N/(m/s)"), help="Apparent damping B [N/(m/s)], with --mass."
+    ),
+    filter: float | None = typer.Option(
+        None,
+        "--filter",
+        **RAD_S,
+        callback=within("rad/s"),
+        help="Filter of the impedance law [rad/s, or such as 80Hz].",
+    ),
+    mismatch: float = typer.Option(
+        0.02, "--mismatch", callback=within(""), help="Error of the impedance law's estimates."
+    ),
     force: bool = typer.Option(False, "--force", help=OVERWRITE),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:

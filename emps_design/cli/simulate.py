@@ -7,6 +7,7 @@ from typing import Any
 
 import typer
 
+from emps_design.cli.design_options import within
 from emps_design.cli.destinations import ARCHIVE, OVERWRITE, PICTURES, TABLE, check_out
 
 SCENARIOS = ("replay", "reference", "breakaway", "comanipulation")
@@ -21,11 +22,19 @@ def command(
     reference: Path | None = typer.Option(
         None, "--reference", help="Reference to follow: columns t, q_ref (.csv, .npz)."
     ),
-    rate: float = typer.Option(1.0, "--rate", help="Break-away: how fast the force rises [N/s]."),
-    peak: float | None = typer.Option(None, "--peak", help="Break-away: largest force [N]."),
-    mismatch: float = typer.Option(0.02, "--mismatch", help="Co-manipulation: relative error of the model."),
-    mass: float | None = typer.Option(None, "--mass", help="Co-manipulation: apparent mass M_a [kg]."),
-    damping: float | None = typer.Option(None, "--damping", help="Co-manipulation: apparent damping B [N/(m/s)]."),
+    rate: float = typer.Option(
+        1.0, "--rate", callback=within("N/s"), help="Break-away: how fast the force rises [N/s]."
+    ),
+    peak: float | None = typer.Option(None, "--peak", callback=within("N"), help="Break-away: largest force [N]."),
+    mismatch: float = typer.Option(
+        0.02, "--mismatch", callback=within(""), help="Co-manipulation: relative error of the model."
+    ),
+    mass: float | None = typer.Option(
+        None, "--mass", callback=within("kg"), help="Co-manipulation: apparent mass M_a [kg]."
+    ),
+    damping: float | None = typer.Option(
+        None, "--damping", callback=within("N/(m/s)"), help="Co-manipulation: apparent damping B [N/(m/s)]."
+    ),
     plants: int = typer.Option(
         200, "--plants", min=0, max=1_000_000, help="Co-manipulation: plants drawn within the mismatch."
     ),

@@ -17,7 +17,7 @@ def command(
     import sys
     from importlib.util import find_spec
 
-    from emps_design.cli.output import print_json, say, tell
+    from emps_design.cli.output import print_json, say
     from emps_design.errors import InputError
     from emps_design.machines import load_axis
 
@@ -37,7 +37,6 @@ def command(
 
     try:
         serve(loaded, record, port, ready)
-    except KeyboardInterrupt:
-        tell("studio ended")
+        raise KeyboardInterrupt  # the server hears Ctrl-C itself, and nothing else ends it
     except OSError as error:
         raise InputError(f"--port: cannot listen on 127.0.0.1:{port}, {error.strerror}; choose another or 0") from error

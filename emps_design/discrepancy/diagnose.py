@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -34,19 +34,20 @@ def diagnose(
     seed: int = 0,
     searches: int = 0,
     progress: Progress | None = None,
+    searched: Callable[[Axis], None] | None = None,
 ) -> Diagnosis:
     """Find where the closed-loop simulation of ``axis`` and ``records`` disagree, and which effect is missing.
 
     ``records`` of one axis are explained together; ``holdout``, or ``confirm_time`` (start, stop) [s] of the first
     record, is opened once, at the end. ``fit_time`` [s] limits what is fitted. ``library`` defaults to every known
     effect. ``searches`` healthy records are simulated and searched like this one, for the gain that chance alone
-    reaches; 0 takes a linearisation of that. ``progress(stage, share)`` hears how far it is. Raises
-    :class:`InputError` for records that cannot be judged, and where the controller of ``axis`` is not the one that
-    made them.
+    reaches; 0 takes a linearisation of that. ``progress(stage, share)`` hears how far it is, ``searched(model)`` the
+    model with which a search ended, before it is confirmed. Raises :class:`InputError` for records that cannot be
+    judged, and where the controller of ``axis`` is not the one that made them.
     """
     from threadpoolctl import threadpool_limits
 
-    report = progress or (lambda stage, share: None)
+    report, hears = progress or (lambda stage, share: None), searched or (lambda model: None)
     records = (records,) if isinstance(records, Record) else tuple(records)
     library = tuple(known_effects().values()) if library is None else tuple(library)
     # The matrices here are tall and thin: BLAS threads would only spin, and the fits run side by side already.
@@ -57,7 +58,9 @@ def diagnose(
         rough, floor = first_noise(preparation)
         part = partial(_part, report, *SEARCHES[0])
         outcome = search(calibrate(preparation, rough, floor, seed, searches, part), part)
+        hears(outcome.best.model.to_axis(axis))
         outcome = _repeated(outcome, seed, searches, report)
+        hears(outcome.best.model.to_axis(axis))
         report("confirming on data not used so far", 0.9)
         return explain(validate(outcome))
 

@@ -10,7 +10,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from emps_design.errors import InputError, RecordError
+from emps_design.errors import InputError, RecordError, one_line
 from emps_design.records.archives import read_archive
 from emps_design.records.check import checked
 from emps_design.records.matlab_v5 import is_v5, read_v5
@@ -89,7 +89,7 @@ def _read(file: BinaryIO, name: str, source: str, max_bytes: int) -> Record:
         columns = {n: v for n, v in reader(file, source, max_bytes).items() if not n.startswith("__")}
     else:
         columns, first_row = read_table(file, source)
-    return Record(name=Path(name).stem, sha256=digest, **checked(columns, source, first_row))
+    return Record(name=one_line(Path(name).stem), sha256=digest, **checked(columns, source, first_row))
 
 
 def _kind(head: bytes) -> str:

@@ -16,6 +16,7 @@ from emps_design.records.check import LONGEST
 from emps_design.records.columns import read_titles
 
 DELIMITERS = (";", "\t", ",")
+LONGEST_LINE = 100_000  # characters
 PIECE = 1 << 20  # characters that are looked through at a time
 BLOCK = 50_000  # rows that are read at a time
 
@@ -39,10 +40,11 @@ def read_table(file: BinaryIO, source: str) -> tuple[dict[str, np.ndarray], int]
 
 def _rows(text: TextIO, source: str) -> int:
     """How many rows there are at most; binary data and too many are refused."""
-    rows = 1
+    rows, begun = 1, 0  # ``begun``: characters of the line that goes on in the next piece
     while piece := text.read(PIECE):
         if "\0" in piece:
             raise RecordError(f"{source}: found binary data, expected a text table")
+        begun = _unfinished_line(piece, begun, source)
         rows += piece.count("\n")
         if rows > LONGEST + 1:
             raise RecordError(
@@ -50,6 +52,20 @@ def _rows(text: TextIO, source: str) -> int:
             )
     text.seek(0)
     return rows
+
+
+def _unfinished_line(piece: str, begun: int, source: str) -> int:
+    """Characters of the last line of ``piece``, whose first began ``begun`` earlier; too long a line is refused."""
+    start, room = 0, LONGEST_LINE - begun
+    while len(piece) - start > room:
+        end = piece.rfind("\n", start, start + room + 1)
+        if end < 0:
+            raise RecordError(
+                f"{source}: found a line of more than {LONGEST_LINE} characters, expected a header and rows of numbers"
+            )
+        start, room = end + 1, LONGEST_LINE
+    last = piece.rfind("\n")
+    return begun + len(piece) if last < 0 else len(piece) - last - 1
 
 
 def _read(text: TextIO, rows: int, source: str) -> tuple[dict[str, np.ndarray], int]:

@@ -150,7 +150,7 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
     else:
         facts.append(("margins on the drive", "none", "the sampled loop is unstable"))
     blocks.append(Facts(tuple(facts)))
-    blocks += [Text(Html(f"{note}")) for note in results.notes]
+    blocks += [Text(note) for note in results.notes]
     blocks.append(_achieved_table(velocity))
     if sampled.stable:
         lost = velocity.plant_input.phase_margin_deg - sampled.margins.phase_margin_deg

@@ -9,7 +9,7 @@ from emps_design.report import diagnosis_figures as figures
 from emps_design.report.diagnosis_protocol import Diagnosis
 from emps_design.report.display import NOTHING, interval, probability, quantity, with_std, words
 from emps_design.report.footer import inputs_table, versions
-from emps_design.report.page import Callout, Html, Picture, Points, Section, Table, Text, inline
+from emps_design.report.page import Callout, Picture, Points, Section, Table, Text, html
 
 
 def sentence_of(text: str) -> str:
@@ -33,7 +33,7 @@ def findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
             [*headers, *(["cannot be told from"] if alike else [])],
             [
                 [
-                    Html(f"<b>{inline(_label(f))}</b>"),
+                    html("<b>{}</b>", _label(f)),
                     probability(f.get("p_value")),
                     f.get("gap_before"),
                     f.get("gap_after"),
@@ -192,7 +192,7 @@ def views_section(diagnosis: Diagnosis) -> Section | None:
     spectrum = diagnosis.to_dict().get("spectrum_over_time")
     caption = (
         "What the model as it was misses, by frequency and time. A level line is a hum, a line that follows the speed "
-        "a ripple over position, a column an event."
+        "a ripple over position, one column per event."
     )
     blocks = [Picture(figures.spectrum_figure(spectrum), caption, "Spectrum over time")] if spectrum else []
     return Section(
@@ -230,8 +230,9 @@ def remedy_section(document: Mapping[str, Any]) -> Section | None:
     if document.get("model_file"):
         blocks.append(
             Text(
-                Html(
-                    f"The model with what was missing: <code>{document['model_file']}</code>. Every command runs on it."
+                html(
+                    "The model with what was missing: <code>{}</code>. Every command runs on it.",
+                    document["model_file"],
                 )
             )
         )

@@ -6,7 +6,7 @@ import platform
 from collections.abc import Mapping
 from importlib.metadata import version
 
-from emps_design.report.page import Html, Table
+from emps_design.report.page import Table, html
 
 PACKAGES = ("emps-design", "numpy", "scipy", "control", "sympy", "matplotlib")
 
@@ -19,5 +19,5 @@ def versions() -> str:
 
 def inputs_table(inputs: Mapping[str, str | None]) -> Table:
     """Return the SHA-256 of every input by name."""
-    rows = [[name, Html(f"<code>{digest}</code>") if digest else "built in"] for name, digest in inputs.items()]
+    rows = [[name, html("<code>{}</code>", digest) if digest else "built in"] for name, digest in inputs.items()]
     return Table(["input", "SHA-256"], rows, "Every input of this page; the same inputs give the same bytes.")

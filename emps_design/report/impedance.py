@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emps_design.report.diagrams import impedance_law
+from emps_design.report.diagrams import impedance_law_diagram
 from emps_design.report.display import NOTHING, frequency, number, quantity, symbol
 from emps_design.report.impedance_figures import (
     apparent_impedance_figure,
@@ -39,7 +39,7 @@ def impedance_section(found: ImpedanceAssessment, chosen: str = "") -> Section:
         ),
         _verdict(found, document),
         Picture(
-            impedance_law(),
+            impedance_law_diagram(),
             "(a) The law sees motion and motor current, no force. (b) The impedance it aims at; in co-manipulation K "
             "and the reference velocity are zero.",
             "Impedance control, after Fig. 11 of the paper",
@@ -142,7 +142,7 @@ def _sampled_table(document: Mapping[str, Any]) -> Table:
             "every softer one is stable too",
         ],
         [
-            Html(f"equivalent force loop {symbol('k_e1')}"),
+            Html("equivalent force loop " + symbol("k_e1")),
             "none" if loop["k_e1"] is None else f"{number(loop['k_e1'])} (m/s)/N",
             f"{loop['criterion'].replace('_', ' ')} match",
         ],
@@ -269,11 +269,10 @@ def _effort_table(found: ImpedanceAssessment, runs: Mapping[str, Any]) -> Table:
 
 
 def _errata_table() -> Table:
-    from emps_design.paper.derivations.impedance import impedance_derivation
+    from emps_design.paper.errata import find_errata
 
-    rows = [[f"({step.number})", step.title, step.text] for step in impedance_derivation() if step.agrees is False]
     return Table(
-        ["equation", "about", "what differs"],
-        rows,
-        "Where the printed equations differ from what follows by derivation; emps-design derive shows every step.",
+        ["place", "about", "what differs"],
+        [[one.place, one.title, one.text] for one in find_errata()],
+        "Where the paper differs from what follows by derivation; emps-design derive shows every step.",
     )

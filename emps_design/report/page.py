@@ -9,6 +9,7 @@ from functools import cache
 from html import escape
 from typing import TYPE_CHECKING, Any
 
+from emps_design.errors import printable
 from emps_design.report.display import NOTHING, number
 from emps_design.report.style import svg
 
@@ -41,7 +42,16 @@ def inline(value: Any) -> str:
         return str(value)
     if isinstance(value, float) or hasattr(value, "dtype"):
         return number(float(value))
-    return escape(str(value), quote=False)
+    return escape(printable(str(value)), quote=False)
+
+
+def html(template: str, *values: Any) -> Html:
+    """Return ``template``, which is HTML, with ``values`` in the places of its braces, each as :func:`inline` sets it.
+
+    >>> html("<b>{}</b>", "a < b")
+    '<b>a &lt; b</b>'
+    """
+    return Html(template.format(*map(inline, values)))
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from emps_design.errors import RecordError
+from emps_design.errors import InputError, RecordError
+from emps_design.files import read_bytes
 from emps_design.records.archives import read_archive
+from emps_design.records.check import LONGEST
 from emps_design.records.columns import read_title
 
 MAX_BYTES = 100_000_000
-MAX_SAMPLES = 20_000_000
+MAX_SAMPLES = LONGEST
 
 
 def read_reference(path: str | Path, period: float) -> tuple[np.ndarray, np.ndarray | None]:
@@ -22,11 +24,9 @@ def read_reference(path: str | Path, period: float) -> tuple[np.ndarray, np.ndar
     """
     path = Path(path)
     try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise RecordError(f"{path}: {error.strerror}; expected a .csv or .npz reference") from error
-    if len(content) > MAX_BYTES:
-        raise RecordError(f"{path}: found {len(content)} bytes, expected at most {MAX_BYTES}")
+        content = read_bytes(path, MAX_BYTES, "expected a .csv or .npz reference")
+    except InputError as error:
+        raise RecordError(str(error)) from error
     if content[:2] == b"PK":
         columns = read_archive(io.BytesIO(content), str(path), MAX_BYTES)
     else:

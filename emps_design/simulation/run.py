@@ -32,7 +32,7 @@ EVENTS = ("reversal", "stick", "break-away", "guard")
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One simulated run, a row a sample.
+    """One simulated run, one row per sample.
 
     ``q`` [m] is what the encoder reports (with its errors), ``position`` [m] and ``v`` [m/s] the true motion on the
     encoder's side, ``u`` [V] the recorded voltage, ``force`` = G_tau u [N], ``f_ext`` [N] the external force that a
@@ -182,5 +182,5 @@ class Run:
             for begin, end in self.stick_intervals:
                 panel.axvspan(begin, end, color="0.85", lw=0)
             panel.legend(loc="upper right")
-        top.set_title(f"{self.name} (grey: at rest)")
+        top.set_title(f"{self.name} (grey: at rest)", parse_math=False)  # a name may hold a dollar
         return axes

@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from emps_design.errors import InputError
-from emps_design.simulation.synthetic_record import trapezoid_laps
+from emps_design.records.check import LONGEST
+from emps_design.simulation.synthetic import trapezoid_laps
 
 
 def half_ramp_program(
@@ -74,6 +75,11 @@ def force_ramp(period: float, rate: float, peak: float) -> np.ndarray:
     """
     _positive(period=period, rate=rate, peak=abs(peak))
     n = round(abs(peak) / (rate * period)) + 1
+    if n > LONGEST:
+        raise InputError(
+            f"rate: found {rate:g} N/s, so that a rise to {abs(peak):g} N takes {n * period:.4g} s; expected at most "
+            f"{LONGEST * period:.4g} s ({LONGEST} samples): raise it faster, or not as far"
+        )
     return np.sign(peak) * np.minimum(np.arange(n) * rate * period, abs(peak))
 
 

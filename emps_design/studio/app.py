@@ -10,6 +10,7 @@ import panel as pn
 from emps_design.axis import Axis
 from emps_design.machines import machine, machine_names
 from emps_design.records import Record
+from emps_design.studio.access import guard
 from emps_design.studio.design_view import DesignView
 from emps_design.studio.exports import velocity_design
 from emps_design.studio.page import page
@@ -94,9 +95,10 @@ def serve(axis: Axis, record: str | Path | None = None, port: int = 0, ready=Non
         websocket_max_message_size=2 * LIMIT_MB * 2**20,
         websocket_origin=None,
     )
+    ending = guard(server)
     server.start()
     if ready is not None:
-        ready(f"http://{HOST}:{server.port}")
+        ready(f"http://{HOST}:{server.port}{ending}")
     try:
         server.io_loop.start()
     finally:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -12,16 +13,18 @@ from emps_design.errors import EmpsError
 from emps_design.report.page import inline
 
 POLL = 150  # ms
+CANCELLED = "Cancelled; nothing was changed."
 
 
-class Cancelled(Exception):
-    """The person at the page asked to stop."""
+class Cancelled(BaseException):
+    """The person at the page asked to stop; no step of the work may take it for a failure of its own."""
 
 
 class Job:
     """Runs ``work(progress)`` in a thread; ``view`` has the bar and the cancel button; one job at a time.
 
-    ``progress(stage, fraction)`` shows where the work is and raises :class:`Cancelled` once cancel was pressed.
+    ``progress(stage, fraction)`` shows where the work is. Once cancel was pressed :class:`Cancelled` is raised in the
+    thread, wherever the work is, at the next instruction of Python's: compiled steps between them take moments.
     """
 
     def __init__(self) -> None:
@@ -59,25 +62,34 @@ class Job:
             try:
                 self._outcome = ("done", work(progress))
             except Cancelled:
-                self._outcome = ("failed", "Cancelled; nothing was changed.")
+                self._outcome = ("failed", CANCELLED)
             except EmpsError as error:
                 self._outcome = ("failed", str(error))
             except Exception as error:  # a defect: say so on the page, the session goes on
                 self._outcome = ("failed", f"{type(error).__name__}: {error}")
 
-        threading.Thread(target=run, daemon=True).start()
+        thread = threading.Thread(target=run, daemon=True)
+        thread.start()
 
         def poll() -> None:
             stage, fraction = self._now
             self.bar.value = int(100 * min(max(fraction, 0.0), 1.0))
             self.stage.object = inline("stopping" if self._stop.is_set() else stage.replace("_", " "))
-            if self._outcome is None:
+            if self._outcome is None and thread.is_alive():
+                if self._stop.is_set():
+                    _raise_in(thread, Cancelled)
                 return
             self._poll.stop()
             self._poll = None
             self.view.visible, self.stage.object = False, ""
-            kind, value = self._outcome
+            kind, value = self._outcome or ("failed", CANCELLED)
             (done if kind == "done" else failed)(value)
 
         self._poll = pn.state.add_periodic_callback(poll, period=POLL)
         return True
+
+
+def _raise_in(thread: threading.Thread, exception: type[BaseException]) -> None:
+    """Raise ``exception`` in ``thread``: https://docs.python.org/3/c-api/init.html, PyThreadState_SetAsyncExc."""
+    if thread.ident is not None and thread.is_alive():
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident), ctypes.py_object(exception))

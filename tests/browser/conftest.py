@@ -79,7 +79,7 @@ def page(browser, studio, tmp_path):
 
     def only_here(route):
         url = route.request.url
-        if url.startswith((studio.address, "data:", "blob:")):
+        if url.startswith((studio.address.partition("?")[0], "data:", "blob:")):
             route.continue_()
         else:
             page.outside.append(url)
@@ -108,8 +108,8 @@ def picture(tmp_path):
 def practice(tmp_path_factory) -> Path:
     """A simulated record of the embedded machine."""
     from emps_design.machines import machine
-    from emps_design.simulation.synthetic_record import practice_record
+    from emps_design.simulation.synthetic import synthetic_record
 
     path = tmp_path_factory.mktemp("record") / "practice.npz"
-    practice_record(machine("emps2019"), seed=1).save(path)
+    synthetic_record(machine("emps2019"), seed=1).save(path)
     return path

@@ -27,10 +27,10 @@ from emps_design.control.loop.sampled_loop import SampledLoop, SampledVelocityLo
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis, sample_plant
 from emps_design.control.plant.environment import Environment, attached, felt
 from emps_design.control.plant.linear_plant import POSITION, VELOCITY
-from emps_design.control.plant.magnitudes import check_scale
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.errors import InputError
 from emps_design.notebook import table
+from emps_design.quantities import check_magnitude
 
 if TYPE_CHECKING:
     import control
@@ -191,19 +191,19 @@ class ForceLoopDesign:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a reader of the numbers has to know, instability first."""
-        said: list[str] = []
+        warnings: list[str] = []
         if not self.stable:
-            said.append(f"the sampled force loop is unstable: largest pole {abs(self.poles[0]):.4g}")
+            warnings.append(f"the sampled force loop is unstable: largest pole {abs(self.poles[0]):.4g}")
         if not self.velocity_loop.sampled.stable:
-            said.append("the sampled velocity loop inside it is unstable already")
+            warnings.append("the sampled velocity loop inside it is unstable already")
         if self.hand + self.environment == 0.0:
-            said.append("no operator: without a hand or an environment nothing closes the force loop")
+            warnings.append("no operator: without a hand or an environment nothing closes the force loop")
         elif self.k_e1_max_continuous is None:
-            said.append("k_e1_max.continuous is unbounded: the continuous loop has no limit with this operator")
+            warnings.append("k_e1_max.continuous is unbounded: the continuous loop has no limit with this operator")
         if self.k_e1_max_sampled is None:
-            said.append("k_e1_max.sampled is unbounded: no gain up to 1e9 times the loop's own scale is unstable")
-        said += self._plant.linear.warnings
-        return tuple(said)
+            warnings.append("k_e1_max.sampled is unbounded: no gain up to 1e9 times the loop's own scale is unstable")
+        warnings += self._plant.linear.warnings
+        return tuple(warnings)
 
     def open_loop(self) -> control.TransferFunction:
         """T_eo(s) = k_e1 k_c T_vc of (10) and (11)."""
@@ -289,8 +289,8 @@ def design_force_loop(
     for name, value, unit in (("hand", hand, "N/(m/s)"), ("environment", environment, "N/m")):
         if not math.isfinite(value) or value < 0.0:
             raise InputError(f"{name}: found {value:g} {unit}, expected 0 or a positive number: an operator is passive")
-        check_scale(name, value, unit)
-    check_scale("k_e1", k_e1, "(m/s)/N")
+        check_magnitude(name, value, unit)
+    check_magnitude("k_e1", k_e1, "(m/s)/N", positive=True)
     if not 0 <= sensor_delay <= 1000:
         raise InputError(f"sensor delay: found {sensor_delay} samples, expected 0 to 1000")
     return ForceLoopDesign(velocity_loop, float(k_e1), float(hand), float(environment), sensor_delay, on_carriage)

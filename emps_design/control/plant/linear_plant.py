@@ -21,9 +21,9 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.plant.actuator import ActuatorMap
-from emps_design.control.plant.magnitudes import check_axis_scale, check_scale
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
 from emps_design.errors import InputError
+from emps_design.quantities import check_magnitude
 
 POSITION, VELOCITY = 0, 1
 PLACES = 64  # along one repeat of an effect
@@ -94,8 +94,7 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
         raise InputError(
             f"velocity: found {velocity:g} m/s, expected a number other than 0: friction has no slope there"
         )
-    check_scale("velocity", velocity, "m/s")
-    check_axis_scale(axis)
+    check_magnitude("velocity", velocity, "m/s")
     b = axis.mechanics.array()
     members = [_Member(entry.effect, entry.effect.values(entry.parameters), b) for entry in axis.effects]
     gain, lag = axis.drive.force_gain, axis.drive.current_time_constant

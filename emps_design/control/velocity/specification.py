@@ -18,10 +18,10 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.control.loop.sampled_loop import SampledVelocityLoop
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis
-from emps_design.control.plant.magnitudes import check_scale
 from emps_design.control.velocity.gains import MINUS_3_DB, canonical_form, second_order_bandwidth
 from emps_design.control.velocity.sweeps import sweep_sampled_margins, sweep_velocity_loop
 from emps_design.errors import InputError
+from emps_design.quantities import check_magnitude
 
 ROOM = 1.0  # samples of delay margin
 PASSED = 0.5  # share of the frequency, at which the sampled closed loop has not yet fallen to -3 dB
@@ -41,7 +41,7 @@ def check_specification(crossover: float | None, bandwidth: float | None, phase_
     name, value = ("crossover", crossover) if crossover is not None else ("bandwidth", float(bandwidth or 0.0))
     if not math.isfinite(value) or value <= 0.0:
         raise InputError(f"{name}: found {value:g} rad/s, expected a positive number of rad/s")
-    check_scale(name, value, "rad/s")
+    check_magnitude(name, value, "rad/s", positive=True)
     if not math.isfinite(phase_margin_deg):
         raise InputError(f"phase margin: found {phase_margin_deg:g} deg, expected degrees between 0 and 90")
     return {name: float(value), "phase_margin_deg": float(phase_margin_deg)}
@@ -186,12 +186,12 @@ def in_words(nearest: dict[str, Any], pairs: Pairs | None = None) -> str:
     words, rooms = [], []
     for pair in both:
         name = "crossover" if "crossover" in pair else "bandwidth"
-        said = f"{pair['phase_margin_deg']:.7g} deg at a {name} of {pair[name]:.5g} rad/s"
+        text = f"{pair['phase_margin_deg']:.7g} deg at a {name} of {pair[name]:.5g} rad/s"
         loop = pairs.loop(pair[name], pair["phase_margin_deg"]) if pairs else None
         if loop is not None:
-            said += f" (sampled: {', '.join(_achieved(loop))})"
+            text += f" (sampled: {', '.join(_achieved(loop))})"
             rooms.append(loop.margins.delay_margin_samples)
-        words.append(said)
+        words.append(text)
     barely = any(room is not None and room < ROOM for room in rooms)
     return f"nearest that {'is stable, and barely' if barely else 'works'}: {', or '.join(words)}"
 

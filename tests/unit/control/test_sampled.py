@@ -205,7 +205,10 @@ def test_a_period_that_the_plant_outgrows():
 @pytest.mark.parametrize(
     ("tables", "message"),
     [
-        ({"mechanics": {"mass": 1e300}}, r"emps2018: mechanics.mass: found 1e\+300 kg, expected a size between"),
+        (
+            {"mechanics": {"mass": 1e300}},
+            r"emps2018: mechanics.mass: found 1e\+300 kg, expected a magnitude of at most",
+        ),
         ({"sampling": {"period": 1e-300}}, "emps2018: sampling.period: found 1e-300 s"),
     ],
 )

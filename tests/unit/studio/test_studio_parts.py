@@ -1,12 +1,16 @@
 """The studio without a browser: its state, what can be reached, what it hands out, what it lets in."""
 
+import http.client
 import json
 import socket
 import threading
+import time
 import zipfile
+from contextlib import closing
 from dataclasses import replace
 from io import BytesIO
 from itertools import combinations
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -18,15 +22,16 @@ from emps_design.cli.app import run
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.errors import InputError, RecordError, SpecificationError
 from emps_design.machines import machine, machine_names
-from emps_design.studio import exports
+from emps_design.studio import exports, jobs
 from emps_design.studio.app import Session
 from emps_design.studio.data_view import LIMIT_MB, read_upload
 from emps_design.studio.design_view import DesignView
+from emps_design.studio.feasible import KINDS, feasible, plane, reachable_frequencies
 from emps_design.studio.jobs import Job
 from emps_design.studio.plots import PlanePlot
-from emps_design.studio.reach import KINDS, plane, reach, reachable_frequencies
 from emps_design.studio.simulated import simulate
 from emps_design.studio.state import CHOICES, SPECIFICATIONS, TASKS, State
+from tests.browser.conftest import Studio
 from tests.unit.report.test_colours import SEEN_BY, lab
 
 
@@ -70,7 +75,7 @@ def _axis_lines() -> list[str]:
 @pytest.mark.parametrize("delay", [0, 1, 3])
 def test_the_ends_of_the_reach_are_where_stability_ends(delay):
     now = state(computation_delay=delay)
-    found = reach(now)
+    found = feasible(now)
     choice = CHOICES["phase_margin_deg"]
     for phase, inside in ((found.low, True), (found.high, True), (found.low - 1, False), (found.high + 1, False)):
         if not choice.lower < phase < choice.upper:
@@ -81,7 +86,7 @@ def test_the_ends_of_the_reach_are_where_stability_ends(delay):
 
 
 def test_where_nothing_can_be_reached_the_reason_is_said():
-    found = reach(state(frequency=600.0, computation_delay=5, period_ms=5.0))
+    found = feasible(state(frequency=600.0, computation_delay=5, period_ms=5.0))
     assert found.empty
     assert "unstable with every phase margin" in found.text
     assert found.nearest(60.0) is None
@@ -261,6 +266,69 @@ def test_a_job_that_runs_refuses_a_second_one():
     assert not job.start(lambda progress: None, print, print)
 
 
+def test_work_that_never_looks_up_is_cancelled_within_two_seconds(monkeypatch):
+    """The poll is called by hand here, where no page calls it."""
+    polls, said = [], []
+
+    class Callback:
+        def stop(self):
+            polls.clear()
+
+    monkeypatch.setattr(jobs.pn.state, "add_periodic_callback", lambda poll, period: polls.append(poll) or Callback())
+
+    def deaf(progress):
+        while True:
+            sum(range(1000))
+
+    job = Job()
+    assert job.start(deaf, lambda result: said.append("done"), said.append)
+    job._stop.set()
+    end = time.monotonic() + 2.0
+    while polls and time.monotonic() < end:
+        polls[0]()
+        time.sleep(0.05)
+    assert said == [jobs.CANCELLED]
+    assert not job.running
+
+
+def ask(address, path, **headers):
+    place = urlsplit(address)
+    with closing(http.client.HTTPConnection(place.hostname, place.port, timeout=20)) as connection:
+        connection.request("GET", path, headers=headers)
+        with connection.getresponse() as answer:
+            return answer.status, answer.getheader("Set-Cookie")
+
+
+def test_the_studio_answers_this_machine_and_its_token_only():
+    studio = Studio()
+    try:
+        place = urlsplit(studio.address)
+        whole = f"{place.path}?{place.query}"
+        status, cookie = ask(studio.address, whole)
+        assert status == 200
+        kept = {"Cookie": cookie.split(";")[0]}
+        assert ask(studio.address, "/", **kept)[0] == 200
+        assert ask(studio.address, "/", Host=f"localhost:{place.port}", **kept)[0] == 200
+        upgrade = {
+            "Upgrade": "websocket",
+            "Connection": "Upgrade",
+            "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+            "Sec-WebSocket-Version": "13",
+        }
+        rebound = f"rebound.example:{place.port}"
+        assert ask(studio.address, "/")[0] == 403
+        assert ask(studio.address, "/?token=guessed")[0] == 403
+        assert ask(studio.address, whole, Host=rebound)[0] == 403
+        assert ask(studio.address, whole, Host=f"127.0.0.1:{place.port + 1}")[0] == 403
+        assert ask(studio.address, whole, Origin="http://elsewhere.example")[0] == 403
+        assert ask(studio.address, "/static/js/bokeh.min.js")[0] == 403
+        assert ask(studio.address, "/ws", **upgrade)[0] == 403
+        assert ask(studio.address, "/ws", Host=rebound, Origin=f"http://{rebound}", **upgrade, **kept)[0] == 403
+    finally:
+        status, _ = studio.interrupt()
+    assert status == 130
+
+
 def test_a_port_that_is_taken_is_told_in_one_line(capsys):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -279,11 +347,11 @@ def test_a_record_that_cannot_be_read_is_told_before_anything_is_served(capsys):
 
 def test_two_threads_draw_what_one_does():
     from emps_design.report import style
-    from emps_design.report.diagrams import impedance_law
+    from emps_design.report.diagrams import impedance_law_diagram
 
-    alone = style.svg(impedance_law())
+    alone = style.svg(impedance_law_diagram())
     drawn = []
-    threads = [threading.Thread(target=lambda: drawn.append(style.svg(impedance_law()))) for _ in range(3)]
+    threads = [threading.Thread(target=lambda: drawn.append(style.svg(impedance_law_diagram()))) for _ in range(3)]
     for thread in threads:
         thread.start()
     for thread in threads:

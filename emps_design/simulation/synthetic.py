@@ -11,6 +11,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.errors import InputError
 from emps_design.records import Record
+from emps_design.records.check import SHORTEST_PERIOD
 from emps_design.simulation.plant import Plant
 
 VOLTAGE_NOISE = 0.004  # V
@@ -33,6 +34,8 @@ def trapezoid_laps(
     for name, value in values.items():
         if not (np.isfinite(value) and value > 0):
             raise InputError(f"{name}: found {value:g}, expected a positive number")
+    if period < SHORTEST_PERIOD:
+        raise InputError(f"period: found {period:g} s, expected at least {SHORTEST_PERIOD:g} s, or a record has no end")
     pause = np.zeros(round(0.1 / period))
     lap = [pause]
     for share in SPEEDS:
@@ -41,7 +44,7 @@ def trapezoid_laps(
     return np.tile(np.concatenate(lap), int(laps))
 
 
-def practice_record(
+def synthetic_record(
     axis: Axis,
     seed: int = 0,
     laps: int = 3,
@@ -56,9 +59,9 @@ def practice_record(
     Raises :class:`InputError` for an axis whose controller does not follow a position.
 
     >>> from emps_design.machines import machine
-    >>> record = practice_record(machine("emps2019"), laps=1)
+    >>> record = synthetic_record(machine("emps2019"), laps=1)
     >>> record.name, record.period, len(record)
-    ('practice-emps2019', 0.001, 18206)
+    ('synthetic-emps2019', 0.001, 18206)
     """
     if axis.controller.kind != "position_pd":
         raise InputError(
@@ -73,7 +76,7 @@ def practice_record(
         disturbance=_force_noise(random, q_ref.size, period),
         voltage_noise=VOLTAGE_NOISE * random.standard_normal(q_ref.size),
     )
-    return Record.from_arrays(period, run.q_ref, run.q, run.u, name=f"practice-{axis.name}")
+    return Record.from_arrays(period, run.q_ref, run.q, run.u, name=f"synthetic-{axis.name}")
 
 
 def point_to_point(period: float, stroke: float, speed: float, acceleration: float) -> np.ndarray:
