@@ -10,7 +10,7 @@ from emps_design.identification import identify
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
-from emps_design.simulation.synthetic_record import trapezoid_laps
+from emps_design.simulation.synthetic import trapezoid_laps
 
 LIBRARY = (get_effect("elastic_force"),)
 
