@@ -194,6 +194,7 @@ class Bench:
     """Records of one seed: ``identification`` and ``comanipulation`` experiments, and the break-away test's ``F_s``."""
 
     seed: int
+    numbers: Mapping[str, float]
     axis: Axis
     identification: tuple[Record, ...]
     comanipulation: tuple[Record, ...]
@@ -228,6 +229,7 @@ def virtual_bench(
     axis = bench_axis(n)
     return Bench(
         seed=seed,
+        numbers=n,
         axis=axis,
         identification=tuple(runs[:count]),
         comanipulation=tuple(runs[count:]),
