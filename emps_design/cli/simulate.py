@@ -35,6 +35,10 @@ def command(
     damping: float | None = typer.Option(
         None, "--damping", callback=within("N/(m/s)"), help="Co-manipulation: apparent damping B [N/(m/s)]."
     ),
+    reference_velocity: float = typer.Option(
+        0.0, "--reference-velocity", callback=within("m/s"), help="Co-manipulation: qd_0 of (25) [m/s]."
+    ),
+    as_printed: bool = typer.Option(False, "--as-printed", help="Co-manipulation: (27), (30) as printed."),
     plants: int = typer.Option(
         200, "--plants", min=0, max=1_000_000, help="Co-manipulation: plants drawn within the mismatch."
     ),
@@ -66,7 +70,10 @@ def command(
         raise InputError(f"--tau-ref: only the cascaded loop of --scenario bench has one, found {scenario}")
     _check(out, plot, (axis, record, reference), force)
     if scenario == "comanipulation":
-        result = _comanipulation(axis, mismatch, seed, plants, mass, damping)
+        from emps_design.control.impedance.law import PRINTED
+
+        law = {"reference_velocity": reference_velocity, **({"current_factor": PRINTED} if as_printed else {})}
+        result = _comanipulation(axis, mismatch, seed, plants, mass, damping, law)
     elif scenario == "bench":
         result = _bench(seed, tau_ref)
     else:
@@ -114,7 +121,13 @@ def _single(
 
 
 def _comanipulation(
-    name: str, mismatch: float, seed: int, plants: int, mass: float | None, damping: float | None
+    name: str,
+    mismatch: float,
+    seed: int,
+    plants: int,
+    mass: float | None,
+    damping: float | None,
+    law: dict[str, float],
 ) -> Any:
     from emps_design.cli.output import progress_bar
     from emps_design.comanipulation.scenario import run_comanipulation
@@ -129,6 +142,7 @@ def _comanipulation(
             mass=mass,
             damping=damping,
             progress=progress,
+            **law,
         )
 
 
