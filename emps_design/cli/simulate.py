@@ -127,7 +127,7 @@ def _comanipulation(
     plants: int,
     mass: float | None,
     damping: float | None,
-    law: dict[str, float],
+    law: dict[str, Any],
 ) -> Any:
     from emps_design.cli.output import progress_bar
     from emps_design.comanipulation.scenario import run_comanipulation
@@ -149,7 +149,7 @@ def _comanipulation(
 def _bench(seed: int, tau_ref: float | None) -> Any:
     from emps_design.cli.output import progress_bar
     from emps_design.paper import reproduce_section_3
-    from emps_design.paper.virtual_bench import numbers
+    from emps_design.paper.bench_numbers import numbers
 
     with progress_bar() as progress:
         given = numbers() if tau_ref is None else numbers(tau_ref=tau_ref)

@@ -92,7 +92,7 @@ def reproduce_section_3(
 ) -> SectionThree:
     """Run the virtual bench of ``seed`` and evaluate it with the paper's chain of filters.
 
-    ``given`` are the numbers of the bench, :func:`emps_design.paper.virtual_bench.numbers` by default.
+    ``given`` are the numbers of the bench, :func:`emps_design.paper.bench_numbers.numbers` by default.
     """
     bench = virtual_bench(seed, given, progress)
     # The paper knows nothing of the machine but G_tau, and takes the current loop for a gain.
