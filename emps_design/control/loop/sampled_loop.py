@@ -7,7 +7,7 @@ A law in its linear form and a plant discretised exactly make one state-space sy
 Stability is read from its poles first; an unstable loop has no margins. Two things are taken out of the state: where
 the carriage is, if nothing asks for it (its pole at 1 would be there in every free loop), and a memory cell of the law
 that repeats a state of the plant from rest on, as the model of the current loop in the impedance law does while the
-drive does what it is told.
+drive follows its command.
 """
 
 from __future__ import annotations
@@ -317,15 +317,15 @@ class SampledVelocityLoop:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Instability first, then what the linear loop leaves out and what is unbounded."""
-        said = (
+        warnings = (
             []
             if self.stable
             else [f"the sampled loop is unstable: largest pole {abs(self.poles[0]):.4g}, outside the unit circle"]
         )
-        said += self.plant.linear.warnings
+        warnings += self.plant.linear.warnings
         if self.stable and self.margins.gain_margin is None:
-            said.append("the sampled loop's gain margin is unbounded")
-        return tuple(said)
+            warnings.append("the sampled loop's gain margin is unbounded")
+        return tuple(warnings)
 
     def step_response(self, samples: int = 300) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Time [s], true velocity [m/s] and voltage [V] after a unit step of the reference, dry friction left out.
