@@ -38,8 +38,8 @@ def chosen_cutoff(record: Record) -> float:
     No lower than keeps :data:`LEAST` of it, and at most a fifth of the sampling frequency.
 
     >>> from emps_design.machines import machine
-    >>> from emps_design.simulation.synthetic_record import practice_record
-    >>> 50.0 < chosen_cutoff(practice_record(machine("emps2019"), laps=1)) < 150.0
+    >>> from emps_design.simulation.synthetic import synthetic_record
+    >>> 50.0 < chosen_cutoff(synthetic_record(machine("emps2019"), laps=1)) < 150.0
     True
     """
     part, lowest, top = _looked_at(record)

@@ -23,17 +23,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from emps_design.control.loop.margins import Margins, loop_margins
-from emps_design.control.loop.sampled_loop import SampledLoop, SampledVelocityLoop, close, ip_law
+from emps_design.control.loop.sampled_loop import SampledLoop, close
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis, sample_plant
 from emps_design.control.plant.environment import Environment, attached, felt
 from emps_design.control.plant.linear_plant import POSITION, VELOCITY
 from emps_design.control.velocity.design import VelocityLoopDesign
+from emps_design.control.velocity.sampled import SampledVelocityLoop, ip_law
 from emps_design.errors import InputError
 from emps_design.notebook import table
 from emps_design.quantities import check_magnitude
 
 if TYPE_CHECKING:
     import control
+
+
+ROUNDING = 1e-12  # of a pole: a limit is where the poles cross the circle, a verdict leaves MARGINAL room
 
 
 def largest_force_gain(
@@ -152,7 +156,7 @@ class ForceLoopDesign:
         loop = self.velocity_loop
         start = 1e-3 / (self.hand + self.environment / loop.omega_0v) if self.hand + self.environment > 0.0 else 1.0
         if self._plant.delay + self.sensor_delay <= 100 or self.hand + self.environment == 0.0:
-            return _first_instability(lambda gains: self.sampled_loop(gains).stable, start)
+            return _first_instability(lambda gains: self.sampled_loop(gains).radius <= 1.0 + ROUNDING, start)
         gently = replace(self, k_e1=start)
         if not gently.stable:
             return 0.0
@@ -191,19 +195,19 @@ class ForceLoopDesign:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a reader of the numbers has to know, instability first."""
-        said: list[str] = []
+        warnings: list[str] = []
         if not self.stable:
-            said.append(f"the sampled force loop is unstable: largest pole {abs(self.poles[0]):.4g}")
+            warnings.append(f"the sampled force loop is unstable: largest pole {abs(self.poles[0]):.4g}")
         if not self.velocity_loop.sampled.stable:
-            said.append("the sampled velocity loop inside it is unstable already")
+            warnings.append("the sampled velocity loop inside it is unstable already")
         if self.hand + self.environment == 0.0:
-            said.append("no operator: without a hand or an environment nothing closes the force loop")
+            warnings.append("no operator: without a hand or an environment nothing closes the force loop")
         elif self.k_e1_max_continuous is None:
-            said.append("k_e1_max.continuous is unbounded: the continuous loop has no limit with this operator")
+            warnings.append("k_e1_max.continuous is unbounded: the continuous loop has no limit with this operator")
         if self.k_e1_max_sampled is None:
-            said.append("k_e1_max.sampled is unbounded: no gain up to 1e9 times the loop's own scale is unstable")
-        said += self._plant.linear.warnings
-        return tuple(said)
+            warnings.append("k_e1_max.sampled is unbounded: no gain up to 1e9 times the loop's own scale is unstable")
+        warnings += self._plant.linear.warnings
+        return tuple(warnings)
 
     def open_loop(self) -> control.TransferFunction:
         """T_eo(s) = k_e1 k_c T_vc of (10) and (11)."""

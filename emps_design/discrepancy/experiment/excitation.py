@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from emps_design.records import Record
-from emps_design.simulation.synthetic_record import point_to_point
+from emps_design.simulation.synthetic import point_to_point
 
 MARGIN = 0.9  # of the record's top speed and acceleration
 EDGE = 0.02  # of its travel, left free at both ends
@@ -205,25 +205,17 @@ def chirp_on_a_slow_run(e: Envelope) -> np.ndarray:
 
 
 EXCITATIONS: tuple[Callable[[Envelope], np.ndarray], ...] = (
-    slow_crawl,
-    speed_staircase,
-    two_speeds,
-    three_accelerations,
-    fast_strokes,
-    small_reversals,
-    small_strokes,
-    stop_and_dwell,
-    identical_laps,
-    chirp_on_a_slow_run,
-)
+    slow_crawl, speed_staircase, two_speeds, three_accelerations, fast_strokes,
+    small_reversals, small_strokes, stop_and_dwell, identical_laps, chirp_on_a_slow_run,
+)  # fmt: skip
 
 
 def excitations(envelope: Envelope) -> dict[str, np.ndarray]:
     """Every excitation by name: ``q_ref`` (n,) [m] inside ``envelope``.
 
     >>> from emps_design.machines import machine
-    >>> from emps_design.simulation.synthetic_record import practice_record
-    >>> envelope = Envelope.of([practice_record(machine("emps2019"), laps=1)])
+    >>> from emps_design.simulation.synthetic import synthetic_record
+    >>> envelope = Envelope.of([synthetic_record(machine("emps2019"), laps=1)])
     >>> crawl = excitations(envelope)["slow_crawl"]
     >>> bool(np.abs(np.diff(crawl)).max() <= envelope.speed * envelope.period), crawl.size * envelope.period > 10
     (True, True)
@@ -237,7 +229,7 @@ def in_words(name: str) -> str:
     >>> in_words("slow_crawl")
     'crawl from rest, both ways, at 0.5 to 5 % of the top speed'
     """
-    text = next(excitation.__doc__ for excitation in EXCITATIONS if excitation.__name__ == name)
+    text = next(excitation.__doc__ or name for excitation in EXCITATIONS if excitation.__name__ == name)
     return text[0].lower() + text[1:].rstrip(".")
 
 

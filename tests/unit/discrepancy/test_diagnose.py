@@ -15,7 +15,7 @@ from emps_design.errors import InputError, RecordError
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
-from emps_design.simulation.synthetic_record import trapezoid_laps
+from emps_design.simulation.synthetic import trapezoid_laps
 
 AXIS = machine("emps2019")
 Q_REF = trapezoid_laps(1e-3, stroke=0.1, speed=0.2, laps=3)
@@ -67,7 +67,7 @@ def test_the_document_has_what_the_contract_asks(delayed):
 
 
 def test_the_extended_axis_replays_the_prediction(delayed):
-    prediction = delayed.prediction
+    prediction = delayed.trace
     run = Plant.of(delayed.axis).closed_loop(prediction.record.q_ref)
     assert np.allclose(run.force, prediction.extended)
 

@@ -18,7 +18,7 @@ from emps_design.effects import known_effects
 from emps_design.errors import InputError, SpecificationError
 from emps_design.machines import machine
 from emps_design.paper import symbols as y
-from emps_design.paper.derivations.impedance import closed_loop, cost_of_printed, derived_law, printed_law
+from emps_design.paper.derivations.impedance import cost_of_printed, derived_law, felt_under, printed_law
 
 
 def alike(error: float) -> dict[str, float]:
@@ -42,7 +42,7 @@ def test_closed_forms_agree_with_sympy(plant, factor, error):
         y.M_h: law.estimate.mass, y.F_vh: law.estimate.viscous_positive, y.F_ch: law.estimate.coulomb_positive,
         y.M_a: 50.0, y.B: 100.0,
     }  # fmt: skip
-    felt = closed_loop(derived_law()["30"].expression if factor == 1.0 else printed_law())
+    felt = felt_under(derived_law()["30"].expression if factor == 1.0 else printed_law())
     for name, value in law.apparent(plant).to_dict().items():
         assert float(felt[name].subs(numbers)) == pytest.approx(value, abs=1e-9)
 
@@ -183,3 +183,15 @@ def test_loop_without_positive_gain_is_named(axis):
     found = equivalent_impedance(axis, 0.01, 1.0, 60.0)  # M w tan(phi) < F_v
     assert found.k_v1 is None
     assert any(word.startswith("no such loop: phase margin: found 60 deg") for word in found.warnings)
+
+
+def test_an_equivalent_loop_that_the_drive_cannot_run_says_so(axis):
+    from emps_design.control.impedance.equivalence import equivalent_loop
+
+    late = axis.replace(sampling={"computation_delay": 2})
+    found = equivalent_loop(late, 80.0, 100.0)
+    assert not found.stable
+    assert found.to_dict()["sampled"] == {"stable": False, "largest_pole": pytest.approx(1.0317, abs=1e-4)}
+    assert any("its sampled velocity loop would be unstable, largest pole 1.032" in word for word in found.warnings)
+    assert equivalent_loop(axis, 80.0, 100.0).stable
+    assert equivalent_loop(late, 80.0, 100.0, input_crossover=200.0).stable
