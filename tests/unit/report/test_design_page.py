@@ -115,7 +115,7 @@ def test_a_response_that_does_not_settle_has_no_settling_time():
 
 def test_a_record_gives_the_mechanics_unless_told_otherwise(emps_data):
     record = emps_data / "DATA_EMPS.mat"
-    report = assemble_report(record=record, crossover=100.0)
+    report = assemble_report(record=record, crossover=100.0, chain="report")
     assert report.results.velocity.axis.mechanics.mass == pytest.approx(95.1089, abs=0.1085)
     html = report.page.html()
     assert "identified from DATA_EMPS" in html
@@ -168,6 +168,7 @@ def test_command_exits_four_for_an_unstable_loop_and_still_writes_the_page(tmp_p
         (["--crossover", "-1", "--out", "r.html"], "expected a positive number of rad/s", 2),
         (["--crossover", "100", "--k-e1", "0", "--out", "r.html"], "k_e1: found 0", 2),
         (["--record", "nothing.mat", "--out", "r.html"], "nothing.mat", 2),
+        (["--record-filter", "paper", "--out", "r.html"], "--record-filter: found without --record", 2),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing_behind(tmp_path, monkeypatch, capsys, arguments, message, status):
