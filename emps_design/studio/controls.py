@@ -40,6 +40,13 @@ class Field:
         self.set(event.new)
         self.on_change(self.name, event.new)
 
+    def restore(self, value: float) -> None:
+        """Show ``value`` again in place of one that was just typed and refused."""
+        if pn.state.curdoc is None:
+            self.set(value)
+        else:  # the browser is told of a value that replaces the one it has just sent only after this event
+            pn.state.curdoc.add_next_tick_callback(lambda: self.set(value))
+
     def set(self, value: float) -> None:
         """Show ``value`` without telling anybody."""
         self._quiet = True
