@@ -193,7 +193,7 @@ def views_section(diagnosis: Diagnosis) -> Section | None:
     band = any(view.band is not None for view in diagnosis.views)
     caption = (
         "What the model as it was misses, by frequency and time. A level line is a hum, a line that follows the speed "
-        "a ripple over position, a column an event."
+        "a ripple over position, one column per event."
     )
     blocks = [Picture(figures.spectrum_figure(spectrum), caption, "Spectrum over time")] if spectrum else []
     return Section(

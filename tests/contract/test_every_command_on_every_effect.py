@@ -9,7 +9,7 @@ import pytest
 from emps_design.cli import app
 from emps_design.effects import EFFECTS
 from emps_design.machines import machine
-from emps_design.simulation.synthetic_record import practice_record
+from emps_design.simulation.synthetic import synthetic_record
 
 # Commands that take an axis: `design` is the machine of the paper, `record` that of the data set, each extended.
 DESIGN = {
@@ -59,7 +59,7 @@ def parameters(name, size):
 @pytest.fixture(scope="module")
 def record(tmp_path_factory):
     path = tmp_path_factory.mktemp("every") / "record.npz"
-    practice_record(machine("emps2019"), laps=1).save(path)
+    synthetic_record(machine("emps2019"), laps=1).save(path)
     return path
 
 

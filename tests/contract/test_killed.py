@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from emps_design.machines import machine
-from emps_design.simulation.synthetic_record import practice_record
+from emps_design.simulation.synthetic import synthetic_record
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 
@@ -58,7 +58,7 @@ def files_of(folder):
 @pytest.mark.parametrize("name", COMMANDS)
 def test_killed_at_any_moment(name, tmp_path):
     axis = machine("emps2019")
-    practice_record(axis, laps=1).save(tmp_path / "record.npz")
+    synthetic_record(axis, laps=1).save(tmp_path / "record.npz")
     (tmp_path / "axis.toml").write_text(axis.to_toml())
     out = tmp_path / "out"
     out.mkdir()

@@ -22,14 +22,14 @@ from emps_design.cli.app import run
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.errors import InputError, RecordError, SpecificationError
 from emps_design.machines import machine, machine_names
-from emps_design.simulation.synthetic_record import practice_record
+from emps_design.simulation.synthetic import synthetic_record
 from emps_design.studio import exports, jobs
 from emps_design.studio.app import Session
 from emps_design.studio.data_view import LIMIT_MB, DataView, read_upload
 from emps_design.studio.design_view import DesignView
+from emps_design.studio.feasible import KINDS, feasible, plane, reachable_frequencies
 from emps_design.studio.jobs import Job
 from emps_design.studio.plots import PlanePlot
-from emps_design.studio.reach import KINDS, plane, reach, reachable_frequencies
 from emps_design.studio.simulated import simulate
 from emps_design.studio.state import CHOICES, SPECIFICATIONS, TASKS, State
 from tests.browser.conftest import Studio
@@ -76,7 +76,7 @@ def _axis_lines() -> list[str]:
 @pytest.mark.parametrize("delay", [0, 1, 3])
 def test_the_ends_of_the_reach_are_where_stability_ends(delay):
     now = state(computation_delay=delay)
-    found = reach(now)
+    found = feasible(now)
     choice = CHOICES["phase_margin_deg"]
     for phase, inside in ((found.low, True), (found.high, True), (found.low - 1, False), (found.high + 1, False)):
         if not choice.lower < phase < choice.upper:
@@ -87,7 +87,7 @@ def test_the_ends_of_the_reach_are_where_stability_ends(delay):
 
 
 def test_where_nothing_can_be_reached_the_reason_is_said():
-    found = reach(state(frequency=600.0, computation_delay=5, period_ms=5.0))
+    found = feasible(state(frequency=600.0, computation_delay=5, period_ms=5.0))
     assert found.empty
     assert "unstable with every phase margin" in found.text
     assert found.nearest(60.0) is None
@@ -155,7 +155,7 @@ def test_a_refused_number_leaves_field_pictures_and_numbers_as_they_were():
 
 def test_a_refused_upload_takes_the_record_before_it_away():
     axis = machine("emps2019")
-    record = practice_record(axis, laps=1)
+    record = synthetic_record(axis, laps=1)
     view = DataView(lambda: {axis.name: axis}, axis.name, state, lambda *turn: None, lambda axis: None, record)
     view._done({"text": "Identified", "html": "<p>result</p>", "model": axis})
     assert not view.take.disabled
@@ -375,11 +375,11 @@ def test_a_record_that_cannot_be_read_is_told_before_anything_is_served(capsys):
 
 def test_two_threads_draw_what_one_does():
     from emps_design.report import style
-    from emps_design.report.diagrams import impedance_law
+    from emps_design.report.diagrams import impedance_law_diagram
 
-    alone = style.svg(impedance_law())
+    alone = style.svg(impedance_law_diagram())
     drawn = []
-    threads = [threading.Thread(target=lambda: drawn.append(style.svg(impedance_law()))) for _ in range(3)]
+    threads = [threading.Thread(target=lambda: drawn.append(style.svg(impedance_law_diagram()))) for _ in range(3)]
     for thread in threads:
         thread.start()
     for thread in threads:
