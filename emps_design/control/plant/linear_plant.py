@@ -16,6 +16,7 @@ current loop where that has a time constant. Inputs: voltage, and an external fo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +25,9 @@ from emps_design.control.plant.actuator import ActuatorMap
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
 from emps_design.errors import InputError
 from emps_design.quantities import check_magnitude
+
+if TYPE_CHECKING:
+    import control
 
 POSITION, VELOCITY = 0, 1
 PLACES = 64  # along one repeat of an effect
@@ -49,6 +53,18 @@ class LinearPlant:
     state: tuple[str, ...]
     warnings: tuple[str, ...] = ()
     steepest: float = 0.0
+
+    def to_ss(self) -> control.StateSpace:
+        """The plant as a continuous ``control.StateSpace`` from voltage and force to encoder and velocity.
+
+        Its pure ``delay`` is not in it; that of :class:`~emps_design.control.plant.discretisation.SampledPlant` has it.
+        """
+        import control
+
+        C = np.array([self.C, np.eye(self.C.size)[VELOCITY]])
+        B = np.column_stack([self.B, self.E])
+        names = {"inputs": ["voltage", "force"], "outputs": ["encoder", "velocity"], "states": list(self.state)}
+        return control.ss(self.A, B, C, np.zeros((2, 2)), **names, name="plant")
 
 
 def rigid_plant(
@@ -271,13 +287,13 @@ class _Member:
 
     def left_out(self, v: float, tau: float) -> list[str]:
         """What the slopes of this effect do not show."""
-        effect, said = self.effect, []
+        effect, warnings = self.effect, []
         if effect.guard is not None or effect.jump_time is not None:
-            said.append(f"{effect.name}: not smooth, counted by its slope in steady motion at {v:g} m/s only")
+            warnings.append(f"{effect.name}: not smooth, counted by its slope in steady motion at {v:g} m/s only")
         if effect.command is not None:
-            said.append(f"{effect.name}: a signal added to the voltage, left out of the linear design")
+            warnings.append(f"{effect.name}: a signal added to the voltage, left out of the linear design")
         if not self.settled:
-            said.append(f"{effect.name}: has no steady state at {v:g} m/s, linearised at its initial one")
+            warnings.append(f"{effect.name}: has no steady state at {v:g} m/s, linearised at its initial one")
         if self.repeat:
             where = f"{effect.name}: repeats every {self.repeat:.4g} m, {abs(v) / self.repeat:.4g} Hz at {v:g} m/s"
             if effect.sensor is not None:
@@ -286,8 +302,8 @@ class _Member:
             else:
                 forces = [self.force_at(q, v, tau, self.x) for q in self.places]
                 size, what = 0.5 * float(np.ptp(forces)), "a disturbance of +-{:.3g} N, not a spring"
-            said.append(f"{where}; its slope averages out there, so the linear design counts it as {what.format(size)}")
-        return said
+            warnings.append(f"{where}; its slope averages out there: in the linear design it is {what.format(size)}")
+        return warnings
 
     def _rate(self, q: float, v: float, tau: float, x: np.ndarray) -> np.ndarray:
         dx = np.zeros(self.x.size)
