@@ -30,7 +30,9 @@ class Field:
         }
         self.whole = isinstance(choice.step, int)
         widget = pn.widgets.IntInput if self.whole else pn.widgets.FloatInput
-        self.field = widget(**self.options, width=width, margin=(2, 6, 2, 6))
+        # With bounds the browser would keep a number outside them to itself, over a design that it does not belong to.
+        unbounded = {key: option for key, option in self.options.items() if key not in ("start", "end")}
+        self.field = widget(**unbounded, width=width, margin=(2, 6, 2, 6))
         self.shown = (self.field,)
         self.field.param.watch(self._heard, "value")
 
