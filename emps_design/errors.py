@@ -69,6 +69,8 @@ class UnstableError(EmpsError, RuntimeError):
 class SimulationError(EmpsError, RuntimeError):
     """A simulation that could not go on: when, in which state, and which effect was at work."""
 
+    exit_code = 4
+
     def __init__(self, message: str, time: float, state: tuple[float, ...] = (), effect: str = ""):
         super().__init__(f"{message} (t = {time:.6g} s{', effect ' + effect if effect else ''})")
         self.time, self.state, self.effect = time, state, effect

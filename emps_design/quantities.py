@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 from emps_design.errors import InputError
@@ -81,6 +82,28 @@ class Quantity:
                 f"{self.name}: found {number:g}{unit}, expected a number in [{self.lower:g}, {self.upper:g}]{unit}"
             )
         return check_magnitude(self.name, number, self.unit)
+
+
+# what a frequency may be given in -> rad/s
+_FREQUENCIES = {"": 1.0, "rad/s": 1.0, "1/s": 1.0, "hz": 2.0 * math.pi, "khz": 2000.0 * math.pi}
+
+
+def frequency(text: str | float, unit: str = "rad/s") -> float:
+    """Return a frequency as someone writes it, in ``unit`` ("rad/s" or "Hz"), which is also what a bare number means.
+
+    Raises :class:`InputError` for anything else; whether the number makes sense is for others to say.
+
+    >>> round(frequency("30Hz"), 4), frequency("188.5"), frequency("188.5 rad/s"), round(frequency("377rad/s", "Hz"), 3)
+    (188.4956, 188.5, 188.5, 60.001)
+    """
+    written = str(text).strip()
+    match = re.fullmatch(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan))\s*([a-zA-Z/1]*)", written)
+    given = (match[2].lower() or unit.lower()) if match else "?"
+    if match is None or given not in _FREQUENCIES:
+        raise InputError(f"frequency: found {written!r}, expected a number of {unit}, or such as 30Hz")
+    if given == unit.lower():
+        return float(match[1])
+    return float(match[1]) * _FREQUENCIES[given] / _FREQUENCIES[unit.lower()]
 
 
 # unit of the library -> (below this size, display unit, factor), smallest first

@@ -22,15 +22,14 @@ from emps_design.control import (
     stability_map,
 )
 from emps_design.machines import machine
-from emps_design.paper import cost_of_printed, impedance_derivation
+from emps_design.paper import cost_of_printed, find_errata
 
 axis = machine("emps2018")
 plant, clock = FrictionModel.of(axis), Clock.of(axis)
 
 # 1. The derivation, and where the paper prints something else.
-for step in impedance_derivation():
-    if step.agrees is False:
-        print(f"({step.number}) as printed differs from the derivation by {step.difference}")
+for one in find_errata():
+    print(f"{one.place} {one.title}: {one.text}")
 for name, felt in cost_of_printed(plant, 50.0, 100.0).items():
     print(f"(30) {name:8}", ", ".join(f"{key} {value:.1f}" for key, value in felt.items()))
 

@@ -1,47 +1,71 @@
-"""The ``derivation`` directive: the steps of a derivation as ``derive`` finds them, numbered as in the paper."""
+"""Directives of the paper: the steps of a derivation as ``derive`` finds them, the errata, the page line by line."""
 
 from docutils import nodes
 from docutils.parsers.rst import Directive
 from docutils.statemachine import StringList
 
-VERDICTS = {None: "", True: ", as printed", False: ", **not as printed**"}
-
 
 class Derivation(Directive):
-    """``{derivation} cascade`` or ``{derivation} impedance``: a title, a sentence and an equation for each step."""
+    """``{derivation} cascade``: of each step a title, its equation, what it assumes and what was checked."""
 
     required_arguments = 1
 
     def run(self):
-        import sympy
+        from emps_design.paper.derivations import derivation
+        from emps_design.paper.written import latex
 
         lines: list[str] = []
-        for step in steps(self.arguments[0]):
+        for step in derivation()[self.arguments[0]][1]:
             number = f" ({step.number})" if step.number else ""
-            lines += [f"**{step.title}**{number}{VERDICTS[step.agrees]}: {plain(step.text)}", ""]
-            lines += ["$$", sympy.latex(step.equation), "$$", ""]
-            if step.agrees is False and step.printed is not None:
-                lines += ["printed:", "", "$$", sympy.latex(step.printed), "$$", ""]
-        contents = nodes.container()
-        self.state.nested_parse(StringList(lines), self.content_offset, contents)
-        return contents.children
+            verdict = f", {marked(step)}" if step.verdict else ""
+            lines += [f"**{step.title}**{number}{verdict}: {plain(step.text)}", ""]
+            lines += ["$$", latex(step.equation), "$$", ""]
+            if step.agrees is False:
+                lines += ["printed:", "", "$$", latex(step.printed), "$$", ""]
+            told = [f"Assumes: {plain('; '.join(step.assumes))}."]
+            if step.checks:
+                claims = "; ".join(plain(claim) + ("" if true else " **(found false)**") for claim, true in step.checks)
+                told.append(f"Checked: {claims}.")
+            lines += [" ".join(told), ""]
+        return parsed(self, lines)
 
 
-def steps(name: str) -> list:
-    """The steps of the derivation ``name``."""
-    from emps_design.paper import derive_cascade, impedance_derivation
+class Errata(Directive):
+    """``{errata}``: what is printed, what is derived, and why, a paragraph for each place."""
 
-    return list({"cascade": derive_cascade, "impedance": impedance_derivation}[name]())
+    def run(self):
+        from emps_design.paper.errata import find_errata
+
+        lines: list[str] = []
+        for one in find_errata():
+            about = "" if one.place == one.title else f", {one.title[0].lower()}{one.title[1:]}"
+            lines += [f"**{one.place}**{about}: {plain(one.text)}", ""]
+            if one.step is not None:
+                lines += ["$$", rf"{one.printed} \qquad \to \qquad {one.derived}", "$$", ""]
+        return parsed(self, lines)
+
+
+def marked(step) -> str:
+    """The verdict of a step, in bold where it is not as printed."""
+    return plain(step.verdict) if step.agrees is not False else f"**{plain(step.verdict)}**"
 
 
 def plain(text: str) -> str:
     """``text`` with what Markdown would take for marks made harmless."""
-    for mark in ("\\", "*", "_", "|", "<"):
+    for mark in ("\\", "*", "_", "|", "<", "$"):
         text = text.replace(mark, f"\\{mark}")
     return text
 
 
+def parsed(directive: Directive, lines: list[str]) -> list[nodes.Node]:
+    """The nodes that Markdown ``lines`` stand for."""
+    contents = nodes.container()
+    directive.state.nested_parse(StringList(lines), directive.content_offset, contents)
+    return contents.children
+
+
 def setup(app):
-    """Register the directive."""
+    """Register the directives."""
     app.add_directive("derivation", Derivation)
+    app.add_directive("errata", Errata)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -12,7 +12,7 @@ def execute(command: str, folder: Path) -> subprocess.CompletedProcess:
     folder.mkdir(parents=True, exist_ok=True)
     words = shlex.split(command)
     program = {"emps-design": [sys.executable, "-m", "emps_design.cli"], "python": [sys.executable]}[words[0]]
-    settings = {**os.environ, "COLUMNS": "96", "TERM": "dumb", "NO_COLOR": "1", "MPLBACKEND": "Agg"}
+    settings = {**os.environ, "COLUMNS": "80", "TERM": "dumb", "NO_COLOR": "1", "MPLBACKEND": "Agg"}
     settings["PYTHONPATH"] = os.pathsep.join([str(Path(__file__).resolve().parents[2]), settings.get("PYTHONPATH", "")])
     return subprocess.run(
         [*program, *words[1:]], cwd=folder, env=settings, capture_output=True, text=True, check=False, timeout=900

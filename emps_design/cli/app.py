@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
+import inspect
 import os
 import sys
+from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 from emps_design.cli.interrupts import STATUS as INTERRUPTED
 from emps_design.cli.output import print_json, tell
-from emps_design.errors import EmpsError, InputError, SpecificationError, UnstableError
+from emps_design.errors import EmpsError, InputError, SimulationError, SpecificationError, UnstableError
 
 if TYPE_CHECKING:
     import typer
@@ -47,12 +50,12 @@ def run(arguments: list[str]) -> int:
     except EmpsError as error:
         if debug:
             raise
-        if as_json and isinstance(error, SpecificationError | UnstableError):
+        if as_json and isinstance(error, SpecificationError | UnstableError | SimulationError):
             print_json(
                 {
                     "error": type(error).__name__,
                     "reason": str(error),
-                    "nearest": error.nearest,
+                    "nearest": getattr(error, "nearest", {}),
                     "warnings": [str(error)],
                 }
             )
@@ -111,8 +114,26 @@ def _application(arguments: list[str]) -> typer.Typer:
     wanted = arguments[0] if arguments else ""
     for name in (wanted,) if wanted in COMMANDS else COMMANDS:
         module = importlib.import_module(f"emps_design.cli.{name}")
-        app.command(name, help=module.__doc__)(module.command)
+        app.command(name, help=module.__doc__)(_with_debug(module.command))
     return app
+
+
+def _with_debug(command: Callable[..., int | None]) -> Callable[..., int | None]:
+    """``command`` with ``--debug`` among its options, for its help: :func:`run` has taken the word out before."""
+    import typer
+
+    @functools.wraps(command)
+    def with_debug(*arguments: Any, debug: bool = False, **options: Any) -> int | None:
+        return command(*arguments, **options)
+
+    hints = get_type_hints(command, include_extras=True)
+    own = [one.replace(annotation=hints[name]) for name, one in inspect.signature(command).parameters.items()]
+    option = typer.Option(False, "--debug", help="The traceback of an error.")
+    added = inspect.Parameter("debug", inspect.Parameter.KEYWORD_ONLY, default=option, annotation=bool)
+    described: Any = with_debug
+    described.__signature__ = inspect.Signature([*own, added])
+    described.__annotations__ = {**hints, "debug": bool}
+    return described
 
 
 def _root() -> None:

@@ -1,4 +1,4 @@
-"""The derivations of (6)-(11) and (24)-(30) step by step, and where the printed equations differ from them."""
+"""Every equation of the paper step by step, and where the printed ones differ."""
 
 from __future__ import annotations
 
@@ -10,104 +10,80 @@ from emps_design.cli.design_options import AsJson
 from emps_design.cli.output import new_console, print_json, say
 
 if TYPE_CHECKING:
-    from emps_design.paper.derivations.step import DerivationStep
+    from emps_design.paper.derivations import DerivationStep
+
+MASS, DAMPING = 50.0, 100.0  # of the paper's experiments, for what (30) as printed costs
 
 
 def command(
-    latex: Annotated[bool, typer.Option("--latex", help="equations as LaTeX")] = False,
+    latex: Annotated[bool, typer.Option("--latex", help="a LaTeX document of the derivations")] = False,
     as_json: AsJson = False,
 ) -> None:
-    from emps_design.control.impedance.law import FrictionModel
+    from emps_design.laws.friction_model import FrictionModel
     from emps_design.machines import machine
-    from emps_design.paper.derivations.cascade import derive_cascade
-    from emps_design.paper.derivations.impedance import cost_of_printed, impedance_derivation
+    from emps_design.paper.derivations import derivation
+    from emps_design.paper.derivations.impedance import cost_of_printed
 
-    parts = {
-        "cascade": ("Velocity and force loop, (6) to (11)", list(derive_cascade())),
-        "impedance": ("Impedance law, (24) to (30), and section III", impedance_derivation()),
-    }
-    errata = [step for _, steps in parts.values() for step in steps if step.agrees is False]
-    cost = cost_of_printed(FrictionModel.of(machine("emps2018")), mass=50.0, damping=100.0)
+    if latex:
+        from emps_design.paper.latex import document
+
+        say(document())
+        return
+    cost = cost_of_printed(FrictionModel.of(machine("emps2018")), mass=MASS, damping=DAMPING)
     if as_json:
-        print_json(_document(parts, errata, cost))
-    elif latex:
-        _print_latex(parts)
+        print_json(_document(derivation(), cost))
     else:
-        _print_text(parts, errata, cost)
+        _print_text(derivation(), cost)
 
 
-def _document(
-    parts: dict[str, tuple[str, list[DerivationStep]]], errata: list[DerivationStep], cost: dict[str, Any]
-) -> dict[str, Any]:
+def _document(parts: dict[str, tuple[str, tuple[DerivationStep, ...]]], cost: dict[str, Any]) -> dict[str, Any]:
+    from emps_design.paper.errata import find_errata
+
     return {
         **{
             name: {"title": title, "steps": [step.to_dict() for step in steps]}
             for name, (title, steps) in parts.items()
         },
-        "errata": [step.to_dict() for step in errata],
-        "cost_of_printed_30": {"axis": "emps2018", "M_a": 50.0, "B": 100.0, **cost},
-        "warnings": [],
+        "errata": [one.to_dict() for one in find_errata()],
+        "cost_of_printed_30": {"axis": "emps2018", "M_a": MASS, "B": DAMPING, **cost},
+        "warnings": [
+            f"{step.place} {step.title}: {claim}: found false"
+            for _, steps in parts.values()
+            for step in steps
+            for claim, true in step.checks
+            if not true
+        ],
     }
 
 
-def _print_latex(parts: dict[str, tuple[str, list[DerivationStep]]]) -> None:
-    """A fragment for a LaTeX document: one display a step, printed equations beside derived ones."""
-    import sympy
-
-    for title, steps in parts.values():
-        say(f"\\section*{{{title}}}")
-        for step in steps:
-            say(f"\\paragraph{{{step.title}{f' ({step.number})' if step.number else ''}}} {_escaped(step.text)}")
-            say(f"\\[ {sympy.latex(step.equation)} \\]")
-            if step.agrees is False:
-                say(f"printed: \\[ {sympy.latex(step.printed)} \\]")
-
-
-def _print_text(
-    parts: dict[str, tuple[str, list[DerivationStep]]], errata: list[DerivationStep], cost: dict[str, Any]
-) -> None:
-    import sympy
+def _print_text(parts: dict[str, tuple[str, tuple[DerivationStep, ...]]], cost: dict[str, Any]) -> None:
     from rich.text import Text
 
-    from emps_design.paper.derivations.step import plain_symbols
+    from emps_design.paper.errata import find_errata
+    from emps_design.paper.written import text
 
     console = new_console()
-    verdicts: dict[bool | None, str | tuple[str, str]] = {
-        None: "",
-        True: ("  as printed", "green"),
-        False: ("  not as printed", "red"),
-    }
     for title, steps in parts.values():
         console.rule(title, align="left")
         for step in steps:
-            console.print(
-                Text.assemble(
-                    ("\n" + step.title, "bold"),
-                    f"  ({step.number})" if step.number else "",
-                    verdicts[step.agrees],
-                )
-            )
+            colour = "green" if step.agrees else "red"
+            number = f"  ({step.number})" if step.number else ""
+            console.print(Text.assemble(("\n" + step.title, "bold"), number, (f"  {step.verdict}", colour)))
             console.print(step.text, highlight=False)
-            say(sympy.pretty(plain_symbols(step.equation), use_unicode=True, wrap_line=False))
+            if step.assumes:
+                console.print(f"assumes: {'; '.join(step.assumes)}", highlight=False)
+            for claim, true in step.checks:
+                console.print(f"checked: {claim}{'' if true else ': FOUND FALSE'}", highlight=False)
+            say(f"    {text(step.equation)}")
             if step.agrees is False:
-                say("printed:")
-                say(sympy.pretty(plain_symbols(step.printed), use_unicode=True, wrap_line=False))
-    console.rule("Where the printed equations differ", align="left")
-    for step in errata:
-        console.print(f"({step.number}) {step.title}: {step.text}", highlight=False)
-    console.print("\nWhat (30) as printed costs on emps2018 with M_a = 50 kg, B = 100 N/(m/s):")
+                say(f"printed:\n    {text(step.printed)}")
+    console.rule("Where the paper differs", align="left")
+    for one in find_errata():
+        console.print(f"{one.place} {one.title}: {one.text}", highlight=False)
+    console.print(f"\nWhat (30) as printed costs on emps2018 with M_a = {MASS:g} kg, B = {DAMPING:g} N/(m/s):")
     for name, felt in cost.items():
         console.print(
             f"  {name}: apparent mass {felt['apparent_mass']:.1f} kg, damping {felt['apparent_damping']:.1f} N/(m/s), "
             f"Coulomb friction left {felt['coulomb_left']:.1f} N",
             highlight=False,
         )
-
-
-def _escaped(text: str) -> str:
-    """Words of a step with LaTeX's own characters made harmless."""
-    for character in ("\\", "{", "}"):
-        text = text.replace(character, "")
-    for character in ("_", "%", "&", "#", "$"):
-        text = text.replace(character, f"\\{character}")
-    return text.replace("^", "\\^{}")

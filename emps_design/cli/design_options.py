@@ -9,6 +9,7 @@ import typer
 
 from emps_design.axis import Axis
 from emps_design.cli.destinations import OVERWRITE
+from emps_design.cli.frequency import RAD_S
 from emps_design.cli.output import write_text
 from emps_design.quantities import check_magnitude
 
@@ -24,8 +25,13 @@ def within(unit: str) -> Any:
 
 
 AxisArgument = Annotated[str, typer.Argument(help="TOML file or embedded machine")]
-Crossover = Annotated[float | None, typer.Option(callback=within("rad/s"), help="crossover w_v of T_vo [rad/s]")]
-Bandwidth = Annotated[float | None, typer.Option(callback=within("rad/s"), help="closed-loop -3 dB of T_vc [rad/s]")]
+Crossover = Annotated[
+    float | None, typer.Option(**RAD_S, callback=within("rad/s"), help="crossover w_v of T_vo [rad/s, or such as 30Hz]")
+]
+Bandwidth = Annotated[
+    float | None,
+    typer.Option(**RAD_S, callback=within("rad/s"), help="closed-loop -3 dB of T_vc [rad/s, or such as 30Hz]"),
+]
 PhaseMargin = Annotated[float, typer.Option(callback=within("deg"), help="phase margin phi_v [deg]")]
 Velocity = Annotated[
     float, typer.Option(callback=within("m/s"), help="where the effects of the axis are linearised [m/s]")

@@ -47,7 +47,7 @@ def print_gains(document: dict[str, Any]) -> None:
     console.print(gains)
 
     undefined = "undefined" if not sampled["stable"] else "unbounded"
-    margins = _table("Margins", "", "velocity error", "plant input", "sampled, plant input", "unit")
+    margins = _table("Margins; sampled: at the plant input", "", "velocity error", "plant input", "sampled", "unit")
     places = (document["velocity_error"], document["plant_input"], sampled)
     words = {"gain_reduction_margin": "none"}
     for label, key, unit, scale in (

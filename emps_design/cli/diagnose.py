@@ -132,7 +132,7 @@ def _show(document: dict[str, Any], out: Path | None) -> None:
     console.print(document["verdict"], style="bold", end="  ")
     console.print(document["sentence"], highlight=False)
     if document["findings"]:
-        table = Table("effect", "or", "where", "force gap before [N]", "after [N]", "p")
+        table = Table("effect", "or", "where", "gap before [N]", "after [N]", "p")
         for finding in document["findings"]:
             table.add_row(
                 finding["label"],
@@ -142,7 +142,7 @@ def _show(document: dict[str, Any], out: Path | None) -> None:
                 f"{finding['gap_after']:.3f}",
                 f"{finding['p_value']:.3f}",
             )
-        console.print(table)
+        console.print(table, width=min(80, console.width))
     if document.get("experiment"):
         console.print(f"Next experiment: {document['experiment']['text']}", highlight=False)
     for remedy in document["remedies"]:

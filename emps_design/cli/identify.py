@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from emps_design.cli.destinations import AXIS, OVERWRITE, check_out
+from emps_design.cli.frequency import HERTZ
 
 if TYPE_CHECKING:
     from emps_design.axis import Axis
@@ -37,7 +38,8 @@ def command(
     cutoff: float | None = typer.Option(
         None,
         "--cutoff",
-        help="Low-pass [Hz] instead of the filter's own; what the data say is printed with the result.",
+        **HERTZ,
+        help="Low-pass [Hz, or such as 370rad/s] instead of the filter's own; what the data say is printed too.",
     ),
     estimator: str = typer.Option(
         "ls",

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from emps_design.cli.design_options import within
+from emps_design.cli.frequency import RAD_S
 from emps_design.cli.output import new_console, print_json, progress_bar, tell
 from emps_design.errors import InputError
 
@@ -28,7 +29,9 @@ def command(
     filter: Annotated[
         float | None,
         typer.Option(
-            callback=within("rad/s"), help="low-pass of acceleration and current [rad/s]; default 0.5/period, inf: none"
+            **RAD_S,
+            callback=within("rad/s"),
+            help="low-pass of acceleration and current [rad/s, or such as 80Hz]; default 0.5/period, inf: none",
         ),
     ] = None,
     unfiltered_current: Annotated[
@@ -98,7 +101,7 @@ def _print(document: dict[str, Any]) -> None:
         f"{document['axis']}: impedance law M_a = {law['mass']:g} kg, B = {law['damping']:g} N/(m/s), filter {unit}"
     )
     console.print(f"sampled loop: {'stable' if sampled['stable'] else 'UNSTABLE'}, released: {sampled['verdict']}")
-    table = Table("ideal current loop", "apparent mass, kg", "apparent damping, N/(m/s)", "Coulomb left, N")
+    table = Table("felt, ideal current loop", "mass, kg", "damping, N/(m/s)", "Coulomb left, N")
     for name, label in (("derived", "derived"), ("printed", "(30) as printed")):
         values = document[name]
         table.add_row(label, *(f"{values[key]:.1f}" for key in ("apparent_mass", "apparent_damping", "coulomb_left")))
@@ -117,7 +120,7 @@ def _print(document: dict[str, Any]) -> None:
         worst = found["worst"]
         errors = ", ".join(f"{name} {100 * value:+.2f} %" for name, value in worst["errors"].items())
         table.add_row("worst", f"{worst['verdict']} at {errors}")
-        console.print(table)
+        console.print(table, width=min(80, console.width))
     loop = document["equivalent_loop"]
     if loop["k_e1"] is not None:
         console.print(f"equivalent cascaded loop ({loop['criterion']}): k_e1 = {loop['k_e1']:g} (m/s)/N")

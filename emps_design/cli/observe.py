@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from emps_design.cli.destinations import OVERWRITE, TABLE, check_out
+from emps_design.cli.frequency import HERTZ
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,8 +22,15 @@ LONG = 200_000  # samples from which on it is worth saying how far the work is
 def command(
     record: Path = typer.Argument(..., metavar="RECORD", help="Record file: .mat, .csv or .npz."),
     axis: str = typer.Option("emps2019", "--axis", help="TOML file or embedded machine with identified parameters."),
-    cutoff: float = typer.Option(20.0, "--cutoff", help="Low-pass of the on-line observer [Hz]; Kalman: twice that."),
-    offline_cutoff: float = typer.Option(60.0, "--offline-cutoff", help="Zero-phase low-pass off-line [Hz]."),
+    cutoff: float = typer.Option(
+        20.0,
+        "--cutoff",
+        **HERTZ,
+        help="Low-pass of the on-line observer [Hz, or such as 120rad/s]; Kalman: twice that.",
+    ),
+    offline_cutoff: float = typer.Option(
+        60.0, "--offline-cutoff", **HERTZ, help="Zero-phase low-pass off-line [Hz, or such as 370rad/s]."
+    ),
     injected: str | None = typer.Option(
         None,
         "--injected",

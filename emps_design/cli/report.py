@@ -8,6 +8,7 @@ import typer
 
 from emps_design.cli.design_options import within
 from emps_design.cli.destinations import OVERWRITE, PAGE, check_out
+from emps_design.cli.frequency import RAD_S
 
 
 def command(
@@ -17,10 +18,18 @@ def command(
     record: Path | None = typer.Option(None, "--record", help="Record to identify: .mat, .csv or .npz."),
     out: Path = typer.Option(..., "--out", help="HTML file to write."),
     crossover: float | None = typer.Option(
-        None, "--crossover", callback=within("rad/s"), help="Crossover of the velocity loop [rad/s]."
+        None,
+        "--crossover",
+        **RAD_S,
+        callback=within("rad/s"),
+        help="Crossover of the velocity loop [rad/s, or such as 30Hz].",
     ),
     bandwidth: float | None = typer.Option(
-        None, "--bandwidth", callback=within("rad/s"), help="Closed-loop -3 dB bandwidth [rad/s]."
+        None,
+        "--bandwidth",
+        **RAD_S,
+        callback=within("rad/s"),
+        help="Closed-loop -3 dB bandwidth [rad/s, or such as 30Hz].",
     ),
     phase_margin: float = typer.Option(60.0, "--phase-margin", callback=within("deg"), help="Phase margin [deg]."),
     retune: bool = typer.Option(False, "--retune", help="Meet the specification in the sampled loop."),
@@ -40,7 +49,11 @@ def command(
         None, "--damping", callback=within("N/(m/s)"), help="Apparent damping B [N/(m/s)], with --mass."
     ),
     filter: float | None = typer.Option(
-        None, "--filter", callback=within("rad/s"), help="Filter of the impedance law [rad/s]."
+        None,
+        "--filter",
+        **RAD_S,
+        callback=within("rad/s"),
+        help="Filter of the impedance law [rad/s, or such as 80Hz].",
     ),
     mismatch: float = typer.Option(
         0.02, "--mismatch", callback=within(""), help="Error of the impedance law's estimates."

@@ -13,33 +13,15 @@ from emps_design.identification.inverse_model import regression
 from emps_design.identification.observation import direct_validation
 from emps_design.identification.result import Identification
 from emps_design.identification.several import SeveralIdentifications, identify_several
+from emps_design.paper.printed import BREAK_AWAY, RANGES, TABLES
 from emps_design.paper.virtual_bench import Bench, virtual_bench
 from emps_design.quantities import Quantity
 from emps_design.records import Record
 
 MODEL = "asymmetric"
 
-# What the paper printed, to stand beside what the bench gives: never used in a computation.
-PRINTED = {
-    "table_1": {
-        "mass": (115.7315, 0.5765, 0.4981),
-        "viscous_positive": (474.9727, 17.5686, 3.6989),
-        "viscous_negative": (563.8568, 19.3088, 3.4244),
-        "coulomb_positive": (17.3811, 0.3259, 1.8750),
-        "coulomb_negative": (11.5846, 0.3363, 2.9030),
-    },
-    "table_2": {
-        "mass": (109.0, 1.24, 1.13),
-        "viscous_positive": (707.0, 27.5, 3.89),
-        "viscous_negative": (998.0, 26.4, 2.65),
-        "coulomb_positive": (18.9, 0.21, 1.15),
-        "coulomb_negative": (9.8, 0.21, 2.22),
-    },
-    "rms_1": (3.6, 5.3),
-    "rms_2": (3.9, 5.4),
-    "rms_direct": (2.7, 3.4),
-    "break_away": 17.0,
-}
+# To stand beside what the bench gives: never used in a computation.
+PRINTED = {**TABLES, **RANGES, "break_away": BREAK_AWAY}
 
 
 @dataclass(frozen=True)

@@ -269,11 +269,10 @@ def _effort_table(found: ImpedanceAssessment, runs: Mapping[str, Any]) -> Table:
 
 
 def _errata_table() -> Table:
-    from emps_design.paper.derivations.impedance import impedance_derivation
+    from emps_design.paper.errata import find_errata
 
-    rows = [[f"({step.number})", step.title, step.text] for step in impedance_derivation() if step.agrees is False]
     return Table(
-        ["equation", "about", "what differs"],
-        rows,
-        "Where the printed equations differ from what follows by derivation; emps-design derive shows every step.",
+        ["place", "about", "what differs"],
+        [[one.place, one.title, one.text] for one in find_errata()],
+        "Where the paper differs from what follows by derivation; emps-design derive shows every step.",
     )

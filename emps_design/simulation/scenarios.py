@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.errors import InputError
+from emps_design.errors import InputError, SimulationError
 from emps_design.notebook import table
 from emps_design.records import Record
+from emps_design.simulation.nearest_controller import unstable
 from emps_design.simulation.plant import Plant
 from emps_design.simulation.run import Run
 from emps_design.simulation.trajectories import force_ramp
@@ -74,7 +75,8 @@ def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
 
     With a controller the loop is closed on ``record.q_ref``; without one the recorded voltage drives the plant. The
     carriage starts at rest at the record's first position. Raises :class:`InputError` when the record is too short or
-    its period is not the axis's, and :class:`SimulationError` where the simulation cannot go on.
+    its period is not the axis's, :class:`UnstableError` where the closed loop diverges, with the nearest that does not,
+    and :class:`SimulationError` where a simulation in open loop cannot go on.
     """
     if len(record) <= DROPPED + 2:
         raise InputError(f"{record.name}: found {len(record)} samples, expected more than {DROPPED + 2} to compare")
@@ -85,16 +87,15 @@ def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
             f"{record.name}: sampled every {record.period:g} s, axis {axis.name} every {period:g} s; "
             "expected the same period: change sampling.period or resample the record"
         )
-    plant = Plant.of(axis)
     closed = axis.controller.kind != "none"
     push = record.f_ext
     if push is not None:
         warnings.append("the record's f_ext acts on the simulated carriage")
     start = float(record.q[0])
     if closed:
-        run = plant.closed_loop(record.q_ref, disturbance=push, q0=start, period=record.period, quantise=quantise)
+        run = _closed_loop(axis, record.q_ref, disturbance=push, q0=start, period=record.period, quantise=quantise)
     else:
-        run = plant.open_loop(record.u, disturbance=push, q0=start, period=record.period, quantise=quantise)
+        run = Plant.of(axis).open_loop(record.u, disturbance=push, q0=start, period=record.period, quantise=quantise)
         warnings.append("axis without a controller: simulated in open loop from the recorded voltage")
     delay = axis.sampling.computation_delay if closed else 0
     given = np.concatenate([np.zeros(delay), run.u[: len(run) - delay]])
@@ -214,8 +215,23 @@ class Followed:
 
 
 def follow(axis: Axis, q_ref: np.ndarray, f_ext: np.ndarray | None = None) -> Followed:
-    """Simulate ``axis`` in closed loop along ``q_ref`` (n,) [m], with ``f_ext`` (n,) [N] on the carriage."""
-    run = Plant.of(axis).closed_loop(q_ref, disturbance=f_ext)
+    """Simulate ``axis`` in closed loop along ``q_ref`` (n,) [m], with ``f_ext`` (n,) [N] on the carriage.
+
+    Raises :class:`UnstableError` where the loop diverges, with the nearest that does not.
+    """
+    run = _closed_loop(axis, q_ref, disturbance=f_ext)
     clipped = float(np.mean(np.abs(run.u) >= axis.drive.voltage_limit))
     warnings = (f"the voltage is at its limit {100 * clipped:.1f} % of the time",) if clipped > 0 else ()
     return Followed(axis, run, warnings)
+
+
+def _closed_loop(axis: Axis, q_ref: np.ndarray, **given: Any) -> Run:
+    """The closed loop of ``axis`` along ``q_ref`` (n,) [m]; :class:`UnstableError` where it diverges."""
+
+    def simulate(axis: Axis) -> Run:
+        return Plant.of(axis).closed_loop(q_ref, **given)
+
+    try:
+        return simulate(axis)
+    except SimulationError as error:
+        raise unstable(axis, error, simulate) from error

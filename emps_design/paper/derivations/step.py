@@ -1,72 +1,104 @@
-"""A derivation is a list of steps: a title, the paper's equation number, the equation, and a sentence."""
+"""A derivation is a list of steps: what is claimed, what it assumes, what a program checked, and what is printed."""
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
-if TYPE_CHECKING:
-    import sympy
+import sympy as sp
+
+from emps_design.paper.printed import EQUATIONS, READ_AS
+from emps_design.paper.written import Equation, latex, text
+
+AS_PRINTED, NOT_AS_PRINTED, FAILS = "as printed", "not as printed", "does not hold"
 
 
 @dataclass(frozen=True)
 class DerivationStep:
     """One step of a derivation.
 
-    ``number`` is the equation number of the paper ("" for a step between two of its equations), ``equation`` a SymPy
-    ``Eq``. Where the paper prints another equation than the one derived, ``printed`` holds it as printed and
-    ``difference`` is printed minus derived right-hand side; both are None where there is nothing to compare.
+    ``number`` is the equation number of the paper ("" for a step between two of its equations), ``assumes`` what the
+    step rests on, and ``checks`` the claims that the program tried, each with whether it holds. Where the paper prints
+    the equation, ``printed`` holds it as printed, ``read_as`` the symbols in it that are defined nowhere with those
+    they must be, and ``difference`` is printed minus derived right-hand side, so read.
     """
 
     title: str
     number: str
-    equation: sympy.Eq
+    equation: Equation
     text: str
-    printed: sympy.Eq | None = None
-    difference: sympy.Expr | None = None
+    assumes: tuple[str, ...] = ()
+    checks: tuple[tuple[str, bool], ...] = ()
+    printed: Equation | None = None
+    read_as: Mapping[sp.Symbol, sp.Symbol] = field(default_factory=dict)
+    difference: Any = None
+
+    @property
+    def place(self) -> str:
+        """Where in the paper: its equation, or what the title says."""
+        return f"({self.number})" if self.number else self.title
+
+    @property
+    def holds(self) -> bool:
+        """Whether every claim of the step was found true."""
+        return all(true for _, true in self.checks)
 
     @property
     def agrees(self) -> bool | None:
-        """Whether the printed equation is the derived one; None where nothing was compared."""
-        return None if self.difference is None else bool(self.difference == 0)
+        """Whether the printed equation is the derived one, symbol by symbol; None where nothing was compared."""
+        return None if self.printed is None else self.difference == 0 and not self.read_as
+
+    @property
+    def verdict(self) -> str:
+        """The step in a few words, "" where there is nothing to compare."""
+        if not self.holds:
+            return FAILS
+        if self.printed is None:
+            return ""
+        if self.difference != 0:
+            return NOT_AS_PRINTED
+        read = " and ".join(f"{text(found)} is read as {text(meant)}" for found, meant in self.read_as.items())
+        return f"{AS_PRINTED} once {read}" if read else AS_PRINTED
 
     def to_dict(self) -> dict[str, Any]:
         """Words, and equations as LaTeX and as text."""
-        import sympy
 
-        def both(expression: Any) -> dict[str, str] | None:
-            if expression is None:
-                return None
-            return {"latex": sympy.latex(expression), "text": str(plain_symbols(expression))}
+        def both(written: Any) -> dict[str, str] | None:
+            return None if written is None else {"latex": latex(written), "text": text(written)}
 
         return {
+            "place": self.place,
             "title": self.title,
             "number": self.number,
             "equation": both(self.equation),
             "text": self.text,
+            "assumes": list(self.assumes),
+            "checks": [{"claim": claim, "holds": true} for claim, true in self.checks],
+            "holds": self.holds,
             "printed": both(self.printed),
+            "read_as": {text(found): text(meant) for found, meant in self.read_as.items()},
             "difference": both(self.difference),
             "agrees": self.agrees,
+            "verdict": self.verdict,
         }
 
 
-def plain_symbols(expression: Any) -> Any:
-    r"""Return ``expression`` with LaTeX names of its symbols made readable as text: qd, qdd, M_hat, sign(qd).
+def compared(
+    title: str,
+    number: str,
+    derived: Equation,
+    words: str,
+    assumes: tuple[str, ...] = (),
+    checks: tuple[tuple[str, bool], ...] = (),
+    put: Mapping[Any, Any] | None = None,
+) -> DerivationStep:
+    """Return the step with the printed equation of that number and left-hand side beside it.
 
-    >>> import sympy
-    >>> plain_symbols(sympy.Symbol(r"\ddot{q}") * sympy.Symbol(r"\hat{F}_v") * sympy.Symbol(r"\tau_e"))
-    Fhat_v*qdd*tau_e
+    ``put`` are values of symbols of the printed equation that the derivation has found before.
     """
-    import sympy
-
-    names = {symbol: _plain(symbol.name) for symbol in expression.atoms(sympy.Symbol)}
-    return expression.xreplace({symbol: sympy.Symbol(name) for symbol, name in names.items() if name != symbol.name})
-
-
-def _plain(name: str) -> str:
-    """A LaTeX name in the code's words."""
-    for command, suffix in (("ddot", "dd"), ("dot", "d"), ("hat", "hat")):
-        name = re.sub(rf"\\{command}{{(.*?)}}", rf"\1{suffix}", name)
-    name = re.sub(r"\\operatorname{(.*?)}", r"\1", name)
-    return re.sub(r"[\\{}]", "", name).replace(" ", "_")
+    printed = next(one for one in EQUATIONS[number] if one.lhs == derived.lhs)
+    there = printed.rhs.free_symbols
+    read_as = {found: meant for found, meant in READ_AS.get(number, {}).items() if found in there}
+    difference = sp.simplify(sp.expand(printed.rhs.subs(read_as).subs(put or {}) - derived.rhs))
+    return DerivationStep(title, number, derived, words, assumes, checks, printed, read_as, sp.factor(difference))

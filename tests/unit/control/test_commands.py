@@ -149,13 +149,10 @@ def test_designs_become_axis_files(capsys, tmp_path):
 def test_derive_prints_steps_and_errata(capsys):
     found = document(capsys, "derive")
     numbers = [step["number"] for step in found["cascade"]["steps"] if step["number"]]
-    assert numbers == ["6", "7", "7", "8", "9", "9", "9", "10", "11"]
-    assert {"15", "18", "30"} <= {step["number"] for step in found["errata"]}
+    assert numbers == ["6", "7", "7", "8", "9", "9", "9", "10", "11", "10"]
+    assert {"8", "9", "10", "13", "15", "18", "26", "30"} <= {step["number"] for step in found["errata"]}
     assert found["cost_of_printed_30"]["printed"]["apparent_mass"] == pytest.approx(73.8, abs=0.05)
-    assert run(["derive", "--latex"]) == 0
-    text = capsys.readouterr().out
-    assert r"\tan{\left(\phi_{v} \right)}" in text
-    assert text.count(r"\[") == text.count(r"\]")
+    assert found["warnings"] == []
 
 
 @pytest.mark.parametrize(
@@ -164,7 +161,7 @@ def test_derive_prints_steps_and_errata(capsys):
         (["gains", "--crossover", "100", "--mismatch", "0.02"], 0, "is stable"),
         (["gains", "--crossover", "100", "--phase-margin", "85", "--computation-delay", "2"], 4, "is UNSTABLE"),
         (["force", "--k-e1", "0.01", "--environment", "1e4"], 0, "sensor and carriage"),
-        (["derive"], 0, "Where the printed equations differ"),
+        (["derive"], 0, "Where the paper differs"),
     ],
 )
 def test_text_output(capsys, arguments, status, expected):

@@ -11,7 +11,8 @@ from emps_design.control.force.design import design_force_loop, largest_force_ga
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.errors import InputError
 from emps_design.machines import machine
-from emps_design.paper.derivations.cascade import derive_cascade, symbols
+from emps_design.paper import symbols as y
+from emps_design.paper.derivations.force_loop import derive_force_loop
 
 LOOP = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)
 
@@ -27,9 +28,8 @@ def test_wall_limits_in_closed_form():
 
 
 def test_closed_form_is_the_derived_one():
-    y = symbols()
-    by_title = {step.title: step.equation.rhs for step in derive_cascade()}
-    numbers = {y.w0: LOOP.omega_0v, y.z: LOOP.z_v, y.K_v: LOOP.K_v, y.K: 3e4}
+    by_title = {step.title: step.equation.rhs for step in derive_force_loop()}
+    numbers = {y.omega_0v: LOOP.omega_0v, y.z_v: LOOP.z_v, y.K_v: LOOP.K_v, y.K_env: 3e4}
     derived = float(by_title["Largest gain against a wall"].subs(numbers))
     assert largest_force_gain(LOOP.omega_0v, LOOP.z_v, LOOP.K_v, environment=3e4) == pytest.approx(derived)
 

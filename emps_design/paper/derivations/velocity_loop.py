@@ -1,0 +1,142 @@
+"""(6) to (9): the velocity loop from its two blocks, correction and carriage.
+
+u = k_v1 (e / (t_v s) - qd)          IP correction of the velocity error e = v - qd
+(M s + F_v) qd = G_tau u             drive and carriage, (1) and (2) without Coulomb friction
+"""
+
+from __future__ import annotations
+
+import sympy as sp
+
+from emps_design.paper import symbols as y
+from emps_design.paper.derivations.step import DerivationStep, compared
+from emps_design.paper.written import Equation
+
+LINEAR = "Coulomb friction left out"
+FREE = "no external force"
+CURRENT_LOOP = "the current loop is a gain"
+CONTINUOUS = "continuous time"
+FEASIBLE = "atan(F_v/(M omega_v)) < phi_v < 90 deg"
+
+CORRECTION = sp.Eq(y.u, y.k_v1 * (y.e_v / (y.t_v * y.s) - y.qd_1))
+CARRIAGE = sp.Eq((y.M_1 * y.s + y.F_v1) * y.qd_1, y.G_tau * y.u)
+
+
+def closed_velocity_loop(correction: sp.Eq = CORRECTION, carriage: sp.Eq = CARRIAGE) -> sp.Expr:
+    """T_vc: both blocks solved with the error v - qd put back."""
+    blocks = [correction.subs(y.e_v, y.v_ref - y.qd_1), carriage]
+    return sp.simplify(sp.solve(blocks, [y.qd_1, y.u], dict=True)[0][y.qd_1] / y.v_ref)
+
+
+def derive_velocity_loop(correction: sp.Eq = CORRECTION, carriage: sp.Eq = CARRIAGE) -> tuple[DerivationStep, ...]:
+    """Derive (6) to (9) from the blocks.
+
+    >>> [(step.number, step.verdict) for step in derive_velocity_loop() if step.number]
+    ... # doctest: +NORMALIZE_WHITESPACE
+    [('6', 'as printed'), ('7', 'as printed'), ('7', 'as printed'), ('8', 'as printed once K_c is read as K_v'),
+     ('9', 'as printed'), ('9', 'as printed once K is read as K_v'), ('9', 'as printed')]
+    """
+    rests_on = (LINEAR, FREE, CURRENT_LOOP, CONTINUOUS)
+    solved = sp.solve([correction, carriage], [y.qd_1, y.u], dict=True)[0]
+    T_vo = sp.factor(solved[y.qd_1] / y.e_v)
+    real, imaginary = _crossover(T_vo)
+    k = sp.simplify(sp.solve(real, y.k_v1)[0])
+    t = sp.simplify(sp.solve(imaginary.subs(y.k_v1, k), y.t_v)[0])
+    T_vc = closed_velocity_loop(correction, carriage)
+    stiffness = {y.K_v: y.k_v1 * y.G_tau / y.t_v}
+    return (
+        DerivationStep("Correction", "", Equation(*correction.args),
+                       "Fig. 4: integral of the velocity error, proportional on the velocity.", (CONTINUOUS,)),
+        DerivationStep("Drive and carriage", "", Equation(*carriage.args), "(1) and (2).",
+                       (LINEAR, FREE, CURRENT_LOOP)),
+        compared("Open loop at the velocity error", "6", Equation(y.T_vo, T_vo),
+                 "Both blocks solved for the velocity as an answer to e_v; the proportional path is closed inside.",
+                 rests_on),
+        DerivationStep("Crossover and phase margin", "", Equation(real, sp.Integer(0)),
+                       "T_vo(j omega_v) = exp(j (-pi + phi_v)), multiplied out: this is its real part.", rests_on),
+        compared("Gain", "7", Equation(y.k_v1, k),
+                 "Positive only for phi_v above atan(F_v/(M omega_v)), finite only below 90 deg.",
+                 (*rests_on, FEASIBLE)),
+        compared("Integral time", "7", Equation(y.t_v, t), "The imaginary part, with the gain just found.",
+                 (*rests_on, FEASIBLE), put={y.k_v1: k}),
+        compared("Closed loop", "8", Equation(y.T_vc, T_vc), "e_v = v - qd put back, and K_v = k_v1 G_tau/t_v.",
+                 rests_on, put=stiffness),
+        *_canonical(T_vc, rests_on, stiffness),
+        *_from_the_specification(T_vc, k, t, (*rests_on, FEASIBLE)),
+        *_elsewhere(correction, carriage, rests_on),
+    )  # fmt: skip
+
+
+def _crossover(T_vo: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
+    numerator, denominator = sp.fraction(sp.together(T_vo.subs(y.s, sp.I * y.omega_v)))
+    balance = sp.expand(denominator * (-sp.cos(y.phi_v) - sp.I * sp.sin(y.phi_v)) - numerator)
+    real, imaginary = (sp.expand(part) for part in balance.as_real_imag())
+    # Which of the two holds k_v1 without t_v depends on the blocks; that one is solved first.
+    both = sorted((real, imaginary), key=lambda part: part.subs(y.k_v1, 0).has(y.t_v) and part.has(y.t_v))
+    return both[0], both[1]
+
+
+def _coefficients(T_vc: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
+    """Natural frequency and damping ratio of T_vc, by the coefficients of s^2 and s."""
+    square, once, _ = sp.Poly(sp.expand(sp.cancel(1 / T_vc)), y.s).all_coeffs()
+    w0 = sp.solve(sp.Eq(square, 1 / y.omega_0v**2), y.omega_0v)[0]
+    return w0, sp.solve(sp.Eq(once, 2 * y.z_v / y.omega_0v), y.z_v)[0]
+
+
+def _canonical(T_vc: sp.Expr, rests_on: tuple[str, ...], stiffness: dict) -> list[DerivationStep]:
+    w0, z = _coefficients(T_vc)
+    form = {y.z_v: z.subs(y.omega_0v, w0), y.omega_0v: w0}
+    return [
+        compared("Natural frequency", "9", Equation(y.omega_0v, w0), "The coefficient of s^2.", rests_on,
+                 put=stiffness),
+        compared("Damping ratio", "9", Equation(y.z_v, z), "The coefficient of s.", rests_on, put=stiffness),
+        compared("Canonical form", "9", Equation(y.T_vc, T_vc), "With these two, T_vc is (9).", rests_on, put=form),
+    ]  # fmt: skip
+
+
+def _from_the_specification(T_vc: sp.Expr, k: sp.Expr, t: sp.Expr, rests_on: tuple[str, ...]) -> list[DerivationStep]:
+    w0, z = _coefficients(T_vc)
+    w0_said = _positive_phase(w0.subs(y.t_v, t).subs(y.k_v1, k))
+    z_said = _positive_phase(z.subs(y.omega_0v, w0).subs(y.t_v, t).subs(y.k_v1, k))
+    free = not (w0_said.free_symbols | z_said.free_symbols) & {y.M_1, y.F_v1, y.G_tau}
+    product = sp.simplify(_positive_phase(2 * z_said * w0_said) - y.omega_v * sp.tan(y.phi_v)) == 0
+    ratio, omega_b = sp.Symbol("x", positive=True), sp.Symbol(r"\omega_b", positive=True)
+    answer = 1 / (1 + 2 * y.z_v * sp.I * sp.sqrt(ratio) - ratio)  # (9) at s = j omega_0v sqrt(x)
+    power = sp.simplify(sp.expand(answer * sp.conjugate(answer), complex=True))
+    level = sp.Rational(3, 10)  # -3 dB of the magnitude is 10^(-3/10) of its square
+    roots = sp.solve(sp.Eq(sp.simplify(1 / power), 10**level), ratio)
+    largest = max(roots, key=lambda root: root.subs(y.z_v, 1).evalf())
+    return [
+        DerivationStep(
+            "What T_vc depends on: natural frequency", "", Equation(y.omega_0v, w0_said),
+            "(7) put into (9): T_vc follows from the specification alone.", rests_on,
+            (("mass, friction and gain are gone", free),),
+        ),
+        DerivationStep(
+            "What T_vc depends on: damping ratio", "", Equation(y.z_v, z_said), "The same.", rests_on,
+            (("2 z_v omega_0v = omega_v tan(phi_v)", product),),
+        ),
+        DerivationStep(
+            "Bandwidth of the closed loop", "", Equation(omega_b, y.omega_0v * sp.sqrt(largest)),
+            "|T_vc(j omega_b)| = 10^(-3/20), from (9): not the crossover omega_v.", rests_on,
+        ),
+    ]  # fmt: skip
+
+
+def _elsewhere(correction: sp.Eq, carriage: sp.Eq, rests_on: tuple[str, ...]) -> list[DerivationStep]:
+    broken = sp.Symbol("u_{in}")
+    opened = sp.solve([correction.subs(y.e_v, -y.qd_1), carriage.subs(y.u, broken)], [y.qd_1, y.u])
+    return [
+        DerivationStep(
+            "Loop broken at the plant input", "", Equation(sp.Symbol("L"), sp.factor(-opened[y.u] / broken)),
+            "Where delay, current loop and sampling sit: their phase is taken from this loop's margin.", rests_on,
+        )
+    ]  # fmt: skip
+
+
+def _positive_phase(expression: sp.Expr) -> sp.Expr:
+    """Simplify for a phase margin inside (0, 90) deg, where sine and cosine are positive."""
+    c = sp.Symbol("c", positive=True)
+    tangent = sp.sin(y.phi_v) / sp.cos(y.phi_v)
+    free = sp.simplify(expression).rewrite(sp.cos).subs(sp.tan(y.phi_v), tangent)
+    return sp.simplify(sp.simplify(free.subs(sp.cos(y.phi_v), c)).subs(c, sp.cos(y.phi_v)))

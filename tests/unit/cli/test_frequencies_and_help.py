@@ -1,0 +1,103 @@
+"""Frequencies with their unit, --debug in every help, tables that fit a terminal of 80 columns."""
+
+import json
+import math
+
+import pytest
+
+from emps_design.cli.app import COMMANDS, run
+from emps_design.errors import InputError
+from emps_design.machines import machine
+from emps_design.quantities import frequency
+from emps_design.simulation.synthetic_record import practice_record
+
+
+@pytest.mark.parametrize(
+    ("text", "in_rad_s", "in_hertz"),
+    [
+        ("188.5", 188.5, 188.5),  # a bare number is in the option's own unit
+        (188.5, 188.5, 188.5),
+        ("30Hz", 60 * math.pi, 30.0),
+        (" 30 hz ", 60 * math.pi, 30.0),
+        ("3e-2kHz", 60 * math.pi, 30.0),
+        ("377rad/s", 377.0, 188.5 / math.pi),
+        ("377 1/s", 377.0, 188.5 / math.pi),
+        ("inf", math.inf, math.inf),
+        ("-2Hz", -4 * math.pi, -2.0),
+    ],
+)
+def test_a_frequency_as_someone_writes_it(text, in_rad_s, in_hertz):
+    assert frequency(text) == pytest.approx(in_rad_s)
+    assert frequency(text, "Hz") == pytest.approx(in_hertz)
+
+
+@pytest.mark.parametrize("text", ["", "Hz", "30 Herz", "30 V", "3O", "1e", "30 30", "0x1F", "1_000"])
+def test_what_is_no_frequency(text):
+    with pytest.raises(InputError, match="expected a number of rad/s, or such as 30Hz"):
+        frequency(text)
+
+
+@pytest.mark.parametrize(
+    ("line", "key"),
+    [
+        ("gains {option} 10Hz", "--crossover"),
+        ("gains {option} 10Hz", "--bandwidth"),
+        ("force --k-e1 0.005 {option} 10Hz", "--crossover"),
+        ("force --k-e1 0.005 {option} 10Hz", "--bandwidth"),
+        ("impedance --mass 50 --damping 100 {option} 10Hz", "--filter"),
+        ("report --out {out} {option} 10Hz", "--crossover"),
+        ("report --out {out} {option} 10Hz", "--bandwidth"),
+        ("report --out {out} --mass 50 --damping 100 {option} 10Hz", "--filter"),
+        ("identify {record} {option} 40Hz", "--cutoff"),
+        ("observe {record} {option} 10Hz", "--cutoff"),
+        ("observe {record} {option} 40Hz", "--offline-cutoff"),
+    ],
+)
+def test_every_option_that_asks_for_a_frequency(line, key, tmp_path, capsys):
+    """With its unit it does what the bare number does; with a unit that is none it says what was expected."""
+    record = tmp_path / "record.npz"
+    if "{record}" in line:
+        practice_record(machine("emps2019"), laps=1).save(record)
+    plain = {"40Hz": "40", "10Hz": "10"} if "cutoff" in key else {"10Hz": repr(20 * math.pi)}
+    words = line.format(option=key, out=tmp_path / "out.html", record=record).split()
+    found = []
+    for asked in (words, [plain.get(word, word) for word in words]):
+        assert run([*asked, "--json", "--force"] if "report" in line else [*asked, "--json"]) in (0, 4)
+        found.append(json.loads(capsys.readouterr().out))
+    assert found[0] == found[1]
+    assert run([*words[:-1], "10Hx"]) == 2
+    assert f"'{key}': frequency: found '10Hx', expected a number of" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_knows_debug_and_fits(name, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert run([name, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert "--debug" in text
+    assert max(map(len, text.splitlines())) <= 80
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "gains --crossover 100 --mismatch 0.02",
+        "gains --crossover 100 --phase-margin 80 --computation-delay 1",
+        "force --k-e1 0.005 --environment 1000",
+        "impedance --mass 50 --damping 100 --mismatch 0.02 --plants 4",
+        "simulate --scenario breakaway --rate 20",
+        "simulate --record {record}",
+        "simulate --scenario comanipulation --plants 4",
+        "identify {record} --model asymmetric --estimator iv",
+        "observe {record}",
+    ],
+)
+def test_tables_fit_80_columns(line, tmp_path, capsys, monkeypatch):
+    """Laid out with all the room there is, no table is wider than 80 columns, so none is squeezed at 80."""
+    monkeypatch.setenv("COLUMNS", "200")
+    record = tmp_path / "record.npz"
+    practice_record(machine("emps2019"), laps=1).save(record)
+    run(line.format(record=record).split())
+    rows = [row for row in capsys.readouterr().out.splitlines() if set(row) & set("│┃─━")]
+    assert rows
+    assert max(map(len, rows)) <= 80
