@@ -2,7 +2,7 @@
 
 Times are medians of one process on this machine: processor time where one thread works, so that other work on the
 machine counts little, wall time where several do. What counts are the ratios. Peers that are not there are left out
-with a word. The record is DATA_EMPS where it can be found, otherwise a practice record of the same length.
+with a word. The record is DATA_EMPS where it can be found, otherwise a synthetic record of the same length.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from emps_design.files import write_text
 from emps_design.machines import machine
 from emps_design.records import Record, read_record
 from emps_design.simulation import Plant, monte_carlo, simulate_ensemble
-from emps_design.simulation.synthetic_record import practice_record
+from emps_design.simulation.synthetic import synthetic_record
 
 # What the measured records of the EMPS machine call for, and the same with a Stribeck effect in place of the curve.
 FIVE = (
@@ -71,8 +71,8 @@ def _record() -> tuple[Record, str]:
     path = folder / "emps" / "DATA_EMPS.mat"
     if path.exists():
         return read_record(path), "DATA_EMPS"
-    record = practice_record(machine("emps2019"), laps=2)
-    return record.part(0, min(len(record), 24841)), "practice (DATA_EMPS is not here)"
+    record = synthetic_record(machine("emps2019"), laps=2)
+    return record.part(0, min(len(record), 24841)), "synthetic (DATA_EMPS is not here)"
 
 
 def _median(call, least: int = 5, seconds: float = 1.0, clock=time.thread_time) -> float:

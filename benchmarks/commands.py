@@ -9,7 +9,7 @@ from pathlib import Path
 
 from benchmarks.rows import add, children
 from emps_design.machines import machine
-from emps_design.simulation.synthetic_record import practice_record
+from emps_design.simulation.synthetic import synthetic_record
 
 GAINS = ("gains", "--crossover", "100", "--phase-margin", "60", "--json")
 
@@ -21,7 +21,7 @@ def commands(rows: list[dict]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         paths = [str(Path(folder) / f"day{seed}.npz") for seed in range(10)]
         for seed, path in enumerate(paths):
-            practice_record(machine("emps2019"), seed=seed).save(path)
+            synthetic_record(machine("emps2019"), seed=seed).save(path)
         add(rows, "identify, one record of 55 s, processor time", _command("identify", paths[0], "--json"), "s", 2.0)
         add(rows, "identify, ten of them, processor time", _command("identify", *paths, "--json"), "s", 6.0)
 

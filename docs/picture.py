@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from emps_design import design_velocity_loop, diagnose, identify, load_axis, practice_record
+from emps_design import design_velocity_loop, diagnose, identify, load_axis, synthetic_record
 
 BLACK, BLUE, ORANGE, GREEN = "#222222", "#0072B2", "#D55E00", "#009E73"
 
@@ -13,8 +13,8 @@ axis = load_axis("emps2019")
 machine = axis.replace(
     effects=[{"kind": "position_ripple", "amplitude": 3.0, "period": 0.0025, "phase": 0.5}],
 )
-record = practice_record(machine, seed=1)
-holdout = practice_record(machine, seed=2, speed=0.08)
+record = synthetic_record(machine, seed=1)
+holdout = synthetic_record(machine, seed=2, speed=0.08)
 found = identify(record, axis)
 design = design_velocity_loop(found.to_axis(), crossover=100.0, phase_margin_deg=60.0)
 diagnosis = diagnose(record, axis, holdout=holdout)

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
         Hand as Hand,
         Plant as Plant,
         Wall as Wall,
-        practice_record as practice_record,
+        synthetic_record as synthetic_record,
         replay as replay,
         trapezoid_laps as trapezoid_laps,
     )

@@ -10,10 +10,10 @@ from emps_design.files import write_text
 from emps_design.identification import identify
 from emps_design.machines import machine
 from emps_design.records import read_record
-from emps_design.simulation import practice_record
+from emps_design.simulation import synthetic_record
 
 axis = machine("emps2019")
-record = read_record(sys.argv[1]) if len(sys.argv) > 1 else practice_record(axis)
+record = read_record(sys.argv[1]) if len(sys.argv) > 1 else synthetic_record(axis)
 
 for model in ("symmetric", "asymmetric"):
     found = identify(record, axis, model=model)

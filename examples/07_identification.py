@@ -15,11 +15,11 @@ from emps_design.identification import (
 )
 from emps_design.machines import machine
 from emps_design.records import read_record
-from emps_design.simulation import practice_record
+from emps_design.simulation import synthetic_record
 
 axis = machine("emps2019")
 given = [read_record(path) for path in sys.argv[1:]]
-records = given or [practice_record(axis, seed=seed) for seed in range(3)]
+records = given or [synthetic_record(axis, seed=seed) for seed in range(3)]
 record = records[0]
 
 # 1. Up to which frequency does the inverse model explain the force?

@@ -13,7 +13,7 @@ from emps_design.identification import identify, observe, with_known_push
 from emps_design.machines import machine
 from emps_design.observer import kalman_trade_off
 from emps_design.records import Record, read_record
-from emps_design.simulation import Plant, practice_record, trapezoid_laps
+from emps_design.simulation import Plant, synthetic_record, trapezoid_laps
 
 VOLTS_PER_PULSE = 1.0139  # V for a unit of pulses_N: regressed from the record, residual 4.7 mV
 
@@ -23,7 +23,7 @@ if len(sys.argv) > 2:
     pulses = read_record(sys.argv[2])
     wave = VOLTS_PER_PULSE * np.ravel(np.asarray(pulses.extra["pulses_N"], dtype=float))
 else:
-    found = identify(practice_record(axis, laps=1), axis)
+    found = identify(synthetic_record(axis, laps=1), axis)
     q_ref = trapezoid_laps(1e-3, laps=1)
     wave = VOLTS_PER_PULSE * 5.0 * (np.arange(q_ref.size) // 500 % 2)
     noise = np.random.default_rng(0).normal(0.0, 4e-3, q_ref.size)

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from emps_design.machines import machine
-from emps_design.simulation.synthetic_record import practice_record
+from emps_design.simulation.synthetic import synthetic_record
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 SOON = 2.0  # s
@@ -80,7 +80,7 @@ class Kills:
 
     def __post_init__(self):
         axis = machine("emps2019")
-        practice_record(axis, laps=1).save(self.folder / "record.npz")
+        synthetic_record(axis, laps=1).save(self.folder / "record.npz")
         (self.folder / "axis.toml").write_text(axis.to_toml())
         self.out = self.folder / "out"
         self.out.mkdir()

@@ -47,7 +47,7 @@ $$
 :alt: Change of the motor force that {effect.label} makes, against time and against velocity
 ```
 
-Change of the motor force of {MACHINE} over one practice lap, with and without the effect ({numbers}).
+Change of the motor force of {MACHINE} over one synthetic lap, with and without the effect ({numbers}).
 
 **Confused with.** {confused}.
 
@@ -75,7 +75,7 @@ def anchor(name: str) -> str:
 
 
 def draw(effect, path: Path) -> None:
-    """Draw what the effect changes in the motor force of a practice lap."""
+    """Draw what the effect changes in the motor force of a synthetic lap."""
     import numpy as np
     from matplotlib.figure import Figure
 

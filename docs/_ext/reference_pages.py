@@ -26,7 +26,7 @@ ROOMS = {
     "notebook": "Tables for notebooks",
     "errors": "Errors",
 }
-# One page of the catalogue an effect; the reference has what they share.
+# One page of the catalogue for each effect; the reference has what they share.
 ONLY = {"effects": ("emps_design.effects", "emps_design.effects.effect")}
 
 

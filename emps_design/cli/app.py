@@ -1,4 +1,4 @@
-"""One Typer application, one module a command; errors become one line and an exit status here and nowhere else."""
+"""One Typer application, one module per command; errors become one line and an exit status here and nowhere else."""
 
 from __future__ import annotations
 

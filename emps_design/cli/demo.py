@@ -27,7 +27,7 @@ def command(
     from emps_design.errors import InputError
     from emps_design.machines import machine
     from emps_design.report.assemble import assemble_report
-    from emps_design.simulation.synthetic_record import practice_record
+    from emps_design.simulation.synthetic import synthetic_record
 
     axis = machine(MACHINE)
     record_file = out.with_suffix(".npz")
@@ -37,7 +37,7 @@ def command(
     check_out(record_file, ARCHIVE, (), force)
     with progress_bar() as progress:
         progress("simulating a record of the machine", 0.0)
-        practice_record(axis, seed=seed).save(record_file)
+        synthetic_record(axis, seed=seed).save(record_file)
         report = assemble_report(
             record=record_file, crossover=CROSSOVER, phase_margin_deg=PHASE_MARGIN, progress=progress
         )

@@ -87,7 +87,7 @@ def print_gains(document: dict[str, Any]) -> None:
         )
         console.print(
             f"voltage noise of the encoder: {number(1e3 * noise['rms'], 3)} mV rms, "
-            f"{number(1e3 * noise['one_step'], 3)} mV a step"
+            f"{number(1e3 * noise['one_step'], 3)} mV per step"
         )
     if "mismatch" in document:
         _print_mismatch(console, document["mismatch"])
@@ -162,8 +162,8 @@ def _print_mismatch(console: Console, study: dict[str, Any]) -> None:
 
 
 def _verdict(stable: bool, what: str) -> Text:
-    said, colour = ("stable", "green") if stable else ("UNSTABLE", "red")
-    return Text(f"{one_line(what)} is {said}", f"bold {colour}")
+    state, colour = ("stable", "green") if stable else ("UNSTABLE", "red")
+    return Text(f"{one_line(what)} is {state}", f"bold {colour}")
 
 
 def _table(title: str, *columns: str) -> Table:

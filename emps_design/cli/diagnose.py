@@ -36,8 +36,8 @@ def command(
     records: Annotated[list[Path], typer.Argument(metavar="RECORD...", help="records of one axis (.mat, .csv, .npz)")],
     axis: Annotated[str, typer.Option(help="axis file or embedded machine")] = "emps2019",
     holdout: Annotated[Path | None, typer.Option(help="a record to confirm on, opened once, at the end")] = None,
-    fit_time: Annotated[str | None, typer.Option(metavar="A:B", help="fit on this stretch only [s]")] = None,
-    confirm_time: Annotated[str | None, typer.Option(metavar="C:D", help="confirm on this stretch [s]")] = None,
+    fit_time: Annotated[str | None, typer.Option(metavar="A:B", help="fit on this interval only [s]")] = None,
+    confirm_time: Annotated[str | None, typer.Option(metavar="C:D", help="confirm on this interval [s]")] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="folder for model, report, prediction")] = None,
     seed: Annotated[int, typer.Option(min=0, help="seed of the healthy reference")] = 0,
     healthy_runs: Annotated[

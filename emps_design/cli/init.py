@@ -43,15 +43,15 @@ def command(
     from emps_design.errors import InputError
     from emps_design.files import write_text, write_together
     from emps_design.machines import load_axis
-    from emps_design.simulation.synthetic_record import practice_record
+    from emps_design.simulation.synthetic import synthetic_record
 
     check_folder(directory, FILES, (machine,), force=True)
     taken = [name for name in FILES if (directory / name).exists()]
     if taken and not force:
         raise InputError(f"{directory}: {', '.join(taken)} exist already; choose another folder, or give --force")
     axis = load_axis(machine)
-    record = practice_record(axis, seed=seed)
-    puzzle = practice_record(axis.replace(effects=[*axis.effects, *PUZZLE]), seed=seed + 1)
+    record = synthetic_record(axis, seed=seed)
+    puzzle = synthetic_record(axis.replace(effects=[*axis.effects, *PUZZLE]), seed=seed + 1)
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -67,7 +67,7 @@ def command(
 
 
 def _voltage(injected: str, record: Record) -> np.ndarray:
-    """The voltage [V] that ``COLUMN:VOLTS`` stands for, one value a sample."""
+    """The voltage [V] that ``COLUMN:VOLTS`` stands for, one value per sample."""
     import numpy as np
 
     from emps_design.errors import InputError

@@ -111,7 +111,7 @@ def new_console() -> Console:
 
 @contextmanager
 def progress_bar(show: bool = True) -> Iterator[Progress]:
-    """Give a ``progress(stage, fraction)`` that draws on standard error: a bar, or a line a stage."""
+    """Give a ``progress(stage, fraction)`` that draws on standard error: a bar, or one line per stage."""
     if not show:
         yield lambda stage, fraction: None
     elif sys.stderr.isatty():

@@ -73,7 +73,7 @@ class Parameter(Quantity):
 
 @dataclass(frozen=True)
 class Motion:
-    """What a regressor sees: the motion of a record or a simulation, filtered alike, one row a sample.
+    """What a regressor sees: the motion of a record or a simulation, filtered alike, one row per sample.
 
     ``q`` [m], ``v`` [m/s], ``a`` [m/s^2], ``t`` [s], ``tau`` [N] (motor force as a model predicts it, never measured:
     a measured one would put the disturbance on both sides), ``voltage`` [V] the recorded one, ``smooth`` the
@@ -194,7 +194,7 @@ class Effect:
 
     @property
     def linear(self) -> tuple[str, ...]:
-        """Names of the parameters that a linear regression gives, one a column."""
+        """Names of the parameters that a linear regression gives, one for each column."""
         return tuple(p.name for p in self.parameters if p.linear)
 
     @property

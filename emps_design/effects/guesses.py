@@ -107,7 +107,7 @@ def instants(
 def pulses(residual: np.ndarray, t: np.ndarray, period: float) -> list[dict[str, float]]:
     """Pulse trains (amplitude, start, duration, every) that ``residual`` (n,) [N] shows; strongest first.
 
-    A pulse is a stretch in which the residual, averaged over 20 ms, stays beyond four robust deviations.
+    A pulse is an interval in which the residual, averaged over 20 ms, stays beyond four robust deviations.
     """
     width = max(1, round(0.02 / period))
     smooth = np.convolve(residual - np.median(residual), np.ones(width) / width, mode="same")

@@ -42,7 +42,7 @@ class Coverage:
     plain: dict[str, float]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data: a row a parameter, shares in per cent."""
+        """Plain data: one row per parameter, shares in per cent."""
         return {
             "runs": self.runs,
             "rows": [

@@ -57,8 +57,8 @@ def chosen_cutoff(record: Record) -> Cutoff:
     filter throws motion away. Between 10 Hz and a fifth of the sampling frequency.
 
     >>> from emps_design.machines import machine
-    >>> from emps_design.simulation.synthetic_record import practice_record
-    >>> 20.0 < chosen_cutoff(practice_record(machine("emps2019"), laps=1)).cutoff_hz < 100.0
+    >>> from emps_design.simulation.synthetic import synthetic_record
+    >>> 20.0 < chosen_cutoff(synthetic_record(machine("emps2019"), laps=1)).cutoff_hz < 100.0
     True
     """
     from scipy.signal import welch

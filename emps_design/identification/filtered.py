@@ -14,10 +14,11 @@ from emps_design.effects import Motion
 class Filtered:
     """A record after its chain of filters.
 
-    ``motion`` has one row a sample of the record that was kept (None once W is made of it), and ``reduce`` brings such
-    a column to the rate of the regression. At that rate are ``t`` [s], ``force`` [N] and ``f_ext`` [N], which rows are
-    ``used``, and which lie ``away`` from rest; ``period`` [s] is the time between two rows. ``cutoff_hz`` [Hz] is the
-    low-pass of the position (None: the chain has none), ``band_hz`` [Hz] what the regression sees.
+    ``motion`` has one row for each sample of the record that was kept (None once W is made of it), and ``reduce``
+    brings such a column to the rate of the regression. At that rate are ``t`` [s], ``force`` [N] and ``f_ext`` [N],
+    which rows are ``used``, and which lie ``away`` from rest; ``period`` [s] is the time between two rows.
+    ``cutoff_hz`` [Hz] is the low-pass of the position (None: the chain has none), ``band_hz`` [Hz] what the regression
+    sees.
     """
 
     chain: str

@@ -84,8 +84,8 @@ def motion(record: Record, cutoff_hz: float) -> Motion:
     :func:`emps_design.identification.inverse_model.with_predicted_force` fills in a model's.
 
     >>> from emps_design.machines import machine
-    >>> from emps_design.simulation.synthetic_record import practice_record
-    >>> record = practice_record(machine("emps2019"), laps=1)
+    >>> from emps_design.simulation.synthetic import synthetic_record
+    >>> record = synthetic_record(machine("emps2019"), laps=1)
     >>> seen = motion(record, 50.0)
     >>> seen.v.shape == record.q.shape, round(float(abs(seen.v).max()), 1)
     (True, 0.2)

@@ -52,8 +52,8 @@ def identify(
     :class:`RecordError` for a record that cannot identify, :class:`RankError` for columns it cannot tell apart.
 
     >>> from emps_design.machines import machine
-    >>> from emps_design.simulation.synthetic_record import practice_record
-    >>> found = identify(practice_record(machine("emps2019"), laps=1), chain="hold")
+    >>> from emps_design.simulation.synthetic import synthetic_record
+    >>> found = identify(synthetic_record(machine("emps2019"), laps=1), chain="hold")
     >>> round(found.parameters["mass"].value, 0), found.parameters["mass"].quantity.unit
     (95.0, 'kg')
     """
@@ -78,7 +78,7 @@ def identify(
         if chain != "hold":
             better, systematic = _against_hold(record, axis, model, filtered, fit, cutoff.cutoff_hz)
             if better is None:
-                notes.append("no stretch away from rest: the intervals leave out what friction at rest does to them")
+                notes.append("no interval away from rest: the intervals leave out what friction at rest does to them")
             else:
                 extra["hold_modelled"] = {name: one.to_dict() for name, one in better.parameters.items()}
     return assemble(

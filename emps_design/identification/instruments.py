@@ -86,9 +86,9 @@ def identify_with_instruments(
     values stand in ``extra`` beside the test.
 
     >>> from emps_design.machines import machine
-    >>> from emps_design.simulation.synthetic_record import practice_record
+    >>> from emps_design.simulation.synthetic import synthetic_record
     >>> axis = machine("emps2019")
-    >>> found = identify_with_instruments(practice_record(axis, laps=1), axis)
+    >>> found = identify_with_instruments(synthetic_record(axis, laps=1), axis)
     >>> round(found.parameters["mass"].value, 0), found.extra["hausman_test"]["bias_matters"]
     (95.0, False)
     """

@@ -123,9 +123,9 @@ def observe(
     to settle, at least 1 s.
 
     >>> from emps_design.machines import machine
-    >>> from emps_design.simulation.synthetic_record import practice_record
+    >>> from emps_design.simulation.synthetic import synthetic_record
     >>> axis = machine("emps2019")
-    >>> found = observe(practice_record(axis, laps=1), axis)
+    >>> found = observe(synthetic_record(axis, laps=1), axis)
     >>> sorted(found.methods), found.methods["online"].smallest.bound
     (['kalman', 'offline', 'online'], 'break_away')
     """

@@ -42,9 +42,9 @@ def identify_by_output_error(
     :class:`InputError` where the search does not converge.
 
     >>> from emps_design.machines import machine
-    >>> from emps_design.simulation.synthetic_record import practice_record
+    >>> from emps_design.simulation.synthetic import synthetic_record
     >>> axis = machine("emps2019")
-    >>> found = identify_by_output_error(practice_record(axis, laps=1), axis)
+    >>> found = identify_by_output_error(synthetic_record(axis, laps=1), axis)
     >>> round(found.parameters["viscous"].value, -1), found.extra["closed_loop"]["position_rms_error"] < 1e-6
     (200.0, True)
     """

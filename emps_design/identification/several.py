@@ -39,11 +39,11 @@ class SeveralIdentifications:
 
     @property
     def values(self) -> np.ndarray:
-        """Parameters, a row a record, shape (records, p)."""
+        """Parameters, one row per record, shape (records, p)."""
         return np.array([one.values() for one in self.identifications])
 
     def table(self) -> list[dict[str, Any]]:
-        """A row a parameter: mean, spread between records, mean deviation within one, drift per record."""
+        """One row per parameter: mean, spread between records, mean deviation within one, drift per record."""
         from scipy.stats import linregress
 
         rows = []
@@ -120,9 +120,9 @@ def identify_several(
     records, :class:`AxisError` where a record does not determine a parameter.
 
     >>> from emps_design.machines import machine
-    >>> from emps_design.simulation.synthetic_record import practice_record
+    >>> from emps_design.simulation.synthetic import synthetic_record
     >>> axis = machine("emps2019")
-    >>> found = identify_several([practice_record(axis, seed, laps=1) for seed in range(2)], axis, chain="hold")
+    >>> found = identify_several([synthetic_record(axis, seed, laps=1) for seed in range(2)], axis, chain="hold")
     >>> found.cross_validation.shape, round(found.table()[0]["mean"])
     ((2, 2), 95)
     """

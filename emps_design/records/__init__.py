@@ -1,4 +1,4 @@
-"""Measured records: one reader per format, one check at the door."""
+"""Measured records: one reader per format, one check for all."""
 
 from emps_design.records.readers import MAX_BYTES, read_record, record_from_bytes
 from emps_design.records.record import Record

@@ -1,4 +1,4 @@
-"""The one check at the door: what is not a trustworthy record is refused here, in one line, and nothing is repaired."""
+"""The one check for all: what is not a trustworthy record is refused here, in one line, and nothing is repaired."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def _vector(values: Any, title: Title, n: int, source: str) -> np.ndarray:
     if array.dtype.kind not in "buif":
         raise RecordError(f"{source}: column {title.text!r}: found {array.dtype} values, expected real numbers")
     if array.ndim > 1 and array.size != max(array.shape):
-        raise RecordError(f"{source}: column {title.text!r}: found shape {array.shape}, expected one value a sample")
+        raise RecordError(f"{source}: column {title.text!r}: found shape {array.shape}, expected one value per sample")
     if array.size != n:
         raise RecordError(f"{source}: column {title.name}: found {array.size} samples, expected {n} as in column t")
     return array.ravel()

@@ -1,4 +1,4 @@
-"""A measured or simulated run of the axis, checked once at the door."""
+"""A measured or simulated run of the axis, checked once, on reading."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Record:
 
     ``t`` [s] starts at 0 with the nominal ``period`` [s]; ``q_ref`` [m] reference and ``q`` [m] encoder position, both
     on the load side; ``u`` [V] voltage that the drive was given; ``f_ext`` [N] measured external force, where there is
-    one. ``extra`` keeps other columns of the file, unread by the analysis; ``warnings`` what the check at the door
+    one. ``extra`` keeps other columns of the file, unread by the analysis; ``warnings`` what the check
     noticed. Built by :func:`emps_design.records.read_record` or :meth:`from_arrays`.
     """
 

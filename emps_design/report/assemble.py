@@ -95,7 +95,7 @@ def assemble_report(
 
     from emps_design.control.velocity.design import check_specification, design_velocity_loop
 
-    check_specification(crossover, bandwidth, phase_margin_deg)  # before the record: a wrong number is told at once
+    check_specification(crossover, bandwidth, phase_margin_deg)  # before the record: a wrong number is refused at once
     parts: list[Section] = []
     notes: list[str] = []
     found: tuple[Identification, ...] = ()

@@ -97,11 +97,11 @@ def typeset(text: str) -> str:
 
 def _where_caption(diagnosis: Diagnosis, findings: Sequence[Mapping[str, Any]]) -> str:
     view = diagnosis.views[0]
-    told = (f.get("where", {}).get("text") for f in findings)
-    places = "; ".join(dict.fromkeys(text for text in told if text and text != EVERYWHERE))
-    said = f" {sentence_of(places)}" if places else ""
+    texts = (f.get("where", {}).get("text") for f in findings)
+    places = "; ".join(dict.fromkeys(text for text in texts if text and text != EVERYWHERE))
+    where = f" {sentence_of(places)}" if places else ""
     models = ", before (model as it was, refitted) and after" if findings else " that the refitted model leaves"
-    return f"Residual force over {view.quantity}{models}.{said}"
+    return f"Residual force over {view.quantity}{models}.{where}"
 
 
 def _trace_caption(name: str, simulated: str, extended: bool) -> str:

@@ -15,43 +15,43 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def experiment_section(told: Mapping[str, Any] | None, experiment: Any = None) -> Section | None:
-    """Return the section for ``told``, the document's ``experiment``, or None where nothing is to be recorded.
+def experiment_section(chosen: Mapping[str, Any] | None, experiment: Any = None) -> Section | None:
+    """Return the section for ``chosen``, the document's ``experiment``, or None where nothing is to be recorded.
 
     ``experiment`` itself, where there is one, has the reference: ``t`` [s] and ``q_ref`` [m], (n,), the latter or None.
     """
-    if not told:
+    if not chosen:
         return None
-    text = told["text"]
+    text = chosen["text"]
     blocks: list[Any] = [Text(f"{text[0].upper()}{text[1:]}.")]
     if getattr(experiment, "q_ref", None) is not None:
         blocks.append(
             Picture(
                 reference_figure(experiment.t, experiment.q_ref),
-                f"The reference that would tell, {words(told['program'])}, {experiment.t[-1]:.0f} s. It begins and "
+                f"The reference that would tell, {words(chosen['program'])}, {experiment.t[-1]:.0f} s. It begins and "
                 "ends at rest where the record began.",
                 "What to record",
             )
         )
-    if told.get("file"):
+    if chosen.get("file"):
         blocks.append(
             Text(
                 html(
                     "It is in <code>{}</code>, columns t [s] and q_ref [m]. Try it first: "
                     "<code>emps-design simulate model.toml --reference {}</code>.",
-                    told["file"],
-                    told["file"],
+                    chosen["file"],
+                    chosen["file"],
                 )
             )
         )
-    if told.get("menu"):
-        between = " and ".join(words(name) for name in told["between"])
+    if chosen.get("menu"):
+        between = " and ".join(words(name) for name in chosen["between"])
         blocks.append(
             Table(
                 ["program", "what it does", "apart [N rms]", "apart [std of the noise]"],
-                [[words(row["program"]), row["text"], row["distance"], row["over_noise"]] for row in told["menu"]],
+                [[words(row["program"]), row["text"], row["distance"], row["over_noise"]] for row in chosen["menu"]],
                 f"How far apart {between} are on each program that stays within what the records show, fitted to one "
-                f"another; {quantity(told['needed'], '', 2)} standard deviations decide.",
+                f"another; {quantity(chosen['needed'], '', 2)} standard deviations decide.",
             )
         )
     return Section("What to record next", *blocks)

@@ -104,7 +104,7 @@ def before_after_figure(diagnosis: Any) -> Figure:
     t = np.asarray(trace.t)
     settled = np.arange(t.size) >= START_UP
     miss = np.where(settled, np.asarray(trace.measured) - np.asarray(trace.baseline), 0.0)
-    low, high = trace.window or _stretch(t, miss)
+    low, high = trace.window or _window(t, miss)
     inside = (t >= low) & (t <= high)
     models = [(trace.baseline, RED, "baseline model"), (trace.extended, BLUE, "extended model")]
     if np.array_equal(trace.baseline, trace.extended):
@@ -133,7 +133,7 @@ def before_after_figure(diagnosis: Any) -> Figure:
     return figure
 
 
-def _stretch(t: np.ndarray, error: np.ndarray) -> tuple[float, float]:
+def _window(t: np.ndarray, error: np.ndarray) -> tuple[float, float]:
     """The tenth of the record in which ``error`` is largest: where there is something to see."""
     length = max(2, t.size // 10)
     energy = np.concatenate([[0.0], np.cumsum(np.square(error))])

@@ -192,7 +192,7 @@ def views_section(diagnosis: Diagnosis) -> Section | None:
     spectrum = diagnosis.to_dict().get("spectrum_over_time")
     caption = (
         "What the model as it was misses, by frequency and time. A level line is a hum, a line that follows the speed "
-        "a ripple over position, a column an event."
+        "a ripple over position, one column per event."
     )
     blocks = [Picture(figures.spectrum_figure(spectrum), caption, "Spectrum over time")] if spectrum else []
     return Section(

@@ -77,7 +77,7 @@ def _canvas(width: float, height: float) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def velocity_and_force_loop() -> Figure:
+def velocity_and_force_loop_diagram() -> Figure:
     """Draw Fig. 4: the IP velocity loop inside the force loop, with the operator's impedance written out."""
     with look():
         figure, axes = _canvas(15.4, 4.9)
@@ -135,7 +135,7 @@ def velocity_and_force_loop() -> Figure:
     return figure
 
 
-def impedance_law() -> Figure:
+def impedance_law_diagram() -> Figure:
     """Draw Fig. 11: (a) the law around the drive, (b) the impedance that the operator shall feel."""
     with look():
         figure, axes = _canvas(15.4, 5.0)

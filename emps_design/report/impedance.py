@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emps_design.report.diagrams import impedance_law
+from emps_design.report.diagrams import impedance_law_diagram
 from emps_design.report.display import NOTHING, frequency, number, quantity, symbol
 from emps_design.report.impedance_figures import (
     apparent_impedance_figure,
@@ -39,7 +39,7 @@ def impedance_section(found: ImpedanceAssessment, chosen: str = "") -> Section:
         ),
         _verdict(found, document),
         Picture(
-            impedance_law(),
+            impedance_law_diagram(),
             "(a) The law sees motion and motor current, no force. (b) The impedance it aims at; in co-manipulation K "
             "and the reference velocity are zero.",
             "Impedance control, after Fig. 11 of the paper",

@@ -46,7 +46,7 @@ def _force_picture(found: Identification) -> Picture:
     return Picture(
         force_figure(found),
         f"Force of the motor, measured and by the {found.model} model with the identified parameters. The middle "
-        "picture enlarges the yellow stretch. What is left in the lowest picture and repeats from stroke to stroke "
+        "picture enlarges the yellow part. What is left in the lowest picture and repeats from stroke to stroke "
         "is physics that the model lacks; emps-design diagnose names it.",
         "Measured against identified force",
     )

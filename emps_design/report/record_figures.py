@@ -32,11 +32,11 @@ def record_figure(record: Record) -> Figure:
 
 
 def force_figure(found: Identification) -> Figure:
-    """Draw measured and identified force over the record, one stretch of it larger, and the residual."""
+    """Draw measured and identified force over the record, one part of it enlarged, and the residual."""
     t, measured, model = (np.asarray(found.series[key]) for key in ("t", "measured", "model"))
     used = np.asarray(found.series["used"], dtype=bool)
     error = np.where(used, measured - model, np.nan)
-    low, high = _stretch(t, measured)
+    low, high = _window(t, measured)
     inside = (t >= low) & (t <= high)
     with look():
         figure, (top, middle, bottom) = subplots(3, 1, height=6.2)
@@ -60,8 +60,8 @@ def force_figure(found: Identification) -> Figure:
     return figure
 
 
-def _stretch(t: np.ndarray, force: np.ndarray) -> tuple[float, float]:
-    """An eighth of the record around its largest force: a stretch in which something happens."""
+def _window(t: np.ndarray, force: np.ndarray) -> tuple[float, float]:
+    """An eighth of the record around its largest force, where something happens."""
     length = (t[-1] - t[0]) / 8.0
     centre = float(t[int(np.argmax(np.abs(force)))])
     low = min(max(float(t[0]), centre - 0.5 * length), float(t[-1]) - length)

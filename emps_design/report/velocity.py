@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from emps_design.report.diagrams import velocity_and_force_loop
+from emps_design.report.diagrams import velocity_and_force_loop_diagram
 from emps_design.report.display import angle, frequency, number, quantity, symbol
 from emps_design.report.loop_figures import bode_figure, nyquist_figure, poles_figure, step_figure
 from emps_design.report.loops import broken_loops
@@ -47,7 +47,7 @@ def gains_section(velocity: VelocityLoopDesign) -> Section:
     return Section(
         "Axis and gains",
         Picture(
-            velocity_and_force_loop(),
+            velocity_and_force_loop_diagram(),
             "The IP velocity loop (integral of the error, proportional on the velocity) inside the force loop. The two "
             "dotted lines are the places where the loop is broken to read margins.",
             "Structure, after Fig. 4 of the paper",

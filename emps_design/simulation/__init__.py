@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from emps_design.simulation.plant import Plant as Plant
     from emps_design.simulation.run import Run as Run
     from emps_design.simulation.scenarios import breakaway as breakaway, replay as replay
-    from emps_design.simulation.synthetic_record import (
-        practice_record as practice_record,
+    from emps_design.simulation.synthetic import (
+        synthetic_record as synthetic_record,
         trapezoid_laps as trapezoid_laps,
     )
 else:

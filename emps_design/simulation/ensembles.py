@@ -100,7 +100,7 @@ def sweep(axis: Axis, name: str, values: Sequence[float]) -> Plants:
 
 @dataclass(frozen=True, eq=False)
 class Ensemble:
-    """Metrics of many plants, one row a plant: ``metrics`` by name (NaN where a plant did not finish), and ``status``.
+    """Metrics of many plants, one row per plant: ``metrics`` by name (NaN where it did not finish), and ``status``.
 
     ``tracking_rms`` [m] of reference minus position; ``position_rms`` [m] and ``force_rms`` [N] of record minus
     simulation where a record was given; ``peak_voltage`` [V]; ``rest_share`` of the samples at rest.
@@ -207,7 +207,7 @@ def _collect(task, plants, parts, table, status, reasons, workers, progress) -> 
 def simulate_part(
     task: dict[str, Any], start: int, baselines: np.ndarray, parameters: list[np.ndarray]
 ) -> tuple[int, np.ndarray, dict[int, str]]:
-    """Metrics of plants ``start`` to ``start + len(baselines)``: the start, one row a plant, reasons of failures."""
+    """Metrics of plants ``start`` to ``start + len(baselines)``: the start, one row per plant, reasons of failures."""
     axis = task["axis"]
     rows = np.full((len(baselines), len(METRICS)), np.nan)
     reasons: dict[int, str] = {}

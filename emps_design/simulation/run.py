@@ -32,7 +32,7 @@ EVENTS = ("reversal", "stick", "break-away", "guard")
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One simulated run, a row a sample.
+    """One simulated run, one row per sample.
 
     ``q`` [m] is what the encoder reports (with its errors), ``position`` [m] and ``v`` [m/s] the true motion on the
     encoder's side, ``u`` [V] the recorded voltage, ``force`` = G_tau u [N], ``f_ext`` [N] the external force that a

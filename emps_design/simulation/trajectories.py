@@ -9,7 +9,7 @@ import numpy as np
 
 from emps_design.errors import InputError
 from emps_design.records.check import LONGEST
-from emps_design.simulation.synthetic_record import trapezoid_laps
+from emps_design.simulation.synthetic import trapezoid_laps
 
 
 def half_ramp_program(

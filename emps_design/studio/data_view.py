@@ -152,7 +152,7 @@ class DataView:
 
     def _say(self, text: str, level: str, more: str = "") -> None:
         role = "alert" if level == "stop" else "status"
-        self.message.object = f'<div class="said {level}" role="{role}">{inline(text)}{more}</div>'
+        self.message.object = f'<div class="message {level}" role="{role}">{inline(text)}{more}</div>'
 
     def _start(self, name: str) -> None:
         if self.record is None:

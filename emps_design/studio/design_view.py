@@ -12,9 +12,9 @@ from emps_design.errors import EmpsError
 from emps_design.report.page import inline
 from emps_design.studio.controls import Knob
 from emps_design.studio.design_tables import laws_table, numbers_table
+from emps_design.studio.feasible import feasible, plane
 from emps_design.studio.panes import html
 from emps_design.studio.plots import LoopPlots, PlanePlot
-from emps_design.studio.reach import plane, reach
 from emps_design.studio.state import PLACES, SPECIFICATIONS, State
 
 if TYPE_CHECKING:
@@ -157,40 +157,40 @@ class DesignView:
             self._quiet = False
         self._show_pinned()
 
-    def _within_reach(self) -> tuple[str, bool]:
+    def _feasible_note(self) -> tuple[str, bool]:
         """Move the state to what can be reached; why it moved or where it ends, and whether there is a design."""
-        said: list[str] = []
-        reachable = reach(self.state)
+        notes: list[str] = []
+        reachable = feasible(self.state)
         frequency = reachable.nearest_frequency(self.state.frequency)
         if reachable.frequencies is not None:
             self.knobs["frequency"].limit(*reachable.frequencies)
         if frequency != self.state.frequency:
             asked = self.state.frequency
-            said += [reachable.text, f"The frequency asked for moved from {asked:g} to {frequency:g} rad/s."]
+            notes += [reachable.text, f"The frequency asked for moved from {asked:g} to {frequency:g} rad/s."]
             self.state = self.state.changed(frequency=frequency)
-            reachable = reach(self.state)
-            said.append(reachable.text)
+            reachable = feasible(self.state)
+            notes.append(reachable.text)
         else:
-            said += [reachable.text, reachable.beyond]
+            notes += [reachable.text, reachable.beyond]
         if not reachable.empty:
             phase = reachable.nearest(self.state.phase_margin_deg)
             self.knobs["phase_margin_deg"].limit(reachable.low, reachable.high)
             if phase != self.state.phase_margin_deg:
-                said.append(f"The phase margin asked for moved from {self.state.phase_margin_deg:g}° to {phase:g}°.")
+                notes.append(f"The phase margin asked for moved from {self.state.phase_margin_deg:g}° to {phase:g}°.")
                 self.state = self.state.changed(phase_margin_deg=phase)
-        return " ".join(filter(None, said)), not reachable.empty
+        return " ".join(filter(None, notes)), not reachable.empty
 
     def refresh(self) -> None:
         """Design what the state asks for and show it; a specification that cannot be had stays unreachable."""
         from emps_design.studio.exports import velocity_design
 
-        said, reached = self._within_reach()
+        notes, reached = self._feasible_note()
         try:
             self.design = velocity_design(self.state)
         except EmpsError as error:
             self._say(str(error), "stop")
             return
-        self._say(said, "note" if reached else "stop")
+        self._say(notes, "note" if reached else "stop")
         state = self.state
         self.plots.update(self.design, state.place)
         self.plots.require(state.required_phase_deg, state.required_overshoot_percent)
@@ -207,4 +207,4 @@ class DesignView:
             self.numbers.object = numbers_table(self.state, self.design, self.pinned)
 
     def _say(self, text: str, level: str) -> None:
-        self.message.object = f'<div class="said {level}" role="status">{inline(text)}</div>' if text else ""
+        self.message.object = f'<div class="message {level}" role="status">{inline(text)}</div>' if text else ""

@@ -48,7 +48,7 @@ def report_html(state: State, record: Record | None = None) -> str:
 def figures(state: State) -> dict[str, Figure]:
     """The pictures of ``state`` as matplotlib figures by name."""
     from emps_design.control.force.design import design_force_loop
-    from emps_design.report.diagrams import velocity_and_force_loop
+    from emps_design.report.diagrams import velocity_and_force_loop_diagram
     from emps_design.report.force_figures import force_limit_figure, force_loop_figure
     from emps_design.report.loop_figures import velocity_loop_figures
     from emps_design.studio.simulated import simulate
@@ -56,7 +56,7 @@ def figures(state: State) -> dict[str, Figure]:
     design = velocity_design(state)
     force = design_force_loop(design, state.k_e1, hand=state.hand, environment=state.wall * 1e3)
     return {
-        "block_diagram": velocity_and_force_loop(),
+        "block_diagram": velocity_and_force_loop_diagram(),
         **velocity_loop_figures(design),
         "force_limit": force_limit_figure(force),
         "force_loop": force_loop_figure(force),

@@ -120,4 +120,4 @@ class FilesView:
 
     def _say(self, text: str, level: str) -> None:
         role = "alert" if level == "stop" else "status"
-        self.message.object = f'<div class="said {level}" role="{role}">{inline(text)}</div>'
+        self.message.object = f'<div class="message {level}" role="{role}">{inline(text)}</div>'

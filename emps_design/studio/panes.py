@@ -9,10 +9,10 @@ from typing import Any
 import panel as pn
 
 STYLE = """
-.said { padding: 5px 10px; border-left: 5px solid #56b4e9; background: #eef7fd; font-size: 13px; margin: 2px 0 4px; }
-.said.stop { border-color: #b3261e; background: #fdecea; }
-.said.good { border-color: #009e73; background: #e9f7f2; }
-.said.warning { border-color: #e69f00; background: #fff8e6; }
+.message { padding: 5px 10px; border-left: 5px solid #56b4e9; background: #eef7fd; font-size: 13px; margin: 2px 0 4px; }
+.message.stop { border-color: #b3261e; background: #fdecea; }
+.message.good { border-color: #009e73; background: #e9f7f2; }
+.message.warning { border-color: #e69f00; background: #fff8e6; }
 table { border-collapse: collapse; font-size: 12.5px; font-variant-numeric: tabular-nums; }
 th, td { text-align: left; padding: 2px 9px 2px 4px; border-bottom: 1px solid #e5e7eb; vertical-align: bottom; }
 th { font-weight: 400; }

@@ -23,7 +23,7 @@ from bokeh.plotting import figure
 
 from emps_design.report.loops import broken_loops
 from emps_design.report.style import BLACK, BLUE, GREEN, GREY, RED
-from emps_design.studio.reach import KINDS, Plane
+from emps_design.studio.feasible import KINDS, Plane
 
 if TYPE_CHECKING:
     from emps_design.control.velocity.design import VelocityLoopDesign

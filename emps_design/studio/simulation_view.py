@@ -73,11 +73,11 @@ class SimulationView:
         self.job.start(lambda progress: simulate(state, progress), self._done, self._failed)
 
     def _failed(self, message: str) -> None:
-        self.message.object = f'<div class="said stop" role="alert">{inline(message)}</div>'
+        self.message.object = f'<div class="message stop" role="alert">{inline(message)}</div>'
 
     def _done(self, found: Simulated) -> None:
         level, text = found.verdict()
-        self.message.object = f'<div class="said {level}" role="status">{inline(text)}</div>'
+        self.message.object = f'<div class="message {level}" role="status">{inline(text)}</div>'
         rows = "".join(
             f"<tr><th>{inline(name)}</th><td><b>{inline(value)}</b></td></tr>" for name, value in found.rows()
         )

@@ -107,7 +107,7 @@ def test_every_command_takes_json(command, capsys):
     assert "--json" in text or command == "studio"  # the studio prints its address and serves until it is ended
 
 
-def test_one_file_an_effect():
+def test_one_file_per_effect():
     files = {p.stem for p in (PACKAGE / "effects" / "library").glob("*.py")}
     assert {effect.name for effect in EFFECTS} == files - {"__init__"}
 

@@ -108,8 +108,8 @@ def picture(tmp_path):
 def practice(tmp_path_factory) -> Path:
     """A simulated record of the embedded machine."""
     from emps_design.machines import machine
-    from emps_design.simulation.synthetic_record import practice_record
+    from emps_design.simulation.synthetic import synthetic_record
 
     path = tmp_path_factory.mktemp("record") / "practice.npz"
-    practice_record(machine("emps2019"), seed=1).save(path)
+    synthetic_record(machine("emps2019"), seed=1).save(path)
     return path

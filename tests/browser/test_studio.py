@@ -204,11 +204,11 @@ def test_interrupt_ends_it_cleanly():
 def rippled(tmp_path_factory):
     """A short simulated record of the embedded machine with a position ripple that its axis file does not have."""
     from emps_design.machines import machine
-    from emps_design.simulation.synthetic_record import practice_record
+    from emps_design.simulation.synthetic import synthetic_record
 
     path = tmp_path_factory.mktemp("ripple") / "rippled.npz"
     ripple = {"kind": "position_ripple", "amplitude": 4.0, "period": 5e-3, "phase": 0.3}
-    practice_record(machine("emps2019").replace(effects=[ripple]), seed=2).save(path)
+    synthetic_record(machine("emps2019").replace(effects=[ripple]), seed=2).save(path)
     return path
 
 

@@ -11,15 +11,15 @@ import pytest
 
 from emps_design.cli import app
 from emps_design.machines import machine
-from emps_design.simulation.synthetic_record import practice_record
+from emps_design.simulation.synthetic import synthetic_record
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A folder with a short practice record and the axis it came from."""
+    """A folder with a short synthetic record and the axis it came from."""
     folder = tmp_path_factory.mktemp("cli")
     axis = machine("emps2019")
-    practice_record(axis, laps=1).save(folder / "record.npz")
+    synthetic_record(axis, laps=1).save(folder / "record.npz")
     (folder / "axis.toml").write_text(axis.to_toml())
     return folder
 

@@ -8,7 +8,7 @@ import pytest
 
 from emps_design.cli import app
 from emps_design.machines import machine
-from emps_design.simulation.synthetic_record import practice_record
+from emps_design.simulation.synthetic import synthetic_record
 
 
 @pytest.fixture(scope="module")
@@ -16,7 +16,7 @@ def found(tmp_path_factory):
     """A folder with the diagnosis of a delay so short that a lag would do as well."""
     folder = tmp_path_factory.mktemp("experiment")
     axis = machine("emps2019").replace(effects=[{"kind": "actuator_delay", "delay": 0.3e-3}])
-    practice_record(axis, stroke=0.1).save(folder / "record.npz")
+    synthetic_record(axis, stroke=0.1).save(folder / "record.npz")
     out = folder / "found"
     assert app.run(["diagnose", str(folder / "record.npz"), "--out", str(out)]) == 0
     return out

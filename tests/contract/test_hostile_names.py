@@ -12,7 +12,7 @@ from emps_design.axis import Axis
 from emps_design.cli import app
 from emps_design.errors import AxisError
 from emps_design.machines import machine
-from emps_design.simulation.synthetic_record import practice_record
+from emps_design.simulation.synthetic import synthetic_record
 
 MARKUP = "<script>alert(1)</script><img src=x onerror=alert(2)> \"' & [/red][bold] $\\frac$ {0} {% x %} :smile:"
 FILE = "<script>alert(3)<img onerror=alert(4)> [bold red]x $\\frac$ {}"  # what a file system takes as a name
@@ -44,7 +44,7 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("hostile")
     axis = machine("emps2019").replace(name=MARKUP)
     (folder / f"{FILE}.toml").write_text(axis.to_toml())
-    record = practice_record(axis, laps=1)
+    record = synthetic_record(axis, laps=1)
     record.save(folder / f"{FILE}.npz")
     with np.load(folder / f"{FILE}.npz") as archive:
         np.savez(folder / f"{FILE}.npz", **archive, **{"<script>alert(5)": archive["u"]})
@@ -98,7 +98,7 @@ def test_control_characters(capsys, tmp_path, name):
         Axis.from_dict({**machine("emps2019").to_dict(), "name": name}, "a.toml")
     assert str(told.value).isprintable()
     path = tmp_path / f"{name}.npz"
-    practice_record(machine("emps2019"), laps=1).save(path)
+    synthetic_record(machine("emps2019"), laps=1).save(path)
     for more in ([], ["--json"]):
         out = run(capsys, "identify", path, *more)
         assert all(c.isprintable() or c == "\n" for c in out)
@@ -107,7 +107,7 @@ def test_control_characters(capsys, tmp_path, name):
 def test_names_that_are_no_text(capfdbinary, tmp_path):
     """A name on Linux is bytes; those that are no UTF-8 come as lone surrogates."""
     path = tmp_path / "r\udcff.npz"
-    practice_record(machine("emps2019"), laps=1).save(path)
+    synthetic_record(machine("emps2019"), laps=1).save(path)
     axis = tmp_path / "a\udcff.toml"
     axis.write_text(machine("emps2019").to_toml())
     out = tmp_path / "o\udcff.html"

@@ -12,7 +12,7 @@ import pytest
 
 from emps_design.cli import app
 from emps_design.machines import machine
-from emps_design.simulation.synthetic_record import practice_record
+from emps_design.simulation.synthetic import synthetic_record
 
 WRITES = {
     "gains": "gains {axis} --crossover 100 --out {out}",
@@ -33,7 +33,7 @@ QUICK = ("gains", "observe", "simulate")
 
 @pytest.fixture
 def folder(tmp_path):
-    practice_record(machine("emps2019"), laps=1).save(tmp_path / "record.npz")
+    synthetic_record(machine("emps2019"), laps=1).save(tmp_path / "record.npz")
     (tmp_path / "axis.toml").write_text(machine("emps2019").to_toml())
     return tmp_path
 

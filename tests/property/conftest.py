@@ -1,4 +1,4 @@
-"""What ``make fuzz`` tried, kind by kind, as docs/measured.md shows it: written where EMPS_DESIGN_FUZZ says how often."""
+"""What ``make fuzz`` tried, kind by kind, as docs/measured.md shows it; written where EMPS_DESIGN_FUZZ is set."""
 
 import json
 import os

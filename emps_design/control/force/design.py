@@ -191,19 +191,19 @@ class ForceLoopDesign:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a reader of the numbers has to know, instability first."""
-        said: list[str] = []
+        warnings: list[str] = []
         if not self.stable:
-            said.append(f"the sampled force loop is unstable: largest pole {abs(self.poles[0]):.4g}")
+            warnings.append(f"the sampled force loop is unstable: largest pole {abs(self.poles[0]):.4g}")
         if not self.velocity_loop.sampled.stable:
-            said.append("the sampled velocity loop inside it is unstable already")
+            warnings.append("the sampled velocity loop inside it is unstable already")
         if self.hand + self.environment == 0.0:
-            said.append("no operator: without a hand or an environment nothing closes the force loop")
+            warnings.append("no operator: without a hand or an environment nothing closes the force loop")
         elif self.k_e1_max_continuous is None:
-            said.append("k_e1_max.continuous is unbounded: the continuous loop has no limit with this operator")
+            warnings.append("k_e1_max.continuous is unbounded: the continuous loop has no limit with this operator")
         if self.k_e1_max_sampled is None:
-            said.append("k_e1_max.sampled is unbounded: no gain up to 1e9 times the loop's own scale is unstable")
-        said += self._plant.linear.warnings
-        return tuple(said)
+            warnings.append("k_e1_max.sampled is unbounded: no gain up to 1e9 times the loop's own scale is unstable")
+        warnings += self._plant.linear.warnings
+        return tuple(warnings)
 
     def open_loop(self) -> control.TransferFunction:
         """T_eo(s) = k_e1 k_c T_vc of (10) and (11)."""

@@ -120,7 +120,7 @@ def verdict(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, resolution: f
 
 
 def drift_threshold(period: float, resolution: float) -> float:
-    """Speed [m/s] below which neither creep nor a dead band is reported: five encoder steps a period.
+    """Speed [m/s] below which neither creep nor a dead band is reported: five encoder steps per period.
 
     Slower than that the encoder decides, not friction: where Coulomb friction is compensated almost exactly, the sign
     of the quantised velocity keeps the carriage moving by a step or two a period. 0.25 mm/s on ``emps2018``.

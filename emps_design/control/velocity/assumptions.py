@@ -41,11 +41,11 @@ def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> 
     """
     if not axis.effects:
         return []
-    said, mechanics, linear = [], axis.mechanics, loop.plant.linear
+    notes, mechanics, linear = [], axis.mechanics, loop.plant.linear
     if abs(linear.mass - mechanics.mass) > 0.01 * mechanics.mass or (
         abs(linear.viscous - mechanics.viscous) > 0.01 * mechanics.viscous
     ):
-        said.append(
+        notes.append(
             f"with its effects the carriage has {linear.mass:.4g} kg and a friction slope of {linear.viscous:.4g} "
             f"N/(m/s) at {velocity:g} m/s; (7) takes {mechanics.mass:.4g} kg and {mechanics.viscous:.4g} "
             "N/(m/s), the sampled loop takes all"
@@ -54,11 +54,11 @@ def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> 
         back = replace(loop, plant=sample_axis(axis, -velocity))
         here, there = loop.margins.phase_margin_deg, back.margins.phase_margin_deg
         if not back.stable:
-            said.append(f"the sampled loop is unstable at {-velocity:g} m/s")
+            notes.append(f"the sampled loop is unstable at {-velocity:g} m/s")
         elif here is not None and there is not None and there < here - 0.5:
-            said.append(f"at {-velocity:g} m/s the sampled loop has {there:.3g} deg of phase margin only")
-        said += _where_it_is_steepest(axis, loop)
-    return said
+            notes.append(f"at {-velocity:g} m/s the sampled loop has {there:.3g} deg of phase margin only")
+        notes += _where_it_is_steepest(axis, loop)
+    return notes
 
 
 def _where_it_is_steepest(axis: Axis, loop: SampledVelocityLoop) -> list[str]:

@@ -133,24 +133,24 @@ class VelocityLoopDesign:
         """What a reader of the numbers has to know, instability first."""
         from emps_design.control.velocity.assumptions import effects_in_words, room_in_words
 
-        said = [*self.sampled.warnings, *room_in_words(self.sampled)]
-        said += effects_in_words(self.axis, self.sampled, self.velocity)
+        warnings = [*self.sampled.warnings, *room_in_words(self.sampled)]
+        warnings += effects_in_words(self.axis, self.sampled, self.velocity)
         if self.retuned_at:
             asked = ", ".join(
                 f"{key.removesuffix('_deg').replace('_', ' ')} {value:g} {'deg' if key.endswith('_deg') else 'rad/s'}"
                 for key, value in self.requested.items()
             )
-            said.append(
+            warnings.append(
                 f"retuned: the sampled loop has what was asked at the {self.retuned_at.replace('-', ' ')} ({asked}); "
                 "crossover, phase margin and bandwidth of T_vo and T_vc are the continuous loop's with these gains"
             )
         elif self.requested.get("bandwidth") is None and self.bandwidth > 1.05 * self.crossover:
-            said.append(
+            warnings.append(
                 f"bandwidth has two meanings: the crossover is {self.crossover:.4g} rad/s, "
                 f"the closed loop's -3 dB lies at {self.bandwidth:.4g} rad/s"
             )
-        said.append("the continuous loop's gain margin is unbounded: its phase never reaches -180 deg")
-        return tuple(said)
+        warnings.append("the continuous loop's gain margin is unbounded: its phase never reaches -180 deg")
+        return tuple(warnings)
 
     def velocity_error_loop(self) -> control.TransferFunction:
         """T_vo(s) of (6)."""

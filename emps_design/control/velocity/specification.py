@@ -186,12 +186,12 @@ def in_words(nearest: dict[str, Any], pairs: Pairs | None = None) -> str:
     words, rooms = [], []
     for pair in both:
         name = "crossover" if "crossover" in pair else "bandwidth"
-        said = f"{pair['phase_margin_deg']:.7g} deg at a {name} of {pair[name]:.5g} rad/s"
+        text = f"{pair['phase_margin_deg']:.7g} deg at a {name} of {pair[name]:.5g} rad/s"
         loop = pairs.loop(pair[name], pair["phase_margin_deg"]) if pairs else None
         if loop is not None:
-            said += f" (sampled: {', '.join(_achieved(loop))})"
+            text += f" (sampled: {', '.join(_achieved(loop))})"
             rooms.append(loop.margins.delay_margin_samples)
-        words.append(said)
+        words.append(text)
     barely = any(room is not None and room < ROOM for room in rooms)
     return f"nearest that {'is stable, and barely' if barely else 'works'}: {', or '.join(words)}"
 

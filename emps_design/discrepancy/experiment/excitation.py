@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from emps_design.records import Record
-from emps_design.simulation.synthetic_record import point_to_point
+from emps_design.simulation.synthetic import point_to_point
 
 MARGIN = 0.9  # of the record's top speed and acceleration
 EDGE = 0.02  # of its travel, left free at both ends
@@ -222,8 +222,8 @@ def excitations(envelope: Envelope) -> dict[str, np.ndarray]:
     """Every excitation by name: ``q_ref`` (n,) [m] inside ``envelope``.
 
     >>> from emps_design.machines import machine
-    >>> from emps_design.simulation.synthetic_record import practice_record
-    >>> envelope = Envelope.of([practice_record(machine("emps2019"), laps=1)])
+    >>> from emps_design.simulation.synthetic import synthetic_record
+    >>> envelope = Envelope.of([synthetic_record(machine("emps2019"), laps=1)])
     >>> crawl = excitations(envelope)["slow_crawl"]
     >>> bool(np.abs(np.diff(crawl)).max() <= envelope.speed * envelope.period), crawl.size * envelope.period > 10
     (True, True)

@@ -1,6 +1,6 @@
 """Position-dependent friction: the Coulomb level varies along the travel, amplitude sin(2 pi q / length + phase).
 
-Guides out of parallel, preload that varies, a dirty stretch of rail. Unlike a ripple it changes sign with the
+Guides out of parallel, preload that varies, a dirty length of rail. Unlike a ripple it changes sign with the
 direction of travel. The total level never falls below zero.
 """
 
@@ -62,7 +62,7 @@ EFFECT = Effect(
     where="slowly along the travel, with opposite sign in the two directions, at every speed alike",
     confused_with=("position_ripple", "elastic_force", "friction_drift"),
     experiment="one slow constant-velocity stroke over the whole travel in each direction",
-    remedy="align or relubricate the stretch named, or schedule the friction compensation on position",
+    remedy="align or relubricate the length named, or schedule the friction compensation on position",
     checks=(
         ({"amplitude": 5.0, "phase": 0.0, "length": 0.4}, {"q": 0.1, "v": 0.2}, 5.0),
         ({"amplitude": 5.0, "phase": pi / 2, "length": 0.4}, {"q": 0.0, "v": -0.2}, -5.0),

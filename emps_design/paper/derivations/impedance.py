@@ -44,7 +44,7 @@ def printed_law() -> sp.Expr:
     return EQUATIONS["30"][0].rhs.subs(READ_AS["30"])
 
 
-def closed_loop(law: sp.Expr) -> dict[str, sp.Expr]:
+def felt_under(law: sp.Expr) -> dict[str, sp.Expr]:
     """Apparent mass, damping and Coulomb force that ``law`` (a right-hand side like (30)) leaves on the plant (2).
 
     Ideal current loop: ``tau_m = G_tau_i I_m``, so the law is solved for the force it asks of itself.
@@ -59,7 +59,7 @@ def closed_loop(law: sp.Expr) -> dict[str, sp.Expr]:
 
 
 def cost_of_printed(plant: FrictionModel, mass: float, damping: float) -> dict[str, dict[str, float]]:
-    """Numbers of :func:`closed_loop` for (30) derived and printed, estimates exact, motion to +; SI.
+    """Numbers of :func:`felt_under` for (30) derived and printed, estimates exact, motion to +; SI.
 
     >>> plant = FrictionModel(115.7315, 474.9727, 474.9727, 17.3811, 17.3811)
     >>> {k: round(v, 1) for k, v in cost_of_printed(plant, 50.0, 100.0)["printed"].items()}
@@ -71,7 +71,7 @@ def cost_of_printed(plant: FrictionModel, mass: float, damping: float) -> dict[s
     }  # fmt: skip
     laws = {"derived": derived_law()["30"].expression, "printed": printed_law()}
     return {
-        name: {key: float(value.subs(numbers)) for key, value in closed_loop(law).items()} for name, law in laws.items()
+        name: {key: float(value.subs(numbers)) for key, value in felt_under(law).items()} for name, law in laws.items()
     }
 
 
@@ -128,13 +128,13 @@ def _closed_steps(law: sp.Expr) -> list[DerivationStep]:
         ("Felt with (30) as printed, estimates exact", printed_law().subs(exact), (*rests_on, "exact estimates"),
          "More mass, more damping, and dry friction is left."),
     ):  # fmt: skip
-        felt = closed_loop(tried)
+        felt = felt_under(tried)
         coefficients = tuple(sp.factor(value) for value in felt.values())
         shown = Sum(tuple(pair for pair in zip(coefficients, (y.qdd, y.qd, y.S), strict=True) if pair[0] != 0))
         target = (y.M_a, y.B, sp.Integer(0))
         checks = (("it is M_a, B and no friction", coefficients == target),) if words == "Exactly the target." else ()
         steps.append(DerivationStep(title, "", Equation(y.tau_e, shown), words, rests, checks))
-    left = closed_loop(law)
+    left = felt_under(law)
     v = sp.Symbol("v", positive=True)
     creep = sp.solve(sp.Eq(0, left["apparent_damping"] * v + left["coulomb_left"]), v)[0]
     error = sp.Symbol("epsilon", positive=True)

@@ -40,7 +40,7 @@ def run_plain(b, numbers, delay, start, reference, push, noise, position, encode
 
     The latter where the loop is unstable: at sample k the voltage has swung between its limits 40 times.
 
-    ``start`` = (q0, v0); ``delay`` whole samples; ``push`` [N] and ``noise`` [V] empty or one value a sample; the
+    ``start`` = (q0, v0); ``delay`` whole samples; ``push`` [N] and ``noise`` [V] empty or one value per sample; the
     arrays behind them are filled.
     """
     mass, dry, offset = b[MASS], b[COULOMB], b[OFFSET]
@@ -96,7 +96,7 @@ def run_plain(b, numbers, delay, start, reference, push, noise, position, encode
 
 @cached(contract=True)
 def run_folded(b, numbers, start, reference, push, position, velocity, u, events, found):
-    """The same without delay, quantisation and noise, sliding folded into one affine map a sample."""
+    """The same without delay, quantisation and noise, sliding folded into one affine map per sample."""
     mass, dry, offset = b[MASS], b[COULOMB], b[OFFSET]
     period, limit, gain = numbers[PERIOD], numbers[LIMIT], numbers[GAIN]
     e, _, m1, g1, _, m2, _ = response(period, mass, b[VISCOUS], 0.0)

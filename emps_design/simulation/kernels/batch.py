@@ -1,4 +1,4 @@
-"""Many baseline plants side by side under ``position_pd``: 32 lanes a step, metrics only.
+"""Many baseline plants side by side under ``position_pd``: 32 lanes per step, metrics only.
 
 The arithmetic is that of :func:`~emps_design.simulation.kernels.baseline.run_plain`. All lanes slide in one vector
 loop; a lane whose velocity reaches zero in this period, or is at rest, is stepped again alone. Lanes never share

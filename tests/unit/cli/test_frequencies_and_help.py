@@ -9,7 +9,7 @@ from emps_design.cli.app import COMMANDS, run
 from emps_design.errors import InputError
 from emps_design.machines import machine
 from emps_design.quantities import frequency
-from emps_design.simulation.synthetic_record import practice_record
+from emps_design.simulation.synthetic import synthetic_record
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_every_option_that_asks_for_a_frequency(line, key, tmp_path, capsys):
     """With its unit it does what the bare number does; with a unit that is none it says what was expected."""
     record = tmp_path / "record.npz"
     if "{record}" in line:
-        practice_record(machine("emps2019"), laps=1).save(record)
+        synthetic_record(machine("emps2019"), laps=1).save(record)
     plain = {"40Hz": "40", "10Hz": "10"} if "cutoff" in key else {"10Hz": repr(20 * math.pi)}
     words = line.format(option=key, out=tmp_path / "out.html", record=record).split()
     found = []
@@ -96,7 +96,7 @@ def test_tables_fit_80_columns(line, tmp_path, capsys, monkeypatch):
     """Laid out with all the room there is, no table is wider than 80 columns, so none is squeezed at 80."""
     monkeypatch.setenv("COLUMNS", "200")
     record = tmp_path / "record.npz"
-    practice_record(machine("emps2019"), laps=1).save(record)
+    synthetic_record(machine("emps2019"), laps=1).save(record)
     run(line.format(record=record).split())
     rows = [row for row in capsys.readouterr().out.splitlines() if set(row) & set("│┃─━")]
     assert rows

@@ -14,7 +14,7 @@ from emps_design.effects.guesses import pulses
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
-from emps_design.simulation.synthetic_record import trapezoid_laps
+from emps_design.simulation.synthetic import trapezoid_laps
 
 AXIS = machine("emps2019")
 Q_REF = trapezoid_laps(1e-3, stroke=0.1, speed=0.2, laps=4)

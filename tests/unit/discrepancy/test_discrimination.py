@@ -21,7 +21,7 @@ from emps_design.effects import REGISTRY, get_effect, register
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
-from emps_design.simulation.synthetic_record import practice_record, trapezoid_laps
+from emps_design.simulation.synthetic import synthetic_record, trapezoid_laps
 from emps_design.simulation.trajectories import multi_sine
 
 AXIS = machine("emps2019")
@@ -126,10 +126,10 @@ def test_a_record_of_the_chosen_excitation_tells_the_two_apart_by_as_much_as_was
 def test_the_record_that_was_asked_for_makes_an_ambiguous_verdict_a_name(true):
     library = tuple(get_effect(name) for name in ("actuator_delay", "actuator_lag"))
     axis = AXIS.replace(effects=[{"kind": true, **dict(PAIRS["delay or lag"])[true]}])
-    first = practice_record(axis, stroke=0.1)
+    first = synthetic_record(axis, stroke=0.1)
     asked = diagnose(first, AXIS, library=library)
     assert asked.verdict == "ambiguous"
-    second = practice_record(axis, seed=1, q_ref=asked.experiment.q_ref)
+    second = synthetic_record(axis, seed=1, q_ref=asked.experiment.q_ref)
     answered = diagnose([first, second], AXIS, library=library)
     assert answered.verdict == "named"
     assert [finding.effect for finding in answered.findings] == [true]

@@ -5,7 +5,7 @@ import pytest
 
 from emps_design.discrepancy.model.partition import START_UP, find_lap, find_strokes, split
 from emps_design.records import Record
-from emps_design.simulation.synthetic_record import trapezoid_laps
+from emps_design.simulation.synthetic import trapezoid_laps
 
 
 def record(q_ref: np.ndarray) -> Record:

@@ -9,14 +9,14 @@ from emps_design.axis import Axis
 from emps_design.cli.app import run
 from emps_design.machines import machine
 from emps_design.simulation import Plant
-from emps_design.simulation.synthetic_record import practice_record
+from emps_design.simulation.synthetic import synthetic_record
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("identify")
     for seed in range(3):
-        practice_record(machine("emps2019"), seed=seed, laps=1).save(folder / f"day{seed}.npz")
+        synthetic_record(machine("emps2019"), seed=seed, laps=1).save(folder / f"day{seed}.npz")
     return folder
 
 
@@ -103,7 +103,7 @@ def test_observe_shows_its_bounds(folder, capsys):
 
 def test_observe_is_told_of_an_injected_voltage(folder, capsys):
     """A voltage added behind the controller is a force the drive does not know of: with it named, it is the truth."""
-    plain = practice_record(machine("emps2019"), laps=1)
+    plain = synthetic_record(machine("emps2019"), laps=1)
     wave = (np.arange(len(plain)) // 500 % 2).astype(np.uint8)
     made = Plant.of(machine("emps2019")).closed_loop(plain.q_ref, voltage_noise=3.0 * wave)
     np.savez(folder / "wave.npz", t=made.t, q_ref=plain.q_ref, q=made.q, u=made.u, wave=wave, gain=35.0)

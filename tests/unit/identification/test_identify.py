@@ -165,7 +165,7 @@ def test_friction_from_one_speed_is_not_split(record, reference_plant):
 def test_a_record_that_never_slides_long_says_so(record, reference_plant):
     t = np.arange(20000) * record.period
     shaken = run_along(reference_plant, record, 0.0005 * (1 - np.cos(2 * np.pi * 9 * t)))
-    assert "no stretch away from rest" in " ".join(identify(shaken, AXIS).warnings)
+    assert "no interval away from rest" in " ".join(identify(shaken, AXIS).warnings)
     with pytest.raises(RecordError, match=r"\d+ rows away from rest .* record longer strokes above 2 mm/s"):
         identify(shaken, AXIS, chain="hold")
 
@@ -209,9 +209,9 @@ def test_report_chain_keeps_every_tenth_sample_to_the_last(record):
 
 def test_interval_of_a_chain_that_ignores_the_hold_knows_its_bias(truth):
     """On a quiet record the report's chain is wrong by more than its statistics; its interval says so."""
-    from emps_design.simulation.synthetic_record import practice_record
+    from emps_design.simulation.synthetic import synthetic_record
 
-    quiet = practice_record(AXIS, laps=1)
+    quiet = synthetic_record(AXIS, laps=1)
     found = identify(quiet, AXIS)
     mass = found.parameters["mass"]
     assert abs(mass.value - truth["mass"]) > 2 * mass.std_long_run

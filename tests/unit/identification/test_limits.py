@@ -10,7 +10,7 @@ from scipy.io import savemat
 
 from emps_design.machines import machine
 from emps_design.simulation import Plant
-from emps_design.simulation.synthetic_record import trapezoid_laps
+from emps_design.simulation.synthetic import trapezoid_laps
 
 HOUR = 3_600_000  # samples at 1 kHz
 

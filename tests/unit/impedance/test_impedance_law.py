@@ -18,7 +18,7 @@ from emps_design.effects import known_effects
 from emps_design.errors import InputError, SpecificationError
 from emps_design.machines import machine
 from emps_design.paper import symbols as y
-from emps_design.paper.derivations.impedance import closed_loop, cost_of_printed, derived_law, printed_law
+from emps_design.paper.derivations.impedance import cost_of_printed, derived_law, felt_under, printed_law
 
 
 def alike(error: float) -> dict[str, float]:
@@ -42,7 +42,7 @@ def test_closed_forms_agree_with_sympy(plant, factor, error):
         y.M_h: law.estimate.mass, y.F_vh: law.estimate.viscous_positive, y.F_ch: law.estimate.coulomb_positive,
         y.M_a: 50.0, y.B: 100.0,
     }  # fmt: skip
-    felt = closed_loop(derived_law()["30"].expression if factor == 1.0 else printed_law())
+    felt = felt_under(derived_law()["30"].expression if factor == 1.0 else printed_law())
     for name, value in law.apparent(plant).to_dict().items():
         assert float(felt[name].subs(numbers)) == pytest.approx(value, abs=1e-9)
 

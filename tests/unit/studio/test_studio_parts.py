@@ -26,9 +26,9 @@ from emps_design.studio import exports, jobs
 from emps_design.studio.app import Session
 from emps_design.studio.data_view import LIMIT_MB, read_upload
 from emps_design.studio.design_view import DesignView
+from emps_design.studio.feasible import KINDS, feasible, plane, reachable_frequencies
 from emps_design.studio.jobs import Job
 from emps_design.studio.plots import PlanePlot
-from emps_design.studio.reach import KINDS, plane, reach, reachable_frequencies
 from emps_design.studio.simulated import simulate
 from emps_design.studio.state import CHOICES, SPECIFICATIONS, TASKS, State
 from tests.browser.conftest import Studio
@@ -75,7 +75,7 @@ def _axis_lines() -> list[str]:
 @pytest.mark.parametrize("delay", [0, 1, 3])
 def test_the_ends_of_the_reach_are_where_stability_ends(delay):
     now = state(computation_delay=delay)
-    found = reach(now)
+    found = feasible(now)
     choice = CHOICES["phase_margin_deg"]
     for phase, inside in ((found.low, True), (found.high, True), (found.low - 1, False), (found.high + 1, False)):
         if not choice.lower < phase < choice.upper:
@@ -86,7 +86,7 @@ def test_the_ends_of_the_reach_are_where_stability_ends(delay):
 
 
 def test_where_nothing_can_be_reached_the_reason_is_said():
-    found = reach(state(frequency=600.0, computation_delay=5, period_ms=5.0))
+    found = feasible(state(frequency=600.0, computation_delay=5, period_ms=5.0))
     assert found.empty
     assert "unstable with every phase margin" in found.text
     assert found.nearest(60.0) is None
@@ -347,11 +347,11 @@ def test_a_record_that_cannot_be_read_is_told_before_anything_is_served(capsys):
 
 def test_two_threads_draw_what_one_does():
     from emps_design.report import style
-    from emps_design.report.diagrams import impedance_law
+    from emps_design.report.diagrams import impedance_law_diagram
 
-    alone = style.svg(impedance_law())
+    alone = style.svg(impedance_law_diagram())
     drawn = []
-    threads = [threading.Thread(target=lambda: drawn.append(style.svg(impedance_law()))) for _ in range(3)]
+    threads = [threading.Thread(target=lambda: drawn.append(style.svg(impedance_law_diagram()))) for _ in range(3)]
     for thread in threads:
         thread.start()
     for thread in threads:

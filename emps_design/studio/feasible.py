@@ -34,7 +34,7 @@ class Plane:
 
 
 @dataclass(frozen=True)
-class Reach:
+class Feasible:
     """Frequencies [rad/s] with any design, phase margins [deg] to be had at one of them, and why not more or less.
 
     ``low`` and ``high`` are None where that frequency has nothing, ``frequencies`` where none has anything.
@@ -90,13 +90,13 @@ def _designs(
     return sweep, stable.reshape(phases.shape)
 
 
-def reach(state: State) -> Reach:
+def feasible(state: State) -> Feasible:
     """Return what gains by (7) with a stable sampled loop can reach around the state's specification.
 
     Of several intervals of the phase margin it is the one nearest to the state's.
 
     >>> from emps_design.machines import machine
-    >>> found = reach(State.of(machine("emps2018")).changed(computation_delay=1))
+    >>> found = feasible(State.of(machine("emps2018")).changed(computation_delay=1))
     >>> found.low, found.high
     (15.0, 77.5)
     """
@@ -107,7 +107,7 @@ def reach(state: State) -> Reach:
     where = f"at {state.specification} {state.frequency:g} rad/s"
     if not good.any():
         reason = f"{UNSTABLE} with every phase margin" if sweep.feasible.any() else NO_GAIN
-        return Reach(frequencies, None, None, f"Nothing can be reached {where}: {reason}.")
+        return Feasible(frequencies, None, None, f"Nothing can be reached {where}: {reason}.")
     edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(int), [0]])))
     runs = edges.reshape(-1, 2)
     middle = state.phase_margin_deg
@@ -123,7 +123,7 @@ def reach(state: State) -> Reach:
         text = " and ".join(
             [*([f"below {low:g}° {below}"] if below else []), *([f"above {high:g}° {above}"] if above else [])]
         )
-    return Reach(frequencies, low, high, f"A{where[1:]}, {text}." if text else "")
+    return Feasible(frequencies, low, high, f"A{where[1:]}, {text}." if text else "")
 
 
 @lru_cache(maxsize=16)

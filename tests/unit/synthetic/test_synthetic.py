@@ -1,11 +1,11 @@
-"""The practice record: a reference that keeps its promises, and noise of the level it names."""
+"""The synthetic record: a reference that keeps its promises, and noise of the level it names."""
 
 import numpy as np
 import pytest
 
 from emps_design.errors import InputError
 from emps_design.machines import machine
-from emps_design.simulation.synthetic_record import FORCE_NOISE, practice_record, trapezoid_laps
+from emps_design.simulation.synthetic import FORCE_NOISE, synthetic_record, trapezoid_laps
 
 PERIOD = 1e-3
 
@@ -38,14 +38,14 @@ def test_impossible_laps(name):
 
 def test_same_seed_same_bits():
     axis = machine("emps2019")
-    first, again, other = (practice_record(axis, seed=seed, laps=1) for seed in (3, 3, 4))
+    first, again, other = (synthetic_record(axis, seed=seed, laps=1) for seed in (3, 3, 4))
     assert np.array_equal(first.u, again.u)
     assert not np.array_equal(first.u, other.u)
 
 
 def test_the_noise_has_the_level_it_names():
     axis = machine("emps2019")
-    one, two = (practice_record(axis, seed=seed, laps=2) for seed in (1, 2))
+    one, two = (synthetic_record(axis, seed=seed, laps=2) for seed in (1, 2))
     difference = axis.drive.force_gain * (one.u - two.u) / np.sqrt(2)
     # Force noise seen through the closed loop, and 4 mV of voltage noise: within a third of their sum of squares.
     expected = np.hypot(FORCE_NOISE, 0.004 * axis.drive.force_gain)
@@ -54,4 +54,4 @@ def test_the_noise_has_the_level_it_names():
 
 def test_an_axis_that_follows_no_position():
     with pytest.raises(InputError, match="axis emps2018: found controller 'none', expected 'position_pd'"):
-        practice_record(machine("emps2018"))
+        synthetic_record(machine("emps2018"))

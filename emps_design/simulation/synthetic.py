@@ -44,7 +44,7 @@ def trapezoid_laps(
     return np.tile(np.concatenate(lap), int(laps))
 
 
-def practice_record(
+def synthetic_record(
     axis: Axis,
     seed: int = 0,
     laps: int = 3,
@@ -59,9 +59,9 @@ def practice_record(
     Raises :class:`InputError` for an axis whose controller does not follow a position.
 
     >>> from emps_design.machines import machine
-    >>> record = practice_record(machine("emps2019"), laps=1)
+    >>> record = synthetic_record(machine("emps2019"), laps=1)
     >>> record.name, record.period, len(record)
-    ('practice-emps2019', 0.001, 18206)
+    ('synthetic-emps2019', 0.001, 18206)
     """
     if axis.controller.kind != "position_pd":
         raise InputError(
@@ -76,7 +76,7 @@ def practice_record(
         disturbance=_force_noise(random, q_ref.size, period),
         voltage_noise=VOLTAGE_NOISE * random.standard_normal(q_ref.size),
     )
-    return Record.from_arrays(period, run.q_ref, run.q, run.u, name=f"practice-{axis.name}")
+    return Record.from_arrays(period, run.q_ref, run.q, run.u, name=f"synthetic-{axis.name}")
 
 
 def point_to_point(period: float, stroke: float, speed: float, acceleration: float) -> np.ndarray:
