@@ -45,6 +45,32 @@ class Errata(Directive):
         return parsed(self, lines)
 
 
+class PaperEquations(Directive):
+    """``{paper-equations} 1 11``: of each equation what is printed, what is derived, where it stands in the package."""
+
+    required_arguments = 2
+
+    def run(self):
+        from emps_design.paper.derivations import derivation
+        from emps_design.paper.places import PLACES
+        from emps_design.paper.printed import EQUATIONS
+        from emps_design.paper.written import latex
+
+        steps = [step for _, steps in derivation().values() for step in steps]
+        lines: list[str] = []
+        for number in map(str, range(int(self.arguments[0]), int(self.arguments[1]) + 1)):
+            of_it = [step for step in steps if step.number == number]
+            verdicts = dict.fromkeys(marked(step) for step in of_it)
+            where = ", ".join(f"`{name.removeprefix('emps_design.')}`" for name in PLACES[number])
+            lines += [f"**({number})** {of_it[0].title}: {', '.join(verdicts)}. In {where}.", ""]
+            for printed in EQUATIONS[number]:
+                lines += ["$$", latex(printed), "$$", ""]
+            for step in of_it:
+                if step.agrees is False and step.difference != 0:
+                    lines += [f"derived: {plain(step.text)}", "", "$$", latex(step.equation), "$$", ""]
+        return parsed(self, lines)
+
+
 def marked(step) -> str:
     """The verdict of a step, in bold where it is not as printed."""
     return plain(step.verdict) if step.agrees is not False else f"**{plain(step.verdict)}**"
@@ -68,4 +94,5 @@ def setup(app):
     """Register the directives."""
     app.add_directive("derivation", Derivation)
     app.add_directive("errata", Errata)
+    app.add_directive("paper-equations", PaperEquations)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -123,6 +123,10 @@ def _print(document: dict[str, Any]) -> None:
         console.print(table, width=min(80, console.width))
     loop = document["equivalent_loop"]
     if loop["k_e1"] is not None:
-        console.print(f"equivalent cascaded loop ({loop['criterion']}): k_e1 = {loop['k_e1']:g} (m/s)/N")
+        stable = "stable" if loop["sampled"]["stable"] else "UNSTABLE"
+        match = loop["criterion"].replace("_", " ")
+        console.print(f"equivalent cascaded loop, {stable} when sampled ({match}): k_e1 = {loop['k_e1']:g} (m/s)/N")
+        for warning in (w for w in loop["warnings"] if w not in document["warnings"]):
+            console.print(f"- {warning}", highlight=False)
     for warning in document["warnings"]:
         console.print(f"- {warning}", highlight=False)

@@ -10,14 +10,14 @@ import typer
 from emps_design.cli.design_options import within
 from emps_design.cli.destinations import ARCHIVE, OVERWRITE, PICTURES, TABLE, check_out
 
-SCENARIOS = ("replay", "reference", "breakaway", "comanipulation")
+SCENARIOS = ("replay", "reference", "breakaway", "comanipulation", "bench")
 
 
 def command(
     axis: str = typer.Argument(
         "", metavar="[AXIS]", help="TOML file or embedded machine; emps2019, for co-manipulation emps2018."
     ),
-    scenario: str = typer.Option("", "--scenario", help="replay, reference, breakaway or comanipulation."),
+    scenario: str = typer.Option("", "--scenario", help="replay, reference, breakaway, comanipulation or bench."),
     record: Path | None = typer.Option(None, "--record", help="Record to replay: .mat, .csv or .npz."),
     reference: Path | None = typer.Option(
         None, "--reference", help="Reference to follow: columns t, q_ref (.csv, .npz)."
@@ -35,8 +35,15 @@ def command(
     damping: float | None = typer.Option(
         None, "--damping", callback=within("N/(m/s)"), help="Co-manipulation: apparent damping B [N/(m/s)]."
     ),
+    reference_velocity: float = typer.Option(
+        0.0, "--reference-velocity", callback=within("m/s"), help="Co-manipulation: qd_0 of (25) [m/s]."
+    ),
+    as_printed: bool = typer.Option(False, "--as-printed", help="Co-manipulation: (27), (30) as printed."),
     plants: int = typer.Option(
         200, "--plants", min=0, max=1_000_000, help="Co-manipulation: plants drawn within the mismatch."
+    ),
+    tau_ref: float | None = typer.Option(
+        None, "--tau-ref", callback=within("N"), help="Bench: force reference of the cascaded loop [N]."
     ),
     seed: int = typer.Option(0, "--seed", min=0, help="Seed of what is drawn."),
     out: Path | None = typer.Option(None, "--out", help="Write the signals to this file: .npz (lossless) or .csv."),
@@ -55,11 +62,20 @@ def command(
         raise InputError(
             f"--scenario: {found}, expected one of {', '.join(SCENARIOS)}{nearest_name(scenario, SCENARIOS)}"
         )
-    if scenario == "comanipulation" and (out or plot):
-        raise InputError("--out and --plot: not for comanipulation, which simulates many plants; see 'impedance'")
+    if scenario in ("comanipulation", "bench") and (out or plot):
+        raise InputError(f"--out and --plot: not for {scenario}, which simulates many runs; see 'impedance'")
+    if scenario == "bench" and axis:
+        raise InputError(f"AXIS: found {axis!r}, but the bench is a machine of its own; leave it out")
+    if scenario != "bench" and tau_ref is not None:
+        raise InputError(f"--tau-ref: only the cascaded loop of --scenario bench has one, found {scenario}")
     _check(out, plot, (axis, record, reference), force)
     if scenario == "comanipulation":
-        result = _comanipulation(axis, mismatch, seed, plants, mass, damping)
+        from emps_design.control.impedance.law import PRINTED
+
+        law = {"reference_velocity": reference_velocity, **({"current_factor": PRINTED} if as_printed else {})}
+        result = _comanipulation(axis, mismatch, seed, plants, mass, damping, law)
+    elif scenario == "bench":
+        result = _bench(seed, tau_ref)
     else:
         result = _single(scenario, axis, record, reference, rate, peak)
         if out is not None:
@@ -71,6 +87,8 @@ def command(
         tell(warning)
     if as_json:
         print_json(document)
+    elif scenario == "bench":
+        _show_bench(document)
     else:
         _show(document)
     if "reason" in document:
@@ -103,7 +121,13 @@ def _single(
 
 
 def _comanipulation(
-    name: str, mismatch: float, seed: int, plants: int, mass: float | None, damping: float | None
+    name: str,
+    mismatch: float,
+    seed: int,
+    plants: int,
+    mass: float | None,
+    damping: float | None,
+    law: dict[str, Any],
 ) -> Any:
     from emps_design.cli.output import progress_bar
     from emps_design.comanipulation.scenario import run_comanipulation
@@ -118,7 +142,18 @@ def _comanipulation(
             mass=mass,
             damping=damping,
             progress=progress,
+            **law,
         )
+
+
+def _bench(seed: int, tau_ref: float | None) -> Any:
+    from emps_design.cli.output import progress_bar
+    from emps_design.paper import reproduce_section_3
+    from emps_design.paper.bench_numbers import numbers
+
+    with progress_bar() as progress:
+        given = numbers() if tau_ref is None else numbers(tau_ref=tau_ref)
+        return reproduce_section_3(seed, given, progress)
 
 
 def _check(out: Path | None, plot: Path | None, inputs: tuple[str | Path | None, ...], force: bool) -> None:
@@ -161,6 +196,32 @@ def _show(document: dict[str, Any]) -> None:
     for key, value in _rows(document):
         table.add_row(key, value)
     new_console().print(table)
+
+
+def _show_bench(document: dict[str, Any]) -> None:
+    from rich import box
+    from rich.table import Table
+
+    from emps_design.cli.output import new_console
+
+    console, printed = new_console(), document["printed"]
+    for key, title in (("table_1", "Table I"), ("table_2", "Table II")):
+        table = Table(title=title, box=box.SIMPLE)
+        table.add_column("parameter")
+        for head in ("value", "2 sigma", "% sigma", "printed", "2 sigma", "% sigma"):
+            table.add_column(head, justify="right")
+        for name, row in document[key].items():
+            table.add_row(name.replace("_", " "), *(f"{number:.4g}" for number in (*row, *printed[key][name])))
+        console.print(table)
+    table = Table(title="Errors [N], least and largest of ten", box=box.SIMPLE)
+    for head in ("", "found", "printed"):
+        table.add_column(head)
+    for key, title in (("rms_1", "identification"), ("rms_2", "observation"), ("rms_direct", "direct validation")):
+        found = document[key]
+        table.add_row(title, f"{min(found):.2f} to {max(found):.2f}", "{:g} to {:g}".format(*printed[key]))
+    forth = document["break_away"][0]
+    table.add_row("break-away forth", f"{forth:.2f}", f"{printed['break_away']:g}")
+    console.print(table)
 
 
 def _rows(document: dict[str, Any], before: str = "") -> list[tuple[str, str]]:

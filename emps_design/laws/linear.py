@@ -9,12 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from emps_design.errors import AxisError
 from emps_design.laws.law import Law
+
+if TYPE_CHECKING:
+    import control
 
 INPUTS = ("reference", "q", "f_ext")
 SPEED = 0.1  # m/s, of the slide in which the branches are taken
@@ -119,6 +122,13 @@ class LinearLaw:
     D: np.ndarray
     moved: np.ndarray
     inputs: tuple[str, ...] = INPUTS
+
+    def to_ss(self, period: float) -> control.StateSpace:
+        """The law as a discrete ``control.StateSpace`` from its inputs to the voltage."""
+        import control
+
+        names = {"inputs": list(self.inputs), "outputs": ["voltage"], "name": "law"}
+        return control.ss(self.A, self.B, self.C[None], self.D[None], period, **names)
 
     @property
     def used(self) -> np.ndarray:

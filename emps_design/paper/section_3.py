@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -67,7 +67,10 @@ class SectionThree:
     def to_dict(self) -> dict[str, Any]:
         """Plain data, with what the paper printed beside it."""
         return {
+            "scenario": "bench",
+            "axis": self.bench.axis.name,
             "seed": self.bench.seed,
+            "numbers": dict(self.bench.numbers),
             "table_1": {name: list(row) for name, row in self.table_1.items()},
             "table_2": {name: list(row) for name, row in self.table_2.items()},
             "rms_1": self.rms_1.tolist(),
@@ -75,12 +78,23 @@ class SectionThree:
             "rms_direct": self.rms_direct.tolist(),
             "break_away": list(self.bench.break_away),
             "printed": PRINTED,
+            "warnings": [
+                "the paper's records are not public: a machine with its Table I, other numbers chosen so that its "
+                "errors come out alike"
+            ],
         }
 
 
-def reproduce_section_3(seed: int = 0, progress: Callable[[str, float], None] | None = None) -> SectionThree:
-    """Run the virtual bench of ``seed`` and evaluate it with the paper's chain of filters."""
-    bench = virtual_bench(seed, progress=progress)
+def reproduce_section_3(
+    seed: int = 0,
+    given: Mapping[str, float] | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> SectionThree:
+    """Run the virtual bench of ``seed`` and evaluate it with the paper's chain of filters.
+
+    ``given`` are the numbers of the bench, :func:`emps_design.paper.bench_numbers.numbers` by default.
+    """
+    bench = virtual_bench(seed, given, progress)
     # The paper knows nothing of the machine but G_tau, and takes the current loop for a gain.
     plain = bench.axis.replace(effects=[], drive={"current_time_constant": 0.0})
     several = identify_several(bench.identification, plain, model=MODEL, chain="paper")

@@ -15,13 +15,12 @@ import numpy as np
 
 from emps_design.identification.chains import CHAINS
 from emps_design.identification.inverse_model import LeastSquares, least_squares, parameters_of, regression
+from emps_design.paper.bench_numbers import NUMBERS, numbers
 from emps_design.paper.section_3 import MODEL, PRINTED
 from emps_design.paper.virtual_bench import (
-    NUMBERS,
     bench_axis,
     comanipulation_experiment,
     identification_experiment,
-    numbers,
 )
 from emps_design.records import Record
 
@@ -162,13 +161,13 @@ def _fit(record: Record, gain: float, chain: str) -> LeastSquares:
     return least_squares(W, Y, tuple(p.name for p in parameters_of(MODEL)), filtered.used)
 
 
-def speeds_said(table: dict[str, tuple[float, float, float]]) -> tuple[float, float]:
-    """Root mean square of the speed [m/s] forth and back that a table's deviations say its experiment had.
+def rms_speeds(table: dict[str, tuple[float, float, float]]) -> tuple[float, float]:
+    """Root mean square of the speed [m/s] forth and back of its experiment, from the deviations in a table.
 
     For a line F_c + F_v v the deviations are as 1 to the root mean square of v, whatever the noise and the number of
     samples: sigma(F_c)/sigma(F_v).
 
-    >>> [round(1e3 * v, 1) for v in speeds_said(PRINTED["table_1"])]
+    >>> [round(1e3 * v, 1) for v in rms_speeds(PRINTED["table_1"])]
     [18.6, 17.4]
     """
     forth, back = (table[f"coulomb_{way}"][1] / table[f"viscous_{way}"][1] for way in ("positive", "negative"))

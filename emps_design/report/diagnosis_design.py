@@ -31,9 +31,9 @@ def design_change(before: Axis, after: Axis) -> list[dict[str, Any]]:
     >>> rows[0]["quantity"], rows[0]["before"], rows[0]["after"]
     ('k_v1', '462.9 V/(m/s)', '487.0 V/(m/s)')
     """
-    from emps_design.control.loop.sampled_loop import SampledVelocityLoop
     from emps_design.control.plant.discretisation import sample_axis
     from emps_design.control.velocity.design import design_velocity_loop
+    from emps_design.control.velocity.sampled import SampledVelocityLoop
 
     try:
         old, new = (design_velocity_loop(axis, CROSSOVER, phase_margin_deg=PHASE_MARGIN) for axis in (before, after))

@@ -144,7 +144,8 @@ def _sampled_table(document: Mapping[str, Any]) -> Table:
         [
             Html("equivalent force loop " + symbol("k_e1")),
             "none" if loop["k_e1"] is None else f"{number(loop['k_e1'])} (m/s)/N",
-            f"{loop['criterion'].replace('_', ' ')} match",
+            f"{loop['criterion'].replace('_', ' ')} match"
+            + ("" if loop["k_e1"] is None or loop["sampled"]["stable"] else "; unstable on this drive"),
         ],
     ]
     return Table(["quantity", "value", "meaning"], rows, "The law as implemented, on the sampled drive.")

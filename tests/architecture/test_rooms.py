@@ -11,6 +11,7 @@ import pytest
 from emps_design.cli import app
 from emps_design.cli.app import COMMANDS
 from emps_design.effects import EFFECTS
+from emps_design.laws import LAWS
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "emps_design"
@@ -138,6 +139,29 @@ EFFECT_WORDS = {word for effect in EFFECTS for word in (effect.name, effect.labe
 def test_no_room_above_asks_for_an_effect_by_name(module):
     if module.relative_to(PACKAGE).parts[0] not in ("effects", "machines"):
         assert asking_by_name(module.read_text(encoding="utf-8"), EFFECT_WORDS) == []
+
+
+# The compiled many-plants run is one law's; a wrong axis file is answered with that law's gains; the report tries the
+# impedance the axis has; laps need a law that follows; `impedance` is a command and a key of documents too.
+KNOWS_A_LAW = {
+    "cli/app.py",
+    "discrepancy/checks/controller_law.py",
+    "paper/derivations/__init__.py",
+    "report/assemble.py",
+    "simulation/ensembles.py",
+    "simulation/synthetic.py",
+}
+
+
+def test_no_room_above_asks_for_a_law_by_name():
+    names = {law.name for law in LAWS}
+    asking = {
+        str(module.relative_to(PACKAGE))
+        for module in MODULES
+        if module.relative_to(PACKAGE).parts[0] not in ("laws", "machines")
+        and asking_by_name(module.read_text(encoding="utf-8"), names)
+    }
+    assert asking == KNOWS_A_LAW
 
 
 @pytest.mark.parametrize(

@@ -23,17 +23,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from emps_design.control.loop.margins import Margins, loop_margins
-from emps_design.control.loop.sampled_loop import SampledLoop, SampledVelocityLoop, close, ip_law
+from emps_design.control.loop.sampled_loop import SampledLoop, close
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis, sample_plant
 from emps_design.control.plant.environment import Environment, attached, felt
 from emps_design.control.plant.linear_plant import POSITION, VELOCITY
 from emps_design.control.velocity.design import VelocityLoopDesign
+from emps_design.control.velocity.sampled import SampledVelocityLoop, ip_law
 from emps_design.errors import InputError
 from emps_design.notebook import table
 from emps_design.quantities import check_magnitude
 
 if TYPE_CHECKING:
     import control
+
+
+ROUNDING = 1e-12  # of a pole: a limit is where the poles cross the circle, a verdict leaves MARGINAL room
 
 
 def largest_force_gain(
@@ -152,7 +156,7 @@ class ForceLoopDesign:
         loop = self.velocity_loop
         start = 1e-3 / (self.hand + self.environment / loop.omega_0v) if self.hand + self.environment > 0.0 else 1.0
         if self._plant.delay + self.sensor_delay <= 100 or self.hand + self.environment == 0.0:
-            return _first_instability(lambda gains: self.sampled_loop(gains).stable, start)
+            return _first_instability(lambda gains: self.sampled_loop(gains).radius <= 1.0 + ROUNDING, start)
         gently = replace(self, k_e1=start)
         if not gently.stable:
             return 0.0

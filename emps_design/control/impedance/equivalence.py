@@ -22,7 +22,10 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.impedance.law import FrictionModel, default_filter
+from emps_design.control.loop.sampled_loop import MARGINAL, close
+from emps_design.control.plant.discretisation import sample_axis
 from emps_design.control.velocity.gains import canonical_form, velocity_gains
+from emps_design.control.velocity.sampled import ip_law
 from emps_design.errors import InputError, SpecificationError
 
 LOW_FREQUENCY, LEAST_SQUARES = "low_frequency", "least_squares"
@@ -47,7 +50,13 @@ class EquivalentLoop:
     crossover: float
     phase_margin_deg: float
     criterion: str
+    largest_pole: float | None = None
     warnings: tuple[str, ...] = ()
+
+    @property
+    def stable(self) -> bool:
+        """Whether there are such gains and the sampled velocity loop with them is stable, with nobody at the hand."""
+        return self.largest_pole is not None and self.largest_pole <= 1.0 + MARGINAL
 
     def impedance(self, omega: np.ndarray) -> np.ndarray:
         """Impedance of the cascade at ``omega`` [rad/s], complex [N/(m/s)]."""
@@ -73,6 +82,7 @@ class EquivalentLoop:
             "z_v": self.z_v,
             "apparent_mass": self.mass,
             "apparent_damping": self.damping,
+            "sampled": {"stable": self.stable, "largest_pole": self.largest_pole},
             "error": {"omega": omega.tolist(), "relative": self.error(omega).tolist()},
             "warnings": list(self.warnings),
         }
@@ -157,7 +167,9 @@ def safety_words(axis: Axis, mass: float, damping: float, mismatch: float) -> tu
     return tuple(words)
 
 
-def _loop(axis: Axis, mass: float, damping: float, k_e1: float, w0: float, criterion: str, mismatch: float):
+def _loop(
+    axis: Axis, mass: float, damping: float, k_e1: float, w0: float, criterion: str, mismatch: float
+) -> EquivalentLoop:
     # 2 z/w0 = sin(phi)/w_v and w0^2 = w_v^2/cos(phi) give (1 - c^2)/c = x for c = cos(phi), x = (w0 M_a k_e1)^2.
     lag = mass * k_e1
     x = (w0 * lag) ** 2
@@ -171,9 +183,21 @@ def _loop(axis: Axis, mass: float, damping: float, k_e1: float, w0: float, crite
     except SpecificationError as error:
         gains = None, None
         words.append(f"no such loop: {error}")
+    pole = None
+    if gains[0] is not None and gains[1] is not None:
+        sampled = sample_axis(axis)
+        pole = close(sampled, ip_law(sampled, gains[0], gains[1])).radius
+        if pole > 1.0 + MARGINAL:
+            at_input = gains[0] * axis.drive.force_gain / plant.mass
+            words.append(
+                f"not for this drive: its sampled velocity loop would be unstable, largest pole {pole:.4g}; "
+                f"give an input crossover below its {at_input:.4g} rad/s"
+            )
     if w0 < BAND:
         words.append(f"the cascade's own resonance, {w0:.3g} rad/s, lies inside the operator's {BAND:g} rad/s")
-    return EquivalentLoop(mass, damping, k_e1, *gains, w0, 0.5 * lag * w0, crossover, phase, criterion, tuple(words))
+    return EquivalentLoop(
+        mass, damping, k_e1, *gains, w0, 0.5 * lag * w0, crossover, phase, criterion, pole, tuple(words)
+    )
 
 
 def _known(criterion: str) -> str:

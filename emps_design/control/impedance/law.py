@@ -54,10 +54,11 @@ class ApparentImpedance:
 class ImpedanceLaw:
     """The impedance law with everything that decides how it behaves.
 
-    ``mass`` M_a [kg], ``damping`` B [N/(m/s)], ``estimate`` the law's X, ``stiffness`` K [N/m] about ``rest_position``
-    q_0 [m]; ``filter`` [rad/s] low-passes acceleration and current alike (inf: none), ``current_filter`` another one
-    for the current alone (None: the same); ``coulomb_factor`` c scales the Coulomb compensation; ``current_factor`` is
-    ``DERIVED`` or ``PRINTED``; ``force_sensor`` puts a measured tau_e in the place of (29).
+    ``mass`` M_a [kg], ``damping`` B [N/(m/s)], ``estimate`` the law's X, ``stiffness`` K [N/m] about
+    ``rest_position`` q_0 [m]; ``filter`` [rad/s] low-passes acceleration and current alike (inf: none),
+    ``current_filter`` another one for the current alone (None: the same); ``coulomb_factor`` c scales the Coulomb
+    compensation; ``current_factor`` is ``DERIVED`` or ``PRINTED``; ``reference_velocity`` qd_0 [m/s] of (25), with
+    which q_0 moves; ``force_sensor`` puts a measured tau_e in the place of (29).
     Raises :class:`InputError` for M_a <= 0, B < 0 and the like.
 
     >>> plant = FrictionModel(115.7315, 474.9727, 474.9727, 17.3811, 17.3811)
@@ -77,12 +78,14 @@ class ImpedanceLaw:
     current_factor: float = DERIVED
     force_sensor: bool = False
     velocity_estimator: str = "two_tap"
+    reference_velocity: float = 0.0
 
     def __post_init__(self) -> None:
         _finite("mass M_a", self.mass, "kg", 0.0, open_below=True)
         _finite("damping B", self.damping, "N/(m/s)", 0.0)
         _finite("stiffness K", self.stiffness, "N/m", 0.0)
         _finite("rest position q_0", self.rest_position, "m")
+        _finite("reference velocity qd_0", self.reference_velocity, "m/s")
         _finite("Coulomb factor", self.coulomb_factor, "", 0.0)
         for name, value in (("filter", self.filter), ("current filter", self.current_filter)):
             if value is not None and (math.isnan(value) or value <= 0.0):
@@ -118,7 +121,7 @@ class ImpedanceLaw:
     def motor_force(self, q: float, v: float, a: float, tau: float, tau_e: float | None = None) -> float:
         """Motor force [N] of the continuous law; ``a`` and ``tau`` are what the filters give, ``tau_e`` a sensor's.
 
-        Source: (28) with (29), K and q_0 kept as in (27) derived.
+        Source: (27) with (29), q_0 where it is at the start.
         """
         i, s = int(v < 0), float(np.sign(v))
         e, coulomb = self.estimate, s * self.coulomb_factor * self.estimate.coulomb[i]
@@ -128,7 +131,10 @@ class ImpedanceLaw:
         else:
             tau_e = observed_force(e.mass, e.viscous[i], coulomb, self.current_factor, a, v, tau)
         away = q - self.rest_position
-        return demanded_force(self.ratio, self.damping, self.stiffness, e.viscous[i], coulomb, v, away, tau_e)
+        return demanded_force(
+            self.ratio, self.damping, self.stiffness, e.viscous[i], coulomb, v, away, tau_e,
+            self.reference_velocity, self.current_factor - 1.0,
+        )  # fmt: skip
 
     def apparent(self, plant: FrictionModel, direction: int = 1) -> ApparentImpedance:
         """Apparent impedance on ``plant`` for motion to + or - (``direction`` 1, -1), ideal current loop, no filter.
@@ -167,6 +173,7 @@ class ImpedanceLaw:
             "damping": self.damping,
             "stiffness": self.stiffness,
             "rest_position": self.rest_position,
+            "reference_velocity": self.reference_velocity,
             "filter": acceleration if math.isfinite(acceleration) else None,
             "current_filter": current if math.isfinite(current) else None,
             "coulomb_factor": self.coulomb_factor,
@@ -212,6 +219,7 @@ def law_for(axis: Axis, law: ImpedanceLaw, period: float) -> Law:
         law.estimate, law.mass, law.damping, law.filters, period, law.velocity_estimator, stiffness=law.stiffness,
         coulomb_factor=law.coulomb_factor, current_factor=law.current_factor, force_sensor=law.force_sensor,
         force_gain=axis.drive.force_gain, current_time_constant=axis.drive.current_time_constant, delay=delay,
+        reference_velocity=law.reference_velocity,
     )  # fmt: skip
     return Law(impedance, np.array(gains, dtype=float), WAITING + delay)
 

@@ -90,13 +90,18 @@ class Margins:
 
 
 def margin_arrays(
-    response: Response, count: int, frequencies: np.ndarray, nyquist: float | None = None
+    response: Response,
+    count: int,
+    frequencies: np.ndarray,
+    nyquist: float | None = None,
+    delayed: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> dict[str, np.ndarray]:
     """Return the margins of ``count`` loops as arrays, NaN where a margin is unbounded.
 
     ``response(w, rows)`` gives the open loop of the loops numbered ``rows`` at ``w`` [rad/s]; both broadcast.
     ``frequencies`` [rad/s] ascending brackets the crossings, which are then refined to 1e-12; ``nyquist`` [rad/s] is
-    the Nyquist frequency of sampled loops, where the response is real and may be -1.
+    the Nyquist frequency of sampled loops, where the response is real and may be -1. ``delayed(w, rows, delay)`` is the
+    open loop with a ``delay`` [s] more, arrays (n,): where given, the delay margin is exact between whole samples too.
     Keys: those of ``KEYS``.
 
     >>> found = margin_arrays(lambda w, rows: 1.0 / (1j * w * (1.0 + 0.1j * w) ** 2), 1, np.geomspace(0.1, 100, 50))
@@ -118,7 +123,10 @@ def margin_arrays(
         )
         lag = np.mod(np.angle(response(w, where)) + np.pi, 2.0 * np.pi)
         _keep_smallest(where, lag, {"phase_margin_deg": np.degrees(lag), "crossover": w}, found)
-        _keep_smallest(where, lag / w, {"delay_margin": lag / w}, found)
+        delay = lag / w
+        if delayed is not None and nyquist is not None:
+            delay = _exact_delay(delayed, where, w, delay, nyquist)
+        _keep_smallest(where, delay, {"delay_margin": delay}, found)
 
     crossing = (loop.imag[:, 1:] < 0.0) != (loop.imag[:, :-1] < 0.0)
     # A sign change of the imaginary part far on the positive side is no crossing of the negative real axis.
@@ -135,12 +143,17 @@ def margin_arrays(
 
 
 def loop_margins(
-    response: Callable[[np.ndarray], np.ndarray], frequencies: np.ndarray, stable: bool, period: float | None = None
+    response: Callable[[np.ndarray], np.ndarray],
+    frequencies: np.ndarray,
+    stable: bool,
+    period: float | None = None,
+    delayed: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> Margins:
     """Return the margins of one loop whose closed-loop poles are known to be ``stable`` or not.
 
     ``response(w)`` is the open loop at ``w`` [rad/s]; ``frequencies`` [rad/s] ascending; ``period`` [s] of a sampled
-    loop. An unstable loop gets no margins: what a frequency response reads there is not a distance to instability.
+    loop; ``delayed(w, delay)`` as for :func:`margin_arrays`. An unstable loop gets no margins: what a frequency
+    response reads there is not a distance to instability.
 
     >>> loop_margins(lambda w: 2.0 / (1j * w), np.geomspace(0.1, 10, 20), stable=True).crossover
     2.0
@@ -148,9 +161,47 @@ def loop_margins(
     if not stable:
         return Margins(stable=False, period=period)
     nyquist = None if period is None else math.pi / period
-    found = margin_arrays(lambda w, rows: response(w), 1, frequencies, nyquist)
+    later = None if delayed is None else lambda w, rows, delay: delayed(w, delay)
+    found = margin_arrays(lambda w, rows: response(w), 1, frequencies, nyquist, later)
     value = {key: None if math.isnan(array[0]) else float(array[0]) for key, array in found.items()}
     return Margins(stable=True, period=period, **value)
+
+
+def _exact_delay(
+    delayed: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+    rows: np.ndarray,
+    w: np.ndarray,
+    delay: np.ndarray,
+    nyquist: float,
+) -> np.ndarray:
+    """Delays [s] at which the loops ``rows`` reach -1, from their crossovers ``w`` and lag over frequency ``delay``.
+
+    Newton's rule for the logarithm of minus the loop, in the logarithm of frequency and in samples of delay. Where it
+    finds nothing the delay of the phase alone is kept, which is right for whole samples.
+    """
+    period, small = math.pi / nyquist, 1e-6
+    x, y, slopes = np.log(w), delay / period, np.zeros((2, w.size), dtype=complex)
+
+    def gap(which: np.ndarray, dx: float = 0.0, dy: float = 0.0) -> np.ndarray:
+        return np.log(-delayed(np.exp(x[which] + dx), rows[which], (y[which] + dy) * period))
+
+    active = np.arange(w.size)
+    left = gap(active)
+    for turn in range(60):
+        if turn % 10 == 0:  # the slopes of the start serve the nearest steps too
+            slopes[:, active] = [(gap(active, *by) - left[active]) / small for by in ((small, 0.0), (0.0, small))]
+        by_x, by_y, now = slopes[0, active], slopes[1, active], left[active]
+        determinant = by_x.real * by_y.imag - by_x.imag * by_y.real
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step_x = (now.imag * by_y.real - now.real * by_y.imag) / determinant
+            step_y = (now.real * by_x.imag - now.imag * by_x.real) / determinant
+        x[active] = np.minimum(x[active] + np.clip(np.nan_to_num(step_x), -0.2, 0.2), math.log(nyquist))
+        y[active] = np.maximum(y[active] + np.clip(np.nan_to_num(step_y), -0.3, 0.3), 1e-9)
+        left[active] = gap(active)
+        active = active[np.abs(left[active]) > 1e-12]
+        if not active.size:
+            break
+    return np.where(np.abs(left) < 1e-9, y * period, delay)
 
 
 def _sine(value: np.ndarray) -> np.ndarray:

@@ -10,14 +10,18 @@ encoder's position q as
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.plant.linear_plant import POSITION, LinearPlant, linear_plant
+from emps_design.control.plant.linear_plant import POSITION, VELOCITY, LinearPlant, linear_plant
 from emps_design.errors import InputError
+
+if TYPE_CHECKING:
+    import control
 
 # Weights of the last two position increments in the velocity estimate, times T.
 ESTIMATORS = {"two_tap": (0.5, 0.5), "backward": (1.0, 0.0)}
@@ -94,6 +98,59 @@ class SampledPlant:
         numerator, denominator = self.polynomials
         return np.polyval(numerator, z) / np.polyval(denominator, z)
 
+    def to_ss(self) -> control.StateSpace:
+        """The plant as a discrete ``control.StateSpace`` from voltage and held force to encoder and velocity.
+
+        All delays are in it, as voltages on their way.
+        """
+        import control
+
+        n, count = self.C.size, self.delay + int(np.any(self.G1))
+        A, B, C = np.zeros((n + count, n + count)), np.zeros((n + count, 2)), np.zeros((2, n + count))
+        A[:n, :n], B[:n, 1], C[0, :n], C[1, VELOCITY] = self.Phi, self.H, self.C, 1.0
+        for late, column in ((self.delay, self.G0), (self.delay + 1, self.G1)):
+            if late == 0:
+                B[:n, 0] = column
+            elif late <= count:
+                A[:n, n + late - 1] = column
+        if count:
+            B[n, 0] = 1.0
+            A[n + 1 :, n:-1] = np.eye(count - 1)
+        names = {"inputs": ["voltage", "force"], "outputs": ["encoder", "velocity"], "name": "plant"}
+        return control.ss(A, B, C, np.zeros((2, 2)), self.period, **names)
+
+    def to_tf(self) -> control.TransferFunction:
+        """The transfer function in z from voltage to the velocity estimate, all delays included."""
+        import control
+
+        return control.tf(*self.polynomials, self.period)
+
+    def delayed(self, delay: float) -> SampledPlant:
+        """Return the plant whose voltage comes ``delay`` [s] later, any fraction of a sample."""
+        later = replace(self.linear, delay=self.linear.delay + delay)
+        return replace(sample_plant(later, self.period, self._program_delay), weights=self.weights)
+
+    @property
+    def _program_delay(self) -> int:
+        """Whole samples of delay that are not those of the continuous plant."""
+        return self.delay - int(_whole_and_fraction(self.linear.delay, self.period)[0])
+
+    def delayed_response(self, w: np.ndarray, delay: np.ndarray) -> np.ndarray:
+        """As :meth:`response`, the voltage ``delay`` [s] later, exact between whole samples: (m,), (m,) -> (m,).
+
+        A delay of whole samples turns the phase alone. A fraction of one changes the magnitude too, since the hold then
+        changes between the samples (modified z-transform).
+        """
+        whole, fraction = _whole_and_fraction(self.linear.delay + np.asarray(delay), self.period)
+        newer, older = _late(self.linear, fraction, self.period)
+        z = np.exp(1j * np.asarray(w) * self.period)
+        row, _, _ = self.increment
+        matrices = z[..., None, None] * np.eye(self.kept.size) - self.Phi[np.ix_(self.kept, self.kept)]
+        states = np.linalg.solve(matrices, (newer + older / z[..., None])[..., self.kept, None])[..., 0]
+        increments = states @ row[self.kept] + newer @ self.C + (older @ self.C) / z
+        estimate = (self.weights[0] + self.weights[1] / z) / self.period
+        return increments * estimate / z ** (self._program_delay + whole + 1.0)
+
     def state_response(self, w: np.ndarray) -> np.ndarray:
         """Frequency response from voltage to every state of ``linear`` at ``w`` [rad/s], shape (*w.shape, n_states)."""
         z = np.exp(1j * np.asarray(w) * self.period)[..., None]
@@ -127,20 +184,13 @@ def sample_plant(
             f"period: found {period:g} s, in which the unstable plant grows e^{growth:.3g} times; expected a period "
             "that the plant's own motion fits in"
         )
-    whole, fraction = divmod(linear.delay, period)
-    if fraction > period * (1.0 - 1e-9):
-        whole, fraction = whole + 1.0, 0.0
-    if fraction < period * 1e-9:
-        fraction = 0.0
+    whole, fraction = _whole_and_fraction(linear.delay, period)
     Phi, (now, H) = _held(linear.A, (linear.B, linear.E), period)
-    before = np.zeros_like(now)
-    if fraction:
-        late_phi, (now,) = _held(linear.A, (linear.B,), period - fraction)
-        before = (late_phi @ _held(linear.A, (linear.B,), fraction)[1][0][..., None])[..., 0]
+    G0, G1 = _late(linear, fraction, period) if fraction else (now, np.zeros_like(now))
     return SampledPlant(
         Phi,
-        now,
-        before,
+        G0,
+        G1,
         H,
         linear.C,
         delay_samples + int(whole),
@@ -181,12 +231,30 @@ def expm(matrices: np.ndarray) -> np.ndarray:
     return total
 
 
-def _held(A: np.ndarray, inputs: tuple[np.ndarray, ...], time: float) -> tuple[np.ndarray, list[np.ndarray]]:
+def _whole_and_fraction(delay: Any, period: float) -> tuple[Any, Any]:
+    """Whole samples of a ``delay`` [s], and the rest of it [s]; rounding makes no fraction."""
+    samples = np.asarray(delay) / period
+    whole = np.floor(samples + 1e-9)
+    rest = np.where(samples - whole < 1e-9, 0.0, samples - whole) * period
+    return whole, rest
+
+
+def _late(linear: LinearPlant, fraction: Any, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """What the newer and the older voltage add to the states when the newer comes ``fraction`` [s] into the period."""
+    late, (newer,) = _held(linear.A, (linear.B,), period - np.asarray(fraction))
+    _, (older,) = _held(linear.A, (linear.B,), fraction)
+    return newer, (late @ older[..., None])[..., 0]
+
+
+def _held(A: np.ndarray, inputs: tuple[np.ndarray, ...], time: Any) -> tuple[np.ndarray, list[np.ndarray]]:
     """exp(A t), and the integral of exp(A s) b over [0, t] for each b of ``inputs``."""
-    size = A.shape[-1]
-    augmented = np.zeros((*A.shape[:-2], size + len(inputs), size + len(inputs)))
-    augmented[..., :size, :size] = A * time
-    for i, b in enumerate(inputs):
-        augmented[..., :size, size + i] = b * time
+    size, time = A.shape[-1], np.asarray(time)
+    shape = np.broadcast_shapes(A.shape[:-2], time.shape)
+    augmented = np.zeros((*shape, size + len(inputs), size + len(inputs)))
+    augmented[..., :size, :size] = A * time[..., None, None]
+    largest = float(np.abs(A).max())
+    scales = [float(np.abs(b).max()) / largest or 1.0 for b in inputs]  # a large b would only cost squarings
+    for i, (b, scale) in enumerate(zip(inputs, scales, strict=True)):
+        augmented[..., :size, size + i] = b / scale * time[..., None]
     exponential = expm(augmented)
-    return exponential[..., :size, :size], [exponential[..., :size, size + i] for i in range(len(inputs))]
+    return exponential[..., :size, :size], [exponential[..., :size, size + i] * s for i, s in enumerate(scales)]

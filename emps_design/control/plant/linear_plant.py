@@ -16,6 +16,7 @@ current loop where that has a time constant. Inputs: voltage, and an external fo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +25,9 @@ from emps_design.control.plant.actuator import ActuatorMap
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
 from emps_design.errors import InputError
 from emps_design.quantities import check_magnitude
+
+if TYPE_CHECKING:
+    import control
 
 POSITION, VELOCITY = 0, 1
 PLACES = 64  # along one repeat of an effect
@@ -49,6 +53,18 @@ class LinearPlant:
     state: tuple[str, ...]
     warnings: tuple[str, ...] = ()
     steepest: float = 0.0
+
+    def to_ss(self) -> control.StateSpace:
+        """The plant as a continuous ``control.StateSpace`` from voltage and force to encoder and velocity.
+
+        Its pure ``delay`` is not in it; that of :class:`~emps_design.control.plant.discretisation.SampledPlant` has it.
+        """
+        import control
+
+        C = np.array([self.C, np.eye(self.C.size)[VELOCITY]])
+        B = np.column_stack([self.B, self.E])
+        names = {"inputs": ["voltage", "force"], "outputs": ["encoder", "velocity"], "states": list(self.state)}
+        return control.ss(self.A, B, C, np.zeros((2, 2)), **names, name="plant")
 
 
 def rigid_plant(

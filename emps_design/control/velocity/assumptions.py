@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from emps_design.axis import Axis
-from emps_design.control.loop.sampled_loop import SampledVelocityLoop
 from emps_design.control.plant.discretisation import sample_axis, sample_plant
 from emps_design.control.plant.environment import Environment, attached
+from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.control.velocity.specification import ROOM
 
 

@@ -39,7 +39,7 @@ from emps_design.notebook import table
 if TYPE_CHECKING:
     import control
 
-    from emps_design.control.loop.sampled_loop import SampledVelocityLoop
+    from emps_design.control.velocity.sampled import SampledVelocityLoop
 
 
 @dataclass(frozen=True)
@@ -123,8 +123,8 @@ class VelocityLoopDesign:
     @cached_property
     def sampled(self) -> SampledVelocityLoop:
         """The same gains in the loop as implemented: hold, delays, current loop, effects, velocity estimator."""
-        from emps_design.control.loop.sampled_loop import SampledVelocityLoop
         from emps_design.control.plant.discretisation import sample_axis
+        from emps_design.control.velocity.sampled import SampledVelocityLoop
 
         return SampledVelocityLoop(sample_axis(self.axis, self.velocity), self.k_v1, self.t_v)
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.loop.sampled_loop import SampledVelocityLoop
 from emps_design.control.plant.actuator import ActuatorMap
+from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.laws.library import ip_velocity
 
 CONSTANT = 1e-9  # a pole nearer than this to the unit circle belongs to something that stays as it is

@@ -35,7 +35,7 @@ def retuned_gains(
     "velocity-error"; they broadcast. Whether the loop is stable with the gains is for its poles to say.
 
     >>> from emps_design.machines import machine
-    >>> from emps_design.control.loop.sampled_loop import SampledVelocityLoop
+    >>> from emps_design.control.velocity.sampled import SampledVelocityLoop
     >>> plant = sample_axis(machine("emps2018"))
     >>> k_v1, t_v = retuned_gains(plant, 100.0, 60.0)
     >>> round(SampledVelocityLoop(plant, float(k_v1), float(t_v)).margins.phase_margin_deg, 6)
@@ -127,7 +127,7 @@ def bandwidth_gains(
     integral action; the slowest stable loop that reaches it is taken. Arrays (n,).
 
     >>> from emps_design.machines import machine
-    >>> from emps_design.control.loop.sampled_loop import SampledVelocityLoop
+    >>> from emps_design.control.velocity.sampled import SampledVelocityLoop
     >>> plant = sample_axis(machine("emps2018"))
     >>> k_v1, t_v = bandwidth_gains(plant, np.array([50.0]), np.array([60.0]))
     >>> round(SampledVelocityLoop(plant, float(k_v1[0]), float(t_v[0])).bandwidth, 6)

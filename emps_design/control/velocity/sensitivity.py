@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from emps_design.axis import Axis
-from emps_design.control.loop.sampled_loop import SampledVelocityLoop
 from emps_design.control.plant.discretisation import sample_axis
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.gains import feasible_phase_margin, velocity_gains
+from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.errors import InputError
 
 PARAMETERS = {"mass": "mechanics", "viscous": "mechanics", "force_gain": "drive"}

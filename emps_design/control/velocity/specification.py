@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.loop.sampled_loop import SampledVelocityLoop
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis
 from emps_design.control.velocity.gains import MINUS_3_DB, canonical_form, second_order_bandwidth
+from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.control.velocity.sweeps import sweep_sampled_margins, sweep_velocity_loop
 from emps_design.errors import InputError
 from emps_design.quantities import check_magnitude

@@ -148,6 +148,11 @@ def sweep_sampled_margins(
                 return gain[rows] * P + (gain / time)[rows] * (P * integrator)
             return (gain / time)[rows] * (P * integrator) / (1.0 + gain[rows] * P)
 
-        for key, values in margin_arrays(response, piece.size, grid, np.pi / plant.period).items():
+        def delayed(w: np.ndarray, rows: np.ndarray, delay: np.ndarray, gain: Any = gain, time: Any = time) -> Any:
+            integrator = plant.period / (1.0 - np.exp(-1j * w * plant.period))
+            return (gain[rows] + (gain / time)[rows] * integrator) * plant.delayed_response(w, delay)
+
+        later = delayed if at == "plant-input" else None
+        for key, values in margin_arrays(response, piece.size, grid, np.pi / plant.period, later).items():
             found[key][piece] = values
     return {"stable": stable.reshape(shape), **{key: values.reshape(shape) for key, values in found.items()}}

@@ -4,10 +4,11 @@ With ``r = Mh/M_a`` and hats for the estimates of mass and friction, the force t
 answered by (28), K and q_0 kept as in (27) derived:
 
     tau_eh = Mh a_f + Fh_v v + c Fh_c sign(v) - kappa tau_f
-    tau    = (r - 1) tau_eh + (Fh_v - r B) v + c Fh_c sign(v) - r K (q - q_0)
+    tau    = (r - 1) tau_eh + Fh_v v - r B (v - v_0) + c Fh_c sign(v) - r K (q - q_0)
 
 ``a_f`` and ``tau_f`` are acceleration and motor force behind first-order low-passes; ``kappa`` 1 is (30) derived, 2 as
-printed. The motor force is not wired to the controller: the law takes it from the current loop's own model,
+printed, which with a reference velocity v_0 also has Fh_v (v - v_0) of (27) as printed. q_0 moves with v_0. The motor
+force is not wired to the controller: the law takes it from the current loop's own model,
 ``tau[k+1] = e tau[k] + (1 - e) G_tau u[k]`` with ``e = exp(-T/T_c)``, exact while the drive does what it is told. What
 the axis follows is q_0, of use only with a stiffness. Source: section IV of the paper, (24) to (30), after Hogan.
 """
@@ -23,6 +24,7 @@ from emps_design.laws.law import TWO_TAP, LawKind, LawTable, NonNegative, Positi
 # What stands where in the kernel's gains.
 RATIO, MASS, DAMPING, STIFFNESS, VISCOUS_POSITIVE, VISCOUS_NEGATIVE, COULOMB_POSITIVE, COULOMB_NEGATIVE = range(8)
 KEEP_ACCELERATION, KEEP_CURRENT, CURRENT_FACTOR, FORCE_SENSOR, FORCE_GAIN, KEEP_MOTOR, DELAY, RATE, TAPS = range(8, 17)
+REFERENCE_VELOCITY = 17
 # And in its memory, before the voltages on their way: three encoder readings, what the filters and the model hold.
 SLOW_ACCELERATION, SLOW_MOTOR, MOTOR, WAITING = 3, 4, 5, 6
 
@@ -32,9 +34,10 @@ def observed_force(mass, viscous, coulomb, factor, a, v, tau):
     return mass * a + viscous * v + coulomb - factor * tau
 
 
-def demanded_force(ratio, damping, stiffness, viscous, coulomb, v, away, tau_e):
-    """The motor force by (28), ``away`` from q_0."""
-    return (ratio - 1.0) * tau_e + (viscous - ratio * damping) * v + coulomb - ratio * stiffness * away
+def demanded_force(ratio, damping, stiffness, viscous, coulomb, v, away, tau_e, v_0, relative):
+    """The motor force by (27), ``away`` from q_0; ``relative`` 1 has friction on v - v_0 as printed, 0 as derived."""
+    force = (ratio - 1.0) * tau_e + (viscous - ratio * damping) * v + coulomb - ratio * stiffness * away
+    return force + (ratio * damping - relative * viscous) * v_0
 
 
 def impedance(k, reference, q, f_ext, limit, gains, memory):
@@ -70,8 +73,12 @@ def impedance(k, reference, q, f_ext, limit, gains, memory):
         tau_e = observed_force(
             gains[MASS], viscous, coulomb, gains[CURRENT_FACTOR], memory[SLOW_ACCELERATION], v, memory[SLOW_MOTOR]
         )
-    away = q - reference
-    tau = demanded_force(gains[RATIO], gains[DAMPING], gains[STIFFNESS], viscous, coulomb, v, away, tau_e)
+    v_0 = gains[REFERENCE_VELOCITY]
+    away = q - reference - v_0 * k / rate
+    tau = demanded_force(
+        gains[RATIO], gains[DAMPING], gains[STIFFNESS], viscous, coulomb, v, away, tau_e, v_0,
+        gains[CURRENT_FACTOR] - 1.0,
+    )  # fmt: skip
     u = min(max(tau / gains[FORCE_GAIN], -limit), limit)
     # The model of the current loop runs on what reaches it: this voltage, or that of some samples ago.
     arriving = u
@@ -87,7 +94,7 @@ def impedance(k, reference, q, f_ext, limit, gains, memory):
 
 def gains_of(
     estimate, mass, damping, filters, period, velocity_estimator=TWO_TAP, *, stiffness=0.0, coulomb_factor=1.0,
-    current_factor=1.0, force_sensor=False, force_gain=1.0, current_time_constant=0.0, delay=0,
+    current_factor=1.0, force_sensor=False, force_gain=1.0, current_time_constant=0.0, delay=0, reference_velocity=0.0,
 ):  # fmt: skip
     """Gains of the kernel: ``estimate`` as a :class:`FrictionModel`, M_a, B, both low-passes [rad/s], the drive.
 
@@ -99,7 +106,7 @@ def gains_of(
     return [
         estimate.mass / mass, estimate.mass, damping, stiffness, *estimate.viscous, *coulomb, keep_acceleration,
         keep_current, current_factor, float(force_sensor), force_gain, keep_motor, delay, 1.0 / period,
-        float(velocity_estimator == TWO_TAP),
+        float(velocity_estimator == TWO_TAP), reference_velocity,
     ]  # fmt: skip
 
 

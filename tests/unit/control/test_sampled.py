@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from emps_design.control.loop.margins import loop_margins
-from emps_design.control.loop.sampled_loop import SampledVelocityLoop
 from emps_design.control.plant.discretisation import expm, sample_axis, sample_plant
 from emps_design.control.plant.linear_plant import linear_plant
 from emps_design.control.velocity.design import design_velocity_loop
+from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.errors import InputError
 from emps_design.machines import machine
 
@@ -222,3 +222,50 @@ def test_sampled_becomes_continuous_with_a_short_period():
     fast = design_velocity_loop(axis, crossover=100.0, phase_margin_deg=60.0)
     assert fast.sampled.margins.phase_margin_deg == pytest.approx(fast.plant_input.phase_margin_deg, abs=0.05)
     assert fast.sampled.bandwidth == pytest.approx(fast.bandwidth, rel=1e-3)
+
+
+def longest_delay(loop: SampledVelocityLoop, step: float = 0.02) -> float:
+    """Samples of delay that the loop bears, by adding more and more of it until the poles leave the circle."""
+
+    def stable(samples: float) -> bool:
+        return replace(loop, plant=loop.plant.delayed(samples * loop.plant.period)).stable
+
+    low = next(step * i for i in range(500) if not stable(step * (i + 1)))
+    high = low + step
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    return low
+
+
+def test_delay_margin_of_a_fast_loop_is_a_fraction_of_a_sample():
+    """The phase alone says 0.1252 samples; a delay between samples changes the magnitude too."""
+    axis = PAPER.replace(
+        mechanics={"mass": 1.0, "viscous": 1.0, "coulomb": 0.0},
+        drive={"force_gain": 1.0, "current_time_constant": 0.0},
+        controller={"velocity_estimator": "backward"},
+    )
+    loop = design_velocity_loop(axis, crossover=300.0, phase_margin_deg=76.0).sampled
+    assert loop.margins.delay_margin_samples == pytest.approx(0.1111, abs=5e-5)
+    assert loop.margins.delay_margin_samples == pytest.approx(longest_delay(loop), abs=1e-7)
+    alone = math.radians(loop.margins.phase_margin_deg) / loop.margins.crossover / 1e-3
+    assert alone == pytest.approx(0.1252, abs=5e-5)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    crossover=st.floats(60.0, 350.0),
+    phase=st.floats(30.0, 85.0),
+    lag=st.sampled_from([0.0, 0.3e-3, 1.5e-3]),
+    late=st.sampled_from([0.0, 0.4e-3, 1.3e-3]),
+    estimator=st.sampled_from(["two_tap", "backward"]),
+)
+def test_delay_margins_are_exact_between_samples(crossover, phase, lag, late, estimator):
+    axis = PAPER.replace(
+        drive={"current_time_constant": lag},
+        controller={"velocity_estimator": estimator},
+        effects=[{"kind": "actuator_delay", "delay": late}] if late else [],
+    )
+    loop = design_velocity_loop(axis, crossover=crossover, phase_margin_deg=phase).sampled
+    if loop.stable and loop.margins.delay_margin_samples < 8.0:
+        assert loop.margins.delay_margin_samples == pytest.approx(longest_delay(loop), abs=2e-6)

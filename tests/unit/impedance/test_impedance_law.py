@@ -183,3 +183,15 @@ def test_loop_without_positive_gain_is_named(axis):
     found = equivalent_impedance(axis, 0.01, 1.0, 60.0)  # M w tan(phi) < F_v
     assert found.k_v1 is None
     assert any(word.startswith("no such loop: phase margin: found 60 deg") for word in found.warnings)
+
+
+def test_an_equivalent_loop_that_the_drive_cannot_run_says_so(axis):
+    from emps_design.control.impedance.equivalence import equivalent_loop
+
+    late = axis.replace(sampling={"computation_delay": 2})
+    found = equivalent_loop(late, 80.0, 100.0)
+    assert not found.stable
+    assert found.to_dict()["sampled"] == {"stable": False, "largest_pole": pytest.approx(1.0317, abs=1e-4)}
+    assert any("its sampled velocity loop would be unstable, largest pole 1.032" in word for word in found.warnings)
+    assert equivalent_loop(axis, 80.0, 100.0).stable
+    assert equivalent_loop(late, 80.0, 100.0, input_crossover=200.0).stable

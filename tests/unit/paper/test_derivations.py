@@ -134,3 +134,12 @@ def test_the_document_compiles(tmp_path):
     assert done.returncode == 0, done.stdout[-2000:]
     assert (tmp_path / "derivations.pdf").stat().st_size > 50_000
     assert "Undefined control sequence" not in done.stdout
+
+
+def test_every_equation_says_where_it_stands():
+    import pydoc
+
+    from emps_design.paper.places import PLACES
+
+    assert set(PLACES) == set(EQUATIONS)
+    assert [name for names in PLACES.values() for name in names if pydoc.locate(name) is None] == []

@@ -4,18 +4,15 @@ import numpy as np
 import pytest
 
 from emps_design.errors import InputError
+from emps_design.paper.bench_numbers import CHOSEN, NUMBERS, PAPER, numbers
 from emps_design.paper.section_3 import PRINTED, reproduce_section_3
-from emps_design.paper.table_2 import STRAIGHT, Assumption, outcome, speeds_said
+from emps_design.paper.table_2 import STRAIGHT, Assumption, outcome, rms_speeds
 from emps_design.paper.virtual_bench import (
-    CHOSEN,
-    NUMBERS,
-    PAPER,
     bench_axis,
     break_away_test,
     comanipulation_experiment,
     identification_experiment,
     identification_trajectory,
-    numbers,
     operator_force,
 )
 
@@ -116,7 +113,7 @@ def test_table_2_is_that_of_another_seed_too(section):
 
 
 def test_speeds_of_the_bench_are_those_that_table_2_says(section):
-    for found, said in zip(speeds_said(section.table_2), speeds_said(PRINTED["table_2"]), strict=True):
+    for found, said in zip(rms_speeds(section.table_2), rms_speeds(PRINTED["table_2"]), strict=True):
         assert found == pytest.approx(said, rel=0.1)
 
 

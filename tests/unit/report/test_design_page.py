@@ -163,7 +163,7 @@ def test_command_exits_four_for_an_unstable_loop_and_still_writes_the_page(tmp_p
 @pytest.mark.parametrize(
     ("arguments", "message", "status"),
     [
-        (["--crossover", "100", "--out", "missing/r.html"], "folder missing does not exist", 2),
+        (["--crossover", "100", "--out", "missing/r.html"], "missing does not exist", 2),
         (["--crossover", "100", "--phase-margin", "90", "--out", "r.html"], "upper limit binds", 3),
         (["--crossover", "-1", "--out", "r.html"], "expected a positive number of rad/s", 2),
         (["--crossover", "100", "--k-e1", "0", "--out", "r.html"], "k_e1: found 0", 2),

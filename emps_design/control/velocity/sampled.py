@@ -1,0 +1,166 @@
+"""The velocity loop as implemented: hold, delays, current loop, effects and velocity estimator.
+
+Stability is read from the closed-loop poles first; an unstable loop has no margins.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from emps_design.control.loop.margins import Margins, loop_margins
+from emps_design.control.loop.sampled_loop import SampledLoop, close
+from emps_design.control.plant.discretisation import SampledPlant
+from emps_design.laws.library import ip_velocity
+from emps_design.laws.linear import LinearLaw, linear_form
+
+if TYPE_CHECKING:
+    import control
+
+
+@dataclass(frozen=True)
+class SampledVelocityLoop:
+    """Given gains in the loop as implemented: poles first, then margins at both places, then what they cost.
+
+    ``k_v1`` [V/(m/s)], ``t_v`` [s].
+
+    >>> from emps_design.control.plant.discretisation import sample_axis
+    >>> from emps_design.machines import machine
+    >>> plant = sample_axis(machine("emps2018"))
+    >>> loop = SampledVelocityLoop(plant, 556.766, 8.45505e-3)
+    >>> loop.stable, round(loop.margins.gain_margin, 2), round(loop.margins.delay_margin_samples, 2)
+    (True, 4.73, 3.39)
+    """
+
+    plant: SampledPlant
+    k_v1: float
+    t_v: float
+
+    @cached_property
+    def loop(self) -> SampledLoop:
+        """The closed loop from velocity reference to voltage and velocity."""
+        return close(self.plant, ip_law(self.plant, self.k_v1, self.t_v), plant_input=True)
+
+    @property
+    def poles(self) -> np.ndarray:
+        """Closed-loop poles in the z plane, largest first."""
+        return self.loop.poles
+
+    @property
+    def stable(self) -> bool:
+        """Whether the sampled closed loop is stable, by its poles."""
+        return self.loop.stable
+
+    def integrator(self, w: np.ndarray) -> np.ndarray:
+        """T z / (z - 1) at ``w`` [rad/s], the sampled 1/s of the law [s]."""
+        return self.plant.period / (1.0 - np.exp(-1j * np.asarray(w) * self.plant.period))
+
+    def plant_input_response(self, w: np.ndarray) -> np.ndarray:
+        """Open loop broken at the plant input at ``w`` [rad/s]."""
+        return self._controller(w) * self.plant.response(w)
+
+    def _controller(self, w: np.ndarray) -> np.ndarray:
+        return self.k_v1 * (1.0 + self.integrator(w) / self.t_v)
+
+    def velocity_error_response(self, w: np.ndarray) -> np.ndarray:
+        """Open loop broken at the velocity error at ``w`` [rad/s], the sampled T_vo."""
+        inner = self.k_v1 * self.plant.response(w)
+        return inner * self.integrator(w) / self.t_v / (1.0 + inner)
+
+    def closed_loop_response(self, w: np.ndarray) -> np.ndarray:
+        """From velocity reference to the velocity estimate at ``w`` [rad/s], the sampled T_vc."""
+        forward = self.velocity_error_response(w)
+        return forward / (1.0 + forward)
+
+    @cached_property
+    def margins(self) -> Margins:
+        """Margins of the loop broken at the plant input."""
+        return loop_margins(
+            self.plant_input_response,
+            self.plant.frequencies(),
+            self.stable,
+            self.plant.period,
+            lambda w, delay: self._controller(w) * self.plant.delayed_response(w, delay),
+        )
+
+    @cached_property
+    def velocity_error(self) -> Margins:
+        """Margins of the loop broken at the velocity error; undefined while the inner proportional path is unstable."""
+        return loop_margins(self.velocity_error_response, self.plant.frequencies(), self.stable, self.plant.period)
+
+    @cached_property
+    def bandwidth(self) -> float | None:
+        """First frequency where the velocity estimate has fallen to -3 dB [rad/s]; None if unstable."""
+        if not self.stable:
+            return None
+        from emps_design.control.velocity.gains import MINUS_3_DB
+
+        grid = self.plant.frequencies()
+        below = np.nonzero(np.abs(self.closed_loop_response(grid)) < MINUS_3_DB)[0]
+        if not below.size or below[0] == 0:
+            return None
+        low, high = float(grid[below[0] - 1]), float(grid[below[0]])
+        while high - low > 1e-10 * high:
+            middle = 0.5 * (low + high)
+            if abs(self.closed_loop_response(np.array(middle))) < MINUS_3_DB:
+                high = middle
+            else:
+                low = middle
+        return 0.5 * (low + high)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Instability first, then what the linear loop leaves out and what is unbounded."""
+        said = (
+            []
+            if self.stable
+            else [f"the sampled loop is unstable: largest pole {abs(self.poles[0]):.4g}, outside the unit circle"]
+        )
+        said += self.plant.linear.warnings
+        if self.stable and self.margins.gain_margin is None:
+            said.append("the sampled loop's gain margin is unbounded")
+        return tuple(said)
+
+    def step_response(self, samples: int = 300) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Time [s], true velocity [m/s] and voltage [V] after a unit step of the reference, dry friction left out.
+
+        >>> from emps_design.control.plant.discretisation import sample_axis
+        >>> from emps_design.machines import machine
+        >>> t, v, u = SampledVelocityLoop(sample_axis(machine("emps2018")), 556.766, 8.45505e-3).step_response()
+        >>> round(float(v[-1]), 6)
+        1.0
+        """
+        inputs = np.zeros((samples, len(self.loop.inputs)))
+        inputs[:, self.loop.inputs.index("reference")] = 1.0
+        found = self.loop.simulate(inputs)
+        return np.arange(samples) * self.plant.period, found[:, 0], found[:, 3]
+
+    def transfer_function(self) -> control.TransferFunction:
+        """The open loop at the plant input as a discrete ``control.TransferFunction`` in z."""
+        import control
+
+        numerator, denominator = self.plant.polynomials
+        T = self.plant.period
+        return control.tf(
+            self.k_v1 * np.polymul(numerator, [1.0 + T / self.t_v, -1.0]), np.polymul(denominator, [1.0, -1.0]), T
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data: margins at the plant input, those at the velocity error beside them, and the poles."""
+        return {
+            **self.margins.to_dict(),
+            "bandwidth": self.bandwidth,
+            "velocity_error": self.velocity_error.to_dict(),
+            "poles": [[float(p.real), float(p.imag)] for p in self.poles],
+            "period": self.plant.period,
+        }
+
+
+def ip_law(plant: SampledPlant, k_v1: float, t_v: float, k_e1: float | np.ndarray = 0.0) -> LinearLaw:
+    """The velocity law with the estimator of ``plant`` in its linear form; ``k_e1`` [(m/s)/N] of a force loop."""
+    law, period = ip_velocity.LAW, plant.period
+    gains = (k_v1, k_v1 * period / t_v, k_e1, 1.0 / period, float(plant.weights[1] > 0.0))
+    return linear_form(law.kernel, gains, 3, law.follows, period)
