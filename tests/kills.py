@@ -25,7 +25,6 @@ from emps_design.machines import machine
 from emps_design.simulation.synthetic import synthetic_record
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
-SOON = 2.0  # s
 COMMANDS = {
     "gains": "gains {axis} --crossover 100 --phase-margin 60 --out {out}/model.toml",
     "force": "force {axis} --k-e1 0.001 --environment 1000 --out {out}/force.toml",

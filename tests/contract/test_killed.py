@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.kills import COMMANDS, SIGNALS, SOON, Kills
+from tests.kills import COMMANDS, SIGNALS, Kills
 
 
 @pytest.mark.slow
@@ -11,4 +11,3 @@ def test_killed_at_any_moment(name, tmp_path):
     killed = Kills(name, tmp_path)
     killed.run(len(SIGNALS))
     assert killed.statuses.total() == len(SIGNALS)
-    assert killed.slowest < 30 * SOON  # a machine under load; make fuzz measures it
