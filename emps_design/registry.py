@@ -65,7 +65,7 @@ class Registry(Generic[Entry]):
         sys.modules[spec.name] = module  # kernels compiled by another process are found again by their module's name
         try:
             spec.loader.exec_module(module)
-        except Exception as error:  # whatever a user's file may raise, told with its name
+        except Exception as error:  # whatever a user's file may raise, with its name
             raise AxisError(f"{path}: {type(error).__name__}: {error}") from error
         found = getattr(module, title, None)
         if not isinstance(found, self.entry):

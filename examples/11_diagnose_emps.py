@@ -36,7 +36,7 @@ print(diagnosis.sentence)
 for finding in diagnosis.findings:
     print(f"  {finding.effect}: without it {finding.gap_before:.2f} N, with it {finding.gap_after:.2f} N")
 
-prediction, window = diagnosis.prediction, diagnosis.prediction.window
+prediction, window = diagnosis.trace, diagnosis.trace.used
 measured = np.linalg.norm(prediction.measured[window])
 for name, force in (("baseline", prediction.baseline), ("extended", prediction.extended)):
     print(f"lap 4, closed loop, {name}: {100 * np.linalg.norm((prediction.measured - force)[window]) / measured:.2f} %")

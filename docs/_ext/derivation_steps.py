@@ -22,11 +22,11 @@ class Derivation(Directive):
             lines += ["$$", latex(step.equation), "$$", ""]
             if step.agrees is False:
                 lines += ["printed:", "", "$$", latex(step.printed), "$$", ""]
-            told = [f"Assumes: {plain('; '.join(step.assumes))}."]
+            notes = [f"Assumes: {plain('; '.join(step.assumes))}."]
             if step.checks:
                 claims = "; ".join(plain(claim) + ("" if true else " **(found false)**") for claim, true in step.checks)
-                told.append(f"Checked: {claims}.")
-            lines += [" ".join(told), ""]
+                notes.append(f"Checked: {claims}.")
+            lines += [" ".join(notes), ""]
         return parsed(self, lines)
 
 

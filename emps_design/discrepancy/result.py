@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-
 from emps_design.axis import Axis
 from emps_design.discrepancy.experiment.discrimination import Experiment
 from emps_design.discrepancy.explain.extent import EVERYWHERE
@@ -39,17 +37,13 @@ class Finding:
 
     def to_dict(self) -> dict[str, Any]:
         """The contract's entry of ``findings``."""
-        return {
-            "effect": self.effect,
-            "label": self.label,
+        entry = {
             "equivalents": list(self.equivalents),
             "where": {"channel": self.channel, **self.where},
             "parameters": {name: dict(table) for name, table in self.parameters.items()},
-            "p_value": self.p_value,
-            "gap_before": self.gap_before,
-            "gap_after": self.gap_after,
-            "note": self.note,
         }
+        names = ("effect", "label", *entry, "p_value", "gap_before", "gap_after", "note")
+        return {name: entry.get(name, getattr(self, name)) for name in names}
 
     def in_words(self) -> str:
         """The finding with its parameters, for a sentence."""
@@ -88,20 +82,11 @@ def in_unit(value: float, std: float, unit: str) -> str:
 
 
 @dataclass(frozen=True)
-class Trace:
-    """Force [N] of the confirming record over ``t`` [s]: measured, and both closed-loop simulations."""
-
-    name: str
-    t: np.ndarray
-    measured: np.ndarray
-    baseline: np.ndarray
-    extended: np.ndarray
-    window: tuple[float, float] | None = None
-
-
-@dataclass(frozen=True)
 class Diagnosis:
-    """The answer of :func:`emps_design.discrepancy.diagnose`."""
+    """The answer of :func:`emps_design.discrepancy.diagnose`.
+
+    ``trace`` is the force over time of the record that confirms, or of the training record.
+    """
 
     verdict: str
     findings: tuple[Finding, ...]
@@ -109,11 +94,10 @@ class Diagnosis:
     noise: Floor
     train: Gap
     holdout: Gap | None
-    prediction: Prediction
+    trace: Prediction
     views: tuple[View, ...]
     details: Mapping[str, Any] = field(default_factory=dict)
     experiment: Experiment | None = None
-    window: tuple[float, float] | None = None  # s, of the record, where only that confirms
     model_file: str | None = None
 
     @property
@@ -153,18 +137,13 @@ class Diagnosis:
             f"Nothing is missing from the model: force error {judged.baseline:.2f} N, noise {self.floor:.2f} N{rest}."
         )
 
-    @property
-    def trace(self) -> Trace:
-        """The force over time of the record that confirms, or of the training record."""
-        p = self.prediction
-        return Trace(p.record.name, p.record.t, p.measured, p.baseline, p.extended, self.window)
-
     def to_dict(self) -> dict[str, Any]:
         """The contract's document, and what the report shows besides."""
-        gap: dict[str, Any] = {"unit": "N", **self.noise.to_dict(), "train": self.train.to_dict()}
-        inverse: dict[str, Any] = {"unit": "N", **self.noise.to_dict_60hz(), "train": self.train.to_dict_60hz()}
-        if self.holdout is not None:
-            gap["holdout"], inverse["holdout"] = self.holdout.to_dict(), self.holdout.to_dict_60hz()
+        judged = {"train": self.train} | ({} if self.holdout is None else {"holdout": self.holdout})
+        gap, inverse = (
+            {"unit": "N", **self.noise.to_dict(measure)} | {part: g.to_dict(measure) for part, g in judged.items()}
+            for measure in ("", "_60hz")
+        )
         shown = {k: v for k, v in self.details.items() if k not in ("least_visible", "changed")}
         return {
             "schema": SCHEMA,

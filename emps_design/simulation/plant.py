@@ -79,7 +79,7 @@ class Plant:
         moving = [effect for i, effect in enumerate(self.effects) if i not in self._held]
         self._exact = not any(_touches_motion(effect) for effect in moving if effect.slopes is None)
         seen = any(_sees_command(effect) for i, effect in enumerate(self.effects) if i != self._lagging)
-        self._glides = 0 if dynamic else 1 if seen else 2
+        self._slides = 0 if dynamic else 1 if seen else 2
 
     @classmethod
     def of(cls, axis: Axis) -> Plant:
@@ -312,7 +312,7 @@ class Plant:
         settings[stepper.TOLERANCE], settings[stepper.ENERGY] = tolerance, self._states if energy else 0
         settings[stepper.SERIES] = self._lag > 0 and any(effect.lag for effect in self.effects)
         if not energy:
-            settings[stepper.GLIDES], settings[stepper.EXACT] = self._glides, self._exact
+            settings[stepper.SLIDES], settings[stepper.EXACT] = self._slides, self._exact
         y, floors = np.zeros(states), np.zeros(states)
         y[0], y[1] = q0, v0
         for i, effect in enumerate(self.effects):

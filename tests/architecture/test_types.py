@@ -47,3 +47,33 @@ def test_every_module_on_the_list_has_findings(tmp_path):
 def test_the_list_names_modules_one_by_one():
     _, listed = without_exceptions()
     assert [name for name in listed if not REPOSITORY.joinpath(*name.split(".")).with_suffix(".py").is_file()] == []
+
+
+def test_a_type_checker_sees_what_the_package_offers(tmp_path):
+    script = tmp_path / "user.py"
+    script.write_text(
+        "import emps_design\n"
+        "from emps_design.simulation import Plant\n"
+        "found = emps_design.design_velocity_loop(emps_design.machine('emps2018'), crossover=100.0)\n"
+        "good: float = found.k_v1\n"
+        "wrong: str = found.k_v1\n"
+        "emps_design.design_velocity_lop\n"
+        "Plant.off\n"
+    )
+    checker = [
+        Path(sys.executable).parent / "mypy",
+        "--config-file",
+        "",
+        "--cache-dir",
+        REPOSITORY / ".mypy_cache/user",
+    ]
+    done = subprocess.run(
+        [*checker, "--follow-imports", "silent", "--ignore-missing-imports", script],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=280,
+    )
+    lines = [int(line.split(":")[1]) for line in done.stdout.splitlines() if ": error: " in line]
+    assert lines == [5, 6, 7], done.stdout + done.stderr

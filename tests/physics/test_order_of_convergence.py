@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from emps_design.simulation import Plant
-from emps_design.simulation.kernels import motion
-from emps_design.simulation.kernels import smooth_period as glide
+from emps_design.simulation.kernels import motion, smooth_period
 from tests.physics.cases import axis_with
 
 
@@ -29,9 +28,9 @@ def test_runge_kutta_has_the_order_it_declares():
     assert order == pytest.approx(motion.ORDER, abs=0.4)
 
 
-def test_glide_has_the_order_it_declares():
+def test_sliding_has_the_order_it_declares():
     order = measured_order(axis_with("nonlinear_viscous_friction", "elastic_force"), [16, 24, 48, 96])
-    assert order == pytest.approx(glide.ORDER, abs=0.3)
+    assert order == pytest.approx(smooth_period.ORDER, abs=0.3)
 
 
 @pytest.mark.parametrize("name", ["stribeck_friction", "flexible_coupling", "presliding_friction", "backlash"])

@@ -7,7 +7,7 @@ A law in its linear form and a plant discretised exactly make one state-space sy
 Stability is read from its poles first; an unstable loop has no margins. Two things are taken out of the state: where
 the carriage is, if nothing asks for it (its pole at 1 would be there in every free loop), and a memory cell of the law
 that repeats a state of the plant from rest on, as the model of the current loop in the impedance law does while the
-drive does what it is told.
+drive follows its command.
 """
 
 from __future__ import annotations

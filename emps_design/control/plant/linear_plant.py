@@ -282,13 +282,13 @@ class _Member:
 
     def left_out(self, v: float, tau: float) -> list[str]:
         """What the slopes of this effect do not show."""
-        effect, said = self.effect, []
+        effect, warnings = self.effect, []
         if effect.guard is not None or effect.jump_time is not None:
-            said.append(f"{effect.name}: not smooth, counted by its slope in steady motion at {v:g} m/s only")
+            warnings.append(f"{effect.name}: not smooth, counted by its slope in steady motion at {v:g} m/s only")
         if effect.command is not None:
-            said.append(f"{effect.name}: a signal added to the voltage, left out of the linear design")
+            warnings.append(f"{effect.name}: a signal added to the voltage, left out of the linear design")
         if not self.settled:
-            said.append(f"{effect.name}: has no steady state at {v:g} m/s, linearised at its initial one")
+            warnings.append(f"{effect.name}: has no steady state at {v:g} m/s, linearised at its initial one")
         if self.repeat:
             where = f"{effect.name}: repeats every {self.repeat:.4g} m, {abs(v) / self.repeat:.4g} Hz at {v:g} m/s"
             if effect.sensor is not None:
@@ -297,8 +297,8 @@ class _Member:
             else:
                 forces = [self.force_at(q, v, tau, self.x) for q in self.places]
                 size, what = 0.5 * float(np.ptp(forces)), "a disturbance of +-{:.3g} N, not a spring"
-            said.append(f"{where}; its slope averages out there, so the linear design counts it as {what.format(size)}")
-        return said
+            warnings.append(f"{where}; its slope averages out there: in the linear design it is {what.format(size)}")
+        return warnings
 
     def _rate(self, q: float, v: float, tau: float, x: np.ndarray) -> np.ndarray:
         dx = np.zeros(self.x.size)

@@ -114,15 +114,15 @@ class SampledVelocityLoop:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Instability first, then what the linear loop leaves out and what is unbounded."""
-        said = (
+        warnings = (
             []
             if self.stable
             else [f"the sampled loop is unstable: largest pole {abs(self.poles[0]):.4g}, outside the unit circle"]
         )
-        said += self.plant.linear.warnings
+        warnings += self.plant.linear.warnings
         if self.stable and self.margins.gain_margin is None:
-            said.append("the sampled loop's gain margin is unbounded")
-        return tuple(said)
+            warnings.append("the sampled loop's gain margin is unbounded")
+        return tuple(warnings)
 
     def step_response(self, samples: int = 300) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Time [s], true velocity [m/s] and voltage [V] after a unit step of the reference, dry friction left out.

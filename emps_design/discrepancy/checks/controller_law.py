@@ -24,23 +24,22 @@ BLOCK_TIME = 0.02  # s, of the means in which structure shows
 @dataclass(frozen=True)
 class LawCheck:
     """``gap`` (n,) [V] is u minus the law; ``noise`` [V] its deviation where nothing is wrong; ``structured`` says
-    whether it is more than noise; ``effect`` and ``values`` (n_parameters,) what explains it, where something does."""
+    whether it is more than noise; ``addition`` is what explains it: an effect, and its parameters (n_parameters,)."""
 
     gap: np.ndarray
     noise: float
     structured: bool
-    effect: Effect | None = None
-    values: np.ndarray | None = None
+    addition: tuple[Effect, np.ndarray] | None = None
 
     @property
     def added(self) -> str:
         """Name of the effect that the controller adds, or ""."""
-        return "" if self.effect is None else self.effect.name
+        return "" if self.addition is None else self.addition[0].name
 
     @property
     def unexplained(self) -> bool:
         """Whether the controller does something that no effect explains."""
-        return self.structured and self.effect is None
+        return self.structured and self.addition is None
 
 
 def check_law(record: Record, axis: Axis, library: tuple[Effect, ...]) -> LawCheck:
@@ -63,18 +62,12 @@ def check_law(record: Record, axis: Axis, library: tuple[Effect, ...]) -> LawChe
     varying = float(np.var(blocks)) * width > rules.LAW_STRUCTURE * noise**2
     if not (varying and float(np.std(blocks)) > rules.LAW_VISIBLE * swing):
         return LawCheck(gap, noise, False)
-    best: tuple[float, Effect, np.ndarray] | None = None
-    for effect in library:
-        if effect.channel != "controller" or effect.propose is None or effect.command is None:
-            continue
-        values = propose_command(effect, record, gap)
-        if values is not None:
-            left = float(np.var(gap - command_of(effect, values, record)))
-            if best is None or left < best[0]:
-                best = (left, effect, values)
-    if best is None or best[0] > (1 - rules.LAW_NAMED) * float(np.var(gap)):
+    proposed = [(effect, propose_command(effect, record, gap)) for effect in library if effect.channel == "controller"]
+    additions = [(effect, values) for effect, values in proposed if values is not None]
+    left = [float(np.var(gap - command_of(*addition, record))) for addition in additions]
+    if not left or min(left) > (1 - rules.LAW_NAMED) * float(np.var(gap)):
         return LawCheck(gap, noise, True)
-    return LawCheck(gap, noise, True, best[1], best[2])
+    return LawCheck(gap, noise, True, additions[left.index(min(left))])
 
 
 def law_voltage(record: Record, axis: Axis) -> np.ndarray:
@@ -97,6 +90,8 @@ def law_voltage(record: Record, axis: Axis) -> np.ndarray:
 
 def propose_command(effect: Effect, record: Record, gap: np.ndarray) -> np.ndarray | None:
     """Parameters of a controller effect that explain ``gap`` (n,) [V] best, or None."""
+    if effect.propose is None:
+        return None
     nothing = np.zeros(len(record))
     motion = Motion(record.t, record.q, nothing, nothing, nothing, record.period, record.u)
     tried = []
@@ -108,9 +103,11 @@ def propose_command(effect: Effect, record: Record, gap: np.ndarray) -> np.ndarr
 
 def command_of(effect: Effect, values: np.ndarray, record: Record) -> np.ndarray:
     """Voltage (n,) [V] that a controller effect adds over ``record``."""
-    none = np.zeros(0)
+    command, none = effect.command, np.zeros(0)
+    if command is None:
+        return np.zeros(len(record))
     return np.array(
-        [effect.command(q, 0.0, t, 0.0, none, values, np.zeros(4)) for t, q in zip(record.t, record.q, strict=True)]
+        [command(q, 0.0, t, 0.0, none, values, np.zeros(4)) for t, q in zip(record.t, record.q, strict=True)]
     )
 
 

@@ -25,20 +25,14 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True)
 class HeldOut:
-    """The data that confirm: a record, the samples (n,) bool of it that count, and what its controller does.
+    """The data that confirm, as a problem of their own; ``window`` (start, stop) [s] where they are part of a record.
 
     Without a ``law`` the controller is unknown, or does what it does on the training record that this is a part of.
     """
 
-    record: Record
-    window: np.ndarray
+    problem: Problem
+    window: Interval | None
     law: LawCheck | None
-
-    @property
-    def interval(self) -> Interval | None:
-        """Start and stop [s] of what confirms, None where it is a whole record."""
-        t = self.record.t[self.window]
-        return None if self.window.all() else (float(t[0]), float(t[-1]))
 
     @property
     def added(self) -> str:
@@ -97,9 +91,13 @@ def prepare(
     problem = Problem(axis, records, splits, Whitening.none())
     held_out = None
     if holdout is not None or confirm_time is not None:
-        record = records[0] if holdout is None else holdout
-        window = np.ones(len(record), bool) if confirm_time is None else between(record, confirm_time, "`confirm_time`")
-        held_out = HeldOut(record, window, law)
+        record, window = records[0] if holdout is None else holdout, None
+        inside = np.ones(len(record), bool)
+        if confirm_time is not None:
+            inside = between(record, confirm_time, "`confirm_time`")
+        if not inside.all():
+            window = float(record.t[inside][0]), float(record.t[inside][-1])
+        held_out = HeldOut(Problem(axis, (record,), (split(record, inside),), Whitening.none()), window, law)
     # Kernels are compiled here: simulations run side by side later, and must not compile the same one twice.
     Plant(axis, [(effect, np.zeros(len(effect.parameters))) for effect in library])
     start = Hypothesis(problem, _as_the_axis_says(axis, laws))
@@ -131,13 +129,15 @@ def _splits(records: tuple[Record, ...], fit_time: Interval | None, confirm_time
 def _as_the_axis_says(axis: Axis, laws: tuple[LawCheck, ...]) -> Candidate:
     """The axis file's numbers, with the effect that explains what the controller adds to its law."""
     start = Candidate(axis.mechanics.array())
-    named = [law for law in laws if law.effect is not None]
-    if not named:
+    additions = [law.addition for law in laws]
+    first = next((addition for addition in additions if addition is not None), None)
+    if first is None:
         return start
-    effect = named[0].effect
+    effect, values = first
     # A record without the disturbance has none of it, whatever its rhythm elsewhere.
-    idle = np.where([p.unit == "V" for p in effect.parameters], 0.0, named[0].values)
-    return start.with_effect(effect, np.array([law.values if law.effect is effect else idle for law in laws]))
+    idle = np.where([p.unit == "V" for p in effect.parameters], 0.0, values)
+    rows = [idle if addition is None or addition[0] is not effect else addition[1] for addition in additions]
+    return start.with_effect(effect, np.array(rows))
 
 
 def between(record: Record, window: Interval, option: str) -> np.ndarray:

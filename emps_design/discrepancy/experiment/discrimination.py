@@ -119,23 +119,27 @@ def choose(rivals: tuple[Fit, ...], threshold: float, noise: float = 1.0) -> Exp
     first = {name: found for name, found in zip(references, looked_at, strict=True) if found is not None}
     if not first:
         return None
-    ranked = sorted(first, key=lambda name: -first[name].over_noise)
-    chosen, best = "", None
-    for name in ranked[:REFITTED]:
-        # Fitting on can only bring the rivals closer: what is farther now than they could be, stays so.
-        if best is not None and best.over_noise >= first[name].over_noise:
-            break
+
+    def converged(name: str) -> _Apart:
         pair = first[name].pair
         both_ways = side_by_side(_apart, [(*way, references[name], noise, STEPS) for way in _directions(pair)])
-        found = min(both_ways, key=lambda apart: apart.over_noise)
-        if best is None or found.over_noise > best.over_noise:
-            chosen, best = name, replace(found, pair=pair)
+        return replace(min(both_ways, key=lambda apart: apart.over_noise), pair=pair)
+
+    ranked = sorted(first, key=lambda name: -first[name].over_noise)
+    chosen, best = ranked[0], converged(ranked[0])
+    for name in ranked[1:REFITTED]:
+        # Fitting on can only bring the rivals closer: what is farther now than they could be, stays so.
+        if best.over_noise >= first[name].over_noise:
+            break
+        found = converged(name)
+        if found.over_noise > best.over_noise:
+            chosen, best = name, found
     needed = rules.LUCK + float(np.sqrt(rules.LUCK**2 + threshold))  # D^2 - 2 LUCK D = threshold
-    decides = best.over_noise >= needed
+    decides, (one, other) = best.over_noise >= needed, best.effects
     return Experiment(
         text=_text(chosen, best, needed, references[chosen].size * envelope.period),
         excitation=chosen if decides else None,
-        between=tuple(effect.name for effect in best.effects),
+        between=(one.name, other.name),
         distance=best.distance,
         over_noise=best.over_noise,
         needed=needed,

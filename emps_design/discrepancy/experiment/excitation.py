@@ -205,17 +205,9 @@ def chirp_on_a_slow_run(e: Envelope) -> np.ndarray:
 
 
 EXCITATIONS: tuple[Callable[[Envelope], np.ndarray], ...] = (
-    slow_crawl,
-    speed_staircase,
-    two_speeds,
-    three_accelerations,
-    fast_strokes,
-    small_reversals,
-    small_strokes,
-    stop_and_dwell,
-    identical_laps,
-    chirp_on_a_slow_run,
-)
+    slow_crawl, speed_staircase, two_speeds, three_accelerations, fast_strokes,
+    small_reversals, small_strokes, stop_and_dwell, identical_laps, chirp_on_a_slow_run,
+)  # fmt: skip
 
 
 def excitations(envelope: Envelope) -> dict[str, np.ndarray]:
@@ -237,7 +229,7 @@ def in_words(name: str) -> str:
     >>> in_words("slow_crawl")
     'crawl from rest, both ways, at 0.5 to 5 % of the top speed'
     """
-    text = next(excitation.__doc__ for excitation in EXCITATIONS if excitation.__name__ == name)
+    text = next(excitation.__doc__ or name for excitation in EXCITATIONS if excitation.__name__ == name)
     return text[0].lower() + text[1:].rstrip(".")
 
 

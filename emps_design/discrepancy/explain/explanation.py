@@ -1,17 +1,32 @@
-"""The last stage: a validated outcome as a diagnosis, with places, pictures, words and the next experiment."""
+"""The last stage: a validated outcome as a diagnosis, with places, pictures, tables, words and the next experiment."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from emps_design.discrepancy.experiment.discrimination import experiment
-from emps_design.discrepancy.explain.details import details
-from emps_design.discrepancy.explain.findings import findings
-from emps_design.discrepancy.explain.residual_views import SPECTRAL, View, shown, views
-from emps_design.discrepancy.model.missing_force import missing_force
+from emps_design.discrepancy.explain.detection_limits import least_visible, not_excluded
+from emps_design.discrepancy.explain.extent import described, extent
+from emps_design.discrepancy.explain.findings import deviation, findings
+from emps_design.discrepancy.explain.remarks import ASSUMPTIONS, calibration_in_words, warnings
+from emps_design.discrepancy.explain.residual_views import (
+    SPECTRAL,
+    View,
+    force_map,
+    shown,
+    spectrum_over_time,
+    views,
+)  # fmt: skip
+from emps_design.discrepancy.model.candidate import BASELINE
+from emps_design.discrepancy.model.missing_force import MissingForce, missing_force
 from emps_design.discrepancy.result import Diagnosis, Finding
+from emps_design.discrepancy.search.acceptance import force_rms
 from emps_design.discrepancy.validation.gap import most_missed
-from emps_design.discrepancy.validation.verdict import Validation
+from emps_design.discrepancy.validation.verdict import Validation, wrong_numbers
+from emps_design.effects import get_effect
+
+SHOWN_CANDIDATES = 10
 
 
 def explain(validation: Validation) -> Diagnosis:
@@ -31,10 +46,9 @@ def explain(validation: Validation) -> Diagnosis:
         noise=floor,
         train=validation.train.gap,
         holdout=None if validation.held_out is None else validation.held_out.gap,
-        prediction=judged.prediction,
+        trace=replace(judged.prediction, window=None if held_out is None else held_out.window),
         views=_marked(drawn, found),
-        details=details(validation, before),
-        window=None if held_out is None else held_out.interval,
+        details=_details(validation, before),
         experiment=experiment(outcome, validation.extended.model.names, validation.equivalents),
     )
 
@@ -43,7 +57,7 @@ def _marked(drawn: list[View], found: tuple[Finding, ...]) -> tuple[View, ...]:
     """The residual over each quantity, the extents of the findings marked, the one that shows most first."""
     marked = []
     for view in drawn:
-        marks = []
+        marks: list[Any] = []
         for finding in found:
             place = finding.where.get(view.quantity)
             if place is not None and view.quantity not in SPECTRAL:
@@ -52,3 +66,85 @@ def _marked(drawn: list[View], found: tuple[Finding, ...]) -> tuple[View, ...]:
     head, tail = marked[:-1], marked[-1:]
     head.sort(key=lambda view: -shown(view))
     return (*head, *tail)
+
+
+def _details(validation: Validation, missed: MissingForce) -> dict[str, Any]:
+    """What the report shows besides the contract's keys; ``missed`` is what the baseline misses of the record shown."""
+    outcome, baseline, extended = validation.outcome, validation.baseline, validation.extended
+    calibration, axis = outcome.calibration, extended.problem.axis
+    unseen = not_excluded(calibration, extended.model.names)
+    shown: dict[str, Any] = {
+        "simulation": "inverse model" if axis.controller.kind == "none" else "closed loop",
+        "candidates": _candidates(validation),
+        "parameters": _parameters(validation),
+        "not_excluded": unseen,
+        "records": _records(validation),
+        "calibration": calibration_in_words(calibration),
+        "assumptions": list(ASSUMPTIONS),
+        "warnings": warnings(validation),
+    }
+    if validation.verdict in ("nothing-missing", "parameters-only"):
+        shown["least_visible"] = least_visible(unseen)
+    if validation.verdict == "parameters-only":
+        given = axis.mechanics.array()
+        shown["changed"] = ", ".join(
+            f"{q.name.replace('_', ' ')} {given[i]:.5g} -> {baseline.model.baseline[i]:.5g} {q.unit}"
+            for i, q in enumerate(BASELINE)
+            if i in wrong_numbers(baseline)
+        )
+    shown["spectrum_over_time"] = spectrum_over_time(missed)
+    shown["interrupted"] = outcome.interrupted
+    if validation.verdict == "unnamed":
+        most = most_missed(extended)
+        record, used = extended.problem.records[most], extended.problem.splits[most].used
+        where = extent(record, extended.residuals()[most], used, calibration.floor.force)
+        shown["unexplained"] = {**described(where), "map": force_map(missing_force(extended)[most])}
+    return shown
+
+
+def _records(validation: Validation) -> list[dict[str, Any]]:
+    preparation = validation.outcome.calibration.preparation
+    roles = [(record, "train") for record in preparation.start.problem.records]
+    held_out = preparation.held_out
+    if held_out is not None and all(held_out.problem.records[0] is not record for record, _ in roles):
+        roles.append((held_out.problem.records[0], "holdout"))
+    return [{"name": record.name, "role": role, "sha256": record.sha256} for record, role in roles]
+
+
+def _candidates(validation: Validation) -> list[dict[str, Any]]:
+    """The effects by what each explains alone on top of the baseline."""
+    outcome = validation.outcome
+    base, to_beat = outcome.path[0], outcome.calibration.judge.to_beat(outcome.path[0])
+    ranked = sorted(outcome.alone.items(), key=lambda pair: -pair[1])
+    rows = []
+    for name, gain in ranked[:SHOWN_CANDIDATES]:
+        full = outcome.tried.get(frozenset((*base.model.names, name)))
+        rows.append(
+            {
+                "effect": name,
+                "label": get_effect(name).label,
+                "gap": None if full is None else force_rms(full),
+                "statistic": gain if full is None else base.cost_fit - full.cost_fit,
+                "threshold": to_beat,
+                "accepted": name in validation.extended.model.names,
+                "note": "first guess only, too poor to be fitted" if full is None else "alone, on top of the baseline",
+            }
+        )
+    return rows
+
+
+def _parameters(validation: Validation) -> dict[str, Any]:
+    """The baseline's numbers: the axis file's, fitted alone, and beside the effects."""
+    given = validation.extended.problem.axis.mechanics.array()
+    pairs = {
+        "baseline": (validation.baseline, validation.outcome.path[0]),
+        "extended": (validation.extended, validation.outcome.best),
+    }
+    table = {}
+    for place, quantity in enumerate(BASELINE):
+        fitted = {
+            name: {"value": float(now.model.baseline[place]), "std": deviation(now, before, -1, place)}
+            for name, (now, before) in pairs.items()
+        }
+        table[quantity.name] = {"unit": quantity.unit, "axis": float(given[place]), **fitted}
+    return table

@@ -48,7 +48,7 @@ class Extent:
         if self.turning > SHARE and self.share["reversals"] < LOCAL:
             return "reversals"
         limits = {"speed": LOCAL, "position": LOCAL, "time": LONG if len(self.time) == 1 else LOCAL}
-        return min((n for n, limit in limits.items() if self.share[n] < limit), key=self.share.get, default="")
+        return min((n for n, limit in limits.items() if self.share[n] < limit), key=lambda n: self.share[n], default="")
 
 
 def extent(record: Record, force: np.ndarray, window: np.ndarray, noise: float = 0.0) -> Extent:

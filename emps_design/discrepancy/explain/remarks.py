@@ -63,6 +63,12 @@ def _limits(validation: Validation) -> list[str]:
             f"structure remains after the last finding: {force_rms(extended):.2f} N where noise is "
             f"{floor.force:.2f} N; no further effect of the library is clear enough to name"
         )
+    if validation.verdict == "unnamed":
+        remarks.append(
+            "mass and friction are estimated so that the structure that is left pulls little at them: they leave "
+            f"{force_rms(extended):.2f} N, where plain least squares would bend them to leave "
+            f"{force_rms(validation.outcome.path[0]):.2f} N"
+        )
     if calibration.preparation.unexplained_law:
         remarks.append("the controller's law has a gap that no effect explains: look at u minus the law first")
     return remarks
@@ -79,7 +85,7 @@ def _of_holdout(validation: Validation, held_out: HeldOut) -> list[str]:
         remarks.append(f"{label} on the confirming record, seen in its voltage: taken as known there, by both models")
     elif held_out.law is not None and held_out.law.unexplained:
         remarks.append("the controller's law has a gap on the confirming record that no effect explains")
-    if validation.held_out.refitted:
+    if validation.held_out is not None and validation.held_out.refitted:
         names = ", ".join(validation.held_out.refitted)
         remarks.append(f"fitted anew on the confirming record, because they belong to one record: {names}")
     return remarks

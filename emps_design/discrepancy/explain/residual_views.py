@@ -53,7 +53,7 @@ def views(
             result.append(_binned("position", "m", motion.q, pairs, moving, noise, 60, title))
     result.append(_binned("acceleration", "m/s2", motion.a, pairs, window, noise, 41))
     result.append(_binned("motor force", "N", before.motion.tau, pairs, window, noise, 41))
-    spare = voltage_limit - np.abs(motion.voltage)
+    spare = voltage_limit - np.abs(np.asarray(motion.voltage))
     resisting = tuple(np.sign(motion.tau) * force for force in pairs)
     result.append(
         _binned("voltage left to the limit", "V", spare, resisting, window, noise, 41, "along the motor force")
@@ -122,9 +122,9 @@ def _binned(
     place = np.clip(np.digitize(x[kept], edges) - 1, 0, bins - 1)
     count = np.bincount(place, minlength=bins)
     thick = np.maximum(count, 1)
-    means = [np.where(count > FEWEST, np.bincount(place, f[kept], bins) / thick, np.nan) for f in pairs]
+    before, after = (np.where(count > FEWEST, np.bincount(place, f[kept], bins) / thick, np.nan) for f in pairs)
     band = np.where(count > FEWEST, 2 * noise / np.sqrt(thick), np.nan)
-    return View(quantity, unit, 0.5 * (edges[1:] + edges[:-1]), *means, band=band, title=title)
+    return View(quantity, unit, 0.5 * (edges[1:] + edges[:-1]), before, after, band=band, title=title)
 
 
 def _spectrum(pairs: tuple[np.ndarray, np.ndarray], window: np.ndarray, period: float) -> View:

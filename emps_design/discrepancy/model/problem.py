@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -86,7 +87,7 @@ class Hypothesis:
         """The same model of one of the records, by its number."""
         return Hypothesis(self.problem.only(record), self.model.only(record))
 
-    def simulate(self, record: int, **drive: object) -> Run:
+    def simulate(self, record: int, **drive: Any) -> Run:
         """Closed-loop simulation with the numbers of ``record``, driven as :meth:`Plant.closed_loop` says."""
         parameters = self.model.parameters(record)
         plant = Plant(self.problem.axis, list(zip(self.model.effects, parameters, strict=True)))

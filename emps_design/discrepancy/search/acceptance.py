@@ -8,10 +8,9 @@ import numpy as np
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.fit import Fit
+from emps_design.discrepancy.model.fit import Fit, refitted
 from emps_design.discrepancy.model.partition import START_UP
 from emps_design.discrepancy.model.problem import Hypothesis
-from emps_design.discrepancy.search.admissible import refitted
 from emps_design.discrepancy.search.noise_floor import Floor, usual_rms
 from emps_design.discrepancy.search.null_distribution import Healthy
 

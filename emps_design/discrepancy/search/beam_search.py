@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.model.fit import Fit, fit
+from emps_design.discrepancy.model.fit import Fit, admissible, fit
 from emps_design.discrepancy.model.parallel import side_by_side
-from emps_design.discrepancy.search.admissible import admissible
 from emps_design.discrepancy.search.calibration import Calibration, Progress
 from emps_design.discrepancy.search.extension import converged, extensions
 from emps_design.discrepancy.search.outcome import Outcome

@@ -55,7 +55,8 @@ def calibrate(
     """
     progress("healthy reference", 0.0)
     weighed = Hypothesis(start.problem.with_whitening(floor.whitening), start.model)
-    baseline, warnings = fit(weighed, steps=BASELINE_STEPS), ()
+    baseline = fit(weighed, steps=BASELINE_STEPS)
+    warnings: tuple[str, ...] = ()
     absorbed = tangent(baseline)
     screened = screen(baseline, preparation.library, absorbed)
     healthy = healthy_reference(screened, absorbed, floor.draws, seed)

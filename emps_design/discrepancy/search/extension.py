@@ -9,11 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.model.fit import Fit, evaluate, fit
+from emps_design.discrepancy.model.fit import Fit, admissible, evaluate, fit, plausible
 from emps_design.discrepancy.model.least_squares import Descent, descend
 from emps_design.discrepancy.model.missing_force import missing_force
 from emps_design.discrepancy.model.parallel import side_by_side
-from emps_design.discrepancy.search.admissible import admissible, plausible
 from emps_design.discrepancy.search.starts import Start, Tangent, bent, starts, tangent
 
 REFINED = 2  # starts of each effect that are worth a short fit

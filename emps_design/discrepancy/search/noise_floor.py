@@ -39,15 +39,9 @@ class Floor:
         """Whether it is what differs between laps of the same reference, and no model's residual."""
         return self.source == LAPS
 
-    def to_dict(self) -> dict[str, object]:
-        """The contract's ``floor`` of ``gap``, with its interval."""
-        return self._entry(self.force, self.interval)
-
-    def to_dict_60hz(self) -> dict[str, object]:
-        """The contract's ``floor`` of ``gap_inverse_60hz``, with its interval."""
-        return self._entry(self.force_60hz, self.interval_60hz)
-
-    def _entry(self, rms: float, interval: tuple[float, float]) -> dict[str, object]:
+    def to_dict(self, measure: str = "") -> dict[str, object]:
+        """The contract's ``floor`` with its interval, of ``gap`` or, by ``measure`` "_60hz", of the inverse model."""
+        rms, interval = getattr(self, f"force{measure}"), getattr(self, f"interval{measure}")
         return {"floor": rms, "floor_interval": list(interval), "floor_from": self.source}
 
 
@@ -105,11 +99,15 @@ def _floor(raw: list[np.ndarray], smooth: list[np.ndarray], source: str) -> Floo
     (force, lags), (force_60hz, _) = _broadband(raw), _broadband(smooth)
     whitening = Whitening.of_autocovariance(lags)
     draws = np.concatenate([whitening.apply(d - d.mean())[START_UP:] for d in raw])
-    intervals = []
-    for parts, rms in ((raw, force), (smooth, force_60hz)):
-        error = np.concatenate([p - p.mean() for p in parts])
-        intervals.append(tuple(rms / float(np.std(error)) * end for end in rms_interval(error)))
-    return Floor(force, force_60hz, *intervals, whitening, draws / draws.std(), source)
+    intervals = _interval(raw, force), _interval(smooth, force_60hz)
+    return Floor(force, force_60hz, intervals[0], intervals[1], whitening, draws / draws.std(), source)
+
+
+def _interval(parts: list[np.ndarray], rms: float) -> tuple[float, float]:
+    """Interval of the floor ``rms`` [N], in proportion to that of the rms of ``parts``."""
+    error = np.concatenate([p - p.mean() for p in parts])
+    low, high = (rms / float(np.std(error)) * end for end in rms_interval(error))
+    return low, high
 
 
 def _broadband(parts: list[np.ndarray]) -> tuple[float, np.ndarray]:

@@ -120,13 +120,13 @@ def _values(current: Hypothesis, effect: Effect, missing: tuple[MissingForce, ..
         tables.append([_complete(effect, shape, seen, model) for shape in shapes])
     # Each record proposes; the others follow with their own per-record numbers where they proposed as many.
     own = np.array([p.per_record for p in effect.parameters])
-    rows = []
+    rows: list[np.ndarray] = []
     for proposer in tables:
         for index, shape in enumerate(proposer):
             if shape is None:
                 continue
-            theirs = [t[index] if index < len(t) and t[index] is not None else shape for t in tables]
-            row = np.array([np.where(own, values, shape) for values in theirs])
+            theirs = [t[index] if index < len(t) else None for t in tables]
+            row = np.array([shape if values is None else np.where(own, values, shape) for values in theirs])
             if not any(np.array_equal(row, other) for other in rows):
                 rows.append(row)
     return rows

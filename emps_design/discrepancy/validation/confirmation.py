@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from emps_design.discrepancy import rules
+from emps_design.discrepancy.checks.preparation import HeldOut
 from emps_design.discrepancy.model.candidate import BASELINE
 from emps_design.discrepancy.model.fit import Fit, evaluate, sensitivities
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.search.acceptance import Judge
-from emps_design.discrepancy.validation.holdout import Holdout
+from emps_design.discrepancy.validation.holdout import adapted
 from emps_design.errors import SimulationError
 
 
@@ -37,7 +38,7 @@ class Asked:
         return self.exercised and apart - rules.SURE * self.std > rules.ASKED_APART
 
 
-def confirm(judge: Judge, holdout: Holdout, extended: Fit) -> tuple[Fit, tuple[Asked, ...]]:
+def confirm(judge: Judge, held_out: HeldOut, extended: Fit) -> tuple[Fit, tuple[Asked, ...]]:
     """Withdraw from ``extended`` what the confirming data refute, one after the other, and refit the rest.
 
     Also returns what was withdrawn. An effect of the controller has its evidence in the law, and is not asked for.
@@ -45,7 +46,7 @@ def confirm(judge: Judge, holdout: Holdout, extended: Fit) -> tuple[Fit, tuple[A
     refuted: list[Asked] = []
     while True:
         model = extended.model
-        asked = asked_for(Hypothesis(holdout.problem, holdout.adapted(model, model)))
+        asked = asked_for(Hypothesis(held_out.problem, adapted(held_out, model, model)))
         claims = [effect.name for effect in model.effects if effect.channel != "controller"]
         doubtful = [a for a in asked if a.refuted and a.name in claims]
         if not doubtful:

@@ -29,15 +29,8 @@ class Gap:
     extended_60hz: float
     intervals: dict[str, tuple[float, float]] = field(default_factory=dict)
 
-    def to_dict(self) -> dict[str, Any]:
-        """The contract's pair, with intervals."""
-        return self._pair("")
-
-    def to_dict_60hz(self) -> dict[str, Any]:
-        """The contract's pair for the inverse model at 60 Hz, with intervals."""
-        return self._pair("_60hz")
-
-    def _pair(self, measure: str) -> dict[str, Any]:
+    def to_dict(self, measure: str = "") -> dict[str, Any]:
+        """The contract's pair with intervals, of ``gap`` or, by ``measure`` "_60hz", of the inverse model."""
         names = ("baseline", "extended")
         pair = {name: getattr(self, name + measure) for name in names}
         return pair | {f"{name}_interval": list(self.intervals[name + measure]) for name in names}
@@ -45,17 +38,31 @@ class Gap:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Force of one record [N], (n,) each: measured, and simulated from its reference with both models."""
+    """Force of one record [N], (n,) each: measured, and simulated from its reference with both models.
+
+    ``used`` (n,) bool are the samples that count; ``window`` [s] is where they are, None where that is a whole record.
+    """
 
     record: Record
     measured: np.ndarray
     baseline: np.ndarray
     extended: np.ndarray
-    window: np.ndarray
+    used: np.ndarray
+    window: tuple[float, float] | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the record."""
+        return self.record.name
+
+    @property
+    def t(self) -> np.ndarray:
+        """Time (n,) [s]."""
+        return self.record.t
 
     def errors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Measured minus simulated [N] on the window, with the baseline and with the extended model, means removed."""
-        left = [(self.measured - force)[self.window] for force in (self.baseline, self.extended)]
+        """Measured minus simulated [N] on what is used, with the baseline and the extended model, means removed."""
+        left = [(self.measured - force)[self.used] for force in (self.baseline, self.extended)]
         return left[0] - left[0].mean(), left[1] - left[1].mean()
 
 
@@ -96,5 +103,6 @@ def _predict(baseline: Hypothesis, extended: Hypothesis) -> Prediction:
     """Simulate the first record from its reference alone with both models, encoder quantised as it is."""
     problem = baseline.problem
     axis, record = problem.axis, problem.records[0]
-    forces = [Plant.of(h.model.to_axis(axis)).closed_loop(**drive(axis, record)).force for h in (baseline, extended)]
-    return Prediction(record, axis.drive.force_gain * record.u, *forces, problem.splits[0].used)
+    plants = (Plant.of(hypothesis.model.to_axis(axis)) for hypothesis in (baseline, extended))
+    before, after = (plant.closed_loop(**drive(axis, record)).force for plant in plants)
+    return Prediction(record, axis.drive.force_gain * record.u, before, after, problem.splits[0].used)

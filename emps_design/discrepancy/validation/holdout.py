@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
 from emps_design.discrepancy import rules
@@ -12,39 +10,28 @@ from emps_design.discrepancy.checks.preparation import HeldOut
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import evaluate, fit
 from emps_design.discrepancy.model.missing_force import missing_force
-from emps_design.discrepancy.model.partition import split
-from emps_design.discrepancy.model.problem import Hypothesis, Problem
+from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.validation.gap import Comparison, compare
 
 
-@dataclass(frozen=True)
-class Holdout:
-    """The confirming data as a problem of its own, under the noise of the training records."""
+def compare_on(held_out: HeldOut, baseline: Candidate, extended: Candidate) -> Comparison:
+    """Compare two models of the training records, each with what belongs to the held-out record fitted anew."""
+    before, after = (adapted(held_out, model, extended) for model in (baseline, extended))
+    return compare(held_out.problem, before, after, per_record_names(after))
 
-    problem: Problem
-    data: HeldOut
 
-    @classmethod
-    def of(cls, training: Problem, data: HeldOut) -> Holdout:
-        """Open ``data``."""
-        return cls(replace(training, records=(data.record,), splits=(split(data.record, data.window),)), data)
+def adapted(held_out: HeldOut, model: Candidate, found: Candidate) -> Candidate:
+    """``model`` of the training records, with what the controller does here, and what belongs to this record.
 
-    def compare(self, baseline: Candidate, extended: Candidate) -> Comparison:
-        """Compare two models of the training records, each with what belongs to this record fitted anew."""
-        before, after = self.adapted(baseline, extended), self.adapted(extended, extended)
-        return compare(self.problem, before, after, per_record_names(after))
-
-    def adapted(self, model: Candidate, found: Candidate) -> Candidate:
-        """``model`` of the training records, with what the controller does here, and what belongs to this record.
-
-        What is part of ``found`` is no part of a baseline.
-        """
-        if self.data.law is not None:
-            for name in [e.name for e in model.effects if e.channel == "controller" and e.name != self.data.added]:
-                model = model.without(model.names.index(name))
-            if self.data.added not in ("", *model.names, *found.names):
-                model = model.with_effect(self.data.law.effect, self.data.law.values)
-        return refit_per_record(Hypothesis(self.problem, model.only(0)))
+    What is part of ``found`` is no part of a baseline.
+    """
+    if held_out.law is not None:
+        addition = held_out.law.addition
+        for name in [e.name for e in model.effects if e.channel == "controller" and e.name != held_out.added]:
+            model = model.without(model.names.index(name))
+        if addition is not None and held_out.added not in (*model.names, *found.names):
+            model = model.with_effect(*addition)
+    return refit_per_record(Hypothesis(held_out.problem, model.only(0)))
 
 
 def per_record_names(model: Candidate) -> tuple[str, ...]:

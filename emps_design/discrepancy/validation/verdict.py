@@ -11,13 +11,15 @@ from emps_design.discrepancy.search.acceptance import Judge, explained, force_rm
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.validation.confirmation import Asked, confirm
 from emps_design.discrepancy.validation.gap import Comparison, compare
-from emps_design.discrepancy.validation.holdout import Holdout
+from emps_design.discrepancy.validation.holdout import compare_on
+from emps_design.discrepancy.validation.robust import robust
 
 
 @dataclass(frozen=True)
 class Validation:
     """The verdict on an ``outcome`` and the models it speaks of, both fitted to all that may be used.
 
+    Where structure is left that has no name, both are the robust estimate of the baseline.
     ``equivalents`` of each finding are effects that could stand in its place; ``refuted`` is what the held-out data
     withdrew; ``given_up`` are the effects of a model that explained ``share`` of the gap and did not stand.
     """
@@ -39,23 +41,19 @@ def validate(outcome: Outcome) -> Validation:
     calibration = outcome.calibration
     judge, preparation, problem = calibration.judge, calibration.preparation, calibration.baseline.problem
     start = fit(calibration.baseline, part="used")
-    # The baseline knows nothing of the controller's disturbance, which the search took as known from the law.
-    baseline = start
-    if start.model.names:
-        bare = replace(start.model, effects=(), values=())
-        baseline = evaluate(start.with_model(bare), start.slots, start.covariance)
     extended = judge.refitted(outcome.best) if len(outcome.path) > 1 else start
-    holdout = None if preparation.held_out is None else Holdout.of(problem, preparation.held_out)
-    refuted, lost = (), 0.0
-    if holdout is not None:
+    data, lost = preparation.held_out, 0.0
+    refuted: tuple[Asked, ...] = ()
+    if data is not None:
+        data = replace(data, problem=data.problem.with_whitening(problem.whitening))
         learnt = start.cost - extended.cost
-        extended, refuted = confirm(judge, holdout, extended)
+        extended, refuted = confirm(judge, data, extended)
         lost = 1 - (start.cost - extended.cost) / learnt if refuted else 0.0
 
     # What the plant's effects explain, beside a disturbance of the controller that is known from its law.
     floor, searched = calibration.floor.force, extended.model.names != start.model.names
     shares = [explained(force_rms(start), force_rms(extended), floor)]
-    held_out = None if holdout is None else holdout.compare(start.model, extended.model)
+    held_out = None if data is None else compare_on(data, start.model, extended.model)
     if held_out is not None:
         shares.append(explained(held_out.gap.baseline, held_out.gap.extended, floor))
     found = {n: others for n, others in equivalents(outcome).items() if n in extended.model.names}
@@ -67,21 +65,30 @@ def validate(outcome: Outcome) -> Validation:
     if preparation.unexplained_law or forgotten or doubtful or nothing_yet:
         verdict = "unnamed"
     given_up = extended.model.names if verdict == "unnamed" and searched else ()
-    stands = start if given_up else extended
-    if holdout is not None and (given_up or baseline is not start):
-        held_out = holdout.compare(baseline.model, stands.model)
+    if verdict == "unnamed":
+        extended = start = robust(start)
+    baseline = _alone(start)
+    if data is not None and (verdict == "unnamed" or baseline is not start):
+        held_out = compare_on(data, baseline.model, extended.model)
     return Validation(
         outcome=outcome,
         verdict=verdict,
         baseline=baseline,
-        extended=stands,
+        extended=extended,
         equivalents=found,
-        train=compare(problem, baseline.model, stands.model),
+        train=compare(problem, baseline.model, extended.model),
         held_out=held_out,
         refuted=refuted,
         given_up=given_up,
         share=shares[-1],
     )
+
+
+def _alone(start: Fit) -> Fit:
+    """The baseline without the controller's disturbance, which the search took as known from the law."""
+    if not start.model.names:
+        return start
+    return evaluate(start.with_model(replace(start.model, effects=(), values=())), start.slots, start.covariance)
 
 
 def _verdict(judge: Judge, best: Fit, known: Fit, equivalents: dict[str, list[str]], share: float) -> str:

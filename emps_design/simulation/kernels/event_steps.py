@@ -1,4 +1,4 @@
-"""Carry the axis over a stretch of one command, from event to event.
+"""Carry the axis over a span of one command, from event to event.
 
 Friction stays set-valued: motion has a direction ``s`` of +1 or -1 and at rest ``s = 0``. Velocity zeros, break-away
 and guards end a step, so that no step crosses a kink; at a guard where a force jumps the steps shorten until one of
@@ -26,12 +26,12 @@ from emps_design.simulation.kernels.motion import (
     step,
 )
 
-DONE, DIVERGED, NO_STEP, CHATTER = range(4)  # what a stretch can end with
+DONE, DIVERGED, NO_STEP, CHATTER = range(4)  # what :func:`carry` can end with
 _SHORTEST = 1e-12  # s, a step that must be shorter than this does not converge
 
 
 @part
-def stretch(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, events, found):
+def carry(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, events, found):
     """Carry ``y`` over ``span`` seconds of one command; returns direction, next step, status, time done."""
     starts, settings = plant[2], plant[4]
     k1, k4, largest = work[0], work[3], work[6]

@@ -1,7 +1,7 @@
 """Run an axis with any effects: sample, control, hold, and move it through every hold period.
 
 A period is cut where a delayed voltage arrives and where a kernel jumps in time. Each piece is stepped exactly where
-the effects leave the friction plant as it is (:mod:`friction_period`), in one glide where they have no own states
+the effects leave the friction plant as it is (:mod:`friction_period`), in one slide where they have no own states
 (:mod:`smooth_period`), or from event to event (:mod:`event_steps`), whichever is the first that can.
 """
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from emps_design.simulation.kernels.baseline import SWINGS, swing
 from emps_design.simulation.kernels.compile import cached, call_actuator, call_kernel, call_law, part, pointer, shifted
-from emps_design.simulation.kernels.event_steps import CHATTER, DIVERGED, DONE, NO_STEP, stretch
+from emps_design.simulation.kernels.event_steps import CHATTER, DIVERGED, DONE, NO_STEP, carry
 from emps_design.simulation.kernels.friction_period import advance, follow, response
 from emps_design.simulation.kernels.motion import (
     ACTUATOR,
@@ -22,7 +22,6 @@ from emps_design.simulation.kernels.motion import (
     EXACT,
     FREE,
     GAIN,
-    GLIDES,
     GUARD,
     HELD,
     INERTIA,
@@ -35,6 +34,7 @@ from emps_design.simulation.kernels.motion import (
     SENSOR,
     SERIES,
     SETTINGS,
+    SLIDES,
     STATES,
     TOLERANCE,
     TOUCH,
@@ -46,9 +46,9 @@ from emps_design.simulation.kernels.motion import (
     motor,
     total,
 )
-from emps_design.simulation.kernels.smooth_period import SPEEDS, feeling, glide
+from emps_design.simulation.kernels.smooth_period import SPEEDS, feeling, slide
 
-RUNAWAY, MASSLESS = 4, 5  # what a run can end with, besides what a stretch can
+RUNAWAY, MASSLESS = 4, 5  # what a run can end with, besides what :func:`carry` can
 _APART = 5e-10  # s, how far from a jump in time its two sides are evaluated; above SNAP of the effects
 
 
@@ -78,7 +78,7 @@ def run(
     for :func:`room` numbers.
     """
     # Pointers from here on: arrays in tuples would be counted, at ten times the cost of the arithmetic.
-    drive = pointer(scratch)  # gap between motor force and command, since when, and what a glide keeps
+    drive = pointer(scratch)  # gap between motor force and command, since when, and what a slide keeps
     plant = (pointer(plant[0]), pointer(plant[1]), pointer(plant[2]), pointer(plant[3]), pointer(plant[4]), drive)
     _, hooks, starts, p, settings, _ = plant
     n, size = reference.size, y.size
@@ -100,10 +100,10 @@ def run(
     holds = starts[HELD + 1] > starts[HELD]
     weighed = starts[INERTIA + 1] > starts[INERTIA]
     bounds[0], bounds[1] = -np.inf, np.inf
-    glides, steady = settings[GLIDES] > 0.0, settings[GLIDES] > 1.0
+    slides, steady = settings[SLIDES] > 0.0, settings[SLIDES] > 1.0
     exact, lagged = settings[EXACT] > 0.0, settings[LAG] > 0.0
     feel = shifted(before, starts[GUARD + 1] - starts[GUARD])
-    if glides:
+    if slides:
         feeling(y_, plant, work, feel)
     base = plant[0]
     friction = (
@@ -194,13 +194,13 @@ def run(
                 continue
             if lagged:
                 drive[0], drive[1] = reached - tau, t + start
-            if glides and s * y[1] > 0.0:
+            if slides and s * y[1] > 0.0:
                 if fresh and steady:
                     k1[1] += (tau + drive[0] + force - before_force) / before_mass
                 else:
                     net, level, before_mass = balance(y_, t + start, tau, force, plant)
                     k1[0], k1[1], k2[1] = 0.0, (net - s * level) / before_mass, before_mass
-                fresh = glide(y_, t + start, h, tau, force, s, feel, plant, work, new)
+                fresh = slide(y_, t + start, h, tau, force, s, feel, plant, work, new)
                 if fresh:
                     y[0], y[1] = new[0], new[1]
                     reached = tau + drive[0] * (1.0 - drive[4])
@@ -209,7 +209,7 @@ def run(
                     continue
             fresh = False
             reached = motor(t + end, tau, plant)
-            s, hint, status, done = stretch(
+            s, hint, status, done = carry(
                 y_, t + start, end - start, tau, force, s, hint, plant, bounds, work, new, before, events_, found_
             )
             if status != DONE:
@@ -224,7 +224,7 @@ def room(states: int, guards: int) -> int:
 
 
 __all__ = [
-    "CHATTER", "DELAYED", "DIVERGED", "DONE", "ENERGY", "EXACT", "FREE", "GAIN", "GLIDES", "GUARD", "HELD", "LAG",
-    "LIMIT", "MASSLESS", "NO_STEP", "PERIOD", "RESOLUTION", "RUNAWAY", "SERIES", "SETTINGS", "STATES", "TOLERANCE",
-    "TOUCH", "TOUCH_MASS", "VISCOUS_N", "VISCOUS_P", "room", "run",
+    "CHATTER", "DELAYED", "DIVERGED", "DONE", "ENERGY", "EXACT", "FREE", "GAIN", "GUARD", "HELD", "LAG",
+    "LIMIT", "MASSLESS", "NO_STEP", "PERIOD", "RESOLUTION", "RUNAWAY", "SERIES", "SETTINGS", "SLIDES", "STATES",
+    "TOLERANCE", "TOUCH", "TOUCH_MASS", "VISCOUS_N", "VISCOUS_P", "room", "run",
 ]  # fmt: skip

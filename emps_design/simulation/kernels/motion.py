@@ -20,7 +20,7 @@ from emps_design.simulation.kernels.compile import call_kernel, call_rate, part
 # Rows of the table of hooks: one list of (address, first own state in y, first parameter) for each.
 FORCE, DRY, INERTIA, COMMAND, ACTUATOR, DELAY, SENSOR, RATE, GUARD, JUMP, TOUCH, TOUCH_MASS, HELD = range(13)
 # Places in ``settings``.
-(PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, GLIDES, EXACT, ENERGY, SERIES,
+(PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, SLIDES, EXACT, ENERGY, SERIES,
  VISCOUS_P, VISCOUS_N) = range(15)  # fmt: skip
 SETTINGS = 15
 
@@ -41,8 +41,8 @@ def motor(t, tau, plant):
 
 
 @part
-def told(t, tau, plant):
-    """Motor force that kernels are told: the command, but what is behind the current loop for a second lag."""
+def kernel_force(t, tau, plant):
+    """Motor force that kernels of effects get: the command, but what is behind the current loop for a second lag."""
     return motor(t, tau, plant) if plant[4][SERIES] > 0.0 else tau
 
 
@@ -58,7 +58,7 @@ def total(row, y, t, tau, plant):
 
 @part
 def weigh(y, t, tau, acting, push, plant):
-    """What :func:`balance` gives, for a motor force ``acting`` while kernels are told ``tau``."""
+    """What :func:`balance` gives, for a motor force ``acting`` while kernels get ``tau``."""
     b = plant[0]
     net = acting + push - b[1] * y[1] - b[3] - total(FORCE, y, t, tau, plant)
     level = max(0.0, b[2] + total(DRY, y, t, tau, plant))
@@ -68,7 +68,7 @@ def weigh(y, t, tau, acting, push, plant):
 @part
 def balance(y, t, tau, push, plant):
     """Force without dry friction [N], level of dry friction [N], and mass [kg]."""
-    return weigh(y, t, told(t, tau, plant), motor(t, tau, plant), push, plant)
+    return weigh(y, t, kernel_force(t, tau, plant), motor(t, tau, plant), push, plant)
 
 
 @part
@@ -96,7 +96,7 @@ def derivative(y, t, tau, push, s, plant, dy):
         dy[1] = (net - s * level) / mass
     if settings[STATES] == 2.0:
         return
-    seen = told(t, tau, plant)
+    seen = kernel_force(t, tau, plant)
     for i in range(starts[RATE], starts[RATE + 1]):
         x_at, p_at = hooks[3 * i + 1], hooks[3 * i + 2]
         call_rate(hooks[3 * i], y[0], y[1], t, seen, y, x_at, p, p_at, b, level, dy)
@@ -160,7 +160,7 @@ def margin(event, sign, y, t, tau, push, plant):
         net, level, _ = balance(y, t, tau, push, plant)
         return level * (1.0 + 1e-14) + 1e-12 - abs(net)
     i = event - 2  # entry of the table of hooks
-    tau = told(t, tau, plant)
+    tau = kernel_force(t, tau, plant)
     return sign * call_kernel(hooks[3 * i], y[0], y[1], t, tau, y, hooks[3 * i + 1], p, hooks[3 * i + 2], b)
 
 

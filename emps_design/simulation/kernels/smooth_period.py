@@ -14,7 +14,7 @@ SPEEDS = 20  # octaves of speed, up to 5 m/s
 
 
 @part
-def glide(y, t, h, tau, push, s, feel, plant, work, new):
+def slide(y, t, h, tau, push, s, feel, plant, work, new):
     """Slide through ``h`` on two evaluations or few more; returns whether the step is good.
 
     Simpson's rule over the acceleration at both ends and in the middle (Lobatto IIIA), for axes without own states,

@@ -67,7 +67,7 @@ def test_the_document_has_what_the_contract_asks(delayed):
 
 
 def test_the_extended_axis_replays_the_prediction(delayed):
-    prediction = delayed.prediction
+    prediction = delayed.trace
     run = Plant.of(delayed.axis).closed_loop(prediction.record.q_ref)
     assert np.allclose(run.force, prediction.extended)
 
