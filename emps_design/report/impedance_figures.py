@@ -19,7 +19,14 @@ if TYPE_CHECKING:
     from emps_design.control.impedance.passivity import ContactMap
     from emps_design.control.impedance.robustness import StabilityMap
 
-VERDICT_COLORS = {"stable": GREEN, "dead_band": BLUE, "creeping": ORANGE, "limit_cycle": PURPLE, "unstable": RED}
+VERDICT_COLORS = {
+    "stable": GREEN,
+    "dead_band": BLUE,
+    "no_motion": GREY,
+    "creeping": ORANGE,
+    "limit_cycle": PURPLE,
+    "unstable": RED,
+}
 _COLORS = (BLUE, RED, GREEN, PURPLE)
 
 
