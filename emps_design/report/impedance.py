@@ -27,14 +27,14 @@ OMEGA = np.geomspace(0.2, 300.0, 300)  # rad/s
 BAND = 20.0  # rad/s, the operator's range in section II-C of the paper
 
 
-def impedance_section(found: ImpedanceAssessment, chosen: str = "") -> Section:
-    """Return the section on ``found``; ``chosen`` says where M_a and B come from."""
+def impedance_section(found: ImpedanceAssessment) -> Section:
+    """Return the section on ``found``."""
     document = found.to_dict()
     law = found.law
     blocks: list[Any] = [
         Text(
             f"Without a force sensor the law makes the carriage feel like {quantity(law.mass, 'kg')} and "
-            f"{quantity(law.damping, 'N/(m/s)')}.{' ' + chosen if chosen else ''} Acceleration and current pass the "
+            f"{quantity(law.damping, 'N/(m/s)')}. Acceleration and current pass the "
             f"same low-pass of {frequency(law.filter) if np.isfinite(law.filter) else 'no limit'}."
         ),
         _verdict(found, document),
@@ -107,8 +107,8 @@ def _impedance_picture(found: ImpedanceAssessment) -> Picture:
     target = 1j * below * law.mass + law.damping
     return Picture(
         apparent_impedance_figure(below, curves, target),
-        f"Force over velocity at the hand. In the blue band, below {BAND:g} rad/s, where an operator moves, the curves "
-        "should lie on the dashed target; above it the filters and the hold let the real mass through.",
+        f"Force over velocity at the hand. In the shaded band, below {BAND:g} rad/s, where an operator moves, "
+        "the curves should lie on the dashed target; above it the filters and the hold let the real mass through.",
         "Apparent impedance",
     )
 

@@ -63,7 +63,7 @@ def apparent_impedance_figure(omega: np.ndarray, curves: Mapping[str, np.ndarray
             top.loglog(omega, np.abs(response), color=color, label=name)
             bottom.semilogx(omega, np.degrees(np.unwrap(np.angle(response))), color=color)
         for axes in (top, bottom):
-            axes.axvspan(omega[0], 20.0, color="#EEF7FD", linewidth=0, zorder=0)
+            axes.axvspan(omega[0], 20.0, color="#DCEEFB", linewidth=0, zorder=0)
         top.set_ylabel("impedance [N/(m/s)]")
         bottom.set_ylabel("phase [deg]")
         bottom.set_xlabel("frequency [rad/s]")
