@@ -4,25 +4,29 @@ PYTHON ?= python3
 VENV ?= .venv
 EXTRAS ?= test,studio
 FUZZ ?= 10000
+KILLS ?= 200
+# The versions that everything was tested with; CONSTRAINTS= takes the newest that pyproject.toml allows.
+CONSTRAINTS ?= constraints.txt
 WORKERS ?= auto
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip -qq --disable-pip-version-check --no-input
 
-# An environment is good as long as pyproject.toml says the same: its marker carries a hash of the content, not a date.
-STATE := $(shell $(PYTHON) -c "import hashlib; print(hashlib.sha256(open('pyproject.toml', 'rb').read()).hexdigest()[:12])")
+# An environment is good as long as pyproject.toml and the constraints say the same: its marker carries a hash of the content, not a date.
+STATE := $(shell $(PYTHON) -c "import hashlib; print(hashlib.sha256(b''.join(open(f, 'rb').read() for f in 'pyproject.toml $(wildcard $(CONSTRAINTS))'.split())).hexdigest()[:12])")
 comma := ,
 # A worker on every core; one that has nothing left takes tests from the other.
 PARALLEL = -n $(WORKERS) --dist worksteal
 MARK = $(VENV)/.installed-$(STATE)-$(subst $(comma),-,$(1))
 
-.PHONY: help demo test quick lint fuzz hidden bench paper docs clean
+.PHONY: help demo test quick lint fuzz hidden bench paper lock audit docs clean
 
 help:
 	@echo "make demo    install into $(VENV), run the main job on the embedded machine, print where the report is"
 	@echo "make test    install with the test tools, run every test (make quick: without the slow ones)"
-	@echo "make lint    ruff, imports, types               make fuzz    $(FUZZ) bad inputs for every reader"
+	@echo "make lint    ruff, imports, types               make fuzz    $(FUZZ) bad inputs of every kind, $(KILLS) kills"
 	@echo "make bench   measure speed                     make hidden  find effects hidden in records"
 	@echo "make paper   sweep what makes the paper's Table II"
+	@echo "make audit   known vulnerabilities of what is installed      make lock   take the newest versions"
 	@echo "make docs    build docs/_build/html            make clean   remove $(VENV) and everything built"
 
 demo: $(call MARK,run)
@@ -41,7 +45,8 @@ lint: $(call MARK,$(EXTRAS))
 	@$(BIN)/mypy
 
 fuzz: $(call MARK,$(EXTRAS))
-	@EMPS_DESIGN_FUZZ=$(FUZZ) $(BIN)/python -m pytest --timeout 3600 tests/property/test_fuzz_records.py tests/property/test_fuzz_axis.py
+	@EMPS_DESIGN_FUZZ=$(FUZZ) $(BIN)/python -m pytest --timeout 36000 tests/property
+	@$(BIN)/python -m tests.kills $(KILLS)
 
 hidden: $(call MARK,$(EXTRAS))
 	@$(BIN)/python -m tests.hidden
@@ -52,6 +57,17 @@ bench: $(call MARK,$(EXTRAS))
 
 paper: $(call MARK,$(EXTRAS))
 	@$(BIN)/python -m benchmarks.paper
+
+# Every extra at its newest, in an environment of its own; then run everything, and commit the file.
+lock:
+	@$(PYTHON) -m venv build/lock
+	@build/lock/bin/python -m pip -qq --disable-pip-version-check --no-input install -e ".[audit,browser,cluster,docs,studio,test]"
+	@{ echo "# Made by make lock: the versions that everything was tested with."; build/lock/bin/python -m pip --disable-pip-version-check freeze --exclude-editable; } > build/constraints.txt
+	@mv build/constraints.txt constraints.txt
+	@echo constraints.txt
+
+audit: $(call MARK,audit)
+	@$(BIN)/python .ci/audit.py constraints.txt
 
 docs: $(call MARK,docs)
 	@$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
@@ -69,10 +85,10 @@ $(BIN)/python:
 # The package is installed in place, so an edited source needs no new installation.
 $(call MARK,run): | $(BIN)/python
 	@echo "installing emps-design into $(VENV) (a minute or two, once)" >&2
-	@$(PIP) install -e .
+	@$(PIP) install $(addprefix -c ,$(CONSTRAINTS)) -e .
 	@touch $@
 
 $(VENV)/.installed-$(STATE)-%: | $(BIN)/python
 	@echo "installing emps-design with the extras $* into $(VENV) (a minute or two, once)" >&2
-	@$(PIP) install -e ".[$(subst -,$(comma),$*)]"
+	@$(PIP) install $(addprefix -c ,$(CONSTRAINTS)) -e ".[$(subst -,$(comma),$*)]"
 	@touch $@ $(call MARK,run)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_serializer, model_validator
@@ -125,7 +125,7 @@ class Controller(_Table):
         if kind not in kinds:
             expected = f"{', '.join(map(repr, kinds[:-1]))} or {NONE!r}"
             problem = {"type": "literal_error", "loc": ("kind",), "input": kind, "ctx": {"expected": expected}}
-            raise ValidationError.from_exception_data("Controller", [problem])
+            raise ValidationError.from_exception_data("Controller", [cast(Any, problem)])
         parameters = parameters_of(kind, {k: v for k, v in table.items() if k != "kind"})
         fields = fields_of(kind)
         for name, value in parameters.items():
@@ -241,7 +241,7 @@ class Axis(_Table):
 
     def _repr_html_(self) -> str:
         rows = [
-            (name, key, value, (field.json_schema_extra or {}).get("unit", ""))
+            (name, key, value, cast(dict[str, Any], field.json_schema_extra or {}).get("unit", ""))
             for name in TABLES
             for key, field in _fields(name, self.controller.kind).items()
             if (value := getattr(getattr(self, name), key)) is not None

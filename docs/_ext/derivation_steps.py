@@ -60,9 +60,12 @@ class PaperEquations(Directive):
         lines: list[str] = []
         for number in map(str, range(int(self.arguments[0]), int(self.arguments[1]) + 1)):
             of_it = [step for step in steps if step.number == number]
-            verdicts = dict.fromkeys(marked(step) for step in of_it)
+            told: dict[str, str] = {}  # the first step of each verdict speaks for it
+            for step in of_it:
+                told.setdefault(marked(step), step.title)
+            verdicts = "; ".join(f"{title}: {verdict}" for verdict, title in told.items())
             where = ", ".join(f"`{name.removeprefix('emps_design.')}`" for name in PLACES[number])
-            lines += [f"**({number})** {of_it[0].title}: {', '.join(verdicts)}. In {where}.", ""]
+            lines += [f"**({number})** {verdicts}. In {where}.", ""]
             for printed in EQUATIONS[number]:
                 lines += ["$$", latex(printed), "$$", ""]
             for step in of_it:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 MACHINE = "emps2019"
 CROSSOVER, PHASE_MARGIN = 100.0, 60.0  # rad/s, deg
+K_E1, WALL = 0.01, 1e4  # (m/s)/N, N/m
 
 
 def command(
@@ -39,7 +40,12 @@ def command(
         progress("simulating a record of the machine", 0.0)
         synthetic_record(axis, seed=seed).save(record_file)
         report = assemble_report(
-            record=record_file, crossover=CROSSOVER, phase_margin_deg=PHASE_MARGIN, progress=progress
+            record=record_file,
+            crossover=CROSSOVER,
+            phase_margin_deg=PHASE_MARGIN,
+            k_e1=K_E1,
+            environment=WALL,
+            progress=progress,
         )
         write_text(out, report.page.html())
     truth = dict(zip(("mass", "viscous", "coulomb", "constant_force"), map(float, axis.mechanics.array()), strict=True))
@@ -59,6 +65,7 @@ def _show(report: Report, truth: dict[str, float], record_file: Path) -> None:
     from emps_design.cli.output import new_console, say
 
     velocity, force, found = report.results.velocity, report.results.force, report.found[0]
+    assert force is not None
     console = new_console()
     say(f"1. A record of {MACHINE}, simulated: {record_file}")
     table = Table(title="2. Identified from the record", title_justify="left")

@@ -136,7 +136,7 @@ def _show_one(found: Identification) -> None:
     for heading in ("parameter", "value", "std (15)", "% (16)", "std *", "95 % ± *", "unit"):
         table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right", no_wrap=True)
     for name, estimate in found.parameters.items():
-        if not estimate.determined:
+        if estimate.interval_95 is None:
             table.add_row(name, "not determined", "", "", "", "", estimate.quantity.unit)
             continue
         low, high = estimate.interval_95

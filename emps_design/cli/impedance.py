@@ -115,11 +115,14 @@ def _print(document: dict[str, Any]) -> None:
         table.add_row("Coulomb factor without creep", f"{found['coulomb_factor_without_creep']:.4f}")
         low, high = found["stable_share_interval"]
         interval = "" if math.isnan(low) else f" (95 %: {100 * low:.2f} to {100 * high:.2f} %)"
-        table.add_row("stable plants", f"{100 * found['stable_share']:.2f} %{interval}")
+        table.add_row("plants that come to rest", f"{100 * found['stable_share']:.2f} %{interval}")
+        table.add_row("neither unstable nor cycling", f"{100 * found['bounded_share']:.2f} %")
         table.add_row("verdicts", ", ".join(f"{count} {name}" for name, count in found["verdicts"].items() if count))
         worst = found["worst"]
         errors = ", ".join(f"{name} {100 * value:+.2f} %" for name, value in worst["errors"].items())
         table.add_row("worst", f"{worst['verdict']} at {errors}")
+        for one in found["beyond"]:
+            table.add_row(f"corners with {one['what']}", one["verdict"])
         console.print(table, width=min(80, console.width))
     loop = document["equivalent_loop"]
     if loop["k_e1"] is not None:

@@ -37,13 +37,17 @@ def command(
         None, "--design-on", help="record: design on what the record gives; axis: on the axis as it is."
     ),
     model: str = typer.Option("symmetric", "--model", help="Friction model for the design: symmetric or asymmetric."),
-    k_e1: float = typer.Option(0.01, "--k-e1", callback=within("(m/s)/N"), help="Force gain [(m/s)/N]."),
-    hand: float = typer.Option(0.0, "--hand", callback=within("N/(m/s)"), help="Viscous hand [N/(m/s)]."),
-    environment: float = typer.Option(
-        1e4, "--environment", callback=within("N/m"), help="Stiffness of the wall [N/m]."
+    k_e1: float | None = typer.Option(
+        None, "--k-e1", callback=within("(m/s)/N"), help="Force gain [(m/s)/N]: adds the force loop."
+    ),
+    hand: float | None = typer.Option(
+        None, "--hand", callback=within("N/(m/s)"), help="Viscous hand [N/(m/s)]: adds the force loop."
+    ),
+    environment: float | None = typer.Option(
+        None, "--environment", callback=within("N/m"), help="Stiffness of the wall [N/m]: adds the force loop."
     ),
     mass: float | None = typer.Option(
-        None, "--mass", callback=within("kg"), help="Apparent mass M_a of the impedance law [kg]."
+        None, "--mass", callback=within("kg"), help="Apparent mass M_a [kg]: adds the impedance law."
     ),
     damping: float | None = typer.Option(
         None, "--damping", callback=within("N/(m/s)"), help="Apparent damping B [N/(m/s)], with --mass."
@@ -98,7 +102,7 @@ def command(
     for warning in report.warnings:
         tell(warning)
     unstable = [] if report.results.velocity.sampled.stable else ["the sampled velocity loop"]
-    unstable += [] if mass is None or report.impedance.stable else ["the impedance law"]
+    unstable += [] if report.impedance is None or report.impedance.stable else ["the impedance law"]
     if unstable:
         tell(f"unstable: {' and '.join(unstable)}; the page says so first")
         raise typer.Exit(UnstableError.exit_code)

@@ -10,6 +10,7 @@ from typing import Any
 
 from emps_design.axis import Axis
 from emps_design.comanipulation.study import MismatchStudy, mismatch_study
+from emps_design.comanipulation.wall_limit import WallLimit, wall_limit
 from emps_design.control.impedance.equivalence import LOW_FREQUENCY, equivalent_loop, safety_words
 from emps_design.control.impedance.law import PRINTED, FrictionModel, ImpedanceLaw, impedance_law, left_out
 from emps_design.control.impedance.passivity import largest_wall, passivity
@@ -37,6 +38,11 @@ from emps_design.control.impedance.sampled import (
 )
 from emps_design.errors import SpecificationError, UnstableError
 from emps_design.notebook import table
+
+SHARES = (
+    "stable_share", "stable_share_interval", "bounded_share", "bounded_share_interval", "verdicts", "plants", "seed",
+    "task", "varied", "not_varied", "beyond",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -69,6 +75,16 @@ class ImpedanceAssessment:
     def extended(self) -> SampledLoop | None:
         """The loop with the effects that the friction model cannot hold, linearised; None where there are none."""
         return extended_loop(self.axis, self.law) if left_out(self.axis) else None
+
+    @cached_property
+    def walls(self) -> dict[str, WallLimit]:
+        """The stiffest wall with exact estimates and at the worst corner of the mismatch; empty where unbounded."""
+        if not self.stable:
+            return {}
+        found = {"exact": wall_limit(self.axis, self.law)}
+        if self.mismatch:
+            found["mismatch"] = wall_limit(self.axis, self.law, self.mismatch)
+        return {name: limit for name, limit in found.items() if limit is not None}
 
     @property
     def stable(self) -> bool:
@@ -140,6 +156,7 @@ class ImpedanceAssessment:
             else {"frequency": oscillation[0], "speed": oscillation[1]},
             "passivity": passivity(law, plant, clock).to_dict() if loop.stable else None,
             "largest_wall_stiffness": largest_wall(law, plant, clock) if loop.stable else None,
+            "wall_limit": {name: limit.to_dict() for name, limit in self.walls.items()},
             "smallest_safe_mass": smallest_mass(law, plant, clock, self.mismatch or 0.0),
         }
         try:
@@ -173,6 +190,9 @@ class ImpedanceAssessment:
     def _under_mismatch(self, study: MismatchStudy, mismatch: float) -> dict[str, Any]:
         corners = [self.law.with_errors(errors) for errors in corner_errors(mismatch, self.plant.two_quadrant)]
         summary = study.to_dict()
+        if not self.stable and summary["worst"]["verdict"] not in ("unstable", "limit_cycle"):
+            # Poles that the plants of the study do not have: sticking, or with effects linearised.
+            summary["worst"] = {**summary["worst"], "verdict": "unstable"}
         return {
             "mismatch": mismatch,
             "creep_speed": max(creep_speed(law, self.plant) for law in corners),
@@ -180,7 +200,7 @@ class ImpedanceAssessment:
             "coulomb_factor_without_creep": coulomb_factor_without_creep(self.law, self.plant, mismatch),
             "largest_pole": self.worst_radius,
             "worst": summary["worst"],
-            **{key: summary[key] for key in ("stable_share", "stable_share_interval", "verdicts", "plants", "seed")},
+            **{key: summary[key] for key in SHARES},
             "ranges": summary["ranges"],
             "corners": summary["corners"],
         }
@@ -200,7 +220,8 @@ class ImpedanceAssessment:
         if self.law.damping == 0.0:
             words.append("damping B is 0: nothing brings the released carriage to rest")
         oscillation = document["coulomb_oscillation"]
-        threshold = drift_threshold(self.clock.period, self.axis.sampling.encoder_resolution)
+        resolution = self.axis.sampling.encoder_resolution
+        threshold = drift_threshold(self.clock.period, resolution, self.law.velocity_estimator)
         if oscillation is not None and oscillation["speed"] > 2.0 * threshold:
             words.append(
                 f"the Coulomb compensation may hunt, at {1e3 * oscillation['speed']:.2g} mm/s or more and below "
@@ -217,7 +238,14 @@ class ImpedanceAssessment:
             wall = document["largest_wall_stiffness"]
             words.append(
                 f"not passive from {low:.3g} rad/s on"
-                + ("" if wall is None else f"; against an undamped wall stable up to {wall:.3g} N/m")
+                + ("" if wall is None else f"; the poles bear an undamped wall of up to {wall:.3g} N/m")
+            )
+        for name, limit in self.walls.items():
+            which = "exact estimates" if name == "exact" else f"estimates off by +-{100 * (self.mismatch or 0.0):g} %"
+            words.append(
+                f"{which}: pressed against a wall the carriage comes to rest up to {limit.simulated:.3g} N/m; beyond, "
+                "the Coulomb compensation may keep it swinging (simulated with pushes around "
+                f"{limit.push:.3g} N; the poles alone bear {limit.linear:.3g} N/m)"
             )
         if contact is not None and document["largest_wall_stiffness"] is None:
             words.append("largest_wall_stiffness is unbounded: stable up to 1 GN/m")

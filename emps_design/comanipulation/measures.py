@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from emps_design.control.impedance.robustness import VERDICTS
 from emps_design.simulation.kernels.compile import part
 
 # Places in the measures of a run.
 (P_PEAK_U, P_CLIPPED, P_CLIPPED_END, P_FLIPS, P_PEAK_FORCE, P_FORCE2, P_IMPULSE, P_WORK, P_PATH, P_MISS2, P_HELD,
  P_N, P_AA, P_AV, P_VV, P_AF, P_VF, P_FF, P_END_MIN_V, P_END_MAX_V, P_END_TURNS, P_END_MIN_U, P_END_MAX_U,
- P_DRIFT, P_RATIO, P_MOVING, P_END_SPEED, P_DIVERGED) = range(28)  # fmt: skip
-MEASURES = 28
+ P_DRIFT, P_RATIO, P_MOVING, P_END_SPEED, P_DIVERGED, P_RELEASE_V) = range(29)  # fmt: skip
+MEASURES = 29
 _SWING = 50  # samples within which a voltage that was at one limit must be at the other to count as a flip
 
 
@@ -75,6 +76,7 @@ def measure(q, v, u, force, wish, limit, period, release, end, measures):
     measures[P_END_MIN_V], measures[P_END_MAX_V], measures[P_END_TURNS] = min_v, max_v, turns_end
     measures[P_END_MIN_U], measures[P_END_MAX_U] = min_u, max_u
     measures[P_END_SPEED] = end_speed / (period * max(n - end, 1))
+    measures[P_RELEASE_V] = v[release]
     _drift(q[release:], stopped - release, period, measures)
 
 
@@ -113,10 +115,16 @@ def broken_off(limit, measures):
 
 @dataclass(frozen=True)
 class Measures:
-    """What was measured on m simulated plants; every attribute is an array (m,)."""
+    """What was measured on m simulated plants; every attribute is an array (m,).
+
+    ``step`` [m/s] is one encoder step a period, ``threshold`` [m/s] see ``drift_threshold``; ``expected`` [m/s] is the
+    speed that friction drives the free motion to, in closed form; ``integrates``: the law is a cascade.
+    """
 
     raw: np.ndarray
-    threshold: float
+    step: float
+    threshold: np.ndarray
+    expected: np.ndarray
     integrates: np.ndarray
 
     def __getattr__(self, name: str) -> np.ndarray:
@@ -130,23 +138,38 @@ class Measures:
         """Places in ``VERDICTS``.
 
         Unstable: it diverged, ended against the voltage limit after the release, swung from limit to limit ten times
-        or more, or its free motion grows. Limit cycle: in the last tenth of the task the velocity still takes both
-        signs, by two thresholds, or comes to zero ten times. Then by the speed that free motion tends to, which a
-        cascaded loop, whose integral rules dry friction out, is not asked for.
+        or more, or its free motion grows. Limit cycle: while the task is watched the velocity still takes both signs,
+        by two steps a period, or comes to zero ten times. No motion: the carriage stood when it was let go, and stayed.
+        Then by the speed that free motion tends to, which a cascaded loop, whose integral rules dry friction out, is
+        not asked for.
         """
-        low, high = -2.0 * self.threshold, 2.0 * self.threshold
+        low, high = -2.0 * self.step, 2.0 * self.step
         peak = np.maximum(self.end_max_v, -self.end_min_v)
         with np.errstate(invalid="ignore"):
-            grows = (self.ratio > 1.0) & (np.abs(self.end_speed) > 10.0 * high)
+            grows = (self.ratio > 1.0) & (np.abs(self.end_speed) > 100.0 * self.step)
             unstable = (self.diverged > 0) | (self.clipped_end > 0) | (self.flips >= 10)
-            cycle = ((self.end_min_v < low) & (self.end_max_v > high)) | (
-                (self.end_turns >= 10) & (peak > self.threshold)
-            )
+            cycle = ((self.end_min_v < low) & (self.end_max_v > high)) | ((self.end_turns >= 10) & (peak > self.step))
             unstable |= grows & ~cycle
-        at_rest = (self.end_max_v == 0.0) & (self.end_min_v == 0.0)
-        creeping = ~at_rest & (self.drift > self.threshold) & ~self.integrates
-        dead = (self.drift < -self.threshold) & ~self.integrates
-        return np.select([unstable, cycle, creeping, dead], [4, 3, 2, 1], 0)
+        creeping = ~self.at_rest & (self.drift > self.threshold) & ~self.wanders & ~self.integrates
+        found = {
+            "unstable": unstable,
+            "limit_cycle": cycle,
+            "no_motion": self.at_rest & (self.release_v == 0.0),
+            "creeping": creeping,
+            "dead_band": (self.drift < -self.threshold) & ~self.integrates,
+        }
+        return np.select(list(found.values()), [VERDICTS.index(name) for name in found], 0)
+
+    @property
+    def at_rest(self) -> np.ndarray:
+        """Whether the carriage stood while the task was watched."""
+        return (self.end_max_v == 0.0) & (self.end_min_v == 0.0)
+
+    @property
+    def wanders(self) -> np.ndarray:
+        """Whether it goes on at two encoder steps a period or less though no friction drives it: the encoder does."""
+        slow = (np.abs(self.drift) <= 2.0 * self.step) & (self.expected <= self.threshold)
+        return ~self.at_rest & (self.drift > self.threshold) & slow & ~self.integrates
 
     @property
     def fit(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -16,8 +16,8 @@ from emps_design import laws as control_laws
 from emps_design.axis import Axis
 from emps_design.comanipulation.measures import MEASURES, Measures, broken_off, measure
 from emps_design.comanipulation.task import Task
-from emps_design.control.impedance.law import ImpedanceLaw, law_for
-from emps_design.control.impedance.robustness import VERDICTS, drift_threshold
+from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, law_for
+from emps_design.control.impedance.robustness import VERDICTS, drift_speed, drift_threshold
 from emps_design.errors import InputError
 from emps_design.simulation.environment import Hand
 from emps_design.simulation.kernels.compile import address, cached
@@ -45,7 +45,7 @@ Law = ImpedanceLaw | CascadeLaw
 
 
 @dataclass(frozen=True)
-class Run:
+class TaskRun:
     """One simulated task: ``t`` [s], ``q`` [m], ``v`` [m/s], ``tau_e`` [N], ``u`` [V], ``encoder`` [m], each (n,).
 
     Where the simulation found the loop unstable and gave up, the signals end there.
@@ -65,7 +65,7 @@ class Run:
         return VERDICTS[int(self.measures.verdict[0])]
 
 
-def run_task(axis: Axis, law: Law, task: Task) -> Run:
+def run_task(axis: Axis, law: Law, task: Task) -> TaskRun:
     """Simulate ``law`` on ``axis`` with all its effects through ``task``, and keep the whole trace.
 
     >>> from emps_design.machines import machine
@@ -77,19 +77,22 @@ def run_task(axis: Axis, law: Law, task: Task) -> Run:
     """
     raw, out, good = _blocks(axis, [law], task)
     rows = dict(zip(("encoder", "q", "v", "u", "tau_e"), out[:, : min(good, len(task.push))], strict=True))
-    return Run(t=task.time[: len(rows["q"])], measures=_measures(axis, [law], raw), **rows)
+    return TaskRun(t=task.time[: len(rows["q"])], measures=_measures(axis, [law], raw), **rows)
 
 
-def run_many(axis: Axis, laws: Sequence[Law], task: Task, workers: int = 1, progress: Any = None) -> Measures:
+def run_many(
+    axis: Axis, laws: Sequence[Law], task: Task, workers: int = 1, progress: Any = None, machine: Axis | None = None
+) -> Measures:
     """Simulate every one of ``laws`` on ``axis`` with all its effects through ``task``; what was measured, law by law.
 
+    ``machine`` is the axis as it really is, where it is not the one that the laws were set up for.
     ``workers`` threads; the numbers do not depend on it. ``progress(stage, fraction)`` is called as blocks finish.
     """
     m = len(laws)
     parts = [laws[start : start + BLOCK] for start in range(0, m, BLOCK)]
 
     def block(part: Sequence[Law]) -> np.ndarray:
-        return _blocks(axis, part, task)[0]
+        return _blocks(axis, part, task, machine)[0]
 
     if workers == 1 or len(parts) == 1:
         finished = map(block, parts)
@@ -107,7 +110,9 @@ def run_many(axis: Axis, laws: Sequence[Law], task: Task, workers: int = 1, prog
     return _measures(axis, laws, raw)
 
 
-def _blocks(axis: Axis, laws: Sequence[Law], task: Task) -> tuple[np.ndarray, np.ndarray, int]:
+def _blocks(
+    axis: Axis, laws: Sequence[Law], task: Task, machine: Axis | None = None
+) -> tuple[np.ndarray, np.ndarray, int]:
     """Measures (m, MEASURES) of ``laws``, the signals of the last one, and how many samples of them are good."""
     if task.period != axis.sampling.period:
         raise InputError(
@@ -117,12 +122,13 @@ def _blocks(axis: Axis, laws: Sequence[Law], task: Task) -> tuple[np.ndarray, np
     compiled = [_compiled(axis, law) for law in laws]
     first = compiled[0]
     stiffness, damping = task.hand
-    plant = Plant.of(axis)
+    machine = machine or axis
+    plant = Plant.of(machine)
     wish = None
     if stiffness or damping:
         plant, wish = plant.touched_by(Hand(0.0, damping, stiffness, held=True)), np.append(task.wish, np.nan)
     n = len(task.push) + 1  # one sample more: the state in which the last period ends
-    sampling = axis.sampling
+    sampling = machine.sampling
     b, p = plant.numbers()
     ready = plant.prepared(b, p, 0.0, 0.0, n, sampling.period, sampling.encoder_resolution, wish)
     raw, out = np.empty((len(laws), MEASURES)), np.empty((5, n))
@@ -131,7 +137,7 @@ def _blocks(axis: Axis, laws: Sequence[Law], task: Task) -> tuple[np.ndarray, np
         np.tile(ready.parameters, (len(laws), 1)), ready.baseline, ready.settings, ready.y, ready.hooks, ready.starts,
         ready.columns, ready.slots, ready.floors, ready.scratch, address(first.kernel, "law"),
         np.array([law.gains for law in compiled]), np.zeros(first.memory), reference, np.append(task.push, 0.0),
-        np.nan_to_num(task.wish), axis.drive.voltage_limit, task.release, task.end, out, raw,
+        np.nan_to_num(task.wish), machine.drive.voltage_limit, task.release, task.end, out, raw,
     )  # fmt: skip
     return raw, out, good
 
@@ -170,5 +176,11 @@ def _compiled(axis: Axis, law: Law) -> control_laws.Law:
 
 
 def _measures(axis: Axis, laws: Sequence[Law], raw: np.ndarray) -> Measures:
-    threshold = drift_threshold(axis.sampling.period, axis.sampling.encoder_resolution)
-    return Measures(raw, threshold, np.array([isinstance(law, CascadeLaw) for law in laws]))
+    period, resolution, plant = axis.sampling.period, axis.sampling.encoder_resolution, FrictionModel.of(axis)
+    integrates = np.array([isinstance(law, CascadeLaw) for law in laws])
+    expected = [
+        0.0 if cascade else max(drift_speed(law, plant, 1), drift_speed(law, plant, -1))
+        for law, cascade in zip(laws, integrates, strict=True)
+    ]
+    threshold = [drift_threshold(period, resolution, law.velocity_estimator) for law in laws]
+    return Measures(raw, max(resolution / period, 1e-6), np.array(threshold), np.array(expected), integrates)

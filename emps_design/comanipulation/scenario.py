@@ -9,7 +9,7 @@ from typing import Any
 from emps_design.axis import Axis
 from emps_design.comanipulation.assessment import ImpedanceAssessment
 from emps_design.comanipulation.study import MismatchStudy, mismatch_study
-from emps_design.comanipulation.task import Task, guided_task, pushed_task
+from emps_design.comanipulation.task import fitted_task, guided_task, pushed_task
 from emps_design.control.impedance.law import ImpedanceLaw, impedance_law
 from emps_design.control.impedance.robustness import VERDICTS
 
@@ -55,7 +55,7 @@ class Comanipulation:
             "seed": self.study.seed,
             "plants": self.study.plants,
             "mismatch": self.study.mismatch,
-            "task": self.study.task,
+            "task": self.study.task.name,
             "law": self.law.to_dict(),
             "study": self.study.to_dict(),
             "warnings": list(dict.fromkeys((*nominal_words, *self.study.warnings))),
@@ -71,7 +71,7 @@ def run_comanipulation(
     damping: float | None = None,
     filter: float | None = None,
     force: float | None = None,
-    duration: float = 10.0,
+    duration: float | None = None,
     two_quadrant: bool | None = None,
     workers: int = 1,
     progress: Callable[[str, float], None] | None = None,
@@ -81,7 +81,8 @@ def run_comanipulation(
 
     M_a [kg] and B [N/(m/s)] come from the arguments, else from the axis's impedance controller, else they are the 50 kg
     and 100 N/(m/s) of the paper's experiments. A compliant hand guides the carriage; ``force`` [N] pushes it to and fro
-    instead. ``options`` go to :class:`ImpedanceLaw` (force_sensor, coulomb_factor, ...).
+    instead. ``duration`` [s] is by default what the slowest mode needs (:func:`fitted_task`). ``options`` go to
+    :class:`ImpedanceLaw` (force_sensor, coulomb_factor, ...).
 
     >>> from emps_design.machines import machine
     >>> found = run_comanipulation(machine("emps2018"), mismatch=0.02, plants=0).to_dict()
@@ -93,7 +94,10 @@ def run_comanipulation(
     damping = damping if damping is not None else DAMPING if controller.damping is None else controller.damping
     law = impedance_law(axis, mass, damping, filter, **options)
     period = axis.sampling.period
-    task: Task = guided_task(period, duration) if force is None else pushed_task(period, duration, force)
+    if duration is None:
+        task = fitted_task(axis, law, mismatch, force)
+    else:
+        task = guided_task(period, duration) if force is None else pushed_task(period, duration, force)
     nominal = mismatch_study(axis, law, 0.0, 0, seed, False, task)
     study = mismatch_study(axis, law, mismatch, plants, seed, two_quadrant, task, workers, progress)
     return Comanipulation(ImpedanceAssessment(axis, law, mismatch, study), nominal, study)

@@ -17,7 +17,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.comanipulation.measures import Measures
 from emps_design.comanipulation.run import run_many
-from emps_design.comanipulation.task import Task, guided_task
+from emps_design.comanipulation.task import Task, fitted_task
 from emps_design.control.impedance.law import PARAMETERS, FrictionModel, ImpedanceLaw
 from emps_design.control.impedance.response import impedance_error
 from emps_design.control.impedance.robustness import VERDICTS, check_mismatch, corner_errors
@@ -25,7 +25,16 @@ from emps_design.control.impedance.sampled import MARGINAL, Clock, numbers, spec
 from emps_design.errors import InputError
 
 MOST = 1_000_000  # plants; more would not fit into memory
-STABLE = (0, 1, 2)  # places in VERDICTS that are neither a limit cycle nor unstable
+CALM = ("stable", "dead_band")  # verdicts of a carriage that comes to rest
+BOUNDED = (*CALM, "creeping")  # neither a limit cycle nor unstable
+
+
+NOT_VARIED = {
+    "force_gain": "scales mass and friction alike, which are identified through it: an error of it is inside the box",
+    "filter": "is the law's own and known exactly",
+    "current loop, computation_delay, encoder": "one change at a time, see beyond",
+    "static friction, other effects": "as the axis file has them, in every plant; an effect can be added there",
+}
 
 
 @dataclass(frozen=True)
@@ -33,24 +42,26 @@ class MismatchStudy:
     """Verdict, transparency and effort of every plant tried; the first ``corners`` rows are the corners.
 
     ``errors`` (m, 5) relative, in the order of ``PARAMETERS``; ``error`` (m,) the rms relative error of the apparent
-    impedance over 0-20 rad/s (nan where the poles are unstable); ``radius`` (m,) the largest pole modulus.
+    impedance over 0-20 rad/s (nan where the poles are unstable); ``radius`` (m,) the largest pole modulus. ``beyond``:
+    what else was changed, one thing at a time, with the worst verdict of the corners.
     """
 
     axis: str
     law: ImpedanceLaw
     mismatch: float
     seed: int
-    task: str
+    task: Task
     corners: int
     errors: np.ndarray
     error: np.ndarray
     radius: np.ndarray
     measures: Measures
+    beyond: tuple[dict[str, str], ...] = ()
 
     @cached_property
     def verdict(self) -> np.ndarray:
-        """Places in ``VERDICTS``, shape (m,)."""
-        return self.measures.verdict
+        """Places in ``VERDICTS``, shape (m,): as simulated, and unstable wherever the poles are."""
+        return np.where(self.radius > 1.0 + MARGINAL, VERDICTS.index("unstable"), self.measures.verdict)
 
     @property
     def plants(self) -> int:
@@ -64,11 +75,20 @@ class MismatchStudy:
 
     @property
     def stable_share(self) -> tuple[float, float, float]:
-        """Share of plants neither unstable nor in a limit cycle, with its 95 % Clopper-Pearson interval.
+        """Share of plants that come to rest after the release, with its 95 % Clopper-Pearson interval.
 
-        Of the Monte-Carlo plants; of the corners, without an interval, where no plants were drawn.
+        Neither unstable nor in a limit cycle, nor creeping; a plant that never moved does not count as stable. Of the
+        Monte-Carlo plants; of the corners, without an interval, where no plants were drawn.
         """
-        good = np.isin(self.verdict, STABLE)
+        return self._share(CALM)
+
+    @property
+    def bounded_share(self) -> tuple[float, float, float]:
+        """The same for plants that are neither unstable nor in a limit cycle; they may creep."""
+        return self._share(BOUNDED)
+
+    def _share(self, verdicts: tuple[str, ...]) -> tuple[float, float, float]:
+        good = np.isin(self.verdict, [VERDICTS.index(name) for name in verdicts])
         if not self.plants:
             return float(good.mean()), float("nan"), float("nan")
         from scipy.special import betaincinv
@@ -102,21 +122,39 @@ class MismatchStudy:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What is not a number in :meth:`to_dict`, and why."""
-        words = []
+        words = list(self.task.warnings)
         if not self.plants:
             words.append(
                 "stable_share_interval is undefined: no plants were drawn, stable_share is that of the corners"
             )
         if np.isnan(self.error).any():
             words.append("error is undefined for plants whose sampled loop is unstable")
-        fits = np.column_stack([*self.measures.fit, self.measures.effort["force_per_speed"]])
-        if not np.isfinite(fits).all():
-            words.append("what was felt (mass, damping, r2, force_per_speed) is undefined for plants that never moved")
+        still = int(np.sum(self.verdict == VERDICTS.index("no_motion")))
+        if still:
+            words.append(
+                f"no verdict for {still} of {len(self.errors)} plants: the carriage stood when it was let go; what was "
+                "felt (mass, damping, r2, force_per_speed) is undefined for plants that never moved"
+            )
+        if np.any(self.measures.diverged > 0):
+            words.append("what was felt is undefined for plants whose simulation was broken off: the loop ran away")
+        wanders = self.measures.wanders
+        if wanders.any():
+            speed = 1e3 * float(self.measures.drift[wanders].max())
+            who = f"{int(wanders.sum())} of {len(self.errors)} plants go" if self.mismatch else "the carriage goes"
+            words.append(
+                f"{who} on at up to {speed:.2g} mm/s, one or two encoder steps a period: no friction drives it, the "
+                "encoder's steps do"
+            )
+        here = int(self.verdict.max())
+        worse = [f"{one['what']}: {one['verdict']}" for one in self.beyond if VERDICTS.index(one["verdict"]) > here]
+        if worse:
+            words.append(f"worse than within the mismatch, with the rest of the machine as it is: {'; '.join(worse)}")
         return tuple(words)
 
     def to_dict(self) -> dict[str, Any]:
         """Counts, shares with interval, medians and 5-95 % ranges over the plants, corners, and the worst case."""
         share, low, high = self.stable_share
+        bounded, bounded_low, bounded_high = self.bounded_share
         drawn = slice(self.corners, None) if self.plants else slice(None)
         mass, damping, r2 = self.measures.fit
         columns = {
@@ -133,9 +171,14 @@ class MismatchStudy:
             "mismatch": self.mismatch,
             "seed": self.seed,
             "plants": self.plants,
-            "task": self.task,
+            "task": self.task.to_dict(),
+            "varied": list(PARAMETERS if self.corners > 8 else ("mass", "viscous", "coulomb")),
+            "not_varied": NOT_VARIED,
+            "beyond": list(self.beyond),
             "stable_share": share,
             "stable_share_interval": [low, high],
+            "bounded_share": bounded,
+            "bounded_share_interval": [bounded_low, bounded_high],
             "verdicts": {name: int(np.sum(self.verdict[drawn] == place)) for place, name in enumerate(VERDICTS)},
             "ranges": {
                 name: dict(zip(("low", "median", "high"), _quantiles(values[drawn]), strict=True))
@@ -195,13 +238,31 @@ def mismatch_study(
         error = np.maximum(error, impedance_error(n, clock, **options))
         radius = np.maximum(radius, spectral_radius(n, clock, **options))
     error[radius > 1.0 + MARGINAL] = np.nan
-    task = guided_task(axis.sampling.period) if task is None else task
+    task = fitted_task(axis, law, mismatch) if task is None else task
     measures = run_many(axis, laws, task, workers, progress)
     if split or plant.two_quadrant:  # let go moving the other way too; each plant is judged by its worse direction
         other = run_many(axis, laws, task.reversed, workers, progress)
         worse = other.verdict > measures.verdict
         measures = replace(measures, raw=np.where(worse[:, None], other.raw, measures.raw))
-    return MismatchStudy(axis.name, law, mismatch, seed, task.name, len(corners), errors, error, radius, measures)
+    beyond = _beyond(axis, laws[: len(corners)], task)
+    return MismatchStudy(axis.name, law, mismatch, seed, task, len(corners), errors, error, radius, measures, beyond)
+
+
+def _beyond(axis: Axis, laws: list[ImpedanceLaw], task: Task) -> tuple[dict[str, str], ...]:
+    """Worst verdict of ``laws`` on machines that differ from ``axis`` in one thing that the law does not know of."""
+    drive, sampling = axis.drive, axis.sampling
+    lag = drive.current_time_constant
+    lagged = {"drive": {"current_time_constant": 2.0 * lag if lag > 0.0 else 0.5 * sampling.period}}
+    changes = {
+        "current loop of twice the time constant" if lag > 0.0 else "current loop of half a period": lagged,
+        "one more sample of delay": {"sampling": {"computation_delay": sampling.computation_delay + 1}},
+        "encoder steps ten times as large": {"sampling": {"encoder_resolution": 10.0 * sampling.encoder_resolution}},
+    }
+    found = []
+    for what, change in changes.items():
+        verdicts = run_many(axis, laws, task, machine=axis.replace(**change)).verdict
+        found.append({"what": what, "verdict": VERDICTS[int(verdicts.max())]})
+    return tuple(found)
 
 
 def _one_quadrant(values: dict[str, float]) -> dict[str, float]:

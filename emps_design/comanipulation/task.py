@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from emps_design.axis import Axis
+from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
+from emps_design.control.impedance.response import relay_oscillation
+from emps_design.control.impedance.robustness import break_away, corner_errors
+from emps_design.control.impedance.sampled import MARGINAL, Clock, Environment, sampled_loop
 from emps_design.errors import InputError
+
+HAND = (1000.0, 100.0)  # N/m and N/(m/s) of an operator's hand
+PACE = 2.0 * math.pi * 0.4  # rad/s, of the guided movement
+HELD, CALMING, WATCHED = 5.0, 4.0, 1.0  # s, at least: in the hand, calming down, watched for a verdict
+DECAYS, CYCLES = 8.0, 3.0  # time constants of the slowest pole, periods of the slowest oscillation that is predicted
+LONGEST = 400_000  # samples after the release
 
 
 @dataclass(frozen=True)
@@ -25,6 +38,20 @@ class Task:
     release: int
     end: int
     period: float
+    warnings: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """What the operator does, SI."""
+        wish = self.wish[: self.release]
+        return {
+            "name": self.name,
+            "hand": {"stiffness": self.hand[0], "damping": self.hand[1]},
+            "push": float(np.abs(self.push).max()),
+            "travel": float(np.nanmax(np.abs(wish))) if np.isfinite(wish).any() else None,
+            "release": self.release * self.period,
+            "watched_from": self.end * self.period,
+            "duration": self.duration,
+        }
 
     @property
     def time(self) -> np.ndarray:
@@ -43,16 +70,23 @@ class Task:
 
 
 def guided_task(
-    period: float, duration: float = 10.0, hand: tuple[float, float] = (1000.0, 100.0), scale: float = 1.0
+    period: float,
+    duration: float = 10.0,
+    hand: tuple[float, float] = HAND,
+    scale: float = 1.0,
+    free: float | None = None,
+    watched: float | None = None,
 ) -> Task:
     """A hand of stiffness 1000 N/m and damping 100 N/(m/s) guides the carriage over +-0.12 m, and lets go in motion.
 
     The wish is 0.10 m at about 0.4 Hz plus 0.02 m at about 1 Hz, times ``scale``, faded in over half a second, with
-    whole periods up to the release at half time, where it is fastest; the effort is whatever the law makes it.
+    whole periods up to the release at half of ``duration`` [s], where it is fastest; the effort is whatever the law
+    makes it. ``free`` [s] follow, by default the other half; a verdict looks at the last ``watched`` [s], by default a
+    tenth of ``duration``. :func:`fitted_task` chooses all this for an axis and a law.
     """
     if not np.isfinite(scale) or scale <= 0.0:
         raise InputError(f"scale: found {scale:g}, expected a number above 0")
-    n, release, end = _samples(period, duration)
+    n, release, end = _samples(period, duration, free, watched)
     t = np.arange(n) * period
     until = release * period
     position = sum(
@@ -64,14 +98,21 @@ def guided_task(
     return Task("guided", np.zeros(n), np.where(np.arange(n) < release, position, np.nan), hand, release, end, period)
 
 
-def pushed_task(period: float, duration: float = 10.0, force: float = 40.0) -> Task:
+def pushed_task(
+    period: float,
+    duration: float = 10.0,
+    force: float = 40.0,
+    free: float | None = None,
+    watched: float | None = None,
+) -> Task:
     """Pushes of ``force`` [N] to and fro with 0.25 s ramps, the last one ending at half time, as in Fig. 12.
 
     The force must exceed the break-away force, or nothing moves: the law compensates no Coulomb friction at rest.
+    ``free`` and ``watched`` [s] as in :func:`guided_task`.
     """
     if not np.isfinite(force) or force <= 0.0:
         raise InputError(f"force: found {force:g} N, expected a push of more than 0 N")
-    n, release, end = _samples(period, duration)
+    n, release, end = _samples(period, duration, free, watched)
     t = np.arange(n) * period / (release * period / 5.0)  # the plan is written for 5 s
     corners = [0.0, 0.25, 0.5, 1.5, 2.0, 3.25, 3.75, 4.75, 5.0]
     levels = [0.0, 0.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0, 0.0]
@@ -79,8 +120,97 @@ def pushed_task(period: float, duration: float = 10.0, force: float = 40.0) -> T
     return Task("pushed", push, np.full(n, np.nan), (0.0, 0.0), release, end, period)
 
 
-def _samples(period: float, duration: float) -> tuple[int, int, int]:
+def fitted_task(
+    axis: Axis,
+    law: ImpedanceLaw,
+    mismatch: float = 0.0,
+    force: float | None = None,
+    hand: tuple[float, float] | None = None,
+) -> Task:
+    """Return a task that ``law`` on ``axis`` can be judged by: a guided one, or pushes of ``force`` [N].
+
+    The hand is strong enough to break the carriage away and to lead the apparent mass, soft enough for a light one
+    (:func:`fitted_hand`; ``hand`` sets it). After the release there is time for eight time constants of the slowest
+    pole at the corners of ``mismatch``, and a verdict looks at three periods of the slowest oscillation that the
+    describing function predicts there; 4 s and 1 s at least.
+
+    >>> from emps_design.control.impedance.law import impedance_law
+    >>> from emps_design.machines import machine
+    >>> axis = machine("emps2018")
+    >>> found = fitted_task(axis, impedance_law(axis, 50.0, 100.0)).to_dict()
+    >>> found["hand"], round(found["duration"])
+    ({'stiffness': 1000.0, 'damping': 100.0}, 10)
+    """
+    period = axis.sampling.period
+    calming, watched = _slowest(axis, law, mismatch)
+    words = []
+    if calming + watched > LONGEST * period:
+        words.append(
+            f"the slowest mode takes {calming + watched:.3g} s to show what it does, the simulated task ends "
+            f"{LONGEST * period:g} s after the release: slow creep and slow oscillations may be missed"
+        )
+        share = LONGEST * period / (calming + watched)
+        calming, watched = share * calming, share * watched
+    held = max(HELD, 50 * period)
+    times = {"duration": 2.0 * held, "free": calming + watched, "watched": watched}
+    if force is not None:
+        task = pushed_task(period, force=force, **times)
+        stuck = break_away(law, FrictionModel.of(axis))
+        if force <= stuck:
+            words.append(f"a push of {force:g} N does not break the carriage away, which takes {stuck:.4g} N")
+    else:
+        fitted, scale = fitted_hand(axis, law)
+        task = guided_task(period, hand=hand or fitted, scale=scale, **times)
+    return replace(task, warnings=tuple(words))
+
+
+def fitted_hand(axis: Axis, law: ImpedanceLaw) -> tuple[tuple[float, float], float]:
+    """Return a hand (stiffness [N/m], damping [N/(m/s)]) for ``law`` on ``axis``, and the share of the 0.12 m it moves.
+
+    1000 N/m and 100 N/(m/s) where they do. Stiffer where three times the break-away force or the apparent impedance at
+    the pace of the movement asks for it; softer for a light carriage, which a force held for a period would swing, and
+    where the loop with the hand is unstable. The travel shrinks where the motor would reach its limit.
+    """
+    plant, period = FrictionModel.of(axis), axis.sampling.period
+    stuck, light = break_away(law, plant), min(plant.mass, law.mass)
+    viscous = max(plant.viscous)
+    lead = abs(complex(law.damping, PACE * law.mass)) * PACE  # N/m, the apparent impedance over the position
+    motor = abs(complex(viscous - law.damping, PACE * (plant.mass - law.mass))) * PACE * 0.24  # N, at full travel
+    jolt = max(1.0, law.ratio) * max(plant.coulomb)  # N, of the Coulomb compensation when the velocity turns
+    room = 0.85 * axis.drive.force_gain * axis.drive.voltage_limit - jolt
+    scale = float(np.clip(room / motor, 0.01, 1.0)) if motor > 0.0 else 1.0
+    stiffness = max(HAND[0], 3.0 * stuck / (0.12 * scale), 2.0 * lead)
+    stiffness = min(stiffness, 0.05 * light / period**2, 2.0 * light / period)
+    for _ in range(12):
+        contact = Environment(0.0, 0.1 * stiffness, stiffness)
+        if sampled_loop(law, plant, Clock.of(axis), environment=contact).stable:
+            break
+        stiffness *= 0.5
+    return (stiffness, 0.1 * stiffness), max(scale, 3.0 * stuck / (0.12 * stiffness))
+
+
+def _slowest(axis: Axis, law: ImpedanceLaw, mismatch: float) -> tuple[float, float]:
+    """Time [s] in which the released carriage calms down, and time over which a limit cycle shows."""
+    plant, clock = FrictionModel.of(axis), Clock.of(axis)
+    decay, slowest = math.inf, math.inf
+    for errors in ({}, *corner_errors(mismatch)) if mismatch else ({},):
+        off = law.with_errors(errors)
+        for direction in (1, -1) if plant.two_quadrant else (1,):
+            poles = np.abs(sampled_loop(off, plant, clock, direction).poles)
+            inside = poles[(poles > 0.0) & (poles < 1.0 - MARGINAL)]
+            if inside.size:
+                decay = min(decay, -math.log(inside.max()) / clock.period)
+        oscillation = relay_oscillation(off, plant, clock)
+        if oscillation is not None:
+            slowest = min(slowest, oscillation[0])
+    return max(CALMING, DECAYS / decay), max(WATCHED, CYCLES * 2.0 * math.pi / slowest)
+
+
+def _samples(period: float, duration: float, free: float | None, watched: float | None) -> tuple[int, int, int]:
     n = round(duration / period)
     if not np.isfinite(duration) or n < 100:
         raise InputError(f"duration: found {duration:g} s, expected at least 100 periods of {period:g} s")
-    return n, n // 2, n - n // 10
+    release = n // 2
+    last = n // 10 if watched is None else max(1, round(watched / period))
+    n = n if free is None else release + max(100, round(free / period))
+    return n, release, n - min(last, n - release)

@@ -31,12 +31,13 @@ def states_along(
 
     They start at rest; ``effects`` are those whose dry friction adds to the Coulomb level of the moment.
     """
-    if effect.rate is None:
+    change, initial = effect.rate, effect.initial
+    if change is None or initial is None:
         return np.zeros((q.size, 0))
     from scipy.integrate import solve_ivp
     from scipy.interpolate import CubicHermiteSpline
 
-    start = np.array(effect.initial(q[0], p, b), dtype=float)
+    start = np.array(initial(q[0], p, b), dtype=float)
     if q.size < 2:
         return start[None, :]
     path = CubicHermiteSpline(t, q, v)
@@ -45,7 +46,7 @@ def states_along(
     def rate(now: float, x: np.ndarray) -> np.ndarray:
         here, there, dx = float(path(now)), float(speed(now)), np.zeros(start.size)
         dry = [one.dry(here, there, now, 0.0, (), values, b) for one, values in effects if one.dry is not None]
-        effect.rate(here, there, now, 0.0, x, p, b, max(0.0, b[COULOMB] + sum(dry)), dx)
+        change(here, there, now, 0.0, x, p, b, max(0.0, b[COULOMB] + sum(dry)), dx)
         return dx
 
     longest = float(np.diff(t).max())

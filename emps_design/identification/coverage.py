@@ -13,6 +13,7 @@ from emps_design.axis import Axis
 from emps_design.identification.identify import identify
 from emps_design.identification.instruments import identify_with_instruments
 from emps_design.identification.output_error import identify_by_output_error
+from emps_design.identification.result import Identification
 from emps_design.records import Record
 from emps_design.simulation import Plant
 
@@ -20,7 +21,7 @@ SPEEDS = (0.04, 0.08, 0.12)  # m/s
 PERIOD = 1e-3  # s
 VOLTAGE_NOISE = 4e-3  # V
 CUTOFF_HZ = 30.0
-ESTIMATORS = {
+ESTIMATORS: dict[str, Callable[..., Identification]] = {
     "ls": partial(identify, chain="hold"),
     "iv": identify_with_instruments,
     "oe": identify_by_output_error,

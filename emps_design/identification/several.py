@@ -49,7 +49,8 @@ class SeveralIdentifications:
         rows = []
         for i, quantity in enumerate(parameters_of(self.model)):
             column = self.values[:, i]
-            within = [one.parameters[quantity.name].std_long_run for one in self.identifications]
+            found = [one.parameters[quantity.name].std_long_run for one in self.identifications]
+            within = np.array(found, dtype=float)  # NaN where a record does not determine it
             slope, p_value = 0.0, 1.0
             if len(column) >= 3 and np.ptp(column) > 0:
                 line = linregress(np.arange(len(column)), column)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 import zipfile
-from typing import BinaryIO
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 from numpy.lib import format as npy
@@ -48,7 +48,7 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, source: str) -> np
             )
         data = bytearray(size)
         filled = 0
-        while filled < size and (piece := stream.readinto(memoryview(data)[filled:])):
+        while filled < size and (piece := cast(Any, stream).readinto(memoryview(data)[filled:])):
             filled += piece
         if filled < size:
             raise RecordError(f"{source}: {member.filename}: found {filled} bytes of data, expected {size}")

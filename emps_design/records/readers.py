@@ -6,7 +6,7 @@ import hashlib
 import io
 import stat
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 
@@ -78,7 +78,7 @@ def _read(file: BinaryIO, name: str, source: str, max_bytes: int) -> Record:
             f"{'; save it with save -v7' if expected == '.mat' else ''}"
         )
     file.seek(0)
-    digest = hashlib.file_digest(file, "sha256").hexdigest()
+    digest = hashlib.file_digest(cast(Any, file), "sha256").hexdigest()
     file.seek(0)
     first_row = 0
     columns: dict[str, np.ndarray]

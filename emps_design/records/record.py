@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -97,7 +97,7 @@ class Record:
             raise InputError(f"{path}: found suffix {path.suffix!r}, expected .npz or .csv")
         with write_aside(path) as aside, aside.open("wb") as file:
             if path.suffix == ".npz":
-                np.savez(file, **self.columns)
+                np.savez(file, **cast(Any, self.columns))
             else:
                 # 17 digits bring every number back as it was, 12 are the time's and do for reading.
                 formats = ["%.12g", *["%.17g"] * (len(self.columns) - 1)]

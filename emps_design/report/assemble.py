@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, float], None]
 DESIGN_ON = ("record", "axis")
+K_E1, WALL = 0.01, 1e4  # (m/s)/N, N/m: of a force loop that was asked for without them
 
 
 @dataclass(frozen=True)
@@ -29,19 +30,19 @@ class Report:
 
     page: Page
     results: DesignResults
-    impedance: ImpedanceAssessment
+    impedance: ImpedanceAssessment | None = None
     found: tuple[Identification, ...] = ()
     warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Gains, force loop and identification as plain data."""
-        document: dict[str, Any] = {
-            "velocity_loop": self.results.velocity.to_dict(),
-            "force_loop": self.results.force.to_dict(),
-        }
+        document: dict[str, Any] = {"velocity_loop": self.results.velocity.to_dict()}
+        if self.results.force is not None:
+            document["force_loop"] = self.results.force.to_dict()
         if self.found:
             document["identification"] = {one.model: one.to_dict() for one in self.found}
-        document["impedance"] = self.impedance.to_dict()
+        if self.impedance is not None:
+            document["impedance"] = self.impedance.to_dict()
         document["inputs"] = dict(self.results.inputs)
         document["warnings"] = list(self.warnings)
         return document
@@ -55,9 +56,9 @@ def assemble_report(
     phase_margin_deg: float = 60.0,
     design_on: str | None = None,
     model: str = "symmetric",
-    k_e1: float = 0.01,
-    hand: float = 0.0,
-    environment: float = 1e4,
+    k_e1: float | None = None,
+    hand: float | None = None,
+    environment: float | None = None,
     mass: float | None = None,
     damping: float | None = None,
     filter: float | None = None,
@@ -70,10 +71,12 @@ def assemble_report(
     ``axis``: an :class:`Axis`, a TOML file or an embedded machine; ``record``: a :class:`Record` or its file.
     ``design_on``: "record" takes the mechanics that the record gives (the default where no axis is named), "axis"
     leaves them as they are. ``crossover`` or
-    ``bandwidth`` [rad/s], ``phase_margin_deg`` [deg]; ``k_e1`` [(m/s)/N], ``hand`` [N/(m/s)], ``environment`` [N/m];
-    ``mass`` [kg] and ``damping`` [N/(m/s)] of the impedance law, by default those of the axis's controller or else of
-    the paper's experiments, and its ``filter`` [rad/s], tried under a relative ``mismatch``; ``retune`` meets the
-    specification when sampled.
+    ``bandwidth`` [rad/s], ``phase_margin_deg`` [deg]; ``retune`` meets the specification when sampled.
+
+    The page has the sections that were asked for or that the axis has. Force loop: with ``k_e1`` [(m/s)/N], ``hand``
+    [N/(m/s)] or ``environment`` [N/m], or a k_e1 in the axis's controller; what is left out is 0.01 (m/s)/N and a wall
+    of 1e4 N/m. Impedance law: with ``mass`` [kg] and ``damping`` [N/(m/s)], or an impedance controller of the axis; its
+    ``filter`` [rad/s], tried under a relative ``mismatch``.
 
     >>> report = assemble_report("emps2018", crossover=100.0, phase_margin_deg=60.0)
     >>> report.results.velocity.axis.name, round(report.results.velocity.k_v1, 2)
@@ -111,19 +114,45 @@ def assemble_report(
         velocity = retune_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg)
     else:
         velocity = design_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg)
-    tell("trying the impedance law", 0.45)
-    assessed, section = _impedance(loaded, mass, damping, mismatch, filter)
-    parts.append(section)
-    stops = () if assessed.stable else (f"the impedance law is unstable: {assessed.reason}",)
+    assessed, stops = None, ()
+    controller = loaded.controller
+    if mass is None and controller.kind == "impedance":
+        mass, damping = controller.mass, controller.damping
+    if mass is not None:
+        from emps_design.comanipulation.assessment import assess_impedance
+        from emps_design.report.impedance import impedance_section
+
+        tell("trying the impedance law", 0.45)
+        assessed = assess_impedance(loaded, mass, damping, mismatch, filter)
+        parts.append(impedance_section(assessed))
+        stops = () if assessed.stable else (f"the impedance law is unstable: {assessed.reason}",)
     results = design_results(
-        velocity, k_e1, hand, environment, inputs=inputs, parts=tuple(parts), notes=tuple(notes), stops=stops
+        velocity,
+        *_force_loop(controller.k_e1, k_e1, hand, environment),
+        inputs=inputs,
+        parts=tuple(parts),
+        notes=tuple(notes),
+        stops=stops,
     )
     tell("drawing", 0.6)
     page = design_page(results)
     warnings = [warning for one in found for warning in one.warnings]
-    warnings += [*velocity.warnings, *results.force.warnings, *assessed.to_dict()["warnings"]]
+    warnings += [*velocity.warnings, *(results.force.warnings if results.force else ())]
+    warnings += assessed.to_dict()["warnings"] if assessed else []
     tell("writing", 0.95)
     return Report(page, results, assessed, tuple(found), tuple(dict.fromkeys(warnings)))
+
+
+def _force_loop(
+    own: float | None, k_e1: float | None, hand: float | None, environment: float | None
+) -> tuple[float | None, float, float]:
+    """Force gain, hand and wall of the page: what was asked for, or the axis's ``own`` gain; None for no force loop."""
+    if k_e1 is None and hand is None and environment is None and own is None:
+        return None, 0.0, 0.0
+    gain = K_E1 if k_e1 is None and own is None else own if k_e1 is None else k_e1
+    if hand is None and environment is None:
+        environment = WALL
+    return gain, hand or 0.0, environment or 0.0
 
 
 def _from_record(record, axis, model, design_on, inputs, tell):
@@ -139,22 +168,6 @@ def _from_record(record, axis, model, design_on, inputs, tell):
     found = tuple(identify(read, axis, model=name) for name in (model, *others))
     section = record_section(read, found, axis)
     return (found[0].to_axis() if design_on == "record" else axis), found, section
-
-
-def _impedance(axis, mass, damping, mismatch, filter):
-    """Assess the impedance law on ``axis``, and the section that tells it."""
-    from emps_design.comanipulation.assessment import assess_impedance
-    from emps_design.comanipulation.scenario import DAMPING, MASS
-    from emps_design.report.impedance import impedance_section
-
-    controller, chosen = axis.controller, ""
-    if mass is None and controller.kind == "impedance":
-        mass, damping = controller.mass, controller.damping
-    elif mass is None:
-        mass, damping = MASS, DAMPING
-        chosen = "These are the values of the paper's experiments (section IV-B), as no others were given."
-    assessed = assess_impedance(axis, mass, damping, mismatch, filter)
-    return assessed, impedance_section(assessed, chosen)
 
 
 def _basis(axis: Axis, found: Identification, design_on: str) -> str:

@@ -35,15 +35,15 @@ ASSUMPTIONS = (
 class DesignResults:
     """What the page shows; every number was computed by the library.
 
-    ``inputs``: SHA-256 of every input by name, None for what is built in; ``parts``: more sections (a record, an
-    impedance law), each already a :class:`Section`; ``notes``: statements for the summary; ``stops``: what else is
-    unstable; ``warnings``: more of them.
+    ``force``: the force loop around it, None where nobody asked for one; ``inputs``: SHA-256 of every input by name,
+    None for what is built in; ``parts``: more sections (a record, an impedance law), each already a :class:`Section`;
+    ``notes``: statements for the summary; ``stops``: what else is unstable; ``warnings``: more of them.
     """
 
     velocity: VelocityLoopDesign
     step: StepResponse
     sampled_step: StepResponse | None
-    force: ForceLoopDesign
+    force: ForceLoopDesign | None = None
     inputs: Mapping[str, str | None] = field(default_factory=dict)
     parts: tuple[Section, ...] = ()
     notes: tuple[str, ...] = ()
@@ -53,12 +53,15 @@ class DesignResults:
 
 def design_results(
     velocity: VelocityLoopDesign,
-    k_e1: float = 0.01,
+    k_e1: float | None = None,
     hand: float = 0.0,
-    environment: float = 1e4,
+    environment: float = 0.0,
     **more: Any,
 ) -> DesignResults:
-    """Collect what the page of ``velocity`` needs; ``k_e1`` [(m/s)/N], ``hand`` [N/(m/s)], ``environment`` [N/m]."""
+    """Collect what the page of ``velocity`` needs; ``k_e1`` [(m/s)/N], ``hand`` [N/(m/s)], ``environment`` [N/m].
+
+    Without ``k_e1`` there is no force loop.
+    """
     from emps_design.control.force.design import design_force_loop
     from emps_design.control.velocity.step_response import continuous_step, sampled_step
 
@@ -66,7 +69,7 @@ def design_results(
         velocity=velocity,
         step=continuous_step(velocity),
         sampled_step=sampled_step(velocity) if velocity.sampled.stable else None,
-        force=design_force_loop(velocity, k_e1, hand=hand, environment=environment),
+        force=None if k_e1 is None else design_force_loop(velocity, k_e1, hand=hand, environment=environment),
         **more,
     )
 
@@ -83,7 +86,7 @@ def design_page(results: DesignResults) -> Page:
             gains_section(velocity),
             velocity_section(velocity, results.step, results.sampled_step),
             drive_section(velocity),
-            force_section(results.force),
+            *([] if results.force is None else [force_section(results.force)]),
             *results.parts,
             _end_section(results),
         ),
@@ -119,7 +122,7 @@ def _stops(results: DesignResults) -> list[Callout]:
                 f"{velocity.nearest_in_words}.",
             )
         )
-    if not force.stable:
+    if force is not None and not force.stable:
         limit = force.k_e1_max_sampled
         body = f"The largest stable gain is {number(limit)} (m/s)/N." if limit else "No gain is stable here."
         stops.append(Callout("stop", f"the force loop is unstable at k_e1 = {number(force.k_e1)} (m/s)/N.", body))

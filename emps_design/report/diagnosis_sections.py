@@ -190,6 +190,7 @@ def views_section(diagnosis: Diagnosis) -> Section | None:
     if len(diagnosis.views) < 2:
         return None
     spectrum = diagnosis.to_dict().get("spectrum_over_time")
+    band = any(view.band is not None for view in diagnosis.views)
     caption = (
         "What the model as it was misses, by frequency and time. A level line is a hum, a line that follows the speed "
         "a ripple over position, one column per event."
@@ -199,8 +200,8 @@ def views_section(diagnosis: Diagnosis) -> Section | None:
         "The residual from every side",
         Picture(
             figures.views_figure(diagnosis.views),
-            "Mean residual force before (orange) and after (blue); the grey band is what a healthy record shows. "
-            "What leaves the band after the extension is still unexplained.",
+            "Mean residual force of the model as it was and, where it was extended, of the better one"
+            + ("; the grey band is what a healthy record shows. What still leaves it is unexplained." if band else "."),
             "Residual over every quantity",
         ),
         *blocks,

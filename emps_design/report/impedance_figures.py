@@ -13,17 +13,24 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-    from emps_design.comanipulation.run import Run
+    from emps_design.comanipulation.run import TaskRun
     from emps_design.comanipulation.study import MismatchStudy
     from emps_design.comanipulation.wall_contact import WallContact
     from emps_design.control.impedance.passivity import ContactMap
     from emps_design.control.impedance.robustness import StabilityMap
 
-VERDICT_COLORS = {"stable": GREEN, "dead_band": BLUE, "creeping": ORANGE, "limit_cycle": PURPLE, "unstable": RED}
+VERDICT_COLORS = {
+    "stable": GREEN,
+    "dead_band": BLUE,
+    "no_motion": GREY,
+    "creeping": ORANGE,
+    "limit_cycle": PURPLE,
+    "unstable": RED,
+}
 _COLORS = (BLUE, RED, GREEN, PURPLE)
 
 
-def task_figure(runs: Mapping[str, Run]) -> Figure:
+def task_figure(runs: Mapping[str, TaskRun]) -> Figure:
     """Draw Fig. 12: force of the hand, velocity and position against time, one line for each of ``runs``."""
     rows = (("force $\\tau_e$ [N]", "tau_e", 1.0), ("velocity [mm/s]", "v", 1e3), ("position [mm]", "q", 1e3))
     with look():
@@ -56,7 +63,7 @@ def apparent_impedance_figure(omega: np.ndarray, curves: Mapping[str, np.ndarray
             top.loglog(omega, np.abs(response), color=color, label=name)
             bottom.semilogx(omega, np.degrees(np.unwrap(np.angle(response))), color=color)
         for axes in (top, bottom):
-            axes.axvspan(omega[0], 20.0, color="#EEF7FD", linewidth=0, zorder=0)
+            axes.axvspan(omega[0], 20.0, color="#DCEEFB", linewidth=0, zorder=0)
         top.set_ylabel("impedance [N/(m/s)]")
         bottom.set_ylabel("phase [deg]")
         bottom.set_xlabel("frequency [rad/s]")

@@ -79,13 +79,14 @@ def velocity_section(velocity: VelocityLoopDesign, step: StepResponse, sampled: 
         Picture(
             bode_figure(error, period),
             "The loop of the specification. The vertical bars are the phase margin (lower picture, above −180°) "
-            "and the gain margin (upper picture, below 0 dB). Red is the loop as implemented, up to Nyquist.",
+            "and the gain margin (upper picture, below 0 dB). The sampled curve, up to Nyquist, is the loop as "
+            "implemented.",
             "Bode diagram, broken at the velocity error",
         ),
         Picture(
             bode_figure(plant, period),
             "The loop that delay acts on. It crosses 0 dB at a higher frequency, where the same delay costs more "
-            "phase; the distance between blue and red is what the implementation takes.",
+            "phase; the distance between the two curves is what the implementation takes.",
             "Bode diagram, broken at the plant input",
         ),
         Picture(

@@ -30,7 +30,9 @@ class Field:
         }
         self.whole = isinstance(choice.step, int)
         widget = pn.widgets.IntInput if self.whole else pn.widgets.FloatInput
-        self.field = widget(**self.options, width=width, margin=(2, 6, 2, 6))
+        # With bounds the browser would keep a number outside them to itself, over a design that it does not belong to.
+        unbounded = {key: option for key, option in self.options.items() if key not in ("start", "end")}
+        self.field = widget(**unbounded, width=width, margin=(2, 6, 2, 6))
         self.shown = (self.field,)
         self.field.param.watch(self._heard, "value")
 
@@ -39,6 +41,13 @@ class Field:
             return
         self.set(event.new)
         self.on_change(self.name, event.new)
+
+    def restore(self, value: float) -> None:
+        """Show ``value`` again in place of one that was just typed and refused."""
+        if pn.state.curdoc is None:
+            self.set(value)
+        else:  # the browser is told of a value that replaces the one it has just sent only after this event
+            pn.state.curdoc.add_next_tick_callback(lambda: self.set(value))
 
     def set(self, value: float) -> None:
         """Show ``value`` without telling anybody."""

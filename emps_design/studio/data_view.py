@@ -19,6 +19,11 @@ from emps_design.studio.state import FRICTIONS, State
 
 LIMIT_MB = 100
 SUFFIXES = (".mat", ".csv", ".npz")
+# The dropper is content with every file that arrived whole; one that is refused must not wear its green tick.
+REFUSED = """
+[data-filepond-item-state="processing-complete"] .filepond--item-panel { background-color: #9b1c1c !important; }
+.filepond--processing-complete-indicator, .filepond--file-status { display: none !important; }
+"""
 INTRODUCTION = """
 <h3>What a record tells</h3>
 <table class="about">
@@ -130,14 +135,27 @@ class DataView:
         try:
             self._show(read_upload(name, content))
         except EmpsError as error:
+            self._withdraw()
             self._say(str(error), "stop")
+
+    def _withdraw(self) -> None:
+        """Show no record and no result: after a refused upload the ones before would stand under its name."""
+        self.job.stop()
+        self.record, self.model = None, None
+        self.take.disabled = True
+        for button in self.buttons.values():
+            button.disabled = True
+        self.drop.stylesheets = [REFUSED]
+        self.about.object, self.result.object = INTRODUCTION, ""
 
     def _show(self, record: Record) -> None:
         from emps_design.report import style
         from emps_design.report.record_figures import record_figure
 
+        self.job.stop()
         self.record, self.model = record, None
         self.take.disabled = True
+        self.drop.stylesheets = []
         for button in self.buttons.values():
             button.disabled = False
         notes = "".join(f"<br>{inline(warning)}" for warning in record.warnings)
@@ -159,7 +177,12 @@ class DataView:
             return
         work = WORK[name]
         record, axis, friction = self.record, self._machines()[self.machine.value], self.friction.value
-        if self.job.start(lambda progress: work(record, axis, friction, progress), self._done, self._failed):
+
+        def of_this_record(show: Callable[[Any], None]) -> Callable[[Any], None]:
+            return lambda outcome: show(outcome) if self.record is record else None
+
+        outcome = of_this_record(self._done), of_this_record(self._failed)
+        if self.job.start(lambda progress: work(record, axis, friction, progress), *outcome):
             self._say(f"{name} is at work on {record.name}", "note")
 
     def _failed(self, message: str) -> None:

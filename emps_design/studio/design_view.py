@@ -99,18 +99,25 @@ class DesignView:
             self.turn(name, value)
 
     def turn(self, name: str, value: Any) -> None:
-        """Change one number or word of the state, from whichever tab, and show what comes of it."""
+        """Change one number or word of the state, from whichever tab, and show what comes of it.
+
+        What is refused changes nothing: the control shows again what the pictures and the numbers stand for.
+        """
+        before = self.state
         try:
             self.state = self.state.changed(**{name: value})
+            if name in self.knobs:
+                self.knobs[name].set(value)
+            if name == "place":
+                self._show_pinned()
+            elif name in self.knobs or name in self.words:
+                self._design()
         except EmpsError as error:
-            self._say(str(error), "stop")
-            return
-        if name in self.knobs:
-            self.knobs[name].set(value)
-        if name == "place":
-            self._show_pinned()
-        elif name in self.knobs or name in self.words:
-            self.refresh()
+            self.state = before
+            self._show_controls()
+            if name in self.knobs:
+                self.knobs[name].restore(getattr(before, name))
+            self._say(f"{error}; the design stays as it was", "stop")
         self._changed(self.state)
 
     def _pinned(self, event) -> None:
@@ -146,6 +153,11 @@ class DesignView:
     def set_state(self, state: State) -> None:
         """Show ``state`` in every control, and design on it."""
         self.state = state
+        self._show_controls()
+        self._show_pinned()
+
+    def _show_controls(self) -> None:
+        state = self.state
         self._quiet = True
         try:
             for name, knob in self.knobs.items():
@@ -155,7 +167,6 @@ class DesignView:
             self.pin.value = state.pinned is not None
         finally:
             self._quiet = False
-        self._show_pinned()
 
     def _feasible_note(self) -> tuple[str, bool]:
         """Move the state to what can be reached; why it moved or where it ends, and whether there is a design."""
@@ -181,15 +192,19 @@ class DesignView:
         return " ".join(filter(None, notes)), not reachable.empty
 
     def refresh(self) -> None:
-        """Design what the state asks for and show it; a specification that cannot be had stays unreachable."""
+        """Design what the state asks for and show it; where there is no design, show none and say why."""
+        try:
+            self._design()
+        except EmpsError as error:
+            self.design = None
+            self.numbers.object = self.laws.object = ""
+            self._say(f"{error}; there is no design, the pictures are of the one before", "stop")
+
+    def _design(self) -> None:
         from emps_design.studio.exports import velocity_design
 
         notes, reached = self._feasible_note()
-        try:
-            self.design = velocity_design(self.state)
-        except EmpsError as error:
-            self._say(str(error), "stop")
-            return
+        self.design = velocity_design(self.state)
         self._say(notes, "note" if reached else "stop")
         state = self.state
         self.plots.update(self.design, state.place)

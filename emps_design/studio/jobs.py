@@ -31,7 +31,7 @@ class Job:
         self.bar = pn.indicators.Progress(label="Progress", value=0, max=100, width=300, margin=(14, 8))
         self.stage = pn.pane.HTML("", margin=(8, 4))
         self.cancel = pn.widgets.Button(label="Cancel work", width=110, margin=(4, 6))
-        self.cancel.on_click(lambda event: self._stop.set())
+        self.cancel.on_click(lambda event: self.stop())
         self.view = pn.Row(self.cancel, self.bar, self.stage, margin=0, visible=False)
         self._stop = threading.Event()
         self._now: tuple[str, float] = ("", 0.0)
@@ -42,6 +42,10 @@ class Job:
     def running(self) -> bool:
         """Whether work is going on."""
         return self._poll is not None
+
+    def stop(self) -> None:
+        """Ask the work that is going on, if any, to stop."""
+        self._stop.set()
 
     def start(
         self, work: Callable[[Callable], Any], done: Callable[[Any], None], failed: Callable[[str], None]

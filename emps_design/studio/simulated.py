@@ -12,7 +12,7 @@ from emps_design.studio.state import State
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from emps_design.comanipulation.run import Run
+    from emps_design.comanipulation.run import TaskRun
     from emps_design.comanipulation.study import MismatchStudy
     from emps_design.comanipulation.wall_contact import WallContact
 
@@ -22,7 +22,7 @@ class Simulated:
     """The runs by name, the study over the mismatch, and the push into the wall."""
 
     state: State
-    runs: dict[str, Run]
+    runs: dict[str, TaskRun]
     study: MismatchStudy
     worst: dict[str, Any]
     wall: WallContact
@@ -50,7 +50,7 @@ class Simulated:
             ("verdict, exact estimates", exact.replace("_", " ")),
             (f"verdict, worst within ±{state.mismatch_percent:g} %", worst["verdict"].replace("_", " ")),
             ("estimates of the worst", off),
-            ("neither unstable nor cycling", f"{100 * share:.4g} %{among}"),
+            ("come to rest when let go", f"{100 * share:.4g} %{among}"),
             ("worst: apparent mass, damping", felt),
             ("worst: peak voltage", quantity(worst["peak_voltage"], "V")),
             ("worst: rms force of the hand", quantity(worst["effort"]["rms_force"], "N")),
@@ -68,7 +68,7 @@ class Simulated:
         """What to see in each of the pictures."""
         state = self.state
         return {
-            "task": "The hand lets go at half time: the carriage must then come to rest, not creep on or swing.",
+            "task": "The hand lets go after 5 s: the carriage must then come to rest, not creep on or swing.",
             "wall": f"A push of {state.push:g} N into a wall of {state.wall:g} N/mm, exact estimates: "
             f"{self.wall.verdict}. The position must come to rest at the wall, not bounce off it for ever.",
             "plants": f"What estimates up to {state.mismatch_percent:g} % wrong do: apparent mass and damping, "
@@ -80,19 +80,18 @@ def simulate(state: State, progress: Callable[[str, float], None] | None = None)
     """Run the impedance law of ``state`` through its task, over its mismatch, and into its wall."""
     from emps_design.comanipulation.run import run_task
     from emps_design.comanipulation.study import mismatch_study
-    from emps_design.comanipulation.task import guided_task, pushed_task
+    from emps_design.comanipulation.task import fitted_task
     from emps_design.comanipulation.wall_contact import push_into_wall
     from emps_design.control.impedance.law import FrictionModel, impedance_law
     from emps_design.control.impedance.sampled import Clock, Environment, sampled_loop
 
     tell = progress or (lambda stage, share: None)
     axis, mismatch, stiffness = state.axis, state.mismatch_percent / 100.0, state.wall * 1e3
-    period = axis.sampling.period
     law = impedance_law(axis, state.mass, state.damping, state.filter)
     if state.task == "guided":
-        task = guided_task(period, hand=(state.hand_stiffness, state.hand_damping))
+        task = fitted_task(axis, law, mismatch, hand=(state.hand_stiffness, state.hand_damping))
     else:
-        task = pushed_task(period, force=state.push)
+        task = fitted_task(axis, law, mismatch, force=state.push)
     study = mismatch_study(
         axis,
         law,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
-from emps_design.control.impedance.sampled import Clock, sampled_loop, sampled_loops
+from emps_design.control.impedance.sampled import Clock, Environment, sampled_loop, sampled_loops
 from emps_design.control.plant.discretisation import ESTIMATORS
 
 
@@ -36,7 +36,9 @@ def impedance_error(
     return np.sqrt(np.mean(np.abs(found / target - 1.0) ** 2, axis=1))
 
 
-def relay_oscillation(law: ImpedanceLaw, plant: FrictionModel, clock: Clock) -> tuple[float, float] | None:
+def relay_oscillation(
+    law: ImpedanceLaw, plant: FrictionModel, clock: Clock, wall: float = 0.0
+) -> tuple[float, float] | None:
     """Predict the oscillation the Coulomb compensation can keep up: (frequency [rad/s], velocity amplitude [m/s]).
 
     The law pushes with ``r c Fh_c sign(v_k)`` at once, but takes back what its current already does only through the
@@ -45,19 +47,20 @@ def relay_oscillation(law: ImpedanceLaw, plant: FrictionModel, clock: Clock) -> 
 
         (4/pi) (-F_c Y_e(jw) + r c Fh_c Y_c(jw) e^{j angle(v_k/v)}) = A > 0
 
-    with Y_e, Y_c the mean velocity per force at the hand and per force added to the law's. Looked for between 0.5
-    rad/s and a quarter of the Nyquist frequency; the largest is returned, None if there is none. An approximation:
-    simulated speeds are up to twice as large and, since the carriage lingers near rest, frequencies two to six times
-    lower; sticking may end the oscillation before it settles. It explains a limit cycle and does not promise one.
+    with Y_e, Y_c the mean velocity per force at the hand and per force added to the law's, both against a ``wall``
+    [N/m] where one is given. Looked for between 0.5 rad/s and a quarter of the Nyquist frequency (half of it against a
+    wall); the largest is returned, None if there is none. An approximation: simulated speeds are up to twice as large
+    and, since the carriage lingers near rest, frequencies two to six times lower; sticking may end the oscillation
+    before it settles. It explains a limit cycle and does not promise one.
     """
-    omega = np.geomspace(0.5, 0.25 * np.pi / clock.period, 600)
+    omega = np.geomspace(0.5, (0.5 if wall else 0.25) * np.pi / clock.period, 600)
     back = np.exp(-1j * omega * clock.period)
     newer, older = ESTIMATORS[law.velocity_estimator]
     turn = (newer + older * back) * back  # of the velocity the law sees, against the mean over the period that follows
     found = []
     for direction in (1, -1) if plant.two_quadrant else (1,):
         i = 0 if direction > 0 else 1
-        loop = sampled_loop(law, plant, clock, direction)
+        loop = sampled_loop(law, plant, clock, direction, Environment(stiffness=wall))
         helping = law.coulomb_factor * law.estimate.coulomb[i] * loop.response(omega, by="coulomb")
         balance = (4.0 / np.pi) * (helping * turn / np.abs(turn) - plant.coulomb[i] * loop.response(omega))
         real, imag = balance.real, balance.imag

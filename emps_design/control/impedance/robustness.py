@@ -27,7 +27,8 @@ from emps_design.control.impedance.sampled import (
 )
 from emps_design.errors import InputError
 
-VERDICTS = ("stable", "dead_band", "creeping", "limit_cycle", "unstable")  # by rising severity
+# By rising severity; ``no_motion``: the carriage was not moving when it was let go, so nothing is known of it.
+VERDICTS = ("stable", "dead_band", "no_motion", "creeping", "limit_cycle", "unstable")
 
 
 def check_mismatch(mismatch: float) -> float:
@@ -113,19 +114,19 @@ def verdict(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, resolution: f
     if abs(recursion_poles(law, clock)[0]) > 1.0 + MARGINAL:
         return "limit_cycle"
     drifts = [drift_speed(law, plant, direction) for direction in directions]
-    threshold = drift_threshold(clock.period, resolution)
+    threshold = drift_threshold(clock.period, resolution, law.velocity_estimator)
     if max(drifts) > threshold:
         return "creeping"
     return "dead_band" if min(drifts) < -threshold else "stable"
 
 
-def drift_threshold(period: float, resolution: float) -> float:
-    """Speed [m/s] below which neither creep nor a dead band is reported: five encoder steps per period.
+def drift_threshold(period: float, resolution: float, velocity_estimator: str = "two_tap") -> float:
+    """Speed [m/s] below which friction cannot keep a creep up, nor be seen to end it: one encoder step in an estimate.
 
-    Slower than that the encoder decides, not friction: where Coulomb friction is compensated almost exactly, the sign
-    of the quantised velocity keeps the carriage moving by a step or two a period. 0.25 mm/s on ``emps2018``.
+    An estimate over one period (backward) or two (two_tap) that sees no step is 0 and compensates no friction. So a
+    creep of less than one step in that time ends, a faster one goes on. 0.025 mm/s on ``emps2018``, two_tap.
     """
-    return max(5.0 * resolution / period, 1e-6)
+    return max(resolution / period / (2.0 if velocity_estimator == "two_tap" else 1.0), 1e-6)
 
 
 def worst_radius(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mismatch: float, masses, filters) -> np.ndarray:

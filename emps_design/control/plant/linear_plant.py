@@ -170,6 +170,11 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
         C[own] += s_x
         first += size
         warnings += member.left_out(velocity, tau)
+    if not mass > 0.0:
+        names = " and ".join(entry.kind for entry in axis.effects)
+        raise InputError(
+            f"effects: {mass:.4g} kg are left on the encoder's side of {names}, expected shares that leave some"
+        )
     A[VELOCITY] = ((1.0 - drag_tau) * force_row - drag) / mass
     B[VELOCITY] = (1.0 - drag_tau) * force_in / mass
     E[VELOCITY] = 1.0 / mass

@@ -141,7 +141,7 @@ def sweep_sampled_margins(
         piece = chosen[start : start + 2000]
         gain, time = k[piece], t[piece]
 
-        def response(w: np.ndarray, rows: np.ndarray, gain=gain, time=time) -> np.ndarray:
+        def response(w: np.ndarray, rows: np.ndarray, gain: np.ndarray = gain, time: np.ndarray = time) -> np.ndarray:
             P = plant.response(w)
             integrator = plant.period / (1.0 - np.exp(-1j * w * plant.period))
             if at == "plant-input":

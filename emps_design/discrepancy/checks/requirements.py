@@ -11,11 +11,19 @@ from emps_design.errors import RecordError
 from emps_design.records import Record
 
 SLOWEST_PERIOD = 0.8 * 0.5 / CUTOFF_HZ  # s, for the filters of the missing force
+MEMORY = 1700  # bytes for each sample, measured on an hour at 1 kHz
+MOST_SAMPLES = 1_000_000  # 1.7 GB
 DRIVE = {"gtau", "kp", "kv"}  # numbers of the drive that a record may carry
 
 
 def check_records(records: tuple[Record, ...], axis: Axis) -> list[str]:
     """Refuse what cannot be judged; return what the records cannot tell, one sentence each."""
+    samples = sum(map(len, records))
+    if samples > MOST_SAMPLES:
+        raise RecordError(
+            f"{', '.join(record.name for record in records)}: found {samples} samples, expected at most {MOST_SAMPLES} "
+            f"in all: a diagnosis takes {MEMORY / 1e3:g} kB of memory for each; cut the records to what tells most"
+        )
     gaps: list[str] = []
     for record in records:
         period = axis.sampling.period

@@ -129,6 +129,12 @@ def test_an_actuator_too_weak_for_the_motion_is_said():
         linear_plant(with_effect(IDEAL, "actuator_deadzone", width=10.0))
 
 
+def test_no_mass_left_on_the_encoders_side_is_refused():
+    coupling = {"kind": "flexible_coupling", "frequency": 50.0, "damping": 0.0, "share": 0.5}
+    with pytest.raises(InputError, match="0 kg are left on the encoder's side of flexible_coupling and"):
+        linear_plant(IDEAL.replace(effects=[coupling, coupling]))
+
+
 @pytest.mark.parametrize("kind", ["elastic_force", "end_stop"])
 def test_the_nearest_pair_is_found_on_a_spring(kind):
     """A force over position leaves a root on z = 1 that no velocity shows; it is no instability."""

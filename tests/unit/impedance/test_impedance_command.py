@@ -29,7 +29,10 @@ def test_json_has_the_contracts_keys(capsys):
     assert 1e3 * mismatch["creep_speed"] == pytest.approx(3.84, abs=0.005)
     assert mismatch["dead_band"] == pytest.approx(0.3476, abs=1e-4)
     assert mismatch["worst"]["verdict"] == "creeping"
-    assert mismatch["stable_share"] == 1.0
+    assert mismatch["bounded_share"] == 1.0
+    assert mismatch["stable_share"] < 0.8  # the others creep
+    assert set(mismatch["not_varied"]) >= {"force_gain", "filter"}
+    assert {one["verdict"] for one in mismatch["beyond"]} <= {"creeping", "limit_cycle", "unstable"}
     assert found["equivalent_loop"]["k_e1"] == 0.01
     assert found["equivalent_loop"]["criterion"] == "low_frequency"
     assert any("Coulomb factor of 0.9804" in warning for warning in found["warnings"])
@@ -86,7 +89,7 @@ def test_text_output_names_what_an_engineer_signs(capsys):
     status, out, _ = called(capsys, "emps2018-two-quadrant", "--mass", "50", "--damping", "100", "--mismatch", "0.02",
                             "--plants", "5")  # fmt: skip
     assert status == 0
-    for words in ("as printed", "creep speed", "dead band", "Coulomb factor", "stable plants", "worst"):
+    for words in ("as printed", "creep speed", "dead band", "Coulomb factor", "plants that come to rest", "worst"):
         assert words in out
 
 

@@ -152,7 +152,7 @@ def test_acceleration_filtered_and_current_not_diverges(axis):
     law = impedance_law(axis, 50.0, 100.0, 200.0, current_filter=math.inf)
     assert run_task(axis, law.with_errors(over(0.02)), guided_task(1e-3)).verdict == "unstable"
     assert run_task(axis, law.with_errors(over(-0.02)), guided_task(1e-3)).verdict == "dead_band"
-    free = axis.replace(drive={"voltage_limit": 1e15})  # nothing but the divergence itself
+    free = axis.replace(drive={"voltage_limit": 1e10})  # nothing but the divergence itself
     assert run_task(free, law.with_errors(over(0.02)), guided_task(1e-3)).measures.diverged[0] == 1.0
 
 
@@ -267,14 +267,14 @@ def test_study_covers_corners_and_interval(axis):
     found = study.to_dict()
     assert len(found["corners"]) == 8
     assert sum(found["verdicts"].values()) == 300
-    share, low, high = study.stable_share
+    share, low, high = study.bounded_share
     assert 0.2 < low < share < high < 0.7  # about half of them: those with an over-estimated mass diverge
     assert found["worst"]["verdict"] == "unstable"
     unstable = study.verdict == VERDICTS.index("unstable")
     assert np.mean(unstable == (study.radius > 1.0)) > 0.95  # poles and simulation, plant by plant
     assert np.all(np.isnan(study.error[study.radius > 1.0 + 1e-6]))
     none = mismatch_study(axis, impedance_law(axis, 50.0, 100.0), 0.02, 0)
-    assert none.stable_share[0] == 1.0
+    assert (none.stable_share[0], none.bounded_share[0]) == (0.5, 1.0)  # half of the corners creep
     assert math.isnan(none.stable_share[1])
 
 
@@ -284,13 +284,13 @@ def test_what_is_not_a_number_has_a_word(axis):
     assert "stable_share_interval is undefined" in words
     assert "error is undefined" in words
     weak = mismatch_study(axis, impedance_law(axis, 50.0, 100.0), 0.0, 5, task=pushed_task(1e-3, force=5.0))
-    assert weak.warnings == (
-        "what was felt (mass, damping, r2, force_per_speed) is undefined for plants that never moved",
-    )
+    assert len(weak.warnings) == 1
+    assert weak.warnings[0].startswith("no verdict for 13 of 13 plants: the carriage stood when it was let go")
 
 
 def test_interval_covers_all_stable_as_clopper_pearson(axis):
-    study = mismatch_study(axis, impedance_law(axis, 50.0, 100.0), 0.02, 100, task=guided_task(1e-3, 4.0))
+    careful = impedance_law(axis, 50.0, 100.0, coulomb_factor=1.0 / 1.02)
+    study = mismatch_study(axis, careful, 0.02, 100, task=guided_task(1e-3, 4.0))
     share, low, high = study.stable_share
     assert (share, high) == (1.0, 1.0)
     assert low == pytest.approx(0.025 ** (1 / 100))

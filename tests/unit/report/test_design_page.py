@@ -17,10 +17,14 @@ from emps_design.report.design import design_page, design_results
 from emps_design.report.loop_figures import velocity_loop_figures
 from emps_design.report.loops import broken_loops
 
+EVERYTHING = {
+    "crossover": 100.0, "phase_margin_deg": 60.0, "k_e1": 0.01, "environment": 1e4, "mass": 50.0, "damping": 100.0,
+}  # fmt: skip
+
 
 @pytest.fixture(scope="module")
 def page():
-    return assemble_report("emps2018", crossover=100.0, phase_margin_deg=60.0).page.html()
+    return assemble_report("emps2018", **EVERYTHING).page.html()
 
 
 @pytest.fixture
@@ -56,6 +60,36 @@ def test_the_page_tells_what_the_printed_law_costs_and_where_print_and_derivatio
         assert said in page, said
 
 
+def test_a_page_has_the_sections_that_were_asked_for():
+    """No force loop and no impedance law, and no word of theirs, unless asked for or in the axis's controller."""
+    report = assemble_report("emps2018", crossover=100.0)
+    html = report.page.html()
+    assert report.impedance is None
+    assert report.results.force is None
+    assert not {"impedance", "force_loop"} & set(report.to_dict())
+    assert "<h2>Force loop" not in html
+    assert "<h2>Impedance law" not in html
+    assert 'class="callout stop"' not in html
+    assert not [text for text in report.warnings if "creep" in text or "passive" in text]
+
+
+def test_the_axis_brings_its_own_sections():
+    axis = machine("emps2018")
+    cascaded = axis.replace(controller={"kind": "ip_velocity", "k_v1": 556.0, "t_v": 8.4e-3, "k_e1": 2e-3})
+    assert assemble_report(cascaded, crossover=100.0).results.force.k_e1 == 2e-3
+    impedance = axis.replace(controller={"kind": "impedance", "mass": 60.0, "damping": 120.0})
+    assert assemble_report(impedance, crossover=100.0).impedance.law.mass == 60.0
+    assert assemble_report(axis, crossover=100.0, hand=50.0).results.force.hand == 50.0
+
+
+def test_captions_name_no_colour_of_a_line(page):
+    """The palette is for colour-blind readers; what one sees as red another sees as orange. Legends name the lines."""
+    captions = [piece.partition("<h2>")[0].partition("<svg")[0] for piece in re.split(r"<b>Figure \d+\.", page)[1:]]
+    assert len(captions) == 14
+    named = [text for text in captions if re.search(r"\b(red|blue|orange|green|purple)\b", text, re.IGNORECASE)]
+    assert named == []
+
+
 def test_an_unstable_impedance_law_is_announced_first():
     report = assemble_report("emps2018", crossover=100.0, mass=1.0, damping=1.0)
     html = report.page.html()
@@ -65,7 +99,7 @@ def test_an_unstable_impedance_law_is_announced_first():
 
 
 def test_the_page_is_small_closed_and_repeatable(page):
-    assert page == assemble_report("emps2018", crossover=100.0, phase_margin_deg=60.0).page.html()
+    assert page == assemble_report("emps2018", **EVERYTHING).page.html()
     assert len(page.encode()) < 3_000_000
     assert not re.findall(r'(?:src|href)="(?!#)', page)
 
