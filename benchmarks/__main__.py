@@ -2,7 +2,7 @@
 
 Times are medians of one process on this machine: processor time where one thread works, so that other work on the
 machine counts little, wall time where several do. What counts are the ratios. Peers that are not there are left out
-with a word. The record is DATA_EMPS where it can be found, otherwise a synthetic record of the same length.
+with a note. The record is DATA_EMPS where it can be found, otherwise a synthetic record of the same length.
 """
 
 from __future__ import annotations

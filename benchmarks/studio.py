@@ -40,7 +40,7 @@ TURNS = """async () => {
 
 
 def studio(rows: list[dict]) -> None:
-    """Measure both; what is not installed is left out with a word."""
+    """Measure both; what is not installed is left out with a note."""
     try:
         import panel  # noqa: F401
     except ImportError:

@@ -45,7 +45,7 @@ Law = ImpedanceLaw | CascadeLaw
 
 
 @dataclass(frozen=True)
-class Run:
+class TaskRun:
     """One simulated task: ``t`` [s], ``q`` [m], ``v`` [m/s], ``tau_e`` [N], ``u`` [V], ``encoder`` [m], each (n,).
 
     Where the simulation found the loop unstable and gave up, the signals end there.
@@ -65,7 +65,7 @@ class Run:
         return VERDICTS[int(self.measures.verdict[0])]
 
 
-def run_task(axis: Axis, law: Law, task: Task) -> Run:
+def run_task(axis: Axis, law: Law, task: Task) -> TaskRun:
     """Simulate ``law`` on ``axis`` with all its effects through ``task``, and keep the whole trace.
 
     >>> from emps_design.machines import machine
@@ -77,7 +77,7 @@ def run_task(axis: Axis, law: Law, task: Task) -> Run:
     """
     raw, out, good = _blocks(axis, [law], task)
     rows = dict(zip(("encoder", "q", "v", "u", "tau_e"), out[:, : min(good, len(task.push))], strict=True))
-    return Run(t=task.time[: len(rows["q"])], measures=_measures(axis, [law], raw), **rows)
+    return TaskRun(t=task.time[: len(rows["q"])], measures=_measures(axis, [law], raw), **rows)
 
 
 def run_many(

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from emps_design.axis import Axis
-from emps_design.comanipulation.run import CascadeLaw, Run, run_task
+from emps_design.comanipulation.run import CascadeLaw, TaskRun, run_task
 from emps_design.comanipulation.task import guided_task
 from emps_design.control.impedance.equivalence import equivalent_impedance
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
@@ -23,7 +23,7 @@ class SensorComparison:
     carriage in motion: nothing definite for the cascade, whose integral breaks it away in time.
     """
 
-    runs: dict[str, dict[float, Run]]
+    runs: dict[str, dict[float, TaskRun]]
     break_away: dict[str, float | None]
 
     def to_dict(self) -> dict[str, Any]:

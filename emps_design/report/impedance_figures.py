@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-    from emps_design.comanipulation.run import Run
+    from emps_design.comanipulation.run import TaskRun
     from emps_design.comanipulation.study import MismatchStudy
     from emps_design.comanipulation.wall_contact import WallContact
     from emps_design.control.impedance.passivity import ContactMap
@@ -30,7 +30,7 @@ VERDICT_COLORS = {
 _COLORS = (BLUE, RED, GREEN, PURPLE)
 
 
-def task_figure(runs: Mapping[str, Run]) -> Figure:
+def task_figure(runs: Mapping[str, TaskRun]) -> Figure:
     """Draw Fig. 12: force of the hand, velocity and position against time, one line for each of ``runs``."""
     rows = (("force $\\tau_e$ [N]", "tau_e", 1.0), ("velocity [mm/s]", "v", 1e3), ("position [mm]", "q", 1e3))
     with look():

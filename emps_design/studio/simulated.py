@@ -12,7 +12,7 @@ from emps_design.studio.state import State
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from emps_design.comanipulation.run import Run
+    from emps_design.comanipulation.run import TaskRun
     from emps_design.comanipulation.study import MismatchStudy
     from emps_design.comanipulation.wall_contact import WallContact
 
@@ -22,7 +22,7 @@ class Simulated:
     """The runs by name, the study over the mismatch, and the push into the wall."""
 
     state: State
-    runs: dict[str, Run]
+    runs: dict[str, TaskRun]
     study: MismatchStudy
     worst: dict[str, Any]
     wall: WallContact
