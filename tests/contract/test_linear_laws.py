@@ -87,10 +87,13 @@ def test_the_pure_algebra_is_the_derived_law():
     i = impedance_file
     observed = i.observed_force(d.M_h, d.F_vh, d.F_ch * d.S, 1, d.qdd, d.qd, d.G_ti * d.current)
     assert (observed - derived_law()["29"].expression).expand() == 0
-    demanded = i.demanded_force(d.M_h / d.M_a, d.B, 0, d.F_vh, d.F_ch * d.S, d.qd, 0, d.tau_e)
-    assert (demanded - derived_law()["28"].expression).expand() == 0
-    both = i.demanded_force(d.M_h / d.M_a, d.B, 0, d.F_vh, d.F_ch * d.S, d.qd, 0, observed)
-    assert (both - derived_law()["30"].expression).expand() == 0
+    believed = (d.F_vh, d.F_ch * d.S, d.qd)
+    still = i.demanded_force(d.M_h / d.M_a, d.B, 0, *believed, 0, d.tau_e, 0, 0)
+    assert (still - derived_law()["28"].expression).expand() == 0
+    sensorless = i.demanded_force(d.M_h / d.M_a, d.B, 0, *believed, 0, observed, 0, 0)
+    assert (sensorless - derived_law()["30"].expression).expand() == 0
+    moving = i.demanded_force(d.M_h / d.M_a, d.B, d.K, *believed, d.q - d.q_0, d.tau_e, d.qd_0, 0)
+    assert (moving - derived_law()["27"].expression).expand() == 0
 
 
 @pytest.mark.parametrize("estimator", ["two_tap", "backward"])

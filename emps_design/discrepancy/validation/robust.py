@@ -26,11 +26,16 @@ def robust(fitted: Fit) -> Fit:
     residual it leaves more.
     """
     model, covariance, slots = fitted.model, fitted.covariance, fitted.model.slots()
+    numbers = [model.vector(slots)]
     for _ in range(REWEIGHTED):
         noise = floor_of_residual(fitted.with_model(model).left(), fitted.problem.period, LEFT)
         weighed = fitted.problem.with_whitening(noise.whitening)
         found = descend(model, slots, partial(_loss, weighed), STEPS)
         model, covariance = found.model, found.covariance
+        numbers.append(model.vector(slots))
+    # A number that depends on how the structure is weighed is not known better than it moved.
+    wider = np.maximum(1.0, np.ptp(numbers, axis=0) / np.sqrt(np.maximum(np.diag(covariance), 1e-300)))
+    covariance = covariance * np.outer(wider, wider)
     return evaluate(fitted.with_model(model), slots, covariance)
 
 
