@@ -97,13 +97,11 @@ def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
     else:
         run = Plant.of(axis).open_loop(record.u, disturbance=push, q0=start, period=record.period, quantise=quantise)
         warnings.append("axis without a controller: simulated in open loop from the recorded voltage")
-    delay = axis.sampling.computation_delay if closed else 0
-    given = np.concatenate([np.zeros(delay), run.u[: len(run) - delay]])
     pairs = {
         "position": (record.q, run.q),
         "velocity": (np.gradient(record.q, record.period), np.gradient(run.q, record.period)),
         "acceleration": tuple(np.gradient(np.gradient(q, record.period), record.period) for q in (record.q, run.q)),
-        "force": (axis.drive.force_gain * record.u, axis.drive.force_gain * given),
+        "force": (axis.drive.force_gain * record.u, run.force),
     }
     relative = {name: relative_error_percent(*pair) for name, pair in pairs.items()}
     rms = {name: float(np.sqrt(np.mean((a - b)[DROPPED:] ** 2))) for name, (a, b) in pairs.items()}

@@ -80,9 +80,6 @@ def law_voltage(record: Record, axis: Axis) -> np.ndarray:
     voltage = np.array(
         [law.kernel(k, reference[k], record.q[k], sensed[k], limit, law.gains, memory) for k in range(len(record))]
     )
-    late = axis.sampling.computation_delay
-    if late:
-        voltage = np.concatenate([np.zeros(late), voltage[:-late]])
     return np.clip(voltage, -limit, limit)
 
 
@@ -120,10 +117,9 @@ def _wrong_law(record: Record, axis: Axis, swing: float, miss: float) -> str:
         f"{record.name}: the voltage follows the axis file's {axis.controller.kind} law nowhere "
         f"(misses it by {miss:.3g} V rms of {swing:.3g} V)"
     )
-    kind, late = get_law(axis.controller.kind), axis.sampling.computation_delay
+    kind = get_law(axis.controller.kind)
     if kind.propose is not None:
-        wanted = np.append(record.u[late:], np.full(late, np.nan))  # what the law said at each sample
-        wanted[:START_UP] = np.nan
+        wanted = np.where(np.arange(len(record)) < START_UP, np.nan, record.u)
         followed = law_of(axis, record.period).reference(record.q_ref, record.period)
         proposed = kind.propose(followed, record.q, wanted, axis.controller, record.period)
         if proposed is not None:

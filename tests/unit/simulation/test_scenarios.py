@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from emps_design.cli.app import run as command_line
+from emps_design.discrepancy.checks.controller_law import check_law, law_voltage
 from emps_design.errors import InputError, RecordError
 from emps_design.machines import machine
-from emps_design.simulation import Plant, Run, breakaway, replay
+from emps_design.simulation import Plant, Run, breakaway, replay, trapezoid_laps
 from emps_design.simulation import trajectories as programs
 from emps_design.simulation.reference_file import read_reference
 from emps_design.simulation.scenarios import follow
@@ -32,6 +33,19 @@ def test_replay_of_ones_own_run_is_exact():
     assert errors["force"] < 1e-8
     heavier = replay(AXIS.replace(mechanics={"mass": 105.0}), record).relative_error_percent
     assert heavier["force"] > 1.0
+
+
+@pytest.mark.parametrize("delay", [1, 3])
+def test_a_record_holds_the_voltage_before_the_computation_delay(delay):
+    """Replay in closed and in open loop, the check of the law and its proposal read a record as a run writes it."""
+    axis = AXIS.replace(sampling={"computation_delay": delay})
+    run = Plant.of(axis).closed_loop(trapezoid_laps(1e-3, laps=1))
+    record = run.record()
+    for kind in (axis, axis.replace(controller={"kind": "none"})):
+        assert max(replay(kind, record).relative_error_percent.values()) < 1e-6
+    np.testing.assert_allclose(law_voltage(record, axis), record.u, atol=1e-9)
+    with pytest.raises(InputError, match=r"kp = 160\.18 1/s and kv = 243\.45 V/\(m/s\) fit it"):
+        check_law(record, axis.replace(controller={"kp": 300.0}), ())
 
 
 def test_replay_without_a_controller_is_open_loop():
