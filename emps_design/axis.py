@@ -17,7 +17,7 @@ from pydantic.fields import FieldInfo
 from emps_design.effects import Effect, get_effect
 from emps_design.errors import AxisError, InputError, nearest_name, one_line
 from emps_design.files import read_bytes
-from emps_design.laws import NONE, Finite, NonNegative, Positive, fields_of, known_laws, parameters_of
+from emps_design.laws import NONE, Finite, NonNegative, Positive, fields_of, known_laws, parameters_of, unit_of
 from emps_design.notebook import table
 from emps_design.quantities import check_magnitude
 
@@ -43,10 +43,9 @@ class _Table(BaseModel):
 
 def _check_magnitude(name: str, value: Any, field: FieldInfo) -> None:
     """Refuse a number that no machine has; ``field`` says in which unit it is, and whether it has to be positive."""
-    extra = field.json_schema_extra
-    if isinstance(value, float) and isinstance(extra, dict) and "unit" in extra:
+    if isinstance(value, float) and field.json_schema_extra:
         positive = "gt=0" in repr((field.annotation, field.metadata))  # pydantic nests it where None is allowed too
-        check_magnitude(name, value, str(extra["unit"]), positive)
+        check_magnitude(name, value, unit_of(field), positive)
 
 
 class Mechanics(_Table):
@@ -241,7 +240,7 @@ class Axis(_Table):
 
     def _repr_html_(self) -> str:
         rows = [
-            (name, key, value, cast(dict[str, Any], field.json_schema_extra or {}).get("unit", ""))
+            (name, key, value, unit_of(field))
             for name in TABLES
             for key, field in _fields(name, self.controller.kind).items()
             if (value := getattr(getattr(self, name), key)) is not None
@@ -261,8 +260,7 @@ def _commented(text: str) -> str:
     for line in text.splitlines():
         table = line.strip("[]") if line.startswith("[") else table
         field = _fields(table, kind).get(line.partition(" = ")[0])
-        extra = field.json_schema_extra if field else None
-        unit = f" [{extra['unit']}]" if isinstance(extra, dict) else ""
+        unit = f" [{unit_of(field)}]" if unit_of(field) else ""
         lines.append(f"{line:<36}  # {field.description}{unit}" if field and field.description else line)
     return "\n".join(lines) + "\n"
 
@@ -307,8 +305,7 @@ def _first_line(error: ValidationError) -> str:
         text = problem["msg"].removeprefix("Value error, ").removeprefix("effects: ")
         return f"{place}{'.' if _is_field(path, text.partition(':')[0]) else ': '}{text}"
     field = _fields(path[0]).get(path[1]) if len(path) == 2 else None
-    extra = field.json_schema_extra if field and isinstance(field.json_schema_extra, dict) else {}
-    unit = str(extra.get("unit", ""))
+    unit = unit_of(field)
     expected = _expected(problem["type"], problem.get("ctx", {}), problem["msg"], f" [{unit}]" if unit else "")
     if problem["type"] == "missing":
         if len(path) == 1:

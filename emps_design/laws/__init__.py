@@ -16,7 +16,17 @@ from pydantic import create_model
 from pydantic.fields import FieldInfo
 
 from emps_design.errors import AxisError
-from emps_design.laws.law import Finite, Law, LawKind, LawTable, NonNegative, Positive, parameter, velocity_in_words
+from emps_design.laws.law import (
+    Finite,
+    Law,
+    LawKind,
+    LawTable,
+    NonNegative,
+    Positive,
+    parameter,
+    unit_of,
+    velocity_in_words,
+)
 from emps_design.laws.library import LAWS
 from emps_design.registry import Registry
 
@@ -117,5 +127,6 @@ __all__ = [
     "parameter",
     "parameters_of",
     "register",
+    "unit_of",
     "velocity_in_words",
 ]

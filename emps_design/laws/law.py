@@ -4,8 +4,8 @@ The kernel *is* the law, in plain Python of numbers, computed once a sample:
 
     ``u = kernel(k, reference, q, f_ext, limit, gains, memory)``
 
-``k`` counts samples from 0; ``reference`` is what the law follows, a position [m] or a velocity [m/s]; ``q`` [m] is
-what the encoder reports, ``f_ext`` [N] what a force sensor on the carriage reports; ``limit`` [V] bounds the voltage
+``k`` counts samples from 0; ``reference`` is what the law follows, one of ``FOLLOWS`` [m or m/s]; ``q`` [m] is what the
+encoder reports, ``f_ext`` [N] what a force sensor on the carriage reports; ``limit`` [V] bounds the voltage
 ``u``; ``gains`` are its numbers and ``memory`` its own, zero at first. Before the first sample the carriage stood still
 at ``q[0]``. Simulations compile it; :mod:`.linear` runs it on linear numbers, which gives a loop its poles.
 """
@@ -18,6 +18,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
+from pydantic.fields import FieldInfo
 
 from emps_design.errors import AxisError
 
@@ -25,13 +26,19 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 
-FOLLOWS = ("position", "velocity")
+FOLLOWS = ("position", "velocity", "rest position")  # the last is where a spring pulls to, and no more
 TWO_TAP = "two_tap"
 
 
 def parameter(description: str, unit: str, default: Any = ...) -> Any:
     """A field of a law's table: what it is, its unit, and its default (none: it has to be given)."""
     return Field(default, description=description, json_schema_extra={"unit": unit})
+
+
+def unit_of(field: FieldInfo | None) -> str:
+    """The unit of a field of a table, "" where it has none."""
+    extra = field.json_schema_extra if field else None
+    return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
 
 
 class LawTable(BaseModel):
@@ -46,12 +53,17 @@ class LawTable(BaseModel):
 
 @dataclass(frozen=True)
 class Law:
-    """A control law with its numbers: the kernel, its ``gains``, the length of its ``memory``, what it follows."""
+    """A control law with its numbers: the kernel, its ``gains``, the length of its ``memory``; the rest of its kind."""
 
     kernel: Callable[..., float]
     gains: np.ndarray
     memory: int
-    follows: str = "position"  # or "velocity"
+    follows: str = "position"
+    state_feedback: bool = False
+
+    def reference(self, q_ref: np.ndarray, period: float) -> np.ndarray:
+        """What the law follows (n,) [m or m/s] along the positions ``q_ref`` (n,) [m]: them, or their rate."""
+        return np.diff(q_ref, prepend=q_ref[:1]) / period if self.follows == "velocity" else q_ref
 
 
 @dataclass(frozen=True)
@@ -61,7 +73,14 @@ class LawKind:
     ``table`` is the pydantic model of its parameters, with units, bounds and descriptions. ``gains(p, axis, period)``
     gives the kernel's numbers from a table ``p``, the :class:`~emps_design.axis.Axis` it runs on and the sampling
     ``period`` [s]; ``memory`` is the length of the kernel's memory, or a function of the axis. ``equations(p, axis,
-    period)`` are the lines to paste into a drive. Raises :class:`AxisError` for a law that follows nothing known.
+    period)`` are the lines to paste into a drive.
+
+    ``state_feedback`` says that the kernel is ``u = gains[0] (reference - q) - gains[1] v`` and no more, with 1/period
+    and whether v is the two-tap estimate behind them: fused runs compute it in its place. ``apparent`` says that the
+    law gives the carriage the apparent ``mass`` and ``damping`` of its table. ``propose(reference, q, u, p, period)``
+    gives parameters by name with which the law makes a recorded voltage ``u`` best (nan: not to be fitted), or None.
+
+    Raises :class:`AxisError` for a law that follows nothing known.
     """
 
     name: str
@@ -73,6 +92,9 @@ class LawKind:
     memory: int | Callable[[Any], int]
     equations: Callable[[Any, Any, float], tuple[str, ...]]
     follows: str = "position"
+    state_feedback: bool = False
+    apparent: bool = False
+    propose: Callable[..., dict[str, float] | None] | None = None
 
     def __post_init__(self) -> None:
         if self.follows not in FOLLOWS:
@@ -88,7 +110,9 @@ class LawKind:
     def law(self, p: Any, axis: Any, period: float) -> Law:
         """The law with the numbers of the table ``p``, on ``axis``, at a sampling ``period`` [s]."""
         memory = self.memory(axis) if callable(self.memory) else self.memory
-        return Law(self.kernel, np.array(self.gains(p, axis, period), dtype=float), memory, self.follows)
+        return Law(
+            self.kernel, np.array(self.gains(p, axis, period), dtype=float), memory, self.follows, self.state_feedback
+        )
 
 
 def velocity_in_words(p: Any, period: float) -> str:

@@ -219,10 +219,10 @@ def run_linear(
     step, past = direction * SPEED * period, [0.0] * memory
     sample = memory + 4
     for k in range(sample):
-        reference = k * step if follows == "position" else direction * SPEED
+        reference = direction * SPEED if follows == "velocity" else k * step
         kernel(k, reference, k * step, 0.0, np.inf, values, past)
     at = sample * step
-    followed = Linear(at if follows == "position" else direction * SPEED, 0.0, {"reference": 1.0})
+    followed = Linear(direction * SPEED if follows == "velocity" else at, 0.0, {"reference": 1.0})
     numbers = list(gains)
     for place, name in (signals or {}).items():
         numbers[place] = Linear(values[place], 0.0, {name: 1.0})

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from emps_design.axis import Axis
 from emps_design.errors import InputError, nearest_name
+from emps_design.laws import NONE, get_law
 from emps_design.machines import load_axis, machine_names
 from emps_design.report.design import DesignResults, design_page, design_results
 from emps_design.report.page import Page, Section
@@ -138,7 +139,7 @@ def assemble_report(
         velocity = design_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg)
     assessed, stops = None, ()
     controller = loaded.controller
-    if mass is None and controller.kind == "impedance":
+    if mass is None and controller.kind != NONE and get_law(controller.kind).apparent:
         mass, damping = controller.mass, controller.damping
     if mass is not None:
         from emps_design.comanipulation.assessment import assess_impedance

@@ -233,7 +233,7 @@ def simulate_part(
 
 def _fits_lanes(axis: Axis) -> bool:
     plain = not axis.effects and axis.drive.current_time_constant == 0 and axis.sampling.computation_delay == 0
-    return plain and axis.controller.kind == "position_pd"
+    return plain and law_of(axis, axis.sampling.period).state_feedback
 
 
 def _side_by_side(task: dict[str, Any], baselines: np.ndarray) -> np.ndarray:

@@ -12,7 +12,6 @@ from emps_design.axis import Axis
 from emps_design.effects import Effect
 from emps_design.errors import InputError, SimulationError
 from emps_design.laws import Law, law_of
-from emps_design.laws.library.position_pd import position_pd
 from emps_design.simulation.environment import HAND, Hand, Wall
 from emps_design.simulation.kernels import baseline as core
 from emps_design.simulation.kernels import hold_loop as stepper
@@ -148,7 +147,7 @@ class Plant:
         q_ref = signal(q_ref, "q_ref", "m")
         law = law or law_of(self.axis, period)
         if reference is None:
-            reference = q_ref if law.follows == "position" else np.diff(q_ref, prepend=q_ref[:1]) / period
+            reference = law.reference(q_ref, period)
         else:
             reference = signal(reference, "reference", "m or m/s", q_ref.size)
         q0 = float(q_ref[0]) if q0 is None else float(q0)
@@ -250,7 +249,7 @@ class Plant:
     def _method(self, law: Law | None, noise: np.ndarray, resolution: float) -> str:
         """The fastest way that is exact for this axis."""
         delay = self.axis.sampling.computation_delay
-        if self.effects or self._lag > 0 or (law is not None and law.kernel is not position_pd):
+        if self.effects or self._lag > 0 or (law is not None and not law.state_feedback):
             return "general"
         if law is None:
             return "general" if delay or noise.size else "open"

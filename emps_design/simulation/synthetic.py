@@ -10,6 +10,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import InputError
+from emps_design.laws import known_laws
 from emps_design.records import Record
 from emps_design.records.check import SHORTEST_PERIOD
 from emps_design.simulation.plant import Plant
@@ -63,9 +64,10 @@ def synthetic_record(
     >>> record.name, record.period, len(record)
     ('synthetic-emps2019', 0.001, 18206)
     """
-    if axis.controller.kind != "position_pd":
+    following = [repr(law.name) for law in known_laws().values() if law.follows == "position"]
+    if repr(axis.controller.kind) not in following:
         raise InputError(
-            f"axis {axis.name}: found controller {axis.controller.kind!r}, expected 'position_pd': "
+            f"axis {axis.name}: found controller {axis.controller.kind!r}, expected {' or '.join(following)}: "
             "laps need a controller that follows a position"
         )
     period = axis.sampling.period

@@ -8,7 +8,7 @@ import pytest
 
 import emps_design.laws as laws
 from emps_design.axis import Axis
-from emps_design.errors import AxisError
+from emps_design.errors import AxisError, InputError
 from emps_design.laws import LAWS, fields_of, law_of
 from emps_design.machines import machine
 
@@ -76,6 +76,44 @@ def test_the_words_mention_every_gain(kind, estimator):
         assert kind.equations(other, axis, 1e-3) != said, name
     assert kind.equations(table, axis, 2e-3) != said
     assert kind.equations(table, axis.replace(drive={"voltage_limit": 7.0}), 1e-3) != said
+
+
+@EVERY
+@pytest.mark.parametrize("estimator", ["two_tap", "backward"])
+def test_a_law_that_says_state_feedback_is_that(kind, estimator):
+    """What the fused runs compute in place of the kernel, and no other law may run there."""
+    from emps_design.simulation import Plant
+
+    axis = axis_with(kind, velocity_estimator=estimator)
+    if not kind.state_feedback:
+        with pytest.raises(InputError, match="expected one of auto, general for this axis"):
+            Plant.of(axis).closed_loop(np.zeros(9), method="plain")
+        return
+    law, q, reference = law_of(axis, 1e-3), *np.random.default_rng(5).normal(0.0, 0.1, (2, 40))
+    memory = np.zeros(law.memory)
+    found = [law.kernel(k, reference[k], q[k], 0.0, 1e9, law.gains, memory) for k in range(40)]
+    before = np.concatenate([[q[0]] * 2, q])
+    v = (q - before[:40]) / 2e-3 if estimator == "two_tap" else (q - before[1:41]) / 1e-3
+    np.testing.assert_allclose(found, law.gains[0] * (reference - q) - law.gains[1] * v, rtol=1e-12, atol=1e-9)
+    assert law.gains[2:].tolist() == [1e3, estimator == "two_tap"]
+
+
+@EVERY
+@pytest.mark.parametrize("estimator", ["two_tap", "backward"])
+def test_a_law_finds_its_own_parameters_in_a_record(kind, estimator):
+    """What ``propose`` answers makes the recorded voltage, where the record was made with other numbers."""
+    if kind.propose is None:
+        assert kind.name != "position_pd"
+        return
+    axis = axis_with(kind, velocity_estimator=estimator)
+    law, random = law_of(axis, 1e-3), np.random.default_rng(6)
+    reference, q, memory = *np.cumsum(random.normal(0.0, 1e-4, (2, 300)), axis=1), np.zeros(law.memory)
+    u = np.array([law.kernel(k, reference[k], q[k], 0.0, np.inf, law.gains, memory) for k in range(300)])
+    u[:20] = np.nan
+    found = kind.propose(reference, q, u, axis.controller, 1e-3)
+    assert found == pytest.approx({name: GIVEN[kind.name][name] for name in found}, rel=1e-9)
+    assert set(found) == set(kind.needs)
+    assert kind.propose(reference, q, -u, axis.controller, 1e-3) is None
 
 
 @EVERY
@@ -174,7 +212,10 @@ def test_the_environment_names_files(own_file, tmp_path):
         ("1 / 0", "ZeroDivisionError: division by zero"),
         ("LAW = 3", "found LAW = 3, expected an emps_design.laws.LawKind"),
         (OWN.replace('"hardening"', '"impedance"'), "law impedance: the package has one of that name, choose another"),
-        (OWN.replace("memory=1,", 'memory=1, follows="force",'), "follows 'force', expected one of position, velocity"),
+        (
+            OWN.replace("memory=1,", 'memory=1, follows="force",'),
+            "follows 'force', expected one of position, velocity, rest",
+        ),
         (OWN.replace("table=Table", "table=dict"), "expected a class derived from LawTable"),
     ],
 )

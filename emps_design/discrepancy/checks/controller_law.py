@@ -6,7 +6,7 @@ explained here and nowhere else.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.partition import START_UP
 from emps_design.effects import Effect, Motion
 from emps_design.errors import InputError
-from emps_design.laws import law_of
+from emps_design.laws import get_law, law_of, unit_of
 from emps_design.records import Record
 
 BLOCK_TIME = 0.02  # s, of the means in which structure shows
@@ -75,9 +75,7 @@ def law_voltage(record: Record, axis: Axis) -> np.ndarray:
     law = law_of(axis, record.period)
     memory = np.zeros(law.memory)
     limit = axis.drive.voltage_limit
-    reference = record.q_ref
-    if law.follows == "velocity":
-        reference = np.diff(reference, prepend=reference[:1]) / record.period
+    reference = law.reference(record.q_ref, record.period)
     sensed = np.zeros(len(record)) if record.f_ext is None else record.f_ext
     voltage = np.array(
         [law.kernel(k, reference[k], record.q[k], sensed[k], limit, law.gains, memory) for k in range(len(record))]
@@ -117,19 +115,22 @@ def _noise(gap: np.ndarray) -> float:
 
 
 def _wrong_law(record: Record, axis: Axis, swing: float, miss: float) -> str:
-    """Say what the record's own law looks like, where a position law fits."""
+    """Say with which parameters the law of ``axis`` fits the record, where it does."""
     text = (
         f"{record.name}: the voltage follows the axis file's {axis.controller.kind} law nowhere "
         f"(misses it by {miss:.3g} V rms of {swing:.3g} V)"
     )
-    if axis.controller.kind == "position_pd":
-        unit = axis.replace(controller={"kp": 1.0, "kv": 1.0})
-        still = replace(record, q_ref=record.q)
-        rate = -law_voltage(still, unit.replace(drive={"voltage_limit": 1e9}))
-        columns = np.column_stack([record.q_ref - record.q, -rate])[START_UP:]
-        position, velocity = np.linalg.lstsq(columns, record.u[START_UP:], rcond=None)[0]
-        left = float(np.std(record.u[START_UP:] - columns @ (position, velocity)))
-        if left < rules.LAW_HOLDS * swing and velocity > 0:
-            fitting = f"kp = {position / velocity:.5g} 1/s and kv = {velocity:.5g} V/(m/s)"
-            return f"{text}; {fitting} fit it, correct the axis file"
+    kind, late = get_law(axis.controller.kind), axis.sampling.computation_delay
+    if kind.propose is not None:
+        wanted = np.append(record.u[late:], np.full(late, np.nan))  # what the law said at each sample
+        wanted[:START_UP] = np.nan
+        followed = law_of(axis, record.period).reference(record.q_ref, record.period)
+        proposed = kind.propose(followed, record.q, wanted, axis.controller, record.period)
+        if proposed is not None:
+            free = axis.replace(controller=proposed, drive={"voltage_limit": 1e9})
+            left = float(np.std((record.u - law_voltage(record, free))[START_UP:]))
+            if left < rules.LAW_HOLDS * swing:
+                fields = kind.table.model_fields
+                fitting = " and ".join(f"{name} = {v:.5g} {unit_of(fields[name])}" for name, v in proposed.items())
+                return f"{text}; {fitting} fit it, correct the axis file"
     return f'{text}; give the controller that made this record, or kind = "none"'

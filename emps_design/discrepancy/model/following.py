@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.laws import Law
-from emps_design.laws.library.position_pd import position_pd
+from emps_design.laws.library import position_pd
 from emps_design.records import Record
 
 BANDWIDTH_HZ = 25.0  # of the velocity loop that follows; the encoder's noise, differentiated, sets the upper end
@@ -28,7 +27,7 @@ def drive(axis: Axis, record: Record) -> dict[str, Any]:
         return start
     rate = 2 * np.pi * min(BANDWIDTH_HZ, 1 / (LEAST_SAMPLES * record.period))  # rad/s
     kp, kv = POSITION_SHARE * rate, axis.mechanics.mass * rate / axis.drive.force_gain
-    law = Law(position_pd, np.array([kp * kv, kv, 1 / record.period, 1.0]), 2)
+    law = position_pd.LAW.law(position_pd.Table(kp=kp, kv=kv), axis, record.period)
     past = np.concatenate((np.full(2, record.q[0]), record.q[:-2]))
     # The law brakes its own velocity: leading the reference by v/kp makes it act on the difference of velocities.
     lead = (record.q - past) / (2 * record.period) / kp

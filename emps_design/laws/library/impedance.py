@@ -175,4 +175,6 @@ LAW = LawKind(
     gains=gains,
     memory=lambda axis: WAITING + axis.sampling.computation_delay,
     equations=equations,
+    follows="rest position",
+    apparent=True,
 )

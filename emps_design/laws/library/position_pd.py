@@ -3,6 +3,8 @@
 Source: the data set's own description (data/emps/README.md); the voltage is limited by the drive.
 """
 
+import numpy as np
+
 from emps_design.laws.law import TWO_TAP, LawKind, LawTable, Positive, parameter, velocity_in_words
 
 
@@ -39,6 +41,16 @@ def equations(p, axis, period):
     )
 
 
+def propose(reference, q, u, p, period):
+    """Least squares: the voltage is linear in kp kv and kv."""
+    memory, fitted = [0.0, 0.0], np.isfinite(u)
+    unit = gains(Table(kp=1.0, kv=1.0, velocity_estimator=p.velocity_estimator), None, period)
+    braking = [position_pd(k, at, at, 0.0, np.inf, unit, memory) for k, at in enumerate(q)]
+    columns = np.column_stack([reference - q, braking])[fitted]
+    position, velocity = np.linalg.lstsq(columns, u[fitted], rcond=None)[0].tolist()
+    return {"kp": position / velocity, "kv": velocity} if position > 0.0 and velocity > 0.0 else None
+
+
 LAW = LawKind(
     name="position_pd",
     label="position law with velocity feedback",
@@ -48,4 +60,6 @@ LAW = LawKind(
     gains=gains,
     memory=2,
     equations=equations,
+    state_feedback=True,
+    propose=propose,
 )
