@@ -19,6 +19,7 @@ from emps_design.comanipulation.task import Task
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, law_for
 from emps_design.control.impedance.robustness import VERDICTS, drift_speed, drift_threshold
 from emps_design.errors import InputError
+from emps_design.laws.library import ip_velocity
 from emps_design.simulation.environment import Hand
 from emps_design.simulation.kernels.compile import address, cached
 from emps_design.simulation.kernels.hold_loop import DONE
@@ -28,20 +29,8 @@ from emps_design.simulation.plant import Plant
 BLOCK = 256  # plants a worker takes at a time; no number depends on it
 
 
-@dataclass(frozen=True)
-class CascadeLaw:
-    """The cascaded loop of Fig. 4 with a force sensor: velocity reference ``k_e1 tau_e``, IP velocity loop.
-
-    ``k_e1`` [(m/s)/N], ``k_v1`` [V/(m/s)], ``t_v`` [s].
-    """
-
-    k_e1: float
-    k_v1: float
-    t_v: float
-    velocity_estimator: str = "two_tap"
-
-
-Law = ImpedanceLaw | CascadeLaw
+# The cascaded loop of Fig. 4 with a force sensor, by its parameters, beside the impedance law.
+Law = ImpedanceLaw | ip_velocity.Table
 
 
 @dataclass(frozen=True)
@@ -168,19 +157,15 @@ def run_block(
 def _compiled(axis: Axis, law: Law) -> control_laws.Law:
     """``law`` as the stepper takes it."""
     period = axis.sampling.period
-    if isinstance(law, CascadeLaw):
-        own = {"kind": "ip_velocity", "k_v1": law.k_v1, "t_v": law.t_v, "k_e1": law.k_e1}
-        controller = {**own, "velocity_estimator": law.velocity_estimator}
-        return control_laws.law_of(axis.replace(controller=controller), period)
-    return law_for(axis, law, period)
+    return law_for(axis, law, period) if isinstance(law, ImpedanceLaw) else ip_velocity.LAW.law(law, axis, period)
 
 
 def _measures(axis: Axis, laws: Sequence[Law], raw: np.ndarray) -> Measures:
     period, resolution, plant = axis.sampling.period, axis.sampling.encoder_resolution, FrictionModel.of(axis)
-    integrates = np.array([isinstance(law, CascadeLaw) for law in laws])
+    integrates = np.array([not isinstance(law, ImpedanceLaw) for law in laws])
     expected = [
-        0.0 if cascade else max(drift_speed(law, plant, 1), drift_speed(law, plant, -1))
-        for law, cascade in zip(laws, integrates, strict=True)
+        max(drift_speed(law, plant, 1), drift_speed(law, plant, -1)) if isinstance(law, ImpedanceLaw) else 0.0
+        for law in laws
     ]
     threshold = [drift_threshold(period, resolution, law.velocity_estimator) for law in laws]
     return Measures(raw, max(resolution / period, 1e-6), np.array(threshold), np.array(expected), integrates)

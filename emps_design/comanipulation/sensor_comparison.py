@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from emps_design.axis import Axis
-from emps_design.comanipulation.run import CascadeLaw, TaskRun, run_task
+from emps_design.comanipulation.run import TaskRun, run_task
 from emps_design.comanipulation.task import guided_task
 from emps_design.control.impedance.equivalence import equivalent_impedance
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
 from emps_design.control.impedance.robustness import break_away
+from emps_design.laws.library import ip_velocity
 
 NO_SENSOR, SENSOR, CASCADE = "impedance, no sensor", "impedance, force sensor", "cascade, force sensor"
 
@@ -75,7 +76,9 @@ def compare_sensors(
     if law.damping > 0.0:
         loop = equivalent_impedance(axis, 1.0 / law.damping, crossover, phase_margin_deg)
         if loop.k_v1 is not None and loop.t_v is not None:
-            laws[CASCADE] = CascadeLaw(loop.k_e1, loop.k_v1, loop.t_v, law.velocity_estimator)
+            laws[CASCADE] = ip_velocity.Table(
+                k_e1=loop.k_e1, k_v1=loop.k_v1, t_v=loop.t_v, velocity_estimator=law.velocity_estimator
+            )
             forces[CASCADE] = None
     tasks = {scale: guided_task(axis.sampling.period, scale=scale) for scale in scales}
     runs = {name: {scale: run_task(axis, one, task) for scale, task in tasks.items()} for name, one in laws.items()}

@@ -53,10 +53,13 @@ class LawTable(BaseModel):
 
 @dataclass(frozen=True)
 class Law:
-    """A control law with its numbers: the kernel, its ``gains``, the length of its ``memory``; the rest of its kind."""
+    """A control law with its numbers: the kernel, its ``gains``, the length of its ``memory``; the rest of its kind.
+
+    For :mod:`.linear` the gains may be a list that holds arrays (m,), of m laws, or symbols.
+    """
 
     kernel: Callable[..., float]
-    gains: np.ndarray
+    gains: Any
     memory: int
     follows: str = "position"
     state_feedback: bool = False

@@ -7,7 +7,7 @@ come from any ring: floats, arrays (m,) for as many laws at once, SymPy expressi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -148,9 +148,10 @@ class LinearLaw:
         return all(bool(np.all(np.abs(rest) <= bound)) for rest, bound in zip(left, small, strict=True))
 
 
-def linear_law(law: Law, period: float, direction: float = 1.0) -> LinearLaw:
+def linear_law(law: Law, period: float, direction: float = 1.0, signals: dict[int, str] | None = None) -> LinearLaw:
     """The linear form of ``law`` at a sampling ``period`` [s] while the carriage slides to + or - (0: sticks).
 
+    Arrays (m,) among the gains make m laws; ``signals`` names gains, by place, as inputs.
     Raises :class:`AxisError` for a law that multiplies signals.
 
     >>> from emps_design.laws import law_of
@@ -159,22 +160,10 @@ def linear_law(law: Law, period: float, direction: float = 1.0) -> LinearLaw:
     >>> found.D.round(1).tolist(), found.C.round(1).tolist(), found.keeps_to_changes
     ([38995.8, -160720.8, 0.0], [0.0, 121725.0], False)
     """
-    return linear_form(law.kernel, law.gains.tolist(), law.memory, law.follows, period, direction)
-
-
-def linear_form(
-    kernel: Callable[..., Any],
-    gains: Sequence[Any],
-    memory: int,
-    follows: str,
-    period: float,
-    direction: float = 1.0,
-    signals: dict[int, str] | None = None,
-) -> LinearLaw:
-    """As :func:`linear_law` for ``gains`` in which arrays (m,) make m laws; ``signals`` names gains as inputs."""
-    u, cells = run_linear(kernel, gains, memory, follows, period, direction, signals)
+    u, cells = run_linear(law, period, direction, signals)
+    memory = law.memory
     start: list[Any] = [0.0] * memory
-    kernel(0, 0.0, Linear(0.0, 0.0, {"q": 1.0}), 0.0, np.inf, gains, start)
+    law.kernel(0, 0.0, Linear(0.0, 0.0, {"q": 1.0}), 0.0, np.inf, _plain(law.gains), start)
     inputs = (*INPUTS, *(signals or {}).values())
     names = (*range(memory), *inputs)
     moved = _dense([_linear(cell) for cell in start], ("q",))[..., 0]
@@ -183,14 +172,15 @@ def linear_form(
     return LinearLaw(A, B, rows[..., -1, :memory], rows[..., -1, memory:], moved, inputs)
 
 
-def own_poles(kernel: Callable[..., Any], gains: Sequence[Any], memory: int, follows: str, period: float) -> np.ndarray:
+def own_poles(law: Law, period: float) -> np.ndarray:
     """Poles (..., count) of what a law hears of its own voltage while the carriage sticks, without any plant.
 
     The memory cells in question are those that the voltage reaches and that reach the voltage; what it reaches is seen
     by holding it at its limit. Filters that only pass the position on are not among them.
     """
-    u, cells = run_linear(kernel, gains, memory, follows, period, 0.0)
-    _, limited = run_linear(kernel, gains, memory, follows, period, 0.0, limit=-1.0)
+    u, cells = run_linear(law, period, 0.0)
+    _, limited = run_linear(law, period, 0.0, limit=-1.0)
+    memory = law.memory
     A, held, C = _dense(cells, range(memory)), _dense(limited, range(memory)), _dense([u], range(memory))[..., 0, :]
     onward = _somewhere(held, 2)
     fed, feeds = _somewhere(A - held, 2).any(axis=1), _somewhere(C, 1)
@@ -201,35 +191,37 @@ def own_poles(kernel: Callable[..., Any], gains: Sequence[Any], memory: int, fol
 
 
 def run_linear(
-    kernel: Callable[..., Any],
-    gains: Sequence[Any],
-    memory: int,
-    follows: str,
+    law: Law,
     period: float,
     direction: float = 1.0,
     signals: dict[int, str] | None = None,
     limit: float = np.inf,
 ) -> tuple[Linear, list[Linear]]:
-    """Output and next memory of ``kernel`` as linear numbers of its memory, by place, and of its inputs, by name.
+    """Output and next memory of ``law`` as linear numbers of its memory, by place, and of its inputs, by name.
 
-    ``gains`` may be linear numbers themselves: a value to decide branches by, and a symbol as its constant. With a
+    Gains may be linear numbers themselves: a value to decide branches by, and a symbol as its constant. With a
     ``limit`` below zero the voltage is at its limit, whatever it would be.
     """
-    values = [_value(gain) for gain in gains]
-    step, past = direction * SPEED * period, [0.0] * memory
-    sample = memory + 4
+    numbers = _plain(law.gains)
+    values = [_value(gain) for gain in numbers]
+    step, past = direction * SPEED * period, [0.0] * law.memory
+    sample = law.memory + 4
     for k in range(sample):
-        reference = direction * SPEED if follows == "velocity" else k * step
-        kernel(k, reference, k * step, 0.0, np.inf, values, past)
+        reference = direction * SPEED if law.follows == "velocity" else k * step
+        law.kernel(k, reference, k * step, 0.0, np.inf, values, past)
     at = sample * step
-    followed = Linear(direction * SPEED if follows == "velocity" else at, 0.0, {"reference": 1.0})
-    numbers = list(gains)
+    followed = Linear(direction * SPEED if law.follows == "velocity" else at, 0.0, {"reference": 1.0})
     for place, name in (signals or {}).items():
         numbers[place] = Linear(values[place], 0.0, {name: 1.0})
     cells: list[Any] = [Linear(value, 0.0, {place: 1.0}) for place, value in enumerate(past)]
     position, force = Linear(at, 0.0, {"q": 1.0}), Linear(0.0, 0.0, {"f_ext": 1.0})
-    u = kernel(sample, followed, position, force, limit, numbers, cells)
+    u = law.kernel(sample, followed, position, force, limit, numbers, cells)
     return _linear(u), [_linear(cell) for cell in cells]
+
+
+def _plain(gains: Any) -> list[Any]:
+    """A list of its own, of Python floats where they are numbers alone."""
+    return gains.tolist() if isinstance(gains, np.ndarray) else list(gains)
 
 
 def _somewhere(matrix: np.ndarray, axes: int) -> np.ndarray:

@@ -68,7 +68,7 @@ def test_symbols_through_the_kernel_are_the_derived_law():
         i.COULOMB_POSITIVE: d.F_ch, i.FORCE_GAIN: d.G_ti, i.RATE: 1 / T_s,
     }.items():  # fmt: skip
         gains[place] = Linear(values[place], symbol)
-    u, _ = run_linear(i.impedance, gains, i.WAITING, "position", T)
+    u, _ = run_linear(i.law_with(gains, 0), T)
     cells = sp.symbols("m0:6", real=True)
     by_name = {**dict(enumerate(cells)), "q": d.q, "reference": d.q_0, "f_ext": sp.Symbol("f")}
     found = d.G_ti * (u.constant + sum(slope * by_name[name] for name, slope in u.slopes.items()))
@@ -135,10 +135,10 @@ def test_what_a_law_hears_of_its_own_voltage():
     law = ImpedanceLaw(50.0, 100.0, FrictionModel(115.0, 470.0, 470.0, 17.0, 17.0))
     ideal = machine("emps2018").replace(drive={"current_time_constant": 0.0})
     found = law_for(ideal, law, T)
-    poles = own_poles(found.kernel, found.gains.tolist(), found.memory, "position", T)
+    poles = own_poles(found, T)
     assert poles == pytest.approx([-(115.0 / 50.0 - 1.0)])
     proportional = law_of(axis_with(LAWS[0]), T)
-    assert own_poles(proportional.kernel, proportional.gains.tolist(), 2, "position", T).size == 0
+    assert own_poles(proportional, T).size == 0
 
 
 def test_a_product_of_signals_is_refused():

@@ -18,12 +18,11 @@ from emps_design.errors import InputError
 from emps_design.laws import Law
 from emps_design.laws.friction_model import PARAMETERS, FrictionModel, left_out
 from emps_design.laws.library.impedance import (
-    WAITING,
     check_filters,
     default_filter,
     demanded_force,
     gains_of,
-    impedance,
+    law_with,
     observed_force,
 )
 
@@ -221,7 +220,7 @@ def law_for(axis: Axis, law: ImpedanceLaw, period: float) -> Law:
         force_gain=axis.drive.force_gain, current_time_constant=axis.drive.current_time_constant, delay=delay,
         reference_velocity=law.reference_velocity,
     )  # fmt: skip
-    return Law(impedance, np.array(gains, dtype=float), WAITING + delay)
+    return law_with(np.array(gains, dtype=float), delay)
 
 
 def _finite(name: str, value: float, unit: str, lower: float = -math.inf, open_below: bool = False) -> None:

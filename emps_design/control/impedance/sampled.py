@@ -19,8 +19,9 @@ from emps_design.control.loop.sampled_loop import MARGINAL, SampledLoop, close, 
 from emps_design.control.plant.discretisation import sample_axis, sample_plant
 from emps_design.control.plant.environment import FREE, Environment, attached, felt
 from emps_design.control.plant.linear_plant import rigid_plant
-from emps_design.laws.library.impedance import COULOMB_POSITIVE, WAITING, gains_of, impedance
-from emps_design.laws.linear import linear_form, linear_law, own_poles
+from emps_design.laws import Law
+from emps_design.laws.library.impedance import COULOMB_POSITIVE, gains_of, law_with
+from emps_design.laws.linear import linear_law, own_poles
 
 
 @dataclass(frozen=True)
@@ -82,10 +83,9 @@ def sampled_loops(
     Forces stand for voltages, G_tau is 1. The input ``coulomb`` is the level of the Coulomb compensation [N].
     """
     rigid = attached(rigid_plant(n["mass"], n["viscous"], 1.0, clock.current_time_constant), environment)
-    form = linear_form(
-        impedance, _gains(n, clock, velocity_estimator, force_sensor), WAITING + clock.delay, "position", clock.period,
-        signals={COULOMB_POSITIVE: "coulomb"},
-    )  # fmt: skip
+    form = linear_law(
+        _law(n, clock, velocity_estimator, force_sensor), clock.period, signals={COULOMB_POSITIVE: "coulomb"}
+    )
     sensor = felt(rigid, environment) if force_sensor else None
     return close(sample_plant(rigid, clock.period, clock.delay, velocity_estimator), form, sensor)
 
@@ -115,25 +115,24 @@ def spectral_radius(n: dict[str, Any], clock: Clock, **options: Any) -> np.ndarr
 
 def recursion_poles(law: ImpedanceLaw, clock: Clock) -> np.ndarray:
     """Poles of the law's recursion in its own current while the carriage sticks, largest first; 0: no recursion."""
-    gains = _gains(numbers(law, law.estimate), clock, law.velocity_estimator, law.force_sensor)
-    found = own_poles(impedance, gains, WAITING + clock.delay, "position", clock.period)
+    found = own_poles(_law(numbers(law, law.estimate), clock, law.velocity_estimator, law.force_sensor), clock.period)
     return sorted_poles(found) if found.size else np.zeros(1, dtype=complex)
 
 
 def recursion_radius(n: dict[str, Any], clock: Clock, velocity_estimator: str = "two_tap") -> np.ndarray:
     """Largest modulus of :func:`recursion_poles` for many laws at once, shape (m,); ``n`` as from :func:`numbers`."""
-    gains = _gains(n, clock, velocity_estimator, False)
-    poles = own_poles(impedance, gains, WAITING + clock.delay, "position", clock.period)
+    poles = own_poles(_law(n, clock, velocity_estimator, False), clock.period)
     return np.abs(poles).max(axis=-1, initial=0.0)
 
 
-def _gains(n: dict[str, Any], clock: Clock, velocity_estimator: str, force_sensor: bool) -> list[Any]:
+def _law(n: dict[str, Any], clock: Clock, velocity_estimator: str, force_sensor: bool) -> Law:
     friction = SimpleNamespace(mass=n["mass_hat"], viscous=(n["viscous_hat"],) * 2, coulomb=(0.0, 0.0))
-    return gains_of(
+    gains = gains_of(
         friction, n["apparent_mass"], n["damping"], (n["filter"], n["current_filter"]), clock.period,
         velocity_estimator, stiffness=n["stiffness"], current_factor=n["current_factor"],
         force_sensor=force_sensor, current_time_constant=clock.current_time_constant, delay=clock.delay,
     )  # fmt: skip
+    return law_with(gains, clock.delay)
 
 
 __all__ = [

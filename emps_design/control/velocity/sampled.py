@@ -13,9 +13,10 @@ import numpy as np
 
 from emps_design.control.loop.margins import Margins, loop_margins
 from emps_design.control.loop.sampled_loop import SampledLoop, close
-from emps_design.control.plant.discretisation import SampledPlant
+from emps_design.control.plant.discretisation import ESTIMATORS, SampledPlant
+from emps_design.laws import Law
 from emps_design.laws.library import ip_velocity
-from emps_design.laws.linear import LinearLaw, linear_form
+from emps_design.laws.linear import LinearLaw, linear_law
 
 if TYPE_CHECKING:
     import control
@@ -162,5 +163,6 @@ class SampledVelocityLoop:
 def ip_law(plant: SampledPlant, k_v1: float, t_v: float, k_e1: float | np.ndarray = 0.0) -> LinearLaw:
     """The velocity law with the estimator of ``plant`` in its linear form; ``k_e1`` [(m/s)/N] of a force loop."""
     law, period = ip_velocity.LAW, plant.period
-    gains = (k_v1, k_v1 * period / t_v, k_e1, 1.0 / period, float(plant.weights[1] > 0.0))
-    return linear_form(law.kernel, gains, 3, law.follows, period)
+    estimator = next(name for name, weights in ESTIMATORS.items() if weights == plant.weights)
+    gains = ip_velocity.gains_of(k_v1, t_v, k_e1, period, estimator)
+    return linear_law(Law(law.kernel, gains, ip_velocity.MEMORY, law.follows), period)

@@ -19,7 +19,7 @@ import numpy as np
 
 from emps_design.errors import InputError
 from emps_design.laws.friction_model import FrictionModel
-from emps_design.laws.law import TWO_TAP, LawKind, LawTable, NonNegative, Positive, parameter, velocity_in_words
+from emps_design.laws.law import TWO_TAP, Law, LawKind, LawTable, NonNegative, Positive, parameter, velocity_in_words
 
 # What stands where in the kernel's gains.
 RATIO, MASS, DAMPING, STIFFNESS, VISCOUS_POSITIVE, VISCOUS_NEGATIVE, COULOMB_POSITIVE, COULOMB_NEGATIVE = range(8)
@@ -108,6 +108,11 @@ def gains_of(
         keep_current, current_factor, float(force_sensor), force_gain, keep_motor, delay, 1.0 / period,
         float(velocity_estimator == TWO_TAP), reference_velocity,
     ]  # fmt: skip
+
+
+def law_with(gains, delay):
+    """The law with the numbers of :func:`gains_of`, ``delay`` [samples] among them."""
+    return Law(impedance, gains, WAITING + delay, LAW.follows)
 
 
 def default_filter(period: float) -> float:

@@ -7,6 +7,8 @@ Source: section II-C of the paper, (6) to (9).
 
 from emps_design.laws.law import TWO_TAP, LawKind, LawTable, Positive, parameter, velocity_in_words
 
+MEMORY = 3  # numbers that the kernel keeps
+
 
 def ip_velocity(k, reference, q, f_ext, limit, gains, memory):
     """Gains: k_v1, k_v1 T / t_v, k_e1, 1/T, two-tap. Memory: q[k-1], q[k-2], I."""
@@ -37,8 +39,13 @@ class Table(LawTable):
     k_e1: Positive | None = parameter("force-loop gain", "(m/s)/N", None)
 
 
+def gains_of(k_v1, t_v, k_e1, period, velocity_estimator=TWO_TAP):
+    """Gains of the kernel; numbers or arrays (m,) for as many laws."""
+    return k_v1, k_v1 * period / t_v, k_e1, 1.0 / period, velocity_estimator == TWO_TAP
+
+
 def gains(p, axis, period):
-    return p.k_v1, p.k_v1 * period / p.t_v, p.k_e1 or 0.0, 1.0 / period, p.velocity_estimator == TWO_TAP
+    return gains_of(p.k_v1, p.t_v, p.k_e1 or 0.0, period, p.velocity_estimator)
 
 
 def equations(p, axis, period):
@@ -46,7 +53,7 @@ def equations(p, axis, period):
     force = f" + {p.k_e1:.10g} * f_ext[k]" if p.k_e1 else ""
     return (
         velocity_in_words(p, period),
-        f"i[k] = i[k-1] + {p.k_v1 * period / p.t_v:.10g} * (v_ref[k]{force} - v[k])",
+        f"i[k] = i[k-1] + {gains(p, axis, period)[1]:.10g} * (v_ref[k]{force} - v[k])",
         f"u[k] = i[k] - {gain} * v[k]",
         f"if u[k] >  {limit}: u[k] =  {limit}; i[k] =  {limit} + {gain} * v[k]",
         f"if u[k] < -{limit}: u[k] = -{limit}; i[k] = -{limit} + {gain} * v[k]",
@@ -60,7 +67,7 @@ LAW = LawKind(
     table=Table,
     kernel=ip_velocity,
     gains=gains,
-    memory=3,
+    memory=MEMORY,
     equations=equations,
     follows="velocity",
 )
