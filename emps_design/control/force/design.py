@@ -186,7 +186,7 @@ class ForceLoopDesign:
         """Sampled force loop, broken at the velocity reference, at ``w`` [rad/s]."""
         plant, loop = self._plant, self.velocity_loop
         inner = SampledVelocityLoop(plant, loop.k_v1, loop.t_v)
-        voltage = loop.k_v1 / loop.t_v * inner.integrator(w) / (1.0 + inner.plant_input_response(w))
+        voltage = loop.k_v1 / loop.t_v * plant.integrator(w) / (1.0 + inner.plant_input_response(w))
         states = plant.state_response(w)
         force = self.environment * states[..., POSITION] + self.hand * states[..., VELOCITY]
         return self.k_e1 * force * voltage * np.exp(-1j * w * plant.period * self.sensor_delay)

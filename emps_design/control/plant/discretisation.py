@@ -92,6 +92,10 @@ class SampledPlant:
             numerator, powers = numerator[:-1], powers - 1
         return numerator, np.append(denominator, np.zeros(powers))
 
+    def integrator(self, w: np.ndarray) -> np.ndarray:
+        """T z / (z - 1) at ``w`` [rad/s], the sampled 1/s of a law [s]."""
+        return self.period / (1.0 - np.exp(-1j * np.asarray(w) * self.period))
+
     def response(self, w: np.ndarray) -> np.ndarray:
         """Frequency response from voltage to velocity estimate [(m/s)/V] at ``w`` [rad/s], below Nyquist."""
         z = np.exp(1j * np.asarray(w) * self.period)

@@ -44,7 +44,7 @@ def retuned_gains(
     w = np.asarray(crossover, dtype=float)
     inside = (w > 0.0) & (w < math.pi / plant.period)
     w = np.where(inside, w, 1.0)
-    P, c = plant.response(w), plant.period / (1.0 - np.exp(-1j * w * plant.period))
+    P, c = plant.response(w), plant.integrator(w)
     target = -np.exp(1j * np.radians(np.asarray(phase_margin_deg, dtype=float)))
     # plant input: P k + c P k/t = target;  velocity error: c P k/t = target (1 + k P)
     first, second = (P if at == "plant-input" else -target * P), c * P

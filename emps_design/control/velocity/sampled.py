@@ -55,21 +55,17 @@ class SampledVelocityLoop:
         """Whether the sampled closed loop is stable, by its poles."""
         return self.loop.stable
 
-    def integrator(self, w: np.ndarray) -> np.ndarray:
-        """T z / (z - 1) at ``w`` [rad/s], the sampled 1/s of the law [s]."""
-        return self.plant.period / (1.0 - np.exp(-1j * np.asarray(w) * self.plant.period))
-
     def plant_input_response(self, w: np.ndarray) -> np.ndarray:
         """Open loop broken at the plant input at ``w`` [rad/s]."""
         return self._controller(w) * self.plant.response(w)
 
     def _controller(self, w: np.ndarray) -> np.ndarray:
-        return self.k_v1 * (1.0 + self.integrator(w) / self.t_v)
+        return self.k_v1 * (1.0 + self.plant.integrator(w) / self.t_v)
 
     def velocity_error_response(self, w: np.ndarray) -> np.ndarray:
         """Open loop broken at the velocity error at ``w`` [rad/s], the sampled T_vo."""
         inner = self.k_v1 * self.plant.response(w)
-        return inner * self.integrator(w) / self.t_v / (1.0 + inner)
+        return inner * self.plant.integrator(w) / self.t_v / (1.0 + inner)
 
     def closed_loop_response(self, w: np.ndarray) -> np.ndarray:
         """From velocity reference to the velocity estimate at ``w`` [rad/s], the sampled T_vc."""

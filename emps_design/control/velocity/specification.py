@@ -91,7 +91,7 @@ class Pairs:
     def _passes(self, k_v1: np.ndarray, t_v: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Whether the closed loops have not fallen to -3 dB at ``PASSED`` of ``w`` [rad/s]."""
         w = np.minimum(PASSED * w, 0.5 * math.pi / self.plant.period)
-        integrator = self.plant.period / (1.0 - np.exp(-1j * w * self.plant.period))
+        integrator = self.plant.integrator(w)
         inner = k_v1 * self.plant.response(w)
         with np.errstate(invalid="ignore"):
             forward = inner * integrator / t_v

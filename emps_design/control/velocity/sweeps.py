@@ -143,13 +143,13 @@ def sweep_sampled_margins(
 
         def response(w: np.ndarray, rows: np.ndarray, gain: np.ndarray = gain, time: np.ndarray = time) -> np.ndarray:
             P = plant.response(w)
-            integrator = plant.period / (1.0 - np.exp(-1j * w * plant.period))
+            integrator = plant.integrator(w)
             if at == "plant-input":
                 return gain[rows] * P + (gain / time)[rows] * (P * integrator)
             return (gain / time)[rows] * (P * integrator) / (1.0 + gain[rows] * P)
 
         def delayed(w: np.ndarray, rows: np.ndarray, delay: np.ndarray, gain: Any = gain, time: Any = time) -> Any:
-            integrator = plant.period / (1.0 - np.exp(-1j * w * plant.period))
+            integrator = plant.integrator(w)
             return (gain[rows] + (gain / time)[rows] * integrator) * plant.delayed_response(w, delay)
 
         later = delayed if at == "plant-input" else None
