@@ -155,7 +155,7 @@ def _told(path: str | Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno not in _DISK or isinstance(error, EmpsError):
+        if error.errno not in _DISK:
             raise
         raise EmpsError(f"{path}: cannot be written, {error.strerror}; nothing there was changed") from error
 
@@ -196,40 +196,40 @@ def _locked(folder: Path, start: str, new: Callable[[Path, str], Path]) -> Path:
     """Make one with ``new`` and lock it for as long as this process lives; a kill unlocks it."""
     while True:
         aside = new(folder, start)
-        handle = os.open(aside, os.O_RDONLY)
-        if fcntl is not None:
-            fcntl.flock(handle, fcntl.LOCK_EX)
-        if aside.exists():
-            _unfinished[aside] = handle
-            return aside
-        os.close(handle)  # another process took it for abandoned in the instant before it was locked
+        # Another process may take it for abandoned, and remove it, in the instant before it is locked.
+        with suppress(FileNotFoundError):
+            handle = os.open(aside, os.O_RDONLY)
+            if fcntl is not None:
+                with suppress(OSError):  # a file system without these locks: nothing there counts as abandoned
+                    fcntl.flock(handle, fcntl.LOCK_EX)
+            if aside.exists():
+                _unfinished[aside] = handle
+                return aside
+            os.close(handle)
 
 
 def _remove_abandoned(folder: Path, start: str) -> None:
     """Remove what processes that are no more have left in ``folder`` under names that begin with ``start``."""
     ours = re.compile(re.escape(start) + r"(.*\.)?\d+\.[a-z0-9_]{8}\.part")
-    for name in os.listdir(folder):
-        if ours.fullmatch(name) and not _in_use(folder / name):
-            _remove(folder / name)
+    with suppress(OSError):  # a folder one may write to and not look into
+        for name in filter(ours.fullmatch, os.listdir(folder)):
+            _remove_if_abandoned(folder / name)
 
 
-def _in_use(left: Path) -> bool:
-    """Whether a living process holds the lock of ``left``."""
+def _remove_if_abandoned(left: Path) -> None:
+    """Remove ``left`` unless a living process holds its lock; with the lock held, so that none gets it meanwhile."""
     if fcntl is None:
-        return True
+        return
     if left.is_symlink():  # never made here
-        return False
-    try:
+        _remove(left)
+        return
+    with suppress(OSError):  # of another user, gone by now, or in use
         handle = os.open(left, os.O_RDONLY | os.O_NONBLOCK)
-    except OSError:  # of another user, or gone by now
-        return True
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return True
-    finally:
-        os.close(handle)
-    return False
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _remove(left)
+        finally:
+            os.close(handle)
 
 
 def _remove(left: Path) -> None:

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 MACHINE = "emps2019"
 CROSSOVER, PHASE_MARGIN = 100.0, 60.0  # rad/s, deg
-K_E1, WALL = 0.01, 1e4  # (m/s)/N, N/m
 
 
 def command(
@@ -24,17 +23,18 @@ def command(
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     """The main job on the embedded machine, no file needed: simulate a record, identify, gains, force loop, report."""
-    from emps_design.cli.output import print_json, print_warnings, progress_bar, say, write_text
+    from emps_design.cli.output import print_json, print_warnings, progress_bar, say
     from emps_design.errors import InputError
+    from emps_design.files import write_text
     from emps_design.machines import machine
-    from emps_design.report.assemble import assemble_report
+    from emps_design.report.assemble import K_E1, WALL, assemble_report
     from emps_design.simulation.synthetic import synthetic_record
 
     axis = machine(MACHINE)
+    check_out(out, PAGE, (), force)
     record_file = out.with_suffix(".npz")
     if out.suffix == record_file.suffix:
         raise InputError(f"--out: found {out.name!r}, expected a name for a page; the record takes that one")
-    check_out(out, PAGE, (), force)
     check_out(record_file, ARCHIVE, (), force)
     with progress_bar() as progress:
         progress("simulating a record of the machine", 0.0)

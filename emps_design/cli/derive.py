@@ -24,7 +24,7 @@ def command(
     from emps_design.paper.derivations import derivation
     from emps_design.paper.derivations.impedance import cost_of_printed
 
-    if latex:
+    if latex and not as_json:
         from emps_design.paper.latex import document
 
         say(document())

@@ -10,7 +10,7 @@ import typer
 from emps_design.axis import Axis
 from emps_design.cli.destinations import OVERWRITE
 from emps_design.cli.frequency import RAD_S
-from emps_design.cli.output import write_text
+from emps_design.files import write_text
 from emps_design.quantities import check_magnitude
 
 

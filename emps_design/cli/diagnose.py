@@ -11,17 +11,10 @@ import typer
 
 from emps_design.cli.destinations import AXIS, JSON, OVERWRITE, PAGE, TABLE, check_folder
 from emps_design.cli.interrupts import before_the_end
-from emps_design.cli.output import (
-    json_text,
-    new_console,
-    print_json,
-    print_warnings,
-    progress_bar,
-    write_aside,
-    write_text,
-)
+from emps_design.cli.output import json_text, new_console, print_json, print_warnings, progress_bar
 from emps_design.cli.partial_diagnosis import PartialDiagnosis
 from emps_design.errors import InputError, one_line
+from emps_design.files import write_aside, write_text, write_together
 
 FILES = {
     "model.toml": AXIS,
@@ -98,7 +91,6 @@ def _window(text: str | None, option: str) -> tuple[float, float] | None:
 def _write(diagnosis: Any, out: Path, axis: str) -> None:
     """Write everything into ``out``, all files together or none."""
     from emps_design.discrepancy.experiment.discrimination import FILE
-    from emps_design.files import write_together
     from emps_design.report.diagnosis import diagnosis_page
 
     out.mkdir(exist_ok=True)

@@ -98,13 +98,7 @@ def command(
     if design.stable and out is not None:
         document["out"] = write_axis(out, machine.replace(controller={**loop.controller_table(), "k_e1": k_e1}))
     if not design.stable:
-        limit = design.k_e1_max_sampled
-        document["nearest"] = {"k_e1": 0.99 * limit} if limit else {}
-        document["reason"] = "the sampled force loop is unstable; " + (
-            f"the largest k_e1 that is stable is {limit:.5g} (m/s)/N"
-            if limit
-            else "no k_e1 is stable, the velocity loop inside needs less bandwidth"
-        )
+        document["nearest"], document["reason"] = design.nearest_stable, design.reason
     if as_json:
         print_json(document)
     else:

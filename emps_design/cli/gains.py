@@ -114,11 +114,7 @@ def command(
     if stable and out is not None:
         document["out"] = write_axis(out, machine.replace(controller=design.controller_table()))
     if not stable:
-        document["nearest"] = design.nearest_stable
-        document["reason"] = (
-            f"the sampled loop with these gains is unstable, its largest pole is {abs(design.sampled.poles[0]):.4g}; "
-            f"{design.nearest_in_words}"
-        )
+        document["nearest"], document["reason"] = design.nearest_stable, design.reason
     if as_json:
         print_json(document)
     else:

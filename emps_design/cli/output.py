@@ -1,4 +1,4 @@
-"""What every command shares: JSON on standard output, progress on standard error, files that are whole or absent."""
+"""What every command shares: JSON and tables on standard output, progress and warnings on standard error."""
 
 from __future__ import annotations
 
@@ -11,24 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from emps_design.cli.flags import in_flags
 from emps_design.errors import one_line, printable
-from emps_design.files import write_aside, write_text
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-__all__ = [
-    "Progress",
-    "json_text",
-    "new_console",
-    "plain",
-    "print_json",
-    "print_warnings",
-    "progress_bar",
-    "say",
-    "tell",
-    "write_aside",
-    "write_text",
-]
 
 Progress = Callable[[str, float], None]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,8 @@ class PartialDiagnosis:
     """Remembers how far a diagnosis for the folder ``out`` is; ``write`` puts that into ``out`` with ``.partial``."""
 
     def __init__(self, out: Path | None):
-        self.folder = None if out is None else out.with_name(f"{out.name}.partial")
+        named = out is None or out.name not in ("", "..")
+        self.folder = None if out is None else Path(f"{out if named else os.path.abspath(out)}.partial")
         self.stage, self.share = "reading", 0.0
         self.axis: Axis | None = None
 

@@ -107,8 +107,6 @@ def command(
         say(out)
     for warning in report.warnings:
         tell(warning)
-    unstable = [] if report.results.velocity.sampled.stable else ["the sampled velocity loop"]
-    unstable += [] if report.impedance is None or report.impedance.stable else ["the impedance law"]
-    if unstable:
-        tell(f"unstable: {' and '.join(unstable)}; the page says so first")
+    if report.reason:
+        tell(f"{report.reason}; the page says so first")
         raise typer.Exit(UnstableError.exit_code)

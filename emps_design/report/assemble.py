@@ -35,8 +35,27 @@ class Report:
     found: tuple[Identification, ...] = ()
     warnings: tuple[str, ...] = ()
 
+    @property
+    def reason(self) -> str:
+        """What of the design is unstable, and what nearby is not, in one line; empty where everything is stable."""
+        loops = (self.results.velocity, self.results.force, self.impedance)
+        return "; ".join(loop.reason for loop in loops if loop is not None and loop.reason)
+
+    @property
+    def nearest(self) -> dict[str, Any]:
+        """The nearest that is stable, of each loop that is not, by the name of its section in :meth:`to_dict`."""
+        velocity, force, impedance = self.results.velocity, self.results.force, self.impedance
+        found: dict[str, Any] = {}
+        if velocity.reason:
+            found["velocity_loop"] = velocity.nearest_stable
+        if force is not None and force.reason:
+            found["force_loop"] = force.nearest_stable
+        if impedance is not None and impedance.reason:
+            found["impedance"] = impedance.nearest
+        return found
+
     def to_dict(self) -> dict[str, Any]:
-        """Gains, force loop and identification as plain data."""
+        """Gains, force loop and identification as plain data; ``reason`` and ``nearest`` where a loop is unstable."""
         document: dict[str, Any] = {"velocity_loop": self.results.velocity.to_dict()}
         if self.results.force is not None:
             document["force_loop"] = self.results.force.to_dict()
@@ -44,6 +63,8 @@ class Report:
             document["identification"] = {one.model: one.to_dict() for one in self.found}
         if self.impedance is not None:
             document["impedance"] = self.impedance.to_dict()
+        if self.reason:
+            document["reason"], document["nearest"] = self.reason, self.nearest
         document["inputs"] = dict(self.results.inputs)
         document["warnings"] = list(self.warnings)
         return document

@@ -105,6 +105,7 @@ def test_another_kind_of_content_needs_force(capsys, folder, name):
 
 def test_the_demo_turns_no_record_into_a_page(capsys, folder):
     refused(capsys, folder, "demo", folder / "new.npz", "found 'new.npz', expected a name for a page")
+    refused(capsys, folder, "demo", ".", "is a folder, expected the name of a file")
     (folder / "out.npz").write_text("mine")
     refused(capsys, folder, "demo", folder / "out.html", "out.npz holds something else")
 

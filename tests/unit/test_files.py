@@ -1,5 +1,7 @@
 """Files are whole or absent, and what a killed process leaves aside goes with the next writing."""
 
+import errno
+import fcntl
 import os
 import signal
 import subprocess
@@ -7,6 +9,7 @@ import sys
 
 import pytest
 
+from emps_design import files
 from emps_design.errors import InputError
 from emps_design.files import write_aside, write_text, write_together
 
@@ -47,6 +50,59 @@ def test_what_another_writes_at_this_moment_stays(tmp_path):
         write_text(path, "second")
         assert aside.exists()
     assert path.read_text() == "first"
+
+
+def test_what_is_removed_as_abandoned_stays_locked_until_it_is_gone(tmp_path, monkeypatch):
+    path, remove, taken = tmp_path / "model.toml", files._remove, []
+    killed_half_way(path)
+
+    def removing(left):
+        if left.exists():
+            with left.open() as another, pytest.raises(BlockingIOError):
+                fcntl.flock(another, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            taken.append(left)
+        remove(left)
+
+    monkeypatch.setattr(files, "_remove", removing)
+    write_text(path, "new")
+    assert len(taken) == 1
+    assert [left.name for left in tmp_path.iterdir()] == [path.name]
+
+
+def test_a_file_that_another_removes_before_it_is_locked_is_made_again(tmp_path, monkeypatch):
+    make, made = files._new_file, []
+
+    def new_file(folder, start):
+        made.append(make(folder, start))
+        if len(made) == 1:
+            made[0].unlink()
+        return made[-1]
+
+    monkeypatch.setattr(files, "_new_file", new_file)
+    write_text(tmp_path / "model.toml", "whole")
+    assert len(made) == 2
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["whole"]
+
+
+def test_a_file_system_without_locks_is_written_and_nothing_there_is_taken_for_abandoned(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    left = tmp_path / ".model.toml.1.abcdefgh.part"
+    left.touch()
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    write_text(tmp_path / "model.toml", "whole")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [left.name, "model.toml"]
+
+
+def test_a_folder_that_cannot_be_looked_into_is_written(tmp_path, monkeypatch):
+    def refuse(_):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    with monkeypatch.context() as closed:
+        closed.setattr(os, "listdir", refuse)
+        write_text(tmp_path / "model.toml", "whole")
+    assert os.listdir(tmp_path) == ["model.toml"]
 
 
 def test_a_failure_leaves_nothing(tmp_path):

@@ -163,6 +163,25 @@ class ForceLoopDesign:
         factor = gently.margins.gain_margin
         return None if factor is None else start * factor
 
+    @property
+    def nearest_stable(self) -> dict[str, float]:
+        """A stable k_e1 next to the limit [(m/s)/N], the gain itself where that is; empty where none is stable."""
+        if self.stable:
+            return {"k_e1": self.k_e1}
+        return {"k_e1": 0.99 * self.k_e1_max_sampled} if self.k_e1_max_sampled else {}
+
+    @property
+    def reason(self) -> str:
+        """Why the gain is refused, in one line; empty where the sampled loop is stable."""
+        if self.stable:
+            return ""
+        limit = self.k_e1_max_sampled
+        return "the sampled force loop is unstable; " + (
+            f"the largest k_e1 that is stable is {limit:.5g} (m/s)/N"
+            if limit
+            else "no k_e1 is stable, the velocity loop inside needs less bandwidth"
+        )
+
     def response(self, w: np.ndarray) -> np.ndarray:
         """Sampled force loop, broken at the velocity reference, at ``w`` [rad/s]."""
         plant, loop = self._plant, self.velocity_loop

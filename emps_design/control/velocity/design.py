@@ -185,6 +185,16 @@ class VelocityLoopDesign:
         """:attr:`nearest_stable` for a message, with what it has as implemented."""
         return in_words(self.nearest_stable, pairs_by_closed_form(self.axis, self.requested, self.velocity))
 
+    @property
+    def reason(self) -> str:
+        """Why the design is refused, in one line; empty where the sampled loop is stable."""
+        if self.sampled.stable:
+            return ""
+        return (
+            f"the sampled loop with these gains is unstable, its largest pole is {abs(self.sampled.poles[0]):.4g}; "
+            f"{self.nearest_in_words}"
+        )
+
     def controller_table(self) -> dict[str, Any]:
         """The ``[controller]`` table of the axis file that runs this design."""
         return {

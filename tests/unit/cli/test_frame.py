@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from emps_design.cli import app
-from emps_design.cli.output import plain, print_warnings, progress_bar, write_aside, write_text
+from emps_design.cli.output import plain, print_warnings, progress_bar
 from emps_design.errors import InputError, SpecificationError, UnstableError
+from emps_design.files import write_aside, write_text
 
 
 def run_raising(monkeypatch, error, *arguments):

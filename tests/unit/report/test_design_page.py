@@ -189,9 +189,25 @@ def test_command_exits_four_for_an_unstable_loop_and_still_writes_the_page(tmp_p
     axis.write_text(machine("emps2018").replace(sampling={"computation_delay": 1}).to_toml())
     assert run(["report", str(axis), "--crossover", "100", "--phase-margin", "80", "--out", str(out), "--json"]) == 4
     captured = capsys.readouterr()
-    assert json.loads(captured.out)["velocity_loop"]["sampled"]["stable"] is False
-    assert "unstable" in captured.err
+    document = json.loads(captured.out)
+    assert document["velocity_loop"]["sampled"]["stable"] is False
+    assert document["reason"].startswith("the sampled loop with these gains is unstable")
+    assert document["nearest"]["velocity_loop"]["phase_margin_deg"] < 80.0
+    assert document["reason"] in captured.err
     assert out.exists()
+
+
+def test_command_exits_four_for_a_force_gain_that_is_unstable(tmp_path, capsys, undrawn):
+    report = ["report", "emps2018", "--out", str(tmp_path / "r.html"), "--force", "--json"]
+    assert run([*report, "--k-e1", "1"]) == 4
+    captured = capsys.readouterr()
+    document = json.loads(captured.out)
+    assert document["reason"] in captured.err
+    nearest = document["nearest"]["force_loop"]["k_e1"]
+    assert document["nearest"] == {"force_loop": {"k_e1": nearest}}
+    assert f"{nearest / 0.99:.5g} (m/s)/N" in document["reason"]
+    assert run([*report, "--k-e1", str(nearest)]) == 0
+    assert "reason" not in json.loads(capsys.readouterr().out)
 
 
 @pytest.mark.parametrize(
