@@ -18,6 +18,7 @@ ROOMS = {
     "simulation": "Simulation",
     "comanipulation": "Co-manipulation",
     "identification": "Identification",
+    "paper": "The paper",
     "discrepancy": "Discrepancy",
     "report": "Reports",
     "quantities": "Quantities",

@@ -53,7 +53,7 @@ def assemble(
         from emps_design.identification.statistics import residual_bootstrap
 
         steps, away = independent_rows(filtered)
-        rows = (W[::steps], (fit.residual * away)[::steps], away[::steps])
+        rows = (W[::steps], fit.residual[::steps] * away[::steps], away[::steps])
         boot = np.sqrt(np.diag(residual_bootstrap(*rows, spread, bootstrap, seed)))
     shares = _reliability(record, axis, model, filtered, W) if weakest > 0 else None
     at_rests = told_at_rests(W, filtered, model) if weakest > 0 else ()
@@ -140,7 +140,7 @@ def residual_statistics(
     steps, away = independent_rows(filtered)
     spread = long_run(
         W[::steps],
-        (fit.residual * away)[::steps],
+        fit.residual[::steps] * away[::steps],
         away[::steps],
         filtered.period * steps,
         None if Z is None else Z[::steps],

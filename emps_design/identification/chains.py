@@ -27,6 +27,7 @@ from emps_design.records import Record
 
 REPORT_CUTOFF = 100.0  # Hz, five times the 20 Hz band of interest of the 2019 report
 REPORT_DROPPED = 49  # first samples, spoilt by the ends of filter and differences
+LONG = 1_000_000  # samples from which on rows are kept no closer than they have to be
 FEWEST_ROWS = 160  # away from rest, eight in a period of the cut-off, for a regression that leaves rest out
 
 
@@ -134,8 +135,10 @@ def hold_chain(
     """
     if cutoff_hz is None:
         cutoff_hz = chosen_cutoff(record)
-    # One sample per half period of four times the cut-off: what is left above it is under 1e-5 of the amplitude.
-    factor = max(1, int(0.25 / share_of_nyquist(cutoff_hz, record.period)))
+    # One sample per half period of four times the cut-off: what is left above it is under 2e-5 of the amplitude. In a
+    # record whose rows would fill the memory of three times: under 2e-4.
+    often = 4.0 if len(record) <= LONG else 3.0
+    factor = max(1, int(1.0 / (often * share_of_nyquist(cutoff_hz, record.period))))
     edge = int(1.0 / (cutoff_hz * record.period))
     rows = slice(edge, len(record) - edge, factor)
 

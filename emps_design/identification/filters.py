@@ -112,7 +112,7 @@ def motion(record: Record, cutoff_hz: float) -> Motion:
         q=q,
         v=v,
         a=a,
-        tau=np.zeros_like(q),
+        tau=np.zeros(len(q)),  # unlike zeros_like, no memory until somebody writes to it
         period=record.period,
         smooth=smooth,
     )

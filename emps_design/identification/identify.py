@@ -76,6 +76,7 @@ def identify(
         "held_out": _held_out(filtered, W, Y, fit, axis, model, holdout, external_force_known),
         "cutoff_from_data": explained_by_frequency(acting(record, axis), chosen),
     }
+    del Y  # as long as the record; the rest is in the residual
     systematic = None
     if chain != "hold":
         better, systematic = _against_hold(record, axis, model, filtered, fit, chosen)

@@ -68,7 +68,7 @@ def column(motion: Motion, name: str) -> np.ndarray:
     if name == "coulomb_negative":
         return motion.smooth(-(v < 0).astype(np.int8))
     if name == "constant_force":
-        return np.ones_like(v)
+        return np.broadcast_to(1.0, len(v))
     raise InputError(f"column: found {name!r}, expected a parameter of {' or '.join(MODELS)}")
 
 
@@ -112,7 +112,8 @@ def regression(filtered: Filtered, model: str) -> tuple[np.ndarray, np.ndarray]:
     Rows that take no part (``filtered.used``) are zero, so that the rest keep their distance in time.
     """
     quantities = parameters_of(model)
-    W = np.empty((len(filtered.used), len(quantities)))
+    # By columns: a long record's memory is taken when a column is written.
+    W = np.empty((len(filtered.used), len(quantities)), order="F")
     for i, quantity in enumerate(quantities):
         np.multiply(filtered.reduce(column(filtered.motion, quantity.name)), filtered.used, out=W[:, i])
     force = filtered.force if filtered.f_ext is None else filtered.force + filtered.f_ext

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.errors import InputError
+from emps_design.identification.filters import BLOCK
 
 LARGEST_ORDER = 4
 ROWS_PER_ORDER = 20
@@ -111,8 +112,15 @@ def hac_covariance(W: np.ndarray, residual: np.ndarray, lag: int, Z: np.ndarray 
     from statsmodels.stats.sandwich_covariance import S_hac_simple
 
     Z = W if Z is None else Z
-    bread = np.linalg.inv(Z.T @ W)
-    return bread @ S_hac_simple(Z * residual[:, None], nlags=lag) @ bread.T
+    bread, meat = np.linalg.inv(Z.T @ W), np.zeros((W.shape[1], W.shape[1]))
+    # A block at a time, each with the rows before it that its own have a lag to: an hour's products would not fit.
+    for start in range(0, len(Z), BLOCK):
+        first = max(0, start - lag)
+        products = Z[first : start + BLOCK] * residual[first : start + BLOCK, None]
+        meat += S_hac_simple(products, nlags=lag)
+        if start > first:
+            meat -= S_hac_simple(products[: start - first], nlags=lag)
+    return bread @ meat @ bread.T
 
 
 def residual_bootstrap(
@@ -204,6 +212,5 @@ def _convolve(model: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Product of the Toeplitz matrix of ``model`` with ``columns`` (n, p), without the matrix."""
     from scipy.signal import oaconvolve
 
-    kernel = np.concatenate([model[:0:-1], model])[:, None]
-    start = len(model) - 1
-    return oaconvolve(columns, kernel, axes=0)[start : start + len(columns)]
+    kernel, rows = np.concatenate([model[:0:-1], model]), slice(len(model) - 1, len(model) - 1 + len(columns))
+    return np.column_stack([oaconvolve(column, kernel)[rows] for column in columns.T])

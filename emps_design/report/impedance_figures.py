@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 VERDICT_COLORS = {
     "stable": GREEN,
     "dead_band": BLUE,
-    "no_motion": GREY,
+    "no_motion": BLACK,
     "creeping": ORANGE,
     "limit_cycle": PURPLE,
     "unstable": RED,
