@@ -18,15 +18,15 @@ comma := ,
 PARALLEL = -n $(WORKERS) --dist worksteal
 MARK = $(VENV)/.installed-$(STATE)-$(subst $(comma),-,$(1))
 
-.PHONY: help demo test quick lint fuzz hidden bench paper lock audit docs clean
+.PHONY: help demo test quick lint fuzz hidden coverage bench paper lock audit docs clean
 
 help:
 	@echo "make demo    install into $(VENV), run the main job on the embedded machine, print where the report is"
 	@echo "make test    install with the test tools, run every test (make quick: without the slow ones)"
-	@echo "make lint    ruff, imports, types               make fuzz    $(FUZZ) bad inputs of every kind, $(KILLS) kills"
+	@echo "make lint    ruff, imports, types               make fuzz    $(FUZZ) bad inputs of each kind, $(KILLS) kills"
 	@echo "make bench   measure speed                     make hidden  find effects hidden in records"
-	@echo "make paper   sweep what makes the paper's Table II  make coverage  how often intervals hold the truth"
-	@echo "make audit   known vulnerabilities of what is installed      make lock   take the newest versions"
+	@echo "make paper   sweep what makes Table II          make coverage  count how often intervals hold the truth"
+	@echo "make audit   look for known vulnerabilities     make lock    take the newest versions"
 	@echo "make docs    build docs/_build/html            make clean   remove $(VENV) and everything built"
 
 demo: $(call MARK,run)

@@ -10,10 +10,18 @@ import typer
 from emps_design.cli.design_options import within
 from emps_design.cli.destinations import ARCHIVE, OVERWRITE, PICTURES, TABLE, check_out
 
-SCENARIOS = ("replay", "reference", "breakaway", "comanipulation", "bench")
+# The options that each scenario reads, besides those that all of them do.
+SCENARIOS = {
+    "replay": ("record", "out", "plot"),
+    "reference": ("reference", "out", "plot"),
+    "breakaway": ("rate", "peak", "out", "plot"),
+    "comanipulation": ("mismatch", "mass", "damping", "reference_velocity", "as_printed", "plants", "seed"),
+    "bench": ("tau_ref", "seed"),
+}
 
 
 def command(
+    context: typer.Context,
     axis: str = typer.Argument(
         "", metavar="[AXIS]", help="TOML file or embedded machine; emps2019, for co-manipulation emps2018."
     ),
@@ -60,14 +68,11 @@ def command(
 
         found = f"found {scenario!r}" if scenario else "nothing to do"
         raise InputError(
-            f"--scenario: {found}, expected one of {', '.join(SCENARIOS)}{nearest_name(scenario, SCENARIOS)}"
+            f"--scenario: {found}, expected one of {', '.join(SCENARIOS)}{nearest_name(scenario, tuple(SCENARIOS))}"
         )
-    if scenario in ("comanipulation", "bench") and (out or plot):
-        raise InputError(f"--out and --plot: not for {scenario}, which simulates many runs; see 'impedance'")
+    _refuse_ignored(context, scenario)
     if scenario == "bench" and axis:
         raise InputError(f"AXIS: found {axis!r}, but the bench is a machine of its own; leave it out")
-    if scenario != "bench" and tau_ref is not None:
-        raise InputError(f"--tau-ref: only the cascaded loop of --scenario bench has one, found {scenario}")
     _check(out, plot, (axis, record, reference), force)
     if scenario == "comanipulation":
         from emps_design.control.impedance.law import PRINTED
@@ -95,6 +100,19 @@ def command(
         tell(document["reason"])
         return 4
     return 0
+
+
+def _refuse_ignored(context: typer.Context, scenario: str) -> None:
+    """Raise for an option on the command line that ``scenario`` would not read."""
+    from emps_design.errors import InputError
+
+    for name in dict.fromkeys(option for options in SCENARIOS.values() for option in options):
+        source = context.get_parameter_source(name)
+        if source is not None and source.name == "COMMANDLINE" and name not in SCENARIOS[scenario]:
+            readers = [one for one, options in SCENARIOS.items() if name in options]
+            raise InputError(
+                f"--{name.replace('_', '-')}: goes with --scenario {' or '.join(readers)}, found {scenario}"
+            )
 
 
 def _single(

@@ -27,9 +27,12 @@ def test_the_bench_gives_tables_and_ranges(capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--scenario", "bench", "--out", "run.npz"], "not for bench"),
+        (
+            ["--scenario", "bench", "--out", "run.npz"],
+            "or breakaway, found bench",
+        ),
         (["emps2018", "--scenario", "bench"], "a machine of its own"),
-        (["--scenario", "comanipulation", "--tau-ref", "1"], "only the cascaded loop of --scenario bench"),
+        (["--scenario", "comanipulation", "--tau-ref", "1"], "goes with --scenario bench, found comanipulation"),
     ],
 )
 def test_what_does_not_fit_the_bench_is_refused(capsys, arguments, message):
