@@ -11,6 +11,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, get_type_hints
 
+from emps_design.cli import interrupts
 from emps_design.cli.interrupts import STATUS as INTERRUPTED
 from emps_design.cli.output import print_json, tell
 from emps_design.errors import EmpsError, InputError, SimulationError, SpecificationError, UnstableError
@@ -42,7 +43,7 @@ def run(arguments: list[str]) -> int:
     as_json = "--json" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
     try:
-        result = _application(arguments)(args=arguments or ["--help"], prog_name="emps-design", standalone_mode=False)
+        result = _result(arguments)
         sys.stdout.flush()
         if result == INTERRUPTED:
             tell("interrupted")
@@ -90,6 +91,16 @@ def run(arguments: list[str]) -> int:
     except KeyboardInterrupt:
         tell("interrupted")
         return INTERRUPTED
+
+
+def _result(arguments: list[str]) -> Any:
+    """What the command returns; an error that an interrupt ends in is that interrupt."""
+    try:
+        return _application(arguments)(args=arguments or ["--help"], prog_name="emps-design", standalone_mode=False)
+    except Exception as error:
+        if interrupts.heard.is_set():  # compiled code that is interrupted may raise an error of its own
+            raise KeyboardInterrupt from error
+        raise
 
 
 def _print_nowhere() -> None:

@@ -11,3 +11,17 @@ def test_killed_at_any_moment(name, tmp_path):
     killed = Kills(name, tmp_path)
     killed.run(len(SIGNALS))
     assert killed.statuses.total() == len(SIGNALS)
+
+
+def test_an_error_that_an_interrupt_ends_in_is_that_interrupt(monkeypatch, capsys):
+    """Compiled code that is interrupted raises an error of its own: matplotlib's path transforms a TypeError."""
+    from emps_design.cli import app, interrupts
+
+    def interrupted(arguments):
+        interrupts.heard.set()
+        raise TypeError("incompatible function arguments")
+
+    monkeypatch.setattr(interrupts, "heard", type(interrupts.heard)())
+    monkeypatch.setattr(app, "_application", lambda arguments: lambda **given: interrupted(given))
+    assert app.run(["gains"]) == 130
+    assert capsys.readouterr().err.strip() == "emps-design: interrupted"
