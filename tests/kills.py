@@ -17,6 +17,7 @@ import time
 import tomllib
 from collections import Counter
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -157,7 +158,7 @@ def main(kills: int) -> None:
             }
         )
         print(*rows[-1].values(), flush=True)
-    document = {"kills": kills, "rows": rows}
+    document = {"date": datetime.now(UTC).date().isoformat(), "kills": kills, "rows": rows}
     write_text(Path(__file__).parents[1] / "benchmarks" / "kills.json", json.dumps(document, indent=1) + "\n")
 
 
