@@ -283,8 +283,8 @@ def _finished(
     name = ", ".join(record.name for record in records)
     if np.count_nonzero(kept) < 4:
         raise RecordError(
-            f"{name}: found {np.count_nonzero(kept)} of {kept.size} lines on which the {read[0].kind} stands out of the "
-            "noise, expected at least 4: the coherence is too low; excite more strongly, or for longer"
+            f"{name}: found {np.count_nonzero(kept)} of {kept.size} lines on which the {read[0].kind} stands out of "
+            "the noise, expected at least 4: the coherence is too low; excite more strongly, or for longer"
         )
     found = FrequencyResponse(answer.frequency[kept], response[kept], std[kept], coherence[kept], name)
     moved = [motion(one) for one in read]

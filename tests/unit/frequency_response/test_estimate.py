@@ -135,7 +135,7 @@ def test_refused(change, message):
 
 def test_too_little_excitation_is_refused():
     axis = machine("emps2019")
-    with pytest.raises(RecordError, match="case: found .* lines on which the excitation stands out.*; excite more strongly"):
+    with pytest.raises(RecordError, match="found .* lines on which the excitation stands out.*; excite more strongly"):
         estimate_response(experiment(axis, volts=1e-4, newtons=2.0, count=2, periods=2), axis)
 
 
