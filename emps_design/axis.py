@@ -17,7 +17,20 @@ from pydantic.fields import FieldInfo
 from emps_design.effects import Effect, get_effect
 from emps_design.errors import AxisError, InputError, nearest_name, one_line
 from emps_design.files import read_bytes
-from emps_design.laws import NONE, Finite, NonNegative, Positive, fields_of, known_laws, parameters_of, unit_of
+from emps_design.laws import (
+    NONE,
+    Finite,
+    NonNegative,
+    Positive,
+    field_at,
+    fields_of,
+    fields_within,
+    known_laws,
+    leaves,
+    parameters_of,
+    unit_of,
+)
+from emps_design.laws.law import NUMBER, RECORDED
 from emps_design.notebook import table
 from emps_design.quantities import check_magnitude
 
@@ -108,10 +121,10 @@ class Sampling(_Table):
 class Controller(_Table):
     """The law that makes the voltage: its kind, and its parameters as the law's own table has them.
 
-    A parameter reads as an attribute, None where it is not given: ``axis.controller.kp``.
+    A parameter reads as an attribute, None where it is not given: ``axis.controller.kp``; an inner table is a dict.
     """
 
-    kind: str = Field(NONE, description="the law: position_pd, ip_velocity, impedance or none")
+    kind: str = Field(NONE, description="the law: position_pd, ip_velocity, impedance, cascade, p or none")
     parameters: dict[str, Any]
 
     @model_validator(mode="before")
@@ -126,9 +139,9 @@ class Controller(_Table):
             problem = {"type": "literal_error", "loc": ("kind",), "input": kind, "ctx": {"expected": expected}}
             raise ValidationError.from_exception_data("Controller", [cast(Any, problem)])
         parameters = parameters_of(kind, {k: v for k, v in table.items() if k != "kind"})
-        fields = fields_of(kind)
-        for name, value in parameters.items():
-            _check_magnitude(name, value, fields[name])
+        for path, value in leaves(parameters):
+            if (field := field_at(kind, path)) is not None:
+                _check_magnitude(".".join(path), value, field)
         return {"kind": kind, "parameters": parameters}
 
     @model_serializer
@@ -199,7 +212,9 @@ class Axis(_Table):
         try:
             return cls.model_validate(table)
         except ValidationError as error:
-            raise AxisError(f"{source}: {_first_line(error)}") from error
+            controller = table.get("controller")
+            kind = str(controller.get("kind", NONE)) if isinstance(controller, dict) else NONE
+            raise AxisError(f"{source}: {_first_line(error, kind)}") from error
 
     @classmethod
     def load(cls, path: str | Path) -> Axis:
@@ -240,10 +255,9 @@ class Axis(_Table):
 
     def _repr_html_(self) -> str:
         rows = [
-            (name, key, value, unit_of(field))
+            (name, ".".join(path), value, unit_of(_field([name, *path], self.controller.kind)))
             for name in TABLES
-            for key, field in _fields(name, self.controller.kind).items()
-            if (value := getattr(getattr(self, name), key)) is not None
+            for path, value in leaves(getattr(self, name).model_dump(exclude_none=True))
         ]
         rows += [
             (effect.kind, parameter.name, effect.parameters[parameter.name], parameter.unit)
@@ -259,7 +273,7 @@ def _commented(text: str) -> str:
     kind = tomllib.loads(text).get("controller", {}).get("kind", NONE)
     for line in text.splitlines():
         table = line.strip("[]") if line.startswith("[") else table
-        field = _fields(table, kind).get(line.partition(" = ")[0])
+        field = _field([*table.split("."), line.partition(" = ")[0]], kind)
         unit = f" [{unit_of(field)}]" if unit_of(field) else ""
         lines.append(f"{line:<36}  # {field.description}{unit}" if field and field.description else line)
     return "\n".join(lines) + "\n"
@@ -283,28 +297,39 @@ TABLES: dict[str, type[_Table]] = {
 }
 
 
-def _fields(table: str, kind: str = NONE) -> dict[str, FieldInfo]:
-    """The keys of a ``table`` of the axis file, in that of the controller those of every law; none for another name."""
-    if table == "controller":
+def _fields(path: list[str], kind: str = NONE) -> dict[str, FieldInfo]:
+    """The keys of the table at ``path`` in the axis file, in the controller's those of every law; none elsewhere."""
+    if path == ["controller"]:
         return {"kind": Controller.model_fields["kind"], **fields_of(kind)}
-    return TABLES[table].model_fields if table in TABLES else {}
+    if path[:1] == ["controller"]:
+        return fields_within(field_at(kind, path[1:]))
+    return TABLES[path[0]].model_fields if len(path) == 1 and path[0] in TABLES else {}
 
 
-def _first_line(error: ValidationError) -> str:
-    """The first problem of a pydantic error as ``place: found ..., expected ...``; a wrong key comes first."""
+def _field(path: list[str], kind: str = NONE) -> FieldInfo | None:
+    """The field at a ``path`` of keys, the name of its table first; None where there is none."""
+    return _fields(path[:-1], kind).get(path[-1])
+
+
+def _first_line(error: ValidationError, kind: str = NONE) -> str:
+    """The first problem of a pydantic error as ``place: found ..., expected ...``; a wrong key comes first.
+
+    ``kind`` is that of the controller.
+    """
     problems = error.errors(include_url=False)
     problem = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
-    path = [str(part) for part in problem["loc"]]
+    path = [str(part) for part in problem["loc"] if part not in (NUMBER, RECORDED)]
     if path[:1] == ["effects"]:  # an effect's table is flat in the file
         path = [part for part in path if part != "parameters"]
     place = ".".join(path) or "axis"
     if problem["type"] == "extra_forbidden":
-        known = list((_fields(path[0]) if len(path) == 2 else {}) or Axis.model_fields)
+        known = list(_fields(path[:-1], kind) or Axis.model_fields)
         return f"{place}: unknown key{nearest_name(path[-1], known)} (known: {', '.join(known)})"
     if problem["type"] == "value_error":
         text = problem["msg"].removeprefix("Value error, ").removeprefix("effects: ")
-        return f"{place}{'.' if _is_field(path, text.partition(':')[0]) else ': '}{text}"
-    field = _fields(path[0]).get(path[1]) if len(path) == 2 else None
+        is_key = _field([*path, *text.partition(":")[0].split(".")], kind) is not None
+        return f"{place}{'.' if is_key else ': '}{text}"
+    field = _field(path, kind) if path else None
     unit = unit_of(field)
     expected = _expected(problem["type"], problem.get("ctx", {}), problem["msg"], f" [{unit}]" if unit else "")
     if problem["type"] == "missing":
@@ -319,13 +344,6 @@ def _first_line(error: ValidationError) -> str:
     return f"{place}: found {found}{f' {unit}' if unit and number else ''}, expected {expected}"
 
 
-def _is_field(path: list[str], name: str) -> bool:
-    """Whether ``name`` is a key of the table at ``path``."""
-    return len(path) == 1 and (
-        name in fields_of() if path == ["controller"] else path[0] in TABLES and name in TABLES[path[0]].model_fields
-    )
-
-
 def _expected(kind: str, context: dict[str, Any], message: str, unit: str) -> str:
     """What a field wants, in the words of an engineer rather than of the validator."""
     words = {
@@ -337,7 +355,7 @@ def _expected(kind: str, context: dict[str, Any], message: str, unit: str) -> st
         "missing": "text in quotes",
         "model_type": "a table",
         "dict_type": "a table",
-        "tuple_type": "[[effects]] tables",
+        "tuple_type": "a list of tables",
     }
     bounds = {"greater_than": "greater than", "greater_than_equal": "of at least", "less_than_equal": "of at most"}
     if kind in bounds:
