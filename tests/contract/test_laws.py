@@ -101,7 +101,7 @@ def test_the_words_mention_every_gain(kind, estimator):
         other = kind.table(**changed(axis.controller.parameters, path, moved))
         assert kind.equations(other, axis, 1e-3) != said, path
     assert kind.equations(table, axis, 2e-3) != said or kind.name == "p"  # which has no velocity
-    assert kind.equations(table, axis.replace(drive={"voltage_limit": 7.0}), 1e-3) != said
+    assert kind.equations(table, axis.replace(drive={"command_limit": 7.0}), 1e-3) != said
 
 
 @EVERY

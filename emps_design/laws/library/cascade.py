@@ -176,7 +176,7 @@ def _terms(*terms):
 
 
 def equations(p, axis, period):
-    g, limit = gains(p, axis, period), f"{axis.drive.voltage_limit:.10g}"
+    g, limit = gains(p, axis, period), f"{axis.drive.command_limit:.10g}"
     lines, follows_velocity = [velocity_in_words(p, period)], p.position is None
     wanted = "0"
     if follows_velocity:

@@ -20,7 +20,7 @@ def gains(p, axis, period):
 
 
 def equations(p, axis, period):
-    limit = f"{axis.drive.voltage_limit:.10g}"
+    limit = f"{axis.drive.command_limit:.10g}"
     kp = f"{p.kp.scale:.10g} * {p.kp.record}[k]" if isinstance(p.kp, FromRecord) else f"{p.kp:.10g}"
     return (
         f"u[k] = {kp} * (q_ref[k] - q[k])",
