@@ -79,6 +79,9 @@ class Kills:
     unfinished: int = 0  # kills that came before the end
 
     def __post_init__(self):
+        for number in SIGNALS:  # a job in the background of a shell ignores SIGINT, and so would what it starts
+            if signal.getsignal(number) is signal.SIG_IGN:
+                signal.signal(number, signal.SIG_DFL)
         axis = machine("emps2019")
         synthetic_record(axis, laps=1).save(self.folder / "record.npz")
         (self.folder / "axis.toml").write_text(axis.to_toml())

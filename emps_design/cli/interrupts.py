@@ -80,7 +80,7 @@ def _interrupt(number: int, frame: object) -> None:
 
 
 def _unraisable(told: sys.UnraisableHookArgs) -> None:
-    """Say nothing of an interrupt that met a callback of compiled code, where it cannot be raised: see :func:`_wait`."""
+    """Say nothing of an interrupt that met a callback of compiled code: it cannot be raised there, and `_wait` acts."""
     if not (heard.is_set() and issubclass(told.exc_type, KeyboardInterrupt)):
         sys.__unraisablehook__(told)
 
