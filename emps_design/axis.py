@@ -20,6 +20,7 @@ from emps_design.files import read_bytes
 from emps_design.laws import NONE, Finite, NonNegative, Positive, fields_of, known_laws, parameters_of, unit_of
 from emps_design.notebook import table
 from emps_design.quantities import check_magnitude
+from emps_design.records.mapping import Column, ColumnMap
 
 MAX_BYTES = 1_000_000  # of an axis file
 
@@ -182,6 +183,7 @@ class Axis(_Table):
     drive: Drive
     sampling: Sampling
     controller: Controller = Field(default_factory=lambda: Controller.model_validate({}))
+    record: ColumnMap = Field(default_factory=ColumnMap)
     effects: tuple[AxisEffect, ...] = ()
 
     @classmethod
@@ -211,13 +213,19 @@ class Axis(_Table):
         table = self.model_dump(exclude_none=True)
         effects = [{"kind": e.kind, **e.parameters} for e in self.effects]
         table.pop("effects")
-        return {**table, **({"effects": effects} if effects else {})}
+        columns = self.record.model_dump(exclude_none=True, exclude_defaults=True)
+        table.pop("record")
+        return {**table, **({"record": columns} if columns else {}), **({"effects": effects} if effects else {})}
 
     def to_toml(self, comments: bool = False) -> str:
         """The axis as a TOML document that :meth:`from_toml` reads back unchanged; ``comments`` explain each key."""
         import tomli_w
 
-        text = tomli_w.dumps(self.to_dict())
+        tables = self.to_dict()
+        columns = tables.pop("record", {})
+        text = tomli_w.dumps(tables)
+        if columns:
+            text += "\n[record]\n" + "".join(f"{key} = {_inline(column)}\n" for key, column in columns.items())
         return _commented(text) if comments else text
 
     def replace(self, **tables: Any) -> Axis:
@@ -251,6 +259,13 @@ class Axis(_Table):
             for parameter in effect.effect.parameters
         ]
         return table(self.name, rows, ("table", "key", "value", "unit"))
+
+
+def _inline(table: dict[str, Any]) -> str:
+    """``table`` on one line of TOML."""
+    import tomli_w
+
+    return f"{{ {', '.join(tomli_w.dumps(table).splitlines())} }}"
 
 
 def _commented(text: str) -> str:
@@ -299,7 +314,9 @@ def _first_line(error: ValidationError) -> str:
         path = [part for part in path if part != "parameters"]
     place = ".".join(path) or "axis"
     if problem["type"] == "extra_forbidden":
-        known = list((_fields(path[0]) if len(path) == 2 else {}) or Axis.model_fields)
+        inner = ColumnMap if len(path) == 2 else Column
+        known = list(inner.model_fields if path[0] == "record" else _fields(path[0]) if len(path) == 2 else {})
+        known = known or list(Axis.model_fields)
         return f"{place}: unknown key{nearest_name(path[-1], known)} (known: {', '.join(known)})"
     if problem["type"] == "value_error":
         text = problem["msg"].removeprefix("Value error, ").removeprefix("effects: ")
