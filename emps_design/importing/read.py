@@ -11,15 +11,15 @@ from emps_design.records import MAX_BYTES, Record, read_record, record_from_byte
 from emps_design.records.layout import Layout
 
 
-def import_record(path: str | Path, axis: Axis, max_bytes: int = MAX_BYTES) -> Record:
+def import_record(path: str | Path, axis: Axis, max_bytes: int = MAX_BYTES, resample: bool = False) -> Record:
     """Read the record at ``path`` as the ``[record]`` table of ``axis`` says, in SI units (commands: the axis's own).
 
-    Without a table, columns have the names of the contract or titles that say what they are. Irregular time is put on
-    the period of the axis. What was done stands in the record's ``warnings``, and which column was taken for what in
+    Without a table, columns have the names of the contract or titles that say what they are. Irregular time of an
+    export, and with ``resample`` of any record, is put on the period of the axis. What was done stands in the record's ``warnings``, and which column was taken for what in
     ``assigned``. Raises :class:`RecordError` in one line where that is not certain, or where the numbers cannot be of
     this axis.
     """
-    return check_against(axis, read_record(path, max_bytes, layout_of(axis)), str(path))
+    return check_against(axis, read_record(path, max_bytes, layout_of(axis, resample)), str(path))
 
 
 def import_bytes(content: bytes, name: str, axis: Axis, max_bytes: int = MAX_BYTES) -> Record:
@@ -35,10 +35,12 @@ def import_bytes(content: bytes, name: str, axis: Axis, max_bytes: int = MAX_BYT
     return check_against(axis, record_from_bytes(content, name, None, max_bytes, layout_of(axis)), name)
 
 
-def layout_of(axis: Axis) -> Layout:
+def layout_of(axis: Axis, resample: bool = False) -> Layout:
     """What a reader has to know of ``axis``."""
     return Layout(
+        units=axis.units,
         columns=axis.record,
         period=axis.sampling.period,
+        resample=resample,
         reference_needed=axis.controller.kind != NONE,
     )

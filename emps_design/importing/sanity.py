@@ -119,7 +119,7 @@ def _nothing_lost(record: Record, source: str) -> None:
 
 
 def _limit(axis: Axis, record: Record, source: str) -> list[str]:
-    limit, largest = axis.drive.voltage_limit, float(np.max(np.abs(record.u)))
+    limit, largest = axis.drive.command_limit, float(np.max(np.abs(record.u)))
     found = f"found up to {largest:.4g}, expected at most the limit of {limit:.4g} in the axis file"
     if largest > FAR_BEYOND_LIMIT * limit:
         raise RecordError(f"{source}: column u: {found}; correct unit or scale of command in [record]")

@@ -58,7 +58,8 @@ def checked(
             notes.append(f"{one.name}: taken from column {one.title!r} [{one.unit}]")
     for column, values in named.items():
         _finite(values, column, layout.unit(column), source, first_row)
-    found, clock_notes, resampled = on_one_clock(named, layout.period, source, first_row)
+    exported = layout.resample or any(one.how != NAMED for one in assigned)
+    found, clock_notes, resampled = on_one_clock(named, layout.period if exported else None, source, first_row)
     notes += clock_notes
     if resampled is not None:
         columns = {title: _held(values, named["t"], resampled) for title, values in columns.items()}
@@ -153,10 +154,10 @@ def _moving(named: Mapping[str, np.ndarray], layout: Layout, source: str) -> Non
 
 
 def _plausible(named: Mapping[str, np.ndarray], period: float, layout: Layout, source: str) -> None:
-    unit, usual = layout.unit("q"), "mm" if layout.motion == "linear" else "deg"
-    where = "metres on the load side" if layout.motion == "linear" else "radians on the load side"
+    unit, usual = layout.unit("q"), "mm" if not layout.units.rotary else "deg"
+    where = "metres on the load side" if not layout.units.rotary else "radians on the load side"
     hint = {"mm": "in mm: divide it by 1000, or title the column '{0} [mm]'", "deg": "in deg: title it '{0} [deg]'"}
-    longest, fastest = LONGEST_STROKE[layout.motion], HIGHEST_SPEED[layout.motion]
+    longest, fastest = LONGEST_STROKE[layout.units.motion], HIGHEST_SPEED[layout.units.motion]
     positions = [column for column in ("q", "q_ref") if column in named]
     for column in positions:
         stroke = float(np.ptp(named[column]))
@@ -177,7 +178,7 @@ def _plausible(named: Mapping[str, np.ndarray], period: float, layout: Layout, s
                 f"{np.ptp(named['q']):.4g} {unit}, expected the same unit in both; one is probably "
                 f"{hint[usual].format('q_ref')}"
             )
-    for column, highest in (("u", HIGHEST_VOLTAGE if layout.command_unit == "V" else HIGHEST), ("f_ext", HIGHEST)):
+    for column, highest in (("u", HIGHEST_VOLTAGE if layout.unit("u") == "V" else HIGHEST), ("f_ext", HIGHEST)):
         largest = float(np.max(np.abs(named[column]))) if column in named else 0.0
         if largest > highest:
             unit = layout.unit(column)
@@ -195,14 +196,15 @@ def _notes(named: Mapping[str, np.ndarray], layout: Layout, recorded: bool) -> l
         if column in named and np.ptp(named[column]) == 0.0
     ]
     if np.ptp(named["q"]) < SMALLEST_STROKE:
-        unit, long = layout.unit("q"), "metres" if layout.motion == "linear" else "radians"
+        unit, long = layout.unit("q"), "metres" if not layout.units.rotary else "radians"
         notes.append(f"q: a stroke of only {np.ptp(named['q']):.3g} {unit}; check that it is in {long}")
     u = np.abs(named["u"])
     largest = float(np.max(u))
-    if largest < SMALLEST_VOLTAGE and layout.command_unit == "V":
+    if largest < SMALLEST_VOLTAGE and layout.unit("u") == "V":
         notes.append(f"u: at most {largest:.3g} V; check that it is in volts")
     saturated = int(np.count_nonzero(u >= largest * (1 - 1e-6)))
     if saturated > max(NOTED_SATURATION * u.size, 5):
-        extreme = f"{largest:.4g} {layout.command_unit}".rstrip()
+        unit = layout.unit("u")
+        extreme = f"{largest:.4g} {unit}".rstrip()
         notes.append(f"u: {100 * saturated / u.size:.2g} % of the samples sit at the extreme of {extreme}: saturated")
     return notes

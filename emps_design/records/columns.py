@@ -6,13 +6,14 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from emps_design.errors import RecordError
-from emps_design.records.file_units import factors, spelled
+from emps_design.errors import InputError, RecordError
+from emps_design.units import Units, spelled
 
 # The contract's names, and the names of the EMPS data set.
 NAMES = {"t": "t", "qg": "q_ref", "q_ref": "q_ref", "qm": "q", "q": "q", "vir": "u", "u": "u"}
 OPTIONAL = ("f_ext", "velocity_reference", "velocity", "supply", "enable", "excitation")
 NAMES |= {name: name for name in OPTIONAL}
+# name -> what it measures, one of the columns that units are known of; a switch has none
 QUANTITIES = {
     "t": "time",
     "q_ref": "position",
@@ -21,11 +22,16 @@ QUANTITIES = {
     "f_ext": "force",
     "velocity_reference": "velocity",
     "velocity": "velocity",
-    "supply": "voltage",
+    "supply": "supply",
     "enable": "switch",
     "excitation": "command",
 }
+_BASE = {"time": "s", "position": "m", "velocity": "m/s", "force": "N", "command": "V", "supply": "volt", "switch": ""}
 RECORD = "emps_design_record"  # a member of an archive that this package wrote: its columns need no mapping
+# Units that may end a title without brackets: those that are surely one, and letters that may stand for something else.
+TAILS = ("ms", "us", "mm", "um", "nm", "cm", "deg", "rad", "mrad", "rev", "rpm", "mA", "mV", "kN", "N m")
+LETTERS = ("s", "m", "A", "V", "N")
+PLAIN = Units()  # of a record that no axis file describes
 _CONTRACT = re.compile(r"\s*(?P<name>\w+)\s*(?:\[(?P<square>[^\]]*)\]|\((?P<round>[^)]*)\)|/\s*(?P<slash>\w+))?\s*")
 _BRACKETED = re.compile(r"\s*(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\))\s*")
 
@@ -40,7 +46,24 @@ class Title:
     factor: float = 1.0  # what one unit of the file is in units of the library
 
 
-def read_title(text: str, source: str, motion: str = "linear", command_unit: str = "V") -> Title:
+def unit_of(name: str, units: Units) -> str:
+    """The unit of a record's column called ``name``.
+
+    >>> unit_of("q", Units("rotary", "current", "A")), unit_of("u", Units("rotary", "current", "A"))
+    ('rad', 'A')
+    """
+    return units.unit(_BASE[QUANTITIES[name]])
+
+
+def factor_of(unit: str, name: str, units: Units) -> float | None:
+    """What one ``unit`` of a file is in the unit of a record's column, or None for a unit of something else."""
+    try:
+        return units.factor(unit, QUANTITIES[name]) if QUANTITIES[name] != "switch" else None
+    except InputError:
+        return None
+
+
+def read_title(text: str, source: str, units: Units = PLAIN) -> Title:
     """Split a title such as ``q [mm]``, ``u (V)`` or ``t/ms``; raises :class:`RecordError` on an unknown unit.
 
     >>> read_title("qm [mm]", "a.csv")
@@ -53,12 +76,11 @@ def read_title(text: str, source: str, motion: str = "linear", command_unit: str
     if not name or match is None:
         return Title(text.strip(), "")
     unit = spelled(match["square"] or match["round"] or match["slash"] or "")
-    known = factors(QUANTITIES[name], motion, command_unit)
-    if unit and unit not in known:
-        raise RecordError(
-            f"{source}: column {text.strip()!r}: unknown unit {unit!r}, expected one of {', '.join(known)}"
-        )
-    return Title(text.strip(), name, unit, known[unit] if unit else 1.0)
+    try:
+        factor = units.factor(unit, QUANTITIES[name]) if unit and QUANTITIES[name] != "switch" else 1.0
+    except InputError as error:
+        raise RecordError(f"{source}: column {text.strip()!r}: {error}") from error
+    return Title(text.strip(), name, unit, factor)
 
 
 def plain_title(text: str) -> tuple[str, str]:
@@ -71,6 +93,19 @@ def plain_title(text: str) -> tuple[str, str]:
     if match is None or not match["name"]:
         return text.strip(), ""
     return match["name"], (match["square"] or match["round"] or "").strip()
+
+
+def title_unit(text: str) -> tuple[str, str]:
+    """Return a title without its unit, and the unit: the bracketed one, or what stands after a last underscore.
+
+    >>> title_unit("Lage [mm]"), title_unit("pos_deg"), title_unit("cmd_A"), title_unit("act_pos"), title_unit("state")
+    (('Lage', 'mm'), ('pos', 'deg'), ('cmd', 'A'), ('act_pos', ''), ('state', ''))
+    """
+    plain, bracketed = plain_title(text)
+    if bracketed:
+        return plain, spelled(bracketed)
+    head, _, tail = plain.rpartition("_")
+    return (head, spelled(tail)) if head and spelled(tail) in (*TAILS, *LETTERS) else (plain, "")
 
 
 def listed(titles: Sequence[str]) -> str:

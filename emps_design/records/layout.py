@@ -6,11 +6,24 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from emps_design.errors import RecordError, nearest_name
-from emps_design.records.columns import NAMES, QUANTITIES, RECORD, listed, plain_title, read_title
-from emps_design.records.file_units import factors, inside, spelled
-from emps_design.records.mapping import COUNTS, KEYS, Column, ColumnMap
+from emps_design.errors import InputError, RecordError, nearest_name
+from emps_design.records.columns import (
+    LETTERS,
+    NAMES,
+    PLAIN,
+    QUANTITIES,
+    RECORD,
+    TAILS,
+    factor_of,
+    listed,
+    plain_title,
+    read_title,
+    title_unit,
+    unit_of,
+)
+from emps_design.records.mapping import KEYS, Column, ColumnMap
 from emps_design.records.recognise import meanings
+from emps_design.units import COUNTS, Units, spelled
 
 MAPPED, NAMED, RECOGNISED = "mapped", "named", "recognised"
 
@@ -19,20 +32,19 @@ MAPPED, NAMED, RECOGNISED = "mapped", "named", "recognised"
 class Layout:
     """What a reader has to know of the axis: its units, its ``[record]`` table, its clock.
 
-    ``reference_needed`` is False where no controller needs one; ``parameters`` are further columns, or single numbers,
-    that the axis takes from its records.
+    An export is put on the ``period`` [s] where its time is irregular, a record of this package only where ``resample``
+    asks for it. ``reference_needed`` is False where no controller needs one.
     """
 
-    motion: str = "linear"
-    command_unit: str = "V"
+    units: Units = PLAIN
     columns: ColumnMap = field(default_factory=ColumnMap)
     period: float | None = None
+    resample: bool = False
     reference_needed: bool = True
-    parameters: tuple[str, ...] = ()
 
     def unit(self, name: str) -> str:
         """The unit of a record's column called ``name``."""
-        return inside(QUANTITIES[name], self.motion, self.command_unit)
+        return unit_of(name, self.units)
 
 
 @dataclass(frozen=True)
@@ -56,7 +68,7 @@ def assign(titles: Sequence[str], layout: Layout, source: str) -> list[Assignmen
     found = {} if _is_plain(titles, layout) else _all_mapped(titles, layout, source)
     taken = {one.title for one in found.values()}
     for text in titles:
-        title = read_title(text, source, layout.motion, layout.command_unit) if text not in taken else None
+        title = read_title(text, source, layout.units) if text not in taken else None
         if title is None or not title.name or (title.name in found and found[title.name].how == MAPPED):
             continue
         if title.name in found:
@@ -101,35 +113,39 @@ def missing(found: dict[str, Assignment], layout: Layout) -> list[str]:
 
 
 def _mapped(name: str, column: Column, titles: Sequence[str], layout: Layout, source: str) -> Assignment:
-    key = KEYS[name]
+    key, expected = KEYS[name], layout.unit(name) or "a plain number"
     title = _find(column.column, titles, key, source)
-    stated = spelled(plain_title(title)[1])
+    stated, sure = title_unit(title)[1], bool(plain_title(title)[1])
+    stated = "" if stated in LETTERS and not sure else stated
     unit = spelled(column.unit) if column.unit is not None else ""
-    known = factors(QUANTITIES[name], layout.motion, layout.command_unit)
-    if unit == COUNTS and column.scale is None:
-        raise RecordError(
-            f"{source}: [record] {key}: found unit 'counts' without a scale, expected scale = "
-            f"{layout.unit(name) or '1'} per count"
-        )
-    if unit and unit != COUNTS and unit not in known:
-        raise RecordError(f"{source}: [record] {key}: found unit {column.unit!r}, expected one of {', '.join(known)}")
-    if unit and stated in known and stated != unit:
+    own = factor_of(stated, name, layout.units) is not None
+    if unit and own and stated != unit and COUNTS not in (stated, unit):
         raise RecordError(
             f"{source}: column {title!r}: the title says {stated}, [record] {key} says {unit}; correct the axis file"
         )
-    if not unit and column.scale is None:
-        if stated in known:
-            unit = stated
-        elif _is_other_quantity(stated, name, layout):
-            expected = layout.unit(name) or "a plain number"
-            raise RecordError(
-                f"{source}: column {title!r}: found the unit {stated}, expected {expected} for {key}; is it the right "
-                "column? Otherwise give its scale in [record]"
-            )
-    factor = column.sign * (1.0 if column.scale is None else column.scale) * known.get(unit, 1.0)
-    if not (math.isfinite(factor) and factor):
-        raise RecordError(f"{source}: [record] {key}: found scale {column.scale}, expected a number other than 0")
-    return Assignment(name, title, unit or (layout.unit(name) if column.scale is None else ""), factor, MAPPED)
+    if not unit and own and column.scale is None:
+        unit = stated
+    elif not unit and sure and not own and column.scale is None and _is_other_quantity(stated, layout):
+        raise RecordError(
+            f"{source}: column {title!r}: found the unit {stated}, expected {expected} for {key}; is it the right "
+            "column? Otherwise give its scale in [record]"
+        )
+    scale = 1.0 if column.scale is None else column.scale
+    if not (math.isfinite(scale) and scale):
+        raise RecordError(f"{source}: [record] {key}: found scale {scale:g}, expected a finite number other than 0")
+    try:
+        factor = _factor(unit, name, column.scale, layout) if unit else scale
+    except InputError as error:
+        raise RecordError(f"{source}: [record] {key}: {error}") from error
+    shown = unit or (layout.unit(name) if column.scale is None else "")
+    return Assignment(name, title, shown, column.sign * factor, MAPPED)
+
+
+def _factor(unit: str, name: str, scale: float | None, layout: Layout) -> float:
+    """What one ``unit`` times ``scale`` of a file is; counts of a clock are its ticks, of a switch anything."""
+    if QUANTITIES[name] == "switch" or (unit == COUNTS and name == "t" and scale is not None):
+        return 1.0 if scale is None else scale
+    return layout.units.factor(unit, QUANTITIES[name], scale)
 
 
 def _find(wanted: str, titles: Sequence[str], key: str, source: str) -> str:
@@ -151,17 +167,15 @@ def _find(wanted: str, titles: Sequence[str], key: str, source: str) -> str:
     )
 
 
-def _is_other_quantity(unit: str, name: str, layout: Layout) -> bool:
-    """Whether a title's ``unit`` is one that what ``name`` measures cannot have."""
-    others = [set(factors(quantity, layout.motion, "")) for quantity in ("time", "position", "velocity", "force")]
-    others += [{"V", "mV"}, {"A", "mA"}, {"%"}, {"N m"}, {"N"}]
-    return any(unit in other for other in others)
+def _is_other_quantity(unit: str, layout: Layout) -> bool:
+    """Whether a title's ``unit`` is one of a quantity at all."""
+    return unit in (*TAILS, *LETTERS, "%", layout.unit("u"))
 
 
 def _recognise(found: dict[str, Assignment], titles: Sequence[str], layout: Layout, source: str) -> None:
     """Add to ``found`` what titles say in plain words; two that say the same are not chosen between."""
     free = [title for title in titles if title not in {one.title for one in found.values()}]
-    for name, candidates in meanings(free, layout.motion, layout.command_unit).items():
+    for name, candidates in meanings(free, layout.units).items():
         if name in found or not candidates:
             continue
         if len(candidates) > 1:
@@ -172,23 +186,23 @@ def _recognise(found: dict[str, Assignment], titles: Sequence[str], layout: Layo
                 )
             continue
         title = candidates[0]
-        unit = spelled(plain_title(title)[1])
-        known = factors(QUANTITIES[name], layout.motion, layout.command_unit)
-        if unit and unit not in known:
+        unit = title_unit(title)[1]
+        factor = factor_of(unit, name, layout.units) if unit else None
+        if factor is None and not (unit == "" and QUANTITIES[name] == "command"):
             if name in missing(found, layout):
                 raise RecordError(
-                    f"{source}: column {title!r}: found the unit {unit}, expected one of {', '.join(known)}; say what "
-                    f"it is in [record]: {KEYS[name]} = {{ column = ..., unit = ... }}"
+                    f"{source}: column {title!r}: found {f'the unit {unit}' if unit else 'no unit'}, expected one of "
+                    f"{QUANTITIES[name]}; say in [record]: {KEYS[name]} = {{ column = ..., unit = ... }}"
                 )
             continue
-        found[name] = Assignment(name, title, unit or layout.unit(name), known.get(unit, 1.0), RECOGNISED)
+        found[name] = Assignment(name, title, unit or layout.unit(name), factor or 1.0, RECOGNISED)
 
 
 def _lacking(
     lacking: list[str], found: dict[str, Assignment], titles: Sequence[str], layout: Layout, source: str
 ) -> str:
     expected = (
-        f"t [s], q_ref [{layout.unit('q')}], q [{layout.unit('q')}], u [{layout.command_unit}] (or the EMPS names t, "
+        f"t [s], q_ref [{layout.unit('q')}], q [{layout.unit('q')}], u [{layout.unit('u')}] (or the EMPS names t, "
         "qg, qm, vir)"
     )
     return f"{source}: missing column {', '.join(lacking)}; found {listed(titles)}; expected {expected}"

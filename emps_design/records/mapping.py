@@ -6,8 +6,6 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-COUNTS = "counts"  # the unit of a column that has to come with a scale
-
 
 class Column(BaseModel):
     """One column: its title with or without the bracketed unit, its unit, and what it is multiplied by."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 
-from emps_design.records.columns import QUANTITIES, plain_title
-from emps_design.records.file_units import factors, spelled
+from emps_design.records.columns import QUANTITIES, factor_of, title_unit
+from emps_design.units import Units
 
 _WORDS = re.compile(r"[A-Z]?[a-zäöüß]+|[A-Z]+(?![a-zäöü])|\d+")
 # Compound words of German are looked into; words of English are whole.
@@ -33,56 +33,56 @@ def words(title: str) -> str:
     >>> words("Axis1.ActPos [mm]"), words("PositionActualValue"), words("Lage-Istwert")
     ('axis 1 act pos', 'position actual value', 'lage istwert')
     """
-    return " ".join(word.lower() for word in _WORDS.findall(plain_title(title)[0].replace("_", " ")))
+    return " ".join(word.lower() for word in _WORDS.findall(title_unit(title)[0].replace("_", " ")))
 
 
-def meanings(titles: Sequence[str], motion: str, command_unit: str) -> dict[str, list[str]]:
+def meanings(titles: Sequence[str], units: Units) -> dict[str, list[str]]:
     """The titles that may be each column of a record; the plainest only, and none where none says it.
 
-    >>> found = meanings(["Zeit [ms]", "Lageistwert [mm]", "Lagesollwert [mm]", "Status"], "linear", "%")
+    >>> found = meanings(["Zeit [ms]", "Lageistwert [mm]", "Lagesollwert [mm]", "Status"], Units())
     >>> {name: titles for name, titles in found.items() if titles}
     {'t': ['Zeit [ms]'], 'q_ref': ['Lagesollwert [mm]'], 'q': ['Lageistwert [mm]']}
     """
 
-    def measures(title: str, quantity: str) -> bool:
-        return spelled(plain_title(title)[1]) in factors(quantity, motion, command_unit)
+    def measures(title: str, name: str) -> bool:
+        return factor_of(title_unit(title)[1], name, units) is not None
 
-    def those(*patterns: str, but: str = "", quantity: str = "") -> list[str]:
+    def those(*patterns: str, but: str = "", name: str = "") -> list[str]:
         found = []
         for title in titles:
             text = words(title)
             if re.search(_NOT, text) or (but and re.search(but, text)):
                 continue
             if all(re.search(pattern, text) for pattern in patterns) and (
-                not quantity or measures(title, quantity) or not plain_title(title)[1]
+                not name or measures(title, name) or not title_unit(title)[1]
             ):
                 found.append(title)
         return found
 
-    def alone(pattern: str, quantity: str) -> list[str]:
-        return [title for title in titles if re.fullmatch(pattern, words(title)) and measures(title, quantity)]
+    def alone(pattern: str, name: str) -> list[str]:
+        return [title for title in titles if re.fullmatch(pattern, words(title)) and measures(title, name)]
 
     drive = rf"{_SENSOR}|{_SUPPLY}"
     found: dict[str, list[str]] = {
-        "t": _first(lambda: alone(r"t|time|zeit|timestamp|zeitstempel", "time"), lambda: those(r"^(time|zeit|t)\b")),
+        "t": _first(lambda: alone(r"t|time|zeit|timestamp|zeitstempel", "t"), lambda: those(r"^(time|zeit|t)\b")),
         "q_ref": _first(
-            lambda: those(_SET, _POSITION, but=_VELOCITY, quantity="position"),
-            lambda: alone(r"set|setpoint|ref|reference|target|sollwert", "position"),
+            lambda: those(_SET, _POSITION, but=_VELOCITY, name="q"),
+            lambda: alone(r"set|setpoint|ref|reference|target|sollwert", "q"),
         ),
         "q": _first(
-            lambda: those(_ACTUAL, _POSITION, but=f"{_VELOCITY}|{_SET}", quantity="position"),
-            lambda: those(_POSITION, but=f"{_VELOCITY}|{_SET}", quantity="position"),
+            lambda: those(_ACTUAL, _POSITION, but=f"{_VELOCITY}|{_SET}", name="q"),
+            lambda: those(_POSITION, but=f"{_VELOCITY}|{_SET}", name="q"),
         ),
         "u": _first(
             lambda: those(_SET, _FORCE, but=drive),
             lambda: those(_FORCE, but=f"{_ACTUAL}|{drive}"),
             lambda: those(_FORCE, but=drive),
-            lambda: alone(r"cmd|command|stellgröße|u", "command"),
+            lambda: alone(r"cmd|command|stellgröße|u", "u"),
         ),
-        "velocity_reference": those(_SET, _VELOCITY, quantity="velocity"),
-        "velocity": those(_VELOCITY, but=_SET, quantity="velocity"),
-        "f_ext": those(_SENSOR, _FORCE, quantity="force"),
-        "supply": those(_SUPPLY, r"volt|spannung", quantity="voltage"),
+        "velocity_reference": those(_SET, _VELOCITY, name="velocity"),
+        "velocity": those(_VELOCITY, but=_SET, name="velocity"),
+        "f_ext": those(_SENSOR, _FORCE, name="f_ext"),
+        "supply": those(_SUPPLY, r"volt|spannung", name="supply"),
     }
     return {name: found.get(name, []) for name in QUANTITIES}
 

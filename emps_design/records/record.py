@@ -106,6 +106,7 @@ class Record:
     def part(self, start: int, stop: int, name: str | None = None) -> Record:
         """Samples ``start`` to ``stop`` as a record whose time starts at 0 again."""
         cut = slice(start, stop)
+        optional: Any = {key: None if column is None else column[cut] for key, column in self._optional.items()}
         return replace(
             self,
             t=self.t[cut] - self.t[cut][0],
@@ -115,7 +116,7 @@ class Record:
             name=name or f"{self.name}[{start}:{stop}]",
             extra={key: value for key, value in self.extra.items() if np.size(value) == 1},
             measured=None,
-            **{key: None if column is None else column[cut] for key, column in self._optional.items()},
+            **optional,
         )
 
     def save(self, path: str | Path) -> None:

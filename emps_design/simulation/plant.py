@@ -260,7 +260,7 @@ class Plant:
         rows = np.empty((4, n))
         position, velocity, u, encoder = rows
         gains = np.zeros(4) if law is None else law.gains
-        numbers = core.numbers_of(period, drive.force_gain, drive.voltage_limit, resolution, gains)
+        numbers = core.numbers_of(period, drive.force_gain, drive.command_limit, resolution, gains)
         if method == "plain":
             good = core.run_plain(
                 b, numbers, delay, start, reference, push, noise, position, encoder, velocity, u, events, found
@@ -295,7 +295,7 @@ class Plant:
         columns, slots = self._intended(intention, n, period)
         drive, settings = self.axis.drive, np.zeros(stepper.SETTINGS)
         settings[stepper.PERIOD], settings[stepper.GAIN] = period, drive.force_gain
-        settings[stepper.LIMIT], settings[stepper.RESOLUTION] = drive.voltage_limit, resolution
+        settings[stepper.LIMIT], settings[stepper.RESOLUTION] = drive.command_limit, resolution
         settings[stepper.DELAYED], settings[stepper.LAG] = self.axis.sampling.computation_delay, self._lag
         if self._lagging >= 0:
             at = self._lagging

@@ -151,7 +151,11 @@ def repacked(content: bytes, change) -> bytes:
         ("a.csv", b"t,q\0", r"found binary data, expected a text table"),
         ("a.csv", table(header="t,q_ref,q,v"), r"missing column u; found t, q_ref, q, v; expected"),
         ("a.csv", table(header="t,qg,q_ref,u"), r"columns 'qg' and 'q_ref' both stand for q_ref"),
-        ("a.csv", table(header="t,qg,q [inch],u"), r"column 'q \[inch\]': unknown unit 'inch', expected one of m, cm"),
+        (
+            "a.csv",
+            table(header="t,qg,q [ell],u"),
+            r"column 'q \[ell\]': linear position: found unit 'ell', expected m, cm",
+        ),
         (
             "a.csv",
             table().replace(b"\n0.002,", b"\n0.002,x"),
