@@ -15,9 +15,9 @@ def import_record(path: str | Path, axis: Axis, max_bytes: int = MAX_BYTES, resa
     """Read the record at ``path`` as the ``[record]`` table of ``axis`` says, in SI units (commands: the axis's own).
 
     Without a table, columns have the names of the contract or titles that say what they are. Irregular time of an
-    export, and with ``resample`` of any record, is put on the period of the axis. What was done stands in the record's ``warnings``, and which column was taken for what in
-    ``assigned``. Raises :class:`RecordError` in one line where that is not certain, or where the numbers cannot be of
-    this axis.
+    export, and with ``resample`` of any record, is put on the period of the axis. What was done stands in the record's
+    ``warnings``, and which column was taken for what in ``assigned``. Raises :class:`RecordError` in one line where it
+    is not certain, or where the numbers cannot be of this axis.
     """
     return check_against(axis, read_record(path, max_bytes, layout_of(axis, resample)), str(path))
 

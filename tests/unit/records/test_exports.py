@@ -1,4 +1,4 @@
-"""What drives write is taken as it is: preamble, encoding, separators, units, comments, status columns, Scope exports."""
+"""What drives write is taken as it is: preamble, encoding, separators, units, comments, status, Scope exports."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from emps_design.records import record_from_bytes
 from emps_design.records.layout import Layout
 from emps_design.records.mapping import ColumnMap
 from emps_design.units import Units
-from tests.unit.records.exports import ENCODER, N, Q, Q_REF, T, U, german, rows, scope
+from tests.unit.records.exports import ENCODER, Q_REF, N, Q, T, U, german, rows, scope
 
 TORQUE = Units("linear", "torque", "%")
 GERMAN = {
