@@ -14,7 +14,9 @@ class Column(BaseModel):
 
     column: Annotated[str, Field(min_length=1)] = Field(description="its title in the file")
     unit: str | None = Field(None, description="its unit, by default what the title says")
-    scale: Annotated[float, Field(allow_inf_nan=False)] | None = Field(None, description="what one of the file is, times its unit")
+    scale: Annotated[float, Field(allow_inf_nan=False)] | None = Field(
+        None, description="what its numbers are multiplied by"
+    )
     sign: Literal[1, -1] = Field(1, description="-1 where the file counts the other way")
 
 
