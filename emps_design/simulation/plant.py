@@ -260,7 +260,7 @@ class Plant:
         rows = np.empty((4, n))
         position, velocity, u, encoder = rows
         gains = np.zeros(4) if law is None else law.gains
-        numbers = core.numbers_of(period, drive.force_gain, drive.voltage_limit, resolution, gains)
+        numbers = core.numbers_of(period, drive.force_gain, drive.command_limit, resolution, gains)
         if method == "plain":
             good = core.run_plain(
                 b, numbers, delay, start, reference, push, noise, position, encoder, velocity, u, events, found
@@ -295,7 +295,7 @@ class Plant:
         columns, slots = self._intended(intention, n, period)
         drive, settings = self.axis.drive, np.zeros(stepper.SETTINGS)
         settings[stepper.PERIOD], settings[stepper.GAIN] = period, drive.force_gain
-        settings[stepper.LIMIT], settings[stepper.RESOLUTION] = drive.voltage_limit, resolution
+        settings[stepper.LIMIT], settings[stepper.RESOLUTION] = drive.command_limit, resolution
         settings[stepper.DELAYED], settings[stepper.LAG] = self.axis.sampling.computation_delay, self._lag
         if self._lagging >= 0:
             at = self._lagging
@@ -326,9 +326,11 @@ class Plant:
     def _general(self, law, reference, push, noise, q0, v0, period, energy, events, found, ready):
         n, y = reference.size, ready.y
         out = np.empty((5, n))
-        place, gains, memory = 0, _EMPTY, _EMPTY
+        place, gains, memory = 0, _NO_SIGNALS, _EMPTY
         if law is not None:
-            place, gains, memory = address(law.kernel, "law"), law.gains, np.zeros(law.memory)
+            place, gains, memory = address(law.kernel, "law"), np.atleast_2d(law.gains), np.zeros(law.memory)
+            if len(gains) not in (1, n):
+                raise InputError(f"law: found gains for {len(gains)} samples, expected {n}: those of its own record")
         plant = (ready.baseline, ready.hooks, ready.starts, ready.parameters, ready.settings)
         status, k, within = stepper.run(
             plant, y, place, gains, memory, reference, push, noise, ready.columns, ready.slots, ready.floors,
