@@ -28,6 +28,7 @@ COMMANDS = (
     "identify",
     "observe",
     "diagnose",
+    "export",
     "derive",
     "report",
     "studio",

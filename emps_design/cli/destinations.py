@@ -13,7 +13,7 @@ from emps_design.files import destination
 HEAD = 65536  # bytes that say what a file holds
 OVERWRITE = "Overwrite a file that holds something else."  # the help of --force
 AXIS, PAGE, ARCHIVE, TABLE = "an axis file", "an HTML page", "a NumPy archive", "a text table"
-JSON, ANYTHING = "a JSON document", "something else"
+JSON, CODE, ANYTHING = "a JSON document", "code of emps-design", "something else"
 PICTURES = {".png": "a PNG picture", ".svg": "an SVG picture", ".pdf": "a PDF document"}
 
 _MAGIC = (
@@ -24,6 +24,7 @@ _MAGIC = (
     (b"MATLAB", "a MATLAB file"),
 )
 _TEXT = (
+    (r"[^\n]*(\n[^\n]*){0,20}made by emps-design", CODE),
     (r"<(!doctype )?html\b", PAGE),
     (r"<(\?xml|svg)\b", PICTURES[".svg"]),
     (r"(?m)(\A|.*^)\s*\[?\s*mechanics\b", AXIS),

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from emps_design.axis import Axis
 
 LAW_ARGUMENTS = (INT, REAL, REAL, REAL, REAL, ARRAY, ARRAY)  # of a law's kernel
-INPUTS = {"position": "m", "velocity": "m/s", "rest position": "m"}  # unit of what a law follows
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ class Block:
     @property
     def limit(self) -> float:
         """The largest command [command units]."""
-        return float(self.axis.drive.voltage_limit)
+        return float(self.axis.drive.command_limit)
 
     def run(self, start: np.ndarray, reference: np.ndarray, q: np.ndarray, f_ext: np.ndarray) -> Any:
         """Command (n,) and memory (n, memory) after each sample, by the machine code that simulations run.

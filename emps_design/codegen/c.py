@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from emps_design.codegen.printer import Printer, names_of, parts
 from emps_design.codegen.program import (
     ARRAY,
@@ -21,9 +23,12 @@ from emps_design.codegen.program import (
 )
 
 KEYWORDS = frozenset(
-    "auto break case char const continue default do double else enum extern float for goto if inline int long register "
-    "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while main asm "
-    "typeof bool true false nullptr real_t con nul prn aux class template this new delete".split()
+    re.findall(
+        r"\w+",
+        """auto break case char const continue default do double else enum extern float for goto if inline int long
+        register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while
+        asm bool class delete false main new template this true typeof con prn aux nul""",  # the last: no file's name
+    )
 )
 TYPES = {REAL: "real", INT: "long long"}
 # Functions of the language that C does not have under that meaning: Python's own, to the bit.
@@ -52,8 +57,10 @@ class CPrinter(Printer):
         self.types = function.variables
         known = self.constants.get(function.name, {})
         body = self.lines(function, known)
-        used = set().union(*map(names_of, function.body))
-        unused = [f"{self.indent}(void){self.names[name]};" for name in function.parameters if name not in used | known.keys()]
+        used = _all(function.body) | known.keys()
+        unused = [
+            f"{self.indent}(void){self.names[name]};" for name in function.parameters if name not in used | known.keys()
+        ]
         written = _written(function.body)
         arguments = ", ".join(
             f"{'' if name in written else 'const '}real *{self.names[name]}"
@@ -70,7 +77,11 @@ class CPrinter(Printer):
         here = [name for name in self.types if _belongs(name, steps)]
         outer, self.types = self.types, {name: kind for name, kind in self.types.items() if name not in here}
         late = {name: next(step for step in steps if name in names_of(step)) for name in here}
-        first = {id(step): name for name, step in late.items() if isinstance(step, Assign) and step.target == Name(name, outer[name])}
+        first = {
+            id(step): name
+            for name, step in late.items()
+            if isinstance(step, Assign) and step.target == Name(name, outer[name])
+        }
         lines = [
             f"{self.indent}{TYPES[outer[name]]} {self.names[name]};" for name in here if name not in first.values()
         ]
@@ -107,7 +118,9 @@ class CPrinter(Printer):
         name, up = self.names[step.variable], step.step > 0
         change = f"{name}{'++' if up else '--'}" if abs(step.step) == 1 else f"{name} += {step.step}"
         stop = self.expression(step.stop)
-        head = f"for (long long {name} = {self.expression(step.start)}; {name} {'<' if up else '>'} {stop}; {change}) {{"
+        head = (
+            f"for (long long {name} = {self.expression(step.start)}; {name} {'<' if up else '>'} {stop}; {change}) {{"
+        )
         return [head, *self.block(step.body), "}"]
 
     def branch(self, step: If) -> list[str]:
@@ -137,6 +150,11 @@ def _belongs(name: str, steps: tuple[Statement, ...]) -> bool:
         return bool(users)
     blocks, tests = parts(users[0])
     return any(name in names_of(test) for test in tests) or sum(name in _all(block) for block in blocks) > 1
+
+
+def _sets(name: str, step: Statement) -> bool:
+    """Whether ``step`` gives ``name`` its first value, for which it need not have one."""
+    return isinstance(step, Assign) and isinstance(step.target, Name) and name not in names_of(step.value)
 
 
 def _all(steps: tuple[Statement, ...]) -> set[str]:

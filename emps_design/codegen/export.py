@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
+import inspect
 import json
 import math
 import re
+import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -13,19 +16,21 @@ from importlib import metadata
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-from emps_design.codegen.block import INPUTS, Block
+from emps_design.axis.tables import field_in
+from emps_design.codegen.block import Block
 from emps_design.codegen.c import KEYWORDS, functions_in_c
 from emps_design.codegen.printer import safe_names
 from emps_design.codegen.vectors import MOTION, REST, Vectors, vectors_of
 from emps_design.errors import InputError
-from emps_design.files import write_text
-from emps_design.laws import unit_of
+from emps_design.files import write_text, write_together
+from emps_design.laws import leaves, unit_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from emps_design.axis import Axis
 
+INPUTS = {"position": "m", "velocity": "m/s", "rest position": "m"}  # unit of what a law follows
 LONGEST_NAME = 40
 CHARACTERS = 120  # of a line of a comment
 
@@ -41,9 +46,10 @@ class Exported:
     files: dict[str, str] = field(repr=False)
 
     def write(self, folder: Path) -> None:
-        """Write every file into ``folder``, which exists, each whole or not at all."""
-        for name, text in self.files.items():
-            write_text(folder / name, text)
+        """Write the files into ``folder``, which exists, all of them or none."""
+        with write_together(folder) as aside:
+            for name, text in self.files.items():
+                write_text(aside / name, text)
 
     def to_dict(self) -> dict[str, Any]:
         """Names of the files and what the vectors are."""
@@ -62,7 +68,7 @@ class Exported:
                 "single_precision_bound": max(bound, default=None),
                 "rows_without_bound": int(self.vectors.q.size - len(bound)),
             },
-            "units": {"single_precision_bound": command_unit(self.block.axis)},
+            "units": {"single_precision_bound": self.block.axis.units.unit("V")},
             "warnings": [],
         }
 
@@ -75,7 +81,7 @@ def export_controller(axis: Axis, target: str) -> Exported:
 
     >>> from emps_design.machines import machine
     >>> list(export_controller(machine("emps2019"), "c").files)
-    ['emps2019.c', 'emps2019.h', 'emps2019_check.c', 'Makefile', 'axis.toml', 'vectors.csv', 'README.md']
+    ['emps2019.c', 'emps2019.h', 'emps2019_check.c', 'Makefile', 'emps2019.toml', 'vectors.csv', 'README.md']
     """
     if target not in TARGETS:
         raise InputError(f"`target`: found {target!r}, expected one of {', '.join(TARGETS)}")
@@ -92,11 +98,6 @@ def block_name(name: str) -> str:
     """
     plain = re.sub("[^0-9A-Za-z]+", "_", name)[:LONGEST_NAME].strip("_") or "axis"
     return safe_names([plain], KEYWORDS | frozenset({"end_if", "program", "function", "var", "type"}))[plain]
-
-
-def command_unit(axis: Axis) -> str:
-    """The unit of the command of ``axis``."""
-    return str(getattr(axis.drive, "command_unit", None) or "V")
 
 
 def _hash(text: str) -> str:
@@ -117,9 +118,11 @@ def _words(name: str, block: Block) -> dict[str, Any]:
     table = axis.controller.parameters
     own = {key: table[key] for key in block.kind.table.model_fields if key in table}
     said = block.kind.equations(block.kind.table(**own), axis, axis.sampling.period)
-    fields = block.kind.table.model_fields
-    force = "N m" if getattr(axis, "motion", "linear") == "rotary" else "N"
-    metre = "rad" if getattr(axis, "motion", "linear") == "rotary" else "m"
+    unit = axis.units.unit
+    parameters = [
+        f"{'.'.join(path)} = {value} {unit(unit_of(field_in(('controller', *path), block.kind.name)))}".rstrip()
+        for path, value in leaves(own)
+    ]
     return {
         "name": name,
         "macro": name.upper(),
@@ -130,15 +133,15 @@ def _words(name: str, block: Block) -> dict[str, Any]:
         "version": metadata.version("emps-design"),
         "period": repr(axis.sampling.period),
         "equations": [_comment(line) for line in said],
-        "parameters": [_comment(f"{key} = {value} {unit_of(fields[key])}".rstrip()) for key, value in own.items()],
+        "parameters": list(map(_comment, parameters)),
         "memory": max(1, law.memory),
         "states": law.memory,
         "limit": repr(block.limit),
         "follows": f"a {law.follows}",
-        "reference_unit": INPUTS[law.follows].replace("m", metre) + ("/s" if law.follows == "velocity" else ""),
-        "position_unit": metre,
-        "force_unit": force,
-        "command_unit": command_unit(axis),
+        "reference_unit": unit(INPUTS[law.follows]),
+        "position_unit": unit("m"),
+        "force_unit": unit("N"),
+        "command_unit": unit("V"),
     }
 
 
@@ -151,30 +154,25 @@ def _comment(text: object) -> str:
 
 
 def _gain_names(block: Block) -> list[str]:
-    """What the kernel's own file calls each of its gains, from the constants it uses as places."""
-    import ast
-
-    import inspect
-    import textwrap
-
-    tree = ast.parse(textwrap.dedent(inspect.getsource(block.law.kernel)))
-    array = list(block.program.kernel.parameters)[5]
-    space, named = block.law.kernel.__globals__, {}
-    for node in ast.walk(tree):
-        here = isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and node.value.id == array
-        if here and isinstance(node.slice, ast.Name) and isinstance(space.get(node.slice.id), int):  # type: ignore[attr-defined]
-            named[space[node.slice.id]] = node.slice.id.lower().replace("_", " ")  # type: ignore[attr-defined]
+    """What the kernel's own file calls each of its gains: the constants it uses as their places."""
+    kernel = block.law.kernel
+    space, array, named = vars(inspect.getmodule(kernel)), list(block.program.kernel.parameters)[5], {}
+    for node in ast.walk(ast.parse(textwrap.dedent(inspect.getsource(kernel)))):
+        if isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and node.value.id == array:
+            place = space.get(node.slice.id) if isinstance(node.slice, ast.Name) else None
+            if isinstance(place, int) and isinstance(node.slice, ast.Name):
+                named[place] = node.slice.id.lower().replace("_", " ")
     return [_comment(named.get(place, "")) for place in range(len(block.law.gains))]
 
 
 def _with_page(name: str, block: Block, vectors: Vectors, made: dict[str, str], use: str) -> dict[str, str]:
     """``made`` with the axis, the vectors, and a page that says what is there."""
-    made = {**made, "axis.toml": block.axis.to_toml(comments=True), "vectors.csv": vectors.to_csv()}
+    made = {**made, f"{name}.toml": block.axis.to_toml(comments=True), "vectors.csv": vectors.to_csv()}
     bounds = [one for one in vectors.bound.tolist() if math.isfinite(one)]
     left = vectors.q.size - len(bounds)
-    unit, moving = command_unit(block.axis), vectors.bound[REST : REST + MOTION]
+    unit, moving = block.axis.units.unit("V"), vectors.bound[REST : REST + MOTION].max()
     said = (
-        f"Here the largest is {float(moving.max()):.3g} {unit} in motion within the limit and "
+        f"Here the largest is {moving:.3g} {unit} in motion within the limit and "
         f"{max(bounds, default=0.0):.3g} {unit} in all"
         + (f"; {left} rows have none, behind a comparison that rounding decides." if left else ".")
     )
@@ -221,8 +219,7 @@ def _json(name: str, block: Block, vectors: Vectors) -> dict[str, str]:
         "parameters": block.axis.controller.model_dump(),
         "equations": words["equations"],
         "gains": [
-            {"value": float(gain), "name": said}
-            for gain, said in zip(block.law.gains, _gain_names(block), strict=True)
+            {"value": float(gain), "name": said} for gain, said in zip(block.law.gains, _gain_names(block), strict=True)
         ],
         "memory": block.law.memory,
         "vectors": vectors.to_dict(),

@@ -64,8 +64,8 @@ class Printer:
     def lines(self, function: Function, known: Mapping[str, str]) -> list[str]:
         """The body of ``function``, one line each; ``known`` names have theirs already."""
         taken = {name.lower() for name in (*self.functions.values(), *known.values())}
-        own = [name for name in (*function.parameters, *function.variables, *_counters(function.body)) if name not in known]
-        self.names = {**known, **safe_names(own, self.reserved | taken)}
+        own = (*function.parameters, *function.variables, *_counters(function.body))
+        self.names = {**known, **safe_names((name for name in own if name not in known), self.reserved | taken)}
         return self.block(function.body)
 
     def block(self, steps: tuple[Statement, ...]) -> list[str]:
@@ -98,7 +98,7 @@ class Printer:
             return f"{self.functions[one.function]}({arguments})"
         if isinstance(one, Unary):
             text = f"{self.operators[one.operator]}{self.expression(one.operand, SIGN)}"
-            return f"({text})" if outside else text
+            return f"({text})" if outside > (2 if one.operator == "not" else 0) else text
         assert isinstance(one, Binary)
         own = PRECEDENCE[one.operator]
         left = self.expression(one.left, own)

@@ -86,7 +86,9 @@ def _read(
 class _Reader:
     """Reads one function; ``found`` and ``calls`` are filled on the way."""
 
-    def __init__(self, function: Any, tree: ast.FunctionDef, types: tuple[str, ...], found: Any, calls: Any, above: Any):
+    def __init__(
+        self, function: Any, tree: ast.FunctionDef, types: tuple[str, ...], found: Any, calls: Any, above: Any
+    ):
         self.function, self.tree, self.found, self.calls, self.above = function, tree, found, calls, above
         outside = inspect.getclosurevars(function).nonlocals
         self.outside = {**vars(builtins), **function.__globals__, **outside}
@@ -127,9 +129,8 @@ class _Reader:
         if isinstance(node, ast.Pass) or _is_text(node):
             return []
         if isinstance(node, ast.Return):
-            if node.value is None:
-                self.refuse(node, "a return without a number")
-            return [Return(_real(self.number(node.value)))]
+            value = node.value or self.refuse(node, "a return without a number")
+            return [Return(_real(self.number(value)))]
         if isinstance(node, ast.Assign):
             return self.assignments(node.targets, node.value)
         if isinstance(node, ast.AnnAssign) and node.value is not None:
@@ -176,7 +177,6 @@ class _Reader:
             return self.refuse(node, "else of a loop")
         bounds = [self.whole(one) for one in call.args]
         step = bounds[2] if len(bounds) == 3 else Number(1, INT)
-        step = Number(-step.operand.value, INT) if _is_minus(step) else step
         if not isinstance(step, Number) or step.value == 0:
             return self.refuse(node, "a step that is not a constant", "a whole number other than 0")
         start, stop = (Number(0, INT), bounds[0]) if len(bounds) == 1 else bounds[:2]
@@ -187,7 +187,7 @@ class _Reader:
         if not isinstance(stop, Number):  # the end of a range is computed once, whatever the loop does
             end = Name(f"{name}_end", INT)
             if self.variables.setdefault(end.name, INT) != INT or end.name in self.assigned() | set(self.parameters):
-                return self.refuse(node, f"a variable called {end.name}", "another name: the translation needs this one")
+                return self.refuse(node, f"a variable called {end.name}", "another name: the translation needs it")
             before, stop = [Assign(end, stop)], end
         self.counters.add(name)
         self.loops.append(name)
@@ -221,6 +221,8 @@ class _Reader:
             operand = self.number(node.operand)
             if isinstance(node.op, ast.UAdd):
                 return operand
+            if isinstance(operand, Number):
+                return Number(-operand.value, operand.type)
             return Unary("-", operand, operand.type)
         if isinstance(node, ast.BinOp) and type(node.op) in OPERATORS:
             return self.arithmetic(node, OPERATORS[type(node.op)])
@@ -336,7 +338,8 @@ class _Reader:
     # Names.
 
     def assigned(self) -> set[str]:
-        return {node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+        names = [node for node in ast.walk(self.tree) if isinstance(node, ast.Name)]
+        return {node.id for node in names if isinstance(node.ctx, ast.Store)}
 
     def value_of(self, node: ast.expr) -> Any:
         """What a name of the file, or of a module it imports, stands for."""
@@ -355,8 +358,6 @@ def _real(one: Expression) -> Expression:
         return one
     if isinstance(one, Number):
         return Number(float(one.value), REAL)
-    if isinstance(one, Unary) and isinstance(one.operand, Number):
-        return Unary("-", Number(float(one.operand.value), REAL), REAL)
     return Call("real", (one,), REAL)
 
 
@@ -379,10 +380,6 @@ def _loaded(target: ast.expr) -> ast.expr:
 
 def _is_text(node: ast.stmt) -> bool:
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-
-
-def _is_minus(node: Any) -> bool:
-    return isinstance(node, Unary) and isinstance(node.operand, Number)
 
 
 def _returns(body: tuple[Statement, ...]) -> bool:

@@ -1,14 +1,16 @@
-"""Running error of single precision: a kernel run on numbers that carry a bound of what their rounding has done.
+"""Rounding of single precision: a kernel run on numbers that know what every rounding before has done to them.
 
-A number has its ``value`` in double precision and a ``bound`` of the distance to what single precision makes of it.
-Each operation adds half a unit in the last place of its own result (functions of ``math``: one whole). A comparison
-that falls within the bounds may fall the other way in single precision: from there on nothing is bounded.
+A number has its ``value`` in double precision and, one for each rounding, the share of that rounding in its distance to
+what single precision makes of it; the sum of their sizes bounds the distance. Each operation adds half a unit in the
+last place of its own result (functions of ``math``: one whole); what is of second order joins that. A comparison that
+falls within the bounds may fall the other way in single precision: from there on nothing is bounded.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from types import FunctionType, ModuleType, SimpleNamespace
 from typing import Any
 
@@ -18,131 +20,162 @@ HALF_UNIT = 2.0**-24  # relative, of one operation in single precision
 TINY = 2.0**-149  # absolute, where a result underflows
 
 
-class Rounded:
-    """``value`` and the ``bound`` of its distance to single precision; ``doubts`` collects open comparisons.
+@dataclass
+class Roundings:
+    """Roundings so far: their number, and whether a comparison was ``open``."""
 
-    >>> x = Rounded(0.1, 1e-9, [])
-    >>> (x - x).value, 2e-9 <= (x - x).bound < 2.1e-9
-    (0.0, True)
+    count: int = 0
+    open: bool = False
+
+    def exact(self, value: float) -> Rounded:
+        """A number that single precision holds as it is."""
+        return Rounded(value, np.zeros(0), self)
+
+    def constant(self, value: float) -> Rounded:
+        """A constant of the program, rounded once.
+
+        >>> Roundings().constant(0.1).bound == abs(float(np.float32(0.1)) - 0.1)
+        True
+        """
+        with np.errstate(over="ignore"):
+            return self.rounded(value, np.zeros(0), abs(float(np.float32(value)) - value))
+
+    def rounded(self, value: float, shares: np.ndarray, own: float) -> Rounded:
+        """A number with ``shares`` of the roundings before, and one more of size ``own``."""
+        if own == 0.0:
+            return Rounded(value, shares, self)
+        self.count += 1
+        more = np.zeros(self.count)
+        more[: shares.size] = shares
+        more[-1] = own
+        return Rounded(value, more, self)
+
+
+class Rounded:
+    """A ``value`` with its ``shares`` (r,) of the roundings before.
+
+    >>> x = Roundings().constant(0.1)
+    >>> (x + x).bound > x.bound > (x - x).bound == 0.0
+    True
     """
 
-    __slots__ = ("bound", "doubts", "value")
+    __slots__ = ("bound", "roundings", "shares", "value")
 
-    def __init__(self, value: float, bound: float, doubts: list[int]):
-        self.value, self.bound, self.doubts = value, bound, doubts
+    def __init__(self, value: float, shares: np.ndarray, roundings: Roundings):
+        self.value, self.shares, self.roundings = value, shares, roundings
+        self.bound = float(np.abs(shares).sum())
 
-    def _other(self, other: Any) -> Rounded:
-        return other if isinstance(other, Rounded) else constant(float(other), self.doubts)
+    def other(self, number: Any) -> Rounded:
+        """``number`` as one like this."""
+        return number if isinstance(number, Rounded) else self.roundings.constant(float(number))
 
-    def _made(self, value: float, bound: float, units: float = 1.0) -> Rounded:
-        return Rounded(value, bound + units * HALF_UNIT * (abs(value) + bound) + TINY, self.doubts)
+    def _made(self, value: float, shares: np.ndarray, more: float = 0.0, units: float = 1.0) -> Rounded:
+        bound = float(np.abs(shares).sum()) + more
+        if value == 0.0 and bound == 0.0:
+            return self.roundings.exact(value)
+        return self.roundings.rounded(value, shares, more + units * HALF_UNIT * (abs(value) + bound) + TINY)
 
     def __add__(self, other: Any) -> Rounded:
-        other = self._other(other)
-        if (self.value == 0.0 and self.bound == 0.0) or (other.value == 0.0 and other.bound == 0.0):
-            return Rounded(self.value + other.value, self.bound + other.bound, self.doubts)  # nothing is rounded
-        made = self._made(self.value + other.value, self.bound + other.bound)
-        if made.value == 0.0 and self.bound == 0.0 and other.bound == 0.0:
-            return Rounded(0.0, 0.0, self.doubts)
-        return made
+        other = self.other(other)
+        shares = _sum(self.shares, other.shares)
+        if 0.0 in (self.value, other.value) and 0.0 in (self.bound, other.bound):
+            return Rounded(self.value + other.value, shares, self.roundings)  # nothing is rounded
+        return self._made(self.value + other.value, shares)
 
     def __sub__(self, other: Any) -> Rounded:
-        return self + (-self._other(other))
+        return self + (-self.other(other))
 
     def __rsub__(self, other: Any) -> Rounded:
-        return self._other(other) + (-self)
+        return self.other(other) + (-self)
 
     def __mul__(self, other: Any) -> Rounded:
-        other = self._other(other)
-        bound = abs(self.value) * other.bound + abs(other.value) * self.bound + self.bound * other.bound
-        value = self.value * other.value
-        if value == 0.0 and bound == 0.0:
-            return Rounded(0.0, 0.0, self.doubts)
-        return self._made(value, bound)
+        other = self.other(other)
+        shares = _sum(other.value * self.shares, self.value * other.shares)
+        return self._made(self.value * other.value, shares, self.bound * other.bound)
 
     def __truediv__(self, other: Any) -> Rounded:
-        other = self._other(other)
+        other = self.other(other)
         least = abs(other.value) - other.bound
         if not least > 0.0:
-            return Rounded(self.value / other.value if other.value else math.nan, math.inf, self.doubts)
+            self.roundings.open = True
+            return self.roundings.exact(self.value / other.value if other.value else math.nan)
         value = self.value / other.value
-        return self._made(value, (self.bound + abs(value) * other.bound) / least)
+        shares = _sum(self.shares / other.value, -value / other.value * other.shares)
+        return self._made(value, shares, float(np.abs(shares).sum()) * other.bound / least)
 
     def __rtruediv__(self, other: Any) -> Rounded:
-        return self._other(other) / self
+        return self.other(other) / self
 
     def __pow__(self, exponent: Any) -> Rounded:
         if isinstance(exponent, int):
-            result = self
-            for _ in range(exponent - 1):
-                result = result * self
-            return result
-        return power(self, exponent)
+            return math.prod([self] * (exponent - 1), start=self)
+        return power(self, self.other(exponent))
 
     def __rpow__(self, base: Any) -> Rounded:
-        return power(self._other(base), self)
+        return power(self.other(base), self)
 
     def __neg__(self) -> Rounded:
-        return Rounded(-self.value, self.bound, self.doubts)
+        return Rounded(-self.value, -self.shares, self.roundings)
 
     def __abs__(self) -> Rounded:
-        return Rounded(abs(self.value), self.bound, self.doubts)
+        return -self if self.value < 0.0 else self
 
     def __float__(self) -> float:
         raise TypeError("a bound would be lost")
 
     def __int__(self) -> int:
         if int(self.value - self.bound) != int(self.value + self.bound):
-            self.doubts.append(1)
+            self.roundings.open = True
         return int(self.value)
 
-    def _apart(self, other: Any) -> float:
-        """The difference of the values; a doubt where the bounds leave its sign open."""
-        other = self._other(other)
-        difference, bound = self.value - other.value, self.bound + other.bound
+    def apart(self, other: Any) -> float:
+        """The difference of the values; the roundings leave its sign ``open`` where they may turn it."""
+        other = self.other(other)
+        difference, bound = self.value - other.value, float(np.abs(_sum(self.shares, -other.shares)).sum())
         if bound > 0.0 and abs(difference) <= bound:
-            self.doubts.append(1)
+            self.roundings.open = True
         return difference
 
     def __lt__(self, other: Any) -> bool:
-        return self._apart(other) < 0.0
+        return self.apart(other) < 0.0
 
     def __le__(self, other: Any) -> bool:
-        return self._apart(other) <= 0.0
+        return self.apart(other) <= 0.0
 
     def __gt__(self, other: Any) -> bool:
-        return self._apart(other) > 0.0
+        return self.apart(other) > 0.0
 
     def __ge__(self, other: Any) -> bool:
-        return self._apart(other) >= 0.0
+        return self.apart(other) >= 0.0
 
     def __eq__(self, other: object) -> bool:
-        return self._apart(other) == 0.0
+        return self.apart(other) == 0.0
 
     def __ne__(self, other: object) -> bool:
-        return self._apart(other) != 0.0
+        return self.apart(other) != 0.0
 
     __hash__ = None  # type: ignore[assignment]
     __radd__, __rmul__ = __add__, __mul__
 
 
-def constant(value: float, doubts: list[int]) -> Rounded:
-    """A constant of the program, rounded once."""
-    with np.errstate(over="ignore"):
-        return Rounded(value, abs(float(np.float32(value)) - value), doubts)
+def _sum(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    longer, shorter = (first, second) if first.size >= second.size else (second, first)
+    found = longer.copy()
+    found[: shorter.size] += shorter
+    return found
 
 
-def power(base: Rounded, exponent: Any) -> Rounded:
-    """``base ** exponent`` by the slopes at its edges; unbounded where the base may be negative."""
-    exponent = base._other(exponent)
+def power(base: Rounded, exponent: Rounded) -> Rounded:
+    """``base ** exponent`` by its values at the edges; open where the base may be negative."""
     low, high = base.value - base.bound, base.value + base.bound
     if base.value == 0.0 and base.bound == 0.0:
-        return Rounded(base.value**exponent.value, 0.0, base.doubts)
+        return base.roundings.exact(base.value**exponent.value)
     if not low > 0.0:
-        return Rounded(base.value**exponent.value if base.value > 0.0 else math.nan, math.inf, base.doubts)
-    ends = [x ** (exponent.value + d) for x in (low, high) for d in (-exponent.bound, exponent.bound)]
+        base.roundings.open = True
+        return base.roundings.exact(max(base.value, 0.0) ** exponent.value if exponent.value > 0.0 else math.nan)
     value = base.value**exponent.value
-    return base._made(value, max(abs(end - value) for end in ends), units=2.0)
+    ends = [x ** (exponent.value + d) for x in (low, high) for d in (-exponent.bound, exponent.bound)]
+    return base._made(value, np.zeros(0), max(abs(end - value) for end in ends), units=2.0)
 
 
 def _by_slope(function: Callable[[float], float], slope: Callable[[float, float], float]) -> Callable[[Any], Any]:
@@ -151,30 +184,28 @@ def _by_slope(function: Callable[[float], float], slope: Callable[[float, float]
     def applied(x: Any) -> Any:
         if not isinstance(x, Rounded):
             return function(x)
-        bound = x.bound * slope(x.value - x.bound, x.value + x.bound) if x.bound else 0.0
-        return x._made(function(x.value), bound, units=2.0)
+        more = x.bound * slope(x.value - x.bound, x.value + x.bound) if x.bound else 0.0
+        if not more < math.inf:
+            x.roundings.open, more = True, 0.0
+        return x._made(function(x.value), np.zeros(0), more, units=2.0)
 
     return applied
-
-
-def _root_slope(low: float, high: float) -> float:
-    return 0.5 / math.sqrt(low) if low > 0.0 else math.inf
 
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     "sin": _by_slope(math.sin, lambda low, high: 1.0),
     "cos": _by_slope(math.cos, lambda low, high: 1.0),
     "exp": _by_slope(math.exp, lambda low, high: math.exp(high)),
-    "sqrt": _by_slope(math.sqrt, _root_slope),
+    "sqrt": _by_slope(math.sqrt, lambda low, high: 0.5 / math.sqrt(low) if low > 0.0 else math.inf),
     "atan": _by_slope(math.atan, lambda low, high: 1.0),
     "log": _by_slope(math.log, lambda low, high: 1.0 / low if low > 0.0 else math.inf),
     "fabs": abs,
-    "pow": lambda base, exponent: base**exponent,
+    "pow": lambda base, exponent: base ** float(exponent) if isinstance(exponent, int) else base**exponent,
 }
 
 
 def smallest(*numbers: Any) -> Any:
-    """``min`` of rounded numbers, whose bound holds whichever of them is taken."""
+    """``min`` of rounded numbers, right whichever of them single precision takes."""
     return _extreme(min, numbers)
 
 
@@ -187,10 +218,12 @@ def _extreme(choose: Callable[..., Any], numbers: tuple[Any, ...]) -> Any:
     kept = next((one for one in numbers if isinstance(one, Rounded)), None)
     if kept is None:
         return choose(numbers)
-    sides = [kept._other(one) for one in numbers]
-    value = choose(side.value for side in sides)
+    sides = [kept.other(one) for one in numbers]
+    taken = choose(sides, key=lambda side: side.value)
+    if all(abs(side.value - taken.value) > side.bound + taken.bound for side in sides if side is not taken):
+        return taken
     low, high = choose(side.value - side.bound for side in sides), choose(side.value + side.bound for side in sides)
-    return Rounded(value, max(value - low, high - value), kept.doubts)
+    return kept.roundings.rounded(taken.value, np.zeros(0), max(taken.value - low, high - taken.value))
 
 
 def on_rounded(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -203,6 +236,6 @@ def on_rounded(function: Callable[..., Any]) -> Callable[..., Any]:
             space[name] = SimpleNamespace(**{**vars(math), **FUNCTIONS})
         elif isinstance(found, FunctionType):
             space[name] = on_rounded(found)
-        elif getattr(found, "__module__", "") == "math" and getattr(found, "__name__", "") in FUNCTIONS:
-            space[name] = FUNCTIONS[found.__name__]
+        elif getattr(found, "__module__", "") == "math":
+            space[name] = FUNCTIONS[getattr(found, "__name__", "")]
     return FunctionType(function.__code__, space, function.__name__, function.__defaults__, function.__closure__)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.codegen.block import Block
-from emps_design.codegen.rounding import Rounded, constant, largest, on_rounded, smallest
+from emps_design.codegen.rounding import Rounded, Roundings, largest, on_rounded, smallest
 
 REST, MOTION, LIMITED, EXTREME = 20, 200, 120, 60  # samples of each part
 FORCE_PER_METRE = 1e3  # N of external force for each m of motion in the vectors
@@ -45,19 +45,17 @@ class Vectors:
     @cached_property
     def bound(self) -> np.ndarray:
         """Bound (n,) of the distance of single precision from ``u``; inf from a comparison that may fall otherwise."""
-        block, doubts = self.block, []  # type: ignore[var-annotated]
+        block, found = self.block, np.empty(self.q.size)
         kernel = on_rounded(block.law.kernel)
-        gains = [constant(float(gain), doubts) for gain in block.law.gains]
-        limit, found = constant(block.limit, doubts), np.empty(self.q.size)
-        k, memory = 0, [Rounded(0.0, 0.0, doubts)] * block.law.memory
         for i in range(self.q.size):
             if self.start[i]:
-                k, memory = 0, [Rounded(0.0, 0.0, doubts)] * block.law.memory
-                doubts.clear()
-            given = [Rounded(float(x), 0.0, doubts) for x in (self.reference[i], self.q[i], self.f_ext[i])]
+                k, now = 0, Roundings()
+                gains, limit = [now.constant(float(gain)) for gain in block.law.gains], now.constant(block.limit)
+                memory = [now.exact(0.0)] * block.law.memory
+            given = [now.exact(float(x)) for x in (self.reference[i], self.q[i], self.f_ext[i])]
             u = kernel(k, *given, limit, gains, memory)
-            bound = largest(smallest(u if isinstance(u, Rounded) else constant(u, doubts), limit), -limit).bound
-            found[i] = math.inf if doubts or not bound < math.inf else min(bound, 2.0 * block.limit)
+            u = largest(smallest(u if isinstance(u, Rounded) else now.constant(u), limit), -limit)
+            found[i] = math.inf if now.open or not u.bound < math.inf else min(u.bound, 2.0 * block.limit)
             k += 1
         return found
 

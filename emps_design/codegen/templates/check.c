@@ -1,4 +1,4 @@
-/* Runs {{ name }} on vectors.csv: the same bits in double precision, within the bound of each row in single. */
+/* Made by emps-design. Runs {{ name }} on vectors.csv: the same bits in double precision, within the bound of each row in single. */
 #include "{{ name }}.h"
 
 #include <math.h>

@@ -1,4 +1,4 @@
-/* {{ name }}: see {{ name }}.h. */
+/* Made by emps-design {{ version }}: {{ label }}; see {{ name }}.h. */
 #include "{{ name }}.h"
 
 {% if uses_math %}#include <math.h>
