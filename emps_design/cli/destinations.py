@@ -13,11 +13,8 @@ from emps_design.files import destination
 HEAD = 65536  # bytes that say what a file holds
 OVERWRITE = "Overwrite a file that holds something else."  # the help of --force
 AXIS, PAGE, ARCHIVE, TABLE = "an axis file", "an HTML page", "a NumPy archive", "a text table"
-<<<<<<< HEAD
-JSON, CODE, ANYTHING = "a JSON document", "code of emps-design", "something else"
-=======
 JSON, MATLAB, ANYTHING = "a JSON document", "a MATLAB file", "something else"
->>>>>>> main
+CODE = "code of emps-design"
 PICTURES = {".png": "a PNG picture", ".svg": "an SVG picture", ".pdf": "a PDF document"}
 
 _MAGIC = (

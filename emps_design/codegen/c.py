@@ -93,11 +93,13 @@ class CPrinter(Printer):
         return lines
 
     def literal(self, one: Number) -> str:
+        """A constant; ``R()`` gives it the type of the build."""
         if one.type == INT:
             return str(one.value)
         return f"R({float(one.value)!r})"
 
     def call(self, one: Call, arguments: list[str]) -> str:
+        """A function of ``math.h`` by the type of the build, a helper, a conversion or a choice."""
         inside = ", ".join(arguments)
         if one.function == "choose":
             condition, then, otherwise = arguments
@@ -109,12 +111,15 @@ class CPrinter(Printer):
         return f"{one.function}({inside})" if one.function in HELPERS else f"FN({one.function})({inside})"
 
     def assigned(self, target: str, value: str) -> str:
+        """An assignment."""
         return f"{target} = {value};"
 
     def returned(self, value: str) -> list[str]:
+        """A return."""
         return [f"return {value};"]
 
     def loop(self, step: For) -> list[str]:
+        """A loop with a counter of its own."""
         name, up = self.names[step.variable], step.step > 0
         change = f"{name}{'++' if up else '--'}" if abs(step.step) == 1 else f"{name} += {step.step}"
         stop = self.expression(step.stop)
@@ -124,6 +129,7 @@ class CPrinter(Printer):
         return [head, *self.block(step.body), "}"]
 
     def branch(self, step: If) -> list[str]:
+        """A branch; ``else`` with one ``if`` in it is ``else if``."""
         blocks, tests = parts(step)
         heads = [f"if ({self.expression(test)}) {{" for test in tests] + ["{"] * (len(blocks) - len(tests))
         lines = [heads[0], *self.block(blocks[0])]

@@ -165,7 +165,7 @@ def _gain_names(block: Block) -> list[str]:
     return [_comment(named.get(place, "")) for place in range(len(block.law.gains))]
 
 
-def _with_page(name: str, block: Block, vectors: Vectors, made: dict[str, str], use: str) -> dict[str, str]:
+def _with_page(name: str, block: Block, vectors: Vectors, made: dict[str, str]) -> dict[str, str]:
     """``made`` with the axis, the vectors, and a page that says what is there."""
     made = {**made, f"{name}.toml": block.axis.to_toml(comments=True), "vectors.csv": vectors.to_csv()}
     bounds = [one for one in vectors.bound.tolist() if math.isfinite(one)]
@@ -177,7 +177,7 @@ def _with_page(name: str, block: Block, vectors: Vectors, made: dict[str, str], 
         + (f"; {left} rows have none, behind a comparison that rounding decides." if left else ".")
     )
     hashes = [(file, _hash(text)) for file, text in made.items()]
-    words = {**_words(name, block), "use": use, "rows": vectors.q.size, "bound": said, "hashes": hashes}
+    words = {**_words(name, block), "files": list(made), "rows": vectors.q.size, "bound": said, "hashes": hashes}
     return {**made, "README.md": _template("README.md").render(words)}
 
 
@@ -199,12 +199,7 @@ def _c(name: str, block: Block, vectors: Vectors) -> dict[str, str]:
         f"{name}_check.c": _template("check.c").render(words),
         "Makefile": _template("Makefile").render(words),
     }
-    use = (
-        f"`{name}_init(&state)` once, then `{name}_step(&state, reference, q, f_ext)` every sample; `{name}.h` says "
-        f"the rest. `make check` builds both precisions and runs them on the vectors. Compile with "
-        f"`-ffp-contract=off`; `-D{name.upper()}_SINGLE` for single precision."
-    )
-    return _with_page(name, block, vectors, made, use)
+    return _with_page(name, block, vectors, made)
 
 
 def _json(name: str, block: Block, vectors: Vectors) -> dict[str, str]:
