@@ -35,6 +35,7 @@ COMMANDS = (
     "studio",
     "demo",
     "init",
+    "import",
 )
 BEYOND = "numbers too far apart to compute with; check the units in the axis, the record and the options"
 
