@@ -22,7 +22,7 @@ IGNORED = {
     "simulate --scenario breakaway --plants 5": "--plants: goes with --scenario comanipulation",
     "identify {record} --seed 0": "--seed: goes with --bootstrap",
     "identify {record} --estimator oe --filter hold": "--filter: goes with --estimator ls",
-    "identify {record} --estimator iv --bootstrap 0 --holdout {record}": "--bootstrap, --holdout: goes with --estimator",
+    "identify {record} --estimator iv --bootstrap 0 --holdout {record}": "--bootstrap, --holdout: goes with",
     "identify {record} {record} --holdout {record}": "--holdout: goes with one record",
     "identify {record} --force": "--force: goes with a file to write",
     "observe {record} --force": "--force: goes with a file to write",
