@@ -29,6 +29,7 @@ COMMANDS = (
     "observe",
     "frf",
     "diagnose",
+    "compensate",
     "export",
     "derive",
     "report",
