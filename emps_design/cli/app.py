@@ -27,6 +27,7 @@ COMMANDS = (
     "simulate",
     "identify",
     "observe",
+    "excite",
     "frf",
     "diagnose",
     "compensate",
