@@ -52,9 +52,6 @@ class Compiled:
         class State(ctypes.Structure):
             # the memory twice: of the law on its reference too
             _fields_ = (("k", ctypes.c_longlong), ("memory", number * max(2, 2 * exported.block.law.memory)))
-                ("k", ctypes.c_longlong),
-                ("memory", number * max(2, 2 * exported.block.law.memory)),
-            )  # twice: of the law on its reference too
 
         self.state, self.library = State(), ctypes.CDLL(str(library))
         self.begin, self.step = getattr(self.library, f"{name}_init"), getattr(self.library, f"{name}_step")

@@ -133,4 +133,6 @@ def test_the_command_prints_and_writes(tmp_path, capsys):
     assert app.run(["compensate", "emps2019", "--scenario", "lap"]) == 2
     assert "did you mean 'laps'" in capsys.readouterr().err
     assert app.run(["compensate", "emps2019", "--scenario", "reference"]) == 2
-    assert "expected both" in capsys.readouterr().err
+    assert "expected --reference FILE" in capsys.readouterr().err
+    assert app.run(["compensate", "emps2019", "--scenario", "half-ramp", "--stroke", "0.1"]) == 2
+    assert "--stroke: goes with another scenario than half-ramp" in capsys.readouterr().err
