@@ -32,6 +32,7 @@ from emps_design.identification.result import Identification
 from emps_design.identification.statistics import long_run
 from emps_design.records import Record
 from emps_design.simulation import Plant, Run
+from emps_design.simulation.driven import driven_by
 
 ITERATIONS = 8
 WEAK_INSTRUMENT = 0.1  # share of a column that its instrument explains, below which it says nothing
@@ -154,9 +155,7 @@ def simulate(record: Record, axis: Axis, model: str, value: np.ndarray) -> Run:
     effects = [*identified_effects(model, p), *known_part(axis, model).effects]
     machine = axis.replace(mechanics=mechanics, effects=effects, sampling={"period": record.period})
     try:
-        return Plant.of(machine).closed_loop(
-            record.q_ref, disturbance=record.f_ext, q0=float(record.q[0]), quantise=False
-        )
+        return Plant.of(machine).closed_loop(**driven_by(machine, record), quantise=False)
     except SimulationError as error:
         raise RecordError(
             f"{record.name}: no simulation with the controller of {axis.name} at {1 / record.period:g} Hz ({error}), "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,6 +12,7 @@ from emps_design.axis import Axis
 from emps_design.errors import InputError, SimulationError
 from emps_design.notebook import table
 from emps_design.records import Record
+from emps_design.simulation.driven import driven_by
 from emps_design.simulation.nearest_controller import unstable
 from emps_design.simulation.plant import Plant
 from emps_design.simulation.run import Run
@@ -91,11 +93,11 @@ def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
     push = record.f_ext
     if push is not None:
         warnings.append("the record's f_ext acts on the simulated carriage")
-    start = float(record.q[0])
+    how = {"period": record.period, "quantise": quantise}
     if closed:
-        run = _closed_loop(axis, record.q_ref, disturbance=push, q0=start, period=record.period, quantise=quantise)
+        run = _closed_loop(axis, lambda axis: {**driven_by(axis, record), **how})
     else:
-        run = Plant.of(axis).open_loop(record.u, disturbance=push, q0=start, period=record.period, quantise=quantise)
+        run = Plant.of(axis).open_loop(record.u, disturbance=push, q0=float(record.q[0]), **how)
         warnings.append("axis without a controller: simulated in open loop from the recorded voltage")
     pairs = {
         "position": (record.q, run.q),
@@ -217,17 +219,17 @@ def follow(axis: Axis, q_ref: np.ndarray, f_ext: np.ndarray | None = None) -> Fo
 
     Raises :class:`UnstableError` where the loop diverges, with the nearest that does not.
     """
-    run = _closed_loop(axis, q_ref, disturbance=f_ext)
+    run = _closed_loop(axis, lambda axis: {"q_ref": q_ref, "disturbance": f_ext})
     clipped = float(np.mean(np.abs(run.u) >= axis.drive.command_limit))
     warnings = (f"the voltage is at its limit {100 * clipped:.1f} % of the time",) if clipped > 0 else ()
     return Followed(axis, run, warnings)
 
 
-def _closed_loop(axis: Axis, q_ref: np.ndarray, **given: Any) -> Run:
-    """The closed loop of ``axis`` along ``q_ref`` (n,) [m]; :class:`UnstableError` where it diverges."""
+def _closed_loop(axis: Axis, driven: Callable[[Axis], dict[str, Any]]) -> Run:
+    """The closed loop of ``axis``, ``driven`` as that says for an axis; :class:`UnstableError` where it diverges."""
 
     def simulate(axis: Axis) -> Run:
-        return Plant.of(axis).closed_loop(q_ref, **given)
+        return Plant.of(axis).closed_loop(**driven(axis))
 
     try:
         return simulate(axis)
