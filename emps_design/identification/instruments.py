@@ -96,6 +96,7 @@ def identify_with_instruments(
     """
     if axis.controller.kind == "none":
         raise AxisError(f"{axis.name}: instruments need the controller of the record; give [controller] in the axis")
+    axis = axis.supplied_by(record)
     record = check_record(record, axis, external_force_known)
     axis = known_part(axis, model)
     filtered = filter_record(record, axis, "hold", cutoff_hz)
@@ -134,7 +135,7 @@ def identify_with_instruments(
 def instruments(record: Record, axis: Axis, model: str, value: np.ndarray, filtered: Filtered) -> np.ndarray:
     """Columns of the closed-loop simulation from ``q_ref`` with parameters ``value``, filtered alike, (n, p)."""
     run = simulate(record, axis, model, value)
-    led = hold_chain(replace(record, q=run.position, u=run.u), axis.drive.force_gain, filtered.cutoff_hz)
+    led = hold_chain(replace(record, q=run.position, u=run.u), axis.drive.gain, filtered.cutoff_hz)
     Z, _ = regression(led, model)
     return Z * filtered.used[:, None]
 

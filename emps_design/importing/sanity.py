@@ -131,7 +131,7 @@ def _force(axis: Axis, record: Record, source: str) -> list[str]:
     a, v, u = _motion(record, record.q)
     m = axis.mechanics
     needed = m.mass * a + m.viscous * v + m.coulomb * np.sign(v) + m.offset
-    force = axis.drive.force_gain * u
+    force = axis.drive.gain * u
     if not (np.std(force) and np.std(needed)):
         return []
     if _correlation(force, needed) < OPPOSED:

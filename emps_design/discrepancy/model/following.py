@@ -27,7 +27,7 @@ def drive(axis: Axis, record: Record) -> dict[str, Any]:
     if "law" in start:
         return start
     rate = 2 * np.pi * min(BANDWIDTH_HZ, 1 / (LEAST_SAMPLES * record.period))  # rad/s
-    kp, kv = POSITION_SHARE * rate, axis.mechanics.mass * rate / axis.drive.force_gain
+    kp, kv = POSITION_SHARE * rate, axis.mechanics.mass * rate / axis.drive.gain
     law = position_pd.LAW.law(position_pd.Table(kp=kp, kv=kv), axis, record.period)
     past = np.concatenate((np.full(2, record.q[0]), record.q[:-2]))
     # The law brakes its own velocity: leading the reference by v/kp makes it act on the difference of velocities.

@@ -15,6 +15,7 @@ from emps_design.simulation.kernels.event_steps import CHATTER, DIVERGED, DONE, 
 from emps_design.simulation.kernels.friction_period import advance, follow, response
 from emps_design.simulation.kernels.motion import (
     ACTUATOR,
+    BRAKING,
     COMMAND,
     DELAY,
     DELAYED,
@@ -66,16 +67,18 @@ def applied(j, u, plant):
 
 @cached()
 def run(
-    plant, y, law, gains, memory, reference, push, noise, signals, slots, floors, scratch, out, events, found
+    plant, y, law, gains, memory, reference, push, noise, motor_rows, signals, slots, floors, scratch, out, events,
+    found,
 ):  # fmt: skip
     """Run the loop over ``reference.size`` samples; returns the status, the sample, and the time within its period [s].
 
     ``plant`` = arrays (baseline, table of hooks, start of each row of the table, parameters, settings); ``law`` is the
     address of the controller, 0: the reference is the voltage; ``gains`` have one row, or one a sample. ``push`` [N]
-    and ``noise`` [V] are empty or one value a sample; column i of ``signals`` is written to ``p[slots[i]]`` at every
-    sample. ``floors`` are the sizes below which own states need not be known relatively. ``out`` has a row each for
-    encoder, position, velocity, voltage and external force, ``events`` three columns; both are filled, and ``found``
-    [0] counts the events. ``scratch`` has room for :func:`room` numbers.
+    and ``noise`` [V] are empty or one value a sample, ``motor_rows`` empty or a row a sample of the motor's gain and
+    what its back-EMF brakes; column i of ``signals`` is written to ``p[slots[i]]`` at every sample. ``floors`` are the
+    sizes below which own states need not be known relatively. ``out`` has a row each for encoder, position, velocity,
+    voltage and external force, ``events`` three columns; both are filled, and ``found`` [0] counts the events.
+    ``scratch`` has room for :func:`room` numbers.
     """
     # Pointers from here on: arrays in tuples would be counted, at ten times the cost of the arithmetic.
     drive = pointer(scratch)  # gap between motor force and command, since when, and what a slide keeps
@@ -94,6 +97,7 @@ def run(
     position, velocity, u, outside = (
         shifted(encoder, n), shifted(encoder, 2 * n), shifted(encoder, 3 * n), shifted(encoder, 4 * n),
     )  # fmt: skip
+    varies = motor_rows.shape[0] > 0
     stride = gains.shape[1] if gains.shape[0] > 1 else 0
     period, limit, resolution = settings[PERIOD], settings[LIMIT], settings[RESOLUTION]
     jumps, late = starts[JUMP + 1] > starts[JUMP], starts[DELAY + 1] > starts[DELAY]
@@ -122,6 +126,8 @@ def run(
         t = k * period
         for i in range(slots.size):
             p[slots[i]] = signals[k, i]
+        if varies:
+            settings[GAIN], settings[BRAKING] = motor_rows[k, 0], motor_rows[k, 1]
         force = push[k] if push.size else 0.0
         if holds:
             force -= total(HELD, y_, t, tau, plant)
@@ -225,7 +231,7 @@ def room(states: int, guards: int) -> int:
 
 
 __all__ = [
-    "CHATTER", "DELAYED", "DIVERGED", "DONE", "ENERGY", "EXACT", "FREE", "GAIN", "GUARD", "HELD", "LAG",
+    "BRAKING", "CHATTER", "DELAYED", "DIVERGED", "DONE", "ENERGY", "EXACT", "FREE", "GAIN", "GUARD", "HELD", "LAG",
     "LIMIT", "MASSLESS", "NO_STEP", "PERIOD", "RESOLUTION", "RUNAWAY", "SERIES", "SETTINGS", "SLIDES", "STATES",
     "TOLERANCE", "TOUCH", "TOUCH_MASS", "VISCOUS_N", "VISCOUS_P", "room", "run",
 ]  # fmt: skip
