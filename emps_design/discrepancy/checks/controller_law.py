@@ -71,7 +71,7 @@ def check_law(record: Record, axis: Axis, library: tuple[Effect, ...]) -> LawChe
 
 
 def law_voltage(record: Record, axis: Axis) -> np.ndarray:
-    """Voltage (n,) [V] that the law of ``axis`` gives for the recorded reference and position, limit included."""
+    """Voltage (n,) [V] that the law of ``axis`` gives for the recorded reference and position, limit included, 0 while switched off."""
     law = law_of(axis, record.period, record.extra)
     memory = np.zeros(law.memory)
     limit = axis.drive.command_limit
@@ -81,7 +81,8 @@ def law_voltage(record: Record, axis: Axis) -> np.ndarray:
         [law.kernel(k, reference[k], record.q[k], sensed[k], limit, law.row(k), memory) for k in range(len(record))]
     )
     added = 0.0 if record.excitation is None else record.excitation
-    return np.clip(voltage + added, -limit, limit)
+    on = 1.0 if record.enable is None else record.enable != 0.0
+    return np.clip(voltage + added, -limit, limit) * on
 
 
 def propose_command(effect: Effect, record: Record, gap: np.ndarray) -> np.ndarray | None:
