@@ -340,7 +340,7 @@ class Plant:
 
     def _general(self, law, reference, push, noise, motor_rows, q0, v0, period, energy, events, found, ready):
         n, y = reference.size, ready.y
-        if motor_rows.size and np.ptp(motor_rows[:, 1]) > 0.0:  # what is solved or slid through holds for one braking
+        if np.any(motor_rows[:, 1:] != self.axis.drive.braking):  # what is solved or slid through is for one braking
             ready.settings[[stepper.SLIDES, stepper.EXACT]] = 0.0
         out = np.empty((5, n))
         place, gains, memory = 0, _NO_SIGNALS, _EMPTY

@@ -71,7 +71,7 @@ def check_law(record: Record, axis: Axis, library: tuple[Effect, ...]) -> LawChe
 
 
 def law_voltage(record: Record, axis: Axis) -> np.ndarray:
-    """Voltage (n,) [V] that the law of ``axis`` gives for the recorded reference and position, limit included, 0 while switched off."""
+    """What the law of ``axis`` gives (n,) [V] for recorded reference and position, limited; 0 while switched off."""
     law = law_of(axis, record.period, record.extra)
     memory = np.zeros(law.memory)
     limit = axis.drive.command_limit
