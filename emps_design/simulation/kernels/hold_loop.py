@@ -102,7 +102,8 @@ def run(
     period, limit, resolution = settings[PERIOD], settings[LIMIT], settings[RESOLUTION]
     jumps, late = starts[JUMP + 1] > starts[JUMP], starts[DELAY + 1] > starts[DELAY]
     touched, weighs = starts[TOUCH + 1] > starts[TOUCH], starts[TOUCH_MASS + 1] > starts[TOUCH_MASS]
-    holds = starts[HELD + 1] > starts[HELD]
+    holds, senses = starts[HELD + 1] > starts[HELD], starts[SENSOR + 1] > starts[SENSOR]
+    commands, waits = starts[COMMAND + 1] > starts[COMMAND], int(settings[DELAYED])
     weighed = starts[INERTIA + 1] > starts[INERTIA]
     bounds[0], bounds[1] = -np.inf, np.inf
     slides, steady = settings[SLIDES] > 0.0, settings[SLIDES] > 1.0
@@ -132,7 +133,7 @@ def run(
         if holds:
             force -= total(HELD, y_, t, tau, plant)
         position[k], velocity[k] = y[0], y[1]
-        seen = y[0] + total(SENSOR, y_, t, tau, plant)
+        seen = y[0] + total(SENSOR, y_, t, tau, plant) if senses else y[0]
         if resolution > 0.0:
             seen = np.floor(seen / resolution + 0.5) * resolution
         encoder[k] = seen
@@ -149,7 +150,8 @@ def run(
             volts = call_law(law, k, reference[k], seen, felt, limit, shifted(gains_, k * stride), memory_)
         else:
             volts = reference[k]
-        volts += total(COMMAND, y_, t, tau, plant)
+        if commands:
+            volts += total(COMMAND, y_, t, tau, plant)
         if noise.size:
             volts += noise[k]
         if not abs(volts) < np.inf:
@@ -162,7 +164,7 @@ def run(
                     return RUNAWAY, k, 0.0
         u[k] = volts
 
-        whole, first = int(settings[DELAYED]), 0.0
+        whole, first = waits, 0.0
         if late:
             wait = whole * period + max(0.0, total(DELAY, y_, t, tau, plant))
             whole = int(np.floor(wait / period + 1e-9))
