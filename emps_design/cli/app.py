@@ -27,13 +27,16 @@ COMMANDS = (
     "simulate",
     "identify",
     "observe",
+    "excite",
     "frf",
     "diagnose",
+    "export",
     "derive",
     "report",
     "studio",
     "demo",
     "init",
+    "import",
 )
 BEYOND = "numbers too far apart to compute with; check the units in the axis, the record and the options"
 

@@ -128,6 +128,10 @@ def _limit(axis: Axis, record: Record, source: str) -> list[str]:
 
 def _force(axis: Axis, record: Record, source: str) -> list[str]:
     """The motor's force against what mass and friction of the axis need for this motion."""
+    if axis.drive.command == "duty":  # of a supply, against a back-EMF
+        if record.supply is None:
+            return []
+        record = replace(record, u=record.u * record.supply)
     a, v, u = _motion(record, record.q)
     m, drive = axis.mechanics, axis.supplied_by(record).drive
     if drive.command == "duty" and drive.supply is None:

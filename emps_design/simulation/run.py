@@ -25,6 +25,7 @@ SIGNALS = {
     "u": ("voltage", "V"),
     "force": ("motor force", "N"),
     "f_ext": ("external force", "N"),
+    "excitation": ("excitation", "V"),
 }
 STORED = ("q_ref", "q", "position", "v", "u", "f_ext")
 EVENTS = ("reversal", "stick", "break-away", "guard")
@@ -38,7 +39,8 @@ class Run:
     encoder's side, ``u`` [V] the recorded voltage, ``force`` = G_tau u [N] (``force_gain`` (n,) where the supply
     changes, or the motor is switched off), ``f_ext`` [N] the external force that a sensor on the carriage feels.
     ``events`` has a row (time [s], kind, position [m]) for every velocity zero, stick, break-away and guard;
-    ``lost_events`` counts those that did not fit. ``energy`` [J] is there where it was asked for.
+    ``lost_events`` counts those that did not fit. ``energy`` [J] is there where it was asked for, ``excitation`` [V]
+    where something was added to the controller's output.
     """
 
     q_ref: np.ndarray
@@ -53,6 +55,12 @@ class Run:
     lost_events: int = 0
     energy: dict[str, float] | None = None
     name: str = "simulation"
+    excitation: np.ndarray | None = None
+
+    @property
+    def signals(self) -> dict[str, np.ndarray]:
+        """The signals of this run by name."""
+        return {name: values for name in SIGNALS if (values := getattr(self, name)) is not None}
 
     @cached_property
     def t(self) -> np.ndarray:
@@ -97,6 +105,7 @@ class Run:
             f_ext=self.f_ext if touched else None,
             period=self.period,
             name=name or self.name,
+            excitation=self.excitation,
         )
 
     def save(self, path: str | Path) -> None:
@@ -111,7 +120,7 @@ class Run:
             np.savez(
                 file,
                 allow_pickle=False,
-                **{name: getattr(self, name) for name in STORED},
+                **{name: values for name, values in self.signals.items() if name in (*STORED, "excitation")},
                 events=self.events,
                 force_gain=np.asarray(self.force_gain),
                 run=np.frombuffer(json.dumps(plain).encode(), dtype=np.uint8),
@@ -119,9 +128,9 @@ class Run:
 
     def to_csv(self, path: str | Path) -> None:
         """Write every signal to ``path`` as a table whose titles carry the units; 17 digits, so nothing is lost."""
-        titles = ",".join(f"{name} [{unit}]" for name, (_, unit) in SIGNALS.items())
+        titles = ",".join(f"{name} [{SIGNALS[name][1]}]" for name in self.signals)
         with write_aside(path) as aside:
-            columns = np.column_stack([getattr(self, name) for name in SIGNALS])
+            columns = np.column_stack(list(self.signals.values()))
             np.savetxt(aside, columns, fmt="%.17g", delimiter=",", header=titles, comments="")
 
     @classmethod
@@ -132,6 +141,8 @@ class Run:
         try:
             with np.load(path, allow_pickle=False) as archive:
                 signals = {name: archive[name] for name in (*STORED, "events", "force_gain")}
+                if "excitation" in archive:
+                    signals["excitation"] = archive["excitation"]
                 plain = json.loads(archive["run"].tobytes())
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, TypeError) as error:
             reason = " ".join(str(error).split())
@@ -148,7 +159,7 @@ class Run:
             "crossings": self.crossings.tolist(),
             "stick_intervals": self.stick_intervals.tolist(),
             "energy": self.energy,
-            "signals": {name: {"label": label, "unit": unit} for name, (label, unit) in SIGNALS.items()},
+            "signals": {name: {"label": SIGNALS[name][0], "unit": SIGNALS[name][1]} for name in self.signals},
         }
 
     def _repr_html_(self) -> str:
