@@ -16,7 +16,7 @@ from emps_design.simulation.environment import HAND, Hand, Wall
 from emps_design.simulation.kernels import baseline as core
 from emps_design.simulation.kernels import hold_loop as stepper
 from emps_design.simulation.kernels.compile import address
-from emps_design.simulation.prepared import Prepared, intention_columns, positive, signal
+from emps_design.simulation.prepared import Prepared, intention_columns, motor_rows, positive, signal
 from emps_design.simulation.run import Run
 
 HOOKS = ("force", "dry", "inertia", "command", "actuator", "delay", "sensor", "rate", "guard", "jump_time")
@@ -155,7 +155,7 @@ class Plant:
         q0 = float(q_ref[0]) if q0 is None else float(q0)
         return self._simulate(
             law, reference, q_ref, baseline, parameters, disturbance, voltage_noise, q0, v0, period, quantise,
-            intention, self._motor_rows(supply, enable, q_ref.size), energy, tolerance, method,
+            intention, motor_rows(self.axis.drive, supply, enable, q_ref.size), energy, tolerance, method,
         )  # fmt: skip
 
     def open_loop(
@@ -185,12 +185,12 @@ class Plant:
         nothing = np.full(u.size, np.nan)
         return self._simulate(
             None, u, nothing, baseline, parameters, disturbance, None, q0, v0, period, quantise, intention,
-            self._motor_rows(supply, enable, u.size), energy, tolerance, method,
+            motor_rows(self.axis.drive, supply, enable, u.size), energy, tolerance, method,
         )  # fmt: skip
 
     def _simulate(
         self, law, reference, q_ref, baseline, parameters, disturbance, noise, q0, v0, period, quantise, intention,
-        motor_rows, energy, tolerance, method,
+        motor, energy, tolerance, method,
     ) -> Run:  # fmt: skip
         b, p = self.numbers(baseline, parameters)
         hands = self.effects.count(HAND)
@@ -202,7 +202,7 @@ class Plant:
         push = _EMPTY if disturbance is None else signal(disturbance, "disturbance", "N", n)
         noise = _EMPTY if noise is None else signal(noise, "voltage_noise", "V", n)
         resolution = self.axis.sampling.encoder_resolution if quantise else 0.0
-        fastest = "general" if energy or motor_rows.size else self._method(law, noise, resolution)
+        fastest = "general" if energy or motor.size else self._method(law, noise, resolution)
         possible = (
             "general",
             *{"general": (), "plain": ("plain",), "folded": ("plain", "folded")}.get(fastest, ("open",)),
@@ -215,7 +215,7 @@ class Plant:
         events, found = np.empty((n + 1000, 3)), np.array([0, n + 1000])
         if method == "general":
             rows, balance = self._general(
-                law, reference, push, noise, motor_rows, q0, v0, period, energy, events, found,
+                law, reference, push, noise, motor, q0, v0, period, energy, events, found,
                 self.prepared(b, p, q0, v0, n, period, resolution, intention, energy, tolerance),
             )  # fmt: skip
         else:
@@ -231,22 +231,12 @@ class Plant:
             u=u,
             f_ext=outside,
             events=events[:kept].copy(),
-            force_gain=motor_rows[:, 0] if motor_rows.size else self.axis.drive.gain,
+            force_gain=motor[:, 0] if motor.size else self.axis.drive.gain,
             period=period,
             lost_events=int(found[0]) - kept,
             energy=balance,
             name=self.axis.name,
         )
-
-    def _motor_rows(self, supply: Any, enable: Any, n: int) -> np.ndarray:
-        """Gain [N/V] and braking [N/(m/s)] of the motor at each sample, (n, 2), or (0, 2) where they never change."""
-        drive = self.axis.drive
-        supply = None if drive.command != "duty" or supply is None else signal(supply, "supply", "V", n)
-        if supply is None and enable is None:
-            return np.zeros((0, 2))
-        on = np.ones(n) if enable is None else (signal(enable, "enable", "", n) != 0.0).astype(float)
-        gain = drive.gain if supply is None else drive.force_gain * supply
-        return np.column_stack([on * gain, on * drive.braking])
 
     def numbers(self, baseline: Any = None, parameters: Any = None) -> tuple[np.ndarray, np.ndarray]:
         """Return ``baseline`` (4,) and ``parameters``, end to end, checked; by default the axis's own."""
@@ -338,9 +328,9 @@ class Plant:
         scratch = np.zeros(stepper.room(states, guards))
         return Prepared(b, p, settings, y, self._hooks, self._starts, columns, slots, floors, scratch)
 
-    def _general(self, law, reference, push, noise, motor_rows, q0, v0, period, energy, events, found, ready):
+    def _general(self, law, reference, push, noise, motor, q0, v0, period, energy, events, found, ready):
         n, y = reference.size, ready.y
-        if np.any(motor_rows[:, 1:] != self.axis.drive.braking):  # what is solved or slid through is for one braking
+        if np.any(motor[:, 1:] != self.axis.drive.braking):  # what is solved or slid through is for one braking
             ready.settings[[stepper.SLIDES, stepper.EXACT]] = 0.0
         out = np.empty((5, n))
         place, gains, memory = 0, _NO_SIGNALS, _EMPTY
@@ -350,7 +340,7 @@ class Plant:
                 raise InputError(f"law: found gains for {len(gains)} samples, expected {n}: those of its own record")
         plant = (ready.baseline, ready.hooks, ready.starts, ready.parameters, ready.settings)
         status, k, within = stepper.run(
-            plant, y, place, gains, memory, reference, push, noise, motor_rows, ready.columns, ready.slots,
+            plant, y, place, gains, memory, reference, push, noise, motor, ready.columns, ready.slots,
             ready.floors, ready.scratch, out, events, found,
         )  # fmt: skip
         if status != stepper.DONE:
