@@ -25,8 +25,9 @@ SIGNALS = {
     "u": ("voltage", "V"),
     "force": ("motor force", "N"),
     "f_ext": ("external force", "N"),
-    "excitation": ("excitation", "V"),
 }
+OPTIONAL = {"excitation": ("excitation", "V")}  # of a run that has them
+DESCRIBED = SIGNALS | OPTIONAL
 STORED = ("q_ref", "q", "position", "v", "u", "f_ext")
 EVENTS = ("reversal", "stick", "break-away", "guard")
 
@@ -60,7 +61,7 @@ class Run:
     @property
     def signals(self) -> dict[str, np.ndarray]:
         """The signals of this run by name."""
-        return {name: values for name in SIGNALS if (values := getattr(self, name)) is not None}
+        return {name: values for name in DESCRIBED if (values := getattr(self, name)) is not None}
 
     @cached_property
     def t(self) -> np.ndarray:
@@ -120,7 +121,7 @@ class Run:
             np.savez(
                 file,
                 allow_pickle=False,
-                **{name: values for name, values in self.signals.items() if name in (*STORED, "excitation")},
+                **{name: values for name, values in self.signals.items() if name in (*STORED, *OPTIONAL)},
                 events=self.events,
                 force_gain=np.asarray(self.force_gain),
                 run=np.frombuffer(json.dumps(plain).encode(), dtype=np.uint8),
@@ -128,7 +129,7 @@ class Run:
 
     def to_csv(self, path: str | Path) -> None:
         """Write every signal to ``path`` as a table whose titles carry the units; 17 digits, so nothing is lost."""
-        titles = ",".join(f"{name} [{SIGNALS[name][1]}]" for name in self.signals)
+        titles = ",".join(f"{name} [{DESCRIBED[name][1]}]" for name in self.signals)
         with write_aside(path) as aside:
             columns = np.column_stack(list(self.signals.values()))
             np.savetxt(aside, columns, fmt="%.17g", delimiter=",", header=titles, comments="")
@@ -140,9 +141,8 @@ class Run:
 
         try:
             with np.load(path, allow_pickle=False) as archive:
-                signals = {name: archive[name] for name in (*STORED, "events", "force_gain")}
-                if "excitation" in archive:
-                    signals["excitation"] = archive["excitation"]
+                optional = [name for name in OPTIONAL if name in archive]
+                signals = {name: archive[name] for name in (*STORED, "events", "force_gain", *optional)}
                 plain = json.loads(archive["run"].tobytes())
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, TypeError) as error:
             reason = " ".join(str(error).split())
@@ -159,7 +159,7 @@ class Run:
             "crossings": self.crossings.tolist(),
             "stick_intervals": self.stick_intervals.tolist(),
             "energy": self.energy,
-            "signals": {name: {"label": SIGNALS[name][0], "unit": SIGNALS[name][1]} for name in self.signals},
+            "signals": {name: {"label": DESCRIBED[name][0], "unit": DESCRIBED[name][1]} for name in self.signals},
         }
 
     def _repr_html_(self) -> str:
