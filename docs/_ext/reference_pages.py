@@ -16,6 +16,8 @@ ROOMS = {
     "observer": "Observer",
     "control": "Control",
     "simulation": "Simulation",
+    "compensation": "Compensation",
+    "codegen": "Code for a drive",
     "comanipulation": "Co-manipulation",
     "identification": "Identification",
     "frequency_response": "Frequency responses",
