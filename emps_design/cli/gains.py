@@ -66,9 +66,9 @@ def command(
     velocity_estimator: Estimator = None,
     as_json: AsJson = False,
 ) -> int:
+    from emps_design.cli.wording import load_axis
     from emps_design.control.velocity.design import design_velocity_loop
     from emps_design.control.velocity.specification import check_specification
-    from emps_design.machines import load_axis
 
     check_out(out, AXIS, (axis, sigma_from), force)
     check_specification(crossover, bandwidth, phase_margin)

@@ -46,8 +46,8 @@ def command(
 ) -> None:
     """Observe the external force of a record, off-line and on-line."""
     from emps_design.cli.output import print_json, progress_bar, tell
+    from emps_design.cli.wording import load_axis
     from emps_design.identification.observation import observe, with_known_push
-    from emps_design.machines import load_axis
     from emps_design.records import read_record
 
     check_out(out, TABLE, (axis, record), force)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from emps_design.cli.flags import in_flags
+from emps_design.cli.wording import in_words
 from emps_design.errors import one_line, printable
 
 if TYPE_CHECKING:
@@ -21,12 +21,12 @@ Progress = Callable[[str, float], None]
 def plain(value: Any) -> Any:
     """Return ``value`` as JSON data: numpy to Python, complex to [re, im], Infinity and NaN to None.
 
-    Arguments that a text names become flags.
+    Texts are in the words of the axis at hand, and arguments that they name become flags.
     """
     if hasattr(value, "to_dict"):
         return plain(value.to_dict())
     if isinstance(value, str):
-        return in_flags(value)
+        return in_words(value, whole=True)
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -69,12 +69,12 @@ def print_json(document: Any) -> None:
 
 def say(text: object = "") -> None:
     """Print ``text`` on standard output; what in it is no text (names may hold anything) is shown as ``?``."""
-    print(printable(in_flags(str(text))))
+    print(printable(in_words(str(text))))
 
 
 def tell(text: object) -> None:
     """Print ``text`` as one line of this program on standard error."""
-    print(f"emps-design: {one_line(in_flags(str(text)))}", file=sys.stderr)
+    print(f"emps-design: {one_line(in_words(str(text)))}", file=sys.stderr)
 
 
 def print_warnings(warnings: Iterable[str]) -> None:
@@ -89,7 +89,7 @@ def new_console() -> Console:
 
     class Plain(Console):
         def render_str(self, text: str, **options: Any) -> Any:
-            return super().render_str(printable(in_flags(text)), **options)
+            return super().render_str(printable(in_words(text)), **options)
 
     return Plain(markup=False, emoji=False)
 

@@ -70,6 +70,7 @@ def command(
 ) -> None:
     """The whole design as one self-contained page: specification against achieved, loops, force loop, record."""
     from emps_design.cli.output import print_json, progress_bar, say, tell
+    from emps_design.cli.wording import load_axis
     from emps_design.errors import InputError, UnstableError
     from emps_design.files import write_aside
     from emps_design.report.assemble import assemble_report
@@ -79,6 +80,8 @@ def command(
     if crossover is None and bandwidth is None:
         crossover = 100.0
     check_out(out, PAGE, (axis, record), force)
+    if axis is not None:
+        load_axis(axis)  # whatever is said about it is in its units
     with write_aside(out) as aside, progress_bar() as progress:
         report = assemble_report(
             axis,

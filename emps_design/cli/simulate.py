@@ -118,8 +118,8 @@ def _refuse_ignored(context: typer.Context, scenario: str) -> None:
 def _single(
     scenario: str, name: str, record: Path | None, reference: Path | None, rate: float, peak: float | None
 ) -> Any:
+    from emps_design.cli.wording import load_axis
     from emps_design.errors import InputError
-    from emps_design.machines import load_axis
     from emps_design.simulation import scenarios
 
     axis = load_axis(name or "emps2019")
@@ -148,8 +148,8 @@ def _comanipulation(
     law: dict[str, Any],
 ) -> Any:
     from emps_design.cli.output import progress_bar
+    from emps_design.cli.wording import load_axis
     from emps_design.comanipulation.scenario import run_comanipulation
-    from emps_design.machines import load_axis
 
     with progress_bar() as progress:
         return run_comanipulation(

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from emps_design.units import Units
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -77,6 +79,18 @@ def subplots(
 
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, columns, **options)
+
+
+def labelled(figure: Figure, units: Units) -> Figure:
+    """Put everything written in ``figure`` into the units and words of an axis, and return the figure."""
+    from matplotlib.text import Text
+
+    if not units.plain:
+        for text in figure.findobj(Text):
+            written = text.get_text()
+            if (own := units.text(written)) != written:
+                text.set_text(own)
+    return figure
 
 
 def svg(figure: Figure, key: str = "") -> str:
