@@ -29,6 +29,7 @@ COMMANDS = (
     "simulate",
     "identify",
     "observe",
+    "frf",
     "diagnose",
     "derive",
     "report",
