@@ -67,7 +67,8 @@ _UNIT = (
 )
 _NUMBER = r"[-+−]?(?:\d+\.?\d*|\.\d+)(?:e[-+−]?\d+)?"
 _QUANTITY = re.compile(rf"(?<![\w.])({_NUMBER}(?:(?: \+- | ± | to |–|, | and ){_NUMBER})*) ({_UNIT})")
-_AFTER = re.compile(rf"(?:(?<=[\])] )|(?<=unbounded )|(?<=per )|(?<=, )(?={_UNIT}$)|^(?={_UNIT}(?:$| rms)))({_UNIT})")
+_BEFORE = r"(?<=[\])] )|(?<=unbounded )|(?<=per )|(?<=\bin )"
+_AFTER = re.compile(rf"(?:{_BEFORE}|(?<=, )(?={_UNIT}$)|^(?={_UNIT}(?:$| rms)))({_UNIT})")
 _BRACKETS = re.compile(r"\[([^\[\]]*)\]")
 # Not prose: drawings, styles, code, tags, arguments and commands.
 _CODE = re.compile(

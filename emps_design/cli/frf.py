@@ -34,11 +34,11 @@ def command(
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     from emps_design.cli.output import print_json, print_warnings, progress_bar
+    from emps_design.cli.wording import load_axis
     from emps_design.errors import InputError, nearest_name
     from emps_design.frequency_response import estimate_response, write_response
     from emps_design.frequency_response.estimate import METHODS
     from emps_design.frequency_response.signals import INSTRUMENTS
-    from emps_design.machines import load_axis
     from emps_design.records import read_record
 
     for option, value, known in (
