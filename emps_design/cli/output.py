@@ -9,28 +9,32 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from emps_design.cli.wording import in_words
+from emps_design.cli.flags import in_flags
+from emps_design.cli.wording import in_units, in_words
 from emps_design.errors import one_line, printable
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 Progress = Callable[[str, float], None]
+NAMES = ("name", "axis", "record", "records", "file", "files", "out", "directory", "machine", "column", "title")
+MESSAGES = ("reason", "warnings")  # keys under which the library's messages stand; all other text is data
 
 
-def plain(value: Any) -> Any:
+def plain(value: Any, key: str = "") -> Any:
     """Return ``value`` as JSON data: numpy to Python, complex to [re, im], Infinity and NaN to None.
 
-    Texts are in the words of the axis at hand, and arguments that they name become flags.
+    Texts are in the units of the axis at hand, but for names; arguments that a message names become flags.
     """
     if hasattr(value, "to_dict"):
         return plain(value.to_dict())
     if isinstance(value, str):
-        return in_words(value, whole=True)
+        value = value if key in NAMES else in_units(value)
+        return in_flags(value) if key in MESSAGES else value
     if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(name): plain(item, str(name)) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [plain(item, key) for item in value]
     if hasattr(value, "tolist"):
         return plain(value.tolist())
     if isinstance(value, complex):

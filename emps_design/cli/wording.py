@@ -32,10 +32,11 @@ def speak(units: Units) -> None:
     _at_hand[0] = units
 
 
-def in_words(text: str, whole: bool = False) -> str:
-    """``text`` of the library with flags for arguments, in the units and words of the axis at hand.
+def in_words(text: str) -> str:
+    """``text`` of the library with flags for arguments, in the units and words of the axis at hand."""
+    return in_flags(_at_hand[0].text(text))
 
-    ``whole``: it is a whole value of a JSON document, and a single word of those is a name.
-    """
-    units = _at_hand[0]
-    return in_flags(units.value(text) if whole else units.text(text))
+
+def in_units(value: str) -> str:
+    """A text of a JSON document in the units and words of the axis at hand; a single word of it is a name."""
+    return _at_hand[0].value(value)
