@@ -72,7 +72,8 @@ _AFTER = re.compile(rf"(?:{_BEFORE}|(?<=, )(?={_UNIT}$)|^(?={_UNIT}(?:$| rms)))(
 _BRACKETS = re.compile(r"\[([^\[\]]*)\]")
 # Not prose: drawings, styles, code, tags, arguments and commands.
 _CODE = re.compile(
-    r"(<svg\b.*?</svg>|<style\b.*?</style>|<pre\b.*?</pre>|<code\b.*?</code>|</?[a-z][^<>]*>|`[^`]*`|emps-design \w+)",
+    r"(<svg\b.*?</svg>|<style\b.*?</style>|<pre\b.*?</pre>|<code\b.*?</code>|</?[a-z][^<>]*>"
+    r"|\x60[^\x60]*\x60|emps-design \w+)",
     re.DOTALL,
 )
 
@@ -181,7 +182,7 @@ class Units:
 
     @cached_property
     def _words(self) -> re.Pattern[str]:
-        return re.compile(rf"(?<![\w.`/=-])({'|'.join(self._table)})(?![\w`/(=]|\.\w|-\w+=)", re.IGNORECASE)
+        return re.compile(rf"(?<![\w.\x60/=-])({'|'.join(self._table)})(?![\w\x60/(=]|\.\w|-\w+=)", re.IGNORECASE)
 
     @cached_property
     def _table(self) -> dict[str, str]:
