@@ -80,12 +80,13 @@ def command(
 
     check_out(out, AXIS, (axis, sigma_from, *(frf or ())), force)
     check_specification(crossover, bandwidth, phase_margin)
+    loaded = load_axis(axis)
     machine = with_numbers(
-        load_axis(axis),
+        loaded,
         mechanics={"mass": mass, "viscous": viscous, "coulomb": coulomb},
         drive={
             "force_gain": force_gain,
-            "voltage_limit": voltage_limit,
+            "voltage_limit" if loaded.drive.command == "voltage" else "command_limit": voltage_limit,
             "current_time_constant": current_time_constant,
         },
         sampling={

@@ -75,7 +75,7 @@ class DataView:
         self.model: Axis | None = None
         self._dropped_last: tuple[str, bytes | str] | None = None
         self.drop = pn.widgets.FileDropper(
-            label=f"Record: drop it here or click to choose one; {', '.join(SUFFIXES)}, at most {LIMIT_MB} MB",
+            label=f"Record: drop it here or click to choose one, at most {LIMIT_MB} MB",
             max_file_size=f"{LIMIT_MB}MB",
             multiple=False,
             height=76,
