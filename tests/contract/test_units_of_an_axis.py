@@ -45,6 +45,8 @@ COMMANDS = {
     "diagnose": "diagnose {record} --axis {axis} --out {folder}/found --force",
     "diagnose an effect": "diagnose {puzzle} --axis {axis} --out {folder}/named --force",
     "report": "report {axis} --record {record} --k-e1 0.01 --mass 50 --damping 100 --out {folder}/page.html --force",
+    "compensate": "compensate {axis}",
+    "excite": "excite {axis} --out {folder}/excitation.csv --force",
     "init": "init {folder}/started --machine {axis} --force",
 }
 VOLTAGE = r"(?<![\w/(])m?V(?![\w^])|\bV/|/V\b|[Vv]oltage(?!_)|\bvolts?\b"
