@@ -46,7 +46,7 @@ COMMANDS = {
     "diagnose an effect": "diagnose {puzzle} --axis {axis} --out {folder}/named --force",
     "report": "report {axis} --record {record} --k-e1 0.01 --mass 50 --damping 100 --out {folder}/page.html --force",
     "compensate": "compensate {axis}",
-    "excite": "excite {axis} --out {folder}/excitation.csv --force",
+    "excite": "excite {axis} --stroke 2 --speed 0.2 --out {folder}/excitation.csv --force",
     "init": "init {folder}/started --machine {axis} --force",
 }
 VOLTAGE = r"(?<![\w/(])m?V(?![\w^])|\bV/|/V\b|[Vv]oltage(?!_)|\bvolts?\b"
@@ -55,7 +55,7 @@ WRONG = {
         rf"{VOLTAGE}|\bkg\b(?! m\^2)|(?<![\w\\])N(?! m\b)(?![\w^(:=-])|(?<!\w)(?<!N )[mµun]?m/s|\[m\b"
         r"|(?<=\d )[mµn]?m\b(?! )|\bN m m\b|\bnewtons?\b(?! metre)|\bcarriage\b"
     ),
-    "gantry": re.compile(rf"{VOLTAGE}|N m\b(?!/A)|kg m\^2|\brad/s/|\binertia\b|m%"),
+    "gantry": re.compile(rf"{VOLTAGE}|N m\b(?!/A)|kg m\^2|\brad/s/|m%"),
 }
 NAMES = re.compile(r'"\w+":|"voltage"|# .*extended by.*')  # keys, and what is a name among the values
 # What is about the paper's machine, or about no machine.
