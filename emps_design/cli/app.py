@@ -30,6 +30,7 @@ COMMANDS = (
     "excite",
     "frf",
     "diagnose",
+    "compensate",
     "export",
     "derive",
     "report",
