@@ -57,7 +57,7 @@ def command(
     loaded = load_axis(axis)
     read = import_record(record, loaded)
     if injected is not None:
-        read = with_known_push(read, _voltage(injected, read), loaded.drive.force_gain)
+        read = with_known_push(read, _voltage(injected, read), loaded.drive.gain)
     with progress_bar(len(read) >= LONG) as progress:
         found = observe(read, loaded, cutoff_hz=cutoff, offline_cutoff_hz=offline_cutoff, progress=progress)
     if out is not None:

@@ -240,12 +240,12 @@ def _peak(amplitudes: np.ndarray, lines: np.ndarray, samples: int) -> float:
 def _steady_command(axis: Axis, speed: float) -> float:
     """What the passes take, the harder way [V]."""
     m = axis.mechanics
-    return (m.viscous * speed + m.coulomb + abs(m.offset)) / axis.drive.force_gain
+    return (m.viscous * speed + m.coulomb + abs(m.offset)) / axis.drive.gain
 
 
 def _amplitude(axis: Axis, limits: Limits, speed: float, steady: float, unit: dict[str, float]) -> tuple[float, str]:
     """The largest factor on the peaks ``unit`` that every limit bears, and which limit binds."""
-    gain = axis.drive.force_gain
+    gain = axis.drive.gain
     rooms = {
         "speed of the passes": TURNING * speed / unit["velocity"],
         "command limit": (ROOM * axis.drive.command_limit - steady) / unit["command"],
@@ -282,7 +282,7 @@ def _between_steps(speed: float, axis: Axis) -> float:
 
 def _ramp(axis: Axis, limits: Limits, speed: float, steady: float, usual: float) -> float:
     """How long the passes take to reach their ``speed`` [s]: as ``usual``, or what half of the force allows."""
-    gain = axis.drive.force_gain
+    gain = axis.drive.gain
     most = min(gain * axis.drive.command_limit, np.inf if limits.force is None else limits.force)
     room = 0.5 * (ROOM * most - gain * steady)
     return max(0.1, usual, 0.5 * np.pi * axis.mechanics.mass * speed / room) if room > 0.0 else usual
@@ -317,5 +317,5 @@ def _expected(axis: Axis, speed: float, w: np.ndarray, command: np.ndarray, samp
     back = np.exp(-1j * w * plant.period)
     newer, older = plant.weights
     position = plant.response(w) * plant.period / ((newer + older * back) * (1.0 - back))
-    power = (noise / axis.drive.force_gain) ** 2 + resolution**2 / 12.0 / np.abs(position) ** 2
+    power = (noise / axis.drive.gain) ** 2 + resolution**2 / 12.0 / np.abs(position) ** 2
     return np.sqrt(power / samples) / (0.5 * command)

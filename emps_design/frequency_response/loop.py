@@ -109,7 +109,7 @@ class MeasuredPlant:
         masses = np.array([mass_line(response.w, one, std)[0] for one in data])
         period = axis.sampling.period
         late = axis.sampling.computation_delay * period
-        return cls(response.w, data, masses, axis.drive.force_gain, late, period)
+        return cls(response.w, data, masses, axis.drive.gain, late, period)
 
     @cached_property
     def _pieces(self) -> np.ndarray:

@@ -96,7 +96,7 @@ class DataView:
         self._table: ColumnMap | None = None
         self.columns = ColumnsView(self._read_columns)
         self.drop = pn.widgets.FileDropper(
-            label=f"Record: drop it here or click to choose one; {', '.join(SUFFIXES)}, at most {LIMIT_MB} MB",
+            label=f"Record: drop or choose one; {', '.join(SUFFIXES)}, at most {LIMIT_MB} MB",
             max_file_size=f"{LIMIT_MB}MB",
             multiple=False,
             height=76,
