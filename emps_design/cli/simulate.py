@@ -86,7 +86,7 @@ def command(
     else:
         result = _single(scenario, axis, record, reference, rate, peak)
         if out is not None:
-            _write(out, result.run)
+            _write(out, result)
         if plot is not None:
             _draw(plot, result)
     document = result.to_dict()
@@ -132,7 +132,7 @@ def _single(
         raise InputError("--scenario reference: found no reference, expected --reference FILE")
     from emps_design.simulation.reference_file import read_reference
 
-    return scenarios.follow(axis, *read_reference(reference, axis.sampling.period))
+    return scenarios.follow(axis, *read_reference(reference, axis.sampling.period, axis.units))
 
 
 def _comanipulation(
@@ -184,11 +184,11 @@ def _check(out: Path | None, plot: Path | None, inputs: tuple[str | Path | None,
             check_out(path, kinds[path.suffix], inputs, force, option)
 
 
-def _write(out: Path, run: Any) -> None:
+def _write(out: Path, result: Any) -> None:
     if out.suffix == ".npz":
-        run.save(out)
+        result.run.save(out)
     else:
-        run.to_csv(out)
+        result.run.to_csv(out, result.axis.units)
 
 
 def _draw(path: Path, result: Any) -> None:
