@@ -36,9 +36,9 @@ def command(
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
+    from emps_design.cli.wording import load_axis
     from emps_design.compensation import compensate
     from emps_design.errors import InputError, nearest_name
-    from emps_design.machines import load_axis
 
     check_folder(out, FILES, (axis, reference), force)
     scenario = scenario or ("reference" if reference else "laps")

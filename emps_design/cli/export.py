@@ -26,9 +26,9 @@ def command(
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
+    from emps_design.cli.wording import load_axis
     from emps_design.codegen import export_controller
     from emps_design.errors import InputError
-    from emps_design.machines import load_axis
 
     check_folder(out, {}, (axis, compensation), force)
     found = None if compensation is None else _read(compensation)
