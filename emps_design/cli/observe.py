@@ -48,9 +48,9 @@ def command(
 ) -> None:
     """Observe the external force of a record, off-line and on-line."""
     from emps_design.cli.output import print_json, progress_bar, tell
+    from emps_design.cli.wording import load_axis
     from emps_design.identification.observation import observe, with_known_push
     from emps_design.importing import import_record
-    from emps_design.machines import load_axis
 
     refuse_force(context, out)
     check_out(out, TABLE, (axis, record), force)

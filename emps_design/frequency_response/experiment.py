@@ -33,7 +33,7 @@ ROOM = 0.9  # share of a limit that is used
 STEEPEST = 10.0  # times the command, what may be added to have it: below the crossover the controller works against it
 LEAST = 2  # periods on a pass, besides the one in which the loop settles
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # farthest from every ratio of small whole numbers
-NOISE = 0.35  # N rms, white, where none is given
+NOISE_SHARE = 0.02  # of the Coulomb friction, rms of white force noise where none is given
 
 
 @dataclass(frozen=True)
@@ -112,13 +112,14 @@ def design_experiment(
     passes: int = 4,
     slope: float = 0.5,
     at: str = PLACES[0],
-    noise: float = NOISE,
+    noise: float | None = None,
     seed: int = 0,
 ) -> Experiment:
     """Return the experiment for ``axis``: lines from ``low`` to ``high`` [Hz], ``resolution`` [Hz] the base line.
 
     ``speed`` [m/s] is that of the passes, ``slope`` the power of frequency by which the command's amplitude falls,
-    ``at`` where the multi-sine is added, ``noise`` [N rms] what the deviations are expected from. Raises
+    ``at`` where the multi-sine is added, ``noise`` [N rms] what the deviations are expected
+    from, by default 2 % of the Coulomb friction. Raises
     :class:`InputError` for what does not fit the limits, :class:`UnstableError` for an axis whose loop is unstable.
 
     >>> from emps_design.machines import machine
@@ -179,6 +180,7 @@ def design_experiment(
         "command": steady + peaks["command"],
         "stroke": float(np.ptp(q_ref)) + 2.0 * peaks["position"],
     }
+    noise = NOISE_SHARE * axis.mechanics.coulomb if noise is None else noise
     std = _expected(axis, speed, w, amplitude * np.abs(one * command), periods * samples * passes, noise)
     f = lines / (samples * period)
     words = (

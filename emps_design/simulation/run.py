@@ -14,6 +14,8 @@ from emps_design.errors import RecordError
 from emps_design.files import write_aside
 from emps_design.notebook import table
 from emps_design.records import Record
+from emps_design.records.columns import PLAIN
+from emps_design.units import Units
 
 # name: (label, unit) of every signal of a run
 SIGNALS = {
@@ -127,9 +129,12 @@ class Run:
                 run=np.frombuffer(json.dumps(plain).encode(), dtype=np.uint8),
             )
 
-    def to_csv(self, path: str | Path) -> None:
-        """Write every signal to ``path`` as a table whose titles carry the units; 17 digits, so nothing is lost."""
-        titles = ",".join(f"{name} [{DESCRIBED[name][1]}]" for name in self.signals)
+    def to_csv(self, path: str | Path, units: Units = PLAIN) -> None:
+        """Write every signal to ``path`` as a table whose titles carry the units; 17 digits, so nothing is lost.
+
+        ``units`` are those of the axis.
+        """
+        titles = ",".join(f"{name} [{units.unit(DESCRIBED[name][1])}]" for name in self.signals)
         with write_aside(path) as aside:
             columns = np.column_stack(list(self.signals.values()))
             np.savetxt(aside, columns, fmt="%.17g", delimiter=",", header=titles, comments="")

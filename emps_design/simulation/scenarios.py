@@ -70,11 +70,8 @@ class Replay:
 
     def _repr_html_(self) -> str:
         rows = [(name, error, "%", self.rms_error.get(name)) for name, error in self.relative_error_percent.items()]
-        return table(
-            f"{self.record.name}: measured against {self.axis.name} simulated",
-            rows,
-            ("signal", "relative error", "unit", "rms error [SI]"),
-        )
+        title = f"{self.record.name}: measured against {self.axis.name} simulated"
+        return self.axis.units.text(table(title, rows, ("signal", "relative error", "unit", "rms error [SI]")))
 
 
 def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:

@@ -253,7 +253,8 @@ class VelocityLoopDesign:
             ("sampled: crossover at the plant input", sampled.crossover, "rad/s"),
         )
         verdict = "stable" if self.sampled.stable else "UNSTABLE"
-        return table(f"{self.axis.name}: the sampled loop is {verdict}", rows, missing="undefined")
+        title = f"{self.axis.name}: the sampled loop is {verdict}"
+        return self.axis.units.text(table(title, rows, missing="undefined"))
 
 
 def design_velocity_loop(
