@@ -10,6 +10,7 @@ ROOMS = {
     "records": "Records",
     "axis": "Axis",
     "machines": "Machines",
+    "importing": "Exports of drives",
     "effects": "What an effect is",
     "laws": "Control laws",
     "model": "Model",
