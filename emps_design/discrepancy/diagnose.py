@@ -17,6 +17,7 @@ from emps_design.discrepancy.search.noise_floor import LEFT, Floor, floor_of_res
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.validation.verdict import validate
 from emps_design.effects import Effect, known_effects
+from emps_design.effects.sizes import sized, sizes
 from emps_design.records import Record
 
 SEARCHES = ((0.0, 0.6), (0.6, 0.25), (0.85, 0.15))  # start and share of the progress; noise taken again in between
@@ -40,9 +41,9 @@ def diagnose(
 
     ``records`` of one axis are explained together; ``holdout``, or ``confirm_time`` (start, stop) [s] of the first
     record, is opened once, at the end. ``fit_time`` [s] limits what is fitted. ``library`` defaults to every known
-    effect. ``searches`` healthy records are simulated and searched like this one, for the gain that chance alone
-    reaches; 0 takes a linearisation of that. ``progress(stage, share)`` hears how far it is, ``searched(model)`` the
-    model with which a search ended, before it is confirmed. Raises :class:`InputError` for records that cannot be
+    effect; its starts and bounds are sized to the axis. ``searches`` healthy records are simulated and searched like
+    this one, for the gain that chance alone reaches; 0 takes a linearisation of that. ``progress(stage, share)`` hears
+    how far it is, ``searched(model)`` the model with which a search ended, before it is confirmed. Raises :class:`InputError` for records that cannot be
     judged, and where the controller of ``axis`` is not the one that made them.
     """
     from threadpoolctl import threadpool_limits
@@ -50,7 +51,9 @@ def diagnose(
     report, hears = progress or (lambda stage, share: None), searched or (lambda model: None)
     records = (records,) if isinstance(records, Record) else tuple(records)
     known = known_effects().values() if library is None else library
-    library = tuple(effect for effect in known if effect.acts_on(axis.motion))
+    first = records[0]
+    factors = sizes(first.q, first.u, first.period, axis.supplied_by(first).drive.gain)
+    library = tuple(sized(effect, factors) for effect in known if effect.acts_on(axis.motion))
     # The matrices here are tall and thin: BLAS threads would only spin, and the fits run side by side already.
     with threadpool_limits(1):
         report("checking the records and the controller's law", 0.02)

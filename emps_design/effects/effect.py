@@ -29,6 +29,7 @@ edges are compared with ``SNAP`` to spare.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 
 MASS, VISCOUS, COULOMB, OFFSET = range(4)  # places in the baseline array ``b``
 CHECK_BASELINE = (100.0, 200.0, 20.0, -5.0)  # the baseline of every effect's hand-computed checks
+REACH = 1000.0  # times the ordinary axis, up to which an effect's numbers are taken
 SNAP = 1e-10  # s, by which an edge in time is seen early, above the rounding of any record's clock
 
 CHANNELS = ("controller", "actuator", "plant", "sensor")
@@ -62,6 +64,7 @@ class Parameter(Quantity):
     ``per_record``: it belongs to one record (the phase of a ripple, the time of an event), not to the machine.
     ``starts``: values worth starting a fit from; a scan of a shape parameter uses them as its grid.
     ``scale``: a typical size, where the starts do not give one. ``discrete``: chosen among the starts, never refined.
+    Starts, bounds and scale are written for an ordinary linear axis; :mod:`.sizes` has those of another.
     """
 
     linear: bool = False
@@ -69,6 +72,13 @@ class Parameter(Quantity):
     starts: tuple[float, ...] = ()
     scale: float = 0.0
     discrete: bool = False
+
+    def check(self, value: float) -> float:
+        """As of any quantity, for an axis up to ``REACH`` times larger or smaller than the ordinary one."""
+        if self.discrete or not re.search(r"\b[mNV]\b", self.unit):
+            return super().check(value)
+        lower = self.lower / REACH if self.lower > 0.0 else self.lower * REACH
+        return Quantity(self.name, self.symbol, self.unit, lower, self.upper * REACH).check(value)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,78 @@
+"""Starts and bounds of an effect for the axis at hand: those of the library are written for an ordinary linear axis.
+
+A play of 0.1 mm is worth a try on a stroke of 0.25 m; on an axis that turns by 2 rad it is 1 mrad. So every start and
+bound with a length, a speed, a force or a command in its unit is scaled by how much longer, faster, stronger an axis is.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from emps_design.effects.effect import Effect, Parameter
+
+# The axis that the library's numbers are written for, by unit: stroke, top speed, largest motor force and command.
+ORDINARY = {"m": 0.25, "m/s": 0.15, "N": 200.0, "V": 5.0}
+ALIKE = 3.0  # up to this many times more or less, an axis is an ordinary one
+
+
+def sizes(q: np.ndarray, u: np.ndarray, period: float, force_gain: float) -> dict[str, float]:
+    """How large an axis is against the ordinary one, by unit, from positions ``q`` (n,) [m] and commands ``u`` (n,) [V].
+
+    1 where it is alike. The speed is taken over a hundredth of the record, below which an encoder's steps would count.
+
+    >>> t = np.arange(0.0, 10.0, 1e-3)
+    >>> sizes(0.125 * np.sin(t), 5.0 * np.cos(t), 1e-3, 40.0)
+    {'m': 1.0, 'm/s': 1.0, 'N': 1.0, 'V': 1.0}
+    """
+    span = max(1, q.size // 100)
+    found = {
+        "m": float(np.ptp(q)),
+        "m/s": float(np.abs(q[span:] - q[:-span]).max(initial=0.0)) / (span * period),
+        "N": float(np.abs(u).max(initial=0.0)) * force_gain,
+        "V": float(np.abs(u).max(initial=0.0)),
+    }
+    ratios = {unit: size / ORDINARY[unit] for unit, size in found.items()}
+    return {unit: ratio if ratio > 0.0 and not 1 / ALIKE <= ratio <= ALIKE else 1.0 for unit, ratio in ratios.items()}
+
+
+def sized(effect: Effect, factors: Mapping[str, float]) -> Effect:
+    """The ``effect`` with starts, bounds and typical sizes of its parameters times the ``factors`` of their units.
+
+    >>> from emps_design.effects import get_effect
+    >>> small, large = get_effect("backlash"), sized(get_effect("backlash"), {"m": 10.0, "N": 1.0, "m/s": 1.0, "V": 1.0})
+    >>> small.parameters[0].starts, large.parameters[0].starts, large.parameters[1] == small.parameters[1]
+    ((5e-05, 0.0001, 0.0002), (0.0005, 0.001, 0.002), True)
+    """
+    if all(factor == 1.0 for factor in factors.values()):
+        return effect
+    return replace(effect, parameters=tuple(_sized(parameter, factors) for parameter in effect.parameters))
+
+
+def _sized(parameter: Parameter, factors: Mapping[str, float]) -> Parameter:
+    factor = _factor(parameter.unit, factors)
+    if factor == 1.0 or parameter.discrete:
+        return parameter
+    return replace(
+        parameter,
+        lower=factor * parameter.lower,
+        upper=factor * parameter.upper,
+        starts=tuple(factor * start for start in parameter.starts),
+        scale=factor * parameter.scale,
+    )
+
+
+def _factor(unit: str, factors: Mapping[str, float]) -> float:
+    """The factor of a unit such as N/m or N/(m/s): that of what stands above the line over that below.
+
+    >>> _factor("N/(m/s)", {"N": 6.0, "m/s": 2.0, "m": 5.0}), _factor("Hz", {"N": 6.0})
+    (3.0, 1.0)
+    """
+    if unit in factors:
+        return factors[unit]
+    above, _, below = unit.partition("/")
+    below = re.sub(r"[()]", "", below)
+    return factors.get(above, 1.0) / factors.get(below, 1.0)
