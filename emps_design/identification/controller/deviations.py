@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.signal import lfilter
 
 from emps_design.identification.controller.filters import Filter, derivatives, filtered
 from emps_design.identification.controller.fit import Fit
@@ -29,7 +28,7 @@ def covariance(signals: Signals, found: Fit, limited: np.ndarray | None) -> np.n
         columns = np.column_stack([columns, raw @ ((ends[0] - ends[1]) / (2.0 * step)) @ found.linear])
     columns = filtered(found.filters, columns, period)
     columns = np.column_stack([columns, derivatives(found.filters, raw @ found.beta, period)])
-    columns = lfilter(signals.whitening, [1.0], columns, axis=0)[signals.used]
+    columns = signals.counted(columns)
     scale = np.linalg.norm(columns, axis=0)
     scale[scale == 0.0] = 1.0
     triangle = np.linalg.qr(columns / scale, mode="r")

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.signal import lfilter
 
 from emps_design.identification.controller.filters import Filter, derivatives, filtered
 from emps_design.identification.controller.regressors import COLUMNS, Signals, Timing, regressors
@@ -86,10 +85,7 @@ class Compressed:
 def compress(signals: Signals, columns: np.ndarray, slopes: np.ndarray | None = None) -> Compressed:
     """Take ``columns`` (n, len(COLUMNS)) behind the filters, and ``slopes`` (n, n_numbers), to a triangle."""
     slopes = np.zeros((len(signals), 0)) if slopes is None else slopes
-    stacked = np.column_stack([columns, slopes, signals.command])
-    if len(signals.whitening) > 1:
-        stacked = lfilter(signals.whitening, [1.0], stacked, axis=0)
-    stacked = stacked[signals.used]
+    stacked = signals.counted(np.column_stack([columns, slopes, signals.command]))
     norms = np.linalg.norm(stacked, axis=0)
     norms[norms == 0.0] = 1.0
     triangle = np.linalg.qr(stacked / norms, mode="r")

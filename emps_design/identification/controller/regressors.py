@@ -17,6 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter
 
 EVERY = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20)  # samples of a position loop that are tried
 DELAYS = (0, 1, 2)  # samples
@@ -44,6 +45,7 @@ class Signals:
     The reference is a position [m or rad], or a velocity where ``velocity_reference``; ``force`` (n,) [N or N m] is
     a measured external force; ``used`` (n,) says which samples count. ``whitening`` are the coefficients of the
     prediction error filter in z^-1 that makes the noise of the command white; ``used`` is about what leaves it.
+    ``levels`` (n,) numbers stretches in each of which the command may carry a constant of its own.
     """
 
     reference: np.ndarray
@@ -54,9 +56,20 @@ class Signals:
     velocity_reference: bool = False
     force: np.ndarray | None = None
     whitening: tuple[float, ...] = (1.0,)
+    levels: np.ndarray | None = None
 
     def __len__(self) -> int:
         return self.position.size
+
+    def counted(self, columns: np.ndarray) -> np.ndarray:
+        """What counts of ``columns`` (n, ...): whitened, the samples used, without the mean of each stretch."""
+        rows = lfilter(self.whitening, [1.0], columns, axis=0)[self.used]
+        if self.levels is None:
+            return rows
+        starts = np.flatnonzero(np.diff(self.levels[self.used], prepend=-1))
+        sizes = np.diff(np.append(starts, len(rows)))
+        means = np.add.reduceat(rows, starts, axis=0) / sizes.reshape(-1, *[1] * (rows.ndim - 1))
+        return rows - np.repeat(means, sizes, axis=0)
 
 
 @dataclass(frozen=True)
@@ -95,7 +108,7 @@ def regressors(signals: Signals, timing: Timing, limited: np.ndarray | None = No
     ar = np.diff(vr, prepend=vr[:1] if signals.velocity_reference else 0.0) / period
     force = np.zeros(n) if signals.force is None else signals.force
     slip = vr - v
-    free = np.ones(n, bool) if limited is None else ~limited
+    free = np.ones(n, bool) if limited is None else ~np.concatenate([limited[timing.delay :], np.zeros(timing.delay, bool)])
     sums = [_held_sum(x, free) * period for x in (error, slip, v, force)]
     columns = (error, sums[0], slip, sums[1], v, sums[2], ar, np.sign(vr), sums[3])
     table = np.column_stack([*columns, np.ones(n)])

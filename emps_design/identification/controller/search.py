@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from typing import Any
+
 import numpy as np
 
 from emps_design.identification.controller.filters import Filter
@@ -14,6 +16,7 @@ from emps_design.identification.controller.structures import Structure
 MOST_FILTERS = 3
 WORTH = 20.0  # of the information criterion: what a further filter must gain
 FILTER_SHOWS = 0.1  # share of the residual's rms that it must take away where the noise is on the position
+FURTHEST = 6.0  # that the logarithm of an integral rate moves from where it was scanned
 TURNS = 8  # of timing and filters, at most
 LOWPASSES = np.geomspace(0.003, 0.5, 16)  # of the sampling frequency
 NOTCHES = [
@@ -86,7 +89,7 @@ class Spectrum:
 def search(signals: Signals, limited: np.ndarray | None = None) -> list[Candidate]:
     """The best candidate for each form, delay and estimator, the best first."""
     spectrum = Spectrum(signals, limited)
-    follows = {"position": False, "share": 1} if signals.velocity_reference else {}
+    follows: dict[str, Any] = {"position": False, "share": 1} if signals.velocity_reference else {}
     started = []
     for form in ("pi", "ip"):
         structure = Structure(form=form, force=signals.force is not None, **follows)
@@ -156,7 +159,7 @@ def polish(spectrum: Spectrum, start: Candidate) -> Candidate:
         for one in start.filters:
             filters.append(one.moved(x[at : at + len(one.numbers)], s.period))
             at += len(one.numbers)
-        return start.wi * float(np.exp(x[0])) if integral else 0.0, tuple(filters)
+        return start.wi * float(np.exp(np.clip(x[0], -FURTHEST, FURTHEST))) if integral else 0.0, tuple(filters)
 
     def squares(x: np.ndarray) -> float:
         wi, filters = unpacked(x)
