@@ -29,6 +29,7 @@ COMMANDS = (
     "observe",
     "frf",
     "diagnose",
+    "export",
     "derive",
     "report",
     "studio",
