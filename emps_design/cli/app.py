@@ -28,6 +28,7 @@ COMMANDS = (
     "identify",
     "observe",
     "frf",
+    "law",
     "diagnose",
     "export",
     "derive",

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from emps_design.identification.controller.filters import derivatives, filtered
 from emps_design.identification.controller.fit import Fit, compress, fit, solve
-from emps_design.identification.controller.regressors import DELAYS, ESTIMATORS, EVERY, Signals, regressors
+from emps_design.identification.controller.regressors import DELAYS, ESTIMATORS, EVERY, Signals, Timing, regressors
 from emps_design.identification.controller.structures import Structure
 
 NEARBY = 60.0  # of the criterion, at first order: closer ones are fitted in full
@@ -47,9 +47,8 @@ def simplify(signals: Signals, found: Fit, worth: float, limited: np.ndarray | N
 def rivals(signals: Signals, found: Fit, limited: np.ndarray | None) -> list[Fit]:
     """The best other fit for each thing that could be otherwise: samples, estimator, delay, form, the best first."""
     timing = found.timing
-    loops = [(every, phase) for every in EVERY for phase in range(every)] if found.structure.position else []
     kinds: list[Iterable[Fit]] = [
-        [replace(found, timing=replace(timing, every=n, phase=phase)) for n, phase in loops if n != timing.every or phase != timing.phase],
+        [replace(found, timing=loop) for loop in _other_loops(found)],
         [replace(found, timing=replace(timing, delay=delay)) for delay in DELAYS if delay != timing.delay],
         [replace(found, structure=structure) for structure in _other_forms(found.structure)],
     ]  # fmt: skip
@@ -75,7 +74,9 @@ def mirrored(signals: Signals, found: Fit, limited: np.ndarray | None) -> Fit | 
     return other if inner and other.stabilising else None
 
 
-def _in_full(signals: Signals, trials: Iterable[Fit], limited: np.ndarray | None, worst: float = np.inf) -> Iterable[Fit]:
+def _in_full(
+    signals: Signals, trials: Iterable[Fit], limited: np.ndarray | None, worst: float = np.inf
+) -> Iterator[Fit]:
     """The trials that stabilise, fitted, the most promising first; those with an estimate beyond ``worst`` left out."""
     estimates = [(_first_order(signals, one, limited), i, one) for i, one in enumerate(trials)]
     for estimate, _, one in sorted(estimates, key=lambda pair: pair[:2])[:FITTED]:
@@ -106,3 +107,12 @@ def _other_forms(structure: Structure) -> list[Structure]:
         return []
     other = "ip" if structure.form == "pi" else "pi"
     return [replace(structure, form=other, share=share) for share in dict.fromkeys((structure.share, None))]
+
+
+def _other_loops(found: Fit) -> list[Timing]:
+    """Other rates of the position loop from the first sample on, and other samples for the rate that was found."""
+    if not found.structure.position:
+        return []
+    loops = [(every, 0) for every in EVERY] + [(found.timing.every, phase) for phase in range(1, found.timing.every)]
+    timings = [replace(found.timing, every=every, phase=phase) for every, phase in loops]
+    return [timing for timing in timings if timing != found.timing]

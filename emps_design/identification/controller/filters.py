@@ -1,7 +1,7 @@
 """Filters of the command, in discrete time: coefficients by the bilinear transform without prewarping.
 
-A filter is a kind and the numbers that are sought: logarithms, so that no step leaves what a filter can be; the depth of
-a notch is taken as it is, for it may be 0.
+A filter is a kind and the numbers that are sought: logarithms, so that no step leaves what a filter can be; the depth
+of a notch is taken as it is, for it may be 0.
 """
 
 from __future__ import annotations

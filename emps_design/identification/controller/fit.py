@@ -88,11 +88,12 @@ def compress(signals: Signals, columns: np.ndarray, slopes: np.ndarray | None = 
     stacked = signals.counted(np.column_stack([columns, slopes, signals.command]))
     norms = np.linalg.norm(stacked, axis=0)
     norms[norms == 0.0] = 1.0
-    triangle = np.linalg.qr(stacked / norms, mode="r")
+    triangle = np.asarray(np.linalg.qr(stacked / norms, mode="r"))
     width = len(COLUMNS)
     target = triangle[:, -1] * norms[-1]
+    table = triangle[:-1]
     return Compressed(
-        triangle[:-1, :width], norms[:width], triangle[:-1, width:-1] * norms[width:-1], target[:-1],
+        table[:, :width], norms[:width], table[:, width:-1] * norms[width:-1], target[:-1],
         float(target[-1] ** 2), int(signals.used.sum()),
     )  # fmt: skip
 

@@ -53,8 +53,20 @@ class LawEstimate:
             "warnings": list(self.warnings),
         }
 
+    @property
+    def in_words(self) -> str:
+        """The controller in one line, its numbers to five digits; "" where it is not told.
+
+        >>> LawEstimate("r", TOLD, "", {"kind": "p", "kp": 2.0000001}, {}, 0.0, 0.0, "V").in_words
+        'p with kp = 2'
+        """
+        if self.controller is None:
+            return ""
+        kind, *rest = self.controller.items()
+        return f"{kind[1]} with {', '.join(f'{name} = {_inline(value, 5)}' for name, value in rest)}"
+
     def to_toml(self) -> str:
-        """The ``[controller]`` table alone, ready to paste into an axis file; raises ``ValueError`` where there is none.
+        """The ``[controller]`` table alone, ready to paste into an axis file; raises ``ValueError`` where none is told.
 
         >>> LawEstimate("r", TOLD, "", {"kind": "p", "kp": 2.0}, {}, 0.0, 0.0, "V").to_toml()
         '[controller]\\nkind = "p"\\nkp = 2.0\\n'
@@ -64,10 +76,12 @@ class LawEstimate:
         return "[controller]\n" + "".join(f"{name} = {_inline(value)}\n" for name, value in self.controller.items())
 
 
-def _inline(value: Any) -> str:
-    """A value on one line of TOML."""
+def _inline(value: Any, digits: int = 0) -> str:
+    """A value on one line of TOML, numbers to so many ``digits``, 0: as they are."""
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{name} = {_inline(one)}" for name, one in value.items()) + " }"
+        return "{ " + ", ".join(f"{name} = {_inline(one, digits)}" for name, one in value.items()) + " }"
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(_inline(one) for one in value) + "]"
-    return f'"{value}"' if isinstance(value, str) else repr(value)
+        return "[" + ", ".join(_inline(one, digits) for one in value) + "]"
+    if isinstance(value, str):
+        return f'"{value}"'
+    return f"{value:.{digits}g}" if digits else repr(value)

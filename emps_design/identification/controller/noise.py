@@ -1,4 +1,4 @@
-"""What the noise of a command is like: its prediction error filter, and the deviation that a few bursts do not touch."""
+"""What the noise of a command is like: its prediction error filter, and its deviation, deaf to a few bursts."""
 
 from __future__ import annotations
 

@@ -108,7 +108,9 @@ def regressors(signals: Signals, timing: Timing, limited: np.ndarray | None = No
     ar = np.diff(vr, prepend=vr[:1] if signals.velocity_reference else 0.0) / period
     force = np.zeros(n) if signals.force is None else signals.force
     slip = vr - v
-    free = np.ones(n, bool) if limited is None else ~np.concatenate([limited[timing.delay :], np.zeros(timing.delay, bool)])
+    free = np.ones(n, bool)
+    if limited is not None:
+        free[: n - timing.delay] = ~limited[timing.delay :]
     sums = [_held_sum(x, free) * period for x in (error, slip, v, force)]
     columns = (error, sums[0], slip, sums[1], v, sums[2], ar, np.sign(vr), sums[3])
     table = np.column_stack([*columns, np.ones(n)])

@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-
 from typing import Any
 
 import numpy as np
 
 from emps_design.identification.controller.filters import Filter
 from emps_design.identification.controller.regressors import DELAYS, ESTIMATORS, EVERY, Signals, Timing, regressors
-from emps_design.identification.controller.spectra import Spectra, coloured, cross, least, normal, rates, response, transform
+from emps_design.identification.controller.spectra import (
+    Spectra,
+    coloured,
+    cross,
+    least,
+    normal,
+    rates,
+    response,
+    transform,
+)
 from emps_design.identification.controller.structures import Structure
 
 MOST_FILTERS = 3
 WORTH = 20.0  # of the information criterion: what a further filter must gain
 FILTER_SHOWS = 0.1  # share of the residual's rms that it must take away where the noise is on the position
 FURTHEST = 6.0  # that the logarithm of an integral rate moves from where it was scanned
+STEPS, FIRST_STEPS = 40, 12  # of the minimisation over filters, and to choose among starts
 TURNS = 8  # of timing and filters, at most
 LOWPASSES = np.geomspace(0.003, 0.5, 16)  # of the sampling frequency
 NOTCHES = [
@@ -26,6 +35,7 @@ NOTCHES = [
     for depth in (0.1, 0.6)
 ]
 FOLLOWED, FOLLOWED_ON = 5, 2  # of the best candidates, in the first turn and later
+APART = 0.3  # of the logarithm of a frequency
 STARTS = 2  # notches, of those, that are followed
 
 
@@ -106,7 +116,17 @@ def search(signals: Signals, limited: np.ndarray | None = None) -> list[Candidat
         beam = beam[: FOLLOWED if turn == 0 else FOLLOWED_ON]
         if not beam:
             break
-    return sorted(done + beam, key=lambda c: c.criterion)
+    best, *others = sorted(done + beam, key=lambda c: c.criterion)
+    return [_started_elsewhere(spectrum, best), *others]
+
+
+def _started_elsewhere(spectrum: Spectrum, now: Candidate) -> Candidate:
+    """The candidate with a position loop that starts in another sample of the record, where that is better."""
+    if not now.structure.position:
+        return now
+    loops = [replace(now.timing, every=every, phase=phase) for every in EVERY for phase in range(every)]
+    timed = min((evaluate(spectrum, now.structure, loop, now.filters) for loop in loops), key=lambda c: c.criterion)
+    return min(now, polish(spectrum, timed), key=lambda c: c.criterion)
 
 
 def improve(spectrum: Spectrum, now: Candidate) -> Candidate:
@@ -132,9 +152,7 @@ def evaluate(spectrum: Spectrum, structure: Structure, timing: Timing, filters: 
     return candidate(s, structure, timing, filters, float(tried[int(np.argmin(cost))]))
 
 
-def candidate(
-    s: Spectra, structure: Structure, timing: Timing, filters: tuple[Filter, ...], wi: float
-) -> Candidate:
+def candidate(s: Spectra, structure: Structure, timing: Timing, filters: tuple[Filter, ...], wi: float) -> Candidate:
     """The candidate with these filters and this integral rate; one that would not stabilise explains nothing."""
     h = response(filters, s, timing.delay)
     cost, linear = least(s, normal(s, h), structure, np.array([wi]))
@@ -145,7 +163,7 @@ def candidate(
     return Candidate(structure, timing, filters, wi, float(cost[0]), spread, s.samples)
 
 
-def polish(spectrum: Spectrum, start: Candidate) -> Candidate:
+def polish(spectrum: Spectrum, start: Candidate, steps: int = STEPS) -> Candidate:
     """Improve integral rate and filters of a candidate together."""
     from scipy.optimize import minimize
 
@@ -163,10 +181,11 @@ def polish(spectrum: Spectrum, start: Candidate) -> Candidate:
 
     def squares(x: np.ndarray) -> float:
         wi, filters = unpacked(x)
-        return float(np.log(least(s, normal(s, response(filters, s, start.timing.delay)), start.structure, np.array([wi]))[0][0]))
+        equations = normal(s, response(filters, s, start.timing.delay))
+        return float(np.log(least(s, equations, start.structure, np.array([wi]))[0][0]))
 
     size = int(integral) + sum(len(f.numbers) for f in start.filters)
-    found = minimize(squares, np.zeros(size), method="BFGS", options={"gtol": 1e-6, "maxiter": 60})
+    found = minimize(squares, np.zeros(size), method="BFGS", options={"gtol": 1e-6, "maxiter": steps})
     wi, filters = unpacked(found.x)
     return candidate(s, start.structure, start.timing, filters, wi)
 
@@ -178,11 +197,13 @@ def one_more_filter(spectrum: Spectrum, now: Candidate) -> Candidate | None:
     rate = 1.0 / spectrum.signals.period
     starts = [best_start(spectrum, now, [Filter.lowpass(share * rate) for share in LOWPASSES])[0]]
     starts += best_start(spectrum, now, [Filter.notch(share * rate, *rest) for share, *rest in NOTCHES])[:STARTS]
-    best = min((polish(spectrum, start) for start in starts), key=lambda c: c.criterion)
+    best = min((polish(spectrum, start, FIRST_STEPS) for start in starts), key=lambda c: c.criterion)
+    best = polish(spectrum, best)
     return best if best.criterion < now.criterion - now.filter_worth else None
 
 
 def best_start(spectrum: Spectrum, now: Candidate, more: list[Filter]) -> list[Candidate]:
+    """The candidate with one filter ``more``, the best first, each apart from those before it."""
     s = spectrum.at(now.timing)
     h = response(now.filters, s, now.timing.delay)
     tried = []
@@ -190,7 +211,7 @@ def best_start(spectrum: Spectrum, now: Candidate, more: list[Filter]) -> list[C
         cost, _ = least(s, normal(s, h * response((one,), s, 0)), now.structure, np.array([now.wi]))
         tried.append(replace(now, filters=(*now.filters, one), cost=float(cost[0])))
     found: list[Candidate] = []
-    for one in sorted(tried, key=lambda c: c.cost):
-        if all(abs(one.filters[-1].numbers[0] - f.filters[-1].numbers[0]) > 0.3 for f in found):
-            found.append(one)
+    for start in sorted(tried, key=lambda c: c.cost):
+        if all(abs(start.filters[-1].numbers[0] - f.filters[-1].numbers[0]) > APART for f in found):
+            found.append(start)
     return found

@@ -94,7 +94,9 @@ def normal(s: Spectra, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return (np.abs(h) ** 2 @ s.regressors).reshape(width, width), (h.conj() @ s.answer).real
 
 
-def least(s: Spectra, equations: tuple[np.ndarray, np.ndarray], structure: Structure, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def least(
+    s: Spectra, equations: tuple[np.ndarray, np.ndarray], structure: Structure, wi: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Squares left (m,) and linear coefficients (m, n_linear) at the integral rates ``wi`` (m,)."""
     gram, answer = equations
     combine = np.stack([structure.combination(rate) for rate in wi])

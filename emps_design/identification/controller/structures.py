@@ -78,7 +78,15 @@ class Structure:
     @property
     def simpler(self) -> tuple[Structure, ...]:
         """The structures with one number less."""
-        found = [replace(self, **{name: False}) for name in ("acceleration", "coulomb", "force", "offset") if getattr(self, name)]
+        found = []
+        if self.acceleration:
+            found.append(replace(self, acceleration=False))
+        if self.coulomb:
+            found.append(replace(self, coulomb=False))
+        if self.force:
+            found.append(replace(self, force=False))
+        if self.offset:
+            found.append(replace(self, offset=False))
         if self.form == "pi":
             found.append(replace(self, form=""))
         if self.velocity and self.share is None:

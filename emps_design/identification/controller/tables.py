@@ -6,6 +6,9 @@ from typing import Any
 
 from emps_design.identification.controller.fit import Fit
 
+AHEAD = ("velocity", "acceleration", "coulomb")  # the feed-forward, in the order of the table
+
+
 def kind_of(found: Fit, velocity_reference: bool) -> str:
     """Kind of the law in an axis file, "" where no law of the package has these terms."""
     s = found.structure
@@ -59,9 +62,10 @@ def table_of(found: Fit, velocity_reference: bool, numbers: dict[str, float], ho
         if found.structure.share == 1 and not velocity_reference:
             ahead["velocity"] = 1.0
         if ahead:
-            table["feedforward"] = {name: ahead[name] for name in ("velocity", "acceleration", "coulomb") if name in ahead}
+            table["feedforward"] = {name: ahead[name] for name in AHEAD if name in ahead}
         if found.filters:
-            table["filters"] = [{"kind": f.kind, **nested(numbers, f"filters.{i}")} for i, f in enumerate(found.filters)]
+            filters = enumerate(found.filters)
+            table["filters"] = [{"kind": one.kind, **nested(numbers, f"filters.{i}")} for i, one in filters]
         if found.structure.form:
             table["anti_windup"] = "hold" if holds else "none"
     if kind not in ("p",):
