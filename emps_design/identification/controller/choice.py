@@ -103,8 +103,11 @@ def _first_order(signals: Signals, one: Fit, limited: np.ndarray | None) -> floa
 
 
 def _other_forms(structure: Structure) -> list[Structure]:
-    if not structure.form or not structure.velocity:
+    if not structure.velocity:
         return []
+    if not structure.form:  # an integral of the reference's velocity is its position
+        whole = structure.position and structure.share == 0
+        return [replace(structure, form="ip", position=False, share=1)] if whole else []
     other = "ip" if structure.form == "pi" else "pi"
     return [replace(structure, form=other, share=share) for share in dict.fromkeys((structure.share, None))]
 

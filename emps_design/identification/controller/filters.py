@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 
 # What a filter that is sought can be. Beyond half the sampling frequency a low-pass does nothing that shows.
 CORNER = {"lowpass": (1e-4, 0.6), "notch": (1e-4, 0.48)}  # of the sampling frequency
-DAMPING, DEPTH = (0.01, 2.0), (0.0, 1.0)
+DAMPING, DEPTH = (0.01, 2.0), (-0.3, 1.0)  # a depth below 0 is no notch: it is noise about 0, and said to be 0
 STEP = 1e-4  # of a sought number, for its derivative
 
 
@@ -58,12 +58,7 @@ class Filter:
     @property
     def values(self) -> tuple[float, ...]:
         """Its numbers in an axis file."""
-        return tuple(float(np.exp(x)) if i < 2 else x for i, x in enumerate(self.numbers))
-
-    @property
-    def slopes(self) -> tuple[float, ...]:
-        """How ``values`` change with ``numbers``."""
-        return tuple(float(np.exp(x)) if i < 2 else 1.0 for i, x in enumerate(self.numbers))
+        return tuple(float(np.exp(x)) if i < 2 else max(x, 0.0) for i, x in enumerate(self.numbers))
 
     def coefficients(self, period: float) -> tuple[np.ndarray, np.ndarray]:
         """Numerator and denominator in z^-1.
@@ -75,7 +70,7 @@ class Filter:
         half = np.pi * self.frequency * period  # w0 T / 2
         if self.kind == "lowpass":
             return np.array([half, half]), np.array([1.0 + half, half - 1.0])
-        _, damping, depth = self.values
+        damping, depth = float(np.exp(self.numbers[1])), self.numbers[2]
         middle, width = 2.0 * (half * half - 1.0), 2.0 * damping * half
         top = np.array([1.0 + depth * width + half * half, middle, 1.0 - depth * width + half * half])
         return top, np.array([1.0 + width + half * half, middle, 1.0 - width + half * half])
