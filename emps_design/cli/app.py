@@ -27,15 +27,18 @@ COMMANDS = (
     "simulate",
     "identify",
     "observe",
+    "excite",
     "frf",
     "law",
     "diagnose",
+    "compensate",
     "export",
     "derive",
     "report",
     "studio",
     "demo",
     "init",
+    "import",
 )
 BEYOND = "numbers too far apart to compute with; check the units in the axis, the record and the options"
 

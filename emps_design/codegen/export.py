@@ -20,6 +20,7 @@ from emps_design.axis.tables import field_in
 from emps_design.codegen.block import Block
 from emps_design.codegen.c import KEYWORDS, functions_in_c
 from emps_design.codegen.printer import safe_names
+from emps_design.codegen.st import functions_in_st, st_number
 from emps_design.codegen.vectors import MOTION, REST, Vectors, vectors_of
 from emps_design.errors import InputError
 from emps_design.files import write_text, write_together
@@ -132,7 +133,7 @@ def _words(name: str, block: Block) -> dict[str, Any]:
         "source": _comment(block.kind.source),
         "version": metadata.version("emps-design"),
         "period": repr(axis.sampling.period),
-        "equations": [_comment(line) for line in said],
+        "equations": [_comment(line, 1000) for line in said],
         "parameters": list(map(_comment, parameters)),
         "memory": max(1, law.memory),
         "states": law.memory,
@@ -145,12 +146,12 @@ def _words(name: str, block: Block) -> dict[str, Any]:
     }
 
 
-def _comment(text: object) -> str:
+def _comment(text: object, longest: int = CHARACTERS) -> str:
     """``text`` as part of a comment or a page: one line, ASCII, nothing that ends a comment."""
     plain = " ".join(str(text).split()).encode("ascii", "replace").decode()
     for mark in ("*/", "/*", "*)", "(*", "`", "??"):
         plain = plain.replace(mark, " ")
-    return plain if len(plain) <= CHARACTERS else f"{plain[: CHARACTERS - 3]}..."
+    return plain if len(plain) <= longest else f"{plain[: longest - 3]}..."
 
 
 def _gain_names(block: Block) -> list[str]:
@@ -202,6 +203,22 @@ def _c(name: str, block: Block, vectors: Vectors) -> dict[str, str]:
     return _with_page(name, block, vectors, made)
 
 
+def _st(name: str, block: Block, vectors: Vectors) -> dict[str, str]:
+    sizes = {
+        parameter: size
+        for parameter, size in zip(
+            list(block.program.kernel.parameters)[5:], (len(block.law.gains), block.law.memory), strict=True
+        )
+    }
+    parts = []
+    for real, block_name in (("LREAL", name), ("REAL", f"{name}_single")):
+        definitions, kernel = functions_in_st(block.program, block_name, real, sizes)
+        parts.append({"real": real, "name": block_name, "definitions": definitions, "kernel": kernel})
+    gains = list(zip(map(st_number, block.law.gains), _gain_names(block), strict=True))
+    words = {**_words(name, block), "parts": parts, "gains": gains, "limit_number": st_number(block.limit)}
+    return _with_page(name, block, vectors, {f"{name}.st": _template("block.st").render(words).rstrip() + "\n"})
+
+
 def _json(name: str, block: Block, vectors: Vectors) -> dict[str, str]:
     words = _words(name, block)
     document = {
@@ -222,4 +239,4 @@ def _json(name: str, block: Block, vectors: Vectors) -> dict[str, str]:
     return {f"{name}.json": json.dumps(document, indent=1, allow_nan=False) + "\n"}
 
 
-TARGETS: dict[str, Callable[[str, Block, Vectors], dict[str, str]]] = {"c": _c, "json": _json}
+TARGETS: dict[str, Callable[[str, Block, Vectors], dict[str, str]]] = {"c": _c, "st": _st, "json": _json}
