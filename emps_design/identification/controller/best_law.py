@@ -13,11 +13,12 @@ from emps_design.identification.controller.limit import acting, plateau
 from emps_design.identification.controller.noise import robust_deviation, usable_behind, whitening_filter
 from emps_design.identification.controller.regressors import Signals, Timing, regressors
 from emps_design.identification.controller.search import search
-from emps_design.identification.controller.structures import Structure
+from emps_design.identification.controller.structures import PROPORTIONAL, Structure
 
 HOLDS = 0.05  # of the command's deviation: a law that leaves more is none
 AS_GOOD = 6.0  # of the information criterion, odds of 20 : 1: a rival closer than that cannot be told apart
 LIMIT_ROUNDS = 4
+WORSE = 1.1  # times what is left with the integral free behind each plateau: what it did there is then not told
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Found:
     share: float
     limited: np.ndarray | None
     limit: float | None
-    holds: bool
+    holds: bool | None  # None: not told
 
     @property
     def held(self) -> np.ndarray | None:
@@ -50,8 +51,11 @@ def best_law(signals: Signals, only: Structure | None = None) -> Found:
         else:
             structure, timing, filters = only, Timing(), none
         start = Fit(replace(structure, offset=True), timing, filters, 0.0, np.zeros(0), 1.0, 1)
-        fitted, limited, limit, holds = _up_to_the_limit(signals, start, flat)
-        free = signals if limited is None else replace(signals, used=signals.used & ~limited)
+        if flat.any() and not signals.velocity_reference:  # a search takes a clipped peak for a filtered one
+            free = replace(signals, used=signals.used & ~flat)
+            plain = Fit(PROPORTIONAL, Timing(), none, 0.0, np.zeros(0), 1.0, 1)
+            start = min((fit(free, one) for one in (start, plain)), key=lambda one: one.criterion)
+        free, fitted, limited, limit, holds = _up_to_the_limit(signals, start, flat)
         held = limited if holds else None
         left = _left(free, fitted, held)
         if not flat.any() or float(np.std(left[free.used])) < HOLDS * float(np.std(signals.command)):
@@ -89,24 +93,38 @@ def _left(signals: Signals, found: Fit, held: np.ndarray | None) -> np.ndarray:
 
 def _up_to_the_limit(
     signals: Signals, start: Fit, flat: np.ndarray
-) -> tuple[Fit, np.ndarray | None, float | None, bool]:
-    """Fit the samples in which no limit acts; where it does, by the law that is found itself."""
-    limited: np.ndarray | None = flat if flat.any() else None
-    if limited is None:
-        return fit(signals, start), None, None, True
-    limit = None
+) -> tuple[Signals, Fit, np.ndarray | None, float | None, bool | None]:
+    """Fit the samples in which no limit acts; where it does, by the law that is found itself.
+
+    Returns the signals that count, the fit, where the limit acts, the limit, and whether the integral holds there.
+    """
+    if not flat.any():
+        return signals, fit(signals, start), None, None, True
+    # At first nobody knows where the integral stood still: it may have any value behind each plateau.
+    levels = np.cumsum(np.diff(flat.astype(int), prepend=0) == -1)
+    apart = replace(signals, used=signals.used & ~flat, levels=levels)
+    loose = fit(apart, start)
+    left = signals.command - command_of(signals, loose, None)
+    known = levels[apart.used]
+    count = levels[-1] + 1
+    means = np.bincount(known, left[apart.used], count) / np.maximum(np.bincount(known, None, count), 1)
+    wanted = signals.command - left + means[levels]
+    noise = robust_deviation(apart.counted(left))
+    limited, limit = acting(signals.command, np.where(signals.used, wanted, 0.0), noise)
+    if limit is None:
+        return signals, fit(signals, start), None, None, True
     for _ in range(LIMIT_ROUNDS):
         free = replace(signals, used=signals.used & ~limited)
-        tried = [(fit(free, start, limited), True)]
+        tried = [(fit(free, loose, limited), True)]
         if start.structure.form:
-            tried.append((fit(free, start), False))
+            tried.append((fit(free, loose), False))
         fitted, holds = min(tried, key=lambda pair: pair[0].cost)
         wanted = command_of(signals, fitted, limited if holds else None)
         noise = robust_deviation((signals.command - wanted)[free.used])
-        now, limit = acting(signals.command, np.where(signals.used, wanted, 0.0), noise)
-        if limit is None:
-            return fit(signals, start), None, None, True
-        if np.array_equal(now, limited):
+        now, level = acting(signals.command, np.where(signals.used, wanted, 0.0), noise)
+        if level is None or np.array_equal(now, limited):
             break
-        limited, start = now, fitted
-    return fitted, limited, limit, holds
+        limited, limit = now, level
+    if fitted.cost / fitted.samples > WORSE * loose.cost / loose.samples:
+        return apart, loose, flat, limit, None
+    return free, fitted, limited, limit, holds

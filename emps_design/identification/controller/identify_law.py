@@ -18,7 +18,7 @@ from emps_design.identification.controller.fit import Fit
 from emps_design.identification.controller.law_estimate import AMBIGUOUS, NOT_TOLD, TOLD, LawEstimate
 from emps_design.identification.controller.regressors import Signals
 from emps_design.identification.controller.steps import without_steps
-from emps_design.identification.controller.structures import Structure
+from emps_design.identification.controller.structures import PROPORTIONAL
 from emps_design.identification.controller.tables import deviations_of, kind_of, numbers_of, table_of
 from emps_design.identification.controller.wording import described, notes_of, short
 from emps_design.records import Record
@@ -30,7 +30,6 @@ FEWEST_AT_START = 4  # samples left out, whatever the period
 FEEDBACK = ("kp", "kv", "k_v1", "t_v", "position.kp", "velocity.kp", "velocity.ti")
 LOOSE = 0.2  # relative deviation of a gain beyond which it is not determined
 
-PROPORTIONAL = Structure(form="", share=0, velocity=False, acceleration=False, coulomb=False)
 IRREGULAR = "irregular samples tell no law with a memory, only a proportional one"
 
 
@@ -54,12 +53,11 @@ def identify_law(record: Record, command_unit: str = "V") -> LawEstimate:
         if signals.velocity_reference:
             return _not_told(record, command_unit, f"{IRREGULAR}, and that follows no velocity")
         return _report(record, command_unit, best_law(signals, PROPORTIONAL), None, f"{IRREGULAR}: that ")
-    stepless, steps = without_steps(signals), None
-    found = None if stepless is None else best_law(stepless[0])
-    if stepless is not None and found is not None and found.share <= HOLDS:
-        steps = stepless[1]
-    else:
-        found = best_law(signals)
+    found, steps = best_law(signals), None
+    if found.share > HOLDS and (stepless := without_steps(signals)) is not None:
+        again = best_law(stepless[0])
+        if again.share <= HOLDS:
+            found, steps = again, stepless[1]
     return _report(record, command_unit, found, steps)
 
 
@@ -118,7 +116,8 @@ def _report(record: Record, unit: str, found: Found, steps: np.ndarray | None, w
     close = [one for one in close if kind_of(one, velocity_reference)]
     other_numbers = all(_same_structure(one, found.fit) for one in close)
     equivalents = tuple(
-        table_of(one, velocity_reference, numbers_of(one, velocity_reference), found.holds) for one in close
+        table_of(one, velocity_reference, numbers_of(one, velocity_reference), found.holds is not False)
+        for one in close
     )
     reason = ""
     if close:
@@ -128,7 +127,7 @@ def _report(record: Record, unit: str, found: Found, steps: np.ndarray | None, w
         record=record.name,
         verdict=TOLD if other_numbers else AMBIGUOUS,
         reason=reason,
-        controller=table_of(found.fit, velocity_reference, values, found.holds),
+        controller=table_of(found.fit, velocity_reference, values, found.holds is not False),
         std=deviations_of(found.fit, {name: std for name, (_, std) in numbers.items()}),
         command_unit=unit,
         delay=found.fit.timing.delay,

@@ -8,6 +8,7 @@ from emps_design.identification.controller.noise import robust_deviation
 
 PLATEAU = 3  # samples in a row at the largest command that may be the limit
 NOISE = 6.0  # deviations of the noise below the largest command that still count as it
+AT = 3.0  # deviations of the noise below the limit that a limited sample may be
 FEWEST = 5  # samples beyond the limit that show it
 
 
@@ -38,4 +39,4 @@ def acting(command: np.ndarray, wanted: np.ndarray, noise: float) -> tuple[np.nd
     limit = float(np.median(np.abs(command[beyond])))
     if robust_deviation(np.abs(command[beyond])) > 3.0 * noise + 1e-3 * limit:
         return np.zeros(command.size, bool), None
-    return np.abs(wanted) > limit, limit
+    return (np.abs(wanted) > limit) & (np.abs(command) > limit - AT * noise), limit

@@ -19,12 +19,13 @@ from emps_design.identification.controller.spectra import (
     response,
     transform,
 )
-from emps_design.identification.controller.structures import Structure
+from emps_design.identification.controller.structures import PROPORTIONAL, Structure
 
 MOST_FILTERS = 3
 WORTH = 20.0  # of the information criterion: what a further filter must gain
 FILTER_SHOWS = 0.1  # share of the residual's rms that it must take away where the noise is on the position
 FURTHEST = 6.0  # that the logarithm of an integral rate moves from where it was scanned
+SLOPE_STEP = 1e-6  # of a sought number
 STEPS, FIRST_STEPS = 40, 12  # of the minimisation over filters, and to choose among starts
 TURNS = 8  # of timing and filters, at most
 LOWPASSES = np.geomspace(0.003, 0.5, 16)  # of the sampling frequency
@@ -100,9 +101,11 @@ def search(signals: Signals, limited: np.ndarray | None = None) -> list[Candidat
     """The best candidate for each form, delay and estimator, the best first."""
     spectrum = Spectrum(signals, limited)
     follows: dict[str, Any] = {"position": False, "share": 1} if signals.velocity_reference else {}
+    structures = [Structure(form=form, force=signals.force is not None, **follows) for form in ("pi", "ip")]
+    if not signals.velocity_reference:
+        structures += [replace(structures[1], position=False, share=1), PROPORTIONAL]
     started = []
-    for form in ("pi", "ip"):
-        structure = Structure(form=form, force=signals.force is not None, **follows)
+    for structure in structures:
         for name in ESTIMATORS:
             for delay in DELAYS:
                 plain = evaluate(spectrum, structure, Timing(1, 0, delay, name), ())
@@ -172,6 +175,8 @@ def polish(spectrum: Spectrum, start: Candidate, steps: int = STEPS) -> Candidat
     if not (integral or start.filters):
         return start
 
+    delay = response((), s, start.timing.delay)
+
     def unpacked(x: np.ndarray) -> tuple[float, tuple[Filter, ...]]:
         at, filters = int(integral), []
         for one in start.filters:
@@ -179,13 +184,25 @@ def polish(spectrum: Spectrum, start: Candidate, steps: int = STEPS) -> Candidat
             at += len(one.numbers)
         return start.wi * float(np.exp(np.clip(x[0], -FURTHEST, FURTHEST))) if integral else 0.0, tuple(filters)
 
-    def squares(x: np.ndarray) -> float:
-        wi, filters = unpacked(x)
-        equations = normal(s, response(filters, s, start.timing.delay))
-        return float(np.log(least(s, equations, start.structure, np.array([wi]))[0][0]))
+    def squares(x: np.ndarray) -> tuple[float, np.ndarray]:
+        """Logarithm of the squares that are left, and its slopes by forward differences, all in one go."""
+        points = [unpacked(moved) for moved in np.vstack([x, x + SLOPE_STEP * np.eye(x.size)])]
+        known: dict[Filter, np.ndarray] = {}
+        rows = []
+        for _, filters in points:
+            row = delay
+            for one in filters:
+                if one not in known:
+                    known[one] = response((one,), s, 0)
+                row = row * known[one]
+            rows.append(row)
+        rates_of = np.array([wi for wi, _ in points])
+        left = np.log(least(s, normal(s, np.stack(rows)), start.structure, rates_of)[0])
+        return float(left[0]), (left[1:] - left[0]) / SLOPE_STEP
 
     size = int(integral) + sum(len(f.numbers) for f in start.filters)
-    found = minimize(squares, np.zeros(size), method="BFGS", options={"gtol": 1e-6, "maxiter": steps})
+    options = {"gtol": 1e-6, "maxiter": steps}
+    found = minimize(squares, np.zeros(size), jac=True, method="BFGS", options=options)
     wi, filters = unpacked(found.x)
     return candidate(s, start.structure, start.timing, filters, wi)
 

@@ -89,19 +89,23 @@ def response(filters: tuple[Filter, ...], s: Spectra, delay: int) -> np.ndarray:
 
 
 def normal(s: Spectra, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normal equations of the regressors behind the response ``h`` (n_bands,)."""
+    """Normal equations of the regressors behind the responses ``h`` (..., n_bands)."""
     width = len(COLUMNS)
-    return (np.abs(h) ** 2 @ s.regressors).reshape(width, width), (h.conj() @ s.answer).real
+    return (np.abs(h) ** 2 @ s.regressors).reshape(*h.shape[:-1], width, width), (h.conj() @ s.answer).real
 
 
 def least(
     s: Spectra, equations: tuple[np.ndarray, np.ndarray], structure: Structure, wi: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Squares left (m,) and linear coefficients (m, n_linear) at the integral rates ``wi`` (m,)."""
+    """Squares left (m,) and linear coefficients (m, n_linear) at the integral rates ``wi`` (m,).
+
+    The normal ``equations`` are one for all, or one for each.
+    """
     gram, answer = equations
     combine = np.stack([structure.combination(rate) for rate in wi])
-    g = combine.transpose(0, 2, 1) @ gram @ combine
-    a = combine.transpose(0, 2, 1) @ answer
+    turned = combine.transpose(0, 2, 1)
+    g = turned @ gram @ combine
+    a = (turned @ answer[..., None])[..., 0]
     scale = np.sqrt(np.maximum(np.einsum("mii->mi", g), 1e-300))
     g = g / scale[:, :, None] / scale[:, None, :] + RIDGE * np.eye(g.shape[1])
     a = a / scale

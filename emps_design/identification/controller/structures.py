@@ -96,3 +96,6 @@ class Structure:
         if self.position and self.velocity and not self.form and self.share is not None:
             found.append(replace(self, velocity=False, share=0))
         return tuple(found)
+
+
+PROPORTIONAL = Structure(form="", share=0, velocity=False, acceleration=False, coulomb=False)

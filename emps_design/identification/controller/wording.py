@@ -51,6 +51,8 @@ def notes_of(record: Record, unit: str, found: Found, steps: np.ndarray | None) 
         notes.append(f"{what} {f'{offset:.4g} {unit}'.rstrip()}, which no table holds")
     if found.limit is not None:
         notes.append(f"the limit of {f'{found.limit:.6g} {unit}'.rstrip()} acts: command_limit of [drive]")
+        if found.holds is None and s.form:
+            notes.append("what the integral does at the limit is not told: anti_windup is the default")
     if steps is not None:
         notes.append(f"steps of {np.std(steps):.3g} {unit} rms, added to the controller's output, were taken off first")
     if record.enable is not None and np.any(record.enable <= 0.0):
