@@ -170,4 +170,5 @@ class Diagnosis:
             for f in self.findings
         )
         head = "<tr><th>effect</th><th>where</th><th>gap before</th><th>gap after</th></tr>"
-        return f"<p><b>{self.verdict}</b>: {self.sentence}</p>" + (f"<table>{head}{rows}</table>" if rows else "")
+        text = f"<p><b>{self.verdict}</b>: {self.sentence}</p>" + (f"<table>{head}{rows}</table>" if rows else "")
+        return self.axis.units.text(text)

@@ -60,7 +60,8 @@ def assemble(
     said = dict(zip((quantity.name for quantity in parameters_of(model)), fit.value.tolist(), strict=True))
     warnings = [*record.warnings, *notes, *implausible(said, axis)]
     estimates = {}
-    for i, quantity in enumerate(parameters_of(model)):
+    for i, written in enumerate(parameters_of(model)):
+        quantity = replace(written, unit=axis.units.unit(written.unit), text=axis.units.words(written.text))
         if shares is not None and shares[i] < weakest:
             warnings.append(
                 f"{quantity.name} is not determined: the reference explains {100 * shares[i]:.0f} % of its column, the "

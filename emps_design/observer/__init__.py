@@ -1,6 +1,6 @@
 """External force from motor force and motion; used off-line and inside a loop."""
 
-from emps_design.observer.actuation import acting_voltage
+from emps_design.observer.actuation import acting_voltage, motor_force, motor_share
 from emps_design.observer.external_force import (
     DEFAULT_CUTOFF_HZ,
     REST_VELOCITY,
@@ -30,6 +30,8 @@ __all__ = [
     "kalman_trade_off",
     "left_out",
     "model_force",
+    "motor_force",
+    "motor_share",
     "observe_offline",
     "observe_online",
     "smallest_observable_force",

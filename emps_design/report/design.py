@@ -90,6 +90,7 @@ def design_page(results: DesignResults) -> Page:
             *results.parts,
             _end_section(results),
         ),
+        units=velocity.axis.units,
     )
 
 

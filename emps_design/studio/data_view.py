@@ -12,11 +12,15 @@ from emps_design.axis import Axis
 from emps_design.errors import EmpsError, RecordError
 from emps_design.identification.chains import CHAINS, DEFAULT_CHAIN
 from emps_design.records import Record
+from emps_design.records.layout import NAMED, Assignment
+from emps_design.records.mapping import ColumnMap
 from emps_design.report.display import quantity
 from emps_design.report.page import inline
+from emps_design.studio.columns_view import ColumnsView
 from emps_design.studio.jobs import Job
 from emps_design.studio.panes import blocks, html
 from emps_design.studio.state import FRICTIONS, State
+from emps_design.units import Units
 
 LIMIT_MB = 100
 Options = dict[str, str]  # what the tab chose: friction model and filter of an identification
@@ -36,7 +40,8 @@ is gone with it: seconds to minutes, with a bar and a button to cancel</td></tr>
 <tr><th><b>Design on this model</b></th><td>take what was identified or diagnosed over into the design tab</td></tr>
 </table>
 <p>A record has the columns t [s], q_ref [m], q [m], u [V], and f_ext [N] where a force was measured; a .mat may use the
-names of the EMPS data set. It stays on this machine. To practise, <code>emps-design init start</code> writes three.</p>
+names of the EMPS data set. The export of a drive shows its columns: choose what is what. A file stays on this machine.
+To practise, <code>emps-design init start</code> writes three.</p>
 """
 
 
@@ -47,14 +52,30 @@ def read_upload(name: str, content: bytes | str, axis: Axis) -> Record:
     """
     from emps_design.importing import import_bytes
 
-    plain = PurePath(name.replace("\\", "/")).name
+    plain, data = _upload(name, content)
     suffix = PurePath(plain).suffix.lower()
-    data = content.encode() if isinstance(content, str) else bytes(content)
     if suffix not in SUFFIXES:
         raise RecordError(f"{plain}: found a {suffix or 'nameless'} file, expected one of {', '.join(SUFFIXES)}")
     if len(data) > LIMIT_MB * 10**6:
         raise RecordError(f"{plain}: found {len(data) / 1e6:.0f} MB, expected at most {LIMIT_MB} MB")
     return import_bytes(data, plain, axis)
+
+
+def upload_titles(name: str, content: bytes | str) -> list[str]:
+    """The titles of the columns of an upload; none where they cannot be told."""
+    from emps_design.records.readers import titles_from_bytes
+
+    plain, data = _upload(name, content)
+    try:
+        return titles_from_bytes(data, plain)
+    except RecordError:
+        return []
+
+
+def _upload(name: str, content: bytes | str) -> tuple[str, bytes]:
+    """The name of an upload without a path, and its bytes."""
+    plain = PurePath(name.replace("\\", "/")).name
+    return plain, content.encode() if isinstance(content, str) else bytes(content)
 
 
 class DataView:
@@ -73,8 +94,10 @@ class DataView:
         self.record: Record | None = None
         self.model: Axis | None = None
         self._dropped_last: tuple[str, bytes | str] | None = None
+        self._table: ColumnMap | None = None
+        self.columns = ColumnsView(self._read_columns)
         self.drop = pn.widgets.FileDropper(
-            label=f"Record: drop it here or click to choose one; {', '.join(SUFFIXES)}, at most {LIMIT_MB} MB",
+            label=f"Record: drop or choose one; {', '.join(SUFFIXES)}, at most {LIMIT_MB} MB",
             max_file_size=f"{LIMIT_MB}MB",
             multiple=False,
             height=76,
@@ -126,6 +149,7 @@ class DataView:
             ),
             self.job.view,
             self.message,
+            self.columns.view,
             pn.FlexBox(self.about, self.result, align_items="flex-start", sizing_mode="stretch_width"),
             sizing_mode="stretch_width",
         )
@@ -142,12 +166,35 @@ class DataView:
         name, content = list(event.new.items())[-1]  # an earlier file stays in the value; the last is the one dropped
         if (name, content) == self._dropped_last:  # taking an earlier file away tells of this one again
             return
-        self._dropped_last = (name, content)
+        self._dropped_last, self._table = (name, content), None
+        self._read_columns(None)
+
+    def _read_columns(self, table: ColumnMap | None) -> None:
+        """Read what was dropped last, by ``table`` where columns were chosen; offer the columns of an export."""
+        if self._dropped_last is None:
+            return
+        (name, content), axis = self._dropped_last, self._axis
+        axis = axis if table is None else axis.replace(record=table)
+        assigned: tuple[Assignment, ...] = ()
         try:
-            self._show(read_upload(name, content, self._machines()[self.machine.value]))
+            record = read_upload(name, content, axis)
+            assigned, self._table = record.assigned, table
+            self._show(record)
         except EmpsError as error:
             self._withdraw()
             self._say(str(error), "stop")
+        plain = bool(assigned) and all(one.how == NAMED for one in assigned)
+        titles = [] if plain else upload_titles(name, content)
+        if not titles:
+            self.columns.hide()
+        elif table is None:
+            self.columns.show(titles, assigned, axis.units)
+
+    @property
+    def _axis(self) -> Axis:
+        """The axis that is chosen, with the columns that were chosen for the record."""
+        axis = self._machines()[self.machine.value]
+        return axis if self._table is None else axis.replace(record=self._table)
 
     def _withdraw(self) -> None:
         """Show no record and no result: after a refused upload the ones before would stand under its name."""
@@ -176,18 +223,22 @@ class DataView:
             "warning" if notes else "good",
             notes,
         )
-        self.about.object = f'<div class="record">{style.svg(record_figure(record), "record")}</div>'
+        self.about.object = f'<div class="record">{style.svg(record_figure(record, self._axis.units), "record")}</div>'
         self.result.object = ""
 
     def _say(self, text: str, level: str, more: str = "") -> None:
         role = "alert" if level == "stop" else "status"
-        self.message.object = f'<div class="message {level}" role="{role}">{inline(text)}{more}</div>'
+        self.message.object = f'<div class="message {level}" role="{role}">{self._own(inline(text) + more)}</div>'
+
+    def _own(self, text: str) -> str:
+        """``text`` in the units and words of the axis of the record."""
+        return self._axis.units.text(text)
 
     def _start(self, name: str) -> None:
         if self.record is None:
             return
         work = WORK[name]
-        record, axis = self.record, self._machines()[self.machine.value]
+        record, axis = self.record, self._axis
         options = {"friction": self.friction.value, "chain": self.filter.value}
 
         def of_this_record(show: Callable[[Any], None]) -> Callable[[Any], None]:
@@ -213,11 +264,11 @@ class DataView:
             self._say(f"The design tab now works on {self.model.name}.", "good")
 
 
-def _blocks(*blocks: Any) -> str:
-    """Blocks of a report page as HTML, without the page around them."""
+def _blocks(units: Units, *blocks: Any) -> str:
+    """Blocks of a report page as HTML in the ``units`` of an axis, without the page around them."""
     from emps_design.report import Page, Section
 
-    text = Page("", "", (), (Section("Result", *blocks),)).html()
+    text = Page("", "", (), (Section("Result", *blocks),), units=units).html()
     start = text.index("</h2>", text.index('<section id="result">')) + len("</h2>")
     return text[start : text.index("</section>", start)]
 
@@ -236,7 +287,7 @@ def identify_work(record: Record, axis: Axis, options: Options, progress: Callab
     complete = all(estimate.determined for estimate in found.parameters.values())
     return {
         "text": f"Identified: {values}; force error {quantity(found.rms_error, 'N')} rms.",
-        "html": _blocks(*identification_blocks(found, axis)),
+        "html": _blocks(axis.units, *identification_blocks(found, axis)),
         "model": found.to_axis(name=f"{axis.name.split(' from ')[0]} from {record.name}") if complete else None,
         "level": "good" if complete else "warning",
     }
@@ -253,7 +304,7 @@ def observe_work(record: Record, axis: Axis, options: Options, progress: Callabl
     least = min(found.methods.values(), key=lambda method: method.smallest.value).smallest.value
     return {
         "text": f"Observed with {axis.name}: forces below {quantity(least, 'N', 3)} cannot be told from errors.",
-        "html": _blocks(*observation_blocks(found)),
+        "html": _blocks(axis.units, *observation_blocks(found)),
     }
 
 
@@ -269,7 +320,7 @@ def diagnose_work(record: Record, axis: Axis, options: Options, progress: Callab
     document = found.to_dict()
     return {
         "text": typeset(document.get("sentence", document["verdict"])),
-        "html": _blocks(*shown),
+        "html": _blocks(axis.units, *shown),
         "model": found.axis.replace(name=f"{axis.name} diagnosed on {record.name}"),
         "level": "warning" if document["findings"] else "good",
     }

@@ -191,6 +191,37 @@ def test_a_refused_upload_takes_the_record_before_it_away():
     assert 'role="alert"' in view.message.object
 
 
+def test_the_columns_of_an_export_are_chosen_and_read():
+    axis = machine("emps2019")
+    made = synthetic_record(axis, laps=1)
+    rows = "\n".join(
+        f"{1e3 * t:.3f};{1e3 * q:.6f};{1e3 * q_ref:.6f};{u:.6f}"
+        for t, q, q_ref, u in zip(made.t, made.q, made.q_ref, made.u, strict=True)
+    )
+    view = DataView(lambda: {axis.name: axis}, axis.name, state, lambda *turn: None, lambda axis: None)
+    assert not view.columns.view.visible
+    view.drop.value = {"trace.csv": f"Zeit [ms];Kanal 1;Kanal 2;Spannung\n{rows}\n".encode()}
+    assert view.record is None  # two channels may be anything
+    assert 'role="alert"' in view.message.object
+    assert view.columns.view.visible
+    assert view.columns.titles["t"].value == "Zeit [ms]"
+    assert view.columns.titles["q"].options == ["none", "Zeit [ms]", "Kanal 1", "Kanal 2", "Spannung"]
+    for name, title, unit in (("q", "Kanal 1", "mm"), ("q_ref", "Kanal 2", "mm"), ("u", "Spannung", "V")):
+        view.columns.titles[name].value, view.columns.units[name].value = title, unit
+    view.columns.button.clicks += 1
+    assert np.allclose(view.record.q, made.q, atol=1e-9)
+    assert not view.buttons["Identify"].disabled
+    assert view._axis.record.position.column == "Kanal 1"
+    view.columns.units["q"].value = "m"
+    view.columns.button.clicks += 1
+    assert view.record is None
+    assert "expected metres on the load side" in view.message.object
+    view.drop.value = {"plain.csv": f"t [ms];q [mm];q_ref [mm];u\n{rows}\n".encode()}
+    assert not view.columns.view.visible
+    assert len(view.record) == len(made)
+    assert view._axis == axis
+
+
 def test_pinning_keeps_the_design_beside_the_new_one():
     view = DesignView(state(), {name: machine(name) for name in machine_names()}, lambda state: None)
     view.pin.value = True
@@ -413,3 +444,27 @@ def test_two_threads_draw_what_one_does():
 def test_what_can_be_specified_is_told_apart_by_every_reader(reader):
     for one, other in combinations(PlanePlot.COLORS, 2):
         assert np.linalg.norm(lab(one, SEEN_BY[reader]) - lab(other, SEEN_BY[reader])) > 15.0, (one, other)
+
+
+def test_labels_and_tables_are_in_the_units_of_the_axis():
+    joint = Axis.from_dict(
+        {
+            "name": "joint",
+            "motion": "rotary",
+            "mechanics": {"mass": 1.15, "viscous": 8.1, "coulomb": 7.2},
+            "drive": {"command": "current", "force_gain": 9.2, "command_limit": 10.3},
+            "sampling": {"period": 1e-3, "encoder_resolution": 3e-6},
+        }
+    )
+    session = Session(joint)
+    design = session.design
+    assert design.knobs["k_e1"].field.label == "Torque gain k_e1 [(rad/s)/(N m)]"
+    assert design.knobs["mass"].field.label == design.knobs["mass"].slider.label == "Apparent inertia M_a [kg m^2]"
+    assert session.simulation.fields["push"].field.label == "Push [N m]"
+    assert "k_v1 [A/(rad/s)]" in design.numbers.object
+    assert "Torque loop" in design.titles["Force loop"].object
+    assert "N/(m/s)" not in design.laws.object
+    design.machine.value = "emps2018"
+    assert design.knobs["mass"].field.label == "Apparent mass M_a [kg]"
+    assert session.simulation.fields["push"].field.label == "Push [N]"
+    assert "k_v1 [V/(m/s)]" in design.numbers.object
