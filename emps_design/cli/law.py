@@ -24,12 +24,12 @@ def command(
 ) -> None:
     from emps_design.axis import Axis
     from emps_design.cli.output import print_json, print_warnings
+    from emps_design.cli.wording import load_axis
     from emps_design.errors import InputError
     from emps_design.files import write_text
     from emps_design.identification.controller import identify_law
     from emps_design.importing import import_record
     from emps_design.laws import NONE
-    from emps_design.machines import load_axis
 
     check_out(out, AXIS, (axis, record), force)
     loaded = load_axis(axis)
