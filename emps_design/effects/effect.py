@@ -21,8 +21,8 @@ and the plant is, with ``sum`` over the effects of an axis,
 where S(v) is the set-valued sign: sign(v) in motion, anything in [-1, 1] at rest.
 
 Sign convention: ``force`` stands on the left-hand side of the inverse dynamic model, beside the friction; a force that
-pushes the carriage towards +q is returned with a minus. Kernels use ``math`` alone and no other function of their
-file, so that they compile as they stand. A kernel evaluated at its own ``jump_time`` gives the value after the jump:
+pushes the carriage towards +q is returned with a minus. Kernels use ``math`` and one another alone, so
+that they compile as they stand. A kernel evaluated at its own ``jump_time`` gives the value after the jump:
 edges are compared with ``SNAP`` to spare.
 """
 

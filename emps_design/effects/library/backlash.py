@@ -28,16 +28,8 @@ def inertia(q, v, t, tau, x, p, b):
 
 
 def rate(q, v, t, tau, x, p, b, level, dx):
-    reduced = b[MASS] * p[3] * (1.0 - p[3])
-    w = 2.0 * pi * p[1]
-    half = 0.5 * p[0]
-    contact = 0.0
-    if x[0] > half:
-        contact = reduced * w * (w * (x[0] - half) + 2.0 * p[2] * (v - x[1]))
-    elif x[0] < -half:
-        contact = reduced * w * (w * (x[0] + half) + 2.0 * p[2] * (v - x[1]))
     dx[0] = v - x[1]
-    dx[1] = contact / (p[3] * b[MASS])
+    dx[1] = force(q, v, t, tau, x, p, b) / (p[3] * b[MASS])
 
 
 def initial(q0, p, b):

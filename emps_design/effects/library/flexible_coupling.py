@@ -22,11 +22,8 @@ def inertia(q, v, t, tau, x, p, b):
 
 
 def rate(q, v, t, tau, x, p, b, level, dx):
-    reduced = b[MASS] * p[2] * (1.0 - p[2])
-    w = 2.0 * pi * p[0]
-    coupling = reduced * w * w * x[0] + 2.0 * p[1] * reduced * w * (v - x[1])
     dx[0] = v - x[1]
-    dx[1] = coupling / (p[2] * b[MASS])
+    dx[1] = force(q, v, t, tau, x, p, b) / (p[2] * b[MASS])
 
 
 def initial(q0, p, b):
