@@ -125,40 +125,6 @@ def steady_friction(axis: Axis, v: np.ndarray, q: float = 0.0, t: float = 0.0) -
 
 
 @dataclass(frozen=True)
-class TwoQuadrants:
-    """Friction by direction, equation (3): F_v+ v + F_c+ for v > 0, F_v- v - F_c- for v < 0, constant force and all."""
-
-    viscous_positive: float
-    viscous_negative: float
-    coulomb_positive: float
-    coulomb_negative: float
-
-    def to_dict(self) -> dict[str, float]:
-        """The four numbers by name [N/(m/s), N/(m/s), N, N]."""
-        return dict(vars(self))
-
-
-def two_quadrants(axis: Axis, speeds: tuple[float, float] = (0.1, 0.2), q: float = 0.0, t: float = 0.0) -> TwoQuadrants:
-    """F_v+, F_v-, F_c+ and F_c- of Table I: lines through the steady friction at two ``speeds`` [m/s] each way.
-
-    Exact for friction that is linear in each direction. The constant force is counted with the Coulomb friction, from
-    which no motion can tell it.
-
-    >>> from emps_design.machines import machine
-    >>> {name: round(value, 4) for name, value in two_quadrants(machine("emps2018-two-quadrant")).to_dict().items()}
-    ... # doctest: +NORMALIZE_WHITESPACE
-    {'viscous_positive': 474.9727, 'viscous_negative': 563.8568, 'coulomb_positive': 17.3811,
-     'coulomb_negative': 11.5846}
-    """
-    slow, fast = speeds
-    if not 0 < slow < fast:
-        raise InputError(f"speeds: found {slow:g}, {fast:g} m/s, expected two positive ones, the slower first")
-    up_slow, up_fast, down_slow, down_fast = steady_friction(axis, np.array([slow, fast, -slow, -fast]), q, t).tolist()
-    positive, negative = (up_fast - up_slow) / (fast - slow), (down_slow - down_fast) / (fast - slow)
-    return TwoQuadrants(positive, negative, up_slow - positive * slow, -(down_slow + negative * slow))
-
-
-@dataclass(frozen=True)
 class Formula:
     """The model in symbols: ``force`` = tau, ``values`` of its parameters, and equations of what stands beside it."""
 

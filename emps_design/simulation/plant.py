@@ -15,6 +15,7 @@ from emps_design.laws import Law, law_of
 from emps_design.simulation.environment import HAND, Hand, Wall
 from emps_design.simulation.kernels import baseline as core
 from emps_design.simulation.kernels import hold_loop as stepper
+from emps_design.simulation.kernels import motion
 from emps_design.simulation.kernels.compile import address
 from emps_design.simulation.prepared import Prepared, intention_columns, positive, signal
 from emps_design.simulation.run import Run
@@ -22,16 +23,9 @@ from emps_design.simulation.run import Run
 HOOKS = ("force", "dry", "inertia", "command", "actuator", "delay", "sensor", "rate", "guard", "jump_time")
 # Own states smaller than this need not be known relatively: a load that has hardly begun to move, by unit.
 FLOORS = {"m": 1e-6, "m/s": 1e-4, "N": 1e-2}
+METHODS = ("general", "plain", "folded")  # of stepping; what is exact by one is by those before it
 _EMPTY = np.zeros(0)
 _NO_SIGNALS, _NO_SLOTS = np.zeros((0, 0)), np.zeros(0, np.int64)
-
-REASONS = {
-    stepper.DIVERGED: "the motion left every bound (1000 m, 1000 m/s) or became not a number",
-    stepper.NO_STEP: "no step is short enough for the tolerance",
-    stepper.CHATTER: "more than 2000 events in one sampling period",
-    stepper.MASSLESS: "the effects leave no mass on the encoder's side",
-    stepper.RUNAWAY: "the loop is unstable: the voltage has swung from limit to limit 40 times, each within 0.2 s",
-}
 
 
 class Plant:
@@ -92,13 +86,13 @@ class Plant:
         return Plant(self.axis, effects, (*self.environment, *things))
 
     def _table(self) -> tuple[np.ndarray, np.ndarray]:
-        rows: list[list[tuple[int, int, int]]] = [[] for _ in range(stepper.HELD + 1)]
+        rows: list[list[tuple[int, int, int]]] = [[] for _ in range(motion.HELD + 1)]
         for i, effect in enumerate(self.effects):
             place = (int(self._x_at[i]), int(self._p_at[i]))
             if i == self._lagging:
                 continue
             if i in self._held:
-                rows[stepper.HELD].append((address(effect.force), *place))
+                rows[motion.HELD].append((address(effect.force), *place))
                 continue
             for row, hook in enumerate(HOOKS):
                 kernel = getattr(effect, hook)
@@ -106,7 +100,7 @@ class Plant:
                     form = hook if hook in ("actuator", "rate") else "kernel"
                     rows[row].append((address(kernel, form), *place))
             if i in self._outside:
-                for row, hook in ((stepper.TOUCH, effect.force), (stepper.TOUCH_MASS, effect.inertia)):
+                for row, hook in ((motion.TOUCH, effect.force), (motion.TOUCH_MASS, effect.inertia)):
                     if hook is not None:
                         rows[row].append((address(hook), *place))
         table = np.array([number for row in rows for entry in row for number in entry] or [0], np.int64)
@@ -199,15 +193,10 @@ class Plant:
         noise = _EMPTY if noise is None else signal(noise, "voltage_noise", "V", n)
         resolution = self.axis.sampling.encoder_resolution if quantise else 0.0
         fastest = "general" if energy else self._method(law, noise, resolution)
-        possible = (
-            "general",
-            *{"general": (), "plain": ("plain",), "folded": ("plain", "folded")}.get(fastest, ("open",)),
-        )
-        method = fastest if method == "auto" else method
+        possible = ("auto", *METHODS[: METHODS.index(fastest) + 1])
         if method not in possible:
-            raise InputError(
-                f"method: found {method!r}, expected one of {', '.join(('auto', *possible))} for this axis"
-            )
+            raise InputError(f"method: found {method!r}, expected one of {', '.join(possible)} for this axis")
+        method = fastest if method == "auto" else method
         events, found = np.empty((n + 1000, 3)), np.array([0, n + 1000])
         if method == "general":
             rows, balance = self._general(
@@ -249,33 +238,26 @@ class Plant:
     def _method(self, law: Law | None, noise: np.ndarray, resolution: float) -> str:
         """The fastest way that is exact for this axis."""
         delay = self.axis.sampling.computation_delay
-        if self.effects or self._lag > 0 or (law is not None and not law.state_feedback):
+        if self.effects or self._lag > 0 or law is None or not law.state_feedback:
             return "general"
-        if law is None:
-            return "general" if delay or noise.size else "open"
         return "plain" if delay or noise.size or resolution > 0 else "folded"
 
     def _core(self, method, b, law, reference, push, noise, start, period, resolution, events, found):
         n, drive, delay = reference.size, self.axis.drive, self.axis.sampling.computation_delay
-        rows = np.empty((4, n))
-        position, velocity, u, encoder = rows
-        gains = np.zeros(4) if law is None else law.gains
-        numbers = core.numbers_of(period, drive.force_gain, drive.voltage_limit, resolution, gains)
+        position, velocity, u, encoder = np.empty((4, n))
+        numbers = core.numbers_of(period, drive.force_gain, drive.voltage_limit, resolution, law.gains)
         if method == "plain":
             good = core.run_plain(
                 b, numbers, delay, start, reference, push, noise, position, encoder, velocity, u, events, found
             )
         else:
-            run = core.run_folded if method == "folded" else core.run_open
-            good = run(b, numbers, start, reference, push, position, velocity, u, events, found)
+            good = core.run_folded(b, numbers, start, reference, push, position, velocity, u, events, found)
             encoder = position
-            if resolution > 0:
-                encoder = np.floor(position / resolution + 0.5) * resolution
         if good == n and not abs(position[-1]) < 1e3:
             good = int(np.argmin(np.abs(position) < 1e3))
         if good < n:
             at, reason = (good, stepper.DIVERGED) if good >= 0 else (-good - 1, stepper.RUNAWAY)
-            raise SimulationError(REASONS[reason], at * period, (float(position[at]), float(velocity[at])))
+            raise SimulationError(stepper.REASONS[reason], at * period, (float(position[at]), float(velocity[at])))
         return encoder, position, velocity, u, push if push.size else np.broadcast_to(0.0, n)
 
     def prepared(
@@ -293,25 +275,25 @@ class Plant:
     ) -> Prepared:
         """Return what the general stepper needs to run ``n`` samples from ``q0`` [m], ``v0`` [m/s]."""
         columns, slots = self._intended(intention, n, period)
-        drive, settings = self.axis.drive, np.zeros(stepper.SETTINGS)
-        settings[stepper.PERIOD], settings[stepper.GAIN] = period, drive.force_gain
-        settings[stepper.LIMIT], settings[stepper.RESOLUTION] = drive.voltage_limit, resolution
-        settings[stepper.DELAYED], settings[stepper.LAG] = self.axis.sampling.computation_delay, self._lag
+        drive, settings = self.axis.drive, np.zeros(motion.SETTINGS)
+        settings[motion.PERIOD], settings[motion.GAIN] = period, drive.force_gain
+        settings[motion.LIMIT], settings[motion.RESOLUTION] = drive.voltage_limit, resolution
+        settings[motion.DELAYED], settings[motion.LAG] = self.axis.sampling.computation_delay, self._lag
         if self._lagging >= 0:
             at = self._lagging
             mine = p[self._p_at[at] : self._p_at[at + 1]]
-            settings[stepper.LAG] = self.effects[at].lag(q0, v0, 0.0, 0.0, _EMPTY, mine, b)
-        settings[stepper.VISCOUS_P] = settings[stepper.VISCOUS_N] = b[1]
+            settings[motion.LAG] = self.effects[at].lag(q0, v0, 0.0, 0.0, _EMPTY, mine, b)
+        settings[motion.VISCOUS_P] = settings[motion.VISCOUS_N] = b[1]
         for i, effect in enumerate(self.effects):
             if effect.slopes is not None:
                 mine = p[self._p_at[i] : self._p_at[i + 1]]
-                settings[[stepper.VISCOUS_P, stepper.VISCOUS_N]] += effect.slopes(mine)
+                settings[[motion.VISCOUS_P, motion.VISCOUS_N]] += effect.slopes(mine)
         states = self._states + (4 if energy else 0)
-        settings[stepper.FREE], settings[stepper.STATES] = self._free, states
-        settings[stepper.TOLERANCE], settings[stepper.ENERGY] = tolerance, self._states if energy else 0
-        settings[stepper.SERIES] = self._lag > 0 and any(effect.lag for effect in self.effects)
+        settings[motion.FREE], settings[motion.STATES] = self._free, states
+        settings[motion.TOLERANCE], settings[motion.ENERGY] = tolerance, self._states if energy else 0
+        settings[motion.SERIES] = self._lag > 0 and any(effect.lag for effect in self.effects)
         if not energy:
-            settings[stepper.SLIDES], settings[stepper.EXACT] = self._slides, self._exact
+            settings[motion.SLIDES], settings[motion.EXACT] = self._slides, self._exact
         y, floors = np.zeros(states), np.zeros(states)
         y[0], y[1] = q0, v0
         for i, effect in enumerate(self.effects):
@@ -319,7 +301,7 @@ class Plant:
                 own = p[self._p_at[i] : self._p_at[i + 1]]
                 y[self._x_at[i] : self._x_at[i + 1]] = effect.initial(q0, own, b)
         floors[2 : self._states] = self._floors
-        guards = int(self._starts[stepper.GUARD + 1] - self._starts[stepper.GUARD])
+        guards = int(self._starts[motion.GUARD + 1] - self._starts[motion.GUARD])
         scratch = np.zeros(stepper.room(states, guards))
         return Prepared(b, p, settings, y, self._hooks, self._starts, columns, slots, floors, scratch)
 
@@ -336,7 +318,7 @@ class Plant:
         )  # fmt: skip
         if status != stepper.DONE:
             names = ", ".join(effect.name for effect in self.effects) or "none"
-            raise SimulationError(REASONS[status], k * period + within, tuple(y.tolist()), names)
+            raise SimulationError(stepper.REASONS[status], k * period + within, tuple(y.tolist()), names)
         balance = self._balance(ready.baseline, ready.parameters, y, q0, v0, n * period) if energy else None
         return out, balance
 

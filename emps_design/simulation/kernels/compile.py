@@ -139,7 +139,7 @@ def source_files(function: Callable[..., Any]) -> set[Path]:
 part = njit(**_OPTIONS)  # a piece of a stepper: compiled into whatever calls it, cached with that
 
 
-_double, _void, _long = ir.DoubleType(), ir.VoidType(), ir.IntType(64)
+_double, _void = ir.DoubleType(), ir.VoidType()
 
 
 def _call(builder: Any, place: Any, result: Any, arguments: list[Any]) -> Any:
@@ -213,6 +213,3 @@ def call_law(typingctx, place, sample, reference, q, f_ext, limit, gains, memory
         return _call(builder, arguments[0], _double, list(arguments[1:]))
 
     return types.float64(types.int64, types.int64, *[_NUMBER] * 4, _POINTER, _POINTER), generate
-
-
-__all__ = ["address", "cached", "call_actuator", "call_kernel", "call_law", "call_rate", "part", "pointer", "shifted"]
