@@ -18,11 +18,13 @@ from emps_design.axis import Axis
 from emps_design.comanipulation.measures import Measures
 from emps_design.comanipulation.run import run_many
 from emps_design.comanipulation.task import Task, fitted_task
-from emps_design.control.impedance.law import PARAMETERS, FrictionModel, ImpedanceLaw
+from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
 from emps_design.control.impedance.response import impedance_error
 from emps_design.control.impedance.robustness import VERDICTS, check_mismatch, corner_errors
-from emps_design.control.impedance.sampled import MARGINAL, Clock, numbers, spectral_radius
+from emps_design.control.impedance.sampled import Clock, numbers, spectral_radius
+from emps_design.control.loop.sampled_loop import MARGINAL
 from emps_design.errors import InputError
+from emps_design.laws.friction_model import PARAMETERS
 
 MOST = 1_000_000  # plants; more would not fit into memory
 CALM = ("stable", "dead_band")  # verdicts of a carriage that comes to rest

@@ -13,6 +13,7 @@ from emps_design.discrepancy.explain.extent import EVERYWHERE
 from emps_design.discrepancy.explain.residual_views import View
 from emps_design.discrepancy.search.noise_floor import Floor
 from emps_design.discrepancy.validation.gap import Gap, Prediction
+from emps_design.notebook import table
 from emps_design.quantities import display_unit
 
 SCHEMA = "emps-design/diagnosis/1"
@@ -164,10 +165,6 @@ class Diagnosis:
         return replace(self, model_file=model_file, experiment=written)
 
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td>{f.label}</td><td>{f.where['text']}</td>"
-            f"<td>{f.gap_before:.3f} N</td><td>{f.gap_after:.3f} N</td></tr>"
-            for f in self.findings
-        )
-        head = "<tr><th>effect</th><th>where</th><th>gap before</th><th>gap after</th></tr>"
-        return f"<p><b>{self.verdict}</b>: {self.sentence}</p>" + (f"<table>{head}{rows}</table>" if rows else "")
+        rows = [(f.label, f.where["text"], f.gap_before, f.gap_after) for f in self.findings]
+        heads = ("effect", "where", "gap before [N]", "gap after [N]")
+        return table(f"{self.verdict}: {self.sentence}", rows, heads if rows else ())

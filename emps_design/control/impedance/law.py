@@ -16,7 +16,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.errors import InputError
 from emps_design.laws import Law
-from emps_design.laws.friction_model import PARAMETERS, FrictionModel, left_out
+from emps_design.laws.friction_model import FrictionModel
 from emps_design.laws.library.impedance import (
     check_filters,
     default_filter,
@@ -231,17 +231,3 @@ def _finite(name: str, value: float, unit: str, lower: float = -math.inf, open_b
             )
         bound = f"{'more than' if open_below else 'at least'} {lower:g}"
         raise InputError(f"{name}: found {value:g} {unit}".rstrip() + f", expected {bound} {unit}".rstrip())
-
-
-__all__ = [
-    "DERIVED",
-    "PARAMETERS",
-    "PRINTED",
-    "ApparentImpedance",
-    "FrictionModel",
-    "ImpedanceLaw",
-    "default_filter",
-    "impedance_law",
-    "law_for",
-    "left_out",
-]

@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.control.impedance.law import PARAMETERS, FrictionModel, ImpedanceLaw
+from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
 from emps_design.control.impedance.sampled import (
-    MARGINAL,
     Clock,
     numbers,
     recursion_poles,
@@ -25,7 +24,9 @@ from emps_design.control.impedance.sampled import (
     sampled_loop,
     spectral_radius,
 )
+from emps_design.control.loop.sampled_loop import MARGINAL
 from emps_design.errors import InputError
+from emps_design.laws.friction_model import PARAMETERS
 
 # By rising severity; ``no_motion``: the carriage was not moving when it was let go, so nothing is known of it.
 VERDICTS = ("stable", "dead_band", "no_motion", "creeping", "limit_cycle", "unstable")

@@ -24,6 +24,7 @@ from emps_design.control.velocity.gains import (
     binding_limit,
     crossover_of_bandwidth,
     feasible_phase_margin,
+    positive_root,
     second_order_bandwidth,
     velocity_gains,
 )
@@ -88,20 +89,20 @@ class VelocityLoopDesign:
     @property
     def bandwidth(self) -> float:
         """Frequency where T_vc has fallen to -3 dB [rad/s]."""
-        return second_order_bandwidth(self.omega_0v, self.z_v)
+        return float(second_order_bandwidth(self.omega_0v, self.z_v))
 
     @cached_property
     def velocity_error(self) -> Margins:
         """Margins of T_vo, the loop broken at the velocity error: phi_v and w_v of (7), read back from the gains."""
         mass, damping = self.axis.mechanics.mass, self.axis.mechanics.viscous + self.gain
-        x = _positive_root(mass**2, damping**2, -(self.K_v**2))
+        x = positive_root(mass**2, damping**2, -(self.K_v**2))
         return _continuous_margins(math.sqrt(x), math.atan2(damping, mass * math.sqrt(x)))
 
     @cached_property
     def plant_input(self) -> Margins:
         """Margins of the loop broken at the plant input, continuous and without any delay."""
         mass, viscous = self.axis.mechanics.mass, self.axis.mechanics.viscous
-        w = math.sqrt(_positive_root(mass**2, viscous**2 - self.gain**2, -(self.K_v**2)))
+        w = math.sqrt(positive_root(mass**2, viscous**2 - self.gain**2, -(self.K_v**2)))
         return _continuous_margins(w, math.atan(w * self.t_v) + math.atan2(viscous, mass * w))
 
     @property
@@ -280,18 +281,12 @@ def design_velocity_loop(
     if not 0.0 < phase_margin_deg < 90.0:
         raise _infeasible(axis, requested, velocity)
     if bandwidth is not None:
-        crossover = crossover_of_bandwidth(bandwidth, phase_margin_deg)
+        crossover = float(crossover_of_bandwidth(bandwidth, phase_margin_deg))
     w = float(crossover or 0.0)
     if phase_margin_deg <= feasible_phase_margin(mechanics.mass, mechanics.viscous, w)[0]:
         raise _infeasible(axis, requested, velocity)
     k_v1, t_v = velocity_gains(mechanics.mass, mechanics.viscous, axis.drive.force_gain, w, phase_margin_deg)
     return VelocityLoopDesign(axis, k_v1, t_v, requested, velocity=velocity)
-
-
-def _positive_root(a: float, b: float, c: float) -> float:
-    """The positive root of a x^2 + b x + c = 0 with a > 0 > c, without cancellation."""
-    root = math.sqrt(b * b - 4.0 * a * c)
-    return 2.0 * -c / (b + root) if b >= 0.0 else (root - b) / (2.0 * a)
 
 
 def _continuous_margins(crossover: float, phase: float) -> Margins:

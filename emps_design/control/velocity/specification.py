@@ -17,7 +17,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis
-from emps_design.control.velocity.gains import MINUS_3_DB, canonical_form, second_order_bandwidth
+from emps_design.control.velocity.gains import MINUS_3_DB, crossover_of_bandwidth
 from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.control.velocity.sweeps import sweep_sampled_margins, sweep_velocity_loop
 from emps_design.errors import InputError
@@ -91,11 +91,8 @@ class Pairs:
     def _passes(self, k_v1: np.ndarray, t_v: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Whether the closed loops have not fallen to -3 dB at ``PASSED`` of ``w`` [rad/s]."""
         w = np.minimum(PASSED * w, 0.5 * math.pi / self.plant.period)
-        integrator = self.plant.integrator(w)
-        inner = k_v1 * self.plant.response(w)
         with np.errstate(invalid="ignore"):
-            forward = inner * integrator / t_v
-            return np.abs(forward / (1.0 + inner + forward)) >= MINUS_3_DB
+            return np.abs(SampledVelocityLoop(self.plant, k_v1, t_v).closed_loop_response(w)) >= MINUS_3_DB
 
 
 def pairs_by_closed_form(axis: Axis, requested: dict[str, float], velocity: float = 0.1) -> Pairs:
@@ -111,8 +108,7 @@ def pairs_by_closed_form(axis: Axis, requested: dict[str, float], velocity: floa
         inside = (phase > 0.0) & (phase < 90.0)
         phase = np.where(inside, phase, 45.0)
         if "bandwidth" in requested:
-            ratio = [second_order_bandwidth(*canonical_form(1.0, angle)) for angle in phase.tolist()]
-            frequency = frequency / np.array(ratio)
+            frequency = crossover_of_bandwidth(frequency, phase)
         sweep = sweep_velocity_loop(axis, frequency, phase)
         return np.where(inside, sweep.k_v1, np.nan), np.where(inside, sweep.t_v, np.nan)
 
