@@ -37,7 +37,7 @@ def compiled_c():
         position, encoder, velocity, u = np.empty((4, n))
         events, baseline = np.empty((n + 1000, 3)), axis.mechanics.array()
         found = function(
-            n, address(q_ref), address(baseline), axis.sampling.period, drive.force_gain, drive.voltage_limit,
+            n, address(q_ref), address(baseline), axis.sampling.period, drive.force_gain, drive.command_limit,
             controller.kp, controller.kv, q0, address(position), address(encoder), address(velocity), address(u),
             address(events),
         )  # fmt: skip
@@ -56,7 +56,7 @@ def python_control():
     def replay(q_ref: np.ndarray, axis, q0: float) -> dict[str, np.ndarray]:
         mass, viscous, dry, offset = axis.mechanics.array()
         a, period, gain = viscous / mass, axis.sampling.period, axis.drive.force_gain
-        limit, kp, kv = axis.drive.voltage_limit, axis.controller.kp, axis.controller.kv
+        limit, kp, kv = axis.drive.command_limit, axis.controller.kp, axis.controller.kv
         decay = np.exp(-a * period)
         g1 = -np.expm1(-a * period) / a
         g2 = (period - g1) / a

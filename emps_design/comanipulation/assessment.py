@@ -255,7 +255,7 @@ class ImpedanceAssessment:
                     f"{1e3 * found['creep_speed']:.3g} mm/s; a Coulomb factor of "
                     f"{found['coulomb_factor_without_creep']:.4g} rules it out"
                 )
-            if found["worst"]["peak_voltage"] >= self.axis.drive.voltage_limit:
+            if found["worst"]["peak_voltage"] >= self.axis.drive.command_limit:
                 words.append("the voltage limit is reached in the task")
             if found["worst"]["verdict"] == "limit_cycle":
                 words.append("a simulated plant keeps oscillating after the release")

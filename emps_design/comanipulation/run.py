@@ -126,7 +126,7 @@ def _blocks(
         np.tile(ready.parameters, (len(laws), 1)), ready.baseline, ready.settings, ready.y, ready.hooks, ready.starts,
         ready.columns, ready.slots, ready.floors, ready.scratch, address(first.kernel, "law"),
         np.array([law.gains for law in compiled]), np.zeros(first.memory), reference, np.append(task.push, 0.0),
-        np.nan_to_num(task.wish), machine.drive.voltage_limit, task.release, task.end, out, raw,
+        np.nan_to_num(task.wish), machine.drive.command_limit, task.release, task.end, out, raw,
     )  # fmt: skip
     return raw, out, good
 

@@ -30,10 +30,10 @@ def check_record(record: Record, axis: Axis, external_force_known: bool = False)
             f"{record.name}: no motion, the stroke is {stroke:.3g} m; record a trajectory that accelerates, runs at "
             "several constant speeds and reverses"
         )
-    saturated = float(np.mean(np.abs(record.u) >= 0.999 * axis.drive.voltage_limit))
+    saturated = float(np.mean(np.abs(record.u) >= 0.999 * axis.drive.command_limit))
     if saturated > LARGEST_SATURATED_SHARE:
         raise RecordError(
-            f"{record.name}: u is at the limit of {axis.drive.voltage_limit:g} V for {100 * saturated:.0f} % of the "
+            f"{record.name}: u is at the limit of {axis.drive.command_limit:g} V for {100 * saturated:.0f} % of the "
             f"time, expected at most {100 * LARGEST_SATURATED_SHARE:.0f} %; record slower motion with less acceleration"
         )
     if not reverses(record.q):

@@ -26,7 +26,7 @@ def gains_section(velocity: VelocityLoopDesign) -> Section:
         [Html(symbol("F_c")), quantity(mechanics.coulomb, "N", 6), "Coulomb friction"],
         ["offset", quantity(mechanics.offset, "N", 6), "constant force"],
         [Html(symbol("G_tau")), quantity(drive.force_gain, "N/V", 6), "force per volt"],
-        ["voltage limit", quantity(drive.voltage_limit, "V"), ""],
+        ["voltage limit", quantity(drive.command_limit, "V"), ""],
         ["current loop", quantity(drive.current_time_constant, "s"), "time constant, 0: ideal"],
         [
             "sampling period",

@@ -220,7 +220,7 @@ def simulate_part(
     if _fits_lanes(axis):
         rows[good] = _side_by_side(task, baselines[good])
         # Lanes do not look for instability: those that reached the voltage limit or no number are looked at again.
-        limit = axis.drive.voltage_limit
+        limit = axis.drive.command_limit
         good = [i for i in good if not (np.isfinite(rows[i]).all() and rows[i, PEAK] < limit)]
     plant = Plant.of(axis)
     for i in good:
@@ -245,7 +245,7 @@ def _side_by_side(task: dict[str, Any], baselines: np.ndarray) -> np.ndarray:
     period, drive = axis.sampling.period, axis.drive
     resolution = axis.sampling.encoder_resolution if task["quantise"] else 0.0
     gains = law_of(axis, period).gains
-    numbers = core.numbers_of(period, drive.force_gain, drive.voltage_limit, resolution, gains)
+    numbers = core.numbers_of(period, drive.force_gain, drive.command_limit, resolution, gains)
     nothing = np.zeros(0)
     push = nothing if task["disturbance"] is None else task["disturbance"]
     measured_q, measured_u = task["measured"] or (nothing, nothing)

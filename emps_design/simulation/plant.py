@@ -245,7 +245,7 @@ class Plant:
     def _core(self, method, b, law, reference, push, noise, start, period, resolution, events, found):
         n, drive, delay = reference.size, self.axis.drive, self.axis.sampling.computation_delay
         position, velocity, u, encoder = np.empty((4, n))
-        numbers = core.numbers_of(period, drive.force_gain, drive.voltage_limit, resolution, law.gains)
+        numbers = core.numbers_of(period, drive.force_gain, drive.command_limit, resolution, law.gains)
         if method == "plain":
             good = core.run_plain(
                 b, numbers, delay, start, reference, push, noise, position, encoder, velocity, u, events, found
@@ -277,7 +277,7 @@ class Plant:
         columns, slots = self._intended(intention, n, period)
         drive, settings = self.axis.drive, np.zeros(motion.SETTINGS)
         settings[motion.PERIOD], settings[motion.GAIN] = period, drive.force_gain
-        settings[motion.LIMIT], settings[motion.RESOLUTION] = drive.voltage_limit, resolution
+        settings[motion.LIMIT], settings[motion.RESOLUTION] = drive.command_limit, resolution
         settings[motion.DELAYED], settings[motion.LAG] = self.axis.sampling.computation_delay, self._lag
         if self._lagging >= 0:
             at = self._lagging

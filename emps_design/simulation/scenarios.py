@@ -211,7 +211,7 @@ class Followed:
 
     def to_dict(self) -> dict[str, Any]:
         """Tracking error, largest numbers, events."""
-        run, limit = self.run, self.axis.drive.voltage_limit
+        run, limit = self.run, self.axis.drive.command_limit
         error = run.q_ref - run.position
         return {
             "scenario": "reference",
@@ -236,7 +236,7 @@ def follow(axis: Axis, q_ref: np.ndarray, f_ext: np.ndarray | None = None) -> Fo
     Raises :class:`UnstableError` where the loop diverges, with the nearest that does not.
     """
     run = _closed_loop(axis, q_ref, disturbance=f_ext)
-    clipped = float(np.mean(np.abs(run.u) >= axis.drive.voltage_limit))
+    clipped = float(np.mean(np.abs(run.u) >= axis.drive.command_limit))
     warnings = (f"the voltage is at its limit {100 * clipped:.1f} % of the time",) if clipped > 0 else ()
     return Followed(axis, run, warnings)
 

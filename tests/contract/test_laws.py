@@ -75,7 +75,7 @@ def test_the_words_mention_every_gain(kind, estimator):
         other = kind.table(**{**axis.controller.parameters, name: 1.1 * value})
         assert kind.equations(other, axis, 1e-3) != said, name
     assert kind.equations(table, axis, 2e-3) != said
-    assert kind.equations(table, axis.replace(drive={"voltage_limit": 7.0}), 1e-3) != said
+    assert kind.equations(table, axis.replace(drive={"command_limit": 7.0}), 1e-3) != said
 
 
 @EVERY

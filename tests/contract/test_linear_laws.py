@@ -192,7 +192,7 @@ def test_a_users_law_has_poles_that_the_simulation_confirms(own_axis):
 
     axis, _ = own_axis
     smooth = axis.replace(
-        mechanics={"coulomb": 0.0}, drive={"voltage_limit": 1e9}, sampling={"encoder_resolution": 0.0}
+        mechanics={"coulomb": 0.0}, drive={"command_limit": 1e9}, sampling={"encoder_resolution": 0.0}
     )
     kick = np.where(np.arange(400) < 5, 1.0, 0.0)
     stable = {}

@@ -21,7 +21,7 @@ class Reference:
         self.axis = axis
         self.b = axis.mechanics.array()
         self.gain = axis.drive.force_gain
-        self.limit = axis.drive.voltage_limit
+        self.limit = axis.drive.command_limit
         self.period = axis.sampling.period
         self.effects = [one.effect for one in axis.effects]
         self.p = [one.effect.values(one.parameters) for one in axis.effects]

@@ -35,7 +35,7 @@ class ActuatorMap:
         found = [(entry.effect, entry.effect.values(entry.parameters)) for entry in axis.effects]
         found = [(effect, p) for effect, p in found if effect.actuator is not None]
         maps = tuple(lambda u, effect=effect, p=p: float(effect.actuator(u, p)) for effect, p in found)
-        return cls(axis.drive.voltage_limit, maps, tuple(effect.name for effect, _ in found))
+        return cls(axis.drive.command_limit, maps, tuple(effect.name for effect, _ in found))
 
     def acting(self, command: float) -> float:
         """The voltage that acts [V] when ``command`` [V] is asked for."""

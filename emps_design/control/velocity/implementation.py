@@ -38,7 +38,7 @@ class DifferenceEquation:
             "integral_gain": integral_gain,
             "period": period,
             "velocity_estimator": self.table.velocity_estimator,
-            "voltage_limit": self.axis.drive.voltage_limit,
+            "voltage_limit": self.axis.drive.command_limit,
         }
 
 
@@ -76,7 +76,7 @@ def largest_velocity_step(axis: Axis, loop: SampledVelocityLoop) -> dict[str, fl
     peak = float(np.max(np.abs(voltage)))
     dry = (axis.mechanics.coulomb + abs(axis.mechanics.offset)) / axis.drive.force_gain
     actuator = ActuatorMap.of(axis)
-    largest = min(abs(actuator.command(actuator.acting(side * axis.drive.voltage_limit))) for side in (1.0, -1.0))
+    largest = min(abs(actuator.command(actuator.acting(side * axis.drive.command_limit))) for side in (1.0, -1.0))
     needed = max(abs(actuator.command(side * dry)) for side in (1.0, -1.0))
     return {
         "value": max(0.0, largest - needed) / peak,

@@ -47,7 +47,7 @@ def check_law(record: Record, axis: Axis, library: tuple[Effect, ...]) -> LawChe
 
     Raises :class:`InputError` where the law holds nowhere: the axis file then has another controller than the drive.
     """
-    limit = axis.drive.voltage_limit
+    limit = axis.drive.command_limit
     gap = record.u - law_voltage(record, axis)
     gap[:START_UP] = 0.0
     free = np.abs(record.u) < rules.AT_LIMIT * limit
@@ -74,7 +74,7 @@ def law_voltage(record: Record, axis: Axis) -> np.ndarray:
     """Voltage (n,) [V] that the law of ``axis`` gives for the recorded reference and position, limit included."""
     law = law_of(axis, record.period)
     memory = np.zeros(law.memory)
-    limit = axis.drive.voltage_limit
+    limit = axis.drive.command_limit
     reference = law.reference(record.q_ref, record.period)
     sensed = np.zeros(len(record)) if record.f_ext is None else record.f_ext
     voltage = np.array(
@@ -123,7 +123,7 @@ def _wrong_law(record: Record, axis: Axis, swing: float, miss: float) -> str:
         followed = law_of(axis, record.period).reference(record.q_ref, record.period)
         proposed = kind.propose(followed, record.q, wanted, axis.controller, record.period)
         if proposed is not None:
-            free = axis.replace(controller=proposed, drive={"voltage_limit": 1e9})
+            free = axis.replace(controller=proposed, drive={"command_limit": 1e9})
             left = float(np.std((record.u - law_voltage(record, free))[START_UP:]))
             if left < rules.LAW_HOLDS * swing:
                 fields = kind.table.model_fields

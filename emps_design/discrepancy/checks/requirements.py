@@ -44,7 +44,7 @@ def check_records(records: tuple[Record, ...], axis: Axis) -> list[str]:
             )
         if np.ptp(record.q_ref) < rules.STILL or np.ptp(record.q) < rules.STILL:
             raise RecordError(f"{record.name}: the axis does not move; record strokes in both directions")
-        limited = float(np.mean(np.abs(record.u) >= rules.AT_LIMIT * axis.drive.voltage_limit))
+        limited = float(np.mean(np.abs(record.u) >= rules.AT_LIMIT * axis.drive.command_limit))
         if limited > rules.SATURATED:
             raise RecordError(
                 f"{record.name}: {100 * limited:.0f} % of the samples are at the voltage limit, expected less than "

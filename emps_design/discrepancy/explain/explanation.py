@@ -38,7 +38,7 @@ def explain(validation: Validation) -> Diagnosis:
     most = most_missed(validation.baseline)
     before, after = (missing_force(fitted)[most] for fitted in (validation.baseline, validation.extended))
     floor, used = outcome.calibration.floor, problem.splits[most].used
-    drawn = views(before, after, used, floor.force_60hz, problem.axis.drive.voltage_limit)
+    drawn = views(before, after, used, floor.force_60hz, problem.axis.drive.command_limit)
     return Diagnosis(
         verdict=validation.verdict,
         findings=found,

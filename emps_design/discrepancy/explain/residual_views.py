@@ -34,11 +34,11 @@ class View:
 
 
 def views(
-    before: MissingForce, after: MissingForce, window: np.ndarray, floor: float, voltage_limit: float
+    before: MissingForce, after: MissingForce, window: np.ndarray, floor: float, command_limit: float
 ) -> list[View]:
     """Residual force over each quantity it could depend on.
 
-    Velocity, position (both ways), acceleration, motor force, what is left of the voltage to ``voltage_limit`` [V],
+    Velocity, position (both ways), acceleration, motor force, what is left of the command to ``command_limit`` [V],
     time from a reversal, period of position, time, frequency: what the models before and after miss, on the samples
     of ``window`` (n,) bool; ``floor`` [N] is the noise.
     """
@@ -53,7 +53,7 @@ def views(
             result.append(_binned("position", "m", motion.q, pairs, moving, noise, 60, title))
     result.append(_binned("acceleration", "m/s2", motion.a, pairs, window, noise, 41))
     result.append(_binned("motor force", "N", before.motion.tau, pairs, window, noise, 41))
-    spare = voltage_limit - np.abs(np.asarray(motion.voltage))
+    spare = command_limit - np.abs(np.asarray(motion.voltage))
     resisting = tuple(np.sign(motion.tau) * force for force in pairs)
     result.append(
         _binned("voltage left to the limit", "V", spare, resisting, window, noise, 41, "along the motor force")

@@ -152,7 +152,7 @@ def gains(p, axis, period):
 def equations(p, axis, period):
     g = gains(p, axis, period)
     delay, keep = axis.sampling.computation_delay, g[KEEP_MOTOR]
-    limit, two_tap = f"{axis.drive.voltage_limit:.10g}", p.velocity_estimator == TWO_TAP
+    limit, two_tap = f"{axis.drive.command_limit:.10g}", p.velocity_estimator == TWO_TAP
     change = "q[k] - q[k-1] - q[k-2] + q[k-3]" if two_tap else "q[k] - 2 * q[k-1] + q[k-2]"
     lines = (
         velocity_in_words(p, period),

@@ -49,7 +49,7 @@ def gains(p, axis, period):
 
 
 def equations(p, axis, period):
-    gain, limit = f"{p.k_v1:.10g}", f"{axis.drive.voltage_limit:.10g}"
+    gain, limit = f"{p.k_v1:.10g}", f"{axis.drive.command_limit:.10g}"
     force = f" + {p.k_e1:.10g} * f_ext[k]" if p.k_e1 else ""
     return (
         velocity_in_words(p, period),

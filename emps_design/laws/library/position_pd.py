@@ -32,7 +32,7 @@ def gains(p, axis, period):
 
 
 def equations(p, axis, period):
-    limit = f"{axis.drive.voltage_limit:.10g}"
+    limit = f"{axis.drive.command_limit:.10g}"
     return (
         velocity_in_words(p, period),
         f"u[k] = {p.kp * p.kv:.10g} * (q_ref[k] - q[k]) - {p.kv:.10g} * v[k]",

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from emps_design.axis import Axis
+from emps_design.axis import NO_LIMIT, Axis
 from emps_design.errors import AxisError
 from emps_design.machines import load_axis, machine, machine_names
 
@@ -26,7 +26,7 @@ kv = 243.45
 
 def test_defaults():
     axis = Axis.from_toml(TEXT)
-    assert axis.drive.voltage_limit == 10.0
+    assert axis.drive.command_limit == 10.0
     assert axis.sampling.computation_delay == 0
     assert axis.controller.velocity_estimator == "two_tap"
     assert axis.effects == ()
@@ -86,8 +86,8 @@ def test_frozen():
         ("mass = 95.1", "", "mechanics.mass: missing, expected a number [kg]: load-side equivalent mass M"),
         ("viscous = 203.5", "viscuos = 203.5", "mechanics.viscuos: unknown key, did you mean 'viscous'?"),
         ("[drive]\nforce_gain = 35.15", "", "drive: missing, expected a table [drive]"),
-        ("[mechanics]", "parameters = []\n[mechanics]", "parameters: unknown key (known: name, mechanics"),
-        ("[mechanics]", "colour = 1\n[mechanics]", "colour: unknown key (known: name, mechanics"),
+        ("[mechanics]", "parameters = []\n[mechanics]", "parameters: unknown key (known: name, motion, mechanics"),
+        ("[mechanics]", "colour = 1\n[mechanics]", "colour: unknown key (known: name, motion, mechanics"),
         ("period = 1e-3", "period = 0", "sampling.period: found 0 s, expected a number greater than 0"),
         ("period = 1e-3", "period = 1e-3\ncomputation_delay = 1.5", "computation_delay: found 1.5 samples, expected"),
         ("force_gain = 35.15", "current_gain = 2.0", "drive: give all of current_gain, reduction, torque_constant"),
@@ -165,3 +165,97 @@ def test_load(tmp_path):
     ):
         with pytest.raises(AxisError, match=message):
             load_axis(path)
+
+
+ROTARY = """
+name = "joint"
+motion = "rotary"
+[mechanics]
+mass = 5e-6
+viscous = 5e-6
+coulomb = 1.9e-3
+[drive]
+command = "current"
+force_gain = 0.0257
+command_limit = 2.0
+[sampling]
+period = 1e-3
+encoder_resolution = 3e-6
+"""
+
+
+def test_a_rotary_axis_comes_back_and_speaks_its_own_units():
+    axis = Axis.from_toml(ROTARY)
+    assert (axis.motion, axis.drive.command_unit, axis.drive.command_limit) == ("rotary", "A", 2.0)
+    written = axis.to_toml(comments=True)
+    assert Axis.from_toml(written) == axis
+    assert "# load-side equivalent inertia M [kg m^2]" in written
+    assert "# G_tau = G_i r k_t [N m/A]" in written
+    assert "# largest current [A]" in written
+    assert "voltage" not in written
+    assert "<td>N m/(rad/s)</td>" in axis._repr_html_()
+    changed = axis.replace(drive={"command_limit": 3.0}, mechanics={"mass": 6e-6})
+    assert (changed.drive.command_limit, changed.drive.command, changed.motion) == (3.0, "current", "rotary")
+
+
+def test_a_command_in_percent_of_rated():
+    axis = Axis.from_toml(
+        TEXT.replace("force_gain = 35.15", 'command = "torque"\ncommand_unit = "%"\nforce_gain = 15.08').replace(
+            "kv = 243.45", "kv = 596.0"
+        )
+    )
+    assert Axis.from_toml(axis.to_toml()) == axis
+    assert axis.drive.command_limit == NO_LIMIT
+    assert "%/(m/s)" in axis.to_toml(comments=True)
+    assert axis.to_dict()["drive"]["command_unit"] == "%"
+
+
+def test_a_duty_needs_a_voltage_only_where_there_is_one():
+    axis = Axis.from_toml(ROTARY.replace('"current"', '"duty"').replace("command_limit = 2.0", "back_emf = 0.387"))
+    assert (axis.drive.command_limit, axis.drive.command_unit, axis.drive.back_emf) == (1.0, "", 0.387)
+    assert "[V/(rad/s)]" in axis.to_toml(comments=True)
+    assert "[N m/V]" in axis.to_toml(comments=True)
+    assert Axis.from_toml(axis.to_toml()) == axis
+
+
+def test_one_limit_under_two_names():
+    axis = Axis.from_toml(TEXT.replace("force_gain = 35.15", "force_gain = 35.15\ncommand_limit = 7.0"))
+    assert axis == Axis.from_toml(TEXT.replace("force_gain = 35.15", "force_gain = 35.15\nvoltage_limit = 7.0"))
+    assert "voltage_limit = 7.0" in axis.to_toml()
+    assert axis.replace(drive={"command_limit": 8.0}) == axis.replace(drive={"voltage_limit": 8.0})
+    assert axis.to_dict().keys() == {"name", "mechanics", "drive", "sampling", "controller"}
+    assert list(axis.to_dict()["drive"]) == ["force_gain", "voltage_limit", "current_time_constant"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("mass = 5e-6", "mass = -1.0", "mechanics.mass: found -1.0 kg m^2, expected a number greater than 0 [kg m^2]"),
+        ("mass = 5e-6", "mass = 1e300", "mechanics.mass: found 1e+300 kg m^2, expected a magnitude of at most 1e+07"),
+        ("mass = 5e-6", "", "expected a number [kg m^2]: load-side equivalent inertia M"),
+        ("command_limit = 2.0", "command_limit = 0", "drive.command_limit: found 0 A, expected a number greater"),
+        ("command_limit = 2.0", "voltage_limit = 2.0", "drive.voltage_limit: found one where the command is a current"),
+        ("command_limit = 2.0", "back_emf = 2.0", "drive.back_emf: found one where the command is a current"),
+        ('"current"', '"current"\ncommand_unit = "V"', "drive.command_unit: found 'V', a unit of voltage, expected"),
+        ('"current"', '"duty"\ncommand_unit = "%"', "drive.command_unit: found '%', expected none: a duty is a share"),
+        ('"current"', "3", "drive.command: found 3, expected 'voltage', 'current', 'torque', 'force' or 'duty'"),
+        ('"rotary"', '"round"', "motion: found 'round', expected 'linear' or 'rotary'"),
+        (
+            'command = "current"\nforce_gain = 0.0257\ncommand_limit = 2.0',
+            "force_gain = 1.0\ncommand_limit = 2.0\nvoltage_limit = 3.0",
+            "drive.voltage_limit: found 3.0 beside command_limit 2.0, expected one of them",
+        ),
+        (
+            "force_gain = 0.0257",
+            "force_gain = 0.0257\ncurrent_gain = 1.0\nreduction = 1.0\ntorque_constant = 2.0",
+            "drive: force_gain 0.0257 N m/A is not current_gain x reduction x torque_constant = 2 N m/A",
+        ),
+    ],
+)
+def test_refused_in_its_own_units(old, new, message):
+    assert old in ROTARY
+    with pytest.raises(AxisError) as caught:
+        Axis.from_toml(ROTARY.replace(old, new), "axis.toml")
+    assert str(caught.value).startswith("axis.toml: ")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)

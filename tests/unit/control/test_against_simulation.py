@@ -9,7 +9,7 @@ from emps_design.errors import SimulationError
 from emps_design.machines import machine
 from emps_design.simulation import Hand, Plant
 
-SMOOTH = machine("emps2018").replace(mechanics={"coulomb": 0.0, "offset": 0.0}, drive={"voltage_limit": 1e4})
+SMOOTH = machine("emps2018").replace(mechanics={"coulomb": 0.0, "offset": 0.0}, drive={"command_limit": 1e4})
 
 
 def simulated(axis, controller, reference, surroundings=(), v0=0.0):

@@ -99,7 +99,7 @@ def z_transform(law, plant, clock, omega):
 def test_compiled_plant_without_dry_friction_is_the_linear_loop(axis, force_sensor, lag, delay):
     smooth = axis.replace(
         mechanics={"coulomb": 0.0},
-        drive={"current_time_constant": lag, "voltage_limit": 1e4},
+        drive={"current_time_constant": lag, "command_limit": 1e4},
         sampling={"encoder_resolution": 0.0, "computation_delay": delay},
     )
     plant = FrictionModel.of(smooth)

@@ -152,7 +152,7 @@ def test_acceleration_filtered_and_current_not_diverges(axis):
     law = impedance_law(axis, 50.0, 100.0, 200.0, current_filter=math.inf)
     assert run_task(axis, law.with_errors(over(0.02)), guided_task(1e-3)).verdict == "unstable"
     assert run_task(axis, law.with_errors(over(-0.02)), guided_task(1e-3)).verdict == "dead_band"
-    free = axis.replace(drive={"voltage_limit": 1e10})  # nothing but the divergence itself
+    free = axis.replace(drive={"command_limit": 1e10})  # nothing but the divergence itself
     assert run_task(free, law.with_errors(over(0.02)), guided_task(1e-3)).measures.diverged[0] == 1.0
 
 
@@ -385,7 +385,7 @@ def test_general_simulator_runs_the_same_law(axis, lag, delay, force_sensor):
 
 def test_a_hard_push_is_not_an_instability(axis):
     # The voltage reaches both limits at every swing of the hand, slowly: that is no flip.
-    tight = axis.replace(drive={"voltage_limit": 2.0})
+    tight = axis.replace(drive={"command_limit": 2.0})
     found = run_task(tight, impedance_law(tight, 50.0, 100.0), guided_task(1e-3))
     assert found.measures.clipped[0] > 500
     assert found.measures.flips[0] == 0

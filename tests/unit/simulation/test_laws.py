@@ -54,7 +54,7 @@ def test_backward_estimator_takes_the_last_two_samples():
 
 def test_anti_windup_leaves_the_limit_at_once():
     """Held back by a force beyond the limit for a second, then let go: no overshoot to speak of."""
-    axis = IP.replace(drive={"voltage_limit": 3.0})
+    axis = IP.replace(drive={"command_limit": 3.0})
     n = 4000
     push = np.where((np.arange(n) > 500) & (np.arange(n) < 1500), -150.0, 0.0)
     run = Plant.of(axis).closed_loop(ramp(n=n), disturbance=push)

@@ -1,0 +1,171 @@
+"""The axis: mechanics, drive, sampling, controller and the effects found so far; TOML in and out.
+
+Sign convention: ``G_tau u = M qdd + F_v qd + F_c sign(qd) + offset`` (load side, SI).
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, Field, ValidationError, model_validator
+
+from emps_design.axis.messages import first_line
+from emps_design.axis.tables import LIMIT, TABLES, AxisEffect, Controller, Drive, Mechanics, Sampling, Table, fields_in
+from emps_design.errors import AxisError, InputError, one_line
+from emps_design.files import read_bytes
+from emps_design.laws import unit_of
+from emps_design.notebook import table
+from emps_design.units import Units
+
+MAX_BYTES = 1_000_000  # of an axis file
+
+
+def _printable(name: str) -> str:
+    """A name goes to terminals and pages: no line breaks, nor anything else that is not seen."""
+    if not name.isprintable():
+        raise ValueError(f"found {one_line(name)!r}, expected text on one line without control characters")
+    return name
+
+
+class Axis(Table):
+    """Everything that is known about one machine.
+
+    >>> axis = Axis(name="small", mechanics={"mass": 10, "viscous": 20, "coulomb": 1}, drive={"force_gain": 5},
+    ...             sampling={"period": 1e-3})
+    >>> axis.mechanics.mass, axis.drive.command_limit, axis.units.unit("kg")
+    (10.0, 10.0, 'kg')
+    >>> Axis.from_toml(axis.to_toml()) == axis
+    True
+    """
+
+    name: Annotated[str, AfterValidator(_printable)] = "axis"
+    motion: Literal["linear", "rotary"] = Field(
+        "linear", description="rotary: an inertia for the mass, a torque for a force, an angle for a position"
+    )
+    mechanics: Mechanics
+    drive: Drive
+    sampling: Sampling
+    controller: Controller = Field(default_factory=lambda: Controller.model_validate({}))
+    effects: tuple[AxisEffect, ...] = ()
+
+    @model_validator(mode="after")
+    def _possible(self) -> Axis:
+        """Refuse numbers that no machine has, in the axis's own units."""
+        for name in TABLES:
+            fields = fields_in(name, self.controller.kind)
+            for key, value in getattr(self, name).model_dump(exclude_none=True).items():
+                if isinstance(value, float):
+                    field = fields[key]  # pydantic nests its bound where None is allowed too
+                    positive = "gt=0" in repr((field.annotation, field.metadata))
+                    self.units.check(f"{name}.{key}", value, unit_of(field), positive)
+        drive = self.drive
+        if drive.current_gain and drive.reduction and drive.torque_constant:
+            product = drive.current_gain * drive.reduction * drive.torque_constant
+            if abs(drive.force_gain - product) > 1e-6 * abs(product):
+                unit = self.units.unit("N/V")
+                raise ValueError(
+                    f"drive: force_gain {drive.force_gain:g} {unit} is not current_gain x reduction x torque_constant "
+                    f"= {product:g} {unit}"
+                )
+        return self
+
+    @property
+    def units(self) -> Units:
+        """The units of this axis, in which its numbers are read and written."""
+        return Units(self.motion, self.drive.command, self.drive.command_unit)
+
+    @classmethod
+    def from_toml(cls, text: str, source: str = "axis") -> Axis:
+        """Read an axis from TOML ``text``; ``source`` names it in messages. Raises :class:`AxisError`."""
+        try:
+            table = tomllib.loads(text)
+        except (ValueError, RecursionError) as error:  # a TOMLDecodeError, or what tomllib lets through
+            raise AxisError(f"{source}: not TOML, {' '.join(str(error).split())}") from error
+        return cls.from_dict(table, source)
+
+    @classmethod
+    def from_dict(cls, table: dict[str, Any], source: str = "axis") -> Axis:
+        """Build an axis from plain data; raises :class:`AxisError` naming the place and what was found."""
+        try:
+            return cls.model_validate(table)
+        except ValidationError as error:
+            raise AxisError(f"{source}: {first_line(error, table, list(cls.model_fields))}") from error
+
+    @classmethod
+    def load(cls, path: str | Path) -> Axis:
+        """Read an axis file; raises :class:`AxisError` in one line naming file, place, found and expected."""
+        return cls.from_toml(_text(Path(path)), str(path))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data in the shape of the TOML file, unset keys left out."""
+        table = self.model_dump(exclude_none=True)
+        effects = [{"kind": e.kind, **e.parameters} for e in self.effects]
+        table.pop("effects")
+        if self.motion == "linear":
+            table.pop("motion")
+        return {**table, **({"effects": effects} if effects else {})}
+
+    def to_toml(self, comments: bool = False) -> str:
+        """The axis as a TOML document that :meth:`from_toml` reads back unchanged; ``comments`` explain each key."""
+        import tomli_w
+
+        text = tomli_w.dumps(self.to_dict())
+        return self._commented(text) if comments else text
+
+    def replace(self, **tables: Any) -> Axis:
+        """Return a copy in which whole tables, or single keys of a table given as a dict, are replaced.
+
+        >>> from emps_design.machines import machine
+        >>> machine("emps2019").replace(mechanics={"mass": 100.0}).mechanics.mass
+        100.0
+        """
+        data = self.to_dict()
+        for key, value in tables.items():
+            if isinstance(value, BaseModel):
+                value = value.model_dump(exclude_none=True)
+            elif isinstance(value, dict) and isinstance(data.get(key), dict):
+                limited = value.keys() & LIMIT  # one number under two names
+                value = {**{k: v for k, v in data[key].items() if not (limited and k in LIMIT)}, **value}
+            elif key == "effects":
+                value = [{"kind": e.kind, **e.parameters} if isinstance(e, AxisEffect) else e for e in value]
+            data[key] = value
+        return Axis.from_dict(data, self.name)
+
+    def _repr_html_(self) -> str:
+        kind, unit = self.controller.kind, self.units.unit
+        rows = [
+            (name, key, value, unit(unit_of(fields_in(name, kind)[key])))
+            for name in TABLES
+            for key, value in getattr(self, name).model_dump(exclude_none=True).items()
+        ]
+        rows += [
+            (effect.kind, parameter.name, effect.parameters[parameter.name], unit(parameter.unit))
+            for effect in self.effects
+            for parameter in effect.effect.parameters
+        ]
+        return table(self.name, rows, ("table", "key", "value", "unit"))
+
+    def _commented(self, text: str) -> str:
+        """``text`` with what a key is, and its unit, behind each line that sets one."""
+        lines, table = [], ""
+        for line in text.splitlines():
+            table = line.strip("[]") if line.startswith("[") else table
+            field = fields_in(table, self.controller.kind).get(line.partition(" = ")[0])
+            if field is None or not field.description:
+                lines.append(line)
+                continue
+            unit = self.units.unit(unit_of(field))
+            lines.append(f"{line:<36}  # {self.units.words(field.description)}{f' [{unit}]' if unit else ''}")
+        return "\n".join(lines) + "\n"
+
+
+def _text(path: Path) -> str:
+    expected = "expected a TOML axis file"
+    try:
+        return read_bytes(path, MAX_BYTES, expected).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise AxisError(f"{path}: not UTF-8 text; {expected}") from error
+    except InputError as error:
+        raise AxisError(str(error)) from error

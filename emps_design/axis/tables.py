@@ -1,0 +1,202 @@
+"""The tables of an axis file: their keys, units and bounds."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal, cast
+
+import numpy as np
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+    model_validator,
+)
+from pydantic.fields import FieldInfo
+
+from emps_design.effects import Effect, get_effect
+from emps_design.laws import NONE, Finite, NonNegative, Positive, fields_of, known_laws, parameters_of
+from emps_design.units import COMMANDS, check_command_unit
+
+NO_LIMIT = 1e9  # the largest command where none is known
+LIMIT = {"voltage_limit", "command_limit"}  # two keys of a drive for one number
+
+
+class Table(BaseModel):
+    """A table of an axis file, which refuses unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Mechanics(Table):
+    """Load-side mechanics of the baseline inverse dynamic model, equation (2)."""
+
+    mass: Positive = Field(description="load-side equivalent mass M", json_schema_extra={"unit": "kg"})
+    viscous: NonNegative = Field(description="viscous friction F_v", json_schema_extra={"unit": "N/(m/s)"})
+    coulomb: NonNegative = Field(description="Coulomb friction F_c", json_schema_extra={"unit": "N"})
+    offset: Finite = Field(0.0, description="constant force", json_schema_extra={"unit": "N"})
+
+    def array(self) -> np.ndarray:
+        """Mass, viscous, coulomb, offset as the array ``b`` of the kernels [kg, N/(m/s), N, N]."""
+        return np.array([self.mass, self.viscous, self.coulomb, self.offset])
+
+
+class Drive(Table):
+    """The drive chain, equation (1): force = G_tau u, with G_tau given or as G_i r k_t of a data sheet.
+
+    The command u is what a record's column of it holds: a voltage that sets the current, the current itself, a torque
+    or force, or the duty of a motor without a current loop. Numbers with a command are in ``command_unit``.
+    """
+
+    command: Literal["voltage", "current", "torque", "force", "duty"] = Field(
+        "voltage", description="what the command of a record is"
+    )
+    command_unit: str = Field("V", description="what that is counted in")
+    force_gain: Positive = Field(description="G_tau = G_i r k_t", json_schema_extra={"unit": "N/V"})
+    current_gain: Positive | None = Field(None, description="G_i", json_schema_extra={"unit": "A/V"})
+    reduction: Positive | None = Field(None, description="r", json_schema_extra={"unit": "rad/m"})
+    torque_constant: Positive | None = Field(None, description="k_t", json_schema_extra={"unit": "N m/A"})
+    command_limit: Positive = Field(10.0, description="largest voltage", json_schema_extra={"unit": "V"})
+    current_time_constant: NonNegative = Field(
+        0.0, description="time constant of the current loop, 0: ideal", json_schema_extra={"unit": "s"}
+    )
+    back_emf: NonNegative = Field(
+        0.0, description="back-EMF, of a motor without a current loop", json_schema_extra={"unit": "volt/(m/s)"}
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_spelling(cls, table: Any) -> Any:
+        if not isinstance(table, dict):
+            return table
+        table, command = _force_gain_from_data_sheet(table), table.get("command", "voltage")
+        if command not in COMMANDS:
+            return table
+        unit = table.get("command_unit", COMMANDS[command])
+        if isinstance(unit, str):
+            table["command_unit"] = check_command_unit(command, unit)
+        limits = [table[key] for key in ("voltage_limit", "command_limit") if key in table]
+        if command != "voltage" and table.pop("voltage_limit", None) is not None:
+            raise ValueError(f"voltage_limit: found one where the command is a {command}, expected command_limit")
+        if len(limits) == 2 and limits[0] != limits[1]:
+            raise ValueError(
+                f"voltage_limit: found {limits[0]!r} beside command_limit {limits[1]!r}, expected one of them"
+            )
+        table.pop("voltage_limit", None)
+        table.setdefault("command_limit", *limits[:1] or ({"voltage": 10.0, "duty": 1.0}.get(command, NO_LIMIT),))
+        if command not in ("voltage", "duty") and table.get("back_emf"):
+            raise ValueError(f"back_emf: found one where the command is a {command}, whose loop takes no notice of it")
+        return table
+
+    @model_serializer(mode="wrap")
+    def _as_written(self, table: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """What an axis told a voltage in V has always been written as, and what is not the default besides."""
+        own = table(self)
+        defaults = {"command": "voltage", "command_unit": COMMANDS[self.command], "back_emf": 0.0}
+        return {
+            "voltage_limit" if key == "command_limit" and self.command == "voltage" else key: value
+            for key, value in own.items()
+            if key not in defaults or value != defaults[key]
+        }
+
+
+def _force_gain_from_data_sheet(table: dict[str, Any]) -> dict[str, Any]:
+    """A copy of a drive's table with the force gain of its data sheet, where that is given and no other."""
+    names = ("current_gain", "reduction", "torque_constant")
+    if not any(name in table for name in names):
+        return dict(table)
+    if any(name not in table for name in names):
+        raise ValueError(f"give all of {', '.join(names)}, or force_gain alone")
+    try:
+        return {"force_gain": math.prod(float(table[name]) for name in names), **table}
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{', '.join(names)}: expected three numbers") from error
+
+
+class Sampling(Table):
+    """Clock and encoder."""
+
+    period: Positive = Field(description="sampling period", json_schema_extra={"unit": "s"})
+    encoder_resolution: NonNegative = Field(
+        0.0, description="one step of the encoder on the load side, 0: exact", json_schema_extra={"unit": "m"}
+    )
+    computation_delay: Annotated[int, Field(ge=0, le=1000, strict=True)] = Field(
+        0, description="whole samples between measurement and voltage", json_schema_extra={"unit": "samples"}
+    )
+
+
+class Controller(Table):
+    """The law that makes the voltage: its kind, and its parameters as the law's own table has them.
+
+    A parameter reads as an attribute, None where it is not given: ``axis.controller.kp``.
+    """
+
+    kind: str = Field(NONE, description="the law: position_pd, ip_velocity, impedance or none")
+    parameters: dict[str, Any]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_flat_table(cls, table: Any) -> Any:
+        if not isinstance(table, dict):
+            return table
+        kind = table.get("kind", NONE)
+        kinds = [*known_laws(), NONE]
+        if kind not in kinds:
+            expected = f"{', '.join(map(repr, kinds[:-1]))} or {NONE!r}"
+            problem = {"type": "literal_error", "loc": ("kind",), "input": kind, "ctx": {"expected": expected}}
+            raise ValidationError.from_exception_data("Controller", [cast(Any, problem)])
+        parameters = parameters_of(kind, {k: v for k, v in table.items() if k != "kind"})
+        return {"kind": kind, "parameters": parameters}
+
+    @model_serializer
+    def _flat_table(self) -> dict[str, Any]:
+        return {"kind": self.kind, **self.parameters}
+
+    def __getattr__(self, name: str) -> Any:
+        if not name.startswith("_") and name in fields_of():
+            return self.parameters.get(name)
+        raise AttributeError(f"controller: found {name!r}, expected one of kind, {', '.join(fields_of())}")
+
+
+class AxisEffect(Table):
+    """One effect of an axis: its kind and its parameters, written as an ``[[effects]]`` table."""
+
+    kind: str
+    parameters: dict[str, Finite]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_flat_table(cls, table: Any) -> Any:
+        if isinstance(table, dict) and "parameters" not in table:
+            kind = {"kind": table["kind"]} if "kind" in table else {}
+            return {**kind, "parameters": {k: v for k, v in table.items() if k != "kind"}}
+        return table
+
+    @model_validator(mode="after")
+    def _known(self) -> AxisEffect:
+        self.effect.values(self.parameters)
+        return self
+
+    @property
+    def effect(self) -> Effect:
+        """The physics behind ``kind``."""
+        return get_effect(self.kind)
+
+
+TABLES: dict[str, type[Table]] = {
+    "mechanics": Mechanics,
+    "drive": Drive,
+    "sampling": Sampling,
+    "controller": Controller,
+}
+
+
+def fields_in(table: str, kind: str = NONE) -> dict[str, FieldInfo]:
+    """The keys of a ``table`` of the axis file, in that of the controller those of every law; none for another name."""
+    if table == "controller":
+        return {"kind": Controller.model_fields["kind"], **fields_of(kind)}
+    fields = TABLES[table].model_fields if table in TABLES else {}
+    return {**fields, "voltage_limit": fields["command_limit"]} if table == "drive" else fields

@@ -1,0 +1,251 @@
+"""Units: those a record may come in, and those of one axis, which the rest of the package need not know.
+
+Everything inside is SI, and is written down for a linear axis that is told a voltage: a mass in kg, a force in N, a
+position in m, a command in V. :class:`Units` says what these are on another axis: an inertia in kg m^2, a torque in
+N m, an angle in rad, a current in A.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from emps_design.errors import InputError
+from emps_design.quantities import check_magnitude, display_unit
+
+MOTIONS = ("linear", "rotary")
+COMMANDS = {"voltage": "V", "current": "A", "torque": "N m", "force": "N", "duty": ""}  # and the unit of each
+COUNTS = "counts"  # of an encoder or a converter: only a scale says how much one is
+
+_VOLTAGES = {"V": 1.0, "mV": 1e-3, "kV": 1e3}
+_CURRENTS = {"A": 1.0, "mA": 1e-3}
+_FORCES = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
+_TORQUES = {"N m": 1.0, "mN m": 1e-3, "kN m": 1e3}
+_SHARES = {"": 1.0, "%": 0.01}
+_ELECTRICAL = {"voltage": _VOLTAGES, "current": _CURRENTS, "torque": _TORQUES, "force": _FORCES, "duty": _SHARES}
+_TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
+_RPM, _DEG, _REV = 2.0 * math.pi / 60.0, math.pi / 180.0, 2.0 * math.pi
+_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254}
+_ANGLES = {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": _DEG, "rev": _REV}
+_SPEEDS = {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6, "m/min": 1.0 / 60.0, "mm/min": 1e-3 / 60.0}
+_TURNING = {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEG, "rpm": _RPM, "rev/s": _REV}
+# What a column of a record may be in: SI of one unit of it, by motion.
+_MECHANICAL = {
+    "linear": {"position": _LENGTHS, "velocity": _SPEEDS, "force": _FORCES},
+    "rotary": {"position": _ANGLES, "velocity": _TURNING, "force": _TORQUES},
+}
+COLUMNS = ("time", "position", "velocity", "force", "command", "supply")
+
+_KNOWN = {COUNTS}.union(
+    _TIMES, *_ELECTRICAL.values(), *(units for columns in _MECHANICAL.values() for units in columns.values())
+)
+# other spellings, in small letters and without the s of a plural
+_SPELLINGS = {
+    "°": "deg", "degree": "deg", "grad": "deg", "°/s": "deg/s", "dps": "deg/s", "radian": "rad", "turn": "rev",
+    "turn/s": "rev/s", "sec": "s", "second": "s", "msec": "ms", "usec": "us", "percent": "%", "pct": "%", "inch": "in",
+    "count": COUNTS, "inc": COUNTS, "1/min": "rpm", "u/min": "rpm", "min-1": "rpm", "min^-1": "rpm", "rev/min": "rpm",
+    "1": "", "-": "", "none": "", "volt": "V", "ampere": "A", "amp": "A", "newton": "N",
+}  # fmt: skip
+
+# quantities of a linear axis -> of a rotary one, in labels
+_TURNED = {
+    "mass": "inertia", "masses": "inertias", "force": "torque", "forces": "torques", "position": "angle",
+    "positions": "angles", "carriage": "load",
+}  # fmt: skip
+_COMMAND_WORDS = {"current": "current", "torque": "torque command", "force": "force command", "duty": "duty"}
+
+
+def spelled(unit: str) -> str:
+    """Return a unit as this package writes it, whatever it is a unit of; one that is not known comes back as it is.
+
+    >>> spelled("µm"), spelled("Nm"), spelled("N.m"), spelled("°"), spelled("1/min"), spelled("RPM"), spelled("sec")
+    ('um', 'N m', 'N m', 'deg', 'rpm', 'rpm', 's')
+    """
+    text = " ".join(str(unit).split()).replace("µ", "u").replace("μ", "u")
+    text = re.sub(r"^([mk]?)N *[.·*]? *m$", r"\1N m", text)
+    if text in _KNOWN:
+        return text
+    word = text.lower()
+    word = word.removesuffix("s") if len(word) > 3 and "/" not in word else word
+    word = _SPELLINGS.get(word, word if len(word) > 2 else text)  # NM is no nanometre
+    return word if word in _KNOWN else text
+
+
+@dataclass(frozen=True)
+class Units:
+    """The units of one axis: its ``motion``, the kind of its ``command``, and what that is counted in.
+
+    >>> joint = Units("rotary", "current", "A")
+    >>> joint.unit("kg"), joint.unit("N/(m/s)"), joint.unit("V/(m/s)"), joint.unit("N/V"), joint.unit("(m/s)/N")
+    ('kg m^2', 'N m/(rad/s)', 'A/(rad/s)', 'N m/A', '(rad/s)/(N m)')
+    >>> joint.label("motor force [N]"), joint.label("voltage limit [V]"), Units().label("motor force [N]")
+    ('motor torque [N m]', 'current limit [A]', 'motor force [N]')
+    >>> Units(command="torque", command_unit="%").unit("N/V")
+    'N/%'
+    """
+
+    motion: str = "linear"
+    command: str = "voltage"
+    command_unit: str = "V"
+
+    @classmethod
+    def of(cls, table: Mapping[str, Any]) -> Units:
+        """The units of the plain data of an axis, which may be wrong in any way.
+
+        >>> Units.of({"motion": "rotary", "drive": {"command": "current"}})
+        Units(motion='rotary', command='current', command_unit='A')
+        """
+        drive = table.get("drive")
+        drive = drive if isinstance(drive, Mapping) else {}
+        command = drive["command"] if str(drive.get("command")) in COMMANDS else "voltage"
+        unit = drive.get("command_unit")
+        return cls(
+            "rotary" if table.get("motion") == "rotary" else "linear",
+            command,
+            spelled(unit) if isinstance(unit, str) else COMMANDS[command],
+        )
+
+    @property
+    def rotary(self) -> bool:
+        """Whether the axis turns."""
+        return self.motion == "rotary"
+
+    @property
+    def plain(self) -> bool:
+        """Whether these are the units that everything is written in: linear, told a voltage in V."""
+        return not self.rotary and self.command == "voltage" and self.command_unit == "V"
+
+    def unit(self, base: str) -> str:
+        """This axis's unit for ``base``, a unit of the linear axis that is told a voltage.
+
+        ``volt`` is a voltage on every axis, and so is the V of a force gain where the command is a duty.
+        """
+        if self.command == "duty" and base == "N/V":
+            base = "N/volt"
+        if self.plain:
+            return base.replace("volt", "V")
+
+        def own(match: re.Match[str]) -> str:
+            unit = self._token(match[2])
+            return f"{match[1]}({unit})" if match[1] and " " in unit else f"{match[1]}{unit or '1'}"
+
+        if base == "V":
+            return self.command_unit
+        return re.sub(r"(/?)\b(N m|kg|N|V|m|volt)\b", own, base)
+
+    def _token(self, token: str) -> str:
+        if token == "volt":
+            return "V"
+        if token == "V":
+            return self.command_unit
+        return {"kg": "kg m^2", "N": "N m", "m": "rad"}.get(token, token) if self.rotary else token
+
+    def words(self, text: str) -> str:
+        """``text`` with this axis's words for mass, force, position, carriage and voltage: for labels, not for keys.
+
+        >>> Units("rotary", "torque", "%").words("Mass, position and voltage"), Units().words("mass")
+        ('Inertia, angle and torque command', 'mass')
+        """
+        table = dict(_TURNED) if self.rotary else {}
+        if self.command != "voltage":
+            table["voltage"] = _COMMAND_WORDS[self.command]
+            table["voltages"] = f"{table['voltage']}s"
+        if not table:
+            return text
+
+        def own(match: re.Match[str]) -> str:
+            word = table[match[0].lower()]
+            return word.capitalize() if match[0][0].isupper() else word
+
+        return re.sub(rf"\b({'|'.join(table)})\b", own, text, flags=re.IGNORECASE)
+
+    def label(self, text: str) -> str:
+        """``text`` in this axis's words, and what stands in brackets in its units."""
+        parts = re.split(r"\[([^\]]*)\]", text)
+        return "".join(f"[{self.unit(part)}]" if i % 2 else self.words(part) for i, part in enumerate(parts))
+
+    def check(self, name: str, value: float, base: str, positive: bool = False) -> float:
+        """:func:`~emps_design.quantities.check_magnitude` in this axis's unit for ``base``."""
+        return check_magnitude(name, value, self.unit(base), positive)
+
+    def display(self, size: float, base: str) -> tuple[str, float]:
+        """The unit in which ``size`` [SI of ``base``] is shown to a reader, and the factor to it.
+
+        >>> Units("rotary").display(0.5, "m"), Units("rotary").display(3e-6, "m"), Units().display(0.25, "m")
+        (('deg', 57.29577951308232), ('µrad', 1000000.0), ('mm', 1000.0))
+        """
+        if self.rotary and base == "m":
+            return ("µrad", 1e6) if 0.0 < abs(size) < 1e-4 else ("deg", 1.0 / _DEG)
+        return display_unit(size, self.unit(base))
+
+    def factor(self, unit: str, column: str, scale: float | None = None) -> float:
+        """SI (a command: the axis's command unit) of one ``unit`` of a ``column`` of a record, one of ``COLUMNS``.
+
+        ``scale`` multiplies it; for counts it says what one is worth, and has to be given. Raises
+        :class:`InputError` for a unit of another kind.
+
+        >>> joint = Units("rotary", "current", "A")
+        >>> joint.factor("mA", "command"), joint.factor("rpm", "velocity"), joint.factor("counts", "position", 1e-6)
+        (0.001, 0.10471975511965977, 1e-06)
+        >>> joint.factor("mm", "position")
+        Traceback (most recent call last):
+            ...
+        emps_design.errors.InputError: rotary position: found unit 'mm', expected rad, mrad, urad, deg, rev or counts
+        """
+        written = spelled(unit)
+        factor = 1.0 if scale is None else float(scale)
+        if not math.isfinite(factor) or factor == 0.0:
+            raise InputError(f"{column}: found scale {factor:g}, expected a finite number other than 0")
+        if written == COUNTS and column != "time":
+            if scale is None:
+                raise InputError(f"{column}: found unit {unit!r} without a scale, expected the scale of one count too")
+            return factor
+        known = self._known(column)
+        if written in known:
+            return factor * known[written]
+        *most, last = [name or "none" for name in known] + ([COUNTS] if column != "time" else [])
+        expected = f"{', '.join(most)} or {last}" if most else last
+        motion = f"{self.motion} " if column in _MECHANICAL[self.motion] else ""
+        raise InputError(f"{motion}{column}: found unit {unit!r}, expected {expected}")
+
+    def _known(self, column: str) -> dict[str, float]:
+        """The units that a ``column`` may be in, and how much of SI or of the command's unit one is."""
+        if column == "time":
+            return _TIMES
+        if column == "supply":
+            return _VOLTAGES
+        if column == "command":
+            family = _ELECTRICAL[self.command]
+            if self.command_unit not in family:  # % of rated: nothing says of what
+                return {self.command_unit: 1.0}
+            return {name: factor / family[self.command_unit] for name, factor in family.items()}
+        return _MECHANICAL[self.motion][column]
+
+
+def check_command_unit(command: str, unit: str) -> str:
+    """Return the ``unit`` in which a ``command`` is counted as it is spelled here, or raise :class:`InputError`.
+
+    >>> check_command_unit("torque", "Nm"), check_command_unit("current", "% of rated")
+    ('N m', '% of rated')
+    >>> check_command_unit("current", "V")
+    Traceback (most recent call last):
+        ...
+    emps_design.errors.InputError: command_unit: found 'V', a unit of voltage, expected one of current, such as A, or %
+    """
+    written = spelled(unit)
+    if not written.isprintable() or len(written) > 20:
+        raise InputError(f"command_unit: found {unit!r}, expected a unit of at most 20 characters on one line")
+    if command == "duty":
+        if written:
+            raise InputError(f"command_unit: found {unit!r}, expected none: a duty is a share of the supply, at most 1")
+        return written
+    kinds = [kind for kind, known in _ELECTRICAL.items() if written in known and kind != "duty"]
+    if not written or (kinds and command not in kinds):
+        of = f", a unit of {kinds[0]}" if kinds else ""
+        raise InputError(
+            f"command_unit: found {unit!r}{of}, expected one of {command}, such as {COMMANDS[command]}, or %"
+        )
+    return written
