@@ -139,7 +139,21 @@ class Diagnosis:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract's document, and what the report shows besides."""
+        """The contract's document, and what the report shows besides, absent where it is not known.
+
+        | key | content |
+        |---|---|
+        | ``simulation`` | "closed loop", or "inverse model" where the controller is not known |
+        | ``unexplained`` | for ``unnamed``: {text, map: {position [m], velocity [m/s], force [N]}, ...} |
+        | ``spectrum_over_time`` | {time [s], frequency [Hz], force [N]}: what the baseline misses |
+        | ``candidates`` | [{effect, label, gap [N], statistic, threshold, accepted: bool, note}], best first |
+        | ``parameters`` | {name: {unit, axis, baseline: {value, std}, extended: {value, std}}} |
+        | ``not_excluded`` | [{effect, label, size, unit, text}]: the smallest size that would have been seen |
+        | ``experiment`` | :meth:`Experiment.to_dict`: what would separate what these data cannot, or None |
+        | ``records`` | [{name, role, sha256}] with role "train" or "holdout" |
+        | ``calibration`` | str, how the threshold was found |
+        | ``assumptions``, ``warnings`` | [str] |
+        """
         judged = {"train": self.train} | ({} if self.holdout is None else {"holdout": self.holdout})
         gap, inverse = (
             {"unit": "N", **self.noise.to_dict(measure)} | {part: g.to_dict(measure) for part, g in judged.items()}

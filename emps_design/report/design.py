@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from emps_design.report.display import angle, delay, frequency, number, quantity, ratio, symbol
+from emps_design.report.display import angle, delay, frequency, number, quantity, ratio, sentence_of, symbol
 from emps_design.report.drive import drive_section
 from emps_design.report.footer import inputs_table, versions
 from emps_design.report.force import force_section
@@ -37,7 +37,7 @@ class DesignResults:
 
     ``force``: the force loop around it, None where nobody asked for one; ``inputs``: SHA-256 of every input by name,
     None for what is built in; ``parts``: more sections (a record, an impedance law), each already a :class:`Section`;
-    ``notes``: statements for the summary; ``stops``: what else is unstable; ``warnings``: more of them.
+    ``notes``: statements for the summary; ``stops``: what else is unstable.
     """
 
     velocity: VelocityLoopDesign
@@ -48,7 +48,6 @@ class DesignResults:
     parts: tuple[Section, ...] = ()
     notes: tuple[str, ...] = ()
     stops: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
 
 
 def design_results(
@@ -101,7 +100,7 @@ def _asked(velocity: VelocityLoopDesign) -> str:
         parts.append(f"phase margin {angle(phase)}")
     retuned = (
         f"; gains retuned so that the sampled loop meets it at the {velocity.retuned_at.replace('-', ' ')}"
-        if (velocity.retuned_at)
+        if velocity.retuned_at
         else ""
     )
     return "Asked for: " + ", ".join(parts) + retuned
@@ -112,20 +111,14 @@ def _stops(results: DesignResults) -> list[Callout]:
     velocity, force = results.velocity, results.force
     stops = []
     if not velocity.sampled.stable:
-        pole = abs(velocity.sampled.poles[0])
-        stops.append(
-            Callout(
-                "stop",
-                "with these gains the sampled velocity loop is unstable.",
-                f"Its largest pole has magnitude {pole:.4f}, outside the unit circle. The margins of the continuous "
-                "loop below say nothing about this drive. Sample faster, remove delay, or ask for less: "
-                f"{velocity.nearest_in_words}.",
-            )
+        less = (
+            f"{sentence_of(velocity.reason)} The margins of the continuous loop below say nothing about this drive: "
+            "sample faster, remove delay, or ask for less."
         )
+        stops.append(Callout("stop", "with these gains the sampled velocity loop is unstable.", less))
     if force is not None and not force.stable:
-        limit = force.k_e1_max_sampled
-        body = f"The largest stable gain is {number(limit)} (m/s)/N." if limit else "No gain is stable here."
-        stops.append(Callout("stop", f"the force loop is unstable at k_e1 = {number(force.k_e1)} (m/s)/N.", body))
+        title = f"the force loop is unstable at k_e1 = {number(force.k_e1)} (m/s)/N."
+        stops.append(Callout("stop", title, sentence_of(force.reason)))
     return [*stops, *(Callout("stop", stop) for stop in results.stops)]
 
 
@@ -163,7 +156,7 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
                 f"the {angle(velocity.plant_input.phase_margin_deg)} that the continuous loop has there."
             )
         )
-    warnings = [w for w in (*results.warnings, *velocity.warnings) if not w.startswith("the sampled loop is unstable")]
+    warnings = [w for w in velocity.warnings if not w.startswith("the sampled loop is unstable")]
     if warnings:
         blocks.append(Callout("warning", "To read with the numbers", items=tuple(dict.fromkeys(warnings))))
     return tuple(blocks)
