@@ -39,3 +39,12 @@ def hidden_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"the hidden-effect records are not in {folder}")
     return folder
+
+
+@pytest.fixture(scope="session")
+def servo_data() -> Path:
+    """Folder with servo axes as their drives record them."""
+    folder = DATA / "servo"
+    if not folder.is_dir():
+        pytest.skip(f"the servo records are not in {folder}")
+    return folder

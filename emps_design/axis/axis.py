@@ -12,10 +12,10 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, Field, ValidationError, model_validator
 
 from emps_design.axis.messages import first_line
-from emps_design.axis.tables import LIMIT, TABLES, AxisEffect, Controller, Drive, Mechanics, Sampling, Table, fields_in
+from emps_design.axis.tables import LIMIT, TABLES, AxisEffect, Controller, Drive, Mechanics, Sampling, Table, field_in
 from emps_design.errors import AxisError, InputError, one_line
 from emps_design.files import read_bytes
-from emps_design.laws import unit_of
+from emps_design.laws import leaves, unit_of
 from emps_design.notebook import table
 from emps_design.units import Units
 
@@ -54,12 +54,12 @@ class Axis(Table):
     def _possible(self) -> Axis:
         """Refuse numbers that no machine has, in the axis's own units."""
         for name in TABLES:
-            fields = fields_in(name, self.controller.kind)
-            for key, value in getattr(self, name).model_dump(exclude_none=True).items():
-                if isinstance(value, float):
-                    field = fields[key]  # pydantic nests its bound where None is allowed too
+            for path, value in leaves(getattr(self, name).model_dump(exclude_none=True), (name,)):
+                field = field_in(path, self.controller.kind) if isinstance(value, float) else None
+                if field is not None:
+                    # pydantic nests its bound where None is allowed too
                     positive = "gt=0" in repr((field.annotation, field.metadata))
-                    self.units.check(f"{name}.{key}", value, unit_of(field), positive)
+                    self.units.check(".".join(path), value, unit_of(field), positive)
         drive = self.drive
         if drive.current_gain and drive.reduction and drive.torque_constant:
             product = drive.current_gain * drive.reduction * drive.torque_constant
@@ -136,9 +136,9 @@ class Axis(Table):
     def _repr_html_(self) -> str:
         kind, unit = self.controller.kind, self.units.unit
         rows = [
-            (name, key, value, unit(unit_of(fields_in(name, kind)[key])))
+            (name, ".".join(path), value, unit(unit_of(field_in((name, *path), kind))))
             for name in TABLES
-            for key, value in getattr(self, name).model_dump(exclude_none=True).items()
+            for path, value in leaves(getattr(self, name).model_dump(exclude_none=True))
         ]
         rows += [
             (effect.kind, parameter.name, effect.parameters[parameter.name], unit(parameter.unit))
@@ -152,7 +152,7 @@ class Axis(Table):
         lines, table = [], ""
         for line in text.splitlines():
             table = line.strip("[]") if line.startswith("[") else table
-            field = fields_in(table, self.controller.kind).get(line.partition(" = ")[0])
+            field = field_in((table, line.partition(" = ")[0]), self.controller.kind)
             if field is None or not field.description:
                 lines.append(line)
                 continue

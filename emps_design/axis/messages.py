@@ -6,9 +6,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from emps_design.axis.tables import TABLES, fields_in
+from emps_design.axis.tables import field_in, fields_in
 from emps_design.errors import nearest_name
-from emps_design.laws import fields_of, unit_of
+from emps_design.laws import NONE, unit_of
+from emps_design.laws.law import NUMBER, RECORDED
 from emps_design.units import Units
 
 
@@ -18,23 +19,26 @@ def first_line(error: ValidationError, table: Any, tables: list[str]) -> str:
     ``tables`` are the keys that an axis file has.
     """
     units = Units.of(table) if isinstance(table, dict) else Units()
+    controller = table.get("controller") if isinstance(table, dict) else None
+    kind = str(controller.get("kind", NONE)) if isinstance(controller, dict) else NONE
     problems = error.errors(include_url=False)
     problem = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
-    path = [str(part) for part in problem["loc"]]
+    path = [str(part) for part in problem["loc"] if part not in (NUMBER, RECORDED)]
     if path[:1] == ["effects"]:  # an effect's table is flat in the file
         path = [part for part in path if part != "parameters"]
     if path == ["drive", "command_limit"] and "voltage_limit" in table["drive"]:
         path[-1] = "voltage_limit"
     place = ".".join(path) or "axis"
     if problem["type"] == "extra_forbidden":
-        known = list((fields_in(path[0]) if len(path) == 2 else {}) or tables)
+        known = list(fields_in(".".join(path[:-1]), kind) or tables)
         return f"{place}: unknown key{nearest_name(path[-1], known)} (known: {', '.join(known)})"
     if problem["type"] == "value_error":
         text = problem["msg"].removeprefix("Value error, ").removeprefix("effects: ")
         if not path:  # the whole axis; the text has the place
             return text
-        return f"{place}{'.' if _is_field(path, text.partition(':')[0]) else ': '}{text}"
-    field = fields_in(path[0]).get(path[1]) if len(path) == 2 else None
+        is_key = field_in([*path, *text.partition(":")[0].split(".")], kind) is not None
+        return f"{place}{'.' if is_key else ': '}{text}"
+    field = field_in(path, kind) if path else None
     unit = units.unit(unit_of(field))
     expected = _expected(problem["type"], problem.get("ctx", {}), problem["msg"], f" [{unit}]" if unit else "")
     if problem["type"] == "missing":
@@ -49,13 +53,6 @@ def first_line(error: ValidationError, table: Any, tables: list[str]) -> str:
     return f"{place}: found {found}{f' {unit}' if unit and number else ''}, expected {expected}"
 
 
-def _is_field(path: list[str], name: str) -> bool:
-    """Whether ``name`` is a key of the table at ``path``."""
-    return len(path) == 1 and (
-        name in fields_of() if path == ["controller"] else path[0] in TABLES and name in fields_in(path[0])
-    )
-
-
 def _expected(kind: str, context: dict[str, Any], message: str, unit: str) -> str:
     """What a field wants, in the words of an engineer rather than of the validator."""
     words = {
@@ -67,7 +64,7 @@ def _expected(kind: str, context: dict[str, Any], message: str, unit: str) -> st
         "missing": "text in quotes",
         "model_type": "a table",
         "dict_type": "a table",
-        "tuple_type": "[[effects]] tables",
+        "tuple_type": "a list of tables",
     }
     bounds = {"greater_than": "greater than", "greater_than_equal": "of at least", "less_than_equal": "of at most"}
     if kind in bounds:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
@@ -18,7 +19,17 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 
 from emps_design.effects import Effect, get_effect
-from emps_design.laws import NONE, Finite, NonNegative, Positive, fields_of, known_laws, parameters_of
+from emps_design.laws import (
+    NONE,
+    Finite,
+    NonNegative,
+    Positive,
+    field_at,
+    fields_of,
+    fields_within,
+    known_laws,
+    parameters_of,
+)
 from emps_design.units import COMMANDS, check_command_unit
 
 NO_LIMIT = 1e9  # the largest command where none is known
@@ -131,10 +142,10 @@ class Sampling(Table):
 class Controller(Table):
     """The law that makes the voltage: its kind, and its parameters as the law's own table has them.
 
-    A parameter reads as an attribute, None where it is not given: ``axis.controller.kp``.
+    A parameter reads as an attribute, None where it is not given: ``axis.controller.kp``; an inner table is a dict.
     """
 
-    kind: str = Field(NONE, description="the law: position_pd, ip_velocity, impedance or none")
+    kind: str = Field(NONE, description="the law: position_pd, ip_velocity, impedance, cascade, p or none")
     parameters: dict[str, Any]
 
     @model_validator(mode="before")
@@ -195,8 +206,20 @@ TABLES: dict[str, type[Table]] = {
 
 
 def fields_in(table: str, kind: str = NONE) -> dict[str, FieldInfo]:
-    """The keys of a ``table`` of the axis file, in that of the controller those of every law; none for another name."""
+    """The keys of a ``table`` of the axis file, in that of the controller those of every law; none for another name.
+
+    >>> list(fields_in("controller.velocity", "cascade"))
+    ['kp', 'ti', 'form']
+    """
+    table, *path = table.split(".")
     if table == "controller":
-        return {"kind": Controller.model_fields["kind"], **fields_of(kind)}
-    fields = TABLES[table].model_fields if table in TABLES else {}
-    return {**fields, "voltage_limit": fields["command_limit"]} if table == "drive" else fields
+        own = {"kind": Controller.model_fields["kind"], **fields_of(kind)}
+        return fields_within(field_at(kind, path)) if path else own
+    fields = TABLES[table].model_fields if table in TABLES and not path else {}
+    return {**fields, "voltage_limit": fields["command_limit"]} if table == "drive" and fields else dict(fields)
+
+
+def field_in(path: Sequence[str], kind: str = NONE) -> FieldInfo | None:
+    """The field at a ``path`` of keys, the name of its table first; None where there is none."""
+    *table, key = path
+    return fields_in(".".join(table), kind).get(key)

@@ -144,7 +144,7 @@ def run_block(
         memory[:] = 0.0
         found[0] = 0
         status, good, _ = run_samples(
-            (baseline, hooks, starts, parameters[i], settings), y, law, gains[i], memory, reference, push, none,
+            (baseline, hooks, starts, parameters[i], settings), y, law, gains[i : i + 1], memory, reference, push, none,
             columns, slots, floors, scratch, out, noted, found,
         )  # fmt: skip
         if status == DONE:

@@ -7,17 +7,24 @@ is a plain import: the file's code runs. An axis file then asks for it with ``co
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
+from dataclasses import replace
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
-from pydantic import create_model
+import numpy as np
+from pydantic import ValidationError, create_model
 from pydantic.fields import FieldInfo
 
 from emps_design.errors import AxisError
 from emps_design.laws.law import (
+    BACKWARD,
+    TWO_TAP,
     Finite,
+    FromRecord,
+    Gain,
+    Group,
     Law,
     LawKind,
     LawTable,
@@ -38,10 +45,12 @@ known_laws, get_law = REGISTRY.known, REGISTRY.get
 register, load_file = REGISTRY.register, REGISTRY.load_file
 
 
-def law_of(axis: Any, period: float) -> Law:
+def law_of(axis: Any, period: float, columns: Mapping[str, Any] | None = None) -> Law:
     """The law an :class:`~emps_design.axis.Axis` asks for, at a sampling ``period`` [s].
 
-    Raises :class:`AxisError` where the controller is ``none``, which has no law to close a loop with.
+    ``columns`` of a record give the gains that come from one, a number or an array (n,) each.
+    Raises :class:`AxisError` where the controller is ``none``, which has no law to close a loop with, and where a
+    column is missing.
 
     >>> from emps_design.machines import machine
     >>> law_of(machine("emps2019"), 1e-3).kernel.__name__
@@ -58,7 +67,42 @@ def law_of(axis: Any, period: float) -> Law:
     own = {
         name: axis.controller.parameters[name] for name in law.table.model_fields if name in axis.controller.parameters
     }
-    return law.law(law.table(**own), axis, period)
+    recorded = {name: source for name, source in own.items() if isinstance(source, dict) and "record" in source}
+    if not recorded:
+        return law.law(law.table(**own), axis, period)
+    rows, sample = np.unique(_recorded(recorded, columns or {}), axis=0, return_inverse=True)
+    found = []
+    for row in rows.tolist():
+        try:
+            found.append(law.law(law.table(**{**own, **dict(zip(recorded, row, strict=True))}), axis, period))
+        except ValidationError as error:
+            problem = error.errors(include_url=False)[0]
+            name, source = problem["loc"][0], recorded[str(problem["loc"][0])]
+            raise AxisError(
+                f"controller.{name}: found {problem['input']:g} from column {source['record']!r} of the record times "
+                f"{source['scale']:g}; {problem['msg']}"
+            ) from error
+    if len(found) == 1:
+        return found[0]
+    return replace(found[0], gains=np.array([one.gains for one in found])[sample.ravel()], state_feedback=False)
+
+
+def _recorded(sources: Mapping[str, Any], columns: Mapping[str, Any]) -> np.ndarray:
+    """The gains that a record gives, one row for each sample, or one alone; a column for each of ``sources``."""
+    found = []
+    for name, source in sources.items():
+        if source["record"] not in columns:
+            raise AxisError(
+                f"controller.{name}: comes from column {source['record']!r} of a record, found "
+                f"{', '.join(columns) or 'no record'}; expected a record with that column, or a number"
+            )
+        try:
+            found.append(source["scale"] * np.atleast_1d(np.asarray(columns[source["record"]], dtype=float)))
+        except (TypeError, ValueError) as error:
+            raise AxisError(
+                f"controller.{name}: column {source['record']!r} of the record is no numbers ({error})"
+            ) from error
+    return np.column_stack(np.broadcast_arrays(*found))
 
 
 def parameters_of(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -91,6 +135,47 @@ def fields_of(kind: str = NONE) -> dict[str, FieldInfo]:
     return {name: fields[name] for name in [n for n in order if n not in shared] + list(shared)}
 
 
+def field_at(kind: str, path: Sequence[str]) -> FieldInfo | None:
+    """The field at a ``path`` of keys of the ``[controller]`` table, inner tables included; None where there is none.
+
+    >>> field_at("cascade", ["velocity", "ti"]).json_schema_extra["unit"]
+    's'
+    """
+    fields, found = fields_of(kind), None
+    for key in path:
+        if not key.isdigit():  # a place in a list
+            found = fields.get(key)
+            fields = fields_within(found)
+    return found
+
+
+def fields_within(field: FieldInfo | None) -> dict[str, FieldInfo]:
+    """The keys of the table that a ``field`` holds, or of each in a list of them; none of a number."""
+    group = _group(field.annotation) if field else None
+    return group.model_fields if group else {}
+
+
+def leaves(parameters: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Every value of a ``[controller]`` table with the path of keys to it, inner tables and lists walked through.
+
+    >>> list(leaves({"kp": 2.0, "filters": [{"frequency": 350.0}]}))
+    [(('kp',), 2.0), (('filters', '0', 'frequency'), 350.0)]
+    """
+    if not isinstance(parameters, dict | list | tuple):
+        yield path, parameters
+        return
+    inner = parameters.items() if isinstance(parameters, dict) else enumerate(parameters)
+    for key, value in inner:
+        yield from leaves(value, (*path, str(key)))
+
+
+def _group(annotation: Any) -> type[Group] | None:
+    """The table that a field holds, or a list of, by its ``annotation``; None where it holds none."""
+    if isinstance(annotation, type) and issubclass(annotation, Group):
+        return annotation
+    return next(filter(None, map(_group, get_args(annotation))), None)
+
+
 @lru_cache(maxsize=64)
 def _table(kind: str, laws: tuple[LawKind, ...]) -> type[LawTable]:
     """The table of ``kind`` with what the other ``laws`` have as well, none of it needed."""
@@ -109,20 +194,28 @@ def _table(kind: str, laws: tuple[LawKind, ...]) -> type[LawTable]:
 REGISTRY.load_environment()
 
 __all__ = [
+    "BACKWARD",
     "LAWS",
     "NONE",
     "REGISTRY",
+    "TWO_TAP",
     "VARIABLE",
     "Finite",
+    "FromRecord",
+    "Gain",
+    "Group",
     "Law",
     "LawKind",
     "LawTable",
     "NonNegative",
     "Positive",
+    "field_at",
     "fields_of",
+    "fields_within",
     "get_law",
     "known_laws",
     "law_of",
+    "leaves",
     "load_file",
     "parameter",
     "parameters_of",

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 from pydantic.fields import FieldInfo
 
 from emps_design.errors import AxisError
@@ -27,7 +27,7 @@ NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 
 FOLLOWS = ("position", "velocity", "rest position")  # the last is where a spring pulls to, and no more
-TWO_TAP = "two_tap"
+TWO_TAP, BACKWARD = "two_tap", "backward"
 
 
 def parameter(description: str, unit: str, default: Any = ...) -> Any:
@@ -41,10 +41,28 @@ def unit_of(field: FieldInfo | None) -> str:
     return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
 
 
-class LawTable(BaseModel):
-    """The ``[controller]`` table of one kind of law without its ``kind``; what every law has."""
+class Group(BaseModel):
+    """A table inside the ``[controller]`` table: parameters that belong together, as those of one loop."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class FromRecord(Group):
+    """A gain that the record gives: ``scale`` times its column ``record``, one number or one for each sample."""
+
+    record: str = Field(description="name of the column", json_schema_extra={"unit": ""})
+    scale: Finite = Field(1.0, description="what the column is multiplied by", json_schema_extra={"unit": ""})
+
+
+NUMBER, RECORDED = "a number", "a column of the record"  # what a gain may be; with a blank, as no key of a table
+Gain = Annotated[
+    Annotated[Positive, Tag(NUMBER)] | Annotated[FromRecord, Tag(RECORDED)],
+    Discriminator(lambda given: RECORDED if isinstance(given, dict | FromRecord) else NUMBER),
+]
+
+
+class LawTable(Group):
+    """The ``[controller]`` table of one kind of law without its ``kind``; what every law has."""
 
     velocity_estimator: Literal["two_tap", "backward"] = Field(
         TWO_TAP, description="two-tap average and backward difference, or backward difference alone"
@@ -55,7 +73,9 @@ class LawTable(BaseModel):
 class Law:
     """A control law with its numbers: the kernel, its ``gains``, the length of its ``memory``; the rest of its kind.
 
-    For :mod:`.linear` the gains may be a list that holds arrays (m,), of m laws, or symbols.
+    ``gains`` (g,), or (n, g) where a record gives them sample by sample. After ``cycle`` samples the law does the same
+    again: 1, but for loops of different rates. For :mod:`.linear` the gains may be a list that holds arrays (m,), of m
+    laws, or symbols.
     """
 
     kernel: Callable[..., float]
@@ -63,6 +83,11 @@ class Law:
     memory: int
     follows: str = "position"
     state_feedback: bool = False
+    cycle: int = 1
+
+    def row(self, k: int) -> Any:
+        """The gains at sample ``k``."""
+        return self.gains[k] if np.ndim(self.gains) == 2 else self.gains
 
     def reference(self, q_ref: np.ndarray, period: float) -> np.ndarray:
         """What the law follows (n,) [m or m/s] along the positions ``q_ref`` (n,) [m]: them, or their rate."""
@@ -75,8 +100,9 @@ class LawKind:
 
     ``table`` is the pydantic model of its parameters, with units, bounds and descriptions. ``gains(p, axis, period)``
     gives the kernel's numbers from a table ``p``, the :class:`~emps_design.axis.Axis` it runs on and the sampling
-    ``period`` [s]; ``memory`` is the length of the kernel's memory, or a function of the axis. ``equations(p, axis,
-    period)`` are the lines to paste into a drive.
+    ``period`` [s]; ``memory`` is the length of the kernel's memory, or a function of table and axis.
+    ``equations(p, axis, period)`` are the lines to paste into a drive. ``follows`` is one of ``FOLLOWS``, or a function
+    of the table, and so is ``cycle``, after how many samples the law does the same again.
 
     ``state_feedback`` says that the kernel is ``u = gains[0] (reference - q) - gains[1] v`` and no more, with 1/period
     and whether v is the two-tap estimate behind them: fused runs compute it in its place. ``apparent`` says that the
@@ -92,15 +118,16 @@ class LawKind:
     table: type[LawTable]
     kernel: Callable[..., float]
     gains: Callable[[Any, Any, float], Sequence[float]]
-    memory: int | Callable[[Any], int]
+    memory: int | Callable[[Any, Any], int]
     equations: Callable[[Any, Any, float], tuple[str, ...]]
-    follows: str = "position"
+    follows: str | Callable[[Any], str] = "position"
+    cycle: int | Callable[[Any], int] = 1
     state_feedback: bool = False
     apparent: bool = False
     propose: Callable[..., dict[str, float] | None] | None = None
 
     def __post_init__(self) -> None:
-        if self.follows not in FOLLOWS:
+        if not callable(self.follows) and self.follows not in FOLLOWS:
             raise AxisError(f"law {self.name}: follows {self.follows!r}, expected one of {', '.join(FOLLOWS)}")
         if not (isinstance(self.table, type) and issubclass(self.table, LawTable)):
             raise AxisError(f"law {self.name}: table {self.table!r}, expected a class derived from LawTable")
@@ -112,9 +139,14 @@ class LawKind:
 
     def law(self, p: Any, axis: Any, period: float) -> Law:
         """The law with the numbers of the table ``p``, on ``axis``, at a sampling ``period`` [s]."""
-        memory = self.memory(axis) if callable(self.memory) else self.memory
+        gains = np.array(self.gains(p, axis, period), dtype=float)
         return Law(
-            self.kernel, np.array(self.gains(p, axis, period), dtype=float), memory, self.follows, self.state_feedback
+            self.kernel,
+            gains,
+            self.memory(p, axis) if callable(self.memory) else self.memory,
+            self.follows(p) if callable(self.follows) else self.follows,
+            self.state_feedback,
+            self.cycle(p) if callable(self.cycle) else self.cycle,
         )
 
 

@@ -112,8 +112,9 @@ class LinearLaw:
     """``u = C m + D w``, ``m[k+1] = A m + B w`` with the memory ``m`` and the inputs ``w``, deviations from the slide.
 
     ``inputs`` names them: reference, q, f_ext, and any gains taken as signals. Shapes (..., n, n), (..., n, i),
-    (..., n), (..., i); leading axes are those of arrays among the gains. ``moved`` (..., n) is what the memory of a law
-    at rest gains for each metre of position.
+    (..., n), (..., i); leading axes are those of arrays among the gains, before them that of the samples of a ``cycle``
+    where loops have different rates. ``moved`` (..., n) is what the memory of a law at rest gains for each metre of
+    position.
     """
 
     A: np.ndarray
@@ -122,11 +123,20 @@ class LinearLaw:
     D: np.ndarray
     moved: np.ndarray
     inputs: tuple[str, ...] = INPUTS
+    cycle: int = 1
 
     def to_ss(self, period: float) -> control.StateSpace:
-        """The law as a discrete ``control.StateSpace`` from its inputs to the voltage."""
+        """The law as a discrete ``control.StateSpace`` from its inputs to the voltage.
+
+        Raises :class:`AxisError` for a law of different rates, which has none of that ``period``.
+        """
         import control
 
+        if self.cycle > 1:
+            raise AxisError(
+                f"law: found loops of different rates, the same again after {self.cycle} samples, expected one rate; "
+                "take to_ss() of the closed loop, which is lifted over them"
+            )
         names = {"inputs": list(self.inputs), "outputs": ["voltage"], "name": "law"}
         return control.ss(self.A, self.B, self.C[None], self.D[None], period, **names)
 
@@ -160,16 +170,17 @@ def linear_law(law: Law, period: float, direction: float = 1.0, signals: dict[in
     >>> found.D.round(1).tolist(), found.C.round(1).tolist(), found.keeps_to_changes
     ([38995.8, -160720.8, 0.0], [0.0, 121725.0], False)
     """
-    u, cells = run_linear(law, period, direction, signals)
     memory = law.memory
     start: list[Any] = [0.0] * memory
     law.kernel(0, 0.0, Linear(0.0, 0.0, {"q": 1.0}), 0.0, np.inf, _plain(law.gains), start)
     inputs = (*INPUTS, *(signals or {}).values())
     names = (*range(memory), *inputs)
     moved = _dense([_linear(cell) for cell in start], ("q",))[..., 0]
-    rows = _dense([*cells, u], names)
+    runs = [run_linear(law, period, direction, signals, sample=sample) for sample in range(law.cycle)]
+    tables = [_dense([*cells, u], names) for u, cells in runs]
+    rows = tables[0] if law.cycle == 1 else np.stack(np.broadcast_arrays(*tables))
     A, B = rows[..., :-1, :memory], rows[..., :-1, memory:]
-    return LinearLaw(A, B, rows[..., -1, :memory], rows[..., -1, memory:], moved, inputs)
+    return LinearLaw(A, B, rows[..., -1, :memory], rows[..., -1, memory:], moved, inputs, law.cycle)
 
 
 def own_poles(law: Law, period: float) -> np.ndarray:
@@ -196,16 +207,17 @@ def run_linear(
     direction: float = 1.0,
     signals: dict[int, str] | None = None,
     limit: float = np.inf,
+    sample: int = 0,
 ) -> tuple[Linear, list[Linear]]:
     """Output and next memory of ``law`` as linear numbers of its memory, by place, and of its inputs, by name.
 
     Gains may be linear numbers themselves: a value to decide branches by, and a symbol as its constant. With a
-    ``limit`` below zero the voltage is at its limit, whatever it would be.
+    ``limit`` below zero the voltage is at its limit, whatever it would be. ``sample`` counts within the law's cycle.
     """
     numbers = _plain(law.gains)
     values = [_value(gain) for gain in numbers]
     step, past = direction * SPEED * period, [0.0] * law.memory
-    sample = law.memory + 4
+    sample += -(-(law.memory + 4) // law.cycle) * law.cycle  # the first samples set a law up
     for k in range(sample):
         reference = direction * SPEED if law.follows == "velocity" else k * step
         law.kernel(k, reference, k * step, 0.0, np.inf, values, past)

@@ -308,9 +308,11 @@ class Plant:
     def _general(self, law, reference, push, noise, q0, v0, period, energy, events, found, ready):
         n, y = reference.size, ready.y
         out = np.empty((5, n))
-        place, gains, memory = 0, _EMPTY, _EMPTY
+        place, gains, memory = 0, _NO_SIGNALS, _EMPTY
         if law is not None:
-            place, gains, memory = address(law.kernel, "law"), law.gains, np.zeros(law.memory)
+            place, gains, memory = address(law.kernel, "law"), np.atleast_2d(law.gains), np.zeros(law.memory)
+            if len(gains) not in (1, n):
+                raise InputError(f"law: found gains for {len(gains)} samples, expected {n}: those of its own record")
         plant = (ready.baseline, ready.hooks, ready.starts, ready.parameters, ready.settings)
         status, k, within = stepper.run(
             plant, y, place, gains, memory, reference, push, noise, ready.columns, ready.slots, ready.floors,

@@ -10,7 +10,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import InputError
-from emps_design.laws import known_laws
+from emps_design.laws import NONE, known_laws, law_of
 from emps_design.records import Record
 from emps_design.records.check import SHORTEST_PERIOD
 from emps_design.simulation.plant import Plant
@@ -64,13 +64,15 @@ def synthetic_record(
     >>> record.name, record.period, len(record)
     ('synthetic-emps2019', 0.001, 18206)
     """
-    following = [repr(law.name) for law in known_laws().values() if law.follows == "position"]
-    if repr(axis.controller.kind) not in following:
+    period = axis.sampling.period
+    if axis.controller.kind == NONE or law_of(axis, period).follows != "position":
+        following = [
+            repr(law.name) for law in known_laws().values() if law.follows == "position" or callable(law.follows)
+        ]
         raise InputError(
             f"axis {axis.name}: found controller {axis.controller.kind!r}, expected {' or '.join(following)}: "
             "laps need a controller that follows a position"
         )
-    period = axis.sampling.period
     q_ref = trapezoid_laps(period, stroke, speed, laps=laps) if q_ref is None else q_ref
     random = np.random.default_rng(seed)
     run = Plant.of(axis).closed_loop(

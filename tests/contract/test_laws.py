@@ -9,14 +9,25 @@ import pytest
 import emps_design.laws as laws
 from emps_design.axis import Axis
 from emps_design.errors import AxisError, InputError
-from emps_design.laws import LAWS, fields_of, law_of
+from emps_design.laws import LAWS, field_at, fields_of, law_of, leaves, unit_of
 from emps_design.machines import machine
 
 GIVEN = {
     "position_pd": {"kp": 160.18, "kv": 243.45},
     "ip_velocity": {"k_v1": 400.0, "t_v": 0.02, "k_e1": 0.002},
     "impedance": {"mass": 50.0, "damping": 100.0, "filter": 300.0},
+    "cascade": {
+        "position": {"kp": 30.0, "every": 2},
+        "velocity": {"kp": 300.0, "ti": 0.05},
+        "feedforward": {"velocity": 0.9, "acceleration": 2.5, "coulomb": 0.4},
+        "filters": [
+            {"kind": "lowpass", "frequency": 250.0},
+            {"kind": "notch", "frequency": 110.0, "damping": 0.5, "depth": 0.2},
+        ],
+    },
+    "p": {"kp": 20000.0},
 }
+DIMENSIONLESS = {"damping", "depth", "velocity"}  # of a notch, and a share of the velocity
 EVERY = pytest.mark.parametrize("kind", LAWS, ids=lambda kind: kind.name)
 
 
@@ -35,10 +46,11 @@ def test_one_file_a_law():
 
 @EVERY
 def test_parameters_have_words_and_units(kind):
-    for name, field in kind.table.model_fields.items():
+    for path, value in leaves(GIVEN[kind.name]):
+        field = field_at(kind.name, path)
         assert field.description
-        if name != "velocity_estimator":
-            assert field.json_schema_extra["unit"]
+        assert unit_of(field) or path[-1] in DIMENSIONLESS or isinstance(value, str)
+    assert all(field.description for field in kind.table.model_fields.values())
     assert kind.label
     assert kind.source
 
@@ -48,20 +60,32 @@ def test_axis_file_there_and_back(kind):
     axis = axis_with(kind)
     assert Axis.from_toml(axis.to_toml()) == axis
     assert Axis.from_toml(axis.to_toml(comments=True)) == axis
-    for name, value in GIVEN[kind.name].items():
-        assert getattr(axis.controller, name) == value
-        assert kind.table.model_fields[name].description in axis.to_toml(comments=True)
+    read = dict(leaves(axis.controller.parameters))
+    for path, value in leaves(GIVEN[kind.name]):
+        assert read[path] == value
+        if path[0] != "filters":  # inline tables have no line of their own
+            assert field_at(kind.name, path).description in axis.to_toml(comments=True)
 
 
 @EVERY
 def test_a_parameter_out_of_bounds_or_missing_is_told(kind):
     for name in kind.needs:
-        with pytest.raises(AxisError, match=rf"controller\.{name}: found -1.0 .*, expected a number"):
+        with pytest.raises(AxisError, match=rf"controller\.{name}: found -1.0.*, expected a (number|table)"):
             axis_with(kind, **{name: -1.0})
         with pytest.raises(AxisError, match=f"controller: kind '{kind.name}' needs {name}"):
             axis_with(kind, **{name: None})
     with pytest.raises(AxisError, match=r"controller\.gian: unknown key \(known: kind, "):
         axis_with(kind, gian=1.0)
+
+
+def changed(table, path, value):
+    """A copy of a ``[controller]`` table in which the number at ``path`` is another."""
+    if not path:
+        return value
+    key, rest = path[0], path[1:]
+    if isinstance(table, dict):
+        return {**table, key: changed(table[key], rest, value)}
+    return [changed(one, rest, value) if i == int(key) else one for i, one in enumerate(table)]
 
 
 @EVERY
@@ -71,10 +95,12 @@ def test_the_words_mention_every_gain(kind, estimator):
     axis = axis_with(kind, velocity_estimator=estimator)
     table = kind.table(**axis.controller.parameters)
     said = kind.equations(table, axis, 1e-3)
-    for name, value in GIVEN[kind.name].items():
-        other = kind.table(**{**axis.controller.parameters, name: 1.1 * value})
-        assert kind.equations(other, axis, 1e-3) != said, name
-    assert kind.equations(table, axis, 2e-3) != said
+    numbers = [(path, value) for path, value in leaves(GIVEN[kind.name]) if not isinstance(value, str)]
+    for path, value in numbers:
+        moved = value + 1 if isinstance(value, int) else 0.9 * value
+        other = kind.table(**changed(axis.controller.parameters, path, moved))
+        assert kind.equations(other, axis, 1e-3) != said, path
+    assert kind.equations(table, axis, 2e-3) != said or kind.name == "p"  # which has no velocity
     assert kind.equations(table, axis.replace(drive={"command_limit": 7.0}), 1e-3) != said
 
 
@@ -118,9 +144,10 @@ def test_a_law_finds_its_own_parameters_in_a_record(kind, estimator):
 
 @EVERY
 def test_parameters_of_other_kinds_wait_in_the_table(kind):
-    more = {name: value for given in GIVEN.values() for name, value in given.items()}
+    more = {name: value for given in GIVEN.values() for name, value in given.items()} | GIVEN[kind.name]
     axis = axis_with(kind, **more)
-    assert {name: getattr(axis.controller, name) for name in more} == more
+    kept = dict(leaves(axis.controller.parameters))
+    assert {path: kept[path] for path, _ in leaves(more)} == dict(leaves(more))
     assert Axis.from_toml(axis.to_toml()) == axis
     np.testing.assert_array_equal(law_of(axis, 1e-3).gains, law_of(axis_with(kind), 1e-3).gains)
 
@@ -232,3 +259,52 @@ def test_unknown_kinds_are_told():
         laws.get_law("impedence")
     with pytest.raises(AxisError, match=r"controller\.kind: found 3, expected 'position_pd', "):
         Axis.from_dict({**machine("emps2019").to_dict(), "controller": {"kind": 3}})
+
+
+def recorded(**given):
+    return axis_with(laws.get_law("p"), kp={"record": "gain", **given})
+
+
+def test_a_gain_may_come_from_the_record():
+    """A single number, a column of one number, a column that changes: in the law, and in the simulation."""
+    from emps_design.simulation import Plant
+
+    axis = recorded(scale=100.0)
+    assert Axis.from_toml(axis.to_toml(comments=True)) == axis
+    for column in (200, np.int64(200), np.full(50, 200.0)):
+        assert law_of(axis, 1e-3, {"gain": column}).gains.tolist() == [20000.0]
+    column = np.where(np.arange(300) < 100, 200.0, 90.0)
+    law = law_of(axis, 1e-3, {"gain": column})
+    q_ref = 1e-4 * np.arange(300.0)
+    run = Plant.of(axis).closed_loop(q_ref, law=law)
+    np.testing.assert_allclose(run.u, np.clip(100.0 * column * (q_ref - run.q), -10.0, 10.0), atol=1e-9)
+    with pytest.raises(InputError, match="law: found gains for 300 samples, expected 200: those of its own record"):
+        Plant.of(axis).closed_loop(q_ref[:200], law=law)
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        (None, r"controller\.kp: comes from column 'gain' of a record, found no record; expected a record with that"),
+        ({"kp": 3.0}, r"controller\.kp: comes from column 'gain' of a record, found kp; expected"),
+        ({"gain": -3.0}, r"controller\.kp: found -6 from column 'gain' of the record times 2; .* greater than 0"),
+        ({"gain": "high"}, r"controller\.kp: column 'gain' of the record is no numbers"),
+    ],
+)
+def test_a_gain_that_the_record_does_not_give_is_told(columns, message):
+    with pytest.raises(AxisError, match=message):
+        law_of(recorded(scale=2.0), 1e-3, columns)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"record": 3}, r"controller\.kp\.record: found 3, expected text in quotes"),
+        ({"record": "kp", "scal": 2.0}, r"controller\.kp\.scal: unknown key, did you mean 'scale'\?"),
+        ({"scale": 2.0}, r"controller\.kp\.record: missing"),
+        ("kp", r"controller\.kp: found 'kp', expected a number \[V/m\]"),
+    ],
+)
+def test_a_gain_that_is_neither_number_nor_column_is_told(given, message):
+    with pytest.raises(AxisError, match=message):
+        axis_with(laws.get_law("p"), kp=given)

@@ -42,13 +42,15 @@ def test_kernel_and_linear_form_are_one_law(kind, estimator, direction, delay):
     n = 80
     slide = direction * 0.2 * T * np.arange(n)
     more = np.array([slide, slide + 0.05, np.zeros(n)])
-    away = np.array([rng.normal(size=n), 3e-5 * rng.uniform(-1, 1, n), 5.0 * rng.normal(size=n)])
+    away = np.array([3e-5 * rng.uniform(-1, 1, n), 3e-5 * rng.uniform(-1, 1, n), 5.0 * rng.normal(size=n)])
     away[:, 0] = 0.0  # both start from the same rest
     plain, moved = (followed(law, x[1], x[0], x[2]) for x in (more, more + away))
     form, memory, found = linear_law(law, T, direction), np.zeros(law.memory), np.zeros(n)
+    samples = [[getattr(form, name)] if form.cycle == 1 else getattr(form, name) for name in "ABCD"]
     for k in range(n):
-        found[k] = form.C @ memory + form.D @ away[:, k]
-        memory = form.A @ memory + form.B @ away[:, k]
+        A, B, C, D = (matrices[k % form.cycle] for matrices in samples)
+        found[k] = C @ memory + D @ away[:, k]
+        memory = A @ memory + B @ away[:, k]
     np.testing.assert_allclose(moved - plain, found, rtol=1e-7, atol=1e-6 * np.abs(found).max())
 
 

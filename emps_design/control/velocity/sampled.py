@@ -166,4 +166,4 @@ def ip_law(plant: SampledPlant, k_v1: float, t_v: float, k_e1: float | np.ndarra
     law, period = ip_velocity.LAW, plant.period
     estimator = next(name for name, weights in ESTIMATORS.items() if weights == plant.weights)
     gains = ip_velocity.gains_of(k_v1, t_v, k_e1, period, estimator)
-    return linear_law(Law(law.kernel, gains, ip_velocity.MEMORY, law.follows), period)
+    return linear_law(Law(law.kernel, gains, ip_velocity.MEMORY, "velocity"), period)

@@ -72,13 +72,13 @@ def check_law(record: Record, axis: Axis, library: tuple[Effect, ...]) -> LawChe
 
 def law_voltage(record: Record, axis: Axis) -> np.ndarray:
     """Voltage (n,) [V] that the law of ``axis`` gives for the recorded reference and position, limit included."""
-    law = law_of(axis, record.period)
+    law = law_of(axis, record.period, record.extra)
     memory = np.zeros(law.memory)
     limit = axis.drive.command_limit
     reference = law.reference(record.q_ref, record.period)
     sensed = np.zeros(len(record)) if record.f_ext is None else record.f_ext
     voltage = np.array(
-        [law.kernel(k, reference[k], record.q[k], sensed[k], limit, law.gains, memory) for k in range(len(record))]
+        [law.kernel(k, reference[k], record.q[k], sensed[k], limit, law.row(k), memory) for k in range(len(record))]
     )
     return np.clip(voltage, -limit, limit)
 

@@ -21,6 +21,7 @@ from emps_design.errors import InputError
 from emps_design.laws.friction_model import FrictionModel
 from emps_design.laws.law import TWO_TAP, Law, LawKind, LawTable, NonNegative, Positive, parameter, velocity_in_words
 
+REST = "rest position"  # what the law follows
 # What stands where in the kernel's gains.
 RATIO, MASS, DAMPING, STIFFNESS, VISCOUS_POSITIVE, VISCOUS_NEGATIVE, COULOMB_POSITIVE, COULOMB_NEGATIVE = range(8)
 KEEP_ACCELERATION, KEEP_CURRENT, CURRENT_FACTOR, FORCE_SENSOR, FORCE_GAIN, KEEP_MOTOR, DELAY, RATE, TAPS = range(8, 17)
@@ -112,7 +113,7 @@ def gains_of(
 
 def law_with(gains, delay):
     """The law with the numbers of :func:`gains_of`, ``delay`` [samples] among them."""
-    return Law(impedance, gains, WAITING + delay, LAW.follows)
+    return Law(impedance, gains, WAITING + delay, REST)
 
 
 def default_filter(period: float) -> float:
@@ -178,8 +179,8 @@ LAW = LawKind(
     table=Table,
     kernel=impedance,
     gains=gains,
-    memory=lambda axis: WAITING + axis.sampling.computation_delay,
+    memory=lambda p, axis: WAITING + axis.sampling.computation_delay,
     equations=equations,
-    follows="rest position",
+    follows=REST,
     apparent=True,
 )

@@ -72,11 +72,11 @@ def run(
     """Run the loop over ``reference.size`` samples; returns the status, the sample, and the time within its period [s].
 
     ``plant`` = arrays (baseline, table of hooks, start of each row of the table, parameters, settings); ``law`` is the
-    address of the controller, 0: the reference is the voltage. ``push`` [N] and ``noise`` [V] are empty or one value a
-    sample; column i of ``signals`` is written to ``p[slots[i]]`` at every sample. ``floors`` are the sizes below which
-    own states need not be known relatively. ``out`` has a row each for encoder, position, velocity, voltage and
-    external force, ``events`` three columns; both are filled, and ``found`` [0] counts the events. ``scratch`` has room
-    for :func:`room` numbers.
+    address of the controller, 0: the reference is the voltage; ``gains`` have one row, or one a sample. ``push`` [N]
+    and ``noise`` [V] are empty or one value a sample; column i of ``signals`` is written to ``p[slots[i]]`` at every
+    sample. ``floors`` are the sizes below which own states need not be known relatively. ``out`` has a row each for
+    encoder, position, velocity, voltage and external force, ``events`` three columns; both are filled, and ``found``
+    [0] counts the events. ``scratch`` has room for :func:`room` numbers.
     """
     # Pointers from here on: arrays in tuples would be counted, at ten times the cost of the arithmetic.
     drive = pointer(scratch)  # gap between motor force and command, since when, and what a slide keeps
@@ -95,6 +95,7 @@ def run(
     position, velocity, u, outside = (
         shifted(encoder, n), shifted(encoder, 2 * n), shifted(encoder, 3 * n), shifted(encoder, 4 * n),
     )  # fmt: skip
+    stride = gains.shape[1] if gains.shape[0] > 1 else 0
     period, limit, resolution = settings[PERIOD], settings[LIMIT], settings[RESOLUTION]
     jumps, late = starts[JUMP + 1] > starts[JUMP], starts[DELAY + 1] > starts[DELAY]
     touched, weighs = starts[TOUCH + 1] > starts[TOUCH], starts[TOUCH_MASS + 1] > starts[TOUCH_MASS]
@@ -140,7 +141,7 @@ def run(
                 felt -= k1[1] * total(TOUCH_MASS, y_, t, tau, plant)
         outside[k] = felt
         if law != 0:
-            volts = call_law(law, k, reference[k], seen, felt, limit, gains_, memory_)
+            volts = call_law(law, k, reference[k], seen, felt, limit, shifted(gains_, k * stride), memory_)
         else:
             volts = reference[k]
         volts += total(COMMAND, y_, t, tau, plant)

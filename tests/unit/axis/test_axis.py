@@ -102,7 +102,7 @@ def test_frozen():
             "drive: current_gain, reduction, torque_constant: expected three numbers",
         ),
         ("kp = 160.18", "", "controller: kind 'position_pd' needs kp"),
-        ("'position_pd'", "'pid'", "found 'pid', expected 'position_pd', 'ip_velocity', 'impedance' or 'none'"),
+        ("'position_pd'", "'pid'", "expected 'position_pd', 'ip_velocity', 'impedance', 'cascade', 'p' or 'none'"),
         ("[sampling]", "[sampling", "axis.toml: not TOML, "),
     ],
 )

@@ -1,0 +1,223 @@
+"""Cascade of a servo drive: a position loop around a velocity loop, with feed-forward, filters and a limit.
+
+Sample k, period T, reference r, position q, everything at rest before the first sample:
+
+    v = (q[k] - q[k-1]) / T,   vr = (r[k] - r[k-1]) / T,   ar = (r[k] - 2 r[k-1] + r[k-2]) / T^2
+    vc = kp (r - q) in every n-th sample, the first among them, held in between
+    e = vc + share vr - v,   J = I + kp_v T / ti e
+    w = kp_v e + J (form "pi")  or  J - kp_v v (form "ip"),   + acceleration ar + coulomb sign(vr)
+
+then the filters in their order, each by the bilinear transform ``s = 2/T (z - 1)/(z + 1)`` without prewarping:
+``w0/(s + w0)``, and for a notch ``(s^2 + 2 depth damping w0 s + w0^2)/(s^2 + 2 damping w0 s + w0^2)``; then the limit.
+I takes J, with ``anti_windup = "hold"`` only where the limit does not act. Without a position loop the reference is a
+velocity: ``vr = r``, ``ar = (r[k] - r[k-1]) / T``, ``vc = 0``, share 1. Source: the cascade that servo drives run.
+"""
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from emps_design.laws.law import (
+    BACKWARD,
+    TWO_TAP,
+    Finite,
+    Group,
+    LawKind,
+    LawTable,
+    NonNegative,
+    Positive,
+    parameter,
+    velocity_in_words,
+)
+
+# What stands where in the kernel's gains; five coefficients b0, b1, b2, a1, a2 follow for each filter.
+RATE, TWO_TAPS, POSITION, EVERY, PROPORTIONAL, INTEGRAL, IP, SHARE, ACCELERATION, COULOMB = range(10)
+FOLLOWS_VELOCITY, HOLD, FILTERS, COEFFICIENTS = range(10, 14)
+# And in its memory; two numbers follow for each filter.
+Q1, Q2, R1, R2, WANTED, INTEGRATOR, FILTERED = range(7)
+
+
+def cascade(k, reference, q, f_ext, limit, gains, memory):
+    """Command of the law at sample k."""
+    if k == 0:
+        memory[Q1] = memory[Q2] = q
+        # At rest: a position reference has been where it is, a velocity reference has been 0.
+        memory[R1] = memory[R2] = 0.0 if gains[FOLLOWS_VELOCITY] > 0.0 else reference
+        memory[WANTED] = memory[INTEGRATOR] = 0.0
+    rate = gains[RATE]
+    if gains[TWO_TAPS] > 0.0:
+        v = 0.5 * (q - memory[Q2]) * rate
+    else:
+        v = (q - memory[Q1]) * rate
+    memory[Q2] = memory[Q1]
+    memory[Q1] = q
+    if gains[FOLLOWS_VELOCITY] > 0.0:
+        vr = reference
+        ar = (reference - memory[R1]) * rate
+    else:
+        vr = (reference - memory[R1]) * rate
+        ar = (reference - 2.0 * memory[R1] + memory[R2]) * rate * rate
+        if k % int(gains[EVERY]) == 0:
+            memory[WANTED] = gains[POSITION] * (reference - q)
+    memory[R2] = memory[R1]
+    memory[R1] = reference
+    e = memory[WANTED] + gains[SHARE] * vr - v
+    integral = memory[INTEGRATOR] + gains[INTEGRAL] * e
+    w = integral + gains[ACCELERATION] * ar
+    if gains[IP] > 0.0:
+        w -= gains[PROPORTIONAL] * v
+    else:
+        w += gains[PROPORTIONAL] * e
+    if vr > 0.0:
+        w += gains[COULOMB]
+    elif vr < 0.0:
+        w -= gains[COULOMB]
+    for i in range(int(gains[FILTERS])):
+        at = COEFFICIENTS + 5 * i
+        s = FILTERED + 2 * i
+        y = gains[at] * w + memory[s]
+        memory[s] = gains[at + 1] * w - gains[at + 3] * y + memory[s + 1]
+        memory[s + 1] = gains[at + 2] * w - gains[at + 4] * y
+        w = y
+    u = min(max(w, -limit), limit)
+    if gains[HOLD] == 0.0 or (w <= limit and w >= -limit):
+        memory[INTEGRATOR] = integral
+    return u
+
+
+class PositionLoop(Group):
+    kp: Positive = parameter("gain of the position loop", "1/s")
+    every: Annotated[int, Field(ge=1, le=1000, strict=True)] = parameter(
+        "the position loop runs in every n-th sample", "samples", 1
+    )
+
+
+class VelocityLoop(Group):
+    kp: Positive = parameter("gain of the velocity loop", "V/(m/s)")
+    ti: Positive | None = parameter("integral time of the velocity loop, left out: no integral", "s", None)
+    form: Literal["pi", "ip"] = parameter("pi: proportional to the error; ip: to the measured velocity", "", "pi")
+
+
+class Feedforward(Group):
+    velocity: Finite = parameter("share of the reference velocity that the velocity loop is given", "", 0.0)
+    acceleration: Finite = parameter("feed-forward of the acceleration", "V/(m/s^2)", 0.0)
+    coulomb: Finite = parameter("feed-forward of the Coulomb friction", "V", 0.0)
+
+
+class Filter(Group):
+    kind: Literal["lowpass", "notch"] = parameter("lowpass or notch", "")
+    frequency: Positive = parameter("corner or centre frequency", "Hz")
+    damping: Positive | None = parameter("damping of a notch, half its relative width", "", None)
+    depth: Annotated[NonNegative, Field(le=1.0)] | None = parameter("gain of a notch at its centre", "", None)
+
+    @model_validator(mode="after")
+    def _complete(self):
+        for name in ("damping", "depth"):
+            if (getattr(self, name) is None) == (self.kind == "notch"):
+                wanted = f"a number: a notch has {name}" if self.kind == "notch" else f"no {name} of a low-pass"
+                raise ValueError(f"{name}: found {getattr(self, name)}, expected {wanted}")
+        return self
+
+
+class Table(LawTable):
+    position: PositionLoop | None = parameter("position loop, left out: the reference is a velocity", "", None)
+    velocity: VelocityLoop = parameter("velocity loop", "")
+    feedforward: Feedforward | None = parameter("feed-forward of the reference", "", None)
+    filters: tuple[Filter, ...] = parameter("filters of the command, in this order", "", ())
+    anti_windup: Literal["hold", "none"] = parameter("hold: no integration while the limit acts", "", "hold")
+    velocity_estimator: Literal["two_tap", "backward"] = parameter(
+        "two-tap average and backward difference, or backward difference alone", "", BACKWARD
+    )
+
+    @model_validator(mode="after")
+    def _velocity_share(self):
+        if self.position is None and self.feedforward is not None and self.feedforward.velocity not in (0.0, 1.0):
+            raise ValueError(
+                f"feedforward.velocity: found {self.feedforward.velocity:g}, expected 1: without a position loop the "
+                "reference is the velocity"
+            )
+        return self
+
+
+def coefficients(one, period):
+    """Coefficients b0, b1, b2, a1, a2 of a filter at a sampling ``period`` [s], by the bilinear transform.
+
+    >>> [round(value, 4) for value in coefficients(Filter(kind="lowpass", frequency=350.0), 0.25e-3)]
+    [0.2156, 0.2156, 0.0, -0.5688, 0.0]
+    """
+    c = math.pi * one.frequency * period  # w0 T / 2
+    if one.kind == "lowpass":
+        return c / (1.0 + c), c / (1.0 + c), 0.0, (c - 1.0) / (1.0 + c), 0.0
+    wide, deep = 2.0 * one.damping * c, 2.0 * one.depth * one.damping * c
+    first, whole = 2.0 * (c * c - 1.0), 1.0 + wide + c * c
+    return (
+        (1.0 + deep + c * c) / whole, first / whole, (1.0 - deep + c * c) / whole, first / whole,
+        (1.0 - wide + c * c) / whole,
+    )  # fmt: skip
+
+
+def gains(p, axis, period):
+    ahead, integral = p.feedforward or Feedforward(), p.velocity.kp * period / p.velocity.ti if p.velocity.ti else 0.0
+    return (
+        1.0 / period, float(p.velocity_estimator == TWO_TAP),
+        p.position.kp if p.position else 0.0, p.position.every if p.position else 1,
+        p.velocity.kp, integral, float(p.velocity.form == "ip"),
+        ahead.velocity if p.position else 1.0, ahead.acceleration, ahead.coulomb,
+        float(p.position is None), float(p.anti_windup == "hold"), len(p.filters),
+        *(number for one in p.filters for number in coefficients(one, period)),
+    )  # fmt: skip
+
+
+def _terms(*terms):
+    """A sum in words of the ``terms``, pairs of a factor and what it multiplies, without those whose factor is 0."""
+    said = [f"{factor:.10g} * {what}" if factor != 1.0 else what for factor, what in terms if factor != 0.0]
+    return " + ".join(said).replace("+ -", "- ")
+
+
+def equations(p, axis, period):
+    g, limit = gains(p, axis, period), f"{axis.drive.command_limit:.10g}"
+    lines, follows_velocity = [velocity_in_words(p, period)], p.position is None
+    wanted = "0"
+    if follows_velocity:
+        lines += ["vr[k] = v_ref[k]", f"ar[k] = (v_ref[k] - v_ref[k-1]) / {period:.10g}"]
+    else:
+        lines += [
+            f"vr[k] = (q_ref[k] - q_ref[k-1]) / {period:.10g}",
+            f"ar[k] = (q_ref[k] - 2 * q_ref[k-1] + q_ref[k-2]) / {period**2:.10g}",
+        ]
+        every = f"if k % {p.position.every} == 0: " if p.position.every > 1 else ""
+        lines.append(f"{every}vc[k] = {g[POSITION]:.10g} * (q_ref[k] - q[k])")
+        lines += ["else: vc[k] = vc[k-1]"] if every else []
+        wanted = "vc[k]"
+    given = [(1.0, wanted)] if wanted != "0" else []
+    lines.append(f"e[k] = {_terms(*given, (g[SHARE], 'vr[k]'))} - v[k]")
+    if p.velocity.ti:
+        lines.append(f"j[k] = i[k-1] + {g[INTEGRAL]:.10g} * e[k]")
+    own = (-g[PROPORTIONAL], "v[k]") if g[IP] else (g[PROPORTIONAL], "e[k]")
+    integral = [(1.0, "j[k]")] if p.velocity.ti else []
+    ahead = (g[ACCELERATION], "ar[k]"), (g[COULOMB], "sign(vr[k])")
+    lines.append(f"w0[k] = {_terms(own, *integral, *ahead)}")
+    for i, one in enumerate(p.filters):
+        b0, b1, b2, a1, a2 = coefficients(one, period)
+        terms = (b0, f"w{i}[k]"), (b1, f"w{i}[k-1]"), (b2, f"w{i}[k-2]")
+        lines.append(f"w{i + 1}[k] = {_terms(*terms, (-a1, f'w{i + 1}[k-1]'), (-a2, f'w{i + 1}[k-2]'))}")
+    last = f"w{len(p.filters)}[k]"
+    lines += [f"u[k] = {last}", f"if u[k] >  {limit}: u[k] =  {limit}", f"if u[k] < -{limit}: u[k] = -{limit}"]
+    if p.velocity.ti:
+        lines.append(f"i[k] = j[k]{f' if u[k] == {last} else i[k-1]' if g[HOLD] else ''}")
+    return tuple(lines)
+
+
+LAW = LawKind(
+    name="cascade",
+    label="cascade of a position and a velocity loop",
+    source="servo drives",
+    table=Table,
+    kernel=cascade,
+    gains=gains,
+    memory=lambda p, axis: FILTERED + 2 * len(p.filters),
+    equations=equations,
+    follows=lambda p: "velocity" if p.position is None else "position",
+    cycle=lambda p: 1 if p.position is None else p.position.every,
+)
