@@ -67,7 +67,8 @@ def design_change(before: Axis, after: Axis) -> list[dict[str, Any]]:
         ("Coulomb friction to compensate", "coulomb", "N"),
         ("viscous friction", "viscous", "N/(m/s)"),
     ):
-        rows.append(_row(name, *(quantity(getattr(axis.mechanics, key), unit) for axis in (before, after)), note))
+        was, now = (quantity(getattr(axis.mechanics, key), unit) for axis in (before, after))
+        rows.append(_row(name, was, now, note))
     return rows
 
 
