@@ -50,19 +50,11 @@ class Estimate:
     def to_dict(self) -> dict[str, Any]:
         """Plain data, SI."""
         return {
-            "value": self.value,
-            "std": self.std,
+            **{name: value for name, value in vars(self).items() if name != "quantity"},
             "relative_std_percent": self.relative_std_percent,
             "unit": self.quantity.unit,
             "symbol": self.quantity.symbol,
             "determined": self.determined,
-            "std_long_run": self.std_long_run,
-            "interval_95": self.interval_95,
-            "std_hac": self.std_hac,
-            "std_bootstrap": self.std_bootstrap,
-            "interval_95_bootstrap": self.interval_95_bootstrap,
-            "systematic": self.systematic,
-            "reliability": self.reliability,
         }
 
 

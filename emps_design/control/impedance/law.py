@@ -8,7 +8,7 @@ printed. Hats are ``(1 + error)`` times the plant's numbers, so an error of +2 %
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -42,11 +42,7 @@ class ApparentImpedance:
 
     def to_dict(self) -> dict[str, float]:
         """Keys of the contract: apparent_mass [kg], apparent_damping [N/(m/s)], coulomb_left [N]."""
-        return {
-            "apparent_mass": self.mass,
-            "apparent_damping": self.damping,
-            "coulomb_left": self.coulomb_left,
-        }
+        return {"apparent_mass": self.mass, "apparent_damping": self.damping, "coulomb_left": self.coulomb_left}
 
 
 @dataclass(frozen=True)
@@ -168,18 +164,9 @@ class ImpedanceLaw:
         """Plain data, SI; unfiltered is None."""
         acceleration, current = self.filters
         return {
-            "mass": self.mass,
-            "damping": self.damping,
-            "stiffness": self.stiffness,
-            "rest_position": self.rest_position,
-            "reference_velocity": self.reference_velocity,
+            **asdict(self),
             "filter": acceleration if math.isfinite(acceleration) else None,
             "current_filter": current if math.isfinite(current) else None,
-            "coulomb_factor": self.coulomb_factor,
-            "current_factor": self.current_factor,
-            "force_sensor": self.force_sensor,
-            "velocity_estimator": self.velocity_estimator,
-            "estimate": self.estimate.to_dict(),
         }
 
 

@@ -153,7 +153,7 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     for member, size in zip(members, sizes, strict=True):
         own = slice(first, first + size)
         mass += member.inertia(velocity, tau)
-        d_q, d_v, d_tau, d_x = member.force_slopes(velocity, tau)
+        d_q, d_v, d_tau, d_x = member.slopes(member.force, velocity, tau)
         drag[POSITION] += d_q
         drag[VELOCITY] += d_v
         drag[own] += d_x
@@ -164,7 +164,7 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
             A[own, own] += r_x
             A[own, :] += np.outer(r_tau, force_row)
             B[own] += r_tau * force_in
-        s_q, s_v, s_x = member.sensor_slopes(velocity, tau)
+        s_q, s_v, _, s_x = member.slopes(member.sensor, velocity, tau)
         C[POSITION] += s_q
         C[VELOCITY] += s_v
         C[own] += s_x
@@ -228,22 +228,28 @@ class _Member:
             total -= np.sign(v) * self.b[COULOMB]
         return float(total)
 
+    def sensor(self, q: float, v: float, tau: float, x: np.ndarray) -> float:
+        """What the effect adds to the encoder's reading [m]."""
+        return self._hook(self.effect.sensor, q, v, tau, x)
+
     def inertia(self, v: float, tau: float) -> float:
-        if self.effect.inertia is None:
-            return 0.0
-        return float(self.effect.inertia(0.0, v, 0.0, tau, self.x, self.p, self.b))
+        """What the effect adds to the mass [kg]."""
+        return self._hook(self.effect.inertia, 0.0, v, tau, self.x)
 
     def delay(self, v: float, tau: float) -> float:
-        if self.effect.delay is None:
-            return 0.0
-        return float(self.effect.delay(0.0, v, 0.0, tau, self.x, self.p, self.b))
+        """By how much the effect delays the voltage [s]."""
+        return self._hook(self.effect.delay, 0.0, v, tau, self.x)
 
-    def force_slopes(self, v: float, tau: float) -> tuple[float, float, float, np.ndarray]:
+    def _hook(self, hook, q: float, v: float, tau: float, x: np.ndarray) -> float:
+        return 0.0 if hook is None else float(hook(q, v, 0.0, tau, x, self.p, self.b))
+
+    def slopes(self, function, v: float, tau: float) -> tuple[float, float, float, np.ndarray]:
+        """Slopes of ``function(q, v, tau, x)`` over each of the four."""
         return (
-            self._over_position(lambda q: self.force_at(q, v, tau, self.x)),
-            _slope(lambda value: self.force(0.0, value, tau, self.x), v, 1e-4 * abs(v)),
-            _slope(lambda value: self.force(0.0, v, value, self.x), tau, 1e-3),
-            np.array([_slope(lambda value: self.force(0.0, v, tau, value), *at) for at in self._each_state()]),
+            self._over_position(lambda q: function(q, v, tau, self.x)),
+            _slope(lambda value: function(0.0, value, tau, self.x), v, 1e-4 * abs(v)),
+            _slope(lambda value: function(0.0, v, value, self.x), tau, 1e-3),
+            np.array([_slope(lambda value: function(0.0, v, tau, value), *at) for at in self._each_state()]),
         )
 
     def rate_slopes(self, v: float, tau: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -252,19 +258,6 @@ class _Member:
             _slope(lambda value: self._rate(0.0, value, tau, self.x), v, 1e-4 * abs(v)),
             _slope(lambda value: self._rate(0.0, v, value, self.x), tau, 1e-3),
             self._rate_jacobian(v, tau, self.x),
-        )
-
-    def sensor_slopes(self, v: float, tau: float) -> tuple[float, float, np.ndarray]:
-        if self.effect.sensor is None:
-            return 0.0, 0.0, np.zeros(self.x.size)
-
-        def sensor(q: float, v: float, x: np.ndarray) -> float:
-            return self.effect.sensor(q, v, 0.0, tau, x, self.p, self.b)
-
-        return (
-            self._over_position(lambda q: sensor(q, v, self.x)),
-            _slope(lambda value: sensor(0.0, value, self.x), v, 1e-4 * abs(v)),
-            np.array([_slope(lambda value: sensor(0.0, v, value), *at) for at in self._each_state()]),
         )
 
     def _over_position(self, function) -> float:
@@ -296,12 +289,10 @@ class _Member:
             warnings.append(f"{effect.name}: has no steady state at {v:g} m/s, linearised at its initial one")
         if self.repeat:
             where = f"{effect.name}: repeats every {self.repeat:.4g} m, {abs(v) / self.repeat:.4g} Hz at {v:g} m/s"
+            at_place, what = self.force_at, "a disturbance of +-{:.3g} N, not a spring"
             if effect.sensor is not None:
-                readings = [effect.sensor(q, v, 0.0, tau, self.x, self.p, self.b) for q in self.places]
-                size, what = 0.5 * float(np.ptp(readings)), "an error of the reading of +-{:.3g} m, not a gain"
-            else:
-                forces = [self.force_at(q, v, tau, self.x) for q in self.places]
-                size, what = 0.5 * float(np.ptp(forces)), "a disturbance of +-{:.3g} N, not a spring"
+                at_place, what = self.sensor, "an error of the reading of +-{:.3g} m, not a gain"
+            size = 0.5 * float(np.ptp([at_place(q, v, tau, self.x) for q in self.places]))
             warnings.append(f"{where}; its slope averages out there: in the linear design it is {what.format(size)}")
         return warnings
 
