@@ -228,7 +228,7 @@ def mismatch_study(
 
     laws = [law.with_errors(dict(zip(PARAMETERS, row, strict=True))) for row in errors.tolist()]
     clock = Clock.of(axis)
-    options = {"velocity_estimator": law.velocity_estimator, "force_sensor": law.force_sensor}
+    options: dict[str, Any] = {"velocity_estimator": law.velocity_estimator, "force_sensor": law.force_sensor}
     error, radius = np.zeros(len(errors)), np.zeros(len(errors))
     for direction in (1, -1) if split or plant.two_quadrant else (1,):
         n = {
@@ -255,7 +255,7 @@ def _beyond(axis: Axis, laws: list[ImpedanceLaw], task: Task) -> tuple[dict[str,
     drive, sampling = axis.drive, axis.sampling
     lag = drive.current_time_constant
     lagged = {"drive": {"current_time_constant": 2.0 * lag if lag > 0.0 else 0.5 * sampling.period}}
-    changes = {
+    changes: dict[str, dict[str, Any]] = {
         "current loop of twice the time constant" if lag > 0.0 else "current loop of half a period": lagged,
         "one more sample of delay": {"sampling": {"computation_delay": sampling.computation_delay + 1}},
         "encoder steps ten times as large": {"sampling": {"encoder_resolution": 10.0 * sampling.encoder_resolution}},

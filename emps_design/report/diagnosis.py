@@ -122,7 +122,7 @@ def _gap_facts(gap: Mapping[str, Any], simulated: str) -> Facts:
         errors = [("force error", before)]
     items = [(name, quantity(value, unit, 3), f"{word}, {simulated}") for name, value in errors]
     items.append(("noise floor", quantity(floor, unit, 3), gap.get("floor_from", "")))
-    if None not in (before, after, floor) and before > max(floor, after):
+    if before is not None and after is not None and floor is not None and before > max(floor, after):
         share = f"{100 * explained(before, after, floor):.0f} %"
         items.append(("of the gap closed", share, "in mean square over the floor; 100 % reaches it"))
     return Facts(tuple(items))

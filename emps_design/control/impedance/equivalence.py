@@ -196,7 +196,7 @@ def _loop(
     if w0 < BAND:
         words.append(f"the cascade's own resonance, {w0:.3g} rad/s, lies inside the operator's {BAND:g} rad/s")
     return EquivalentLoop(
-        mass, damping, k_e1, *gains, w0, 0.5 * lag * w0, crossover, phase, criterion, pole, tuple(words)
+        mass, damping, k_e1, gains[0], gains[1], w0, 0.5 * lag * w0, crossover, phase, criterion, pole, tuple(words)
     )
 
 

@@ -8,7 +8,7 @@ leaves a dead band ``F_c - c Fh_c`` [N] below which a push does not keep the car
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -130,7 +130,9 @@ def drift_threshold(period: float, resolution: float, velocity_estimator: str = 
     return max(resolution / period / (2.0 if velocity_estimator == "two_tap" else 1.0), 1e-6)
 
 
-def worst_radius(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mismatch: float, masses, filters) -> np.ndarray:
+def worst_radius(
+    law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mismatch: float, masses: Any, filters: Any
+) -> np.ndarray:
     """Largest pole modulus over the corners of ``mismatch``, sliding and sticking, for arrays of M_a and filter.
 
     ``masses`` [kg] and ``filters`` [rad/s] broadcast together; the result has their shape. ``law`` gives the rest.
@@ -182,7 +184,12 @@ class StabilityMap:
 
 
 def stability_map(
-    law: ImpedanceLaw, plant: FrictionModel, clock: Clock, masses=None, filters=None, mismatches=(0.0, 0.02, 0.05)
+    law: ImpedanceLaw,
+    plant: FrictionModel,
+    clock: Clock,
+    masses: Any = None,
+    filters: Any = None,
+    mismatches: Sequence[float] = (0.0, 0.02, 0.05),
 ) -> StabilityMap:
     """Map the stable (M_a, filter, mismatch); ``law`` gives damping, estimator and the rest.
 

@@ -53,7 +53,7 @@ def sampled_loop(
     return sampled_loops(numbers(law, plant, direction), clock, law.velocity_estimator, law.force_sensor, environment)
 
 
-def numbers(law: ImpedanceLaw, plant: FrictionModel, direction: int = 1) -> dict[str, float]:
+def numbers(law: ImpedanceLaw, plant: FrictionModel, direction: int = 1) -> dict[str, Any]:
     """The numbers that decide the loop, by name; arrays of equal shape may stand in for any of them."""
     i = 0 if direction > 0 else 1
     acceleration, current = law.filters

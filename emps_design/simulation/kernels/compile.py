@@ -16,14 +16,14 @@ from typing import Any
 
 import numba
 from llvmlite import ir
-from numba import cfunc, njit, types
+from numba import cfunc, extending, njit, types
 from numba.core.dispatcher import Dispatcher
-from numba.extending import intrinsic
 
 from emps_design.errors import SimulationError
 
 _NUMBER = types.float64
 _POINTER = types.CPointer(types.float64)
+intrinsic: Any = extending.intrinsic  # what it returns is called without the context of typing
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
 
 SIGNATURES = {
