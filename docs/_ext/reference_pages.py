@@ -18,6 +18,7 @@ ROOMS = {
     "simulation": "Simulation",
     "comanipulation": "Co-manipulation",
     "identification": "Identification",
+    "frequency_response": "Frequency responses",
     "paper": "The paper",
     "discrepancy": "Discrepancy",
     "report": "Reports",

@@ -27,6 +27,7 @@ COMMANDS = (
     "simulate",
     "identify",
     "observe",
+    "frf",
     "diagnose",
     "derive",
     "report",

@@ -13,15 +13,15 @@ from emps_design.files import destination
 HEAD = 65536  # bytes that say what a file holds
 OVERWRITE = "Overwrite a file that holds something else."  # the help of --force
 AXIS, PAGE, ARCHIVE, TABLE = "an axis file", "an HTML page", "a NumPy archive", "a text table"
-JSON, ANYTHING = "a JSON document", "something else"
+JSON, MATLAB, ANYTHING = "a JSON document", "a MATLAB file", "something else"
 PICTURES = {".png": "a PNG picture", ".svg": "an SVG picture", ".pdf": "a PDF document"}
 
 _MAGIC = (
     (b"PK", ARCHIVE),
     (b"\x89PNG", PICTURES[".png"]),
     (b"%PDF", PICTURES[".pdf"]),
-    (b"\x89HDF", "a MATLAB file"),
-    (b"MATLAB", "a MATLAB file"),
+    (b"\x89HDF", MATLAB),
+    (b"MATLAB", MATLAB),
 )
 _TEXT = (
     (r"<(!doctype )?html\b", PAGE),

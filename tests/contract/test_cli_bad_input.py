@@ -74,6 +74,7 @@ AXES = {
 READ_A_RECORD = {
     "identify": "identify {bad}",
     "observe": "observe {bad} --axis emps2019",
+    "frf": "frf {bad} --axis emps2019",
     "diagnose": "diagnose {bad} --axis emps2019 --out {folder}/out",
     "report": "report --record {bad} --crossover 100 --out {folder}/out.html",
     "simulate": "simulate emps2019 --scenario replay --record {bad}",
@@ -85,6 +86,7 @@ READ_AN_AXIS = {
     "simulate": "simulate {bad} --scenario comanipulation",
     "identify": "identify {folder}/good.npz --axis {bad}",
     "observe": "observe {folder}/good.npz --axis {bad}",
+    "frf": "frf {folder}/good.npz --axis {bad}",
     "diagnose": "diagnose {folder}/good.npz --axis {bad} --out {folder}/out",
     "report": "report {bad} --crossover 100 --out {folder}/out.html",
     "init": "init {folder}/start --machine {bad}",

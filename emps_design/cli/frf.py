@@ -1,0 +1,112 @@
+"""Frequency response from force to velocity in records, estimated in closed loop, with coherence and deviations."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from emps_design.cli.destinations import MATLAB, OVERWRITE, PICTURES, TABLE, check_out
+from emps_design.cli.frequency import HERTZ
+
+if TYPE_CHECKING:
+    from emps_design.frequency_response import Estimate
+
+LONG = 1_000_000  # samples from which on it is worth saying how far the work is
+OUT = {".csv": TABLE, ".mat": MATLAB}
+
+
+def command(
+    records: list[Path] = typer.Argument(..., metavar="RECORD...", help="Record files: .mat, .csv or .npz."),
+    axis: str = typer.Option(
+        "emps2019", "--axis", help="TOML file or embedded machine: its force gain and computation delay are read."
+    ),
+    method: str = typer.Option("auto", "--method", help="auto, periodic, local-polynomial or welch."),
+    instrument: str = typer.Option(
+        "", "--instrument", help="What moves the loop: excitation (default where the record has it) or reference."
+    ),
+    low: float = typer.Option(0.0, "--from", **HERTZ, help="Lowest frequency [Hz]."),
+    high: float | None = typer.Option(None, "--to", **HERTZ, help="Highest frequency [Hz]; 0.8 of Nyquist at most."),
+    out: Path | None = typer.Option(None, "--out", help="Write the response to this file: .csv, or .mat for MATLAB."),
+    plot: Path | None = typer.Option(None, "--plot", help="Draw it into this file: .png, .svg or .pdf."),
+    force: bool = typer.Option(False, "--force", help=OVERWRITE),
+    as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
+) -> None:
+    from emps_design.cli.output import print_json, print_warnings, progress_bar
+    from emps_design.errors import InputError, nearest_name
+    from emps_design.frequency_response import estimate_response, write_response
+    from emps_design.frequency_response.estimate import METHODS
+    from emps_design.frequency_response.signals import INSTRUMENTS
+    from emps_design.machines import load_axis
+    from emps_design.records import read_record
+
+    for option, value, known in (
+        ("--method", method, ("auto", *METHODS)),
+        ("--instrument", instrument, ("", *INSTRUMENTS)),
+    ):
+        if value not in known:
+            expected = ", ".join(name for name in known if name)
+            raise InputError(f"{option}: found {value!r}, expected one of {expected}{nearest_name(value, known)}")
+    for option, path, kinds in (("--out", out, OUT), ("--plot", plot, PICTURES)):
+        if path is not None and path.suffix not in kinds:
+            raise InputError(f"{option}: found {path.name!r}, expected a name that ends in {' or '.join(kinds)}")
+        check_out(path, kinds[path.suffix] if path else "", (axis, *records), force, option)
+    loaded = load_axis(axis)
+    read = [read_record(path) for path in records]
+    with progress_bar(sum(map(len, read)) >= LONG) as progress:
+        found = estimate_response(read, loaded, method, instrument, low, high, progress=progress)
+    if out is not None:
+        write_response(out, found.response)
+    if plot is not None:
+        _draw(plot, found)
+    if as_json:
+        print_json(found)
+    else:
+        _show(found)
+    print_warnings(found.warnings)
+
+
+def _draw(path: Path, found: Estimate) -> None:
+    from emps_design.files import write_aside
+    from emps_design.report.frequency_response import response_figure
+
+    with write_aside(path) as aside:
+        response_figure(found).savefig(aside, format=path.suffix[1:])
+
+
+def _show(found: Estimate) -> None:
+    import numpy as np
+    from rich import box
+    from rich.table import Table
+
+    from emps_design.cli.output import new_console
+
+    console, response = new_console(), found.response
+    console.print(
+        f"{response.name}: {len(response)} lines from {response.frequency[0]:.4g} to {response.frequency[-1]:.4g} Hz; "
+        f"{found.method}, by the {found.instrument}, {found.seconds:.4g} s on {found.passes} "
+        f"pass{'' if found.passes == 1 else 'es'}"
+    )
+    table = Table(box=box.SIMPLE, pad_edge=False)
+    for heading in ("frequency [Hz]", "magnitude [(m/s)/N]", "phase [deg]", "std [%]", "coherence", "ratio of spectra"):
+        table.add_column(heading, justify="right")
+    wanted = np.geomspace(response.frequency[0], response.frequency[-1], 16)
+    apart = found.spectral_ratio / response.response - 1.0
+    for i in sorted({int(np.argmin(np.abs(response.frequency - f))) for f in wanted}):
+        table.add_row(
+            f"{response.frequency[i]:.4g}",
+            f"{response.magnitude[i]:.4g}",
+            f"{response.phase_deg[i]:.1f}",
+            f"{100 * response.std[i]:.2f}",
+            f"{response.coherence[i]:.4f}",
+            f"{100 * abs(apart[i]):.2g} % off",
+        )
+    console.print(table)
+    for one in found.resonances:
+        console.print(f"{one.kind} at {one.frequency:.2f} ± {2 * one.std:.2f} Hz, damping {one.damping:.3f}")
+    if found.distortion is not None:
+        levels = found.distortion.to_dict()
+        words = [f"{name} {100 * level:.2g} %" for name, level in levels.items() if level is not None]
+        console.print(f"of the linear answer, one period: {', '.join(words)} (odd, even: nonlinear distortion)")
+    console.print("ratio of spectra: velocity over command, which ignores feedback; for comparison only")

@@ -1,0 +1,359 @@
+"""From records to a frequency response, in closed loop: joint input and output, so that feedback does not bias.
+
+Noise reaches the command through the controller, so the ratio of the spectra of velocity and command tends to minus the
+inverse of the controller wherever noise is what moves the loop. The instrument r is free of noise: the answers of
+both, Z = [position increment, command], to r are averaged, and G is the quotient of the averages. With the covariance C
+of the averages its relative variance is, to first order,
+
+    std^2 = C_qq/|z_q|^2 + C_uu/|z_u|^2 - 2 Re(C_qu / (z_q z_u*)).
+
+Source: R. Pintelon and J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapter 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.errors import RecordError
+from emps_design.frequency_response.broadband import Answer, blocks, local_polynomial, welch
+from emps_design.frequency_response.distortion import Distortion, distortion_of
+from emps_design.frequency_response.hold import continuous_from_increments, without_aliases
+from emps_design.frequency_response.periodic import Spectra, spectra
+from emps_design.frequency_response.resonances import Resonance, resonances
+from emps_design.frequency_response.response import BAND, FrequencyResponse
+from emps_design.frequency_response.signals import COMMAND, Signals, motion, signals_of
+from emps_design.records import Record
+
+METHODS = ("periodic", "local-polynomial", "welch")
+HIGHEST_SHARE = 0.8  # of the Nyquist frequency; above it the aliases are as large as the response
+WORST = 0.5  # relative deviation beyond which a line says nothing
+CLEAR = 10.0  # times the noise that the answers of command and position have to be, or their quotient is the noise's
+BLOCK = 4.0  # s, of what does not repeat
+MANY = 24  # blocks from which on averaged spectra do
+POOLED = 9  # neighbouring lines whose noise is averaged
+RESTING = 0.01  # share of the time from which on a rest is worth a word
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A response, how it was found, and the ratio of the spectra of velocity and command at the same lines.
+
+    ``method`` is one of ``METHODS``, ``instrument`` what moved the loop, ``spectral_ratio`` (n,) the response that
+    ignores feedback [(m/s)/N], for comparison; ``passes`` how many stretches were used, of ``seconds`` [s] together.
+    """
+
+    response: FrequencyResponse
+    method: str
+    instrument: str
+    spectral_ratio: np.ndarray
+    distortion: Distortion | None
+    resonances: tuple[Resonance, ...]
+    passes: int
+    periods: int
+    seconds: float
+    reversals: int
+    rest_share: float
+    left_out: int
+    warnings: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data: the table, the comparison, and what was assumed."""
+        ratio = self.spectral_ratio
+        apart = np.abs(ratio / self.response.response - 1.0)
+        return {
+            "records": self.response.name,
+            "method": self.method,
+            "instrument": self.instrument,
+            "lines": len(self.response),
+            **self.response.to_dict(),
+            "resonances": [one.to_dict() for one in self.resonances],
+            "distortion": None if self.distortion is None else self.distortion.to_dict(),
+            "spectral_ratio": {
+                "magnitude": np.abs(ratio),
+                "phase_deg": np.degrees(np.angle(ratio)),
+                "difference": {"median": float(np.median(apart)), "largest": float(np.max(apart))},
+            },
+            "passes": self.passes,
+            "periods": self.periods,
+            "seconds": self.seconds,
+            "reversals": self.reversals,
+            "rest_share": self.rest_share,
+            "lines_left_out": self.left_out,
+            "units": {"frequency_hz": "Hz", "magnitude": "(m/s)/N", "std": "of the modulus"},
+            "warnings": list(self.warnings),
+        }
+
+    def _repr_html_(self) -> str:
+        return self.response._repr_html_()
+
+
+def estimate_response(
+    records: Record | Sequence[Record],
+    axis: Axis,
+    method: str = "auto",
+    instrument: str = "",
+    low: float = 0.0,
+    high: float | None = None,
+    progress: Progress | None = None,
+) -> Estimate:
+    """Return the response of ``axis`` from force to velocity in ``records``, with its deviations.
+
+    Of ``axis`` only the force gain and the computation delay are read: the force is the command held over its period,
+    that many samples late; hold, difference and delay are divided out, a lag of the current loop is part of
+    what is measured. ``method`` is ``auto`` or one of ``METHODS``; ``instrument`` as for
+    :func:`~emps_design.frequency_response.signals.signals_of`; ``low`` and ``high`` [Hz] bound the lines.
+    Raises :class:`RecordError` where nothing moves the loop from outside, where the excitation is too weak, and for
+    frequencies beyond Nyquist.
+    """
+    several = [records] if isinstance(records, Record) else list(records)
+    period = _same_period(several, axis)
+    nyquist = 0.5 / period
+    if max(low, high or 0.0) > nyquist:
+        raise RecordError(
+            f"{several[0].name}: found a frequency of {max(low, high or 0.0):g} Hz, expected at most the Nyquist "
+            f"frequency, {nyquist:g} Hz"
+        )
+    highest = min(high or np.inf, HIGHEST_SHARE * nyquist)
+    read = [signals_of(record, instrument) for record in several]
+    method = _method(read) if method == "auto" else method
+    tell = progress or (lambda stage, fraction: None)
+    if method == "periodic":
+        answer, extra = _periodic(read, highest, tell)
+    else:
+        answer, extra = _broadband(read, method, low, highest, tell)
+    return _finished(several, read, axis, answer, method, extra, low, highest)
+
+
+@dataclass(frozen=True, eq=False)
+class _Extra:
+    """What else an estimate found: periods, scatter between the passes, distortion, and the ratio of spectra (m,)."""
+
+    passes: int
+    periods: int
+    averages: float
+    ratio: np.ndarray
+    scatter: float = 1.0
+    distortion: Distortion | None = None
+
+
+def _same_period(records: list[Record], axis: Axis) -> float:
+    for record in records:
+        if abs(record.period / records[0].period - 1.0) > 1e-3:
+            raise RecordError(
+                f"{record.name}: sampled every {record.period:g} s, {records[0].name} every {records[0].period:g} s; "
+                "expected the same period"
+            )
+    if axis.sampling.computation_delay and abs(records[0].period / axis.sampling.period - 1.0) > 1e-3:
+        raise RecordError(
+            f"{records[0].name}: sampled every {records[0].period:g} s, axis {axis.name} every "
+            f"{axis.sampling.period:g} s; expected the same period, since its computation delay is in samples"
+        )
+    return records[0].period
+
+
+def _method(read: list[Signals]) -> str:
+    if all(one.repeats and one.stretches for one in read) and len({one.repeats for one in read}) == 1:
+        return "periodic"
+    count = sum(1 for one in read for _ in blocks(one, round(BLOCK / one.period)))
+    return "welch" if count >= MANY else "local-polynomial"
+
+
+def _periodic(read: list[Signals], highest: float, tell: Progress) -> tuple[Answer, _Extra]:
+    for one in read:
+        if not one.repeats:
+            raise RecordError(f"{one.name}: the {one.kind} does not repeat, expected whole periods of it")
+    found: list[Spectra] = []
+    for i, one in enumerate(read):
+        tell("spectra", i / len(read))
+        found += spectra(one, highest)
+    if not found:
+        raise RecordError(
+            f"{read[0].name}: the {read[0].kind} repeats every {read[0].repeats * read[0].period:g} s, but nowhere "
+            "twice while the reference runs evenly; expected at least two whole periods on one pass"
+        )
+    excited = np.all([one.excited for one in found], axis=0)
+    if np.count_nonzero(excited) < 4:
+        raise RecordError(
+            f"{read[0].name}: found {np.count_nonzero(excited)} excited lines, expected at least 4; excite more of the "
+            "band, or more strongly"
+        )
+    weights = np.array([one.periods * np.abs(one.r[excited]) ** 2 for one in found])
+    share = weights / weights.sum(axis=0)
+    each = np.array([one.z[excited] / one.r[excited, None] for one in found])
+    own = np.array([one.noise[excited] / np.abs(one.r[excited, None, None]) ** 2 for one in found])
+    z = np.sum(share[..., None] * each, axis=0)
+    noise = np.sum(share[..., None, None] ** 2 * own, axis=0)
+    line = found[0].line[excited]
+    frequency = line / (read[0].repeats * read[0].period)
+    freedom = float(found[0].freedom * len(found))
+    answer = Answer(frequency, z, noise, freedom, weights.sum(axis=0))
+    g = z[:, 0] / z[:, 1]
+    scatter = 1.0
+    if len(found) > 1:
+        # What a pass differs by from the mean, as an output, against what its own noise predicts.
+        left = each[..., 0] - g * each[..., 1]
+        predicted = own[..., 0, 0].real + np.abs(g) ** 2 * own[..., 1, 1].real - 2.0 * (own[..., 0, 1] * g.conj()).real
+        scatter = float(np.mean(np.abs(left) ** 2 / predicted / (1.0 - share)))
+    ratio = np.sum(
+        [o.z[excited, 0] * o.z[excited, 1].conj() + o.noise[excited, 0, 1] * o.periods for o in found], axis=0
+    )
+    ratio /= np.sum([np.abs(o.z[excited, 1]) ** 2 + o.noise[excited, 1, 1].real * o.periods for o in found], axis=0)
+    periods = sum(one.periods for one in found)
+    distortion = distortion_of(found, excited, float(frequency[0] / line[0]), g)
+    return answer, _Extra(len(found), periods, periods, ratio, scatter, distortion)
+
+
+def _broadband(read: list[Signals], method: str, low: float, highest: float, tell: Progress) -> tuple[Answer, _Extra]:
+    period = read[0].period
+    ratio_of = [replace(one, r=one.u, kind=COMMAND) for one in read]
+    samples = round(BLOCK / period)
+    if method == "welch":
+        answers = [welch(one, samples // 4, low, highest) for one in read]
+        ratios = [welch(one, samples // 4, low, highest) for one in ratio_of]
+    else:
+        parts = [(one, other, part) for one, other in zip(read, ratio_of, strict=True) for part in blocks(one, samples)]
+        shortest = min((part.stop - part.start for _, _, part in parts), default=0)
+        if shortest < 8 * 10:
+            raise RecordError(f"{read[0].name}: found stretches of {shortest} samples, expected at least 80")
+        # Blocks of one length have their lines at the same frequencies.
+        parts = [(a, b, slice(part.start, part.start + shortest)) for a, b, part in parts]
+        answers, ratios = [], []
+        for i, (one, other, part) in enumerate(parts):
+            tell("local polynomials", i / len(parts))
+            answers.append(local_polynomial(one, part, low, highest))
+            ratios.append(local_polynomial(other, part, low, highest))
+    answer, ratio = _averaged(answers), _averaged(ratios)
+    count = len(answers) if method != "welch" else max(1, round(answer.freedom))
+    return answer, _Extra(len(answers), count, count, ratio.z[:, 0] / ratio.z[:, 1])
+
+
+def _averaged(answers: list[Answer]) -> Answer:
+    """Several answers at the same lines as one, each by the power of its instrument."""
+    if len({one.frequency.size for one in answers}) > 1 or not answers[0].frequency.size:
+        raise RecordError("found no lines between the lowest and the highest frequency, expected a wider band")
+    weights = np.array([one.weight for one in answers])
+    share = weights / weights.sum(axis=0)
+    z = np.sum(share[..., None] * np.array([one.z for one in answers]), axis=0)
+    noise = np.sum(share[..., None, None] ** 2 * np.array([one.noise for one in answers]), axis=0)
+    freedom = sum(one.freedom for one in answers)
+    return Answer(answers[0].frequency, z, noise, freedom, weights.sum(axis=0))
+
+
+def _finished(
+    records: list[Record],
+    read: list[Signals],
+    axis: Axis,
+    answer: Answer,
+    method: str,
+    extra: _Extra,
+    low: float,
+    highest: float,
+) -> Estimate:
+    """The response and its deviations from what the loop answers."""
+    period, w = records[0].period, 2.0 * np.pi * answer.frequency
+    late = axis.sampling.computation_delay * period
+    gain = axis.drive.force_gain
+
+    def plant(ratio: np.ndarray) -> np.ndarray:
+        return continuous_from_increments(ratio, w, period, late) / gain
+
+    z_q, z_u, C = answer.z[:, 0], answer.z[:, 1], answer.noise
+    variance = (
+        C[:, 0, 0].real / np.abs(z_q) ** 2
+        + C[:, 1, 1].real / np.abs(z_u) ** 2
+        - 2.0 * (C[:, 0, 1] / (z_q * z_u.conj())).real
+    )
+    variance = _pooled(np.maximum(variance, 0.0), np.abs(z_q / z_u))
+    freedom = answer.freedom * min(POOLED, variance.size) * (0.5 if method != "periodic" else 1.0)
+    variance = variance * max(1.0, extra.scatter) * _for_few(freedom)
+    if extra.distortion is not None:
+        variance = variance + extra.distortion.odd_variance(answer.frequency)
+    coherence = 1.0 / (1.0 + variance * extra.averages)
+    response, aliases = without_aliases(w, plant(z_q / z_u), np.sqrt(variance), period)
+    std = np.sqrt(variance + aliases**2)
+    clear = np.minimum(np.abs(z_q) ** 2 / _near(C[:, 0, 0].real), np.abs(z_u) ** 2 / _near(C[:, 1, 1].real)) >= CLEAR
+    kept = clear & (std <= WORST) & (answer.frequency >= low) & (answer.frequency <= highest * (1.0 + 1e-9))
+    name = ", ".join(record.name for record in records)
+    if np.count_nonzero(kept) < 4:
+        raise RecordError(
+            f"{name}: found {np.count_nonzero(kept)} of {kept.size} lines on which the {read[0].kind} stands out of "
+            "the noise, expected at least 4: the coherence is too low; excite more strongly, or for longer"
+        )
+    found = FrequencyResponse(answer.frequency[kept], response[kept], std[kept], coherence[kept], name)
+    moved = [motion(one) for one in read]
+    reversals = int(sum(one["reversals"] for one in moved))
+    seconds = sum(one["seconds"] for one in moved)
+    rest = sum(one["rest_share"] * one["seconds"] for one in moved) / seconds
+    left_out = int(np.count_nonzero(~kept))
+    return Estimate(
+        found,
+        method,
+        read[0].kind,
+        plant(extra.ratio)[kept],
+        extra.distortion,
+        resonances(found),
+        extra.passes,
+        extra.periods,
+        seconds,
+        reversals,
+        rest,
+        left_out,
+        tuple(_words(extra, reversals, rest, seconds, left_out)),
+    )
+
+
+def _pooled(variance: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Relative variances (n,) averaged over neighbouring lines, since noise is smooth in frequency.
+
+    Seen as an input it makes a relative variance that is smooth, seen as an output, such as the encoder's noise, one
+    that goes with 1/``size``^2, the response's own. Of the two the likelier is taken, line by line.
+    """
+    half = POOLED // 2
+    near = np.clip(np.arange(variance.size)[:, None] + np.arange(-half, half + 1), 0, variance.size - 1)
+    power = size**2
+    as_input, as_output = np.mean(variance[near], axis=1), np.mean((variance * power)[near], axis=1)
+    with np.errstate(divide="ignore"):
+        output = np.log(as_output) - np.mean(np.log(power[near]), axis=1) < np.log(as_input)
+    return np.where(output, as_output / power, as_input)
+
+
+def _near(power: np.ndarray) -> np.ndarray:
+    """``power`` (n,) averaged over neighbouring lines."""
+    half = min(POOLED // 2, (power.size - 1) // 2)
+    near = np.clip(np.arange(power.size)[:, None] + np.arange(-half, half + 1), 0, power.size - 1)
+    return np.mean(power[near], axis=1)
+
+
+def _for_few(freedom: float) -> float:
+    """By what a variance of so many degrees of freedom is raised so that the 95 % circle of known noise still holds."""
+    from scipy.stats import f
+
+    return float(f.ppf(0.95, 2.0, 2.0 * max(freedom, 1.0)) / BAND**2)
+
+
+def _words(extra: _Extra, reversals: int, rest: float, seconds: float, left_out: int) -> list[str]:
+    """What a reader of the response has to know."""
+    words = []
+    if reversals > extra.passes or rest > RESTING:
+        words.append(
+            f"the carriage reverses {reversals} times in {seconds:.3g} s and rests {100 * rest:.2g} % of it: dry "
+            "friction biases the response, most at low frequencies, and no deviation shows it; excite it on a running "
+            "carriage"
+        )
+    if extra.scatter > 2.0:
+        words.append(
+            f"the passes differ {np.sqrt(extra.scatter):.2g} times as much as noise explains, and the deviations are "
+            "as much larger: the plant depends on position, direction or time"
+        )
+    if extra.distortion is not None:
+        words += extra.distortion.words
+    if left_out:
+        words.append(f"{left_out} lines left out: beyond the band, or the answer does not stand out of the noise there")
+    return words

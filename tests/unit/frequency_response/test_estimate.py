@@ -1,0 +1,160 @@
+"""Estimated responses against the exact ones of simulated axes, and how often their bands hold them."""
+
+import numpy as np
+import pytest
+
+from emps_design.errors import RecordError
+from emps_design.frequency_response import estimate_response
+from emps_design.frequency_response.response import BAND
+from emps_design.machines import machine
+from emps_design.records import Record
+from tests.unit.frequency_response.cases import exact, experiment, multi_sine, passes, run, two_mass
+
+
+def covered(found, axis):
+    """Share of the lines whose 95 % circle holds the exact response, and the median error."""
+    error = np.abs(found.response.response / exact(axis, found.response.frequency) - 1.0)
+    return float(np.mean(error <= BAND * found.response.std)), float(np.median(error))
+
+
+def test_multi_sine_on_passes():
+    axis, shares = two_mass(), []
+    for seed in range(4):
+        found = estimate_response(experiment(axis, seed), axis)
+        share, error = covered(found, axis)
+        shares.append(share)
+        assert (found.method, found.instrument, found.passes, found.periods) == ("periodic", "excitation", 4, 16)
+        assert error < 0.03
+        assert found.reversals == 0
+        assert found.warnings == () or "left out" in found.warnings[0]
+        low, high = (one for one in found.resonances)
+        assert (low.kind, high.kind) == ("antiresonance", "resonance")
+        assert low.frequency == pytest.approx(60.0 * np.sqrt(0.6), rel=5e-3)
+        assert high.frequency == pytest.approx(60.0, rel=5e-3)
+    assert np.mean(shares) >= 0.93
+
+
+def test_the_ratio_of_spectra_is_biased_where_noise_moves_the_loop():
+    axis, joint, ratio = two_mass(), [], []
+    for seed in range(8):
+        found = estimate_response(experiment(axis, seed, volts=0.15, newtons=5.0, periods=9, top=60.0), axis)
+        inside = (found.response.frequency > 22.0) & (found.response.frequency < 40.0)
+        truth = exact(axis, found.response.frequency[inside])
+        for errors, g in ((joint, found.response.response), (ratio, found.spectral_ratio)):
+            errors.append(np.mean(g[inside] / truth - 1.0))
+    assert abs(np.mean(joint)) < 3.0 * np.std(joint) / np.sqrt(8)
+    assert abs(np.mean(ratio)) > 6.0 * np.std(ratio) / np.sqrt(8)
+    assert abs(np.mean(ratio)) > 4.0 * abs(np.mean(joint))
+
+
+def test_computation_delay_and_force_gain_are_divided_out():
+    axis = machine("emps2019").replace(sampling={"computation_delay": 1}, drive={"force_gain": 20.0})
+    found = estimate_response(experiment(axis, 1, volts=1.0), axis)
+    share, error = covered(found, axis)
+    assert share >= 0.93
+    assert error < 0.03
+
+
+def test_reference_as_instrument():
+    axis, period, samples = machine("emps2019"), 1e-3, 1000
+    rng = np.random.default_rng(3)
+    q_ref, starts = passes(period, 200 + 5 * samples, 4, 0.06)
+    wobble = 1e-5 * np.tile(multi_sine(samples, np.arange(3, 60, 2), rng, corner=1000), 5)
+    for start in starts:
+        q_ref[start + 200 : start + 200 + wobble.size] += wobble
+    found = estimate_response(run(axis, q_ref, np.zeros(q_ref.size), 0.1 * rng.standard_normal(q_ref.size)), axis)
+    assert (found.method, found.instrument) == ("periodic", "reference")
+    share, error = covered(found, axis)
+    assert share >= 0.9
+    assert error < 0.05
+
+
+@pytest.mark.parametrize("method", ["local-polynomial", "welch"])
+def test_noise_as_excitation(method):
+    axis, rng = machine("emps2019"), np.random.default_rng(7)
+    q_ref, starts = passes(1e-3, 8200, 4, 0.05)
+    excitation = np.zeros(q_ref.size)
+    for start in starts:
+        excitation[start + 100 : start + 8100] = 0.5 * rng.standard_normal(8000)
+    record = run(axis, q_ref, excitation, 0.3 * rng.standard_normal(q_ref.size))
+    found = estimate_response(record, axis, method=method, low=5.0, high=200.0)
+    assert found.method == method
+    share, error = covered(found, axis)
+    assert share >= 0.9
+    assert error < 0.1
+
+
+def test_one_period_takes_the_local_polynomial_method():
+    axis, rng = two_mass(), np.random.default_rng(9)
+    samples = 8000
+    q_ref, starts = passes(1e-3, samples + 400, 1, 0.05)
+    excitation = np.zeros(q_ref.size)
+    excitation[starts[0] + 200 : starts[0] + 200 + samples] = 0.5 * multi_sine(samples, np.arange(40, 1600), rng, 500)
+    found = estimate_response(run(axis, q_ref, excitation, 0.3 * rng.standard_normal(q_ref.size)), axis, low=5.0)
+    assert found.method == "local-polynomial"
+    share, error = covered(found, axis)
+    assert share >= 0.9
+    assert error < 0.05
+
+
+def test_friction_at_rest_is_seen_and_said():
+    axis = machine("emps2019")
+    found = estimate_response(experiment(axis, 2, volts=3.0, speed=0.001, newtons=0.1), axis)
+    assert found.reversals > 100
+    assert any("dry friction biases the response" in warning for warning in found.warnings)
+    assert found.distortion.odd > 0.05
+    assert any("odd nonlinear distortion" in warning for warning in found.warnings)
+
+
+def test_a_running_carriage_distorts_nothing():
+    found = estimate_response(experiment(machine("emps2019"), 2), machine("emps2019"))
+    assert (found.distortion.odd, found.distortion.even) == (0.0, 0.0)
+
+
+def test_coulomb_friction_off_or_on_is_a_constant_on_a_running_carriage():
+    axis = machine("emps2019")
+    smooth = axis.replace(mechanics={"coulomb": 0.0})
+    with_it, without = (estimate_response(experiment(one, 4, newtons=0.0), one) for one in (axis, smooth))
+    slow = [one.response.between(5.0, 30.0).response for one in (with_it, without)]
+    assert np.max(np.abs(slow[0] / slow[1] - 1.0)) < 3e-3
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"high": 700.0}, "case: found a frequency of 700 Hz, expected at most the Nyquist frequency, 500 Hz"),
+        ({"low": 700.0}, "case: found a frequency of 700 Hz, expected at most the Nyquist frequency, 500 Hz"),
+        ({"instrument": "reference", "method": "periodic"}, "case: .*expected"),
+    ],
+)
+def test_refused(change, message):
+    axis = machine("emps2019")
+    with pytest.raises(RecordError, match=message):
+        estimate_response(experiment(axis, count=2, periods=2), axis, **change)
+
+
+def test_too_little_excitation_is_refused():
+    axis = machine("emps2019")
+    with pytest.raises(RecordError, match="found .* lines on which the excitation stands out.*; excite more strongly"):
+        estimate_response(experiment(axis, volts=1e-4, newtons=2.0, count=2, periods=2), axis)
+
+
+def test_no_reference_is_refused():
+    axis, t = machine("emps2019"), np.arange(2000) * 1e-3
+    record = Record.from_arrays(1e-3, np.full(t.size, 0.1), 1e-4 * np.sin(9 * t), np.sin(9 * t), name="still")
+    with pytest.raises(RecordError, match="still: found a reference that stands still.*no excitation"):
+        estimate_response(record, axis)
+
+
+def test_records_of_different_periods_are_refused():
+    axis = machine("emps2019")
+    one = experiment(axis, count=2, periods=2)
+    other = Record.from_arrays(2e-3, one.q_ref, one.q, one.u, name="slow", extra=one.extra)
+    with pytest.raises(RecordError, match="slow: sampled every 0.002 s, case every 0.001 s"):
+        estimate_response([one, other], axis)
+
+
+def test_another_period_than_that_of_a_delay_in_samples_is_refused():
+    axis = machine("emps2019").replace(sampling={"computation_delay": 1, "period": 5e-4})
+    with pytest.raises(RecordError, match="its computation delay is in samples"):
+        estimate_response(experiment(machine("emps2019"), count=2, periods=2), axis)
