@@ -105,7 +105,7 @@ def _recorded(sources: Mapping[str, Any], columns: Mapping[str, Any]) -> np.ndar
     return np.column_stack(np.broadcast_arrays(*found))
 
 
-def parameters_of(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
+def checked_parameters(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Check the numbers ``given`` to a law of ``kind`` and return them with its defaults, in the order of the laws.
 
     A ``[controller]`` table may hold parameters of other kinds too, which wait there for their own. Raises pydantic's
@@ -209,6 +209,7 @@ __all__ = [
     "LawTable",
     "NonNegative",
     "Positive",
+    "checked_parameters",
     "field_at",
     "fields_of",
     "fields_within",
@@ -218,7 +219,6 @@ __all__ = [
     "leaves",
     "load_file",
     "parameter",
-    "parameters_of",
     "register",
     "unit_of",
     "velocity_in_words",

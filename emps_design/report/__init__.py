@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from emps_design.report.page import (
         Callout as Callout,
         Facts as Facts,
-        Formula as Formula,
+        Listing as Listing,
         Group as Group,
         Html as Html,
         Page as Page,

@@ -128,12 +128,12 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Formula:
+class Listing:
     """Lines of a program or an equation, set as they are."""
 
     text: str
     caption: str = ""
-    kind: str = field(default="formula", init=False)
+    kind: str = field(default="listing", init=False)
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class Group:
         object.__setattr__(self, "blocks", blocks)
 
 
-Block = Text | Points | Facts | Callout | Table | Picture | Formula | Group
+Block = Text | Points | Facts | Callout | Table | Picture | Listing | Group
 
 
 @dataclass(frozen=True)

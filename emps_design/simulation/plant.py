@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dis
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,6 +11,7 @@ from emps_design.axis import Axis
 from emps_design.effects import Effect
 from emps_design.errors import InputError, SimulationError
 from emps_design.laws import Law, law_of
+from emps_design.simulation.effect_hooks import hooks_of, sees_command, touches_motion
 from emps_design.simulation.environment import HAND, Hand, Wall
 from emps_design.simulation.kernels import baseline as core
 from emps_design.simulation.kernels import hold_loop as stepper
@@ -20,7 +20,6 @@ from emps_design.simulation.kernels.compile import address
 from emps_design.simulation.prepared import Prepared, intention_columns, positive, signal
 from emps_design.simulation.run import Run
 
-HOOKS = ("force", "dry", "inertia", "command", "actuator", "delay", "sensor", "rate", "guard", "jump_time")
 # Own states smaller than this need not be known relatively: a load that has hardly begun to move, by unit.
 FLOORS = {"m": 1e-6, "m/s": 1e-4, "N": 1e-2}
 METHODS = ("general", "plain", "folded")  # of stepping; what is exact by one is by those before it
@@ -70,8 +69,8 @@ class Plant:
         self._hooks, self._starts = self._table()
         dynamic = self._states > 2 or any(effect.guard or effect.jump_time for effect in self.effects)
         moving = [effect for i, effect in enumerate(self.effects) if i not in self._held]
-        self._exact = not any(_touches_motion(effect) for effect in moving if effect.slopes is None)
-        seen = any(_sees_command(effect) for i, effect in enumerate(self.effects) if i != self._lagging)
+        self._exact = not any(touches_motion(effect) for effect in moving if effect.slopes is None)
+        seen = any(sees_command(effect) for i, effect in enumerate(self.effects) if i != self._lagging)
         self._slides = 0 if dynamic else 1 if seen else 2
 
     @classmethod
@@ -88,21 +87,9 @@ class Plant:
     def _table(self) -> tuple[np.ndarray, np.ndarray]:
         rows: list[list[tuple[int, int, int]]] = [[] for _ in range(motion.HELD + 1)]
         for i, effect in enumerate(self.effects):
-            place = (int(self._x_at[i]), int(self._p_at[i]))
-            if i == self._lagging:
-                continue
-            if i in self._held:
-                rows[motion.HELD].append((address(effect.force), *place))
-                continue
-            for row, hook in enumerate(HOOKS):
-                kernel = getattr(effect, hook)
-                if kernel is not None:
-                    form = hook if hook in ("actuator", "rate") else "kernel"
-                    rows[row].append((address(kernel, form), *place))
-            if i in self._outside:
-                for row, hook in ((motion.TOUCH, effect.force), (motion.TOUCH_MASS, effect.inertia)):
-                    if hook is not None:
-                        rows[row].append((address(hook), *place))
+            if i != self._lagging:
+                for row, kernel in hooks_of(effect, i in self._outside, i in self._held):
+                    rows[row].append((kernel, int(self._x_at[i]), int(self._p_at[i])))
         table = np.array([number for row in rows for entry in row for number in entry] or [0], np.int64)
         return table, np.cumsum([0] + [len(row) for row in rows])
 
@@ -321,18 +308,18 @@ class Plant:
         if status != stepper.DONE:
             names = ", ".join(effect.name for effect in self.effects) or "none"
             raise SimulationError(stepper.REASONS[status], k * period + within, tuple(y.tolist()), names)
-        balance = self._balance(ready.baseline, ready.parameters, y, q0, v0, n * period) if energy else None
-        return out, balance
+        return out, self._energy(ready, q0, v0, n * period) if energy else None
 
-    def _balance(self, b, p, y, q0, v0, end) -> dict[str, float]:
+    def _energy(self, ready: Prepared, q0: float, v0: float, end: float) -> dict[str, float]:
         """Where the energy went [J]; ``residual`` is what the integration, or a jump of the mass, lost or made."""
+        y, b = ready.y, ready.baseline
 
-        def kinetic(q, v, t):
+        def kinetic(q: float, v: float, t: float) -> float:
             mass = b[0]
             for i, effect in enumerate(self.effects):
                 if effect.inertia is not None:
-                    own, mine = y[self._x_at[i] : self._x_at[i + 1]], p[self._p_at[i] : self._p_at[i + 1]]
-                    mass += effect.inertia(q, v, t, 0.0, own, mine, b)
+                    own = ready.parameters[self._p_at[i] : self._p_at[i + 1]]
+                    mass += effect.inertia(q, v, t, 0.0, y[self._x_at[i] : self._x_at[i + 1]], own, b)
             return 0.5 * mass * v * v
 
         motor, push, friction, effects = (float(work) for work in y[self._states :])
@@ -354,16 +341,3 @@ class Plant:
         wanted = np.zeros(n) if intention is None else np.asarray(intention, dtype=float)
         columns = intention_columns(wanted, self.parameters[hand], hand in self._held, n, period)
         return columns, self._p_at[hand] + np.arange(6)
-
-
-def _touches_motion(effect: Effect) -> bool:
-    """Whether ``effect`` acts between motor force and motion, not only on the signals around them."""
-    return any((effect.force, effect.dry, effect.inertia, effect.rate, effect.guard, effect.jump_time))
-
-
-def _sees_command(effect: Effect) -> bool:
-    """Whether a force of ``effect`` reads the motor force, or a mass that may change, so that it jumps with it."""
-    if effect.inertia is not None:
-        return True
-    kernels = [kernel for kernel in (effect.force, effect.dry) if kernel is not None]
-    return any("tau" in {step.argval for step in dis.get_instructions(kernel)} for kernel in kernels)

@@ -15,7 +15,7 @@ from emps_design.records import Record
 from emps_design.report.display import quantity
 from emps_design.report.page import inline
 from emps_design.studio.jobs import Job
-from emps_design.studio.panes import blocks, html
+from emps_design.studio.panes import blocks, html, message
 from emps_design.studio.state import FRICTIONS, State
 
 LIMIT_MB = 100
@@ -180,8 +180,7 @@ class DataView:
         self.result.object = ""
 
     def _say(self, text: str, level: str, more: str = "") -> None:
-        role = "alert" if level == "stop" else "status"
-        self.message.object = f'<div class="message {level}" role="{role}">{inline(text)}{more}</div>'
+        self.message.object = message(text, level, more)
 
     def _start(self, name: str) -> None:
         if self.record is None:

@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any
 from emps_design.axis import Axis
 from emps_design.control.loop.margins import Margins
 from emps_design.control.velocity.gains import (
-    binding_limit,
     crossover_of_bandwidth,
     feasible_phase_margin,
     positive_root,
@@ -30,11 +29,11 @@ from emps_design.control.velocity.gains import (
 )
 from emps_design.control.velocity.specification import (
     check_specification,
-    in_words,
+    infeasible,
     nearest_that_works,
     pairs_by_closed_form,
+    proposal_in_words,
 )
-from emps_design.errors import SpecificationError
 from emps_design.notebook import table
 
 if TYPE_CHECKING:
@@ -184,7 +183,7 @@ class VelocityLoopDesign:
     @property
     def nearest_in_words(self) -> str:
         """:attr:`nearest_stable` for a message, with what it has as implemented."""
-        return in_words(self.nearest_stable, pairs_by_closed_form(self.axis, self.requested, self.velocity))
+        return proposal_in_words(self.nearest_stable, pairs_by_closed_form(self.axis, self.requested, self.velocity))
 
     @property
     def reason(self) -> str:
@@ -279,12 +278,12 @@ def design_velocity_loop(
     requested = check_specification(crossover, bandwidth, phase_margin_deg)
     mechanics = axis.mechanics
     if not 0.0 < phase_margin_deg < 90.0:
-        raise _infeasible(axis, requested, velocity)
+        raise infeasible(axis, requested, velocity)
     if bandwidth is not None:
         crossover = float(crossover_of_bandwidth(bandwidth, phase_margin_deg))
     w = float(crossover or 0.0)
     if phase_margin_deg <= feasible_phase_margin(mechanics.mass, mechanics.viscous, w)[0]:
-        raise _infeasible(axis, requested, velocity)
+        raise infeasible(axis, requested, velocity)
     k_v1, t_v = velocity_gains(mechanics.mass, mechanics.viscous, axis.drive.force_gain, w, phase_margin_deg)
     return VelocityLoopDesign(axis, k_v1, t_v, requested, velocity=velocity)
 
@@ -292,16 +291,4 @@ def design_velocity_loop(
 def _continuous_margins(crossover: float, phase: float) -> Margins:
     return Margins(
         stable=True, phase_margin_deg=math.degrees(phase), crossover=crossover, delay_margin=phase / crossover
-    )
-
-
-def _infeasible(axis: Axis, requested: dict[str, float], velocity: float) -> SpecificationError:
-    """The error for a pair outside the feasible range: which limit binds, and the nearest pair that works."""
-    name, phase = next(iter(requested)), requested["phase_margin_deg"]
-    pairs = pairs_by_closed_form(axis, requested, velocity)
-    nearest = nearest_that_works(pairs, requested)
-    return SpecificationError(
-        f"phase margin: found {phase:g} deg at a {name} of {requested[name]:g} rad/s; {binding_limit(phase)}; "
-        f"{in_words(nearest, pairs)}",
-        nearest,
     )

@@ -16,7 +16,7 @@ from emps_design.control.plant.discretisation import SampledPlant, sample_axis
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.gains import MINUS_3_DB
 from emps_design.control.velocity.sampled import SampledVelocityLoop
-from emps_design.control.velocity.specification import Pairs, check_specification, in_words, nearest_that_works
+from emps_design.control.velocity.specification import Pairs, check_specification, nearest_that_works, proposal_in_words
 from emps_design.control.velocity.sweeps import sweep_stability
 from emps_design.errors import InputError, SpecificationError
 
@@ -92,7 +92,7 @@ def retune_velocity_loop(
     nearest = nearest_that_works(pairs, requested)
     raise SpecificationError(
         f"retune: no gains give the sampled loop {phase_margin_deg:g} deg at a {name} of {frequency:g} rad/s; "
-        f"{reason}; {in_words(nearest, pairs)}",
+        f"{reason}; {proposal_in_words(nearest, pairs)}",
         nearest,
     )
 
