@@ -17,6 +17,7 @@ from emps_design.errors import AxisError, InputError, one_line
 from emps_design.files import read_bytes
 from emps_design.laws import leaves, unit_of
 from emps_design.notebook import table
+from emps_design.records.mapping import ColumnMap
 from emps_design.units import Units
 
 MAX_BYTES = 1_000_000  # of an axis file
@@ -48,6 +49,7 @@ class Axis(Table):
     drive: Drive
     sampling: Sampling
     controller: Controller = Field(default_factory=lambda: Controller.model_validate({}))
+    record: ColumnMap = Field(default_factory=ColumnMap)
     effects: tuple[AxisEffect, ...] = ()
 
     @model_validator(mode="after")
@@ -103,15 +105,21 @@ class Axis(Table):
         table = self.model_dump(exclude_none=True)
         effects = [{"kind": e.kind, **e.parameters} for e in self.effects]
         table.pop("effects")
+        columns = self.record.model_dump(exclude_none=True, exclude_defaults=True)
+        table.pop("record")
         if self.motion == "linear":
             table.pop("motion")
-        return {**table, **({"effects": effects} if effects else {})}
+        return {**table, **({"record": columns} if columns else {}), **({"effects": effects} if effects else {})}
 
     def to_toml(self, comments: bool = False) -> str:
         """The axis as a TOML document that :meth:`from_toml` reads back unchanged; ``comments`` explain each key."""
         import tomli_w
 
-        text = tomli_w.dumps(self.to_dict())
+        tables = self.to_dict()
+        columns = tables.pop("record", {})
+        text = tomli_w.dumps(tables)
+        if columns:
+            text += "\n[record]\n" + "".join(f"{key} = {_inline(column)}\n" for key, column in columns.items())
         return self._commented(text) if comments else text
 
     def replace(self, **tables: Any) -> Axis:
@@ -159,6 +167,13 @@ class Axis(Table):
             unit = self.units.unit(unit_of(field))
             lines.append(f"{line:<36}  # {self.units.words(field.description)}{f' [{unit}]' if unit else ''}")
         return "\n".join(lines) + "\n"
+
+
+def _inline(table: dict[str, Any]) -> str:
+    """``table`` on one line of TOML."""
+    import tomli_w
+
+    return f"{{ {', '.join(tomli_w.dumps(table).splitlines())} }}"
 
 
 def _text(path: Path) -> str:

@@ -10,6 +10,7 @@ from emps_design.axis.tables import field_in, fields_in
 from emps_design.errors import nearest_name
 from emps_design.laws import NONE, unit_of
 from emps_design.laws.law import NUMBER, RECORDED
+from emps_design.records.mapping import Column, ColumnMap
 from emps_design.units import Units
 
 
@@ -30,7 +31,8 @@ def first_line(error: ValidationError, table: Any, tables: list[str]) -> str:
         path[-1] = "voltage_limit"
     place = ".".join(path) or "axis"
     if problem["type"] == "extra_forbidden":
-        known = list(fields_in(".".join(path[:-1]), kind) or tables)
+        mapped = (ColumnMap if len(path) == 2 else Column).model_fields if path[0] == "record" else {}
+        known = list(mapped or fields_in(".".join(path[:-1]), kind) or tables)
         return f"{place}: unknown key{nearest_name(path[-1], known)} (known: {', '.join(known)})"
     if problem["type"] == "value_error":
         text = problem["msg"].removeprefix("Value error, ").removeprefix("effects: ")

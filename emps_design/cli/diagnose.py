@@ -43,15 +43,15 @@ def command(
     as_json: Annotated[bool, typer.Option("--json", help="one JSON document on standard output")] = False,
 ) -> None:
     from emps_design.discrepancy import diagnose
+    from emps_design.importing import import_record
     from emps_design.machines import load_axis
-    from emps_design.records import read_record
 
     check_folder(out, FILES, (axis, *records, holdout), force)
     if holdout is not None and confirm_time is not None:
         raise InputError("give --holdout or --confirm-time, not both")
     machine = load_axis(axis)
-    read = [read_record(path) for path in records]
-    held_out = None if holdout is None else read_record(holdout)
+    read = [import_record(path, machine) for path in records]
+    held_out = None if holdout is None else import_record(holdout, machine)
     partial = PartialDiagnosis(out)
     with progress_bar() as bar, before_the_end(partial.write):
         diagnosis = diagnose(

@@ -38,8 +38,8 @@ def command(
     from emps_design.frequency_response import estimate_response, write_response
     from emps_design.frequency_response.estimate import METHODS
     from emps_design.frequency_response.signals import INSTRUMENTS
+    from emps_design.importing import import_record
     from emps_design.machines import load_axis
-    from emps_design.records import read_record
 
     for option, value, known in (
         ("--method", method, ("auto", *METHODS)),
@@ -53,7 +53,7 @@ def command(
             raise InputError(f"{option}: found {path.name!r}, expected a name that ends in {' or '.join(kinds)}")
         check_out(path, kinds[path.suffix] if path else "", (axis, *records), force, option)
     loaded = load_axis(axis)
-    read = [read_record(path) for path in records]
+    read = [import_record(path, loaded) for path in records]
     with progress_bar(sum(map(len, read)) >= LONG) as progress:
         found = estimate_response(read, loaded, method, instrument, low, high, progress=progress)
     if out is not None:

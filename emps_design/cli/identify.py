@@ -67,8 +67,8 @@ def command(
     from emps_design.errors import InputError, nearest_name, one_line
     from emps_design.files import write_text
     from emps_design.identification.chains import DEFAULT_CHAIN
+    from emps_design.importing import import_record
     from emps_design.machines import load_axis
-    from emps_design.records import read_record
 
     if external_force not in ("refuse", "known"):
         raise InputError(f"--external-force: found {external_force!r}, expected refuse or known")
@@ -89,9 +89,9 @@ def command(
         "cutoff_hz": cutoff,
         "external_force_known": external_force == "known",
     }
-    read = [read_record(path) for path in records]
+    read = [import_record(path, loaded) for path in records]
     if len(read) == 1:
-        judge = None if holdout is None else read_record(holdout)
+        judge = None if holdout is None else import_record(holdout, loaded)
         found: Any = _one(
             estimator, read[0], loaded, {**options, "bootstrap": bootstrap, "seed": seed or 0, "holdout": judge}
         )

@@ -47,11 +47,12 @@ def command(
     """Observe the external force of a record, off-line and on-line."""
     from emps_design.cli.output import print_json, progress_bar, tell
     from emps_design.identification.observation import observe, with_known_push
+    from emps_design.importing import import_record
     from emps_design.machines import load_axis
-    from emps_design.records import read_record
 
     check_out(out, TABLE, (axis, record), force)
-    read, loaded = read_record(record), load_axis(axis)
+    loaded = load_axis(axis)
+    read = import_record(record, loaded)
     if injected is not None:
         read = with_known_push(read, _voltage(injected, read), loaded.drive.force_gain)
     with progress_bar(len(read) >= LONG) as progress:

@@ -128,9 +128,9 @@ def _single(
     if scenario == "replay":
         if record is None:
             raise InputError("--scenario replay: found no record, expected --record FILE")
-        from emps_design.records import read_record
+        from emps_design.importing import import_record
 
-        return scenarios.replay(axis, read_record(record))
+        return scenarios.replay(axis, import_record(record, axis))
     if reference is None:
         raise InputError("--scenario reference: found no reference, expected --reference FILE")
     from emps_design.simulation.reference_file import read_reference

@@ -2,72 +2,114 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from emps_design.errors import RecordError
-from emps_design.records.columns import UNITS, Title, read_titles
+from emps_design.records.clock import Resampled, on_one_clock
+from emps_design.records.columns import OPTIONAL
+from emps_design.records.layout import NAMED, RECOGNISED, Assignment, Layout, assign
 
+PLAIN = Layout()  # what a record is without an axis: metres and volts, by the names of the contract
 SHORTEST = 50  # samples; less than this says nothing about an axis
 LONGEST = 5_000_000  # samples; keeps what works on a record well under 1 GiB
-LARGEST_JITTER = 0.2  # of a period
-NOTED_JITTER = 0.01
 NOTED_SATURATION = 0.005  # share of samples
-SHORTEST_PERIOD, LONGEST_PERIOD = 1e-6, 0.1  # s
 LARGEST = 1e15  # of any column; beyond it the checks themselves would overflow
 # Beyond these a unit was mistaken: no single axis is longer, faster or stronger.
-LONGEST_STROKE = 20.0  # m
-HIGHEST_SPEED = 20.0  # m/s
+LONGEST_STROKE = {"linear": 20.0, "rotary": 1e5}  # m, rad
+HIGHEST_SPEED = {"linear": 20.0, "rotary": 2e4}  # m/s, rad/s
 HIGHEST_VOLTAGE = 1000.0  # V
-HIGHEST_FORCE = 1e6  # N
-SMALLEST_STROKE = 1e-5  # m
+HIGHEST = 1e6  # N, N m, and commands that are no voltage
+SMALLEST_STROKE = 1e-5  # m, rad
 SMALLEST_VOLTAGE = 1e-3  # V
 
 
-def checked(columns: dict[str, Any], source: str, first_row: int = 0, period: float = 0.0) -> dict[str, Any]:
+def checked(
+    columns: dict[str, Any],
+    source: str,
+    first_row: int = 0,
+    period: float = 0.0,
+    layout: Layout = PLAIN,
+    assigned: Sequence[Assignment] | None = None,
+) -> dict[str, Any]:
     """Return the signals of a record from ``columns`` (title to values), or raise :class:`RecordError`.
 
     ``source`` names the file and ``first_row`` the row of the first sample in messages. ``period`` [s] overrules the
-    one found in the time column. ``columns`` is emptied on the way: no signal of a long record is in memory twice.
+    one found in the time column. ``assigned`` says which column is what, by default as ``layout`` has it. ``columns``
+    is emptied on the way: no signal of a long record is in memory twice.
     """
-    titles = dict(zip(list(columns), read_titles(list(columns), source), strict=True))
-    n = next(np.size(columns[key]) for key, title in titles.items() if title.name == "t")
+    assigned = assign(list(columns), layout, source) if assigned is None else assigned
+    n = next(np.size(columns[one.title]) for one in assigned if one.name == "t")
     _fits(n, source)
     # One block for all signals: memory that is freed beside it goes back, however long the record.
-    signals = iter(np.empty((sum(1 for title in titles.values() if title.name), n)))
+    signals = iter(np.empty((len(assigned), n)))
     named: dict[str, np.ndarray] = {}
-    extra: dict[str, Any] = {}
     notes: list[str] = []
-    for key, title in titles.items():
-        values = columns.pop(key)
-        if not title.name:
-            extra[title.text] = values
-            continue
+    for one in assigned:
         with np.errstate(over="ignore"):  # an overflow is infinite, and refused for that
-            named[title.name] = np.multiply(_vector(values, title, n, source), title.factor, out=next(signals))
-        if title.factor != 1.0:
-            notes.append(f"{title.name}: converted from {title.unit} to {UNITS[title.name]}")
+            named[one.name] = np.multiply(
+                _vector(columns.pop(one.title), one, n, source), one.factor, out=next(signals)
+            )
+        if one.how == NAMED and one.factor != 1.0:
+            notes.append(f"{one.name}: converted from {one.unit} to {layout.unit(one.name)}")
+        elif one.how == RECOGNISED:
+            notes.append(f"{one.name}: taken from column {one.title!r} [{one.unit}]")
     for column, values in named.items():
-        _finite(values, column, source, first_row)
-    found, jitter_notes = _period(named["t"], source, first_row)
-    notes += jitter_notes
+        _finite(values, column, layout.unit(column), source, first_row)
+    exported = layout.resample or any(one.how != NAMED for one in assigned)
+    found, clock_notes, resampled = on_one_clock(named, layout.period if exported else None, source, first_row)
+    notes += clock_notes
+    if resampled is not None:
+        columns = {title: _held(values, named["t"], resampled) for title, values in columns.items()}
+        named = resampled.signals
+        n = named["t"].size
+        _fits(n, source)
     period = period or found
-    _moving(named, source)
-    _plausible(named, period, source)
+    _moving(named, layout, source)
+    _plausible(named, period, layout, source)
     named["t"][:] = np.arange(n)
     named["t"] *= period
+    recorded = "q_ref" in named
+    if not recorded:
+        named["q_ref"] = _reference_from(named, period)
+        notes.append(_NO_REFERENCE["velocity_reference" in named])
     return {
         "t": named["t"],
         "q_ref": named["q_ref"],
         "q": named["q"],
         "u": named["u"],
-        "f_ext": named.get("f_ext"),
+        **{name: named.get(name) for name in OPTIONAL},
         "period": period,
-        "extra": extra,
-        "warnings": tuple(notes + _notes(named)),
+        "extra": columns,
+        "warnings": tuple(notes + _notes(named, layout, recorded)),
+        "q_ref_recorded": recorded,
+        "measured": None if resampled is None else resampled.measured,
     }
+
+
+_NO_REFERENCE = {
+    True: "q_ref: not recorded; the integral of velocity_reference from the first position stands for it",
+    False: "q_ref: not recorded; q itself stands for it",
+}
+
+
+def _reference_from(named: dict[str, np.ndarray], period: float) -> np.ndarray:
+    """The position reference of a record that has none: its velocity reference integrated, or the position itself."""
+    if "velocity_reference" not in named:
+        return named["q"].copy()
+    steps = named["velocity_reference"] * period
+    steps[0] = named["q"][0]
+    return np.cumsum(steps)
+
+
+def _held(values: Any, t: np.ndarray, resampled: Resampled) -> Any:
+    """A further column of the file on the new clock, each value held until the next; anything else as it is."""
+    if np.size(values) != t.size or np.asarray(values).dtype.kind not in "buif":
+        return values
+    at = resampled.signals["t"] + t[0]
+    return np.ravel(values)[np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 1)]
 
 
 def _fits(n: int, source: str) -> None:
@@ -77,18 +119,18 @@ def _fits(n: int, source: str) -> None:
         raise RecordError(f"{source}: found {n} sample{'' if n == 1 else 's'}, expected at least {SHORTEST}")
 
 
-def _vector(values: Any, title: Title, n: int, source: str) -> np.ndarray:
+def _vector(values: Any, one: Assignment, n: int, source: str) -> np.ndarray:
     array = np.asarray(values)
     if array.dtype.kind not in "buif":
-        raise RecordError(f"{source}: column {title.text!r}: found {array.dtype} values, expected real numbers")
+        raise RecordError(f"{source}: column {one.title!r}: found {array.dtype} values, expected real numbers")
     if array.ndim > 1 and array.size != max(array.shape):
-        raise RecordError(f"{source}: column {title.text!r}: found shape {array.shape}, expected one value per sample")
+        raise RecordError(f"{source}: column {one.title!r}: found shape {array.shape}, expected one value per sample")
     if array.size != n:
-        raise RecordError(f"{source}: column {title.name}: found {array.size} samples, expected {n} as in column t")
+        raise RecordError(f"{source}: column {one.name}: found {array.size} samples, expected {n} as in column t")
     return array.ravel()
 
 
-def _finite(values: np.ndarray, column: str, source: str, first_row: int) -> None:
+def _finite(values: np.ndarray, column: str, unit: str, source: str, first_row: int) -> None:
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size:
         raise RecordError(
@@ -98,105 +140,71 @@ def _finite(values: np.ndarray, column: str, source: str, first_row: int) -> Non
     for row in (int(np.argmax(values)), int(np.argmin(values))):
         if abs(values[row]) > LARGEST:
             raise RecordError(
-                f"{source}: column {column}, row {first_row + row}: found {values[row]:.6g} {UNITS[column]}, expected "
+                f"{source}: column {column}, row {first_row + row}: found {values[row]:.6g} {unit}, expected "
                 f"a magnitude below {LARGEST:g}"
             )
 
 
-def _period(t: np.ndarray, source: str, first_row: int) -> tuple[float, list[str]]:
-    """The nominal period [s] of the time column, which may be quantised: steps of a 1 kHz clock need not be equal."""
-    # One array of steps at a time: a record of an hour has 29 MB of them.
-    step = np.diff(t)
-    if float(np.min(step)) <= 0:
-        i = int(np.argmax(step <= 0))
-        what = "the same time twice" if step[i] == 0 else "time going backwards"
-        raise RecordError(
-            f"{source}: column t, row {first_row + i + 1}: found {what} ({t[i]:.9g} s, then {t[i + 1]:.9g} s), "
-            "expected increasing time"
-        )
-    typical = float(np.median(step, overwrite_input=True))
-    np.subtract(t[1:], t[:-1], out=step)
-    step -= typical
-    jitter = float(np.sqrt(np.mean(np.square(step, out=step)))) / typical
-    if np.max(step) > (LARGEST_JITTER * typical) ** 2:
-        i = int(np.argmax(step > (LARGEST_JITTER * typical) ** 2))
-        raise RecordError(
-            f"{source}: column t, row {first_row + i + 1}: found a step of {t[i + 1] - t[i]:.6g} s, expected "
-            f"{typical:.6g} s as elsewhere; sampling must be uniform: resample, or cut the record there"
-        )
-    if not SHORTEST_PERIOD <= typical <= LONGEST_PERIOD:
-        raise RecordError(
-            f"{source}: column t: found a sampling period of {typical:.6g} s, expected {SHORTEST_PERIOD:g} to "
-            f"{LONGEST_PERIOD:g} s; if time is in ms or a sample count, convert it or title it 't [ms]'"
-        )
-    notes = [f"t: sampling jitter of {100 * jitter:.2g} % rms of the period"] if jitter > NOTED_JITTER else []
-    return _nominal(float(t[-1] - t[0]) / step.size), notes
-
-
-def _nominal(period: float) -> float:
-    """The round period or round rate that ``period`` is within 1e-4 of, or ``period`` itself.
-
-    >>> _nominal(0.00100000802), _nominal(0.0003333333), _nominal(0.0012365)
-    (0.001, 0.0003333333333333333, 0.0012365)
-    """
-    for nominal in (float(f"{period:.3g}"), 1.0 / float(f"{1.0 / period:.3g}")):
-        if abs(period / nominal - 1.0) < 1e-4:
-            return nominal
-    return period
-
-
-def _moving(named: Mapping[str, np.ndarray], source: str) -> None:
+def _moving(named: Mapping[str, np.ndarray], layout: Layout, source: str) -> None:
     for column, what in (("q", "the axis must move"), ("u", "the drive must work")):
         if np.ptp(named[column]) == 0.0:
             raise RecordError(
-                f"{source}: column {column}: found {named[column][0]:g} {UNITS[column]} in every row; {what}"
+                f"{source}: column {column}: found {named[column][0]:g} {layout.unit(column)} in every row; {what}"
             )
 
 
-def _plausible(named: Mapping[str, np.ndarray], period: float, source: str) -> None:
-    hint = "in mm: divide it by 1000, or title the column '{0} [mm]'"
-    for column in ("q", "q_ref"):
+def _plausible(named: Mapping[str, np.ndarray], period: float, layout: Layout, source: str) -> None:
+    unit, usual = layout.unit("q"), "mm" if not layout.units.rotary else "deg"
+    where = "metres on the load side" if not layout.units.rotary else "radians on the load side"
+    hint = {"mm": "in mm: divide it by 1000, or title the column '{0} [mm]'", "deg": "in deg: title it '{0} [deg]'"}
+    longest, fastest = LONGEST_STROKE[layout.units.motion], HIGHEST_SPEED[layout.units.motion]
+    positions = [column for column in ("q", "q_ref") if column in named]
+    for column in positions:
         stroke = float(np.ptp(named[column]))
         step = np.diff(named[column])
         speed = float(np.quantile(np.abs(step, out=step), 0.99, overwrite_input=True)) / period
-        if stroke > LONGEST_STROKE or speed > HIGHEST_SPEED:
-            found = f"a stroke of {stroke:.4g} m" if stroke > LONGEST_STROKE else f"a speed of {speed:.4g} m/s"
-            most = f"{LONGEST_STROKE:g} m" if stroke > LONGEST_STROKE else f"{HIGHEST_SPEED:g} m/s"
+        if stroke > longest or speed > fastest:
+            found = f"a stroke of {stroke:.4g} {unit}" if stroke > longest else f"a speed of {speed:.4g} {unit}/s"
+            most = f"{longest:g} {unit}" if stroke > longest else f"{fastest:g} {unit}/s"
             raise RecordError(
-                f"{source}: column {column}: found {found}, expected metres on the load side (at most {most}); "
-                f"it is probably {hint.format(column)}"
+                f"{source}: column {column}: found {found}, expected {where} (at most {most}); "
+                f"it is probably {hint[usual].format(column)}"
             )
-    ratio = float(np.ptp(named["q_ref"]) / np.ptp(named["q"]))
-    if ratio > 100.0:
-        raise RecordError(
-            f"{source}: columns q_ref and q: found ranges of {np.ptp(named['q_ref']):.4g} and "
-            f"{np.ptp(named['q']):.4g} m, expected the same unit in both; one is probably {hint.format('q_ref')}"
-        )
-    for column, highest, less in (("u", HIGHEST_VOLTAGE, "mV"), ("f_ext", HIGHEST_FORCE, "mN")):
+    if len(positions) == 2:
+        ratio = float(np.ptp(named["q_ref"]) / np.ptp(named["q"]))
+        if ratio > 100.0:
+            raise RecordError(
+                f"{source}: columns q_ref and q: found ranges of {np.ptp(named['q_ref']):.4g} and "
+                f"{np.ptp(named['q']):.4g} {unit}, expected the same unit in both; one is probably "
+                f"{hint[usual].format('q_ref')}"
+            )
+    for column, highest in (("u", HIGHEST_VOLTAGE if layout.unit("u") == "V" else HIGHEST), ("f_ext", HIGHEST)):
         largest = float(np.max(np.abs(named[column]))) if column in named else 0.0
         if largest > highest:
+            unit = layout.unit(column)
             raise RecordError(
-                f"{source}: column {column}: found {largest:.4g} {UNITS[column]}, expected at most {highest:g} "
-                f"{UNITS[column]}; if it is in {less}, title the column '{column} [{less}]'"
+                f"{source}: column {column}: found {largest:.4g} {unit}, expected at most {highest:g} "
+                f"{unit}; if it is in m{unit}, title the column '{column} [m{unit}]'"
             )
 
 
-def _notes(named: Mapping[str, np.ndarray]) -> list[str]:
+def _notes(named: Mapping[str, np.ndarray], layout: Layout, recorded: bool) -> list[str]:
     """What is odd but may be meant."""
     notes = [
-        f"{column}: constant at {named[column][0]:g} {UNITS[column]}"
-        for column in ("q_ref", "f_ext")
+        f"{column}: constant at {named[column][0]:g} {layout.unit(column)}"
+        for column in (("q_ref", "f_ext") if recorded else ("f_ext",))
         if column in named and np.ptp(named[column]) == 0.0
     ]
     if np.ptp(named["q"]) < SMALLEST_STROKE:
-        notes.append(f"q: a stroke of only {np.ptp(named['q']):.3g} m; check that it is in metres")
+        unit, long = layout.unit("q"), "metres" if not layout.units.rotary else "radians"
+        notes.append(f"q: a stroke of only {np.ptp(named['q']):.3g} {unit}; check that it is in {long}")
     u = np.abs(named["u"])
     largest = float(np.max(u))
-    if largest < SMALLEST_VOLTAGE:
+    if largest < SMALLEST_VOLTAGE and layout.unit("u") == "V":
         notes.append(f"u: at most {largest:.3g} V; check that it is in volts")
     saturated = int(np.count_nonzero(u >= largest * (1 - 1e-6)))
     if saturated > max(NOTED_SATURATION * u.size, 5):
-        notes.append(
-            f"u: {100 * saturated / u.size:.2g} % of the samples sit at the extreme of {largest:.4g} V: saturated"
-        )
+        unit = layout.unit("u")
+        extreme = f"{largest:.4g} {unit}".rstrip()
+        notes.append(f"u: {100 * saturated / u.size:.2g} % of the samples sit at the extreme of {extreme}: saturated")
     return notes

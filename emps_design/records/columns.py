@@ -1,23 +1,39 @@
-"""Names and units of the columns of a record: what a file may call them, and what they become."""
+"""The columns of a record: their names, what each measures, and what a title in a file says of it."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from emps_design.errors import RecordError
+from emps_design.errors import InputError, RecordError
+from emps_design.units import Units, spelled
 
 # The contract's names, and the names of the EMPS data set.
-NAMES = {"t": "t", "qg": "q_ref", "q_ref": "q_ref", "qm": "q", "q": "q", "vir": "u", "u": "u", "f_ext": "f_ext"}
-REQUIRED = ("t", "q_ref", "q", "u")
-UNITS = {"t": "s", "q_ref": "m", "q": "m", "u": "V", "f_ext": "N"}
-FACTORS = {
-    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
-    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9},
-    "V": {"V": 1.0, "mV": 1e-3, "kV": 1e3},
-    "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
+NAMES = {"t": "t", "qg": "q_ref", "q_ref": "q_ref", "qm": "q", "q": "q", "vir": "u", "u": "u"}
+OPTIONAL = ("f_ext", "velocity_reference", "velocity", "supply", "enable", "excitation")
+NAMES |= {name: name for name in OPTIONAL}
+# name -> what it measures, one of the columns that units are known of; a switch has none
+QUANTITIES = {
+    "t": "time",
+    "q_ref": "position",
+    "q": "position",
+    "u": "command",
+    "f_ext": "force",
+    "velocity_reference": "velocity",
+    "velocity": "velocity",
+    "supply": "supply",
+    "enable": "switch",
+    "excitation": "command",
 }
-_TITLE = re.compile(r"\s*(?P<name>\w+)\s*(?:\[(?P<square>[^\]]*)\]|\((?P<round>[^)]*)\)|/\s*(?P<slash>\w+))?\s*")
+_BASE = {"time": "s", "position": "m", "velocity": "m/s", "force": "N", "command": "V", "supply": "volt", "switch": ""}
+RECORD = "emps_design_record"  # a member of an archive that this package wrote: its columns need no mapping
+# Units that may end a title without brackets: those that are surely one, and letters that may stand for something else.
+TAILS = ("ms", "us", "mm", "um", "nm", "cm", "deg", "rad", "mrad", "rev", "rpm", "mA", "mV", "kN", "N m")
+LETTERS = ("s", "m", "A", "V", "N")
+PLAIN = Units()  # of a record that no axis file describes
+_CONTRACT = re.compile(r"\s*(?P<name>\w+)\s*(?:\[(?P<square>[^\]]*)\]|\((?P<round>[^)]*)\)|/\s*(?P<slash>\w+))?\s*")
+_BRACKETED = re.compile(r"\s*(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\))\s*")
 
 
 @dataclass(frozen=True)
@@ -27,53 +43,74 @@ class Title:
     text: str
     name: str
     unit: str = ""
-
-    @property
-    def factor(self) -> float:
-        """What one unit of the file is in SI units."""
-        return FACTORS[UNITS[self.name]][self.unit] if self.unit else 1.0
+    factor: float = 1.0  # what one unit of the file is in units of the library
 
 
-def read_title(text: str, source: str) -> Title:
+def unit_of(name: str, units: Units) -> str:
+    """The unit of a record's column called ``name``.
+
+    >>> unit_of("q", Units("rotary", "current", "A")), unit_of("u", Units("rotary", "current", "A"))
+    ('rad', 'A')
+    """
+    return units.unit(_BASE[QUANTITIES[name]])
+
+
+def factor_of(unit: str, name: str, units: Units) -> float | None:
+    """What one ``unit`` of a file is in the unit of a record's column, or None for a unit of something else."""
+    try:
+        return units.factor(unit, QUANTITIES[name]) if QUANTITIES[name] != "switch" else None
+    except InputError:
+        return None
+
+
+def read_title(text: str, source: str, units: Units = PLAIN) -> Title:
     """Split a title such as ``q [mm]``, ``u (V)`` or ``t/ms``; raises :class:`RecordError` on an unknown unit.
 
     >>> read_title("qm [mm]", "a.csv")
-    Title(text='qm [mm]', name='q', unit='mm')
+    Title(text='qm [mm]', name='q', unit='mm', factor=0.001)
     >>> read_title("temperature", "a.csv").name
     ''
     """
-    match = _TITLE.fullmatch(text)
+    match = _CONTRACT.fullmatch(text)
     name = NAMES.get(match["name"].lower(), "") if match else ""
     if not name or match is None:
         return Title(text.strip(), "")
-    unit = (match["square"] or match["round"] or match["slash"] or "").strip().replace("µ", "u").replace("μ", "u")
-    known = FACTORS[UNITS[name]]
-    if unit and unit not in known:
-        raise RecordError(
-            f"{source}: column {text.strip()!r}: unknown unit {unit!r}, expected one of {', '.join(known)}"
-        )
-    return Title(text.strip(), name, unit)
+    unit = spelled(match["square"] or match["round"] or match["slash"] or "")
+    try:
+        factor = units.factor(unit, QUANTITIES[name]) if unit and QUANTITIES[name] != "switch" else 1.0
+    except InputError as error:
+        raise RecordError(f"{source}: column {text.strip()!r}: {error}") from error
+    return Title(text.strip(), name, unit, factor)
 
 
-def read_titles(texts: list[str], source: str) -> list[Title]:
-    """Titles of a whole file; raises :class:`RecordError` where two claim one name, or a needed one is missing."""
-    titles = [read_title(text, source) for text in texts]
-    taken: dict[str, str] = {}
-    for title in titles:
-        if title.name in taken:
-            raise RecordError(
-                f"{source}: columns {taken[title.name]!r} and {title.text!r} both stand for {title.name}; keep one"
-            )
-        if title.name:
-            taken[title.name] = title.text
-    missing = [name for name in REQUIRED if name not in taken]
-    if missing:
-        found = ", ".join(_shorten(text) for text in texts[:12]) or "none"
-        raise RecordError(
-            f"{source}: missing column {', '.join(missing)}; found {found}; expected t [s], q_ref [m], q [m], u [V] "
-            "(or the EMPS names t, qg, qm, vir)"
-        )
-    return titles
+def plain_title(text: str) -> tuple[str, str]:
+    """Return a title without its bracketed unit, and that unit, or "" where it has none.
+
+    >>> plain_title("Lageistwert [mm]"), plain_title("pos_deg"), plain_title("Torque (act) (Nm)")
+    (('Lageistwert', 'mm'), ('pos_deg', ''), ('Torque (act)', 'Nm'))
+    """
+    match = _BRACKETED.fullmatch(text)
+    if match is None or not match["name"]:
+        return text.strip(), ""
+    return match["name"], (match["square"] or match["round"] or "").strip()
+
+
+def title_unit(text: str) -> tuple[str, str]:
+    """Return a title without its unit, and the unit: the bracketed one, or what stands after a last underscore.
+
+    >>> title_unit("Lage [mm]"), title_unit("pos_deg"), title_unit("cmd_A"), title_unit("act_pos"), title_unit("state")
+    (('Lage', 'mm'), ('pos', 'deg'), ('cmd', 'A'), ('act_pos', ''), ('state', ''))
+    """
+    plain, bracketed = plain_title(text)
+    if bracketed:
+        return plain, spelled(bracketed)
+    head, _, tail = plain.rpartition("_")
+    return (head, spelled(tail)) if head and spelled(tail) in (*TAILS, *LETTERS) else (plain, "")
+
+
+def listed(titles: Sequence[str]) -> str:
+    """The ``titles`` of a file, as a message lists them."""
+    return ", ".join(_shorten(text) for text in titles[:12]) or "none"
 
 
 def _shorten(text: str) -> str:

@@ -12,10 +12,12 @@ import numpy as np
 
 from emps_design.errors import InputError, RecordError, one_line
 from emps_design.records.archives import read_archive
-from emps_design.records.check import checked
+from emps_design.records.check import PLAIN, checked
+from emps_design.records.columns import RECORD
+from emps_design.records.layout import Layout, assign
 from emps_design.records.matlab_v5 import is_v5, read_v5
 from emps_design.records.matlab_v73 import is_v73, read_v73
-from emps_design.records.record import Record
+from emps_design.records.record import MEASURED, Record
 from emps_design.records.tables import read_table
 
 MAX_BYTES = 250_000_000  # of a file, and again of what it unpacks to: two hours at 1 kHz
@@ -26,11 +28,12 @@ _KINDS = {".mat": "MATLAB v5 or v7.3 file", ".npz": "NumPy archive", ".csv": "te
 _TEXT = (".csv", ".txt", ".tsv")
 
 
-def read_record(path: str | Path, max_bytes: int = MAX_BYTES) -> Record:
+def read_record(path: str | Path, max_bytes: int = MAX_BYTES, layout: Layout = PLAIN) -> Record:
     """Read the record at ``path`` (.mat v5 or v7.3, .csv, .npz), checked once and for all.
 
     Columns: ``t`` [s], ``q_ref`` [m], ``q`` [m], ``u`` [V], optional ``f_ext`` [N]; the EMPS names ``t qg qm vir`` are
-    known too, and a title may carry a unit (``q [mm]``). ``max_bytes`` limits the file, and what it unpacks to.
+    known too, and a title may carry a unit (``q [mm]``). ``max_bytes`` limits the file, and what it unpacks to;
+    ``layout`` has what an axis file says of its records, and is given by :func:`emps_design.importing.import_record`.
     Nothing in a file is executed or unpickled. Raises :class:`RecordError`: one line that names the file, the place,
     what was found, what was expected and what to do.
     """
@@ -43,7 +46,7 @@ def read_record(path: str | Path, max_bytes: int = MAX_BYTES) -> Record:
             raise RecordError(f"{path}: is not an ordinary file, expected a .mat, .csv or .npz record")
         _refuse_large(status.st_size, str(path), max_bytes)
         with path.open("rb") as file:
-            return _read(file, path.name, str(path), max_bytes)
+            return _read(file, path.name, str(path), max_bytes, layout)
     except (OSError, ValueError) as error:
         if isinstance(error, InputError):
             raise
@@ -51,7 +54,9 @@ def read_record(path: str | Path, max_bytes: int = MAX_BYTES) -> Record:
         raise RecordError(f"{path}: {reason}; expected a .mat, .csv or .npz record") from error
 
 
-def record_from_bytes(content: bytes, name: str, source: str | None = None, max_bytes: int = MAX_BYTES) -> Record:
+def record_from_bytes(
+    content: bytes, name: str, source: str | None = None, max_bytes: int = MAX_BYTES, layout: Layout = PLAIN
+) -> Record:
     """Read a record from the ``content`` of a file called ``name``; ``source`` is what messages call it.
 
     >>> table = "t;q_ref [mm];q [mm];u\\n" + "\\n".join(f"{k / 1000:.3f};{k};{k};1.{k:02d}" for k in range(60))
@@ -61,10 +66,10 @@ def record_from_bytes(content: bytes, name: str, source: str | None = None, max_
     """
     source = source or name
     _refuse_large(len(content), source, max_bytes)
-    return _read(io.BytesIO(content), name, source, max_bytes)
+    return _read(io.BytesIO(content), name, source, max_bytes, layout)
 
 
-def _read(file: BinaryIO, name: str, source: str, max_bytes: int) -> Record:
+def _read(file: BinaryIO, name: str, source: str, max_bytes: int, layout: Layout) -> Record:
     """Read the open ``file``: readers go through it piece by piece, it is never in memory as a whole."""
     head = file.read(HEAD)
     if not head.strip():
@@ -80,16 +85,28 @@ def _read(file: BinaryIO, name: str, source: str, max_bytes: int) -> Record:
     file.seek(0)
     digest = hashlib.file_digest(cast(Any, file), "sha256").hexdigest()
     file.seek(0)
-    first_row = 0
-    columns: dict[str, np.ndarray]
-    if found == ".npz":
-        columns = read_archive(file, source, max_bytes)
-    elif found == ".mat":
-        reader = read_v5 if is_v5(head) and not is_v73(head) else read_v73
-        columns = {n: v for n, v in reader(file, source, max_bytes).items() if not n.startswith("__")}
+    if found == ".csv":
+        table = read_table(file, source, lambda titles: [one.title for one in assign(titles, layout, source)])
+        columns, first_row, notes = table.columns, table.first_row, table.notes
     else:
-        columns, first_row = read_table(file, source)
-    return Record(name=one_line(Path(name).stem), sha256=digest, **checked(columns, source, first_row))
+        columns, first_row, notes = _arrays(file, found, head, source, max_bytes), 0, ()
+    measured = {key: columns.pop(key) for key in list(columns) if key.startswith(MEASURED)}
+    assigned = assign(list(columns), layout, source)
+    columns.pop(RECORD, None)
+    signals = checked(columns, source, first_row, layout=layout, assigned=assigned)
+    if measured:
+        signals["measured"] = {key.removeprefix(MEASURED): values for key, values in measured.items()}
+    signals["assigned"] = tuple(assigned)
+    signals["warnings"] = (*notes, *signals["warnings"])
+    return Record(name=one_line(Path(name).stem), sha256=digest, **signals)
+
+
+def _arrays(file: BinaryIO, kind: str, head: bytes, source: str, max_bytes: int) -> dict[str, np.ndarray]:
+    """The arrays of a binary file by name."""
+    if kind == ".npz":
+        return read_archive(file, source, max_bytes)
+    reader = read_v5 if is_v5(head) and not is_v73(head) else read_v73
+    return {n: v for n, v in reader(file, source, max_bytes).items() if not n.startswith("__")}
 
 
 def _kind(head: bytes) -> str:

@@ -12,17 +12,27 @@ import numpy as np
 from emps_design.errors import InputError
 from emps_design.files import write_aside
 from emps_design.notebook import table
-from emps_design.records.check import checked
+from emps_design.records.check import PLAIN, checked
+from emps_design.records.columns import OPTIONAL, RECORD
+from emps_design.records.layout import Assignment, Layout
+
+MEASURED = "measured."  # before the names, in an archive, of what was resampled, at its own times
 
 
 @dataclass(frozen=True)
 class Record:
     """Equally sampled signals of one run.
 
-    ``t`` [s] starts at 0 with the nominal ``period`` [s]; ``q_ref`` [m] reference and ``q`` [m] encoder position, both
-    on the load side; ``u`` [V] voltage that the drive was given; ``f_ext`` [N] measured external force, where there is
-    one. ``extra`` keeps other columns of the file, unread by the analysis; ``warnings`` what the check
-    noticed. Built by :func:`emps_design.records.read_record` or :meth:`from_arrays`.
+    ``t`` [s] starts at 0 with the nominal ``period`` [s]; ``q_ref`` reference and ``q`` encoder position [m, or rad of
+    an axis that turns], both on the load side; ``u`` what the drive was given [V, or the command unit of the axis].
+    Where there are such columns: ``f_ext`` measured external force [N or N m]; ``velocity_reference`` and ``velocity``,
+    the drive's own [m/s or rad/s]; ``supply`` [V]; ``enable``, 0 where the motor was switched off; ``excitation``, what
+    was added to the controller's output [as u]. ``q_ref_recorded`` is False where something stands for the reference.
+
+    ``measured`` has the signals at their own times where they were resampled; ``assigned`` says which column of the
+    file each was. ``extra`` keeps other columns of the
+    file, unread by the analysis; ``warnings`` what the check noticed. Built by
+    :func:`emps_design.records.read_record` or :meth:`from_arrays`.
     """
 
     t: np.ndarray
@@ -35,6 +45,14 @@ class Record:
     sha256: str = ""
     extra: Mapping[str, Any] = field(default_factory=dict, repr=False)
     warnings: tuple[str, ...] = ()
+    velocity_reference: np.ndarray | None = None
+    velocity: np.ndarray | None = None
+    supply: np.ndarray | None = None
+    enable: np.ndarray | None = None
+    excitation: np.ndarray | None = None
+    q_ref_recorded: bool = True
+    measured: Mapping[str, np.ndarray] | None = field(default=None, repr=False)
+    assigned: tuple[Assignment, ...] = field(default=(), repr=False)
 
     @classmethod
     def from_arrays(
@@ -46,10 +64,12 @@ class Record:
         f_ext: Any = None,
         name: str = "record",
         extra: Mapping[str, Any] | None = None,
+        layout: Layout = PLAIN,
+        **more: Any,
     ) -> Record:
         """Build a record from arrays, by the same check as a file; raises :class:`RecordError`.
 
-        ``t`` [s] is the time column, or the sampling period as one number.
+        ``t`` [s] is the time column, or the sampling period as one number; ``more`` are the other columns by name.
 
         >>> import numpy as np
         >>> sweep = np.sin(np.arange(100) / 10)
@@ -58,9 +78,11 @@ class Record:
         """
         period = float(t) if np.ndim(t) == 0 else 0.0
         columns = {"t": np.arange(np.size(q)) * period if period else t, "q_ref": q_ref, "q": q, "u": u}
-        if f_ext is not None:
-            columns["f_ext"] = f_ext
-        return cls(name=name, **checked({**columns, **(extra or {})}, name, period=period))
+        unknown = set(more) - set(OPTIONAL)
+        if unknown:
+            raise InputError(f"{name}: found column {min(unknown)!r}, expected one of {', '.join(OPTIONAL)}")
+        given = {key: values for key, values in {"f_ext": f_ext, **more}.items() if values is not None}
+        return cls(name=name, **checked({**columns, **given, **(extra or {})}, name, period=period, layout=layout))
 
     def __len__(self) -> int:
         return self.t.size
@@ -73,21 +95,28 @@ class Record:
     @property
     def columns(self) -> dict[str, np.ndarray]:
         """The signals by their names in a file."""
-        table = {"t": self.t, "q_ref": self.q_ref, "q": self.q, "u": self.u}
-        return table if self.f_ext is None else {**table, "f_ext": self.f_ext}
+        reference = {"q_ref": self.q_ref} if self.q_ref_recorded else {}
+        table = {"t": self.t, **reference, "q": self.q, "u": self.u}
+        return table | {name: column for name, column in self._optional.items() if column is not None}
+
+    @property
+    def _optional(self) -> dict[str, np.ndarray | None]:
+        return {name: getattr(self, name) for name in OPTIONAL}
 
     def part(self, start: int, stop: int, name: str | None = None) -> Record:
         """Samples ``start`` to ``stop`` as a record whose time starts at 0 again."""
         cut = slice(start, stop)
+        optional: Any = {key: None if column is None else column[cut] for key, column in self._optional.items()}
         return replace(
             self,
             t=self.t[cut] - self.t[cut][0],
             q_ref=self.q_ref[cut],
             q=self.q[cut],
             u=self.u[cut],
-            f_ext=None if self.f_ext is None else self.f_ext[cut],
             name=name or f"{self.name}[{start}:{stop}]",
-            extra={},
+            extra={key: value for key, value in self.extra.items() if np.size(value) == 1},
+            measured=None,
+            **optional,
         )
 
     def save(self, path: str | Path) -> None:
@@ -97,13 +126,20 @@ class Record:
             raise InputError(f"{path}: found suffix {path.suffix!r}, expected .npz or .csv")
         with write_aside(path) as aside, aside.open("wb") as file:
             if path.suffix == ".npz":
-                np.savez(file, **cast(Any, self.columns))
+                np.savez(file, **cast(Any, {**self.columns, **self._kept(), RECORD: 1}))
             else:
                 # 17 digits bring every number back as it was, 12 are the time's and do for reading.
                 formats = ["%.12g", *["%.17g"] * (len(self.columns) - 1)]
                 header = ",".join(self.columns)
                 table = np.column_stack(list(self.columns.values()))
                 np.savetxt(file, table, fmt=formats, delimiter=",", header=header, comments="")
+
+    def _kept(self) -> dict[str, np.ndarray]:
+        """What an archive keeps beside the columns: single numbers of the file, and what was resampled."""
+        single = {key: np.asarray(value) for key, value in self.extra.items() if np.size(value) == 1}
+        numbers = {key: value for key, value in single.items() if value.dtype.kind in "buif" and key.isidentifier()}
+        measured = {f"{MEASURED}{name}": values for name, values in (self.measured or {}).items()}
+        return {**numbers, **measured}
 
     def to_dict(self) -> dict[str, Any]:
         """What identifies the record, without its samples."""

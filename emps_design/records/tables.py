@@ -1,41 +1,73 @@
-"""Text tables: delimiter ; , or tab, decimal point or comma, a header with or without units."""
+"""Text tables as drives export them: ; , or tab, decimal point or comma, a preamble, comments, several encodings."""
 
 from __future__ import annotations
 
-import csv
 import io
 from collections.abc import Iterator
 from contextlib import suppress
-from itertools import islice
+from dataclasses import dataclass
+from itertools import chain, islice
 from typing import BinaryIO, TextIO
 
 import numpy as np
 
 from emps_design.errors import RecordError
 from emps_design.records.check import LONGEST
-from emps_design.records.columns import read_titles
+from emps_design.records.header import COMMENT, LOOKED_AT, Choice, find_header, number, split
+from emps_design.records.scope import is_scope, read_scope
 
-DELIMITERS = (";", "\t", ",")
 LONGEST_LINE = 100_000  # characters
+HEAD = 1 << 16  # bytes that say which encoding it is
 PIECE = 1 << 20  # characters that are looked through at a time
 BLOCK = 50_000  # rows that are read at a time
+END = "EOF"  # what some exports write below the last sample
 
 
-def read_table(file: BinaryIO, source: str) -> tuple[dict[str, np.ndarray], int]:
-    """Return the columns of a text table by title, and the row of the file in which its first sample stands.
+@dataclass(frozen=True)
+class Table:
+    """Columns by title, those that were asked for; all ``titles``; the row of the file with the first sample."""
+
+    columns: dict[str, np.ndarray]
+    titles: tuple[str, ...]
+    first_row: int = 0
+    notes: tuple[str, ...] = ()
+
+
+def read_table(file: BinaryIO, source: str, known: Choice) -> Table:
+    """Return the columns of a text table in whose titles ``known`` finds a meaning.
 
     It is gone through twice, to count its rows and to read them block by block: its text is never whole in memory.
     """
-    encoding = "utf-16" if file.read(2) in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    encoding = _encoding(file.read(HEAD))
     file.seek(0)
     text = io.TextIOWrapper(file, encoding=encoding)
     try:
-        return _read(text, _rows(text, source), source)
+        rows = _rows(text, source)
+        head = list(islice(text, LOOKED_AT))
+        lines = chain(head, text)
+        if is_scope(head):
+            scope = read_scope(lines, rows, source, known)
+            return Table(scope.columns, scope.titles, scope.first_row, scope.notes)
+        return _read(head, lines, rows, source, known)
     except UnicodeDecodeError as error:
         place = file.tell() - len(error.object) + error.start
         raise RecordError(f"{source}: byte {place}: not {encoding[:6].rstrip('-')} text, expected a table") from error
     finally:
         text.detach()
+
+
+def _encoding(head: bytes) -> str:
+    """What the first bytes are: a byte-order mark says it, otherwise UTF-8, or what Western European Windows writes."""
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16"
+    pairs = len(head) // 2
+    for encoding, zeros in (("utf-16-le", head[1::2].count(0)), ("utf-16-be", head[::2].count(0))):
+        if pairs > 4 and zeros > 0.9 * pairs and head.count(0) == zeros:
+            return encoding
+    with suppress(UnicodeDecodeError):
+        head[: len(head) - 3 if len(head) == HEAD else len(head)].decode("utf-8")
+        return "utf-8-sig"
+    return "cp1252"
 
 
 def _rows(text: TextIO, source: str) -> int:
@@ -68,68 +100,59 @@ def _unfinished_line(piece: str, begun: int, source: str) -> int:
     return begun + len(piece) if last < 0 else len(piece) - last - 1
 
 
-def _read(text: TextIO, rows: int, source: str) -> tuple[dict[str, np.ndarray], int]:
-    start, header = next(((i, line) for i, line in enumerate(text) if line.strip() and line[0] != "#"), (0, ""))
-    if not header:
-        raise RecordError(f"{source}: found no rows, expected a header and samples")
-    delimiter = max(DELIMITERS, key=header.count)
-    titles = [cell.strip() for cell in next(csv.reader([header], delimiter=delimiter))]
-    while titles and not titles[-1]:
-        titles.pop()
-    if all(_number(title) is not None for title in titles):
-        raise RecordError(f"{source}: row {start + 1}: found numbers, expected a header such as t;q_ref;q;u")
-    wanted = [i for i, title in enumerate(read_titles(titles, source)) if title.name]
-    columns, filled, first = [np.empty(rows) for _ in wanted], 0, start + 2
-    for block in _blocks(text):
-        numbers = _parse(block, delimiter, wanted, titles, source, first + filled)
+def _read(head: list[str], lines: Iterator[str], rows: int, source: str, known: Choice) -> Table:
+    header = find_header(head, known, source)
+    titles = header.titles
+    chosen = set(map(str, known(titles)))
+    wanted = [i for i, title in enumerate(titles) if title in chosen]
+    columns, filled = [np.empty(rows) for _ in wanted], 0
+    for row, block in _blocks(islice(lines, header.samples, None), header.samples + 1):
+        numbers = _parse(block, header.delimiter, wanted, titles, source, row)
         for k, column in enumerate(columns):
-            column[filled : filled + len(block)] = numbers[:, k]
-        filled += len(block)
+            column[filled : filled + len(numbers)] = numbers[:, k]
+        filled += len(numbers)
     if not filled:
         raise RecordError(f"{source}: found a header and no samples")
-    return {titles[i]: column[:filled] for i, column in zip(wanted, columns, strict=True)}, first
+    found = {titles[i]: column[:filled] for i, column in zip(wanted, columns, strict=True)}
+    return Table(found, tuple(titles), header.samples + 1)
 
 
-def _blocks(text: TextIO) -> Iterator[list[str]]:
-    """The rows that are left, some at a time; blank ones at the end of the file are left out."""
+def _blocks(lines: Iterator[str], row: int) -> Iterator[tuple[int, list[str]]]:
+    """The rows that are left, some at a time, with the number of the first; what ends the file is left out."""
     blank: list[str] = []
-    while rows := list(islice(text, BLOCK)):
+    while rows := list(islice(lines, BLOCK)):
         rows = blank + rows
         kept = len(rows)
-        while kept and not rows[kept - 1].strip():
+        while kept and rows[kept - 1].strip() in ("", END):
             kept -= 1
         rows, blank = rows[:kept], rows[kept:]
         if rows:
-            yield rows
+            yield row, rows
+            row += len(rows)
 
 
 def _parse(
     rows: list[str], delimiter: str, wanted: list[int], titles: list[str], source: str, first_row: int
 ) -> np.ndarray:
     """Numbers of the ``wanted`` columns, shape (rows, wanted); the slow way is for naming the cell that is wrong."""
-    if not any('"' in row or not row.strip() for row in rows):
+    if not any('"' in row or row[0] == COMMENT or not row.strip() for row in rows):
         decimal_comma = delimiter != "," and any("," in row for row in islice(rows, 100))
         points = (row.replace(",", ".") for row in rows) if decimal_comma else rows
         with suppress(ValueError):  # a cell is no number, or a decimal comma comes late: cell by cell finds it
             return np.loadtxt(points, delimiter=delimiter, comments=None, usecols=wanted, ndmin=2)
-    table = np.empty((len(rows), len(wanted)))
+    table, filled = np.empty((len(rows), len(wanted))), 0
     for i, row in enumerate(rows):
-        cells = next(csv.reader([row], delimiter=delimiter), []) if '"' in row else row.split(delimiter)
+        if row[0] == COMMENT:
+            continue
+        cells = split(row, delimiter)
         for k, column in enumerate(wanted):
             cell = cells[column] if column < len(cells) else ""
-            number = _number(cell)
-            if number is None:
+            value = number(cell)
+            if value is None:
                 found = repr(cell.strip()[:40]) if cell.strip() else "nothing"
                 raise RecordError(
                     f"{source}: row {first_row + i}, column {titles[column]!r}: found {found}, expected a number"
                 )
-            table[i, k] = number
-    return table
-
-
-def _number(cell: str) -> float | None:
-    """The number in a cell, with a decimal point or comma, or None."""
-    try:
-        return float(cell.replace(",", ".", 1)) if "_" not in cell else None
-    except ValueError:
-        return None
+            table[filled, k] = value
+        filled += 1
+    return table[:filled]

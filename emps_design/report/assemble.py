@@ -182,10 +182,11 @@ def _from_record(record, axis, model, chain, design_on, inputs, tell):
     """Identify ``axis`` from ``record``: the axis to design on, what was found, and the section that tells it."""
     from emps_design.identification.chains import DEFAULT_CHAIN
     from emps_design.identification.identify import identify
-    from emps_design.records import Record, read_record
+    from emps_design.importing import import_record
+    from emps_design.records import Record
     from emps_design.report.record import record_section
 
-    read = record if isinstance(record, Record) else read_record(record)
+    read = record if isinstance(record, Record) else import_record(record, axis)
     inputs[read.name if isinstance(record, Record) else Path(record).name] = read.sha256
     tell("identifying", 0.15)
     others = [name for name in ("symmetric", "asymmetric") if name != model]

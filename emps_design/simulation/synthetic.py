@@ -12,7 +12,7 @@ from emps_design.axis import Axis
 from emps_design.errors import InputError
 from emps_design.laws import NONE, known_laws, law_of
 from emps_design.records import Record
-from emps_design.records.check import SHORTEST_PERIOD
+from emps_design.records.clock import SHORTEST_PERIOD
 from emps_design.simulation.plant import Plant
 
 VOLTAGE_NOISE = 0.004  # V

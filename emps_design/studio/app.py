@@ -75,11 +75,11 @@ def serve(axis: Axis, record: str | Path | None = None, port: int = 0, ready=Non
     ``port`` 0 takes a free one. Raises :class:`RecordError` for a record that cannot be read and :class:`OSError` for
     a port that is taken, before serving.
     """
-    from emps_design.records import read_record
+    from emps_design.importing import import_record
     from emps_design.studio.data_view import LIMIT_MB
     from emps_design.studio.page import TITLE, prepare
 
-    read = None if record is None else read_record(record)
+    read = None if record is None else import_record(record, axis)
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         probe.bind((HOST, port))

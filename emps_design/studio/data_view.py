@@ -20,7 +20,7 @@ from emps_design.studio.state import FRICTIONS, State
 
 LIMIT_MB = 100
 Options = dict[str, str]  # what the tab chose: friction model and filter of an identification
-SUFFIXES = (".mat", ".csv", ".npz")
+SUFFIXES = (".mat", ".csv", ".txt", ".tsv", ".npz")
 # The dropper is content with every file that arrived whole; one that is refused must not wear its green tick.
 REFUSED = """
 [data-filepond-item-state="processing-complete"] .filepond--item-panel { background-color: #9b1c1c !important; }
@@ -40,12 +40,12 @@ names of the EMPS data set. It stays on this machine. To practise, <code>emps-de
 """
 
 
-def read_upload(name: str, content: bytes | str) -> Record:
-    """Read an uploaded record as any other file is read: by its suffix, checked, never executed or unpickled.
+def read_upload(name: str, content: bytes | str, axis: Axis) -> Record:
+    """Read an uploaded record of ``axis`` as any other file is read: checked, never executed or unpickled.
 
     Raises :class:`RecordError` for another kind of file, or one above the size limit.
     """
-    from emps_design.records import record_from_bytes
+    from emps_design.importing import import_bytes
 
     plain = PurePath(name.replace("\\", "/")).name
     suffix = PurePath(plain).suffix.lower()
@@ -54,7 +54,7 @@ def read_upload(name: str, content: bytes | str) -> Record:
         raise RecordError(f"{plain}: found a {suffix or 'nameless'} file, expected one of {', '.join(SUFFIXES)}")
     if len(data) > LIMIT_MB * 10**6:
         raise RecordError(f"{plain}: found {len(data) / 1e6:.0f} MB, expected at most {LIMIT_MB} MB")
-    return record_from_bytes(data, plain)
+    return import_bytes(data, plain, axis)
 
 
 class DataView:
@@ -144,7 +144,7 @@ class DataView:
             return
         self._dropped_last = (name, content)
         try:
-            self._show(read_upload(name, content))
+            self._show(read_upload(name, content, self._machines()[self.machine.value]))
         except EmpsError as error:
             self._withdraw()
             self._say(str(error), "stop")

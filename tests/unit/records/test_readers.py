@@ -147,11 +147,15 @@ def repacked(content: bytes, change) -> bytes:
         ("a.csv", b"# only words\n", r"found no rows"),
         ("a.csv", b"t,q_ref,q,u\n", r"found a header and no samples"),
         ("a.csv", b"1,2,3,4\n5,6,7,8", r"row 1: found numbers, expected a header"),
-        ("a.csv", b"\xff\xfa\xfbtq", r"byte 0: not utf-8 text"),
+        ("a.csv", b"\x81\x8d\xfbtq", r"byte 0: not cp1252 text"),
         ("a.csv", b"t,q\0", r"found binary data, expected a text table"),
         ("a.csv", table(header="t,q_ref,q,v"), r"missing column u; found t, q_ref, q, v; expected"),
         ("a.csv", table(header="t,qg,q_ref,u"), r"columns 'qg' and 'q_ref' both stand for q_ref"),
-        ("a.csv", table(header="t,qg,q [inch],u"), r"column 'q \[inch\]': unknown unit 'inch', expected one of m, cm"),
+        (
+            "a.csv",
+            table(header="t,qg,q [ell],u"),
+            r"column 'q \[ell\]': linear position: found unit 'ell', expected m, cm",
+        ),
         (
             "a.csv",
             table().replace(b"\n0.002,", b"\n0.002,x"),
@@ -280,7 +284,8 @@ def test_tables_are_read_block_by_block(monkeypatch):
         record_from_bytes(table().replace(b"\n0.15,", b"\n" * 20 + b"0.15,"), "a.csv")
 
 
-def test_the_place_of_a_broken_character_is_that_in_the_file():
+def test_the_place_of_a_broken_character_is_that_in_the_file(monkeypatch):
+    monkeypatch.setattr("emps_design.records.tables.HEAD", 1000)
     content = table()
     at = content.index(b"\n0.15,")
     with pytest.raises(RecordError, match=rf"byte {at + 1}: not utf-8 text"):

@@ -255,7 +255,7 @@ def test_exports_are_whole_repeatable_and_read_by_the_library():
 
 def test_an_upload_is_read_like_a_file_and_its_name_leads_nowhere(tmp_path):
     lines = ["t,q_ref,q,u"] + [f"{k * 1e-3:.3f},{k * 1e-5},{k * 1e-5},{np.sin(k):.6f}" for k in range(500)]
-    record = read_upload("../../etc/passwd/run.csv", "\n".join(lines))
+    record = read_upload("../../etc/passwd/run.csv", "\n".join(lines), machine("emps2019"))
     assert len(record) == 500
     assert record.name == "run"
 
@@ -263,7 +263,7 @@ def test_an_upload_is_read_like_a_file_and_its_name_leads_nowhere(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("run.pkl", b"x", "run.pkl: found a .pkl file, expected one of .mat, .csv, .npz"),
+        ("run.pkl", b"x", "run.pkl: found a .pkl file, expected one of .mat, .csv, .txt, .tsv, .npz"),
         ("run", b"x", "found a nameless file"),
         ("run.npz", b"not a zip", "run.npz"),
         ("run.csv", b"", "run.csv"),
@@ -272,7 +272,7 @@ def test_an_upload_is_read_like_a_file_and_its_name_leads_nowhere(tmp_path):
 )
 def test_bad_uploads_are_refused_without_a_path(name, content, message):
     with pytest.raises(RecordError, match=message) as caught:
-        read_upload(name, content)
+        read_upload(name, content, machine("emps2019"))
     assert "/tmp" not in str(caught.value)
 
 
@@ -284,7 +284,7 @@ def test_a_pickle_inside_an_archive_is_not_opened():
     out = BytesIO()
     np.savez(out, t=np.array([Trap()], dtype=object), q=np.zeros(1))
     with pytest.raises(RecordError, match=r"trap\.npz"):
-        read_upload("trap.npz", out.getvalue())
+        read_upload("trap.npz", out.getvalue(), machine("emps2019"))
 
 
 def test_a_job_that_runs_refuses_a_second_one():

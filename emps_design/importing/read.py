@@ -1,0 +1,46 @@
+"""Read a record of an axis, whatever its drive writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from emps_design.axis import Axis
+from emps_design.importing.sanity import check_against
+from emps_design.laws import NONE
+from emps_design.records import MAX_BYTES, Record, read_record, record_from_bytes
+from emps_design.records.layout import Layout
+
+
+def import_record(path: str | Path, axis: Axis, max_bytes: int = MAX_BYTES, resample: bool = False) -> Record:
+    """Read the record at ``path`` as the ``[record]`` table of ``axis`` says, in SI units (commands: the axis's own).
+
+    Without a table, columns have the names of the contract or titles that say what they are. Irregular time of an
+    export, and with ``resample`` of any record, is put on the period of the axis. What was done stands in the record's
+    ``warnings``, and which column was taken for what in ``assigned``. Raises :class:`RecordError` in one line where it
+    is not certain, or where the numbers cannot be of this axis.
+    """
+    return check_against(axis, read_record(path, max_bytes, layout_of(axis, resample)), str(path))
+
+
+def import_bytes(content: bytes, name: str, axis: Axis, max_bytes: int = MAX_BYTES) -> Record:
+    """Read the ``content`` of a file called ``name`` in the same way.
+
+    >>> from emps_design.machines import machine
+    >>> axis = machine("emps2019").replace(record={"position": {"column": "Lageistwert", "unit": "mm"}})
+    >>> rows = "\\n".join(f"{k / 1000:.3f};{k};{k / 1000:.3f};1,{k:02d}".replace(".", ",") for k in range(60))
+    >>> record = import_bytes(f"t;Lageistwert [mm];q_ref;u\\n{rows}".encode(), "trace.csv", axis)
+    >>> round(float(record.q[-1]), 6), record.assigned[2].title
+    (0.059, 'Lageistwert [mm]')
+    """
+    return check_against(axis, record_from_bytes(content, name, None, max_bytes, layout_of(axis)), name)
+
+
+def layout_of(axis: Axis, resample: bool = False) -> Layout:
+    """What a reader has to know of ``axis``."""
+    return Layout(
+        units=axis.units,
+        columns=axis.record,
+        period=axis.sampling.period,
+        resample=resample,
+        reference_needed=axis.controller.kind != NONE,
+    )

@@ -1,0 +1,203 @@
+"""Whether a record can be of this axis: units, scales, exchanged columns, lost samples. Nothing is guessed or mended.
+
+What cannot be is refused in one line; what is odd is noted. Only a file whose columns were mapped or recognised is
+looked at: one with the names of a record is taken at its word.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.errors import RecordError
+from emps_design.records import Record
+from emps_design.records.layout import NAMED
+
+ON_THE_CLOCK = 1e-3  # of the axis's period
+WEAK_LOOP = 20.0  # times as far as it is told, or as little, no controller lets an axis move
+STIFF = 0.999  # correlation of position and reference of a loop that follows; there the factor is between the next two
+FOLLOWS = (0.5, 2.0)
+ROUGHER = 3.0  # times: a position is never rougher than the force that it is two integrals of
+OPPOSED = -0.8  # correlation of the motor's force with what the motion needs
+IMPOSSIBLE_FORCE = 300.0  # times what the motion needs, or as little: a scale is wrong by 1000
+ODD_FORCE = 10.0
+ON_GRID, OFF_GRID = 0.03, 0.08  # of an encoder step, that increments are off it on average; 0.25 where there is no grid
+EXPLAINS = 1.05  # times better: the position explains the command, the reference does not
+BEST = 0.35  # share of the command that has to be explained before that says anything
+JUMP = 100.0  # times what one sample in a thousand changes in its step
+BEYOND_LIMIT, FAR_BEYOND_LIMIT = 1.02, 10.0
+WINDOW = 0.01  # s, over which a motion is smoothed
+NAMES = {
+    1e3: "mm for m, or ms for s",
+    1e6: "um for m",
+    57.2958: "deg for rad",
+    6.28319: "rev for rad",
+    360.0: "deg for rev",
+}
+
+
+def check_against(axis: Axis, record: Record, source: str) -> Record:
+    """Return ``record`` with notes on what is odd; raise :class:`RecordError` where it cannot be of this ``axis``."""
+    if all(one.how == NAMED for one in record.assigned):
+        return record
+    _same_unit(record, source)
+    _not_exchanged(axis, record, source)
+    _nothing_lost(record, source)
+    notes = [*_clock(axis, record, source), *_limit(axis, record, source), *_force(axis, record, source)]
+    return replace(record, warnings=(*record.warnings, *notes))
+
+
+def _clock(axis: Axis, record: Record, source: str) -> list[str]:
+    ratio = record.period / axis.sampling.period
+    if abs(ratio - 1.0) < ON_THE_CLOCK:
+        return []
+    found = f"found a sampling period of {1e3 * record.period:.6g} ms"
+    expected = f"the axis's {1e3 * axis.sampling.period:.6g} ms"
+    if abs(ratio) > 30 and _named(ratio):
+        raise RecordError(f"{source}: column t: {found}, expected {expected}; {_named(ratio)}?")
+    return [f"t: {found}, not {expected}"]
+
+
+def _same_unit(record: Record, source: str) -> None:
+    """Position and reference move together, by as much."""
+    if not record.q_ref_recorded or not (np.ptp(record.q_ref) and np.ptp(record.q)):
+        return
+    together = _correlation(record.q, record.q_ref)
+    if together < -STIFF:
+        raise RecordError(
+            f"{source}: columns q and q_ref: found motion against the reference, expected along it; one of them needs "
+            "sign = -1 in [record]"
+        )
+    slope = float(np.std(record.q) / np.std(record.q_ref))
+    low, high = FOLLOWS if together > STIFF else (1.0 / WEAK_LOOP, WEAK_LOOP)
+    if together > 0.9 and not low < slope < high:
+        known = f" ({_named(slope)}?)" if _named(slope) else ""
+        raise RecordError(
+            f"{source}: columns q and q_ref: found a position that is {slope:.4g} times the reference{known}, expected "
+            "both in their units; correct unit or scale in [record]"
+        )
+
+
+def _not_exchanged(axis: Axis, record: Record, source: str) -> None:
+    q, q_ref, u = record.q, record.q_ref, record.u
+    if _roughness(q) > ROUGHER * _roughness(u):
+        raise _exchanged("q and u", "a position that is rougher than the command", source)
+    if not record.q_ref_recorded:
+        return
+    if np.ptp(q_ref) and abs(_correlation(q, u)) > STIFF > 0.9 > abs(_correlation(q, q_ref)):
+        raise _exchanged("q_ref and u", "a command that the position follows, and a reference that it does not", source)
+    step = axis.sampling.encoder_resolution
+    off, reference_off = _off_grid(q, step), _off_grid(q_ref, step)
+    if off is not None and reference_off is not None:
+        if off > OFF_GRID and reference_off < ON_GRID:
+            raise _exchanged("q and q_ref", "a reference in steps of the encoder, and a position that is not", source)
+        if off < ON_GRID:
+            return
+    if _correlation(q, q_ref) > STIFF:
+        explained, other = _unexplained(record, q), _unexplained(record, q_ref)
+        if other < BEST and explained > EXPLAINS * other:
+            raise _exchanged("q and q_ref", "a reference that explains the command better than the position", source)
+
+
+def _exchanged(columns: str, found: str, source: str) -> RecordError:
+    return RecordError(f"{source}: columns {columns}: found {found}; are they exchanged in [record]?")
+
+
+def _nothing_lost(record: Record, source: str) -> None:
+    """Position and reference never jump at one time: there samples are missing, whatever the time column says."""
+    if not record.q_ref_recorded or record.measured is not None:
+        return
+    place, size = _jump(record.q)
+    other_place, other = _jump(record.q_ref)
+    if min(size, other) > JUMP and abs(place - other_place) <= 1:
+        raise RecordError(
+            f"{source}: columns q and q_ref, at {record.t[place]:.6g} s: found both jump, q by "
+            f"{record.q[place + 1] - record.q[place]:.4g}, expected motion; samples are missing there"
+        )
+
+
+def _limit(axis: Axis, record: Record, source: str) -> list[str]:
+    limit, largest = axis.drive.command_limit, float(np.max(np.abs(record.u)))
+    found = f"found up to {largest:.4g}, expected at most the limit of {limit:.4g} in the axis file"
+    if largest > FAR_BEYOND_LIMIT * limit:
+        raise RecordError(f"{source}: column u: {found}; correct unit or scale of command in [record]")
+    return [f"u: {found}"] if largest > BEYOND_LIMIT * limit else []
+
+
+def _force(axis: Axis, record: Record, source: str) -> list[str]:
+    """The motor's force against what mass and friction of the axis need for this motion."""
+    a, v, u = _motion(record, record.q)
+    m = axis.mechanics
+    needed = m.mass * a + m.viscous * v + m.coulomb * np.sign(v) + m.offset
+    force = axis.drive.force_gain * u
+    if not (np.std(force) and np.std(needed)):
+        return []
+    if _correlation(force, needed) < OPPOSED:
+        raise RecordError(
+            f"{source}: column u: found a command against the motion it makes, expected one along it; command, or "
+            "position and reference, needs sign = -1 in [record]"
+        )
+    ratio = float(np.sqrt(np.mean(force**2) / np.mean(needed**2)))
+    words = f"found force_gain x command {ratio:.3g} times what mass and friction need for the motion"
+    if not 1.0 / IMPOSSIBLE_FORCE < ratio < IMPOSSIBLE_FORCE:
+        raise RecordError(
+            f"{source}: columns u and q: {words}, expected about as much; correct unit or scale in [record]"
+        )
+    known = f" ({_named(ratio)}?)" if _named(ratio) else ""
+    return [] if 1.0 / ODD_FORCE < ratio < ODD_FORCE else [f"u and q: {words}{known}; check their units"]
+
+
+def _motion(record: Record, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Acceleration and velocity of ``q`` over a window, and the command weighted as the acceleration is."""
+    n = min(max(2, round(WINDOW / record.period)), (q.size - 1) // 4)
+    width = n * record.period
+    a = (q[2 * n :] - 2 * q[n:-n] + q[: -2 * n]) / width**2
+    v = (q[2 * n :] - q[: -2 * n]) / (2 * width)
+    weights = np.concatenate([np.arange(1, n + 1), np.arange(n - 1, 0, -1)]) / n**2
+    return a, v, np.convolve(record.u, weights, "valid")[1:-1]
+
+
+def _unexplained(record: Record, q: np.ndarray) -> float:
+    """Share of the command that acceleration, velocity and direction of ``q`` leave unexplained."""
+    a, v, u = _motion(record, q)
+    columns = np.column_stack([a, v, np.tanh(v / (0.01 * np.max(np.abs(v)) or 1.0)), np.ones_like(a)])
+    scale = np.max(np.abs(columns), axis=0)
+    columns /= np.where(scale > 0, scale, 1.0)
+    left = u - columns @ np.linalg.lstsq(columns, u, rcond=None)[0]
+    return float(np.std(left) / np.std(u)) if np.std(u) else 1.0
+
+
+def _off_grid(values: np.ndarray, step: float) -> float | None:
+    """By how much of an encoder ``step`` the increments of ``values`` are off whole ones; None where nothing says."""
+    increments = np.diff(values)
+    increments = increments[np.abs(increments) > 0.4 * step] if step > 0.0 else increments[:0]
+    if increments.size < 50:
+        return None
+    steps = increments / step
+    return float(np.mean(np.abs(steps - np.round(steps))))
+
+
+def _jump(values: np.ndarray) -> tuple[int, float]:
+    """The increment that differs most from those beside it, and how many times what one in a thousand does."""
+    increments = np.diff(values)
+    away = np.abs(increments[1:-1] - 0.5 * (increments[2:] + increments[:-2]))
+    usual = float(np.quantile(away, 0.999))
+    place = int(np.argmax(away))
+    return place + 1, float(away[place]) / usual if usual > 0.0 else 0.0
+
+
+def _roughness(values: np.ndarray) -> float:
+    return float(np.std(np.diff(values, 2)) / np.std(values))
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+    spread = float(np.std(a) * np.std(b))
+    return float(np.mean((a - a.mean()) * (b - b.mean()))) / spread if spread > 0.0 else 0.0
+
+
+def _named(ratio: float) -> str:
+    """What mistaken unit gives this ratio, or its inverse; "" for none that is known."""
+    size = max(ratio, 1.0 / ratio) if ratio > 0.0 else 0.0
+    return next((words for factor, words in NAMES.items() if abs(size / factor - 1.0) < 0.03), "")

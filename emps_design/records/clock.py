@@ -1,0 +1,145 @@
+"""One clock for a record: the nominal period of its time column, or samples that are put on a uniform clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from emps_design.errors import RecordError
+
+LARGEST_JITTER = 0.2  # of a period: time that is quantised, not sampling that is irregular
+NOTED_JITTER = 0.01
+ON_THE_CLOCK = 1e-3  # of the axis's period: the stamps jitter, the drive's clock does not
+SHORTEST_PERIOD, LONGEST_PERIOD = 1e-6, 0.1  # s
+GAP = 10.5  # periods without a sample: more than a lost telegram or two
+STEPWISE = ("enable",)  # what is on or off, and nothing between
+MISSING = 2.5  # periods without a sample: some are missing
+
+
+@dataclass(frozen=True)
+class Resampled:
+    """Signals on a uniform clock, the period [s], what was done, and the signals at their own times."""
+
+    signals: dict[str, np.ndarray]
+    period: float
+    notes: tuple[str, ...]
+    measured: dict[str, np.ndarray]
+
+
+def steps_of(t: np.ndarray, source: str, first_row: int) -> tuple[float, np.ndarray]:
+    """The typical step of the time column ``t`` [s], and by how much each differs; time must increase."""
+    step = np.diff(t)
+    if float(np.min(step)) <= 0:
+        i = int(np.argmax(step <= 0))
+        what = "the same time twice" if step[i] == 0 else "time going backwards"
+        raise RecordError(
+            f"{source}: column t, row {first_row + i + 1}: found {what} ({t[i]:.9g} s, then {t[i + 1]:.9g} s), "
+            "expected increasing time"
+        )
+    typical = float(np.median(step, overwrite_input=True))
+    if not SHORTEST_PERIOD <= typical <= LONGEST_PERIOD:
+        raise RecordError(
+            f"{source}: column t: found a sampling period of {typical:.6g} s, expected {SHORTEST_PERIOD:g} to "
+            f"{LONGEST_PERIOD:g} s; if time is in ms or a sample count, convert it or title it 't [ms]'"
+        )
+    np.subtract(t[1:], t[:-1], out=step)
+    step -= typical
+    return typical, step
+
+
+def on_one_clock(
+    signals: dict[str, np.ndarray], wanted: float | None, source: str, first_row: int
+) -> tuple[float, tuple[str, ...], Resampled | None]:
+    """The period [s] of ``signals`` by name, notes, and the signals resampled where their time is irregular.
+
+    Irregular time is refused with :class:`RecordError` unless a ``wanted`` period is given; a gap always is.
+    """
+    t = signals["t"]
+    typical, away = steps_of(t, source, first_row)
+    jitter = float(np.sqrt(np.mean(np.square(away, out=away)))) / typical
+    period = nominal(float(t[-1] - t[0]) / away.size)
+    quantised = np.max(away) <= (LARGEST_JITTER * typical) ** 2
+    on_the_clock = jitter <= NOTED_JITTER or wanted is None or abs(period / wanted - 1.0) < ON_THE_CLOCK
+    if quantised and on_the_clock:
+        notes = (f"t: sampling jitter of {100 * jitter:.2g} % rms of the period",) if jitter > NOTED_JITTER else ()
+        return period, notes, None
+    i = int(np.argmax(away > (LARGEST_JITTER * typical) ** 2))
+    if wanted is None:
+        raise RecordError(
+            f"{source}: column t, row {first_row + i + 1}: found a step of {t[i + 1] - t[i]:.6g} s, expected "
+            f"{typical:.6g} s as elsewhere; sampling must be uniform: resample, or cut the record there"
+        )
+    del away
+    _no_gap(t, typical, source, first_row)
+    resampled = _resampled(signals, wanted, typical)
+    return resampled.period, resampled.notes, resampled
+
+
+def nominal(period: float) -> float:
+    """The round period or round rate that ``period`` is within 1e-4 of, or ``period`` itself.
+
+    >>> nominal(0.00100000802), nominal(0.0003333333), nominal(0.0012365)
+    (0.001, 0.0003333333333333333, 0.0012365)
+    """
+    for value in (float(f"{period:.3g}"), 1.0 / float(f"{1.0 / period:.3g}")):
+        if abs(period / value - 1.0) < 1e-4:
+            return value
+    return period
+
+
+def _no_gap(t: np.ndarray, typical: float, source: str, first_row: int) -> None:
+    step = np.diff(t)
+    gaps = np.flatnonzero(step > GAP * typical)
+    if gaps.size:
+        i = int(gaps[0])
+        more = f" ({gaps.size} such gaps)" if gaps.size > 1 else ""
+        raise RecordError(
+            f"{source}: column t, row {first_row + i + 1}: nothing from {t[i]:.6g} s to {t[i + 1]:.6g} s{more}, "
+            f"expected a sample every {typical:.4g} s; take a part without the gap, or record again"
+        )
+
+
+def _resampled(signals: dict[str, np.ndarray], wanted: float, typical: float) -> Resampled:
+    """``signals`` by linear interpolation on a uniform clock: ``wanted`` [s], or what is nearest to their own."""
+    t = signals["t"]
+    mean = float(t[-1] - t[0]) / (t.size - 1)
+    period = wanted if 0.5 <= wanted / mean <= 1.5 else nominal(float(f"{mean:.3g}"))
+    grid = np.arange(int(np.floor((t[-1] - t[0]) / period * (1 + 1e-12))) + 1) * period
+    at = grid + t[0]
+    new = {"t": grid}
+    for name, values in signals.items():
+        if name in STEPWISE:
+            new[name] = values[np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 1)]
+        elif name != "t":
+            new[name] = np.interp(at, t, values)
+    step = np.diff(t)
+    costs = ", ".join(
+        f"{name} {interpolation_error(t, signals[name])[0]:.2g}" for name in ("q", "q_ref", "u") if name in signals
+    )
+    missing = int(np.count_nonzero(step > MISSING * typical))
+    bridged = f"; {missing} of them bridge missing samples" if missing else ""
+    note = (
+        f"t: irregular, steps of {1e3 * step.min():.4g} to {1e3 * step.max():.4g} ms (median {1e3 * typical:.4g})"
+        f"{bridged}; put on {1e3 * period:.4g} ms by linear interpolation, off by at most (rms) {costs}"
+    )
+    return Resampled(new, period, (note,), {name: values.copy() for name, values in signals.items()})
+
+
+def interpolation_error(t: np.ndarray, values: np.ndarray) -> tuple[float, float]:
+    """Bound on the error of linear interpolation between the samples of ``values`` at ``t`` [s]: rms and largest.
+
+    Each sample is predicted from its neighbours, twice as far apart as the interpolation has them, so off by four times
+    as much where the signal is smooth; noise counts in full. Over a step the error is a parabola, rms sqrt(8/15) of it.
+
+    >>> import numpy as np
+    >>> t = np.linspace(0.0, 1.0, 101)
+    >>> rms, largest = interpolation_error(t, t**2)
+    >>> round(1e6 * largest, 2), round(1e6 * rms, 2)
+    (25.0, 18.26)
+    """
+    h = np.diff(t)
+    before, after = h[:-1], h[1:]
+    share = before / (before + after)
+    away = np.abs(values[1:-1] - (values[:-2] * (1.0 - share) + values[2:] * share)) / 4.0
+    return float(np.sqrt(8 / 15 * np.mean(np.square(away)))), float(np.max(away))

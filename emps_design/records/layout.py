@@ -1,0 +1,208 @@
+"""Which column of a file is what: as the axis file maps it, as its name says, or as its title is understood."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from emps_design.errors import InputError, RecordError, nearest_name
+from emps_design.records.columns import (
+    LETTERS,
+    NAMES,
+    PLAIN,
+    QUANTITIES,
+    RECORD,
+    TAILS,
+    factor_of,
+    listed,
+    plain_title,
+    read_title,
+    title_unit,
+    unit_of,
+)
+from emps_design.records.mapping import KEYS, Column, ColumnMap
+from emps_design.records.recognise import meanings
+from emps_design.units import COUNTS, Units, spelled
+
+MAPPED, NAMED, RECOGNISED = "mapped", "named", "recognised"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What a reader has to know of the axis: its units, its ``[record]`` table, its clock.
+
+    An export is put on the ``period`` [s] where its time is irregular, a record of this package only where ``resample``
+    asks for it. ``reference_needed`` is False where no controller needs one.
+    """
+
+    units: Units = PLAIN
+    columns: ColumnMap = field(default_factory=ColumnMap)
+    period: float | None = None
+    resample: bool = False
+    reference_needed: bool = True
+
+    def unit(self, name: str) -> str:
+        """The unit of a record's column called ``name``."""
+        return unit_of(name, self.units)
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """The column ``title`` of a file is ``name`` of the record: ``factor`` times its values in ``unit``."""
+
+    name: str
+    title: str
+    unit: str = ""
+    factor: float = 1.0
+    how: str = NAMED
+    remark: str = ""
+
+
+def assign(titles: Sequence[str], layout: Layout, source: str) -> list[Assignment]:
+    """Say which of ``titles`` is what; raises :class:`RecordError` where that is not certain or something is missing.
+
+    >>> [one.name for one in assign(["t", "q_ref", "q [mm]", "u", "state"], Layout(), "a.csv")]
+    ['t', 'q_ref', 'q', 'u']
+    """
+    found = {} if _is_plain(titles, layout) else _all_mapped(titles, layout, source)
+    taken = {one.title for one in found.values()}
+    for text in titles:
+        title = read_title(text, source, layout.units) if text not in taken else None
+        if title is None or not title.name or (title.name in found and found[title.name].how == MAPPED):
+            continue
+        if title.name in found:
+            raise RecordError(
+                f"{source}: columns {found[title.name].title!r} and {title.text!r} both stand for {title.name}; "
+                "keep one"
+            )
+        found[title.name] = Assignment(title.name, text, title.unit, title.factor)
+    if missing(found, layout):
+        _recognise(found, titles, layout, source)
+    lacking = missing(found, layout)
+    if lacking:
+        raise RecordError(_lacking(lacking, found, titles, layout, source))
+    return [found[name] for name in QUANTITIES if name in found]
+
+
+def _is_plain(titles: Sequence[str], layout: Layout) -> bool:
+    """Whether a file is a record of this package rather than an export: it says so, or has no mapped column."""
+    if RECORD in titles:
+        return True
+    mapped = [column.column for name, column in layout.columns.named.items() if column.column not in NAMES]
+    plain = {plain_title(title)[0].casefold() for title in titles}
+    has_none = not any(plain_title(column)[0].casefold() in plain for column in mapped)
+    return bool(mapped) and has_none and {"t", "q", "u"} <= {NAMES.get(title, "") for title in plain}
+
+
+def _all_mapped(titles: Sequence[str], layout: Layout, source: str) -> dict[str, Assignment]:
+    """The columns that the axis file maps; a reference may be absent where no controller needs one."""
+    found = {}
+    plain = {plain_title(title)[0].casefold() for title in titles}
+    for name, column in layout.columns.named.items():
+        is_there = plain_title(column.column)[0].casefold() in plain
+        if is_there or layout.reference_needed or name not in ("q_ref", "velocity_reference"):
+            found[name] = _mapped(name, column, titles, layout, source)
+    return found
+
+
+def missing(found: dict[str, Assignment], layout: Layout) -> list[str]:
+    """The names of a record that have no column yet and need one."""
+    needed = ["t", "q_ref", "q", "u"] if layout.reference_needed else ["t", "q", "u"]
+    return [name for name in needed if name not in found and (name != "q_ref" or "velocity_reference" not in found)]
+
+
+def _mapped(name: str, column: Column, titles: Sequence[str], layout: Layout, source: str) -> Assignment:
+    key, expected = KEYS[name], layout.unit(name) or "a plain number"
+    title = _find(column.column, titles, key, source)
+    stated, sure = title_unit(title)[1], bool(plain_title(title)[1])
+    stated = "" if stated in LETTERS and not sure else stated
+    unit = spelled(column.unit) if column.unit is not None else ""
+    own = factor_of(stated, name, layout.units) is not None
+    if unit and own and stated != unit and COUNTS not in (stated, unit):
+        raise RecordError(
+            f"{source}: column {title!r}: the title says {stated}, [record] {key} says {unit}; correct the axis file"
+        )
+    if not unit and own and column.scale is None:
+        unit = stated
+    elif not unit and sure and not own and column.scale is None and _is_other_quantity(stated, layout):
+        raise RecordError(
+            f"{source}: column {title!r}: found the unit {stated}, expected {expected} for {key}; is it the right "
+            "column? Otherwise give its scale in [record]"
+        )
+    scale = 1.0 if column.scale is None else column.scale
+    if not (math.isfinite(scale) and scale):
+        raise RecordError(f"{source}: [record] {key}: found scale {scale:g}, expected a finite number other than 0")
+    try:
+        factor = _factor(unit, name, column.scale, layout) if unit else scale
+    except InputError as error:
+        raise RecordError(f"{source}: [record] {key}: {error}") from error
+    shown = unit or (layout.unit(name) if column.scale is None else "")
+    return Assignment(name, title, shown, column.sign * factor, MAPPED)
+
+
+def _factor(unit: str, name: str, scale: float | None, layout: Layout) -> float:
+    """What one ``unit`` times ``scale`` of a file is; counts of a clock are its ticks, of a switch anything."""
+    if QUANTITIES[name] == "switch" or (unit == COUNTS and name == "t" and scale is not None):
+        return 1.0 if scale is None else scale
+    return layout.units.factor(unit, QUANTITIES[name], scale)
+
+
+def _find(wanted: str, titles: Sequence[str], key: str, source: str) -> str:
+    """The title that ``wanted`` means: the same text, the same without its bracketed unit, or but for capitals."""
+    for same in (
+        lambda title: title == wanted,
+        lambda title: plain_title(title)[0] == wanted.strip() or plain_title(wanted)[0] == title,
+        lambda title: plain_title(title)[0].casefold() == plain_title(wanted)[0].casefold(),
+    ):
+        hits = [title for title in titles if same(title)]
+        if len(hits) > 1:
+            raise RecordError(f"{source}: [record] {key}: found {len(hits)} columns titled {wanted!r}; keep one")
+        if hits:
+            return hits[0]
+    near = nearest_name(wanted, [plain_title(title)[0] for title in titles])
+    raise RecordError(
+        f"{source}: [record] {key}: found no column {wanted!r}{near}; found {listed(titles)}; is it the export of "
+        "another drive?"
+    )
+
+
+def _is_other_quantity(unit: str, layout: Layout) -> bool:
+    """Whether a title's ``unit`` is one of a quantity at all."""
+    return unit in (*TAILS, *LETTERS, "%", layout.unit("u"))
+
+
+def _recognise(found: dict[str, Assignment], titles: Sequence[str], layout: Layout, source: str) -> None:
+    """Add to ``found`` what titles say in plain words; two that say the same are not chosen between."""
+    free = [title for title in titles if title not in {one.title for one in found.values()}]
+    for name, candidates in meanings(free, layout.units).items():
+        if name in found or not candidates:
+            continue
+        if len(candidates) > 1:
+            if name in missing(found, layout):
+                raise RecordError(
+                    f"{source}: columns {' and '.join(map(repr, candidates[:3]))} may each be {KEYS[name]}; "
+                    f"say which in [record]: {KEYS[name]} = {{ column = ... }}"
+                )
+            continue
+        title = candidates[0]
+        unit = title_unit(title)[1]
+        factor = factor_of(unit, name, layout.units) if unit else None
+        if factor is None and not (unit == "" and QUANTITIES[name] == "command"):
+            if name in missing(found, layout):
+                raise RecordError(
+                    f"{source}: column {title!r}: found {f'the unit {unit}' if unit else 'no unit'}, expected one of "
+                    f"{QUANTITIES[name]}; say in [record]: {KEYS[name]} = {{ column = ..., unit = ... }}"
+                )
+            continue
+        found[name] = Assignment(name, title, unit or layout.unit(name), factor or 1.0, RECOGNISED)
+
+
+def _lacking(
+    lacking: list[str], found: dict[str, Assignment], titles: Sequence[str], layout: Layout, source: str
+) -> str:
+    expected = (
+        f"t [s], q_ref [{layout.unit('q')}], q [{layout.unit('q')}], u [{layout.unit('u')}] (or the EMPS names t, "
+        "qg, qm, vir)"
+    )
+    return f"{source}: missing column {', '.join(lacking)}; found {listed(titles)}; expected {expected}"

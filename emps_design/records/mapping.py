@@ -1,0 +1,52 @@
+"""The ``[record]`` table of an axis file: which column of a drive's export is what."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class Column(BaseModel):
+    """One column: its title with or without the bracketed unit, its unit, and what it is multiplied by."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    column: Annotated[str, Field(min_length=1)] = Field(description="its title in the file")
+    unit: str | None = Field(None, description="its unit, by default what the title says")
+    scale: Annotated[float, Field(allow_inf_nan=False)] | None = Field(
+        None, description="what its numbers are multiplied by"
+    )
+    sign: Literal[1, -1] = Field(1, description="-1 where the file counts the other way")
+
+
+class ColumnMap(BaseModel):
+    """The table itself; every key is a column of a record.
+
+    >>> ColumnMap.model_validate({"position": {"column": "Lageistwert", "unit": "mm"}}).named["q"].unit
+    'mm'
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    time: Column | None = None
+    position: Column | None = None
+    reference: Column | None = None
+    velocity_reference: Column | None = None
+    command: Column | None = None
+    velocity: Column | None = None
+    external_force: Column | None = None
+    excitation: Column | None = None
+    supply: Column | None = None
+    enable: Column | None = None
+
+    @property
+    def named(self) -> dict[str, Column]:
+        """The columns that are mapped, by their names in a record."""
+        mapped = {name: getattr(self, key) for name, key in KEYS.items()}
+        return {name: column for name, column in mapped.items() if column is not None}
+
+
+# name of a record's column -> key of the table, in the order of the table
+_IN_A_RECORD = "t q q_ref velocity_reference u velocity f_ext excitation supply enable"
+KEYS = dict(zip(_IN_A_RECORD.split(), ColumnMap.model_fields, strict=True))

@@ -1,0 +1,219 @@
+"""What drives write is taken as it is: preamble, encoding, separators, units, comments, status, Scope exports."""
+
+import numpy as np
+import pytest
+
+from emps_design.errors import RecordError
+from emps_design.records import record_from_bytes
+from emps_design.records.layout import Layout
+from emps_design.records.mapping import ColumnMap
+from emps_design.units import Units
+from tests.unit.records.exports import ENCODER, Q_REF, N, Q, T, U, german, rows, scope
+
+TORQUE = Units("linear", "torque", "%")
+GERMAN = {
+    "time": {"column": "Zeit", "unit": "ms"},
+    "position": {"column": "Lageistwert", "unit": "mm"},
+    "reference": {"column": "Lagesollwert", "unit": "mm"},
+    "command": {"column": "Momentensollwert"},
+}
+
+
+def layout(columns=None, units=TORQUE, **more):
+    return Layout(units, ColumnMap.model_validate(columns or {}), 1e-3, **more)
+
+
+def read(text, columns=None, encoding="utf-8", **more):
+    return record_from_bytes(text.encode(encoding), "trace.csv", layout=layout(columns, **more))
+
+
+def same(record, digits=10):
+    wanted = {"q": Q, "q_ref": Q_REF, "u": U}
+    return record.period == 1e-3 and all(np.allclose(getattr(record, k), v, atol=10.0**-7) for k, v in wanted.items())
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "cp1252"])
+@pytest.mark.parametrize("columns", [GERMAN, None], ids=["mapped", "by its titles"])
+def test_a_german_export(encoding, columns):
+    record = read(german(), columns, encoding)
+    assert same(record)
+    assert [one.title for one in record.assigned][:2] == ["Zeit [ms]", "Lagesollwert [mm]"]
+    said = [note for note in record.warnings if "taken from column" in note]
+    assert len(said) == (0 if columns else 4)  # a guess is never silent
+
+
+@pytest.mark.parametrize("between", [";", "\t", ","])
+def test_a_comment_units_after_an_underscore_and_a_status_of_words(between):
+    titles = between.join(("time_s", "cmd_A", "pos_deg", "ref_deg", "state"))
+    lines = [
+        f"{line}{between}ready" for line in rows(T, U, np.degrees(Q), np.degrees(Q_REF), between=between, digits=9)
+    ]
+    text = "\n".join(["# axis trace, 1000 Hz", titles, *lines[:200], "# marker", *lines[200:]])
+    columns = {
+        "time": {"column": "time_s"},
+        "position": {"column": "pos_deg"},
+        "reference": {"column": "ref_deg", "unit": "deg"},
+        "command": {"column": "cmd_A"},
+    }
+    assert same(read(text, columns, units=Units("rotary", "current", "A")))
+    assert same(read(text, None, units=Units("rotary", "current", "A")))
+
+
+def test_units_on_a_line_of_their_own_and_titles_in_a_comment():
+    titles, units = "Time;Actual position;Set position;Set torque", "[ms];[mm];[mm];[%]"
+    body = rows(1e3 * T, 1e3 * Q, 1e3 * Q_REF, U)
+    assert same(read("\n".join([titles, units, *body])))
+    assert same(read("\n".join(["# Time [ms];Actual position [mm];Set position [mm];Set torque [%]", *body])))
+
+
+def test_counts_scale_and_sign():
+    header = "Takt;Lageistwert [inc];Lagesollwert [mm];Momentensollwert [%]"
+    text = "\n".join([header, *rows(np.arange(N), -Q / ENCODER, 1e3 * Q_REF, U / 10)])
+    columns = {
+        **GERMAN,
+        "time": {"column": "Takt", "unit": "counts", "scale": 1e-3},
+        "position": {"column": "Lageistwert", "unit": "counts", "scale": ENCODER, "sign": -1},
+        "command": {"column": "Momentensollwert", "scale": 10},
+    }
+    assert same(read(text, columns))
+
+
+@pytest.mark.parametrize("comma", [False, True])
+@pytest.mark.parametrize("end", ["", "EOF"])
+def test_a_scope_export(comma, end):
+    record = read(scope(comma, end=end))
+    assert same(record)
+    assert same(read(scope(comma, end=end), {**{k: GERMAN[k] for k in ()}, "position": {"column": "ActPos"}}))
+
+
+def test_a_slower_channel_of_a_scope_is_interpolated_and_said():
+    record = read(scope(step=4))
+    assert len(record) == N - 3  # the reference ends earlier
+    np.testing.assert_allclose(record.q_ref, Q_REF[: N - 3], atol=1e-5)
+    assert any("SetPos [mm]: sampled every 4 ms, interpolated" in note for note in record.warnings)
+
+
+def test_a_mapped_column_wins_over_one_with_the_name_of_a_record():
+    text = "\n".join(["t;q;q_ref;u;pos [mm]", *rows(T, 0 * Q + 3, Q_REF, U, 1e3 * Q)])
+    assert same(read(text, {"position": {"column": "pos"}}))
+
+
+def test_a_saved_import_is_read_by_the_same_layout(tmp_path):
+    columns = {**GERMAN, "position": {"column": "q", "unit": "mm"}}  # whose title a record has too
+    text = german(header="Zeit;q;Lagesollwert;Momentensollwert;Status")
+    record = read(text, columns)
+    assert same(record)
+    record.save(tmp_path / "a.npz")
+    again = record_from_bytes((tmp_path / "a.npz").read_bytes(), "a.npz", layout=layout(columns))
+    assert all(np.array_equal(again.columns[name], values) for name, values in record.columns.items())
+
+
+def test_optional_columns_are_kept_and_come_back(tmp_path):
+    header = "t;q;q_ref;u;v_act [rpm];bus [V];on;vset [rad/s];inj"
+    text = "\n".join([header, *rows(T, Q, Q_REF, U, 60 * T, 48 + 0 * T, T > 0.1, T, 0.1 * T)])
+    columns = {
+        "velocity": {"column": "v_act"},
+        "supply": {"column": "bus"},
+        "enable": {"column": "on"},
+        "velocity_reference": {"column": "vset"},
+        "excitation": {"column": "inj"},
+    }
+    record = read(text, columns, units=Units("rotary", "duty", ""))
+    np.testing.assert_allclose(record.velocity, 2 * np.pi * T, atol=1e-6)
+    assert set(record.columns) == {"t", "q", "q_ref", "u", *columns}
+    record.save(tmp_path / "a.npz")
+    record.save(tmp_path / "a.csv")
+    for name in ("a.npz", "a.csv"):
+        again = record_from_bytes((tmp_path / name).read_bytes(), name, layout=layout(columns))
+        assert all(np.array_equal(again.columns[key], values) for key, values in record.columns.items())
+    part = record.part(100, 200)
+    assert np.array_equal(part.velocity, record.velocity[100:200])
+    assert part.f_ext is None
+
+
+def test_a_reference_may_be_absent_where_no_controller_needs_one():
+    text = "\n".join(["t;q;u;vset", *rows(T, Q, U, np.gradient(Q_REF, T))])
+    columns = {"reference": {"column": "q_ref"}, "velocity_reference": {"column": "vset", "unit": "m/s"}}
+    record = read(text, columns, reference_needed=False)
+    assert not record.q_ref_recorded
+    assert "q_ref" not in record.columns
+    assert any("integral of velocity_reference" in note for note in record.warnings)
+    np.testing.assert_allclose(np.diff(record.q_ref), record.velocity_reference[1:] * 1e-3, atol=1e-12)
+    del columns["velocity_reference"]
+    record = read(text, columns, reference_needed=False)
+    assert np.array_equal(record.q_ref, record.q)
+    with pytest.raises(RecordError, match="reference: found no column 'q_ref'"):
+        read(text, columns)
+
+
+def jittered(gap=0.0):
+    t = T + 3e-4 * np.random.default_rng(1).uniform(-1, 1, N)
+    t[N // 2 :] += gap
+    return "\n".join(["t;q;q_ref;u", *rows(t, np.sin(6 * t), np.sin(6 * t), np.cos(6 * t), digits=12)])
+
+
+def test_irregular_time_is_resampled_and_what_that_costs_is_said():
+    record = read(jittered(), resample=True)
+    assert record.period == 1e-3
+    t0 = record.measured["t"][0]
+    away = np.abs(record.q - np.sin(6 * (record.t + t0)))
+    note = next(note for note in record.warnings if "put on 1 ms" in note)
+    promised = float(note.split("rms) q ")[1].split(",")[0])
+    assert 0 < np.sqrt(np.mean(away**2)) <= promised < 1e-5
+    with pytest.raises(RecordError, match="sampling must be uniform"):
+        read(jittered())
+
+
+def test_the_original_times_are_kept_through_an_archive(tmp_path):
+    record = read(jittered(), resample=True)
+    record.save(tmp_path / "a.npz")
+    again = record_from_bytes((tmp_path / "a.npz").read_bytes(), "a.npz", layout=layout())
+    assert set(again.measured) == {"t", "q", "q_ref", "u"}
+    assert np.array_equal(again.measured["t"], record.measured["t"])
+
+
+@pytest.mark.parametrize(
+    ("text", "columns", "message"),
+    [
+        (
+            jittered(gap=0.1),
+            {"position": {"column": "q"}},
+            r"row 202: nothing from 0\.19\d* s to 0\.\d* s, expected a s",
+        ),
+        (
+            german(),
+            {**GERMAN, "position": {"column": "Lageistwerte"}},
+            "no column 'Lageistwerte', did you mean 'Lageistw",
+        ),
+        (
+            german(),
+            {**GERMAN, "position": {"column": "Lageistwert", "unit": "m"}},
+            r"the title says mm, .* says m; corr",
+        ),
+        (german(), {**GERMAN, "position": {"column": "Momentensollwert"}}, "found the unit %, expected m for position"),
+        (german(), {**GERMAN, "position": {"column": "Status", "unit": "counts"}}, "counts.* without a scale"),
+        (german(), {**GERMAN, "position": {"column": "Status", "scale": 0}}, "found scale 0, expected a finite number"),
+        (german(), {**GERMAN, "position": {"column": "Status", "unit": "rad"}}, "linear position: found unit 'rad'"),
+        (german(header="Zeit;a;b;c"), None, "missing column t, q_ref, q, u; found Zeit, a, b, c|no unit"),
+        (
+            german(header="Zeit [ms];Lageistwert;Lagesollwert [mm];Strom"),
+            None,
+            "'Lageistwert': found no unit, expected",
+        ),
+        (
+            german(header="Zeit [ms];Lageistwert 1 [mm];Lageistwert 2 [mm];Momentensollwert [%];Lagesollwert [mm]"),
+            None,
+            "'Lageistwert 1 .mm.' and 'Lageistwert 2 .mm.' may each be position; say which",
+        ),
+        (
+            german(header="Zeit;Lageistwert;Lageistwert;Momentensollwert"),
+            GERMAN,
+            "found 2 columns titled 'Lageistwert'",
+        ),
+    ],
+)
+def test_refused(text, columns, message):
+    with pytest.raises(RecordError, match=message) as caught:
+        read(text, columns)
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith("trace.csv: ")
