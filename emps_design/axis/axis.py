@@ -62,6 +62,12 @@ class Axis(Table):
                     # pydantic nests its bound where None is allowed too
                     positive = "gt=0" in repr((field.annotation, field.metadata))
                     self.units.check(".".join(path), value, unit_of(field), positive)
+        for place, one in enumerate(self.effects):
+            if not one.effect.acts_on(self.motion):
+                raise ValueError(
+                    f"effects.{place}.kind: found {one.kind!r} on a {self.motion} axis, expected an effect that such "
+                    f"an axis can have; {one.kind} needs motion = {one.effect.motion!r}"
+                )
         drive = self.drive
         if drive.current_gain and drive.reduction and drive.torque_constant:
             product = drive.current_gain * drive.reduction * drive.torque_constant

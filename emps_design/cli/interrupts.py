@@ -32,6 +32,7 @@ def listen() -> None:
     for number in ENDING:
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup, and jobs in the background of a shell
             signal.signal(number, _interrupt)
+    sys.unraisablehook = _unraisable
     reads, tells = os.pipe()
     os.set_blocking(tells, False)
     signal.set_wakeup_fd(tells, warn_on_full_buffer=False)
@@ -76,6 +77,12 @@ def _interrupt(number: int, frame: object) -> None:
     for ending in ENDING:  # one is enough: what removes files is not to be interrupted
         signal.signal(ending, signal.SIG_IGN)
     raise KeyboardInterrupt
+
+
+def _unraisable(told: sys.UnraisableHookArgs) -> None:
+    """Say nothing of an interrupt that met a callback of compiled code: it cannot be raised there, and `_wait` acts."""
+    if not (heard.is_set() and issubclass(told.exc_type, KeyboardInterrupt)):
+        sys.__unraisablehook__(told)
 
 
 def _wait(reads: int) -> None:

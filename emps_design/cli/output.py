@@ -17,21 +17,22 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 Progress = Callable[[str, float], None]
+MESSAGES = ("reason", "warnings")  # keys under which the library's messages stand; all other text is data
 
 
-def plain(value: Any) -> Any:
+def plain(value: Any, message: bool = False) -> Any:
     """Return ``value`` as JSON data: numpy to Python, complex to [re, im], Infinity and NaN to None.
 
-    Arguments that a text names become flags.
+    Arguments that a ``message`` names become flags.
     """
     if hasattr(value, "to_dict"):
         return plain(value.to_dict())
     if isinstance(value, str):
-        return in_flags(value)
+        return in_flags(value) if message else value
     if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): plain(item, key in MESSAGES) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [plain(item, message) for item in value]
     if hasattr(value, "tolist"):
         return plain(value.tolist())
     if isinstance(value, complex):

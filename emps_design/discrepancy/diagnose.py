@@ -49,7 +49,8 @@ def diagnose(
 
     report, hears = progress or (lambda stage, share: None), searched or (lambda model: None)
     records = (records,) if isinstance(records, Record) else tuple(records)
-    library = tuple(known_effects().values()) if library is None else tuple(library)
+    known = known_effects().values() if library is None else library
+    library = tuple(effect for effect in known if effect.acts_on(axis.motion))
     # The matrices here are tall and thin: BLAS threads would only spin, and the fits run side by side already.
     with threadpool_limits(1):
         report("checking the records and the controller's law", 0.02)

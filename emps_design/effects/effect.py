@@ -135,6 +135,7 @@ class Effect:
     ``expression(q, v, t, tau, p, b)`` is the SymPy form of :meth:`contribution` (``tau`` stands for the voltage in a
     static actuator map); None where own states are needed.
     ``over``: the variable it is drawn over, "v", "q", "t", "tau", "u", a "loop" of position, or after a "step".
+    ``motion``: "rotary" of what only an axis that turns has, "" of the others.
     ``repeats``: the parameter [m] after which it repeats along the travel; its slope over position then averages out.
     ``passive``: over a motion that ends where it began, at rest, the effect never gives back more work than it took.
     ``identified_by``: for each model of ``identify`` that has the effect among its parameters, the function that takes
@@ -172,6 +173,7 @@ class Effect:
     plausible: Callable[[Parameters, Motion], bool] | None = None
     expression: Callable[..., sympy.Expr] | None = None
     over: str = "v"
+    motion: str = ""
     repeats: str = ""
     where: str = ""
     confused_with: tuple[str, ...] = ()
@@ -191,6 +193,10 @@ class Effect:
             raise AxisError(f"effect {self.name}: give a regressor, or say in no_regressor why there is none")
         if (self.rate is None) != (not self.states) or (self.rate is None) != (self.initial is None):
             raise AxisError(f"effect {self.name}: states, rate and initial come together")
+
+    def acts_on(self, motion: str) -> bool:
+        """Whether an axis of this ``motion``, "linear" or "rotary", can have the effect."""
+        return self.motion in ("", motion)
 
     @property
     def linear(self) -> tuple[str, ...]:

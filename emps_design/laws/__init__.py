@@ -63,10 +63,7 @@ def law_of(axis: Any, period: float, columns: Mapping[str, Any] | None = None) -
             f"controller.kind: found {kind!r}, expected {', '.join(most)} or {last} to close a loop; "
             "give closed_loop(law=...) or simulate open_loop"
         )
-    law = get_law(kind)
-    own = {
-        name: axis.controller.parameters[name] for name in law.table.model_fields if name in axis.controller.parameters
-    }
+    law, own = get_law(kind), _own(axis)
     recorded = {name: source for name, source in own.items() if isinstance(source, dict) and "record" in source}
     if not recorded:
         return law.law(law.table(**own), axis, period)
@@ -85,6 +82,16 @@ def law_of(axis: Any, period: float, columns: Mapping[str, Any] | None = None) -
     if len(found) == 1:
         return found[0]
     return replace(found[0], gains=np.array([one.gains for one in found])[sample.ravel()], state_feedback=False)
+
+
+def table_of(axis: Any) -> LawTable:
+    """The parameters of the law that ``axis`` asks for, without those that wait there for other kinds."""
+    return get_law(axis.controller.kind).table(**_own(axis))
+
+
+def _own(axis: Any) -> dict[str, Any]:
+    parameters = axis.controller.parameters
+    return {name: parameters[name] for name in get_law(axis.controller.kind).table.model_fields if name in parameters}
 
 
 def _recorded(sources: Mapping[str, Any], columns: Mapping[str, Any]) -> np.ndarray:
@@ -220,6 +227,7 @@ __all__ = [
     "load_file",
     "parameter",
     "register",
+    "table_of",
     "unit_of",
     "velocity_in_words",
 ]

@@ -105,10 +105,13 @@ class LawKind:
     ``equations(p, axis, period)`` are the lines to paste into a drive. ``follows`` is one of ``FOLLOWS``, or a function
     of the table, and so is ``cycle``, after how many samples the law does the same again.
 
-    ``state_feedback`` says that the kernel is ``u = gains[0] (reference - q) - gains[1] v`` and no more, with 1/period
-    and whether v is the two-tap estimate behind them: fused runs compute it in its place. ``apparent`` says that the
-    law gives the carriage the apparent ``mass`` and ``damping`` of its table. ``propose(reference, q, u, p, period)``
-    gives parameters by name with which the law makes a recorded voltage ``u`` best (nan: not to be fitted), or None.
+    ``loops(p)`` are the loops within one another, innermost first: a name, and the table of the law up to that loop
+    without feed-forward. One that follows a velocity is broken at the plant input, one that follows a position at the
+    position error. ``state_feedback`` says that the kernel is ``u = gains[0] (reference - q) - gains[1] v`` and no
+    more, with 1/period and whether v is the two-tap estimate behind them: fused runs compute it in its place.
+    ``apparent`` says that the law gives the carriage the apparent ``mass`` and ``damping`` of its table.
+    ``propose(reference, q, u, p, period)`` gives parameters by name with which the law makes a recorded voltage ``u``
+    best (nan: not to be fitted), or None.
 
     Raises :class:`AxisError` for a law that follows nothing known.
     """
@@ -123,6 +126,7 @@ class LawKind:
     equations: Callable[[Any, Any, float], tuple[str, ...]]
     follows: str | Callable[[Any], str] = "position"
     cycle: int | Callable[[Any], int] = 1
+    loops: Callable[[Any], tuple[tuple[str, LawTable], ...]] | None = None
     state_feedback: bool = False
     apparent: bool = False
     propose: Callable[..., dict[str, float] | None] | None = None

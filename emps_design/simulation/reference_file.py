@@ -65,7 +65,7 @@ def _table(content: bytes, path: Path) -> dict[str, np.ndarray]:
         raise RecordError(f"{path}: not a text table; expected columns t, q_ref (.csv or .npz)") from error
     between = ";" if ";" in head else ","
     titles = head.split(between)
-    if not any(line.strip() for line in lines):
+    if not any(line.partition("#")[0].strip() for line in lines):  # what follows # is a comment
         raise RecordError(f"{path}: found a header and no samples, expected numbers below the titles")
     try:
         rows = np.loadtxt(lines, delimiter=between, ndmin=2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import panel as pn
 
@@ -15,76 +16,96 @@ _QUIET = (
 )
 
 
-class Field:
-    """A field for the number ``name``; ``on_change(name, value)`` hears every change made by hand."""
+def after_this_event(answer: Callable[[], None]) -> None:
+    """Call ``answer`` once what the browser has just sent is dealt with: at once where there is no page.
 
-    def __init__(self, name: str, value: float, on_change: Callable[[str, float], None], width: int = 112):
+    Only then does the browser listen to a value that replaces the one it sent, and the answer may change pictures: it
+    holds the lock of the page, which an event does not.
+    """
+    if pn.state.curdoc is None:
+        answer()
+    else:
+        pn.state.curdoc.add_next_tick_callback(answer)
+
+
+class Field:
+    """A field for the number ``name``; ``on_change(name, value)`` hears every change made by hand.
+
+    A frequency is typed as text, with its unit or without; what is heard is what was typed, and ``on_change`` has the
+    field show what it was taken for.
+    """
+
+    def __init__(self, name: str, value: float, on_change: Callable[[str, Any], None], width: int = 112):
         self.name, self.on_change, self._quiet = name, on_change, False
+        self._moved: Any = None  # the widget that was changed by hand and has no answer yet
         choice = CHOICES[name]
-        self.options = {
-            "label": choice.label,
-            "value": value,
-            "start": choice.lower,
-            "end": choice.upper,
-            "step": choice.step,
-        }
         self.whole = isinstance(choice.step, int)
-        widget = pn.widgets.IntInput if self.whole else pn.widgets.FloatInput
-        # With bounds the browser would keep a number outside them to itself, over a design that it does not belong to.
-        unbounded = {key: option for key, option in self.options.items() if key not in ("start", "end")}
-        self.field = widget(**unbounded, width=width, margin=(2, 6, 2, 6))
-        self.shown = (self.field,)
+        common = {"label": choice.label, "width": width, "margin": (2, 6, 2, 6)}
+        if choice.frequency:
+            self.field = pn.widgets.TextInput(value=_written(value), **common)
+        else:
+            # With bounds the browser would keep a number outside them to itself, over a design it does not belong to.
+            widget = pn.widgets.IntInput if self.whole else pn.widgets.FloatInput
+            self.field = widget(value=value, step=choice.step, **common)
         self.field.param.watch(self._heard, "value")
 
     def _heard(self, event) -> None:
         if self._quiet or event.new is None:
             return
-        self.set(event.new)
-        self.on_change(self.name, event.new)
+        waiting, self._moved = self._moved is not None, event.obj
+        if not waiting:  # of what comes until then, the last counts
+            after_this_event(self._answer)
 
-    def restore(self, value: float) -> None:
-        """Show ``value`` again in place of one that was just typed and refused."""
-        if pn.state.curdoc is None:
-            self.set(value)
-        else:  # the browser is told of a value that replaces the one it has just sent only after this event
-            pn.state.curdoc.add_next_tick_callback(lambda: self.set(value))
+    def _answer(self) -> None:
+        widget, self._moved = self._moved, None
+        self.on_change(self.name, widget.value)
+
+    def _silently(self, change: Callable, *given: Any) -> None:
+        """Call ``change`` without telling anybody."""
+        self._quiet = True
+        try:
+            change(*given)
+        finally:
+            self._quiet = False
 
     def set(self, value: float) -> None:
         """Show ``value`` without telling anybody."""
-        self._quiet = True
-        try:
-            for widget in self.shown:
-                widget.value = value
-        finally:
-            self._quiet = False
+        self._silently(self._show, value)
+
+    def _show(self, value: float) -> None:
+        self.field.value = _written(value) if isinstance(self.field, pn.widgets.TextInput) else value
 
 
 class Knob(Field):
     """A field and a slider of the number ``name``."""
 
-    def __init__(self, name: str, value: float, on_change: Callable[[str, float], None]):
+    def __init__(self, name: str, value: float, on_change: Callable[[str, Any], None]):
         super().__init__(name, value, on_change)
+        choice = CHOICES[name]
         slider = pn.widgets.IntSlider if self.whole else pn.widgets.FloatSlider
         self.slider = slider(
-            **self.options, show_value=False, sizing_mode="stretch_width", margin=(22, 10, 0, 4), stylesheets=[_QUIET]
+            label=choice.label,
+            value=value,
+            start=choice.lower,
+            end=choice.upper,
+            step=choice.step,
+            show_value=False,
+            sizing_mode="stretch_width",
+            margin=(22, 10, 0, 4),
+            stylesheets=[_QUIET],
         )
-        self.shown = (self.field, self.slider)
         self.slider.param.watch(self._heard, "value")
         self.view = pn.Row(self.field, self.slider, sizing_mode="stretch_width", margin=0)
 
-    def limit(self, low: float, high: float) -> None:
-        """Let the control reach ``low`` to ``high`` only; a value outside moves to the nearest end."""
-        if low <= self.field.value <= high or pn.state.curdoc is None:
-            self._limit(low, high)
-        else:  # the browser is told of a value that replaces the one it has just sent only after this event
-            pn.state.curdoc.add_next_tick_callback(lambda: self._limit(low, high))
+    def _show(self, value: float) -> None:
+        super()._show(value)
+        self.slider.value = value
 
-    def _limit(self, low: float, high: float) -> None:
-        self._quiet = True
-        try:
-            value = min(max(self.field.value, low), high)
-            high = high if high > low else low + CHOICES[self.name].step
-            self.slider.param.update(start=low, end=high, value=value)
-            self.field.value = value  # the field takes any number, so that the page can say why it does not stay
-        finally:
-            self._quiet = False
+    def limit(self, low: float, high: float) -> None:
+        """Let the slider reach ``low`` to ``high`` only; the field takes any number, so that the page can answer."""
+        high = high if high > low else low + CHOICES[self.name].step
+        self._silently(lambda: self.slider.param.update(start=low, end=high))
+
+
+def _written(value: float) -> str:
+    return f"{value:.6g}"

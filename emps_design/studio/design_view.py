@@ -15,7 +15,7 @@ from emps_design.studio.design_tables import laws_table, numbers_table
 from emps_design.studio.feasible import feasible, plane
 from emps_design.studio.panes import html
 from emps_design.studio.plots import LoopPlots, PlanePlot
-from emps_design.studio.state import PLACES, SPECIFICATIONS, State
+from emps_design.studio.state import PLACES, SPECIFICATIONS, State, taken_for
 
 if TYPE_CHECKING:
     from emps_design.control.velocity.design import VelocityLoopDesign
@@ -107,17 +107,15 @@ class DesignView:
         try:
             self.state = self.state.changed(**{name: value})
             if name in self.knobs:
-                self.knobs[name].set(value)
+                self.knobs[name].set(getattr(self.state, name))
             if name == "place":
                 self._show_pinned()
             elif name in self.knobs or name in self.words:
-                self._design()
+                self._design(taken_for(name, value))
         except EmpsError as error:
             self.state = before
-            self._show_controls()
-            if name in self.knobs:
-                self.knobs[name].restore(getattr(before, name))
             self._say(f"{error}; the design stays as it was", "stop")
+        self._show_controls()
         self._changed(self.state)
 
     def _pinned(self, event) -> None:
@@ -200,12 +198,12 @@ class DesignView:
             self.numbers.object = self.laws.object = ""
             self._say(f"{error}; there is no design, the pictures are of the one before", "stop")
 
-    def _design(self) -> None:
+    def _design(self, said: str = "") -> None:
         from emps_design.studio.exports import velocity_design
 
         notes, reached = self._feasible_note()
         self.design = velocity_design(self.state)
-        self._say(notes, "note" if reached else "stop")
+        self._say(f"{said} {notes}".strip(), "note" if reached else "stop")
         state = self.state
         self.plots.update(self.design, state.place)
         self.plots.require(state.required_phase_deg, state.required_overshoot_percent)

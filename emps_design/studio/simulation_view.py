@@ -9,7 +9,7 @@ import panel as pn
 
 from emps_design.report.page import inline
 from emps_design.report.style import svg
-from emps_design.studio.controls import Field
+from emps_design.studio.controls import Field, after_this_event
 from emps_design.studio.jobs import Job
 from emps_design.studio.panes import html
 from emps_design.studio.simulated import Simulated, simulate
@@ -44,7 +44,7 @@ class SimulationView:
         self.task.param.watch(lambda event: turn("task", event.new), "value")
         self.fields = {name: Field(name, getattr(now, name), turn, width) for name, width in WIDTHS.items()}
         self.run = pn.widgets.Button(label="Simulate", color="primary", width=100, margin=(22, 6, 2, 6))
-        self.run.on_click(self._start)
+        self.run.on_click(lambda event: after_this_event(self._start))  # a number typed just before comes first
         self.job = Job()
         self.message, self.table = html(), html(INTRODUCTION)
         self.pictures = {name: html() for name in PICTURES}
@@ -67,7 +67,7 @@ class SimulationView:
         for name, field in self.fields.items():
             field.set(getattr(state, name))
 
-    def _start(self, event: Any) -> None:
+    def _start(self) -> None:
         state = self._state()
         self.message.object = ""
         self.job.start(lambda progress: simulate(state, progress), self._done, self._failed)

@@ -8,20 +8,25 @@ from typing import Any
 
 from emps_design.axis import Axis
 from emps_design.errors import InputError, nearest_name
+from emps_design.quantities import frequency
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A number that a control sets: its label with the unit, its range and the step of the control."""
+    """A number that a control sets: its label with the unit, its range and the step of the control.
+
+    A ``frequency`` is in rad/s, and may be given as text with its unit, such as 30Hz.
+    """
 
     label: str
     lower: float
     upper: float
     step: float
+    frequency: bool = False
 
 
 CHOICES: dict[str, Choice] = {
-    "frequency": Choice("Frequency [rad/s]", 5.0, 600.0, 1.0),
+    "frequency": Choice("Frequency [rad/s]", 5.0, 600.0, 1.0, frequency=True),
     "phase_margin_deg": Choice("Phase margin [deg]", 1.0, 89.0, 0.5),
     "period_ms": Choice("Sampling period [ms]", 0.1, 5.0, 0.1),
     "computation_delay": Choice("Computation delay [samples]", 0, 5, 1),
@@ -31,7 +36,7 @@ CHOICES: dict[str, Choice] = {
     "wall": Choice("Wall [N/mm]", 0.0, 200.0, 1.0),
     "mass": Choice("Apparent mass M_a [kg]", 1.0, 200.0, 1.0),
     "damping": Choice("Apparent damping B [N/(m/s)]", 0.0, 500.0, 5.0),
-    "filter": Choice("Filter of the law [rad/s]", 10.0, 3000.0, 10.0),
+    "filter": Choice("Filter of the law [rad/s]", 10.0, 3000.0, 10.0, frequency=True),
     "mismatch_percent": Choice("Mismatch [%]", 0.0, 20.0, 0.5),
     "required_phase_deg": Choice("Required phase margin, sampled [deg]", 0.0, 80.0, 1.0),
     "required_overshoot_percent": Choice("Allowed overshoot [%]", 0.0, 100.0, 1.0),
@@ -98,9 +103,7 @@ class State:
 
     def changed(self, **values: Any) -> State:
         """The state with some numbers changed, each within the range of its control, and the axis kept in step."""
-        for name, value in values.items():
-            check(name, value)
-        state = replace(self, **values)
+        state = replace(self, **{name: checked(name, value) for name, value in values.items()})
         if not {"period_ms", "computation_delay", "current_ms"} & set(values):
             return state
         axis = state.axis.replace(
@@ -142,25 +145,48 @@ class State:
         tables = document if isinstance(document, dict) else {}
         if not isinstance(tables.get("studio"), dict) or not isinstance(tables.get("axis"), dict):
             raise InputError(f"{source}: expected the tables [studio] and [axis] of a state saved by the studio")
-        for name, value in tables["studio"].items():
-            check(name, value, source)
+        values = {name: checked(name, value, source) for name, value in tables["studio"].items()}
         state = cls.of(Axis.from_dict(tables["axis"], f"{source}: axis"))
         # A clock that says the same as the axis leaves the axis as it is, to the last digit.
-        return state.changed(**{k: value for k, value in tables["studio"].items() if getattr(state, k) != value})
+        return state.changed(**{name: value for name, value in values.items() if getattr(state, name) != value})
 
 
-def check(name: str, value: Any, source: str = "studio") -> None:
-    """Refuse a name the controls do not have, or a number outside a control's range, with :class:`InputError`."""
+def checked(name: str, value: Any, source: str = "studio") -> Any:
+    """Return ``value`` as the state holds it, a frequency in rad/s.
+
+    Raises :class:`InputError` for a name the controls do not have, a word they do not offer, or a number outside a
+    control's range.
+
+    >>> round(checked("frequency", "30Hz"), 3), checked("seed", 7), checked("place", "plant input")
+    (188.496, 7, 'plant input')
+    """
     if name in WORDS:
         if value not in WORDS[name]:
             raise InputError(f"{source}: {name}: found {value!r}, expected {' or '.join(WORDS[name])}")
-        return
+        return value
     if name not in CHOICES:
         raise InputError(f"{source}: unknown key {name!r}{nearest_name(name, [*CHOICES, *WORDS])}")
     choice = CHOICES[name]
+    if choice.frequency and isinstance(value, str):
+        try:
+            value = frequency(value)
+        except InputError as error:
+            raise InputError(f"{source}: {name}: {error}") from error
     kind, what = (int, "a whole number, ") if isinstance(choice.step, int) else (int | float, "")
     if isinstance(value, bool) or not isinstance(value, kind) or not choice.lower <= value <= choice.upper:
         raise InputError(f"{source}: {name}: found {value!r}, expected {what}{choice.lower:g} to {choice.upper:g}")
+    return value
+
+
+def taken_for(name: str, value: Any) -> str:
+    """The sentence that says what a frequency typed with its unit was taken for; empty for any other ``value``.
+
+    >>> taken_for("frequency", "30Hz"), taken_for("frequency", "188.5"), taken_for("mass", 50.0)
+    ('Frequency: 30Hz is 188.496 rad/s.', '', '')
+    """
+    if not isinstance(value, str) or name not in CHOICES or value.strip()[-1:] in "0123456789.":
+        return ""
+    return f"{CHOICES[name].label.partition(' [')[0]}: {value.strip()} is {checked(name, value):.6g} rad/s."
 
 
 def _clock(axis: Axis) -> dict[str, Any]:

@@ -18,6 +18,7 @@ TRUE = {
     "friction_drift": {"change": -0.4, "time_constant": 2.0},
     "position_ripple": {"amplitude": 4.0, "phase": 0.6, "period": 0.01},
     "elastic_force": {"stiffness": 60.0, "rest_position": 0.0},
+    "gravity": {"torque": 30.0, "angle": 0.5},
     "end_stop": {"stiffness": 1500.0, "position": 0.13, "side": 1.0},
     "mass_change": {"change": 0.15, "time": 1.5},
     "external_force": {"amplitude": 20.0, "start": 0.9, "duration": 0.2, "every": 1.7},
@@ -51,7 +52,9 @@ def program():
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
 def test_recovered_from_its_own_simulation(effect):
     axis = machine("emps2019").replace(
-        effects=[{"kind": effect.name, **TRUE[effect.name]}], sampling={"encoder_resolution": 0.0}
+        motion=effect.motion or "linear",
+        effects=[{"kind": effect.name, **TRUE[effect.name]}],
+        sampling={"encoder_resolution": 0.0},
     )
     plant, q_ref = Plant.of(axis), program()
     truth, b = effect.values(TRUE[effect.name]), axis.mechanics.array()

@@ -68,7 +68,9 @@ def check(lines, effects, record, folder, capsys):
     """Run every line on the machines with ``effects``: documented exit status, one document where there is one."""
     paths = {"design": folder / "design.toml", "identified": folder / "identified.toml"}
     for key, name in (("design", "emps2018"), ("identified", "emps2019")):
-        paths[key].write_text(machine(name).replace(effects=effects).to_toml())
+        kinds = {one["kind"] for one in effects}
+        motion = next((one.motion for one in EFFECTS if one.motion and one.name in kinds), "linear")
+        paths[key].write_text(machine(name).replace(motion=motion, effects=effects).to_toml())
     for name, line in lines.items():
         out = folder / f"{name}.html"
         status = app.run([*line.format(record=record, out=out, **paths).split(), "--json"])

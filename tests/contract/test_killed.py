@@ -1,5 +1,8 @@
 """Killed at any moment, a command leaves whole files or none; the next run cleans up after it."""
 
+import subprocess
+import sys
+
 import pytest
 
 from tests.kills import COMMANDS, SIGNALS, Kills
@@ -25,3 +28,20 @@ def test_an_error_that_an_interrupt_ends_in_is_that_interrupt(monkeypatch, capsy
     monkeypatch.setattr(app, "_application", lambda arguments: lambda **given: interrupted(given))
     assert app.run(["gains"]) == 130
     assert capsys.readouterr().err.strip() == "emps-design: interrupted"
+
+
+DEAF = """
+import os, signal, time
+from ctypes import CFUNCTYPE
+from emps_design.cli import app, interrupts
+interrupts.GRACE = 0.1
+interrupts.listen()
+CFUNCTYPE(None)(lambda: os.kill(os.getpid(), signal.SIGTERM))()
+time.sleep(60)
+"""
+
+
+def test_an_interrupt_in_a_callback_of_compiled_code_is_heard_and_shows_no_traceback():
+    """An exception ends at such a callback (as at those of numba's cache): the waiting thread ends the process."""
+    done = subprocess.run([sys.executable, "-c", DEAF], capture_output=True, text=True, timeout=50)
+    assert (done.returncode, done.stderr) == (130, "emps-design: interrupted\n")

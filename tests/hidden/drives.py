@@ -106,6 +106,9 @@ def draw_effect(
     if name == "elastic_force":
         x, rest = c * (50.0, 110.0)[big] * _between(rng, 0.85, 1.2), drive.travel * _between(rng, 0.2, 0.7)
         return {"spring": x, "spring_rest": rest}, {name: {"stiffness": x, "rest_position": rest}}
+    if name == "gravity":
+        x = drive.coulomb * (0.5, 1.0)[big] * _between(rng, 0.85, 1.2)
+        return {"arm_torque": x, "arm_angle": phase}, {name: {"torque": x, "angle": phase}}
     if name == "end_stop":
         x, depth = c * (1200.0, 2600.0)[big], _between(rng, 0.012, 0.025)
         place = drive.travel - depth if sign > 0 else depth
@@ -197,6 +200,7 @@ EFFECTS = (
     "encoder_error",
     "controller_disturbance",
 )
+TURNING = ("gravity",)  # of an axis that turns: compared between the simulators, in no generated case
 UNKNOWN = ("unknown_ageing", "unknown_cross", "unknown_wake")
 PAIRS = (
     ("asymmetric_viscous_friction", "position_ripple"),

@@ -63,6 +63,8 @@ NAMES = (
     "cross",  # N/(m m/s), viscous friction that grows along the travel
     "wake",  # N, drags towards where the carriage was heading in the last 0.3 s
     "middle",  # m, where the cross term is zero
+    "arm_torque",  # N m, weight of an arm, of an axis that turns
+    "arm_angle",  # rad, from hanging at the encoder's zero
 )
 PLACE = {name: index for index, name in enumerate(NAMES)}
 
@@ -87,11 +89,13 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
         ripple_a, ripple_l, ripple_p, spring, spring_rest, stop_k, stop_q, stop_s, mass_change, mass_t,
         pulse_a, pulse_t, pulse_d, pulse_e, hum_a, hum_f, hum_p, part, f_c, zeta, gap, delay, lag, clip, dead,
         enc_a, enc_l, enc_p, wave_u, wave_f, wave_d, wave_t, ageing, cross, wake, middle,
+        arm_torque, arm_angle,
     ) = (
         p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10],
         p[11], p[12], p[13], p[14], p[15], p[16], p[17], p[18], p[19], p[20],
         p[21], p[22], p[23], p[24], p[25], p[26], p[27], p[28], p[29], p[30], p[31], p[32], p[33], p[34], p[35],
         p[36], p[37], p[38], p[39], p[40], p[41], p[42], p[43], p[44], p[45], p[46],
+        p[47], p[48],
     )  # fmt: skip
     mass, viscous, coulomb, offset, gain, limit = drive[0], drive[1], drive[2], drive[3], drive[4], drive[5]
     kp, kv = law[0], law[1]
@@ -140,6 +144,7 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
                 warm = 1.0 + drift * (1.0 - math.exp(-t / drift_t))
             f = tau - offset - warm * viscous * v + force_noise[k]
             f -= asymmetric * abs(v) + quadratic * v * abs(v) + spring * (q - spring_rest)
+            f -= arm_torque * math.sin(q + arm_angle)
             if ripple_a != 0.0:
                 f -= ripple_a * math.sin(tau_2 * q / ripple_l + ripple_p)
             if stop_k > 0.0 and stop_s * (q - stop_q) > 0.0:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from emps_design.axis import Axis
-from tests.hidden.drives import EFFECTS, draw_drive, draw_effect
+from tests.hidden.drives import EFFECTS, TURNING, draw_drive, draw_effect
 from tests.hidden.generate import SKIP, axis_file, misfit, run
 from tests.hidden.plant import numbers
 from tests.hidden.programs import laps
@@ -12,7 +12,7 @@ from tests.hidden.programs import laps
 LEFT = 0.015  # of the Coulomb friction [N rms of G_tau u]: what 20 us steps leave through the encoder's quantisation
 
 
-@pytest.mark.parametrize("name", ["none", *EFFECTS])
+@pytest.mark.parametrize("name", ["none", *EFFECTS, *TURNING])
 def test_same_force_along_a_lap(name):
     from emps_design.simulation import Plant
 
@@ -25,6 +25,7 @@ def test_same_force_along_a_lap(name):
         values["mass_time"] = truth[name]["time"] = 2.0
     _, u = run(drive, q_ref, numbers(**values))
     axis = Axis.from_toml(axis_file(rng, drive)).replace(
+        motion="rotary" if name in TURNING else "linear",
         mechanics={key: getattr(drive, key) for key in ("mass", "viscous", "coulomb", "offset")},
         effects=[{"kind": kind, **parameters} for kind, parameters in truth.items()],
     )

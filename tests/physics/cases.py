@@ -16,6 +16,7 @@ CASES = {
     "friction_drift": {"change": 0.4, "time_constant": 0.8},
     "position_ripple": {"amplitude": 3.0, "phase": 0.5, "period": 2.5e-3},
     "elastic_force": {"stiffness": 300.0, "rest_position": 0.02},
+    "gravity": {"torque": 6.0, "angle": 0.7},
     "end_stop": {"stiffness": 2e4, "position": 0.003, "side": 1.0},
     "mass_change": {"change": 0.3, "time": 0.7773},
     "external_force": {"amplitude": -15.0, "start": 0.2013, "duration": 0.1, "every": 0.4},
@@ -41,7 +42,10 @@ def voltage(seconds: float = 2.0) -> np.ndarray:
 
 def axis_with(*names: str):
     """The 2019 machine with effects of the cases, sampled slowly, encoder exact."""
+    from emps_design.effects import get_effect
     from emps_design.machines import machine
 
     effects = [{"kind": name, **CASES[name]} for name in names if CASES[name]]
-    return machine("emps2019").replace(effects=effects, sampling={"period": PERIOD, "encoder_resolution": 0.0})
+    motion = next(filter(None, (get_effect(one["kind"]).motion for one in effects)), "linear")
+    sampling = {"period": PERIOD, "encoder_resolution": 0.0}
+    return machine("emps2019").replace(motion=motion, effects=effects, sampling=sampling)

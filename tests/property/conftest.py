@@ -2,6 +2,7 @@
 
 import json
 import os
+from datetime import UTC, datetime
 from pathlib import Path
 
 from tests.property.fuzzing import EXAMPLES
@@ -22,5 +23,6 @@ def pytest_runtest_logreport(report):
 def pytest_sessionfinish():
     """Write the table."""
     if _rows and os.environ.get("EMPS_DESIGN_FUZZ"):
-        document = {"inputs": sum(row["inputs"] for row in _rows), "rows": _rows}
+        date = datetime.now(UTC).date().isoformat()
+        document = {"date": date, "inputs": sum(row["inputs"] for row in _rows), "rows": _rows}
         PAGE.write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

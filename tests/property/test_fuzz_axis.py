@@ -92,4 +92,5 @@ def test_effects_with_any_numbers(data):
     effect = data.draw(st.sampled_from(EFFECTS))
     numbers = st.floats() | st.integers(-(2**80), 2**80)
     parameters = {parameter.name: data.draw(numbers) for parameter in effect.parameters}
-    check(tomli_w.dumps({**machine("emps2019").to_dict(), "effects": [{"kind": effect.name, **parameters}]}))
+    effects = [{"kind": effect.name, **parameters}]
+    check(tomli_w.dumps({**machine("emps2019").to_dict(), "motion": effect.motion or "linear", "effects": effects}))

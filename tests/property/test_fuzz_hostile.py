@@ -43,6 +43,7 @@ ANY_TEXT = st.text(st.characters(exclude_categories=()), max_size=60) | st.sampl
         "&lt;",
         "a\nb",
         "\udcff",
+        "`fit_time`",
     ]
 )
 
@@ -173,6 +174,7 @@ KINDS = ("nothing", "file", "link", "folder", "pipe", "device", "loop", "link to
 def test_destinations(name, kind, text, tmp_path_factory):
     folder = tmp_path_factory.mktemp("d")
     try:
+        os.fsencode(name)
         path = place(folder, kind, name)
     except (OSError, UnicodeError):  # no such name on this file system
         path = folder / name

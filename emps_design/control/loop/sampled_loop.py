@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.control.loop import periodic
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis
 from emps_design.control.plant.environment import Felt
 from emps_design.control.plant.linear_plant import POSITION, VELOCITY
@@ -45,6 +46,9 @@ class SampledLoop:
     step, and what was asked for: signals of the law, ``voltage`` [V] added at the plant input. Outputs: the true
     velocity at the sample and its mean over the period that follows [m/s], the force that the law reads [N], the
     voltage of the law [V].
+
+    Where the law has loops of different rates all of this repeats after ``cycle`` samples: the matrices of each of them
+    stand along the first axis, and poles are those of a whole cycle.
     """
 
     A: np.ndarray
@@ -53,16 +57,17 @@ class SampledLoop:
     D: np.ndarray
     period: float
     inputs: tuple[str, ...]
+    cycle: int = 1
 
     @cached_property
     def poles(self) -> np.ndarray:
-        """Poles in the z plane (..., n), largest first."""
-        return sorted_poles(np.linalg.eigvals(self.A))
+        """Poles in the z plane (..., n), largest first; of ``cycle`` samples, so z is exp(s T cycle)."""
+        return sorted_poles(np.linalg.eigvals(self.A if self.cycle == 1 else periodic.monodromy(self.A)))
 
     @property
     def radius(self) -> Any:
-        """Largest modulus of the poles: a float, (...) for many loops."""
-        found = np.abs(self.poles[..., 0])
+        """Largest modulus of the poles, by sample: a float, (...) for many loops."""
+        found = np.abs(self.poles[..., 0]) ** (1.0 / self.cycle)
         return found if found.ndim else float(found)
 
     @property
@@ -76,10 +81,9 @@ class SampledLoop:
 
     def response(self, w: np.ndarray, output: str = "mean_velocity", by: str = "force") -> np.ndarray:
         """Frequency response from the input ``by`` to ``output`` at ``w`` (f,) [rad/s], shape (..., f)."""
-        place, row = self.inputs.index(by), OUTPUTS.index(output)
-        return _response(
-            self.A, self.B[..., place], self.C[..., row, :], self.D[..., row, place], np.asarray(w) * self.period
-        )
+        place, row, angle = self.inputs.index(by), OUTPUTS.index(output), np.asarray(w) * self.period
+        one = self.A, self.B[..., place], self.C[..., row, :], self.D[..., row, place]
+        return _response(*one, angle) if self.cycle == 1 else periodic.response(*one, angle)
 
     def admittance(self, w: np.ndarray) -> np.ndarray:
         """Mean velocity over held force at ``w`` (f,) [rad/s], shape (..., f) [m/s/N]."""
@@ -87,11 +91,16 @@ class SampledLoop:
 
     def loop_gain(self, w: np.ndarray) -> np.ndarray:
         """Open loop broken at the plant input, which has to be among the inputs, at ``w`` (f,) [rad/s], (..., f)."""
-        opened, column, row = self._opened
+        opened, column, row = self.opened
+        if self.cycle > 1:
+            raise InputError(
+                f"loop gain: found loops of different rates, the same again after {self.cycle} samples, expected one "
+                "rate; nested_loops has the margins of such a law"
+            )
         return -_response(opened, column, row, np.zeros(column.shape[:-1]), np.asarray(w) * self.period)
 
     @property
-    def _opened(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def opened(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Matrix, column and row of the loop broken at the plant input, from the voltage there to the law's."""
         if "voltage" not in self.inputs:
             raise InputError("plant input: the loop was closed without it, expected close(..., plant_input=True)")
@@ -102,29 +111,41 @@ class SampledLoop:
         """The loop broken at the plant input as a discrete ``control.StateSpace``, for negative feedback."""
         import control
 
-        A, column, row = self._opened
+        A, column, row = self.opened
         return control.ss(A, column[:, None], -row[None], [[0.0]], self.period, name="loop_gain")
 
     def simulate(self, w: np.ndarray) -> np.ndarray:
         """Outputs (k, 4) of a single loop from rest under inputs ``w`` (k, i)."""
-        state, found = np.zeros(len(self.A)), np.empty((len(w), len(OUTPUTS)))
+        samples = [(self.A, self.B, self.C, self.D)]
+        if self.cycle > 1:
+            samples = list(zip(self.A, self.B, self.C, self.D, strict=True))
+        state, found = np.zeros(self.A.shape[-1]), np.empty((len(w), len(OUTPUTS)))
         for k, now in enumerate(np.asarray(w, dtype=float)):
-            found[k] = self.C @ state + self.D @ now
-            state = self.A @ state + self.B @ now
+            A, B, C, D = samples[k % self.cycle]
+            found[k] = C @ state + D @ now
+            state = A @ state + B @ now
         return found
 
     def to_ss(self) -> control.StateSpace:
-        """The loop as a discrete ``control.StateSpace`` with named inputs and outputs."""
+        """The loop as a discrete ``control.StateSpace`` with named inputs and outputs.
+
+        Loops of different rates are lifted: one step is a whole ``cycle``, and each input and output is there once for
+        every sample of it, ``reference[0]`` and so on.
+        """
         import control
 
-        return control.ss(
-            self.A, self.B, self.C, self.D, self.period, inputs=list(self.inputs), outputs=list(OUTPUTS), name="loop"
-        )
+        matrices, inputs, outputs = (self.A, self.B, self.C, self.D), list(self.inputs), list(OUTPUTS)
+        if self.cycle > 1:
+            matrices = periodic.lifted(*matrices)
+            inputs, outputs = ([f"{n}[{k}]" for k in range(self.cycle) for n in names] for names in (inputs, outputs))
+        return control.ss(*matrices, self.cycle * self.period, inputs=inputs, outputs=outputs, name="loop")
 
     def to_tf(self, output: str = "mean_velocity", by: str = "force") -> control.TransferFunction:
         """The transfer function in z from the input ``by`` to ``output``."""
         import control
 
+        if self.cycle > 1:
+            raise InputError("transfer function: found loops of different rates, which have none; take to_ss()")
         return control.ss2tf(self.to_ss()[OUTPUTS.index(output), self.inputs.index(by)])
 
 
@@ -134,11 +155,13 @@ def close(
     felt: Felt | None = None,
     sensor_delay: int = 0,
     plant_input: bool = False,
+    keep_position: bool = False,
 ) -> SampledLoop:
     """Close the loop of ``law`` around ``plant``; ``felt`` is what its force sensor reads, so many samples late.
 
     Without ``felt`` the sensor reads the force from outside. ``plant_input`` adds the input ``voltage``, of which a
-    model of the current in the law hears nothing. Leading axes of ``plant`` and ``law`` broadcast.
+    model of the current in the law hears nothing. ``keep_position``: where the carriage is stays among the states, of
+    which those of the plant come first. Leading axes of ``plant`` and ``law`` broadcast.
 
     >>> from emps_design.control.plant.discretisation import sample_axis
     >>> from emps_design.laws import law_of
@@ -200,7 +223,12 @@ def close(
     step[..., POSITION] -= 1.0 / plant.period
     out = np.stack([line(VELOCITY), step, read, voltage], axis=-2)
 
-    free = bool(np.all(plant.integrates)) and not np.any(felt.state[..., POSITION]) and law.keeps_to_changes
+    free = (
+        not keep_position
+        and bool(np.all(plant.integrates))
+        and not np.any(felt.state[..., POSITION])
+        and law.keeps_to_changes
+    )
     if free:  # the memory counted from where the carriage is
         moved = law.moved * plant.C[..., POSITION, None]
         for table in (rows, out):
@@ -211,7 +239,7 @@ def close(
     keep = _without_repetitions(rows, out, keep, range(memory, past))
     ends = list(range(size, size + len(inputs)))
     A, B = rows[..., keep, :][..., keep], rows[..., keep, :][..., ends]
-    return SampledLoop(A, B, out[..., keep], out[..., ends], plant.period, inputs)
+    return SampledLoop(A, B, out[..., keep], out[..., ends], plant.period, inputs, law.cycle)
 
 
 def axis_loop(axis: Axis, velocity: float = 0.1) -> SampledLoop:

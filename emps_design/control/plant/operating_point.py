@@ -80,6 +80,7 @@ class Member:
         )
 
     def rate_slopes(self, v: float, tau: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Slopes of the derivatives of the own states over position, velocity, motor force and the states."""
         return (
             _slope(lambda q: self._rate(q, v, tau, self.x), 0.0, 1e-6),
             _slope(lambda value: self._rate(0.0, value, tau, self.x), v, 1e-4 * abs(v)),

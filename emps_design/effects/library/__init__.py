@@ -16,6 +16,7 @@ ORDER = (
     "friction_drift",
     "position_ripple",
     "elastic_force",
+    "gravity",
     "end_stop",
     "mass_change",
     "external_force",

@@ -209,6 +209,13 @@ def equations(p, axis, period):
     return tuple(lines)
 
 
+def loops(p):
+    inner = p.model_copy(update={"position": None, "feedforward": None})
+    if p.position is None:
+        return (("velocity loop", inner),)
+    return ("velocity loop", inner), ("position loop", p.model_copy(update={"feedforward": None}))
+
+
 LAW = LawKind(
     name="cascade",
     label="cascade of a position and a velocity loop",
@@ -220,4 +227,5 @@ LAW = LawKind(
     equations=equations,
     follows=lambda p: "velocity" if p.position is None else "position",
     cycle=lambda p: 1 if p.position is None else p.position.every,
+    loops=loops,
 )

@@ -259,3 +259,12 @@ def test_refused_in_its_own_units(old, new, message):
     assert str(caught.value).startswith("axis.toml: ")
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_gravity_needs_an_axis_that_turns():
+    gravity = {"kind": "gravity", "torque": 3.0, "angle": 0.2}
+    turning = machine("emps2019").replace(motion="rotary", effects=[gravity])
+    assert Axis.from_toml(turning.to_toml()) == turning
+    message = r"effects\.0\.kind: found 'gravity' on a linear axis, .*; gravity needs motion = 'rotary'"
+    with pytest.raises(AxisError, match=message):
+        machine("emps2019").replace(effects=[gravity])

@@ -155,7 +155,7 @@ def test_every_effect_takes_part_or_is_named(effect):
         low = p.lower if math.isfinite(p.lower) else -1.0
         high = p.upper if math.isfinite(p.upper) else 1.0
         values[p.name] = p.starts[0] if p.starts else min(max(0.1, low), high)
-    axis = IDEAL.replace(effects=[{"kind": effect.name, **values}])
+    axis = IDEAL.replace(motion=effect.motion or "linear", effects=[{"kind": effect.name, **values}])
     plant = linear_plant(axis)
     assert np.all(np.isfinite(plant.A))
     design = design_velocity_loop(axis, crossover=60.0, phase_margin_deg=60.0)

@@ -70,6 +70,7 @@ def test_it_is_said_what_was_done_with_each_effect(record):
 def test_identify_runs_on_every_effect(record, effect):
     """A model that a diagnosis extended is an axis like any other."""
     small = {p.name: p.starts[0] if p.starts else max(p.lower, min(1e-6, p.upper)) for p in effect.parameters}
-    found = identify(record, AXIS.replace(effects=[{"kind": effect.name, **small}]), chain="hold", cutoff_hz=40.0)
+    axis = AXIS.replace(motion=effect.motion or "linear", effects=[{"kind": effect.name, **small}])
+    found = identify(record, axis, chain="hold", cutoff_hz=40.0)
     assert np.all(np.isfinite(found.values()))
     assert [one.kind for one in found.to_axis().effects] == [effect.name]

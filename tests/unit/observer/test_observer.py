@@ -227,7 +227,8 @@ def test_every_effect_with_a_column_gives_a_finite_force(pushed):
 
     for effect in EFFECTS:
         small = {p.name: p.starts[0] if p.starts else max(p.lower, min(1e-6, p.upper)) for p in effect.parameters}
-        found = observe(pushed, AXIS.replace(effects=[{"kind": effect.name, **small}]))
+        motion = effect.motion or "linear"
+        found = observe(pushed, AXIS.replace(motion=motion, effects=[{"kind": effect.name, **small}]))
         for result in found.methods.values():
             start, stop = (round(edge / PERIOD) for edge in result.reliable)
             assert np.all(np.isfinite(result.force[start:stop])), effect.name

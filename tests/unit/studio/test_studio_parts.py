@@ -58,6 +58,8 @@ def test_a_state_goes_to_a_file_and_comes_back():
         ("[studio]\nphase_margin_deg = 90.0\n", "phase_margin_deg: found 90.0, expected 1 to 89"),
         ("[studio]\nphase_margin_deg = true\n", "phase_margin_deg: found True"),
         ("[studio]\nplants = 2.5\n", "plants: found 2.5, expected a whole number, 0 to 10000"),
+        ('[studio]\nfilter = "30 V"\n', "filter: frequency: found '30 V', expected a number of rad/s, or such as 30Hz"),
+        ('[studio]\nmass = "30"\n', "mass: found '30', expected 1 to 200"),
         ('[studio]\nspecification = "speed"\n', "specification: found 'speed', expected crossover or bandwidth"),
     ],
 )
@@ -135,22 +137,42 @@ def test_a_frequency_out_of_reach_moves_to_the_nearest_and_the_page_says_so():
 def test_a_turn_shows_the_librarys_numbers():
     view = DesignView(state(), {name: machine(name) for name in machine_names()}, lambda state: None)
     for frequency in np.linspace(60.0, 140.0, 9):
-        view.knobs["frequency"].field.value = float(frequency)
+        view.knobs["frequency"].slider.value = float(frequency)
     design = design_velocity_loop(machine("emps2018"), crossover=140.0, phase_margin_deg=60.0)
     assert view.design.k_v1 == design.k_v1
     assert f"{design.sampled.margins.phase_margin_deg:.1f}°" in view.numbers.object
-    assert view.knobs["frequency"].slider.value == 140.0
+    assert view.knobs["frequency"].field.value == "140"
 
 
 def test_a_refused_number_leaves_field_pictures_and_numbers_as_they_were():
     view = DesignView(state(), {name: machine(name) for name in machine_names()}, lambda state: None)
     design, numbers = view.design, view.numbers.object
-    view.knobs["frequency"].field.value = 2000.0
-    assert view.state.frequency == view.knobs["frequency"].field.value == view.knobs["frequency"].slider.value == 100.0
+    view.knobs["frequency"].field.value = "2000"
+    assert view.state.frequency == view.knobs["frequency"].slider.value == 100.0
+    assert view.knobs["frequency"].field.value == "100"
     assert view.design is design
     assert view.numbers.object == numbers
     assert "found 2000" in view.message.object
     assert "the design stays as it was" in view.message.object
+
+
+@pytest.mark.parametrize("name", [name for name, choice in CHOICES.items() if choice.label.endswith("[rad/s]")])
+def test_every_frequency_is_understood_with_its_unit_and_the_page_says_what_it_took(name):
+    view = DesignView(state(), {name: machine(name) for name in machine_names()}, lambda state: None)
+    view.knobs[name].field.value = " 30 Hz"
+    assert getattr(view.state, name) == view.knobs[name].slider.value == pytest.approx(60 * np.pi)
+    assert view.knobs[name].field.value == "188.496"
+    assert "30 Hz is 188.496 rad/s." in view.message.object
+    view.knobs[name].field.value = "200"
+    assert getattr(view.state, name) == 200.0
+    assert "200 is " not in view.message.object
+    for wrong in ("30 V", "thirty", "nan", "1kHz"):
+        view.knobs[name].field.value = wrong
+        assert getattr(view.state, name) == 200.0
+        assert view.knobs[name].field.value == "200"
+        assert "the design stays as it was" in view.message.object
+    document = state().to_toml().replace(f"\n{name} = {getattr(state(), name)}", f'\n{name} = "30Hz"')
+    assert getattr(State.from_toml(document), name) == pytest.approx(60 * np.pi)
 
 
 def test_a_refused_upload_takes_the_record_before_it_away():
@@ -173,7 +195,7 @@ def test_pinning_keeps_the_design_beside_the_new_one():
     view = DesignView(state(), {name: machine(name) for name in machine_names()}, lambda state: None)
     view.pin.value = True
     kept = list(view.plots.lines["pinned"].data["w"])
-    view.knobs["frequency"].field.value = 150.0
+    view.knobs["frequency"].field.value = "150"
     assert "pinned" in view.numbers.object
     assert list(view.plots.lines["pinned"].data["w"]) == kept
     view.pin.value = False

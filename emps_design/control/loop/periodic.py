@@ -1,0 +1,120 @@
+"""A loop that repeats after some samples, as one of different rates does: lifted to the rate at which it repeats.
+
+Matrices of the samples of a cycle stand along the first axis: ``x[k+1] = A[j] x[k] + B[j] w[k]`` with j = k modulo the
+length of the cycle. From cycle to cycle the state moves by the monodromy ``A[-1] ... A[1] A[0]``, whose eigenvalues are
+the exact poles (Bittanti, Colaneri, Periodic Systems, 2009).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from emps_design.control.loop.margins import Margins
+
+MOST_GAIN = 1e4  # above this a gain margin is unbounded
+_TURNS, _FACTORS = np.radians(np.arange(1.0, 181.0)), np.geomspace(1.0, MOST_GAIN, 241)[1:]
+
+
+def monodromy(A: np.ndarray) -> np.ndarray:
+    """The product ``A[-1] ... A[0]`` (..., n, n) of the matrices (cycle, ..., n, n).
+
+    >>> monodromy(np.array([[[0.5]], [[3.0]]])).tolist()
+    [[1.5]]
+    """
+    product = A[0]
+    for one in A[1:]:
+        product = one @ product
+    return product
+
+
+def lifted(
+    A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """One step for a whole cycle, with inputs and outputs of all its samples end to end.
+
+    (c, n, n), (c, n, i), (c, o, n), (c, o, i) -> (n, n), (n, c i), (c o, n), (c o, c i).
+    """
+    cycle, size, count = B.shape
+    state, driven = np.eye(size), np.zeros((size, cycle * count))
+    outputs, through = [], []
+    for j in range(cycle):
+        own = slice(j * count, (j + 1) * count)
+        outputs.append(C[j] @ state)
+        heard = C[j] @ driven
+        heard[:, own] += D[j]
+        through.append(heard)
+        state, driven = A[j] @ state, A[j] @ driven
+        driven[:, own] += B[j]
+    return state, driven, np.concatenate(outputs), np.concatenate(through)
+
+
+def response(A: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """What comes out at the frequency that goes in (f,), the mean over a cycle; ``angle`` (f,) [rad] by sample.
+
+    (c, n, n), (c, n), (c, n), (c,), (f,) -> (f,). Other frequencies come out too, the aliases of it.
+    """
+    cycle, size = b.shape
+    found = np.empty(angle.size, dtype=complex)
+    for i, turn in enumerate(np.exp(1j * angle)):
+        state, driven = np.eye(size, dtype=complex), np.zeros(size, dtype=complex)
+        for j in range(cycle):
+            state, driven = A[j] @ state, A[j] @ driven + b[j] * turn**j
+        x = np.linalg.solve(turn**cycle * np.eye(size) - state, driven)
+        total = 0.0j
+        for j in range(cycle):
+            total += (c[j] @ x + d[j] * turn**j) / turn**j
+            x = A[j] @ x + b[j] * turn**j
+        found[i] = total / cycle
+    return found
+
+
+def margins(
+    opened: np.ndarray, column: np.ndarray, row: np.ndarray, period: float, delayed: Callable[[float], float]
+) -> Margins:
+    """Margins at one place of a periodic loop, from the poles of the loop closed with a factor there.
+
+    ``opened`` (c, n, n), ``column`` (c, n) and ``row`` (c, n) are the loop broken at that place; ``period`` [s] of a
+    sample. A factor exp(-j phi) that brings a pole to the unit circle is the phase margin, a real one the gain margin;
+    ``delayed(delay)`` is the largest modulus of the poles with a ``delay`` [s] more at that place.
+    """
+    own = monodromy_radius(opened, column, row, 1.0)
+    if own > 1.0 + 1e-9:
+        return Margins(stable=False, period=period)
+
+    def radius(factor: complex) -> float:
+        return monodromy_radius(opened, column, row, factor)
+
+    phase = _first(lambda turn: radius(complex(math.cos(turn), -math.sin(turn))), 0.0, _TURNS)
+    gain = _first(lambda factor: radius(factor), 1.0, _FACTORS)
+    less = _first(lambda factor: radius(1.0 / factor), 1.0, _FACTORS)
+    delays = period * np.arange(0.1, 200.0, 0.1)
+    delay = None if phase is None else _first(delayed, 0.0, delays)
+    return Margins(
+        stable=True,
+        phase_margin_deg=None if phase is None else math.degrees(phase),
+        delay_margin=delay,
+        gain_margin=gain,
+        gain_reduction_margin=None if less is None else 1.0 / less,
+        period=period,
+    )
+
+
+def monodromy_radius(opened: np.ndarray, column: np.ndarray, row: np.ndarray, factor: complex) -> float:
+    """Largest modulus of the poles of the loop closed with ``factor`` at the place where it is broken."""
+    closed = opened + factor * column[..., :, None] * row[..., None, :]
+    return float(np.abs(np.linalg.eigvals(monodromy(closed))).max())
+
+
+def _first(radius: Callable[[float], float], low: float, tried: np.ndarray) -> float | None:
+    """The first number above ``low`` at which a pole leaves the unit circle, None up to the last one ``tried``."""
+    for high in map(float, tried):
+        if radius(high) > 1.0 + 1e-9:
+            for _ in range(60):
+                middle = 0.5 * (low + high)
+                low, high = (low, middle) if radius(middle) > 1.0 + 1e-9 else (middle, high)
+            return 0.5 * (low + high)
+        low = high
+    return None
