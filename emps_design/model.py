@@ -6,19 +6,21 @@ Everything is evaluated from the kernels of the effects, so whatever an effect's
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.effects import Motion
-from emps_design.effects.curve import Resolved, states_along
+from emps_design.effects import Effect, Motion
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS, Kernel
 from emps_design.errors import InputError
 
 if TYPE_CHECKING:
     import sympy
+
+Resolved = Sequence[tuple[Effect, np.ndarray]]  # effects with the arrays of their parameters
 
 _SETTLED = 1e-9  # N, between two passes of a force that depends on itself
 _PASSES = 200
@@ -106,6 +108,37 @@ def _undo(actuator: Kernel, p: np.ndarray, acting: np.ndarray) -> np.ndarray:
     order = np.lexsort((np.abs(asked), given))
     first = np.concatenate(([True], np.diff(given[order]) > 0))
     return np.interp(acting, given[order][first], asked[order][first])
+
+
+def states_along(
+    effect: Effect, p: np.ndarray, b: np.ndarray, effects: Resolved, q: np.ndarray, v: np.ndarray, t: np.ndarray
+) -> np.ndarray:
+    """Own states of ``effect`` (n, n_states) while the carriage follows ``q`` [m], ``v`` [m/s] over ``t`` [s].
+
+    They start at rest; ``effects`` are those whose dry friction adds to the Coulomb level of the moment.
+    """
+    change, initial = effect.rate, effect.initial
+    if change is None or initial is None:
+        return np.zeros((q.size, 0))
+    from scipy.integrate import solve_ivp
+    from scipy.interpolate import CubicHermiteSpline
+
+    start = np.array(initial(q[0], p, b), dtype=float)
+    if q.size < 2:
+        return start[None, :]
+    path = CubicHermiteSpline(t, q, v)
+    speed = path.derivative()
+
+    def rate(now: float, x: np.ndarray) -> np.ndarray:
+        here, there, dx = float(path(now)), float(speed(now)), np.zeros(start.size)
+        dry = [one.dry(here, there, now, 0.0, (), values, b) for one, values in effects if one.dry is not None]
+        change(here, there, now, 0.0, x, p, b, max(0.0, b[COULOMB] + sum(dry)), dx)
+        return dx
+
+    longest = float(np.diff(t).max())
+    return solve_ivp(
+        rate, (t[0], t[-1]), start, "LSODA", t_eval=t, rtol=1e-7, atol=1e-10, max_step=longest
+    ).y.T  # fmt: skip
 
 
 def steady_friction(axis: Axis, v: np.ndarray, q: float = 0.0, t: float = 0.0) -> np.ndarray:

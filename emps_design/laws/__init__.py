@@ -19,22 +19,22 @@ from pydantic.fields import FieldInfo
 
 from emps_design.errors import AxisError
 from emps_design.laws.law import (
-    BACKWARD,
-    TWO_TAP,
-    Finite,
-    FromRecord,
-    Gain,
-    Group,
-    Law,
-    LawKind,
-    LawTable,
-    NonNegative,
-    Positive,
-    parameter,
-    unit_of,
-    velocity_in_words,
+    BACKWARD as BACKWARD,
+    TWO_TAP as TWO_TAP,
+    Finite as Finite,
+    FromRecord as FromRecord,
+    Gain as Gain,
+    Group as Group,
+    Law as Law,
+    LawKind as LawKind,
+    LawTable as LawTable,
+    NonNegative as NonNegative,
+    Positive as Positive,
+    parameter as parameter,
+    unit_of as unit_of,
+    velocity_in_words as velocity_in_words,
 )
-from emps_design.laws.library import LAWS
+from emps_design.laws.library import LAWS as LAWS
 from emps_design.registry import Registry
 
 VARIABLE = "EMPS_DESIGN_LAWS"  # environment variable with the files of a user's own laws
@@ -199,35 +199,3 @@ def _table(kind: str, laws: tuple[LawKind, ...]) -> type[LawTable]:
 
 
 REGISTRY.load_environment()
-
-__all__ = [
-    "BACKWARD",
-    "LAWS",
-    "NONE",
-    "REGISTRY",
-    "TWO_TAP",
-    "VARIABLE",
-    "Finite",
-    "FromRecord",
-    "Gain",
-    "Group",
-    "Law",
-    "LawKind",
-    "LawTable",
-    "NonNegative",
-    "Positive",
-    "checked_parameters",
-    "field_at",
-    "fields_of",
-    "fields_within",
-    "get_law",
-    "known_laws",
-    "law_of",
-    "leaves",
-    "load_file",
-    "parameter",
-    "register",
-    "table_of",
-    "unit_of",
-    "velocity_in_words",
-]

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
         Callout as Callout,
         Facts as Facts,
         Listing as Listing,
-        Group as Group,
         Html as Html,
         Page as Page,
         Picture as Picture,

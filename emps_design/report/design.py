@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from emps_design.control.force.design import ForceLoopDesign
     from emps_design.control.loop.margins import Margins
     from emps_design.control.velocity.design import VelocityLoopDesign
-    from emps_design.control.velocity.step_response import StepResponse
 
 ASSUMPTIONS = (
     "The axis is rigid unless its file lists an effect that says otherwise; Coulomb friction drops out of the linear "
@@ -41,8 +40,6 @@ class DesignResults:
     """
 
     velocity: VelocityLoopDesign
-    step: StepResponse
-    sampled_step: StepResponse | None
     force: ForceLoopDesign | None = None
     inputs: Mapping[str, str | None] = field(default_factory=dict)
     parts: tuple[Section, ...] = ()
@@ -62,12 +59,9 @@ def design_results(
     Without ``k_e1`` there is no force loop.
     """
     from emps_design.control.force.design import design_force_loop
-    from emps_design.control.velocity.step_response import continuous_step, sampled_step
 
     return DesignResults(
         velocity=velocity,
-        step=continuous_step(velocity),
-        sampled_step=sampled_step(velocity) if velocity.sampled.stable else None,
         force=None if k_e1 is None else design_force_loop(velocity, k_e1, hand=hand, environment=environment),
         **more,
     )
@@ -83,7 +77,7 @@ def design_page(results: DesignResults) -> Page:
         _summary(results),
         (
             gains_section(velocity),
-            velocity_section(velocity, results.step, results.sampled_step),
+            velocity_section(velocity),
             drive_section(velocity),
             *([] if results.force is None else [force_section(results.force)]),
             *results.parts,

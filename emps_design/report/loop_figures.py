@@ -218,7 +218,7 @@ def _step_label(name: str, step: StepResponse) -> str:
 
 def velocity_loop_figures(design: VelocityLoopDesign) -> dict[str, Figure]:
     """Return the pictures of a design by name: bode_velocity_error, bode_plant_input, nyquist, poles, step."""
-    from emps_design.control.velocity.step_response import continuous_step, sampled_step
+    from emps_design.control.velocity.step_response import step_responses
 
     error, plant = broken_loops(design)
     period = design.axis.sampling.period
@@ -227,5 +227,5 @@ def velocity_loop_figures(design: VelocityLoopDesign) -> dict[str, Figure]:
         "bode_plant_input": bode_figure(plant, period),
         "nyquist": nyquist_figure((error, plant)),
         "poles": poles_figure(design),
-        "step": step_figure(continuous_step(design), sampled_step(design) if design.sampled.stable else None),
+        "step": step_figure(*step_responses(design)),
     }
