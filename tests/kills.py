@@ -36,6 +36,7 @@ COMMANDS = {
     "report": "report {axis} --record {record} --crossover 100 --out {out}/report.html",
     "demo": "demo --out {out}/demo.html",
     "init": "init {out}/start --force",
+    "import": "import {record} --axis {axis} --out {out}/imported.npz",
     "diagnose": "diagnose {record} --axis {axis} --out {out}/found",
 }
 

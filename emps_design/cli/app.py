@@ -29,11 +29,13 @@ COMMANDS = (
     "observe",
     "frf",
     "diagnose",
+    "export",
     "derive",
     "report",
     "studio",
     "demo",
     "init",
+    "import",
 )
 BEYOND = "numbers too far apart to compute with; check the units in the axis, the record and the options"
 

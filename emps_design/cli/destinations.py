@@ -14,6 +14,7 @@ HEAD = 65536  # bytes that say what a file holds
 OVERWRITE = "Overwrite a file that holds something else."  # the help of --force
 AXIS, PAGE, ARCHIVE, TABLE = "an axis file", "an HTML page", "a NumPy archive", "a text table"
 JSON, MATLAB, ANYTHING = "a JSON document", "a MATLAB file", "something else"
+CODE = "code of emps-design"
 PICTURES = {".png": "a PNG picture", ".svg": "an SVG picture", ".pdf": "a PDF document"}
 
 _MAGIC = (
@@ -24,6 +25,7 @@ _MAGIC = (
     (b"MATLAB", MATLAB),
 )
 _TEXT = (
+    (r"[^\n]*(\n[^\n]*){0,20}made by emps-design", CODE),
     (r"<(!doctype )?html\b", PAGE),
     (r"<(\?xml|svg)\b", PICTURES[".svg"]),
     (r"(?m)(\A|.*^)\s*\[?\s*mechanics\b", AXIS),

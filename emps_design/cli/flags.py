@@ -16,6 +16,7 @@ FLAGS = {
     "identify": "--estimator ls",
     "peak": "--peak",
     "record": "--record",
+    "target": "--to",
 }
 
 

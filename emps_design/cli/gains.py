@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -37,6 +37,10 @@ from emps_design.cli.output import print_json, tell
 from emps_design.errors import InputError
 from emps_design.files import read_bytes
 
+if TYPE_CHECKING:
+    from emps_design.control.velocity.design import VelocityLoopDesign
+    from emps_design.frequency_response import FrequencyResponse
+
 MAX_BYTES = 10_000_000  # of the JSON of an identification
 
 
@@ -51,6 +55,10 @@ def command(
         float | None, typer.Option(callback=within(""), help="relative error of the parameters, such as 0.02")
     ] = None,
     sigma_from: Annotated[Path | None, typer.Option(help="JSON of 'identify --json': its 95 % intervals")] = None,
+    frf: Annotated[
+        list[Path] | None,
+        typer.Option(help="measured response of 'frf', .csv or .mat; again for others: margins on each, retune on one"),
+    ] = None,
     out: Out = None,
     force: Force = False,
     velocity: Velocity = 0.1,
@@ -70,7 +78,7 @@ def command(
     from emps_design.control.velocity.specification import check_specification
     from emps_design.machines import load_axis
 
-    check_out(out, AXIS, (axis, sigma_from), force)
+    check_out(out, AXIS, (axis, sigma_from, *(frf or ())), force)
     check_specification(crossover, bandwidth, phase_margin)
     machine = with_numbers(
         load_axis(axis),
@@ -94,7 +102,10 @@ def command(
         "phase_margin_deg": phase_margin,
         "velocity": velocity,
     }
-    if retune:
+    responses = _responses(frf or [])
+    if retune and responses:
+        design = _retuned(responses, machine, at, specification)
+    elif retune:
         from emps_design.control.velocity.retune import retune_velocity_loop
 
         design = retune_velocity_loop(machine, at=at, **specification)
@@ -111,19 +122,62 @@ def command(
             )
 
     stable = design.sampled.stable
-    if stable and out is not None:
+    if responses:
+        from emps_design.frequency_response.loop import measured_document, measured_margins
+
+        run = machine.replace(controller=design.controller_table())
+        found = [measured_margins(response, run) for response in responses]
+        document["measured"] = measured_document(found)
+        document["warnings"] += [warning for one in found for warning in one.warnings]
+    on_data = "measured" not in document or document["measured"]["stable"]
+    if stable and on_data and out is not None:
         document["out"] = write_axis(out, machine.replace(controller=design.controller_table()))
     if not stable:
         document["nearest"], document["reason"] = design.nearest_stable, design.reason
+    elif not on_data:
+        document["reason"] = "the loop with these gains is unstable on the measured plant; ask for a slower one"
     if as_json:
         print_json(document)
     else:
         from emps_design.cli.design_tables import print_gains
 
         print_gains(document)
-    if not stable:
+        if responses:
+            from emps_design.cli.measured_table import print_measured
+
+            print_measured(document["measured"])
+    if "reason" in document:
         tell(document["reason"])
-    return 0 if stable else 4
+    return 0 if stable and on_data else 4
+
+
+def _responses(paths: list[Path]) -> list[FrequencyResponse]:
+    """The measured responses at ``paths``."""
+    if not paths:
+        return []
+    from emps_design.frequency_response import read_response
+
+    return [read_response(path) for path in paths]
+
+
+def _retuned(
+    responses: list[FrequencyResponse], machine: Axis, at: str, specification: dict[str, Any]
+) -> VelocityLoopDesign:
+    """The design that meets the specification on the one response given."""
+    from emps_design.frequency_response.retune import retune_on_response
+
+    if len(responses) > 1:
+        raise InputError(f"--frf: found {len(responses)} responses to retune on, expected one")
+    if specification["crossover"] is None:
+        raise InputError("--retune with --frf: found a bandwidth, expected --crossover: the data have no -3 dB of T_vc")
+    return retune_on_response(
+        responses[0],
+        machine,
+        specification["crossover"],
+        specification["phase_margin_deg"],
+        at,
+        specification["velocity"],
+    )
 
 
 def _errors(axis: Axis, mismatch: float | None, sigma_from: Path | None) -> dict[str, float] | None:

@@ -8,7 +8,13 @@ from emps_design.exports import on_first_use
 
 if TYPE_CHECKING:
     from emps_design.frequency_response.estimate import Estimate as Estimate, estimate_response as estimate_response
+    from emps_design.frequency_response.loop import (
+        MeasuredMargins as MeasuredMargins,
+        measured_margins as measured_margins,
+        worst_of as worst_of,
+    )
     from emps_design.frequency_response.response import FrequencyResponse as FrequencyResponse
+    from emps_design.frequency_response.retune import retune_on_response as retune_on_response
     from emps_design.frequency_response.tables import (
         read_response as read_response,
         write_response as write_response,

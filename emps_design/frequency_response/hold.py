@@ -82,7 +82,11 @@ def without_aliases(
 
 
 def sampled_position(
-    w: np.ndarray, response: np.ndarray, period: float, delay: np.ndarray | float = 0.0, inverse_mass: float = 0.0
+    w: np.ndarray,
+    response: np.ndarray,
+    period: float,
+    delay: np.ndarray | float = 0.0,
+    inverse_mass: np.ndarray | float = 0.0,
 ) -> np.ndarray:
     """Position at the samples over held force at ``w`` [rad/s], from the continuous ``response`` [m/s/N]: (n,) [m/N].
 
@@ -93,7 +97,7 @@ def sampled_position(
     z, late = np.exp(1j * w * period), np.exp(-1j * w * delay)
     held = (1.0 - 1.0 / z) / (1j * w * period)
     found = response / (1j * w) * held * late
-    if inverse_mass:
+    if np.any(inverse_mass):
         found = found + inverse_mass * (_sampled_mass(z, period, delay) - held * late / (1j * w) ** 2)
     return found
 

@@ -1,10 +1,10 @@
 """Resonances and antiresonances of a measured response, with their deviations.
 
-Around each dip of |j w G| that the deviations do not explain, and around each peak, a quotient of two parabolas in
-frequency, with complex coefficients, is fitted to the response. The root of its numerator next to the dip is the zero,
-that of its denominator next to the peak the pole: the real part in frequency is the natural frequency, the imaginary
-part the damping. The fit is linear once the denominator of the last turn weighs the equations (C. K. Sanathanan and
-J. Koerner, IEEE Trans. Automatic Control 8, 1963).
+Around each peak of |j w G| that the deviations do not explain, a parabola in frequency over a straight line, with
+complex coefficients, is fitted to the response; around each dip, to its inverse. The root of the line is the pole, or
+the zero: its real part in frequency is the natural frequency, its imaginary part the damping. The fit is linear once
+the denominator of the last turn weighs the equations (C. K. Sanathanan and J. Koerner, IEEE Trans. Automatic Control 8,
+1963).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ ORDER = 2
 TURNS = 12
 NARROWEST = 5  # lines on either side of the extreme
 WIDEST = 0.1  # share of its frequency on either side
-SYSTEMATIC = 1e-3  # relative, what a quotient of parabolas may differ from a response by
+SYSTEMATIC = 1e-3  # relative, what the fit may differ from a response by
 CLEAR = 1.3  # ratio to both flanks that makes an extreme
 FAR = 0.5  # share of the frequency within which the flanks are looked for
 VAGUE = 0.02  # share of its frequency; a root that is less certain is none
@@ -87,34 +87,24 @@ def _root(response: FrequencyResponse, at: int, kind: str) -> Resonance | None:
     near[max(0, at - NARROWEST) : at + NARROWEST + 1] = True
     x = f[near] / centre - 1.0
     y = 1j * response.w[near] * response.response[near]
+    y = y if kind == "resonance" else 1.0 / y
     y = y / np.max(np.abs(y))
     spread = np.hypot(response.std[near], SYSTEMATIC) * np.abs(y)
-    reach = float(np.max(np.abs(x)))
-    powers = (x[:, None] / reach) ** np.arange(ORDER + 1)
+    powers = x[:, None] ** np.arange(ORDER + 1)
     below = np.ones(x.size, complex)
     for _ in range(TURNS):
-        rows = np.concatenate([powers, -y[:, None] * powers[:, 1:]], axis=1) / (spread * below)[:, None]
+        rows = np.column_stack([powers, -y * x]) / (spread * below)[:, None]
         theta = np.linalg.lstsq(rows, y / (spread * below), rcond=1e-12)[0]
-        below = powers @ np.concatenate([[1.0], theta[ORDER + 1 :]])
-    top, bottom = theta[: ORDER + 1], np.concatenate([[1.0], theta[ORDER + 1 :]])
-    polynomial, first = (top, 0) if kind == "antiresonance" else (bottom, ORDER)
-    if polynomial[-1] == 0.0 or not np.all(np.isfinite(theta)):
+        below = 1.0 + theta[-1] * x
+    if theta[-1] == 0.0 or not np.all(np.isfinite(theta)) or np.any(below == 0.0):
         return None
-    roots = np.roots(polynomial[::-1])
-    root = roots[np.argmin(np.abs(roots))]
-    if abs(root) > 1.0:
+    root = -1.0 / theta[-1]
+    if abs(root) > np.max(np.abs(x)):
         return None
-    rows = np.concatenate([powers, -(powers @ top / below)[:, None] * powers[:, 1:]], axis=1)
-    cov = np.linalg.pinv(rows / (spread * below)[:, None])
-    cov = cov @ cov.conj().T
-    slope = polynomial[1] + 2.0 * polynomial[2] * root
-    row = np.zeros(2 * ORDER + 1, complex)
-    powers_of_root = root ** np.arange(ORDER + 1)
-    row[first : first + ORDER + 1] = powers_of_root / slope
-    if kind == "resonance":  # the denominator's constant is not free
-        row[first] = 0.0
-    std = reach * float(np.sqrt(max(0.0, 0.5 * (row @ cov @ row.conj()).real)))
-    place = 1.0 + reach * root
+    rows = np.column_stack([powers, -(powers @ theta[:-1]) / below * x]) / (spread * below)[:, None]
+    inverse = np.linalg.pinv(rows)[-1]
+    std = float(np.sqrt(0.5) * np.linalg.norm(inverse) * abs(root) ** 2)
+    place = 1.0 + root
     damping = float(abs(place.imag) / place.real)
     if std > VAGUE or damping > BROAD:
         return None

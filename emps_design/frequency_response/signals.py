@@ -56,14 +56,13 @@ def signals_of(record: Record, instrument: str = "") -> Signals:
     record has. The command is none, since feedback is in it: it gives the ratio of spectra. Raises
     :class:`RecordError` where there is none.
     """
-    excitation = record.extra.get("excitation") if not hasattr(record, "excitation") else record.excitation
-    bias = np.diff(record.q_ref, prepend=record.q_ref[:1])
+    excitation, bias = record.excitation, _reference_increments(record)
     if not instrument:
         instrument = EXCITATION if excitation is not None and np.ptp(excitation) > 0.0 else REFERENCE
     if instrument == EXCITATION:
-        if excitation is None or np.size(excitation) != len(record):
+        if excitation is None:
             raise RecordError(f"{record.name}: found no column excitation, expected what was added to the command")
-        r = np.asarray(excitation, dtype=float).ravel()
+        r = excitation
     else:
         r = record.u if instrument == COMMAND else bias
     if np.ptp(r) == 0.0:
@@ -84,6 +83,15 @@ def signals_of(record: Record, instrument: str = "") -> Signals:
         tuple(_stretches(r, bias, repeats, instrument)),
         bias,
     )
+
+
+def _reference_increments(record: Record) -> np.ndarray:
+    """What the reference moves by in each period (n,) [m], 0 where the record has none."""
+    if record.q_ref_recorded:
+        return np.diff(record.q_ref, prepend=record.q_ref[:1])
+    if record.velocity_reference is not None:
+        return record.velocity_reference * record.period
+    return np.zeros(len(record))
 
 
 def _repeats(r: np.ndarray, bias: np.ndarray | None) -> int:

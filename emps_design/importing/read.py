@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from emps_design.axis import Axis
@@ -11,15 +12,22 @@ from emps_design.records import MAX_BYTES, Record, read_record, record_from_byte
 from emps_design.records.layout import Layout
 
 
-def import_record(path: str | Path, axis: Axis, max_bytes: int = MAX_BYTES, resample: bool = False) -> Record:
+def import_record(
+    path: str | Path,
+    axis: Axis,
+    max_bytes: int = MAX_BYTES,
+    resample: bool = False,
+    window: tuple[float, float] | None = None,
+) -> Record:
     """Read the record at ``path`` as the ``[record]`` table of ``axis`` says, in SI units (commands: the axis's own).
 
     Without a table, columns have the names of the contract or titles that say what they are. Irregular time of an
     export, and with ``resample`` of any record, is put on the period of the axis. What was done stands in the record's
     ``warnings``, and which column was taken for what in ``assigned``. Raises :class:`RecordError` in one line where it
-    is not certain, or where the numbers cannot be of this axis.
+    is not certain, or where the numbers cannot be of this axis. ``window`` takes a part [s] of the file's time alone.
     """
-    return check_against(axis, read_record(path, max_bytes, layout_of(axis, resample)), str(path))
+    layout = replace(layout_of(axis), resample=resample, window=window)
+    return check_against(axis, read_record(path, max_bytes, layout), str(path))
 
 
 def import_bytes(content: bytes, name: str, axis: Axis, max_bytes: int = MAX_BYTES) -> Record:
@@ -35,12 +43,11 @@ def import_bytes(content: bytes, name: str, axis: Axis, max_bytes: int = MAX_BYT
     return check_against(axis, record_from_bytes(content, name, None, max_bytes, layout_of(axis)), name)
 
 
-def layout_of(axis: Axis, resample: bool = False) -> Layout:
+def layout_of(axis: Axis) -> Layout:
     """What a reader has to know of ``axis``."""
     return Layout(
         units=axis.units,
         columns=axis.record,
         period=axis.sampling.period,
-        resample=resample,
         reference_needed=axis.controller.kind != NONE,
     )

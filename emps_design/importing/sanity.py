@@ -128,6 +128,10 @@ def _limit(axis: Axis, record: Record, source: str) -> list[str]:
 
 def _force(axis: Axis, record: Record, source: str) -> list[str]:
     """The motor's force against what mass and friction of the axis need for this motion."""
+    if axis.drive.command == "duty":  # of a supply, against a back-EMF
+        if record.supply is None:
+            return []
+        record = replace(record, u=record.u * record.supply)
     a, v, u = _motion(record, record.q)
     m = axis.mechanics
     needed = m.mass * a + m.viscous * v + m.coulomb * np.sign(v) + m.offset

@@ -58,6 +58,12 @@ def checked(
             notes.append(f"{one.name}: taken from column {one.title!r} [{one.unit}]")
     for column, values in named.items():
         _finite(values, column, layout.unit(column), source, first_row)
+    if layout.window is not None:
+        part = _part(named["t"], layout.window, source)
+        columns = {title: values[part] if np.size(values) == n else values for title, values in columns.items()}
+        named = {name: values[part] for name, values in named.items()}
+        first_row, n = first_row + part.start, named["t"].size
+        _fits(n, source)
     exported = layout.resample or any(one.how != NAMED for one in assigned)
     found, clock_notes, resampled = on_one_clock(named, layout.period if exported else None, source, first_row)
     notes += clock_notes
@@ -102,6 +108,17 @@ def _reference_from(named: dict[str, np.ndarray], period: float) -> np.ndarray:
     steps = named["velocity_reference"] * period
     steps[0] = named["q"][0]
     return np.cumsum(steps)
+
+
+def _part(t: np.ndarray, window: tuple[float, float], source: str) -> slice:
+    """The samples whose time is inside ``window`` [s]."""
+    inside = np.flatnonzero((t >= window[0]) & (t <= window[1]))
+    if not inside.size:
+        raise RecordError(
+            f"{source}: column t: found {t[0]:.6g} to {t[-1]:.6g} s, expected some of it between {window[0]:g} and "
+            f"{window[1]:g} s"
+        )
+    return slice(int(inside[0]), int(inside[-1]) + 1)
 
 
 def _held(values: Any, t: np.ndarray, resampled: Resampled) -> Any:

@@ -96,7 +96,7 @@ def _no_gap(t: np.ndarray, typical: float, source: str, first_row: int) -> None:
         more = f" ({gaps.size} such gaps)" if gaps.size > 1 else ""
         raise RecordError(
             f"{source}: column t, row {first_row + i + 1}: nothing from {t[i]:.6g} s to {t[i + 1]:.6g} s{more}, "
-            f"expected a sample every {typical:.4g} s; take a part without the gap, or record again"
+            f"expected a sample every {typical:.4g} s; emps-design import --time A:B takes a part without it"
         )
 
 

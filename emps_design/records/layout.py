@@ -33,13 +33,15 @@ class Layout:
     """What a reader has to know of the axis: its units, its ``[record]`` table, its clock.
 
     An export is put on the ``period`` [s] where its time is irregular, a record of this package only where ``resample``
-    asks for it. ``reference_needed`` is False where no controller needs one.
+    asks for it; ``window`` takes a part [s] of the file's time alone. ``reference_needed`` is False where no controller
+    needs one.
     """
 
     units: Units = PLAIN
     columns: ColumnMap = field(default_factory=ColumnMap)
     period: float | None = None
     resample: bool = False
+    window: tuple[float, float] | None = None
     reference_needed: bool = True
 
     def unit(self, name: str) -> str:
@@ -191,11 +193,16 @@ def _recognise(found: dict[str, Assignment], titles: Sequence[str], layout: Layo
         if factor is None and not (unit == "" and QUANTITIES[name] == "command"):
             if name in missing(found, layout):
                 raise RecordError(
-                    f"{source}: column {title!r}: found {f'the unit {unit}' if unit else 'no unit'}, expected one of "
-                    f"{QUANTITIES[name]}; say in [record]: {KEYS[name]} = {{ column = ..., unit = ... }}"
+                    f"{source}: column {title!r}: found {f'the unit {unit}' if unit else 'no unit'}, expected "
+                    f"{_such_as(name, layout)}; say in [record]: {KEYS[name]} = {{ column = ..., unit = ... }}"
                 )
             continue
         found[name] = Assignment(name, title, unit or layout.unit(name), factor or 1.0, RECOGNISED)
+
+
+def _such_as(name: str, layout: Layout) -> str:
+    unit = layout.unit(name)
+    return f"{unit} as the command of the axis" if QUANTITIES[name] == "command" else f"one such as {unit}"
 
 
 def _lacking(

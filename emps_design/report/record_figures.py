@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from emps_design.report.style import BLACK, BLUE, GREY, RED, YELLOW, look, subplots, thin
+from emps_design.units import Units
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -15,11 +16,14 @@ if TYPE_CHECKING:
     from emps_design.records import Record
 
 
-def record_figure(record: Record) -> Figure:
-    """Draw position and voltage of ``record``, and the external force where one was measured."""
-    rows = [("position [mm]", 1e3 * record.q, BLUE), ("voltage [V]", record.u, BLACK)]
+def record_figure(record: Record, units: Units | None = None) -> Figure:
+    """Draw position and command of ``record``, and the external force where one was measured, in the axis's units."""
+    units = units or Units()
+    unit, factor = units.display(0.5, "m")
+    rows = [(f"{units.words('position')} [{unit}]", factor * record.q, BLUE)]
+    rows.append((units.label("voltage [V]"), record.u, BLACK))
     if record.f_ext is not None:
-        rows.append(("external force [N]", record.f_ext, RED))
+        rows.append((units.label("external force [N]"), record.f_ext, RED))
     with look():
         figure, grid = subplots(len(rows), 1, height=1.35 * len(rows) + 0.3, sharex=True)
         for axes, (label, y, color) in zip(grid, rows, strict=True):

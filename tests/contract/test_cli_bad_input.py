@@ -75,6 +75,7 @@ READ_A_RECORD = {
     "identify": "identify {bad}",
     "observe": "observe {bad} --axis emps2019",
     "frf": "frf {bad} --axis emps2019",
+    "import": "import {bad} --axis emps2019 --out {folder}/out.npz",
     "diagnose": "diagnose {bad} --axis emps2019 --out {folder}/out",
     "report": "report --record {bad} --crossover 100 --out {folder}/out.html",
     "simulate": "simulate emps2019 --scenario replay --record {bad}",
@@ -90,6 +91,7 @@ READ_AN_AXIS = {
     "diagnose": "diagnose {folder}/good.npz --axis {bad} --out {folder}/out",
     "report": "report {bad} --crossover 100 --out {folder}/out.html",
     "init": "init {folder}/start --machine {bad}",
+    "import": "import {folder}/good.npz --axis {bad} --out {folder}/out.npz",
 }
 NUMBERS = [
     ("gains --crossover 100 --phase-margin 0", 3),
@@ -117,6 +119,10 @@ NUMBERS = [
     ("report --crossover 100", 2),
     ("demo --out {folder}/none/out.html", 2),
     ("init", 2),
+    ("import {folder}/good.npz --out {folder}/out.html", 2),
+    ("import {folder}/good.npz --time late", 2),
+    ("import {folder}/good.npz --time 3:1", 2),
+    ("import {folder}/good.npz --time 7:9", 2),
     ("init {folder}/empty.csv", 2),
     ("nothing-of-the-kind", 2),
 ]
@@ -144,6 +150,8 @@ def refused(capsys, folder, line, bad="", status=2):
 @pytest.mark.parametrize("bad", RECORDS)
 @pytest.mark.parametrize("command", READ_A_RECORD)
 def test_bad_records(capsys, folder, command, bad):
+    if (command, bad) == ("import", "mixed.npz"):
+        pytest.skip("import puts irregular time on one clock, and says so")
     line = refused(capsys, folder, READ_A_RECORD[command], bad)
     assert re.search(RECORDS[bad], line)
     assert bad in line

@@ -72,6 +72,10 @@ DOCUMENTS = {
     "report": ("report {axis} --record {record} --crossover 100 --out {out}.html", "warnings"),
     "demo": ("demo --out {out}.html", "machine record out"),
     "init": ("init {out}", "directory files"),
+    "import": (
+        "import {record} --axis {axis} --out {out}.npz",
+        "columns sampling.period sampling.resampled encoder_step.seen encoder_step.axis record_table warnings out",
+    ),
 }
 
 

@@ -25,8 +25,15 @@ WRITES = {
     "demo": "demo --out {out}",
     "diagnose": "diagnose {record} --axis {axis} --out {out}",
     "init": "init {out}",
+    "import": "import {record} --axis {axis} --out {out}",
 }
-NAMES = {"simulate": "out.npz", "simulate --plot": "out.png", "observe": "out.csv", "report": "out.html"}
+NAMES = {
+    "simulate": "out.npz",
+    "simulate --plot": "out.png",
+    "observe": "out.csv",
+    "import": "imported.npz",
+    "report": "out.html",
+}
 TO_A_FILE = [name for name in WRITES if name not in ("diagnose", "init")]
 QUICK = ("gains", "observe", "simulate")
 

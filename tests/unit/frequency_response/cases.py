@@ -60,5 +60,5 @@ def experiment(axis, seed=0, samples=1000, periods=4, count=4, volts=0.4, top=25
 def run(axis, q_ref, excitation, force):
     """The record of ``axis`` in closed loop."""
     found = Plant.of(axis).closed_loop(q_ref, disturbance=force, voltage_noise=excitation)
-    extra = {"excitation": excitation} if np.any(excitation) else {}
-    return Record.from_arrays(axis.sampling.period, found.q_ref, found.q, found.u, name="case", extra=extra)
+    added = excitation if np.any(excitation) else None
+    return Record.from_arrays(axis.sampling.period, found.q_ref, found.q, found.u, name="case", excitation=added)

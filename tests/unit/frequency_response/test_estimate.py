@@ -1,5 +1,7 @@
 """Estimated responses against the exact ones of simulated axes, and how often their bands hold them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -146,10 +148,21 @@ def test_no_reference_is_refused():
         estimate_response(record, axis)
 
 
+def test_a_record_without_reference_takes_its_excitation():
+    axis, record = two_mass(), experiment(two_mass())
+    found = estimate_response(replace(record, q_ref_recorded=False), axis)
+    assert found.instrument == "excitation"
+    assert covered(found, axis)[1] < 0.03
+    with pytest.raises(RecordError, match="no excitation"):
+        estimate_response(replace(record, q_ref_recorded=False, excitation=None), axis)
+    with pytest.raises(RecordError, match="found no column excitation"):
+        estimate_response(replace(record, excitation=None), axis, instrument="excitation")
+
+
 def test_records_of_different_periods_are_refused():
     axis = machine("emps2019")
     one = experiment(axis, count=2, periods=2)
-    other = Record.from_arrays(2e-3, one.q_ref, one.q, one.u, name="slow", extra=one.extra)
+    other = Record.from_arrays(2e-3, one.q_ref, one.q, one.u, name="slow", excitation=one.excitation)
     with pytest.raises(RecordError, match="slow: sampled every 0.002 s, case every 0.001 s"):
         estimate_response([one, other], axis)
 

@@ -13,8 +13,7 @@ from tests.unit.frequency_response.cases import experiment, two_mass
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     folder, axis = tmp_path_factory.mktemp("frf"), two_mass()
-    record = experiment(axis)
-    np.savez(folder / "record.npz", excitation=record.extra["excitation"], **record.columns)
+    experiment(axis).save(folder / "record.npz")
     (folder / "axis.toml").write_text(axis.to_toml())
     return folder
 

@@ -1,0 +1,47 @@
+"""Text output of a loop on measured responses: each margin with its 95 % band, and the worst of several."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from emps_design.cli.output import new_console
+
+ROWS = (
+    ("phase margin", "phase_margin_deg", "deg", 1.0),
+    ("crossover", "crossover", "rad/s", 1.0),
+    ("delay margin", "delay_margin", "ms", 1e3),
+    ("gain margin", "gain_margin", "ratio", 1.0),
+    ("disk margin", "disk_margin", "", 1.0),
+    ("largest sensitivity, below", "sensitivity_peak_below", "ratio", 1.0),
+    ("largest sensitivity, above", "sensitivity_peak_above", "ratio", 1.0),
+)
+
+
+def print_measured(measured: dict[str, Any]) -> None:
+    """Print what ``gains`` found on measured responses, ``document["measured"]``."""
+    from rich import box
+    from rich.table import Table
+
+    console = new_console()
+    table = Table(title="On the measured plant, loop broken at the plant input", title_justify="left", box=box.SIMPLE)
+    table.add_column("")
+    responses = measured["responses"]
+    for one in responses:
+        table.add_column(one["name"] if one["stable"] else f"{one['name']}: UNSTABLE", justify="right")
+    if len(responses) > 1:
+        table.add_column("worst", justify="right")
+    table.add_column("unit")
+    for label, key, unit, scale in ROWS:
+        if all(one[key] is None for one in responses):
+            continue
+        cells = [_cell(one[key], one["bands"][key], scale) for one in responses]
+        worst = [_cell(measured[key], None, scale)] if len(responses) > 1 else []
+        table.add_row(label, *cells, *worst, unit)
+    console.print(table)
+    console.print("in brackets: 95 % band from the data's deviations; below, above: the first antiresonance")
+
+
+def _cell(value: float | None, band: list[float] | None, scale: float) -> str:
+    if value is None:
+        return "-"
+    return f"{scale * value:.4g}" + (f" [{scale * band[0]:.4g}, {scale * band[1]:.4g}]" if band else "")

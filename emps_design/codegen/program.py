@@ -1,0 +1,137 @@
+"""A kernel as a small typed program: what every target language has, and nothing else.
+
+Numbers are ``REAL`` or whole (``INT``); arrays of real numbers (``ARRAY``) belong to whoever calls. A whole number that
+meets a real one has been converted where it does, so that a language without such a rule means the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+REAL, INT, ARRAY = "real", "int", "array"
+
+
+@dataclass(frozen=True)
+class Number:
+    """A constant."""
+
+    value: float | int
+    type: str
+
+
+@dataclass(frozen=True)
+class Name:
+    """A parameter or a local variable."""
+
+    name: str
+    type: str
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One number of an array."""
+
+    array: str
+    index: Expression
+    type: str = REAL
+
+
+@dataclass(frozen=True)
+class Unary:
+    """``-operand``, or ``not operand`` of a condition."""
+
+    operator: str
+    operand: Expression
+    type: str
+
+
+@dataclass(frozen=True)
+class Binary:
+    """``left operator right``: arithmetic, a comparison, or ``and`` and ``or`` of conditions."""
+
+    operator: str
+    left: Expression
+    right: Expression
+    type: str
+
+
+@dataclass(frozen=True)
+class Call:
+    """A function of the language (``sqrt``, ``min``, ``real`` of a whole number, ``int`` of a real one ...)."""
+
+    function: str
+    arguments: tuple[Expression, ...]
+    type: str
+
+
+@dataclass(frozen=True)
+class Apply:
+    """A function of the program itself; arrays are passed by name."""
+
+    function: str
+    arguments: tuple[Expression, ...]
+    type: str = REAL
+
+
+Expression = Number | Name | Cell | Unary | Binary | Call | Apply
+
+
+@dataclass(frozen=True)
+class Assign:
+    """``target = value``."""
+
+    target: Name | Cell
+    value: Expression
+
+
+@dataclass(frozen=True)
+class If:
+    """``if condition: then else: otherwise``."""
+
+    condition: Expression
+    then: tuple[Statement, ...]
+    otherwise: tuple[Statement, ...]
+
+
+@dataclass(frozen=True)
+class For:
+    """``for variable in range(start, stop, step)`` with a constant step."""
+
+    variable: str
+    start: Expression
+    stop: Expression
+    step: int
+    body: tuple[Statement, ...]
+
+
+@dataclass(frozen=True)
+class Return:
+    """``return value``."""
+
+    value: Expression
+
+
+Statement = Assign | If | For | Return
+
+
+@dataclass(frozen=True)
+class Function:
+    """One function: ``parameters`` and ``variables`` by name with their types, and its steps; it returns a real."""
+
+    name: str
+    parameters: dict[str, str]
+    variables: dict[str, str]
+    body: tuple[Statement, ...]
+
+
+@dataclass(frozen=True)
+class Program:
+    """Functions, each after those it calls; the last is the kernel. ``calls`` are functions of the language in use."""
+
+    functions: tuple[Function, ...]
+    calls: frozenset[str]
+
+    @property
+    def kernel(self) -> Function:
+        """The function that was translated, behind its helpers."""
+        return self.functions[-1]

@@ -1,0 +1,241 @@
+"""Rounding of single precision: a kernel run on numbers that know what every rounding before has done to them.
+
+A number has its ``value`` in double precision and, one for each rounding, the share of that rounding in its distance to
+what single precision makes of it; the sum of their sizes bounds the distance. Each operation adds half a unit in the
+last place of its own result (functions of ``math``: one whole); what is of second order joins that. A comparison that
+falls within the bounds may fall the other way in single precision: from there on nothing is bounded.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import FunctionType, ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+HALF_UNIT = 2.0**-24  # relative, of one operation in single precision
+TINY = 2.0**-149  # absolute, where a result underflows
+
+
+@dataclass
+class Roundings:
+    """Roundings so far: their number, and whether a comparison was ``open``."""
+
+    count: int = 0
+    open: bool = False
+
+    def exact(self, value: float) -> Rounded:
+        """A number that single precision holds as it is."""
+        return Rounded(value, np.zeros(0), self)
+
+    def constant(self, value: float) -> Rounded:
+        """A constant of the program, rounded once.
+
+        >>> Roundings().constant(0.1).bound == abs(float(np.float32(0.1)) - 0.1)
+        True
+        """
+        with np.errstate(over="ignore"):
+            return self.rounded(value, np.zeros(0), abs(float(np.float32(value)) - value))
+
+    def rounded(self, value: float, shares: np.ndarray, own: float) -> Rounded:
+        """A number with ``shares`` of the roundings before, and one more of size ``own``."""
+        if own == 0.0:
+            return Rounded(value, shares, self)
+        self.count += 1
+        more = np.zeros(self.count)
+        more[: shares.size] = shares
+        more[-1] = own
+        return Rounded(value, more, self)
+
+
+class Rounded:
+    """A ``value`` with its ``shares`` (r,) of the roundings before.
+
+    >>> x = Roundings().constant(0.1)
+    >>> (x + x).bound > x.bound > (x - x).bound == 0.0
+    True
+    """
+
+    __slots__ = ("bound", "roundings", "shares", "value")
+
+    def __init__(self, value: float, shares: np.ndarray, roundings: Roundings):
+        self.value, self.shares, self.roundings = value, shares, roundings
+        self.bound = float(np.abs(shares).sum())
+
+    def other(self, number: Any) -> Rounded:
+        """``number`` as one like this."""
+        return number if isinstance(number, Rounded) else self.roundings.constant(float(number))
+
+    def _made(self, value: float, shares: np.ndarray, more: float = 0.0, units: float = 1.0) -> Rounded:
+        bound = float(np.abs(shares).sum()) + more
+        if value == 0.0 and bound == 0.0:
+            return self.roundings.exact(value)
+        return self.roundings.rounded(value, shares, more + units * HALF_UNIT * (abs(value) + bound) + TINY)
+
+    def __add__(self, other: Any) -> Rounded:
+        other = self.other(other)
+        shares = _sum(self.shares, other.shares)
+        if 0.0 in (self.value, other.value) and 0.0 in (self.bound, other.bound):
+            return Rounded(self.value + other.value, shares, self.roundings)  # nothing is rounded
+        return self._made(self.value + other.value, shares)
+
+    def __sub__(self, other: Any) -> Rounded:
+        return self + (-self.other(other))
+
+    def __rsub__(self, other: Any) -> Rounded:
+        return self.other(other) + (-self)
+
+    def __mul__(self, other: Any) -> Rounded:
+        other = self.other(other)
+        shares = _sum(other.value * self.shares, self.value * other.shares)
+        return self._made(self.value * other.value, shares, self.bound * other.bound)
+
+    def __truediv__(self, other: Any) -> Rounded:
+        other = self.other(other)
+        least = abs(other.value) - other.bound
+        if not least > 0.0:
+            self.roundings.open = True
+            return self.roundings.exact(self.value / other.value if other.value else math.nan)
+        value = self.value / other.value
+        shares = _sum(self.shares / other.value, -value / other.value * other.shares)
+        return self._made(value, shares, float(np.abs(shares).sum()) * other.bound / least)
+
+    def __rtruediv__(self, other: Any) -> Rounded:
+        return self.other(other) / self
+
+    def __pow__(self, exponent: Any) -> Rounded:
+        if isinstance(exponent, int):
+            return math.prod([self] * (exponent - 1), start=self)
+        return power(self, self.other(exponent))
+
+    def __rpow__(self, base: Any) -> Rounded:
+        return power(self.other(base), self)
+
+    def __neg__(self) -> Rounded:
+        return Rounded(-self.value, -self.shares, self.roundings)
+
+    def __abs__(self) -> Rounded:
+        return -self if self.value < 0.0 else self
+
+    def __float__(self) -> float:
+        raise TypeError("a bound would be lost")
+
+    def __int__(self) -> int:
+        if int(self.value - self.bound) != int(self.value + self.bound):
+            self.roundings.open = True
+        return int(self.value)
+
+    def apart(self, other: Any) -> float:
+        """The difference of the values; the roundings leave its sign ``open`` where they may turn it."""
+        other = self.other(other)
+        difference, bound = self.value - other.value, float(np.abs(_sum(self.shares, -other.shares)).sum())
+        if bound > 0.0 and abs(difference) <= bound:
+            self.roundings.open = True
+        return difference
+
+    def __lt__(self, other: Any) -> bool:
+        return self.apart(other) < 0.0
+
+    def __le__(self, other: Any) -> bool:
+        return self.apart(other) <= 0.0
+
+    def __gt__(self, other: Any) -> bool:
+        return self.apart(other) > 0.0
+
+    def __ge__(self, other: Any) -> bool:
+        return self.apart(other) >= 0.0
+
+    def __eq__(self, other: object) -> bool:
+        return self.apart(other) == 0.0
+
+    def __ne__(self, other: object) -> bool:
+        return self.apart(other) != 0.0
+
+    __hash__ = None  # type: ignore[assignment]
+    __radd__, __rmul__ = __add__, __mul__
+
+
+def _sum(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    longer, shorter = (first, second) if first.size >= second.size else (second, first)
+    found = longer.copy()
+    found[: shorter.size] += shorter
+    return found
+
+
+def power(base: Rounded, exponent: Rounded) -> Rounded:
+    """``base ** exponent`` by its values at the edges; open where the base may be negative."""
+    low, high = base.value - base.bound, base.value + base.bound
+    if base.value == 0.0 and base.bound == 0.0:
+        return base.roundings.exact(base.value**exponent.value)
+    if not low > 0.0:
+        base.roundings.open = True
+        return base.roundings.exact(max(base.value, 0.0) ** exponent.value if exponent.value > 0.0 else math.nan)
+    value = base.value**exponent.value
+    ends = [x ** (exponent.value + d) for x in (low, high) for d in (-exponent.bound, exponent.bound)]
+    return base._made(value, np.zeros(0), max(abs(end - value) for end in ends), units=2.0)
+
+
+def _by_slope(function: Callable[[float], float], slope: Callable[[float, float], float]) -> Callable[[Any], Any]:
+    """``function`` of a rounded number, ``slope`` the largest over an interval."""
+
+    def applied(x: Any) -> Any:
+        if not isinstance(x, Rounded):
+            return function(x)
+        more = x.bound * slope(x.value - x.bound, x.value + x.bound) if x.bound else 0.0
+        if not more < math.inf:
+            x.roundings.open, more = True, 0.0
+        return x._made(function(x.value), np.zeros(0), more, units=2.0)
+
+    return applied
+
+
+FUNCTIONS: dict[str, Callable[..., Any]] = {
+    "sin": _by_slope(math.sin, lambda low, high: 1.0),
+    "cos": _by_slope(math.cos, lambda low, high: 1.0),
+    "exp": _by_slope(math.exp, lambda low, high: math.exp(high)),
+    "sqrt": _by_slope(math.sqrt, lambda low, high: 0.5 / math.sqrt(low) if low > 0.0 else math.inf),
+    "atan": _by_slope(math.atan, lambda low, high: 1.0),
+    "log": _by_slope(math.log, lambda low, high: 1.0 / low if low > 0.0 else math.inf),
+    "fabs": abs,
+    "pow": lambda base, exponent: base ** float(exponent) if isinstance(exponent, int) else base**exponent,
+}
+
+
+def smallest(*numbers: Any) -> Any:
+    """``min`` of rounded numbers, right whichever of them single precision takes."""
+    return _extreme(min, numbers)
+
+
+def largest(*numbers: Any) -> Any:
+    """``max`` of rounded numbers."""
+    return _extreme(max, numbers)
+
+
+def _extreme(choose: Callable[..., Any], numbers: tuple[Any, ...]) -> Any:
+    kept = next((one for one in numbers if isinstance(one, Rounded)), None)
+    if kept is None:
+        return choose(numbers)
+    sides = [kept.other(one) for one in numbers]
+    taken = choose(sides, key=lambda side: side.value)
+    if all(abs(side.value - taken.value) > side.bound + taken.bound for side in sides if side is not taken):
+        return taken
+    low, high = choose(side.value - side.bound for side in sides), choose(side.value + side.bound for side in sides)
+    return kept.roundings.rounded(taken.value, np.zeros(0), max(taken.value - low, high - taken.value))
+
+
+def on_rounded(function: Callable[..., Any]) -> Callable[..., Any]:
+    """``function`` with the functions it uses, its file's own and those of ``math``, able to take rounded numbers."""
+    assert isinstance(function, FunctionType)
+    space = {**function.__globals__, "min": smallest, "max": largest}
+    for name in function.__code__.co_names:
+        found = function.__globals__.get(name)
+        if isinstance(found, ModuleType) and found is math:
+            space[name] = SimpleNamespace(**{**vars(math), **FUNCTIONS})
+        elif isinstance(found, FunctionType):
+            space[name] = on_rounded(found)
+        elif getattr(found, "__module__", "") == "math":
+            space[name] = FUNCTIONS[getattr(found, "__name__", "")]
+    return FunctionType(function.__code__, space, function.__name__, function.__defaults__, function.__closure__)

@@ -1,0 +1,45 @@
+/* {{ name }}: {{ label }} of the axis "{{ axis }}"
+ *
+ * Made by emps-design {{ version }}; README.md says from what. Each sample, every {{ period }} s:
+ *
+{% for line in equations %} *     {{ line }}
+{% endfor %} *
+ * Double precision gives the bits of the simulation, sample for sample, if the compiler rounds every product and every
+ * sum: -ffp-contract=off, and no -ffast-math. With {{ macro }}_SINGLE defined all numbers are single precision.
+ * C99 and math.h; no allocation, no other state than {{ name }}_state.
+ */
+#ifndef {{ macro }}_H
+#define {{ macro }}_H
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#ifdef {{ macro }}_SINGLE
+typedef float {{ name }}_real;
+#else
+typedef double {{ name }}_real;
+#endif
+
+#define {{ macro }}_PERIOD {{ period }} /* s, between two calls of {{ name }}_step */
+#define {{ macro }}_MEMORY {{ memory }}
+
+typedef struct {
+    long long k; /* samples since {{ name }}_init */
+    {{ name }}_real memory[{{ macro }}_MEMORY]; /* of the law, SI: what the equations above have at k-1, k-2, ... */
+} {{ name }}_state;
+
+/* Begin anew: the next sample is the first, and the axis has been at rest until then. */
+void {{ name }}_init({{ name }}_state *state);
+
+/* One sample. Takes what the law follows, {{ follows }} [{{ reference_unit }}], the position that the encoder reports
+ * [{{ position_unit }}], and the external force on the carriage [{{ force_unit }}] (0 where there is no sensor for it).
+ * Returns the command [{{ command_unit }}], at most {{ limit }} either way.
+ */
+{{ name }}_real {{ name }}_step({{ name }}_state *state, {{ name }}_real reference, {{ name }}_real q, {{ name }}_real f_ext);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,139 @@
+"""Test vectors of a block: inputs that exercise it, what it answers, and how far single precision may be from that.
+
+The inputs are numbers of single precision, so that both precisions are given the same: at rest, in motion well within
+the limit, in and out of the limit, and extremes. Random numbers have a fixed seed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from emps_design.codegen.block import Block
+from emps_design.codegen.rounding import Rounded, Roundings, largest, on_rounded, smallest
+
+REST, MOTION, LIMITED, EXTREME = 20, 200, 120, 60  # samples of each part
+FORCE_PER_METRE = 1e3  # N of external force for each m of motion in the vectors
+PLACES = (0.0, 0.25, -0.5, 0.0)  # m, where each part begins
+SEED = 19
+
+
+@dataclass(frozen=True)
+class Vectors:
+    """Inputs (n,) of a block, its command ``u`` (n,) and its memory ``states`` (n, memory) after each sample."""
+
+    block: Block
+    start: np.ndarray
+    reference: np.ndarray
+    q: np.ndarray
+    f_ext: np.ndarray
+
+    @cached_property
+    def answers(self) -> Any:
+        """Command (n,) and memory (n, memory) by the simulation's own machine code."""
+        return self.block.run(self.start, self.reference, self.q, self.f_ext)
+
+    @property
+    def u(self) -> np.ndarray:
+        """Command (n,) [command units]."""
+        return self.answers[0]
+
+    @cached_property
+    def bound(self) -> np.ndarray:
+        """Bound (n,) of the distance of single precision from ``u``; inf from a comparison that may fall otherwise."""
+        block, found = self.block, np.empty(self.q.size)
+        kernel = on_rounded(block.law.kernel)
+        for i in range(self.q.size):
+            if self.start[i]:
+                k, now = 0, Roundings()
+                gains, limit = [now.constant(float(gain)) for gain in block.law.gains], now.constant(block.limit)
+                memory = [now.exact(0.0)] * block.law.memory
+            given = [now.exact(float(x)) for x in (self.reference[i], self.q[i], self.f_ext[i])]
+            u = kernel(k, *given, limit, gains, memory)
+            u = largest(smallest(u if isinstance(u, Rounded) else now.constant(u), limit), -limit)
+            found[i] = math.inf if now.open or not u.bound < math.inf else min(u.bound, 2.0 * block.limit)
+            k += 1
+        return found
+
+    def to_csv(self) -> str:
+        """A table with units in its titles; numbers to the last bit. ``start`` is 1 where the block begins anew.
+
+        ``single`` is the bound of single precision, inf where there is none.
+        """
+        u, states = self.answers
+        titles = ["start", *self.titles, "u", "single", *(f"memory[{i}]" for i in range(states.shape[1]))]
+        columns = [self.start.astype(float), self.reference, self.q, self.f_ext, u, self.bound, *states.T]
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        return "\n".join([",".join(titles), *(",".join(map(_shortest, row)) for row in rows)]) + "\n"
+
+    @property
+    def titles(self) -> tuple[str, ...]:
+        """Titles of the inputs."""
+        return "reference", "q", "f_ext"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Inputs and answers by name, as plain numbers; ``single`` is None where nothing bounds it."""
+        u, states = self.answers
+        bound = [one if math.isfinite(one) else None for one in self.bound.tolist()]
+        inputs = {name: getattr(self, name).tolist() for name in self.titles}
+        return {"start": self.start.tolist(), **inputs, "u": u.tolist(), "single": bound, "memory": states.tolist()}
+
+
+def _shortest(number: float) -> str:
+    whole = number.is_integer() and 0.0 < abs(number) < 1e15
+    return str(int(number)) if whole else "0" if number == 0.0 and math.copysign(1.0, number) > 0.0 else repr(number)
+
+
+def vectors_of(block: Block) -> Vectors:
+    """Vectors for ``block``, the same for the same block."""
+    random = np.random.default_rng(SEED)
+    amplitude = _within_limit(block, *_motion(random, MOTION))
+    parts = [_still(), *(_motion(random, n) for n in (MOTION, LIMITED, EXTREME))]
+    sizes = [0.0, amplitude, 30.0 * amplitude, 1e3]
+    start = np.concatenate([np.arange(part[0].size) == 0 for part in parts])
+    # Each part begins at rest somewhere else: a reference that is a position is there too.
+    moved = (float(block.law.follows != "velocity"), 1.0, 0.0)
+    signals = [
+        np.concatenate(
+            [_single(moved[i] * at + size * part[i]) for part, size, at in zip(parts, sizes, PLACES, strict=True)]
+        )
+        for i in range(3)
+    ]
+    return Vectors(block, start, *signals)
+
+
+def _still() -> tuple[np.ndarray, ...]:
+    return tuple(np.zeros(REST) for _ in range(3))
+
+
+def _motion(random: np.random.Generator, n: int) -> tuple[np.ndarray, ...]:
+    """Reference, position and external force (n,), smooth and independent, with rests in between; of size 1."""
+    t = np.arange(n) / n
+    found = []
+    for _ in range(3):
+        frequencies, phases = random.uniform(1.0, 9.0, 4), random.uniform(0.0, 2.0 * np.pi, 4)
+        wave = sum(np.sin(2.0 * np.pi * f * t + p) - np.sin(p) for f, p in zip(frequencies, phases, strict=True)) / 8.0
+        wave = np.asarray(wave)
+        stop = n // 2
+        wave[stop : stop + n // 10] = wave[stop]
+        found.append(wave)
+    found[2] = found[2] * FORCE_PER_METRE
+    return tuple(found)
+
+
+def _within_limit(block: Block, *wave: np.ndarray) -> float:
+    """The largest amplitude, by powers of two, with which ``block`` stays within its limit along ``wave``."""
+    start = np.arange(wave[0].size) == 0
+    for power in range(6, -60, -1):
+        u, _ = block.run(start, *(_single(2.0**power * one) for one in wave))
+        if np.abs(u).max() < 0.8 * block.limit:
+            return 2.0**power
+    return 2.0**-20
+
+
+def _single(signal: np.ndarray) -> np.ndarray:
+    return signal.astype(np.float32).astype(float)

@@ -1,0 +1,123 @@
+"""What an import took for what: columns, units, ranges, clock, encoder; and the table that would say so in the file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.records import Record
+from emps_design.records.columns import unit_of
+from emps_design.records.layout import NAMED, RECOGNISED, Assignment
+from emps_design.records.mapping import KEYS
+
+FEW_STEPS = 20.5  # of an encoder: increments that are still told apart
+SMALLEST = 20  # increments that a disturbance may have made smaller than a step
+ON_GRID = 0.1  # of a step, that increments are off whole ones on average where there is an encoder
+ALIKE = 1.25  # times
+
+
+@dataclass(frozen=True)
+class Account:
+    """An imported ``record`` beside the ``axis`` that it was read for."""
+
+    record: Record
+    axis: Axis
+
+    @property
+    def encoder_step(self) -> float | None:
+        """The step that the position moves in [m or rad], None where it shows none."""
+        q = self.record.q if self.record.measured is None else self.record.measured["q"]
+        return encoder_step(q)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the reader did, what it noticed, and an encoder that is not the one of the axis file."""
+        seen, known = self.encoder_step, self.axis.sampling.encoder_resolution
+        if seen is None or not known or 1.0 / ALIKE < seen / known < ALIKE:
+            return self.record.warnings
+        unit = self.axis.units.unit("m")
+        return (*self.record.warnings, f"q: moves in steps of {seen:.4g} {unit}, the axis file says {known:.4g} {unit}")
+
+    @property
+    def table(self) -> str:
+        """The ``[record]`` table that says which column is what, "" where the file needs none."""
+        if all(one.how == NAMED for one in self.record.assigned):
+            return ""
+        return record_table(self.record.assigned)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Columns, clock, encoder and notes as plain data."""
+        record, units = self.record, self.axis.units
+        measured = record.measured
+        step = np.diff(record.t[:2] if measured is None else measured["t"])
+        return {
+            **record.to_dict(),
+            "columns": [self._column(one) for one in record.assigned],
+            "axis": self.axis.name,
+            "sampling": {
+                "period": record.period,
+                "axis_period": self.axis.sampling.period,
+                "resampled": measured is not None,
+                "shortest_step": float(step.min()),
+                "longest_step": float(step.max()),
+            },
+            "encoder_step": {
+                "seen": self.encoder_step,
+                "axis": self.axis.sampling.encoder_resolution,
+                "unit": units.unit("m"),
+            },
+            "record_table": self.table,
+            "recognised": any(one.how == RECOGNISED for one in record.assigned),
+            "warnings": list(self.notes),
+        }
+
+    def _column(self, one: Assignment) -> dict[str, Any]:
+        values = self.record.t if one.name == "t" else self.record.columns[one.name]
+        return {
+            "name": one.name,
+            "title": one.title,
+            "key": KEYS[one.name],
+            "how": one.how,
+            "unit_in_file": one.unit,
+            "factor": one.factor,
+            "unit": unit_of(one.name, self.axis.units),
+            "lowest": float(values.min()),
+            "highest": float(values.max()),
+        }
+
+
+def encoder_step(q: np.ndarray) -> float | None:
+    """The step of which every increment of ``q`` is a multiple, None where there is none.
+
+    >>> import numpy as np
+    >>> t = np.arange(4000) / 1000
+    >>> round(encoder_step(np.round(np.sin(t) / 1e-4) * 1e-4), 9), encoder_step(np.sin(t))
+    (0.0001, None)
+    """
+    increments = np.abs(np.diff(q))
+    largest = float(increments.max(initial=0.0))
+    increments = increments[increments > 1e-9 * largest]
+    if increments.size < 50:
+        return None
+    smallest = min(SMALLEST, increments.size // 10)
+    step = float(np.partition(increments, smallest)[smallest])
+    for _ in range(2):
+        few = increments[increments < FEW_STEPS * step]
+        steps = np.round(few / step)
+        if np.mean(np.abs(few / step - steps)) > ON_GRID or not np.any(steps):
+            return None
+        step = float(np.sum(few * steps) / np.sum(steps**2))
+    return step
+
+
+def record_table(assigned: tuple[Assignment, ...]) -> str:
+    """The ``[record]`` table of an axis file for columns that were ``assigned``."""
+    lines = ["[record]"]
+    for one in assigned:
+        title = one.title.replace("\\", "\\\\").replace('"', '\\"')
+        unit = f', unit = "{one.unit}"' if one.unit and KEYS[one.name] not in ("command", "enable") else ""
+        lines.append(f'{KEYS[one.name]} = {{ column = "{title}"{unit} }}')
+    return "\n".join(lines) + "\n"

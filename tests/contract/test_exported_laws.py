@@ -1,0 +1,155 @@
+"""Every law as C: the compiler has nothing to say, the vectors hold, and 100,000 samples have the simulation's bits."""
+
+import ctypes
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+import emps_design.laws as laws
+from emps_design.axis import Axis
+from emps_design.codegen import export_controller
+from emps_design.laws import LAWS
+from emps_design.machines import machine
+from emps_design.simulation import Plant
+from tests.contract.test_laws import GIVEN, OWN, OWN_TABLE, axis_with
+
+CC = shutil.which("cc")
+EVERY = pytest.mark.parametrize("kind", LAWS, ids=lambda kind: kind.name)
+ESTIMATORS = pytest.mark.parametrize("estimator", ["two_tap", "backward"])
+compiled = pytest.mark.skipif(CC is None, reason="needs a C compiler")
+STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wconversion", "-O2", "-ffp-contract=off"]
+SANITIZERS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+
+
+def written(axis, folder):
+    exported = export_controller(axis, "c")
+    exported.write(folder)
+    return exported
+
+
+def make_check(folder, *arguments):
+    return subprocess.run(["make", "-B", "check", *arguments], cwd=folder, capture_output=True, text=True, check=False)
+
+
+class Compiled:
+    """The exported block of a folder, compiled, called sample by sample."""
+
+    def __init__(self, folder, exported, single=False):
+        name, single_flag = exported.name, [f"-D{exported.name.upper()}_SINGLE"] if single else []
+        library = folder / f"{name}{'_single' if single else ''}.so"
+        subprocess.run(
+            [CC, *STRICT, *single_flag, "-shared", "-fPIC", "-o", library, folder / f"{name}.c", "-lm"], check=True
+        )
+        number = ctypes.c_float if single else ctypes.c_double
+
+        class State(ctypes.Structure):
+            _fields_ = (("k", ctypes.c_longlong), ("memory", number * max(1, exported.block.law.memory)))
+
+        self.state, self.library = State(), ctypes.CDLL(str(library))
+        self.begin, self.step = getattr(self.library, f"{name}_init"), getattr(self.library, f"{name}_step")
+        self.step.restype, self.step.argtypes = number, [ctypes.POINTER(State), number, number, number]
+
+    def run(self, reference, q, f_ext):
+        self.begin(ctypes.byref(self.state))
+        here = ctypes.byref(self.state)
+        rows = zip(reference.tolist(), q.tolist(), f_ext.tolist(), strict=True)
+        return np.array([self.step(here, *row) for row in rows])
+
+
+@compiled
+@EVERY
+@ESTIMATORS
+def test_the_folder_proves_itself(kind, estimator, tmp_path):
+    """Both precisions build without a warning and hold on the vectors, also under the sanitizers."""
+    exported = written(axis_with(kind, velocity_estimator=estimator), tmp_path)
+    done = make_check(tmp_path)
+    assert done.returncode == 0, done.stderr
+    rows = exported.vectors.q.size
+    assert f"double precision: {rows} of {rows} rows with the same bits" in done.stdout
+    assert f"single precision: {rows} of {rows} rows within their bound" in done.stdout
+    if estimator == "two_tap":
+        assert make_check(tmp_path, f"CFLAGS=-O1 -g {' '.join(SANITIZERS)}").returncode == 0
+
+
+def laps(axis, law, samples=100_000):
+    """A closed loop of so many samples: what the law was given, and what it answered."""
+    t = np.arange(samples) * axis.sampling.period
+    q_ref = 0.08 * (1.0 - np.cos(1.3 * t)) + 0.02 * np.sin(7.0 * t) * np.minimum(t, 1.0)
+    push = 40.0 * np.sin(2.1 * t) * (np.sin(0.7 * t) > 0.5)
+    run = Plant.of(axis).closed_loop(q_ref, disturbance=push, method="general")
+    return law.reference(q_ref, axis.sampling.period), run
+
+
+@compiled
+@EVERY
+@ESTIMATORS
+def test_100000_samples_have_the_simulations_bits(kind, estimator, tmp_path):
+    axis = axis_with(kind, velocity_estimator=estimator).replace(drive={"current_time_constant": 5e-4})
+    exported = written(axis, tmp_path)
+    reference, run = laps(axis, exported.block.law)
+    assert np.ptp(run.position) > 0.01
+    found = Compiled(tmp_path, exported).run(reference, run.q, run.f_ext)
+    assert found.size == 100_000
+    np.testing.assert_array_equal(found.view(np.int64), run.u.view(np.int64))
+
+
+def numbers_of(source):
+    """Places of the numbers of the gains and of the limit in C ``source``."""
+    table = source.index("static const real LIMIT")
+    return [
+        (match.start(1), match.end(1))
+        for match in re.finditer(r"R\(([^)]*)\)", source)
+        if table <= match.start() < source.index("};", table)
+    ]
+
+
+@compiled
+@EVERY
+def test_one_changed_coefficient_is_noticed(kind, tmp_path):
+    """A gain that is off by one in 10,000, or a switch that stands otherwise, fails ``make check``."""
+    exported = written(axis_with(kind), tmp_path)
+    path = tmp_path / f"{exported.name}.c"
+    source = path.read_text(encoding="utf-8")
+    places = numbers_of(source)
+    assert len(places) == 1 + len(exported.block.law.gains)
+    for start, end in places:
+        value = float(source[start:end])
+        counts = value in range(2, 10)  # of filters, of samples
+        changed = value - 1.0 if counts else 1.0 - value if value in (0.0, 1.0) else value * (1.0 + 1e-4)
+        path.write_text(f"{source[:start]}{changed!r}{source[end:]}", encoding="utf-8")
+        done = make_check(tmp_path)
+        assert done.returncode != 0, f"{source[start:end]} -> {changed!r}: {done.stdout}"
+
+
+@compiled
+def test_a_users_law_is_exported_like_ours(tmp_path):
+    own = tmp_path / "hardening.py"
+    own.write_text(OWN, encoding="utf-8")
+    laws.load_file(own)
+    try:
+        axis = Axis.from_dict({**machine("emps2019").to_dict(), "controller": OWN_TABLE})
+        exported = written(axis, tmp_path)
+        assert make_check(tmp_path).returncode == 0
+        reference, run = laps(axis, exported.block.law, 5000)
+        np.testing.assert_array_equal(Compiled(tmp_path, exported).run(reference, run.q, run.f_ext), run.u)
+    finally:
+        laws.REGISTRY.added.clear()
+
+
+@compiled
+@EVERY
+def test_single_precision_stays_within_its_bound(kind, tmp_path):
+    """On motion, the vectors apart: the bound of every sample holds, and is not far above what is seen."""
+    exported = written(axis_with(kind), tmp_path)
+    vectors = exported.vectors
+    single = Compiled(tmp_path, exported, single=True)
+    first = np.flatnonzero(vectors.start)
+    for start, end in zip(first, [*first[1:], vectors.q.size], strict=True):
+        part = slice(start, end)
+        apart = np.abs(single.run(vectors.reference[part], vectors.q[part], vectors.f_ext[part]) - vectors.u[part])
+        assert np.all(apart <= vectors.bound[part])
+    assert np.isfinite(vectors.bound[first[1] : first[2]]).all()
+    assert set(GIVEN) == {kind.name for kind in LAWS}

@@ -1,0 +1,76 @@
+"""Every law as Structured Text: run from its text, LREAL has the simulation's bits, REAL stays within its bound."""
+
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from emps_design.codegen import export_controller
+from emps_design.codegen.program import ARRAY, INT, REAL
+from emps_design.codegen.reader import read_program
+from emps_design.codegen.st import KEYWORDS, functions_in_st
+from emps_design.laws import LAWS
+from tests.contract.test_laws import axis_with
+from tests.unit.codegen.structured_text import Blocks
+
+EVERY = pytest.mark.parametrize("kind", LAWS, ids=lambda kind: kind.name)
+
+
+@EVERY
+@pytest.mark.parametrize("estimator", ["two_tap", "backward"])
+def test_the_text_gives_the_bits_of_the_vectors(kind, estimator):
+    exported = export_controller(axis_with(kind, velocity_estimator=estimator), "st")
+    vectors, blocks = exported.vectors, Blocks(exported.files[f"{exported.name}.st"])
+    inputs = vectors.start, vectors.reference, vectors.q, vectors.f_ext
+    found = blocks.run(exported.name, *inputs)
+    np.testing.assert_array_equal(found.view(np.int64), vectors.u.view(np.int64))
+    with np.errstate(all="ignore"):
+        single = blocks.run(f"{exported.name}_single", *inputs)
+    assert single.dtype == np.float32
+    assert np.all(np.abs(single - vectors.u) <= vectors.bound)
+
+
+@EVERY
+def test_one_changed_coefficient_changes_the_answer(kind):
+    exported = export_controller(axis_with(kind), "st")
+    vectors, text = exported.vectors, exported.files[f"{exported.name}.st"]
+    table = text.index("gains : ARRAY", text.index(f"FUNCTION_BLOCK {exported.name}\n"))
+    end = text.index("];", table)
+    places = [
+        match.span() for match in re.finditer(r"(?m)(?<=^        )[-\d][\d.E+-]*", text) if table < match.start() < end
+    ]
+    assert len(places) == len(exported.block.law.gains)
+    for start, stop in places:
+        value = float(text[start:stop])
+        counts = value in range(2, 10)  # of filters, of samples
+        changed = value - 1.0 if counts else 1.0 - value if value in (0.0, 1.0) else value * (1.0 + 1e-4)
+        blocks = Blocks(f"{text[:start]}{changed!r}{text[stop:]}")
+        try:
+            found = blocks.run(exported.name, vectors.start, vectors.reference, vectors.q, vectors.f_ext)
+        except IndexError:  # it counts what is not there
+            continue
+        assert not np.array_equal(found, vectors.u), text[start:stop]
+
+
+def mixed(k, at, memory):
+    n = 0
+    for i in range(3, 0, -1):
+        n = n + i * k
+    total = 0.0
+    for T in range(n):
+        total += at if T % 2 == 0 and not at < 0.0 else memory[min(T, 2)]
+    return total**2.0 + abs(at) / max(n, 1)
+
+
+def test_names_and_statements_of_python_find_theirs():
+    definitions, kernel = functions_in_st(read_program(mixed, (INT, REAL, ARRAY)), "x", "LREAL", {"memory": 3})
+    text = "\n\n".join(definitions)
+    space = Blocks(text).space
+    for k, at in ((1, 0.5), (2, -0.25), (0, 3.0)):
+        memory = [0.1, 0.2, 0.3]
+        assert space[kernel](k, at, memory) == mixed(k, at, list(memory))
+    names = set(re.findall(r"(?m)^    (\w+)(?:, \w+)* : ", text))
+    assert not {name.lower() for name in names} & KEYWORDS
+    assert all(re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", name) for name in names)
+    assert SimpleNamespace(**space).x_mixed

@@ -1,0 +1,112 @@
+"""What is written: names that languages take, the same bytes every time, refusals, and the running error itself."""
+
+import hashlib
+import json
+import re
+
+import numpy as np
+import pytest
+
+from emps_design.cli import app
+from emps_design.codegen import export_controller
+from emps_design.codegen.export import block_name
+from emps_design.codegen.rounding import Roundings, largest, smallest
+from emps_design.errors import InputError
+from emps_design.machines import machine
+
+
+@pytest.mark.parametrize(
+    "name", ["", "3-axis", "int", "END_IF", "a__b_", "Ü", "x" * 200, "con", "*/ #include <evil.h>"]
+)
+def test_a_name_is_an_identifier(name):
+    found = block_name(name)
+    assert re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", found)
+    assert len(found) <= 44
+    assert found.lower() not in ("int", "con", "end_if")
+
+
+def test_same_axis_same_bytes_and_its_hashes():
+    for target in ("c", "json"):
+        first, second = (export_controller(machine("emps2019"), target) for _ in range(2))
+        assert first.files == second.files
+        for name, text in first.files.items():
+            assert first.to_dict()["sha256"][name] == hashlib.sha256(text.encode()).hexdigest()
+    page = export_controller(machine("emps2019"), "c").files["README.md"]
+    assert first.to_dict()["sha256"]["emps2019.json"] not in page
+    assert hashlib.sha256(export_controller(machine("emps2019"), "c").files["emps2019.c"].encode()).hexdigest() in page
+
+
+def test_a_hostile_name_stays_inside_comments():
+    axis = machine("emps2019").replace(name='*/ int evil; /* "`x` ?? ' + "long " * 60)
+    files = export_controller(axis, "c").files
+    for name, text in files.items():
+        if name.endswith((".c", ".h")):
+            outside = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+            assert "evil" not in outside.replace(block_name(axis.name), "").replace(block_name(axis.name).upper(), "")
+
+
+def test_json_has_gains_equations_and_vectors(tmp_path, capsys):
+    assert app.run(["export", "emps2019", "--to", "json", "--out", str(tmp_path / "new"), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["files"] == ["emps2019.json"]
+    document = json.loads((tmp_path / "new" / "emps2019.json").read_text(encoding="utf-8"))
+    assert document["gains"][0]["value"] == 160.18 * 243.45
+    assert document["equations"][0] == "v[k] = (q[k] - q[k-2]) / 0.002"
+    assert len(document["vectors"]["u"]) == said["vectors"]["rows"] == len(document["vectors"]["memory"])
+    assert document["units"]["u"] == "V"
+
+
+def test_what_is_there_is_not_overwritten(tmp_path, capsys):
+    line = ["export", "emps2019", "--to", "c", "--out", str(tmp_path)]
+    assert app.run(line) == 0
+    assert app.run(line) == 0  # its own files it may replace
+    (tmp_path / "Makefile").write_text("all:\n\techo mine\n")
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert app.run(line) == 2
+    assert "Makefile holds something else, expected code of emps-design" in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    assert app.run([*line, "--force"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("export emps2018 --to c --out {out}", "controller.kind: found 'none', expected"),
+        ("export emps2019 --to ada --out {out}", "--to: found 'ada', expected one of c, "),
+        ("export emps2019 --to c --out {out}/a/b", "does not exist; make it first"),
+    ],
+)
+def test_bad_input_is_one_line(line, message, tmp_path, capsys):
+    assert app.run(line.format(out=tmp_path / "out").split()) == 2
+    assert message in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_number_is_exported_from_a_record():
+    axis = machine("emps2019").replace(controller={"kind": "p", "kp": {"record": "kp", "scale": 1.0}})
+    with pytest.raises(InputError, match="kp"):
+        export_controller(axis, "c")
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_bound_holds_for_random_arithmetic(seed):
+    """The same random operations in single precision and on rounded numbers."""
+    random, now = np.random.default_rng(seed), Roundings()
+    plain = [np.float32(x) for x in random.normal(0.0, 10.0 ** random.uniform(-3, 3), 6)]
+    numbers, widest = [now.exact(float(x)) for x in plain], 0.0
+    for _ in range(200):
+        i, j, operation = random.integers(len(plain)), random.integers(len(plain)), random.integers(6)
+        x, y = plain[i], plain[j]
+        if operation == 3 and not abs(numbers[j].value) > 2.0 * numbers[j].bound:
+            continue
+        done = [x + y, x - y, x * y, x / y if y else x, min(x, y), abs(x)][operation]
+        if not np.isfinite(done) or abs(done) > 1e6 or 0.0 < abs(done) < 1e-6:
+            continue
+        a, b = numbers[i], numbers[j]
+        made = [a + b, a - b, a * b, a / b if operation == 3 else a, smallest(a, b), abs(a)]
+        place = random.integers(len(plain))
+        plain[place], numbers[place] = np.float32(done), made[operation]
+        widest = max(widest, numbers[place].bound)
+        assert abs(float(plain[place]) - numbers[place].value) <= numbers[place].bound * (1.0 + 1e-12)
+    assert widest > 0.0
+    assert largest(1.0, 2.0) == 2.0

@@ -1,0 +1,166 @@
+"""Margins on measured responses against the true sampled loop and against brute force; retuning on a response."""
+
+import json
+
+import numpy as np
+import pytest
+
+from benchmarks.frequency_response import COMPARED, SPEED, exact_against_force, one_axis, random_axis, true_margins
+from emps_design.cli.app import run as command
+from emps_design.control.loop.sampled_loop import axis_loop
+from emps_design.errors import InputError, SpecificationError
+from emps_design.frequency_response import (
+    FrequencyResponse,
+    estimate_response,
+    measured_margins,
+    retune_on_response,
+    worst_of,
+    write_response,
+)
+from emps_design.machines import machine
+from tests.unit.frequency_response.cases import exact, experiment, two_mass
+
+F = np.arange(1.0, 400.0)
+
+
+def measured(axis, std=0.0, f=F):
+    """The exact response of ``axis`` as if measured."""
+    return FrequencyResponse.of(f, exact(axis, f, SPEED), np.full(f.size, std), name=axis.name)
+
+
+@pytest.mark.parametrize("seed", range(100, 106))
+def test_margins_of_exact_lines_are_those_of_the_sampled_loop(seed):
+    axis = random_axis(np.random.default_rng(seed))
+    found, true = measured_margins(measured(axis, f=np.arange(1.0, 400.0, 0.5)), axis), true_margins(axis)
+    assert found.stable
+    for name in COMPARED:
+        assert found.values[name] == pytest.approx(true[name], rel=5e-3), name
+
+
+@pytest.mark.parametrize("seed", [200, 201])
+def test_delay_and_disk_margin_by_brute_force(seed):
+    assert max(exact_against_force(seed).values()) < 0.01
+
+
+@pytest.mark.parametrize("seed", [300, 301])
+def test_bands_from_a_record_hold_the_truth(seed):
+    found = one_axis(seed)
+    assert found["stable"] == [True, True]
+    assert sum(found["inside"].values()) >= 4
+
+
+def test_stability_is_read_from_the_data():
+    verdicts = []
+    for scale in np.geomspace(0.3, 20.0, 14):
+        base = two_mass().replace(sampling={"computation_delay": 1})
+        axis = base.replace(controller={"kv": base.controller.kv * float(scale)})
+        found = measured_margins(measured(axis), axis, draws=0)
+        assert found.stable == axis_loop(axis, SPEED).stable, scale
+        if not found.stable:
+            assert set(found.values.values()) == {None}
+            assert any("unstable on the measured plant" in warning for warning in found.warnings)
+        verdicts.append(found.stable)
+    assert set(verdicts) == {True, False}
+
+
+def test_worst_of_several():
+    axis = two_mass()
+    heavy, light = (axis.replace(mechanics={"mass": kg}) for kg in (120.0, 80.0))
+    margins = [measured_margins(measured(one), axis) for one in (heavy, light)]
+    worst = worst_of(margins)
+    for name in ("phase_margin_deg", "delay_margin", "gain_margin", "disk_margin"):
+        assert worst[name] == min(one.values[name] for one in margins)
+    assert worst["sensitivity_peak_below"] == max(one.values["sensitivity_peak_below"] for one in margins)
+
+
+def test_retuned_on_data():
+    axis = two_mass().replace(controller={"kind": "none"})
+    found = estimate_response(experiment(two_mass(), 11, samples=2000, newtons=0.2), two_mass()).response
+    design = retune_on_response(found, axis, 90.0, 50.0)
+    from emps_design.control.velocity.sampled import SampledVelocityLoop
+
+    loop = SampledVelocityLoop(design.sampled.plant, design.k_v1, design.t_v)
+    assert loop.margins.crossover == pytest.approx(90.0, rel=0.03)
+    assert loop.margins.phase_margin_deg == pytest.approx(50.0, rel=0.03)
+
+
+def test_what_cannot_be_retuned_says_what_can():
+    with pytest.raises(
+        SpecificationError, match="no gains give 60 deg at a crossover of 250 rad/s.* rad/s works"
+    ) as no:
+        retune_on_response(measured(two_mass()), two_mass(), 250.0, 60.0)
+    assert retune_on_response(measured(two_mass()), two_mass(), no.value.nearest["crossover"], 60.0).k_v1 > 0.0
+    with pytest.raises(InputError, match="found a crossover of 2 rad/s, expected one within the data"):
+        retune_on_response(measured(two_mass()), two_mass(), 2.0)
+    with pytest.raises(InputError, match="place of the margin: found 'here'"):
+        retune_on_response(measured(two_mass()), two_mass(), 50.0, at="here")
+
+
+def test_what_the_data_do_not_reach_is_said():
+    axis = machine("emps2019")
+    narrow = measured(axis, 0.01, np.arange(30.0, 60.0))
+    assert any("a crossover below it is not seen" in warning for warning in measured_margins(narrow, axis).warnings)
+    slow = measured(axis, 0.01, np.arange(1.0, 20.0))
+    words = measured_margins(slow, axis).warnings
+    assert any("a crossover above it is not seen" in warning for warning in words)
+    assert any("beyond the data, on their mass line" in warning for warning in words)
+
+
+def test_laws_of_several_rates_and_lines_beyond_nyquist_are_refused():
+    axis = machine("emps2019")
+    with pytest.raises(InputError, match="found a line at 600 Hz, expected less than the Nyquist frequency"):
+        measured_margins(measured(axis, f=np.arange(1.0, 601.0)), axis)
+    slow = {"kind": "cascade", "position": {"kp": 20.0, "every": 4}, "velocity": {"kp": 200.0, "ti": 0.02}}
+    with pytest.raises(InputError, match="loops of different rates"):
+        measured_margins(measured(axis), axis.replace(controller=slow))
+
+
+def test_gains_on_a_response(tmp_path, capsys):
+    axis, path = two_mass(), tmp_path / "two.csv"
+    (tmp_path / "axis.toml").write_text(axis.to_toml())
+    write_response(path, measured(axis, 0.01))
+    line = ["gains", str(tmp_path / "axis.toml"), "--crossover", "40", "--frf", str(path)]
+    assert command([*line, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    found, sampled = document["measured"], document["sampled"]
+    assert found["stable"]
+    for name in ("phase_margin_deg", "crossover", "delay_margin", "gain_margin"):
+        assert found[name] == pytest.approx(sampled[name], rel=2e-2)
+        low, high = found["bands"][name]
+        assert low <= found[name] <= high
+    assert found["responses"][0]["disk"]["phase_deg"] > 20.0
+    assert command(line) == 0
+    assert "On the measured plant" in capsys.readouterr().out
+    assert command([*line, "--retune", "--json"]) == 0
+    retuned = json.loads(capsys.readouterr().out)["measured"]
+    assert retuned["crossover"] == pytest.approx(40.0, rel=1e-3)
+    assert retuned["phase_margin_deg"] == pytest.approx(60.0, rel=1e-3)
+
+
+def test_gains_that_the_measured_plant_does_not_bear(tmp_path, capsys):
+    path = tmp_path / "late.csv"
+    late = exact(machine("emps2019"), F) * np.exp(-2j * np.pi * F * 0.02)
+    write_response(path, FrequencyResponse.of(F, late, np.full(F.size, 0.01)))
+    out = tmp_path / "axis.toml"
+    assert command(["gains", "--crossover", "60", "--frf", str(path), "--out", str(out), "--json"]) == 4
+    document = json.loads(capsys.readouterr().out)
+    assert document["sampled"]["stable"]
+    assert not document["measured"]["stable"]
+    assert "unstable on the measured plant" in document["reason"]
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--bandwidth", "50", "--retune"], "--retune with --frf: found a bandwidth, expected --crossover"),
+        (["--crossover", "50", "--retune", "--frf", "{path}"], "found 2 responses to retune on, expected one"),
+        (["--crossover", "50", "--frf", "none.csv"], "none.csv: No such file"),
+    ],
+)
+def test_bad_options(tmp_path, capsys, options, message):
+    path = tmp_path / "two.csv"
+    write_response(path, measured(two_mass()))
+    words = [word.format(path=path) for word in options]
+    assert command(["gains", "--frf", str(path), *words]) == 2
+    assert message in capsys.readouterr().err
