@@ -63,7 +63,10 @@ def assemble(
     for i, quantity in enumerate(parameters_of(model)):
         told, why = None if shares is None else float(shares[i]), ""
         if told is not None and told < weakest:
-            why = f"the reference explains {100 * told:.0f} % of its column, the rest is noise; record motion that excites it"
+            why = (
+                f"the reference explains {100 * told:.0f} % of its column, the rest is noise; "
+                "record motion that excites it"
+            )
         elif (systematic is not None and np.isnan(systematic[i])) or quantity.name in at_rests:
             why = (
                 "only reversals and rests speak of it, which the inverse model does not hold; record several constant "
