@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from emps_design.cli.design_options import AsJson
+from emps_design.cli.ignored import refuse_ignored
 from emps_design.cli.output import new_console, print_json, say
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ MASS, DAMPING = 50.0, 100.0  # of the paper's experiments, for what (30) as prin
 
 
 def command(
+    context: typer.Context,
     latex: Annotated[bool, typer.Option("--latex", help="a LaTeX document of the derivations")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -24,7 +26,9 @@ def command(
     from emps_design.paper.derivations import derivation
     from emps_design.paper.derivations.impedance import cost_of_printed
 
-    if latex and not as_json:
+    if as_json:
+        refuse_ignored(context, ["latex"], "goes without --json; a document is one or the other")
+    if latex:
         from emps_design.paper.latex import document
 
         say(document())

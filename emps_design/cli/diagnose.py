@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from emps_design.cli.destinations import AXIS, JSON, OVERWRITE, PAGE, TABLE, check_folder
+from emps_design.cli.ignored import refuse_force
 from emps_design.cli.interrupts import before_the_end
 from emps_design.cli.output import json_text, new_console, print_json, print_warnings, progress_bar
 from emps_design.cli.partial_diagnosis import PartialDiagnosis
@@ -26,6 +27,7 @@ FILES = {
 
 
 def command(
+    context: typer.Context,
     records: Annotated[list[Path], typer.Argument(metavar="RECORD...", help="records of one axis (.mat, .csv, .npz)")],
     axis: Annotated[str, typer.Option(help="axis file or embedded machine")] = "emps2019",
     holdout: Annotated[Path | None, typer.Option(help="a record to confirm on, opened once, at the end")] = None,
@@ -46,6 +48,7 @@ def command(
     from emps_design.importing import import_record
     from emps_design.machines import load_axis
 
+    refuse_force(context, out)
     check_folder(out, FILES, (axis, *records, holdout), force)
     if holdout is not None and confirm_time is not None:
         raise InputError("give --holdout or --confirm-time, not both")

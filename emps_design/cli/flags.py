@@ -14,7 +14,9 @@ FLAGS = {
     "external_force_known=True": "--external-force known",
     "fit_time": "--fit-time",
     "identify": "--estimator ls",
+    "mismatch": "--mismatch",
     "peak": "--peak",
+    "phase_deg": "--phase",
     "record": "--record",
     "target": "--to",
 }

@@ -27,11 +27,13 @@ from emps_design.cli.design_options import (
     write_axis,
 )
 from emps_design.cli.destinations import AXIS, check_out
+from emps_design.cli.ignored import refuse_force, refuse_ignored
 from emps_design.cli.output import print_json, tell
 from emps_design.errors import InputError
 
 
 def command(
+    context: typer.Context,
     axis: AxisArgument = "emps2018",
     k_e1: Annotated[
         float | None, typer.Option("--k-e1", callback=within("(m/s)/N"), help="force-loop gain [(m/s)/N]")
@@ -65,6 +67,7 @@ def command(
     from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
     from emps_design.machines import load_axis
 
+    refuse_force(context, out)
     check_out(out, AXIS, (axis,), force)
     machine = with_numbers(
         load_axis(axis),
@@ -84,6 +87,8 @@ def command(
         notes.append(f"no operator given: taken as a viscous hand of k_c = 1/k_e1 = {hand:g} N/(m/s)")
 
     if crossover is None and bandwidth is None and controller.k_v1 is not None and controller.t_v is not None:
+        why = "goes with --crossover or --bandwidth; without them the velocity loop is k_v1 and t_v of the axis file"
+        refuse_ignored(context, ["phase_margin"], why)
         loop = VelocityLoopDesign(machine, controller.k_v1, controller.t_v, {}, velocity=velocity)
         notes.append("velocity loop: k_v1 and t_v of the axis file")
     else:

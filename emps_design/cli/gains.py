@@ -33,6 +33,7 @@ from emps_design.cli.design_options import (
     write_axis,
 )
 from emps_design.cli.destinations import AXIS, check_out
+from emps_design.cli.ignored import refuse_force, refuse_ignored
 from emps_design.cli.output import print_json, tell
 from emps_design.errors import InputError
 from emps_design.files import read_bytes
@@ -45,6 +46,7 @@ MAX_BYTES = 10_000_000  # of the JSON of an identification
 
 
 def command(
+    context: typer.Context,
     axis: AxisArgument = "emps2018",
     crossover: Crossover = None,
     bandwidth: Bandwidth = None,
@@ -78,6 +80,9 @@ def command(
     from emps_design.control.velocity.specification import check_specification
     from emps_design.machines import load_axis
 
+    refuse_force(context, out)
+    if not retune:
+        refuse_ignored(context, ["at"], "goes with --retune")
     check_out(out, AXIS, (axis, sigma_from, *(frf or ())), force)
     check_specification(crossover, bandwidth, phase_margin)
     machine = with_numbers(

@@ -9,6 +9,7 @@ import typer
 
 from emps_design.cli.destinations import AXIS, OVERWRITE, check_out
 from emps_design.cli.frequency import HERTZ
+from emps_design.cli.ignored import refuse_force, refuse_ignored
 
 if TYPE_CHECKING:
     from emps_design.axis import Axis
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 
 def command(
+    context: typer.Context,
     records: list[Path] = typer.Argument(
         ...,
         metavar="RECORD...",
@@ -55,7 +57,7 @@ def command(
     bootstrap: int = typer.Option(
         0, "--bootstrap", min=0, max=100_000, help="Draws of a bootstrap of the residual, 0: none."
     ),
-    seed: int | None = typer.Option(None, "--seed", min=0, help="Seed of the bootstrap, default 0."),
+    seed: int = typer.Option(0, "--seed", min=0, help="Seed of the bootstrap."),
     out: Path | None = typer.Option(None, "--out", help="Write the identified axis to this TOML file."),
     force: bool = typer.Option(False, "--force", help=OVERWRITE),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
@@ -77,10 +79,10 @@ def command(
         raise InputError(
             f"--estimator: found {estimator!r}, expected {', '.join(estimators)}{nearest_name(estimator, estimators)}"
         )
-    given = {"--filter": chain is not None, "--bootstrap": bootstrap > 0, "--holdout": holdout is not None}
-    _refuse_ignored(estimator, len(records), given)
-    if seed is not None and not bootstrap:
-        raise InputError("--seed: found without --bootstrap, expected both; nothing else is drawn")
+    _refuse_ignored(context, estimator, len(records))
+    refuse_force(context, out)
+    if not bootstrap:
+        refuse_ignored(context, ["seed"], "goes with --bootstrap; nothing else is drawn")
     check_out(out, AXIS, (axis, *records, holdout), force)
     loaded = load_axis(axis)
     options: dict[str, Any] = {
@@ -93,7 +95,7 @@ def command(
     if len(read) == 1:
         judge = None if holdout is None else import_record(holdout, loaded)
         found: Any = _one(
-            estimator, read[0], loaded, {**options, "bootstrap": bootstrap, "seed": seed or 0, "holdout": judge}
+            estimator, read[0], loaded, {**options, "bootstrap": bootstrap, "seed": seed, "holdout": judge}
         )
     else:
         from emps_design.identification.several import identify_several
@@ -112,22 +114,18 @@ def command(
         tell(warning)
 
 
-def _refuse_ignored(estimator: str, records: int, given: dict[str, bool]) -> None:
+def _refuse_ignored(context: typer.Context, estimator: str, records: int) -> None:
     """Raise for an option that what was asked for would not read."""
     from emps_design.errors import InputError
 
     if estimator != "ls" and records > 1:
         raise InputError(f"--estimator: {estimator} takes one record, found {records}; use ls for several")
     if estimator != "ls":
-        ignored = [name for name, is_given in given.items() if is_given]
         why = f"goes with --estimator ls, found {estimator}, which filters as hold does and has intervals of its own"
+        refuse_ignored(context, ["chain", "bootstrap", "holdout"], why)
     elif records > 1:
-        ignored = [name for name in ("--bootstrap", "--holdout") if given[name]]
         why = f"goes with one record, found {records}; several judge one another"
-    else:
-        return
-    if ignored:
-        raise InputError(f"{', '.join(ignored)}: {why}")
+        refuse_ignored(context, ["bootstrap", "holdout"], why)
 
 
 def _one(estimator: str, record: Record, axis: Axis, options: dict[str, Any]) -> Identification:

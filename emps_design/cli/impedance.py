@@ -10,11 +10,13 @@ import typer
 
 from emps_design.cli.design_options import within
 from emps_design.cli.frequency import RAD_S
+from emps_design.cli.ignored import refuse_ignored
 from emps_design.cli.output import new_console, print_json, progress_bar, tell
 from emps_design.errors import InputError
 
 
 def command(
+    context: typer.Context,
     axis: Annotated[str, typer.Argument(help="TOML file or embedded machine")] = "emps2018",
     mass: Annotated[
         float | None,
@@ -53,6 +55,10 @@ def command(
     from emps_design.comanipulation.assessment import assess_impedance
     from emps_design.machines import load_axis
 
+    if mismatch is None:
+        refuse_ignored(context, ["two_quadrant", "plants", "seed", "workers"], "goes with --mismatch")
+    if force_sensor:
+        refuse_ignored(context, ["unfiltered_current"], "goes without --force-sensor; (28) takes no current")
     machine = load_axis(axis)
     mass = _given("--mass", "M_a [kg]", mass, machine.controller.mass)
     damping = _given("--damping", "B [N/(m/s)]", damping, machine.controller.damping)

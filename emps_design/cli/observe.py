@@ -9,6 +9,7 @@ import typer
 
 from emps_design.cli.destinations import OVERWRITE, TABLE, check_out
 from emps_design.cli.frequency import HERTZ
+from emps_design.cli.ignored import refuse_force
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,6 +21,7 @@ LONG = 200_000  # samples from which on it is worth saying how far the work is
 
 
 def command(
+    context: typer.Context,
     record: Path = typer.Argument(..., metavar="RECORD", help="Record file: .mat, .csv or .npz."),
     axis: str = typer.Option("emps2019", "--axis", help="TOML file or embedded machine with identified parameters."),
     cutoff: float = typer.Option(
@@ -50,6 +52,7 @@ def command(
     from emps_design.importing import import_record
     from emps_design.machines import load_axis
 
+    refuse_force(context, out)
     check_out(out, TABLE, (axis, record), force)
     loaded = load_axis(axis)
     read = import_record(record, loaded)

@@ -9,9 +9,11 @@ import typer
 from emps_design.cli.design_options import AsJson, Bandwidth, Crossover, Force, PhaseMargin, within
 from emps_design.cli.destinations import PAGE, check_out
 from emps_design.cli.frequency import RAD_S
+from emps_design.cli.ignored import refuse_ignored
 
 
 def command(
+    context: typer.Context,
     axis: str | None = typer.Argument(
         None, help="TOML file or embedded machine; default emps2018, emps2019 with a record"
     ),
@@ -58,12 +60,15 @@ def command(
 ) -> None:
     """The whole design as one self-contained page: specification against achieved, loops, force loop, record."""
     from emps_design.cli.output import print_json, progress_bar, say, tell
-    from emps_design.errors import InputError, UnstableError
+    from emps_design.errors import UnstableError
     from emps_design.files import write_aside
-    from emps_design.report.assemble import assemble_report
+    from emps_design.machines import load_axis
+    from emps_design.report.assemble import assemble_report, has_impedance_law
 
-    if record is None and record_filter is not None:
-        raise InputError("--record-filter: found without --record, expected both")
+    if record is None:
+        refuse_ignored(context, ["design_on", "model", "record_filter"], "goes with --record")
+    if mass is None and damping is None and not (axis is not None and has_impedance_law(load_axis(axis))):
+        refuse_ignored(context, ["filter", "mismatch"], "goes with the impedance law: --mass and --damping")
     if crossover is None and bandwidth is None:
         crossover = 100.0
     check_out(out, PAGE, (axis, record), force)

@@ -9,6 +9,7 @@ import typer
 
 from emps_design.cli.design_options import within
 from emps_design.cli.destinations import ARCHIVE, OVERWRITE, PICTURES, TABLE, check_out
+from emps_design.cli.ignored import refuse_force, refuse_ignored
 
 # The options that each scenario reads, besides those that all of them do.
 SCENARIOS = {
@@ -71,6 +72,7 @@ def command(
             f"--scenario: {found}, expected one of {', '.join(SCENARIOS)}{nearest_name(scenario, tuple(SCENARIOS))}"
         )
     _refuse_ignored(context, scenario)
+    refuse_force(context, out, plot)
     if scenario == "bench" and axis:
         raise InputError(f"AXIS: found {axis!r}, but the bench is a machine of its own; leave it out")
     _check(out, plot, (axis, record, reference), force)
@@ -104,15 +106,10 @@ def command(
 
 def _refuse_ignored(context: typer.Context, scenario: str) -> None:
     """Raise for an option on the command line that ``scenario`` would not read."""
-    from emps_design.errors import InputError
-
     for name in dict.fromkeys(option for options in SCENARIOS.values() for option in options):
-        source = context.get_parameter_source(name)
-        if source is not None and source.name == "COMMANDLINE" and name not in SCENARIOS[scenario]:
-            readers = [one for one, options in SCENARIOS.items() if name in options]
-            raise InputError(
-                f"--{name.replace('_', '-')}: goes with --scenario {' or '.join(readers)}, found {scenario}"
-            )
+        readers = [one for one, options in SCENARIOS.items() if name in options]
+        if scenario not in readers:
+            refuse_ignored(context, [name], f"goes with --scenario {' or '.join(readers)}, found {scenario}")
 
 
 def _single(

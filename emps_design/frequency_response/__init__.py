@@ -8,6 +8,11 @@ from emps_design.exports import on_first_use
 
 if TYPE_CHECKING:
     from emps_design.frequency_response.estimate import Estimate as Estimate, estimate_response as estimate_response
+    from emps_design.frequency_response.experiment import (
+        Experiment as Experiment,
+        Limits as Limits,
+        design_experiment as design_experiment,
+    )
     from emps_design.frequency_response.loop import (
         MeasuredMargins as MeasuredMargins,
         measured_margins as measured_margins,

@@ -41,12 +41,14 @@ class Spectra:
 
 
 def spectra(signals: Signals, highest: float) -> list[Spectra]:
-    """Spectra of the stretches of ``signals`` up to ``highest`` [Hz], the first period of a long one left out."""
+    """Spectra of the stretches of ``signals`` up to ``highest`` [Hz]; the loop settles over a third of a period first,
+    or over the first period of a long stretch that has no such rest.
+    """
     found = []
     for start, stop in signals.stretches:
         periods = (stop - start) // signals.repeats
-        if periods >= 3:
-            periods -= 1  # the loop settles
+        if periods >= 3 and 3 * (stop - start - periods * signals.repeats) < signals.repeats:
+            periods -= 1
         if periods >= 2:
             begin = stop - periods * signals.repeats
             found.append(_stretch(signals, begin, periods, highest))

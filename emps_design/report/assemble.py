@@ -139,7 +139,7 @@ def assemble_report(
         velocity = design_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg)
     assessed, stops = None, ()
     controller = loaded.controller
-    if mass is None and controller.kind != NONE and get_law(controller.kind).apparent:
+    if mass is None and has_impedance_law(loaded):
         mass, damping = controller.mass, controller.damping
     if mass is not None:
         from emps_design.comanipulation.assessment import assess_impedance
@@ -164,6 +164,11 @@ def assemble_report(
     warnings += assessed.to_dict()["warnings"] if assessed else []
     tell("writing", 0.95)
     return Report(page, results, assessed, tuple(found), tuple(dict.fromkeys(warnings)))
+
+
+def has_impedance_law(axis: Axis) -> bool:
+    """Whether the controller of ``axis`` is one with an apparent mass."""
+    return axis.controller.kind != NONE and bool(get_law(axis.controller.kind).apparent)
 
 
 def _force_loop(

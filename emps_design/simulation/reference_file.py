@@ -1,4 +1,4 @@
-"""Read a reference of one's own: columns ``t`` [s] and ``q_ref`` [m], optional ``f_ext`` [N], .csv or .npz."""
+"""Read a reference of one's own, .csv or .npz: ``t`` [s], ``q_ref`` [m], optional ``f_ext`` [N], ``excitation`` [V]."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ MAX_BYTES = 100_000_000
 MAX_SAMPLES = LONGEST
 
 
-def read_reference(path: str | Path, period: float) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return ``q_ref`` (n,) [m] and ``f_ext`` (n,) [N] or None, interpolated at multiples of ``period`` [s].
+def read_reference(path: str | Path, period: float) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+    """Return ``q_ref`` (n,) [m], ``f_ext`` (n,) [N] or None and ``excitation`` (n,) [V] or None.
 
+    They are interpolated at multiples of ``period`` [s]; an excitation is held from one row to the next.
     Raises :class:`RecordError` in one line for a file that has no such columns, is not finite, or runs back in time.
     """
     path = Path(path)
@@ -34,7 +35,7 @@ def read_reference(path: str | Path, period: float) -> tuple[np.ndarray, np.ndar
     named = {}
     for text, values in columns.items():
         title = read_title(text, str(path))
-        if title.name in ("t", "q_ref", "f_ext"):
+        if title.name in ("t", "q_ref", "f_ext", "excitation"):
             named[title.name] = np.ravel(np.asarray(values)).astype(float) * title.factor
     missing = [name for name in ("t", "q_ref") if name not in named]
     if missing:
@@ -54,7 +55,9 @@ def read_reference(path: str | Path, period: float) -> tuple[np.ndarray, np.ndar
         raise RecordError(f"{path}: {t[-1] - t[0]:g} s at {period:g} s are {n} samples, expected 2 to {MAX_SAMPLES}")
     grid = t[0] + np.arange(n) * period
     force = np.interp(grid, t, named["f_ext"]) if "f_ext" in named else None
-    return np.interp(grid, t, named["q_ref"]), force
+    held = np.searchsorted(t, grid + 1e-6 * period, side="right") - 1
+    excitation = named["excitation"][held] if "excitation" in named else None
+    return np.interp(grid, t, named["q_ref"]), force, excitation
 
 
 def _table(content: bytes, path: Path) -> dict[str, np.ndarray]:

@@ -26,6 +26,8 @@ SIGNALS = {
     "force": ("motor force", "N"),
     "f_ext": ("external force", "N"),
 }
+OPTIONAL = {"excitation": ("excitation", "V")}  # of a run that has them
+DESCRIBED = SIGNALS | OPTIONAL
 STORED = ("q_ref", "q", "position", "v", "u", "f_ext")
 EVENTS = ("reversal", "stick", "break-away", "guard")
 
@@ -37,7 +39,8 @@ class Run:
     ``q`` [m] is what the encoder reports (with its errors), ``position`` [m] and ``v`` [m/s] the true motion on the
     encoder's side, ``u`` [V] the recorded voltage, ``force`` = G_tau u [N], ``f_ext`` [N] the external force that a
     sensor on the carriage feels. ``events`` has a row (time [s], kind, position [m]) for every velocity zero, stick,
-    break-away and guard; ``lost_events`` counts those that did not fit. ``energy`` [J] is there where it was asked for.
+    break-away and guard; ``lost_events`` counts those that did not fit. ``energy`` [J] is there where it was asked for,
+    ``excitation`` [V] where something was added to the controller's output.
     """
 
     q_ref: np.ndarray
@@ -52,6 +55,12 @@ class Run:
     lost_events: int = 0
     energy: dict[str, float] | None = None
     name: str = "simulation"
+    excitation: np.ndarray | None = None
+
+    @property
+    def signals(self) -> dict[str, np.ndarray]:
+        """The signals of this run by name."""
+        return {name: values for name in DESCRIBED if (values := getattr(self, name)) is not None}
 
     @cached_property
     def t(self) -> np.ndarray:
@@ -96,6 +105,7 @@ class Run:
             f_ext=self.f_ext if touched else None,
             period=self.period,
             name=name or self.name,
+            excitation=self.excitation,
         )
 
     def save(self, path: str | Path) -> None:
@@ -111,16 +121,16 @@ class Run:
             np.savez(
                 file,
                 allow_pickle=False,
-                **{name: getattr(self, name) for name in STORED},
+                **{name: values for name, values in self.signals.items() if name in (*STORED, *OPTIONAL)},
                 events=self.events,
                 run=np.frombuffer(json.dumps(plain).encode(), dtype=np.uint8),
             )
 
     def to_csv(self, path: str | Path) -> None:
         """Write every signal to ``path`` as a table whose titles carry the units; 17 digits, so nothing is lost."""
-        titles = ",".join(f"{name} [{unit}]" for name, (_, unit) in SIGNALS.items())
+        titles = ",".join(f"{name} [{DESCRIBED[name][1]}]" for name in self.signals)
         with write_aside(path) as aside:
-            columns = np.column_stack([getattr(self, name) for name in SIGNALS])
+            columns = np.column_stack(list(self.signals.values()))
             np.savetxt(aside, columns, fmt="%.17g", delimiter=",", header=titles, comments="")
 
     @classmethod
@@ -130,7 +140,8 @@ class Run:
 
         try:
             with np.load(path, allow_pickle=False) as archive:
-                signals = {name: archive[name] for name in (*STORED, "events")}
+                optional = [name for name in OPTIONAL if name in archive]
+                signals = {name: archive[name] for name in (*STORED, "events", *optional)}
                 plain = json.loads(archive["run"].tobytes())
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, TypeError) as error:
             reason = " ".join(str(error).split())
@@ -146,7 +157,7 @@ class Run:
             "crossings": self.crossings.tolist(),
             "stick_intervals": self.stick_intervals.tolist(),
             "energy": self.energy,
-            "signals": {name: {"label": label, "unit": unit} for name, (label, unit) in SIGNALS.items()},
+            "signals": {name: {"label": DESCRIBED[name][0], "unit": DESCRIBED[name][1]} for name in self.signals},
         }
 
     def _repr_html_(self) -> str:

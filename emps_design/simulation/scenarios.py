@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -230,12 +230,16 @@ class Followed:
         }
 
 
-def follow(axis: Axis, q_ref: np.ndarray, f_ext: np.ndarray | None = None) -> Followed:
+def follow(
+    axis: Axis, q_ref: np.ndarray, f_ext: np.ndarray | None = None, excitation: np.ndarray | None = None
+) -> Followed:
     """Simulate ``axis`` in closed loop along ``q_ref`` (n,) [m], with ``f_ext`` (n,) [N] on the carriage.
+
+    ``excitation`` (n,) [V] is added to the controller's output.
 
     Raises :class:`UnstableError` where the loop diverges, with the nearest that does not.
     """
-    run = _closed_loop(axis, q_ref, disturbance=f_ext)
+    run = replace(_closed_loop(axis, q_ref, disturbance=f_ext, voltage_noise=excitation), excitation=excitation)
     clipped = float(np.mean(np.abs(run.u) >= axis.drive.command_limit))
     warnings = (f"the voltage is at its limit {100 * clipped:.1f} % of the time",) if clipped > 0 else ()
     return Followed(axis, run, warnings)

@@ -88,6 +88,7 @@ READ_AN_AXIS = {
     "identify": "identify {folder}/good.npz --axis {bad}",
     "observe": "observe {folder}/good.npz --axis {bad}",
     "frf": "frf {folder}/good.npz --axis {bad}",
+    "excite": "excite {bad} --stroke 0.5 --speed 0.05",
     "diagnose": "diagnose {folder}/good.npz --axis {bad} --out {folder}/out",
     "report": "report {bad} --crossover 100 --out {folder}/out.html",
     "init": "init {folder}/start --machine {bad}",

@@ -70,7 +70,7 @@ def test_the_table_of_ten_records_fits_a_terminal(folder, capsys):
         ),
         (["--estimator", "iv", "--filter", "hold"], "--filter: goes with --estimator ls, found iv"),
         (["--filter", "paper", "--cutoff", "40"], "cut-off: the paper's chain has none"),
-        (["--seed", "3"], "--seed: found without --bootstrap"),
+        (["--seed", "3"], "--seed: goes with --bootstrap"),
         (["day1.npz", "--bootstrap", "9"], "--bootstrap: goes with one record, found 2"),
         (["day1.npz", "--holdout", "day2.npz"], "--holdout: goes with one record, found 2"),
         (["day1.npz", "--estimator", "iv"], "--estimator: iv takes one record, found 2"),

@@ -218,7 +218,7 @@ def test_command_exits_four_for_a_force_gain_that_is_unstable(tmp_path, capsys, 
         (["--crossover", "-1", "--out", "r.html"], "expected a positive number of rad/s", 2),
         (["--crossover", "100", "--k-e1", "0", "--out", "r.html"], "k_e1: found 0", 2),
         (["--record", "nothing.mat", "--out", "r.html"], "nothing.mat", 2),
-        (["--record-filter", "paper", "--out", "r.html"], "--record-filter: found without --record", 2),
+        (["--record-filter", "paper", "--out", "r.html"], "--record-filter: goes with --record", 2),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing_behind(tmp_path, monkeypatch, capsys, arguments, message, status):

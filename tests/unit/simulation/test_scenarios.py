@@ -94,7 +94,7 @@ def test_a_ramp_of_force_needs_a_rate_and_a_peak():
 
 def test_reference_file_is_interpolated_with_units(tmp_path):
     (tmp_path / "program.csv").write_text("t [ms],q_ref [mm],f_ext\n0,0,0\n10,5,2\n20,0,0\n")
-    q_ref, f_ext = read_reference(tmp_path / "program.csv", 5e-3)
+    q_ref, f_ext, _ = read_reference(tmp_path / "program.csv", 5e-3)
     np.testing.assert_allclose(q_ref, [0, 2.5e-3, 5e-3, 2.5e-3, 0], atol=1e-12)
     np.testing.assert_allclose(f_ext, [0, 1, 2, 1, 0], atol=1e-12)
 

@@ -1,0 +1,152 @@
+"""Feed-forward along a reference: the command that the model says the motion needs, beside what the law answers.
+
+Terms are ``inertia``, ``viscous``, ``coulomb`` and ``constant`` of the baseline, ``lead`` for what is late between
+command and force, and one for each effect of the axis that acts on the carriage as a force of position and velocity.
+Every term is the effect's own kernel, evaluated on the reference. A friction follows the reference's velocity, in
+proportion below a small speed, so it does not chatter at a reversal. What the law itself would answer if the axis
+were on its reference (the braking of a velocity feedback) is taken off, unless the law would reach its limit with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from emps_design.effects import Effect
+from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
+from emps_design.laws import Law, law_of
+
+if TYPE_CHECKING:
+    from emps_design.axis import Axis
+
+BASELINE = {"inertia": MASS, "viscous": VISCOUS, "coulomb": COULOMB, "constant": OFFSET}
+LEAD = "lead"
+REVERSAL = 2e-3  # of the reference's highest speed: below it friction is fed forward in proportion to the speed
+
+
+@dataclass(frozen=True)
+class FeedForward:
+    """Feed-forward of the ``terms`` of an ``axis``; ``numbers`` and ``parameters`` in place of the axis's own."""
+
+    axis: Axis
+    terms: tuple[str, ...]
+    baseline: np.ndarray = field(repr=False)
+    parameters: tuple[np.ndarray, ...] = field(repr=False)
+    late: float = 0.0  # s, between command and force besides the hold and the computation
+
+    @classmethod
+    def of(cls, axis: Axis, terms: Sequence[str]) -> FeedForward:
+        """The feed-forward of ``terms`` with the numbers of ``axis``."""
+        parameters = tuple(one.effect.values(one.parameters) for one in axis.effects)
+        return cls(axis, tuple(terms), axis.mechanics.array(), parameters, lateness(axis))
+
+    def along(self, q_ref: np.ndarray) -> np.ndarray:
+        """Command to add (n,) along ``q_ref`` (n,) [m]; what the law answers there is taken off.
+
+        >>> from emps_design.machines import machine
+        >>> ahead = FeedForward.of(machine("emps2019"), ("constant",)).along(np.zeros(5))
+        >>> ahead.round(4).tolist()
+        [-0.09, -0.09, -0.09, -0.09, -0.09]
+        """
+        if not self.terms:
+            return np.zeros(q_ref.size)
+        axis, period = self.axis, self.axis.sampling.period
+        wait = (0.5 + axis.sampling.computation_delay) * period + (self.late if LEAD in self.terms else 0.0)
+        q, v, a = motion_ahead(q_ref, period, wait)
+        speed = REVERSAL * float(np.abs(v).max(initial=0.0))
+        direction = np.clip(v / speed, -1.0, 1.0) if speed > 0.0 else np.zeros(q.size)
+        command = self._force(q, v, a, direction) / axis.drive.force_gain
+        braking = answered(axis, q_ref)
+        return command if braking is None else command - braking
+
+    def _force(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        from emps_design.simulation.kernels.inverse import force_along, table
+
+        own = np.array([self.baseline[at] if name in self.terms else 0.0 for name, at in BASELINE.items()])
+        chosen = [place for place, name in enumerate(self._names) if name in self.terms]
+        hooks, starts = table([self.axis.effects[place].effect for place in chosen])
+        p = np.concatenate([np.zeros(0), *(self.parameters[place] for place in chosen)])
+        force = np.empty(q.size)
+        force_along(q, v, a, direction, own, self.baseline, hooks, starts, p, np.zeros(1), force)
+        return force
+
+    @cached_property
+    def _names(self) -> list[str]:
+        return names_of_effects(self.axis)
+
+
+def names_of_effects(axis: Axis) -> list[str]:
+    """A name for each effect of ``axis``: its kind, numbered where there are several of one."""
+    kinds, found = [one.kind for one in axis.effects], []
+    for place, kind in enumerate(kinds):
+        found.append(kind if kinds.count(kind) == 1 else f"{kind}_{kinds[: place + 1].count(kind)}")
+    return found
+
+
+def terms_of(axis: Axis) -> tuple[tuple[str, ...], dict[str, str]]:
+    """Every term that ``axis`` has, and a line for each of its effects that cannot be compensated."""
+    terms, left = [*BASELINE], {}
+    for name, one in zip(names_of_effects(axis), axis.effects, strict=True):
+        reason = _why_not(one.effect)
+        if not reason:
+            terms.append(name)
+        elif one.effect.delay is None and one.effect.lag is None:
+            left[name] = reason
+    return (*terms, *([LEAD] if lateness(axis) > 0.0 else [])), left
+
+
+def lateness(axis: Axis) -> float:
+    """Time [s] by which the force is late behind the command: current loop, lags and delays among the effects."""
+    b, late = axis.mechanics.array(), axis.drive.current_time_constant
+    for one in axis.effects:
+        p = one.effect.values(one.parameters)
+        for hook in (one.effect.delay, one.effect.lag):
+            late += hook(0.0, 0.0, 0.0, 0.0, np.zeros(0), p, b) if hook is not None else 0.0
+    return float(late)
+
+
+def _why_not(effect: Effect) -> str:
+    """Why a feed-forward along a reference cannot hold ``effect``; nothing where it can."""
+    if effect.rate is not None:
+        return "it has a state of its own, which the reference does not give"
+    if effect.channel != "plant":
+        return f"it acts in the {effect.channel}, where no force that is fed forward meets it"
+    if effect.over == "t":
+        return "it goes by the time of one record, which a controller does not know"
+    return ""
+
+
+def motion_ahead(q_ref: np.ndarray, period: float, wait: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Position, velocity and acceleration (n,) of ``q_ref`` (n,) a time ``wait`` [s] later, at rest before and after.
+
+    >>> q, v, a = motion_ahead(np.array([0.0, 1.0, 2.0, 3.0]), 1.0, 0.5)
+    >>> q.tolist(), v.tolist()
+    ([0.5, 1.5, 2.5, 3.0], [0.75, 1.0, 0.75, 0.5])
+    """
+    edged = np.concatenate([q_ref[:1], q_ref, q_ref[-1:]])
+    v = (edged[2:] - edged[:-2]) / (2.0 * period)
+    a = (edged[2:] - 2.0 * edged[1:-1] + edged[:-2]) / period**2
+    at = np.arange(q_ref.size) + wait / period
+    index = np.arange(q_ref.size)
+    return np.interp(at, index, q_ref), np.interp(at, index, v), np.interp(at, index, a)
+
+
+def answered(axis: Axis, q_ref: np.ndarray) -> np.ndarray | None:
+    """What the law of ``axis`` answers (n,) when the axis is exactly on its reference ``q_ref`` (n,) [m].
+
+    None where the law's own limit would cut that: what is left of it cannot be taken off.
+    """
+    law = law_of(axis, axis.sampling.period)
+    free, limited = (_answered(law, q_ref, axis.sampling.period, limit) for limit in (np.inf, axis.drive.command_limit))
+    return free if np.array_equal(free, limited) else None
+
+
+def _answered(law: Law, q_ref: np.ndarray, period: float, limit: float) -> np.ndarray:
+    reference, memory = law.reference(q_ref, period).tolist(), [0.0] * law.memory
+    gains = law.gains.tolist() if np.ndim(law.gains) == 1 else None
+    rows = enumerate(zip(reference, q_ref.tolist(), strict=True))
+    return np.array([law.kernel(k, r, q, 0.0, limit, gains or law.row(k), memory) for k, (r, q) in rows])

@@ -1,0 +1,273 @@
+"""Try a feed-forward in closed loop on the nonlinear axis: each term alone, together, and with wrong parameters.
+
+The machine stays as the axis says; the feed-forward gets parameters that are wrong by the ``mismatch``, phases by the
+``phase`` error, each in the direction that does more harm, all at once. A term that does more harm than good there is
+left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from emps_design.compensation.feedforward import (
+    BASELINE,
+    LEAD,
+    FeedForward,
+    answered,
+    names_of_effects,
+    terms_of,
+)
+from emps_design.errors import InputError, SimulationError, UnstableError
+from emps_design.laws import law_of
+
+if TYPE_CHECKING:
+    from emps_design.axis import Axis
+
+MISMATCH, PHASE_DEG = 0.02, 10.0  # errors of parameters and of phases
+PER_RECORD = "its phase is that of one record's zero: home the encoder before it is used"
+
+
+@dataclass(frozen=True)
+class Term:
+    """One term: tracking error with it ``alone``, with all the others but it, and what became of it."""
+
+    name: str
+    kept: bool
+    alone: float
+    left_out: float | None
+    worst: float | None
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """A feed-forward and what it does to the tracking error rms, in the unit of what the law follows."""
+
+    axis: Axis
+    feedforward: FeedForward
+    q_ref: np.ndarray = field(repr=False)
+    without: float
+    baseline: float
+    achieved: float
+    worst: float
+    terms: tuple[Term, ...]
+    not_compensated: dict[str, str]
+    mismatch: float
+    phase_deg: float
+    limited: float
+    unit: str
+    warnings: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contract's keys, and what was assumed."""
+        return {
+            "axis": self.axis.name,
+            "tracking_rms": {
+                "without": self.without,
+                "baseline": self.baseline,
+                "with": self.achieved,
+                "worst": self.worst,
+            },
+            "terms": [vars(term) for term in self.terms],
+            "not_compensated": self.not_compensated,
+            "kept": list(self.feedforward.terms),
+            "lead": self.feedforward.late if LEAD in self.feedforward.terms else 0.0,
+            "assumed": {
+                "mismatch": self.mismatch,
+                "phase_deg": self.phase_deg,
+                "not_varied": "periods and lengths, whose error is that of the phase, and exponents",
+            },
+            "limited_share": self.limited,
+            "units": {"tracking_rms": self.unit, "alone": self.unit, "left_out": self.unit, "lead": "s"},
+            "warnings": list(self.warnings),
+        }
+
+
+@dataclass(frozen=True)
+class Trial:
+    """An axis and a reference, on which feed-forwards are tried."""
+
+    axis: Axis
+    q_ref: np.ndarray
+
+    @cached_property
+    def _plant(self) -> Any:
+        from emps_design.simulation import Plant
+
+        return Plant.of(self.axis)
+
+    @cached_property
+    def _follows_velocity(self) -> bool:
+        law = law_of(self.axis, self.axis.sampling.period)
+        if law.follows == "rest position":
+            raise InputError(
+                f"controller.kind: found {self.axis.controller.kind!r}, which follows no reference; expected a law "
+                "that follows a position or a velocity"
+            )
+        return law.follows == "velocity"
+
+    @property
+    def unit(self) -> str:
+        """Unit of the tracking error."""
+        return self.axis.units.unit("m/s" if self._follows_velocity else "m")
+
+    def run(self, ahead: np.ndarray | None) -> tuple[float, float]:
+        """Rms of the tracking error with ``ahead`` (n,) added to the command, and the share of samples at the limit.
+
+        Infinite where the loop is unstable.
+        """
+        velocity = self._follows_velocity
+        try:
+            run = self._plant.closed_loop(self.q_ref, voltage_noise=ahead)
+        except SimulationError:
+            return math.inf, 1.0
+        period = self.axis.sampling.period
+        wanted = np.gradient(self.q_ref, period) if velocity else self.q_ref
+        error = wanted - (run.v if velocity else run.position)
+        limited = float(np.mean(np.abs(run.u) >= self.axis.drive.command_limit))
+        return float(np.sqrt(np.mean(error**2))), limited
+
+    def rms(self, feedforward: FeedForward) -> float:
+        """Rms of the tracking error with ``feedforward``."""
+        return self.run(feedforward.along(self.q_ref))[0]
+
+
+def compensate(
+    axis: Axis, q_ref: np.ndarray | None = None, mismatch: float = MISMATCH, phase_deg: float = PHASE_DEG
+) -> Compensation:
+    """Find the feed-forward of ``axis`` that lowers the tracking error along ``q_ref`` (n,) [m], and try it.
+
+    ``q_ref`` by default one lap of trapezoids of velocity; ``mismatch`` is the relative error of the parameters,
+    ``phase_deg`` that of phases. Raises :class:`InputError` for a law that follows nothing, :class:`UnstableError`
+    where the loop is unstable without any feed-forward.
+
+    >>> from emps_design.machines import machine
+    >>> found = compensate(machine("emps2019")).to_dict()["tracking_rms"]
+    >>> found["with"] < 0.05 * found["without"]
+    True
+    """
+    for name, value in (("mismatch", mismatch), ("phase_deg", phase_deg)):
+        if not (math.isfinite(value) and value >= 0.0):
+            raise InputError(f"`{name}`: found {value:g}, expected a number of at least 0")
+    if q_ref is None:
+        from emps_design.simulation import trapezoid_laps
+
+        q_ref = trapezoid_laps(axis.sampling.period, laps=1)
+    trial = Trial(axis, q_ref)
+    without, _ = trial.run(None)
+    if not math.isfinite(without):
+        raise UnstableError(f"axis {axis.name}: the loop is unstable without any feed-forward; design it first")
+    possible, left = terms_of(axis)
+    baseline = trial.rms(FeedForward.of(axis, tuple(BASELINE)))
+    alone = {name: trial.rms(FeedForward.of(axis, (name,))) for name in possible}
+    kept, notes, trials = _selected(trial, possible, mismatch, phase_deg)
+    if trial.rms(FeedForward.of(axis, kept)) > baseline:
+        notes |= {name: "together with the others it does harm" for name in kept if name not in BASELINE}
+        kept = tuple(BASELINE)
+    if trial.rms(FeedForward.of(axis, kept)) > without:
+        notes |= dict.fromkeys(kept, "no feed-forward lowers the error")
+        kept = ()
+    ahead = FeedForward.of(axis, kept)
+    achieved, limited = trial.run(ahead.along(q_ref))
+    worst = _worst(trial, ahead, mismatch, phase_deg)
+    warnings = [f"{name} is not compensated: {reason}" for name, reason in left.items()]
+    warnings += [f"{name} is left out: {note}" for name, note in notes.items()]
+    if answered(axis, q_ref) is None:
+        warnings.append(
+            "what the law answers on its own reference goes beyond the limit and is not taken off; in a cascade, give "
+            "the velocity loop the reference's velocity, share 1"
+        )
+    if limited > 0.0:
+        warnings.append(f"the command is at its limit {100 * limited:.2g} % of the time")
+    terms = tuple(
+        Term(name, name in kept, alone[name], *trials[name], notes.get(name, _home(axis, name))) for name in possible
+    )
+    return Compensation(
+        axis, ahead, q_ref, without, baseline, achieved, worst, terms, left, mismatch, phase_deg, limited, trial.unit,
+        tuple(warnings),
+    )  # fmt: skip
+
+
+def _selected(
+    trial: Trial, possible: Sequence[str], mismatch: float, phase_deg: float
+) -> tuple[tuple[str, ...], dict[str, str], dict[str, tuple[float | None, float | None]]]:
+    """Terms that are worth it at their worst; notes on those that are not; errors without each, and at its worst."""
+    kept, notes = list(possible), dict[str, str]()
+    trials: dict[str, tuple[float | None, float | None]] = {}
+    while True:
+        harm: dict[str, float] = {}
+        for name in kept:
+            others = tuple(one for one in kept if one != name)
+            lacking = trial.rms(FeedForward.of(trial.axis, others)) if others else trial.run(None)[0]
+            worst = _worst(trial, FeedForward.of(trial.axis, tuple(kept)), mismatch, phase_deg, only=name)
+            trials[name] = (lacking, worst)
+            if worst > lacking:
+                harm[name] = worst / lacking
+        if not harm:
+            return tuple(kept), notes, trials
+        name = max(harm, key=lambda one: harm[one])
+        kept.remove(name)
+        notes[name] = f"within its uncertainty it does harm, {100 * (harm[name] - 1):.2g} % more error than without it"
+
+
+def _home(axis: Axis, name: str) -> str:
+    for own, one in zip(names_of_effects(axis), axis.effects, strict=True):
+        if own == name and any(p.per_record for p in one.effect.parameters):
+            return PER_RECORD
+    return ""
+
+
+def _worst(trial: Trial, ahead: FeedForward, mismatch: float, phase_deg: float, only: str | None = None) -> float:
+    """Tracking error with every parameter of ``ahead`` (of one term) wrong, each the way that alone does more harm."""
+    wrong = ahead
+    for change in _changes(ahead, mismatch, phase_deg, only):
+        sides = [change(side, ahead) for side in (1.0, -1.0)]
+        errors = [trial.rms(side) for side in sides]
+        wrong = change(1.0 if errors[0] >= errors[1] else -1.0, wrong)
+    return max(trial.rms(wrong), trial.rms(ahead))
+
+
+def _changes(ahead: FeedForward, mismatch: float, phase_deg: float, only: str | None) -> list[Any]:
+    """What can be wrong about ``ahead``: functions of a side, +1 or -1, and a feed-forward to make wrong."""
+    found: list[Any] = []
+    wanted = ahead.terms if only is None else (only,)
+    for name, at in BASELINE.items():
+        if name in wanted:
+            found.append(lambda side, given, at=at: _with_baseline(given, at, 1.0 + side * mismatch))
+    for place, (name, one) in enumerate(zip(names_of_effects(ahead.axis), ahead.axis.effects, strict=True)):
+        for at, parameter in enumerate(one.effect.parameters if name in wanted else ()):
+            if parameter.discrete or parameter.name == one.effect.repeats:
+                continue
+            if parameter.unit == "rad":
+                found.append(lambda side, given, p=place, at=at: _moved(given, p, at, side * math.radians(phase_deg)))
+            else:
+                found.append(lambda side, given, p=place, at=at: _scaled(given, p, at, 1.0 + side * mismatch))
+    if LEAD in wanted:
+        found.append(lambda side, given: replace(given, late=given.late * (1.0 + side * mismatch)))
+    return found
+
+
+def _with_baseline(given: FeedForward, at: int, factor: float) -> FeedForward:
+    baseline = given.baseline.copy()
+    baseline[at] *= factor
+    return replace(given, baseline=baseline)
+
+
+def _scaled(given: FeedForward, place: int, at: int, factor: float) -> FeedForward:
+    return _changed(given, place, at, given.parameters[place][at] * factor)
+
+
+def _moved(given: FeedForward, place: int, at: int, by: float) -> FeedForward:
+    return _changed(given, place, at, given.parameters[place][at] + by)
+
+
+def _changed(given: FeedForward, place: int, at: int, value: float) -> FeedForward:
+    parameters = [values.copy() for values in given.parameters]
+    parameters[place][at] = value
+    return replace(given, parameters=tuple(parameters))

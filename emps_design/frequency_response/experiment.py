@@ -1,0 +1,319 @@
+"""The experiment that measures a response: a random-phase multi-sine on a carriage that runs to and fro.
+
+While the carriage runs one way, dry friction is a constant and the loop is linear. So the reference makes passes at a
+steady speed, and on each, once the loop has settled, the multi-sine repeats: odd lines alone, one of every four left
+out, so that noise, even and odd distortion show apart. Lines lie no closer than a hundredth of their frequency. The
+spectrum of the command falls with a power of the frequency; what has to be added to the controller's output, or to the
+reference, for that follows from the loop of the axis's model, and so do all peaks. The amplitude is the largest that
+keeps the velocity from changing sign and every limit. Of several draws of the phases the one with the smallest peak is
+taken. Expected deviations follow from the noise assumed: white force noise and the encoder's quantisation.
+Source: R. Pintelon and J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapter 5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.control.loop.sampled_loop import axis_loop
+from emps_design.control.plant.discretisation import sample_axis
+from emps_design.errors import InputError, UnstableError
+
+PLACES = ("command", "reference")
+DRAWS = 100
+GROUP = 4  # one line of so many is left out
+CLOSEST = 0.01  # share of its frequency, the distance of a line to the next
+HIGHEST_SHARE = 0.8  # of the Nyquist frequency
+TURNING = 0.8  # share of the steady speed that the excitation may take
+ROOM = 0.9  # share of a limit that is used
+STEEPEST = 10.0  # times the command, what may be added to have it: below the crossover the controller works against it
+LEAST = 2  # periods on a pass, besides the one in which the loop settles
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # farthest from every ratio of small whole numbers
+NOISE = 0.35  # N rms, white, where none is given
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What must not be exceeded, None: no limit. ``stroke`` [m], ``speed`` [m/s], ``force`` [N], ``jerk`` [m/s^3]."""
+
+    stroke: float
+    speed: float | None = None
+    force: float | None = None
+    jerk: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """Reference and excitation at the samples, and what is expected of them.
+
+    ``q_ref`` (n,) [m]; ``excitation`` (n,) [V] is 0 where the reference carries the multi-sine; ``frequency`` (m,) [Hz]
+    and ``std`` (m,) the lines and their expected relative deviations; ``peaks`` largest values beside the ``limits``.
+    """
+
+    axis: Axis
+    at: str
+    q_ref: np.ndarray = field(repr=False)
+    excitation: np.ndarray = field(repr=False)
+    frequency: np.ndarray
+    std: np.ndarray
+    speed: float
+    passes: int
+    periods: int
+    samples: int
+    noise: float
+    peaks: dict[str, float]
+    bound_by: str
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def period(self) -> float:
+        """Sampling period [s]."""
+        return self.axis.sampling.period
+
+    @cached_property
+    def columns(self) -> dict[str, np.ndarray]:
+        """What goes to the drive, by title."""
+        unit = self.axis.units.unit
+        columns = {"t [s]": np.arange(self.q_ref.size) * self.period, f"q_ref [{unit('m')}]": self.q_ref}
+        return columns if self.at == "reference" else {**columns, f"excitation [{unit('V')}]": self.excitation}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data without the signals."""
+        return {
+            "axis": self.axis.name,
+            "at": self.at,
+            "seconds": self.q_ref.size * self.period,
+            "speed": self.speed,
+            "passes": self.passes,
+            "periods": self.periods,
+            "period_seconds": self.samples * self.period,
+            "lines": self.frequency.size,
+            "frequency_hz": self.frequency,
+            "expected_std": self.std,
+            "assumed_force_noise": self.noise,
+            "peaks": self.peaks,
+            "bound_by": self.bound_by,
+            "units": {"speed": "m/s", "velocity": "m/s", "command": "V", "position": "m", "jerk": "m/s^3"},
+            "warnings": list(self.warnings),
+        }
+
+
+def design_experiment(
+    axis: Axis,
+    limits: Limits,
+    speed: float,
+    low: float = 2.0,
+    high: float | None = None,
+    resolution: float = 0.5,
+    passes: int = 4,
+    slope: float = 0.5,
+    at: str = PLACES[0],
+    noise: float = NOISE,
+    seed: int = 0,
+) -> Experiment:
+    """Return the experiment for ``axis``: lines from ``low`` to ``high`` [Hz], ``resolution`` [Hz] the base line.
+
+    ``speed`` [m/s] is that of the passes, ``slope`` the power of frequency by which the command's amplitude falls,
+    ``at`` where the multi-sine is added, ``noise`` [N rms] what the deviations are expected from. Raises
+    :class:`InputError` for what does not fit the limits, :class:`UnstableError` for an axis whose loop is unstable.
+
+    >>> from emps_design.machines import machine
+    >>> found = design_experiment(machine("emps2019"), Limits(stroke=0.5), speed=0.05, resolution=1.0)
+    >>> found.periods, found.bound_by, list(found.columns)
+    (6, 'command limit', ['t [s]', 'q_ref [m]', 'excitation [V]'])
+    """
+    period = axis.sampling.period
+    nyquist = 0.5 / period
+    high = HIGHEST_SHARE * nyquist if high is None else high
+    _check(limits, speed, low, high, resolution, nyquist, at)
+    speed = _between_steps(speed, axis)
+    loop = axis_loop(axis, speed)
+    if not loop.stable:
+        raise UnstableError(
+            f"axis {axis.name}: its loop is unstable, largest pole {loop.radius:.4g}: nothing to excite"
+        )
+    samples = round(1.0 / (resolution * period))
+    steady = _steady_command(axis, speed)
+    ramp = _ramp(axis, limits, speed, steady, 0.2 * samples * period)
+    settle = round(max(0.2, 2.0 / low) / period)
+    fade = min(settle, samples // 2)
+    flat = (limits.stroke * ROOM - speed * ramp) / speed / period - settle - fade
+    periods = int(flat // samples) - 1
+    if periods < LEAST:
+        longest = ((LEAST + 1) * samples + settle + fade + 2) * period * speed + speed * ramp
+        raise InputError(
+            f"stroke: found {limits.stroke:g} m, which a pass at {speed:.4g} m/s fills with {max(periods + 1, 0)} "
+            f"periods of {samples * period:g} s, expected at least {LEAST + 1}: {longest / ROOM:.3g} m, a lower speed, "
+            "or a coarser resolution"
+        )
+    random = np.random.default_rng(seed)
+    lines = _lines(samples, low * samples * period, high * samples * period, random)
+    w = 2.0 * np.pi * lines / (samples * period)
+    by = "voltage" if at == PLACES[0] else "reference"
+    command = loop.response(w, "voltage", by) + (1.0 if at == PLACES[0] else 0.0)
+    wanted = w**-slope
+    added = wanted / np.maximum(np.abs(command), 1.0 / STEEPEST if by == "voltage" else 1e-12)
+    phases = np.exp(2j * np.pi * random.random((DRAWS, lines.size)))
+    crest = np.max(np.abs(_wave(phases * added * command, lines, samples)), axis=1)
+    one = phases[int(np.argmin(crest))] * added
+    unit = {
+        "velocity": _peak(one * loop.response(w, "velocity", by), lines, samples),
+        "command": _peak(one * command, lines, samples),
+        "position": _peak(one * loop.response(w, "velocity", by) / (1j * w), lines, samples),
+        "jerk": _peak(one * loop.response(w, "velocity", by) * (1j * w) ** 2, lines, samples),
+    }
+    amplitude, bound_by = _amplitude(axis, limits, speed, steady, unit)
+    wave = amplitude * _wave(one, lines, samples)
+    if by == "reference" and _follows_velocity(axis):
+        wave = amplitude * _wave(one * period / (1.0 - np.exp(-1j * w * period)), lines, samples)
+    q_ref, excitation = _passes(period, speed, ramp, settle, passes, _faded(wave, periods + 1, fade), at)
+    peaks = {name: amplitude * value for name, value in unit.items()}
+    peaks = {
+        **{f"excitation_{name}": value for name, value in peaks.items()},
+        "velocity": speed + peaks["velocity"],
+        "slowest": speed - peaks["velocity"],
+        "command": steady + peaks["command"],
+        "stroke": float(np.ptp(q_ref)) + 2.0 * peaks["position"],
+    }
+    std = _expected(axis, speed, w, amplitude * np.abs(one * command), periods * samples * passes, noise)
+    f = lines / (samples * period)
+    words = (
+        [f"{np.count_nonzero(std > 0.3)} of {f.size} lines will hardly stand out of the noise"]
+        if std.max() > 0.3
+        else []
+    )
+    return Experiment(
+        axis, at, q_ref, excitation, f, std, speed, passes, periods, samples, noise, peaks, bound_by, tuple(words)
+    )
+
+
+def _check(limits: Limits, speed: float, low: float, high: float, resolution: float, nyquist: float, at: str) -> None:
+    if at not in PLACES:
+        raise InputError(f"place of the excitation: found {at!r}, expected {' or '.join(PLACES)}")
+    if not 0.0 < low < high:
+        raise InputError(f"frequencies: found {low:g} to {high:g} Hz, expected a rising pair above 0")
+    if high >= nyquist:
+        raise InputError(f"frequency: found {high:g} Hz, expected less than the Nyquist frequency, {nyquist:g} Hz")
+    if not 0.0 < resolution <= 0.5 * (high - low):
+        raise InputError(f"resolution: found {resolution:g} Hz, expected more than 0 and several lines in the band")
+    for name, value in (("speed", speed), ("stroke", limits.stroke)):
+        if not value > 0.0:
+            raise InputError(f"{name}: found {value:g}, expected a positive number")
+    if limits.speed is not None and speed >= ROOM * limits.speed:
+        raise InputError(f"speed: found passes at {speed:g} m/s, expected less than the limit of {limits.speed:g} m/s")
+
+
+def _lines(samples: int, low: float, high: float, random: np.random.Generator) -> np.ndarray:
+    """Odd numbers from ``low`` to ``high``, one of every group left out by lot, no closer than :data:`CLOSEST`."""
+    chosen: list[int] = []
+    line = int(np.ceil(low)) | 1
+    while line <= min(high, samples / 2 - 1):
+        chosen.append(line)
+        line = max(line + 2, int(line * (1.0 + CLOSEST)) | 1)
+    groups = [chosen[i : i + GROUP] for i in range(0, len(chosen), GROUP)]
+    out = {group[int(random.integers(GROUP))] for group in groups if len(group) == GROUP}
+    kept = np.array([line for line in chosen if line not in out])
+    if kept.size < GROUP:
+        raise InputError(
+            f"resolution: found {kept.size} lines in the band, expected at least {GROUP}: take a finer one"
+        )
+    return kept
+
+
+def _wave(amplitudes: np.ndarray, lines: np.ndarray, samples: int) -> np.ndarray:
+    """One period (..., samples) of sines with complex ``amplitudes`` (..., m) at the ``lines``."""
+    spectrum = np.zeros((*amplitudes.shape[:-1], samples // 2 + 1), complex)
+    spectrum[..., lines] = 0.5 * samples * amplitudes
+    return np.fft.irfft(spectrum, samples, axis=-1)
+
+
+def _peak(amplitudes: np.ndarray, lines: np.ndarray, samples: int) -> float:
+    return float(np.max(np.abs(_wave(amplitudes, lines, samples))))
+
+
+def _steady_command(axis: Axis, speed: float) -> float:
+    """What the passes take, the harder way [V]."""
+    m = axis.mechanics
+    return (m.viscous * speed + m.coulomb + abs(m.offset)) / axis.drive.force_gain
+
+
+def _amplitude(axis: Axis, limits: Limits, speed: float, steady: float, unit: dict[str, float]) -> tuple[float, str]:
+    """The largest factor on the peaks ``unit`` that every limit bears, and which limit binds."""
+    gain = axis.drive.force_gain
+    rooms = {
+        "speed of the passes": TURNING * speed / unit["velocity"],
+        "command limit": (ROOM * axis.drive.command_limit - steady) / unit["command"],
+        "stroke": 0.5 * (1.0 - ROOM) * limits.stroke / unit["position"],
+    }
+    if limits.speed is not None:
+        rooms["speed limit"] = (ROOM * limits.speed - speed) / unit["velocity"]
+    if limits.force is not None:
+        rooms["force limit"] = (ROOM * limits.force / gain - steady) / unit["command"]
+    if limits.jerk is not None:
+        rooms["jerk limit"] = ROOM * limits.jerk / unit["jerk"]
+    bound_by = min(rooms, key=lambda name: rooms[name])
+    if not rooms[bound_by] > 0.0:
+        raise InputError(f"{bound_by}: steady motion at {speed:.4g} m/s leaves no room for an excitation, go slower")
+    return rooms[bound_by], bound_by
+
+
+def _follows_velocity(axis: Axis) -> bool:
+    from emps_design.laws import law_of
+
+    return law_of(axis, axis.sampling.period).follows == "velocity"
+
+
+def _between_steps(speed: float, axis: Axis) -> float:
+    """A ``speed`` [m/s] nearby that is no whole number of encoder steps in a sample.
+
+    At one that is, the error of quantisation repeats with the multi-sine, and no averaging lowers it.
+    """
+    step = axis.sampling.encoder_resolution / axis.sampling.period
+    if step == 0.0 or speed < step:
+        return speed
+    return float((np.floor(speed / step) + GOLDEN) * step)
+
+
+def _ramp(axis: Axis, limits: Limits, speed: float, steady: float, usual: float) -> float:
+    """How long the passes take to reach their ``speed`` [s]: as ``usual``, or what half of the force allows."""
+    gain = axis.drive.force_gain
+    most = min(gain * axis.drive.command_limit, np.inf if limits.force is None else limits.force)
+    room = 0.5 * (ROOM * most - gain * steady)
+    return max(0.1, usual, 0.5 * np.pi * axis.mechanics.mass * speed / room) if room > 0.0 else usual
+
+
+def _faded(wave: np.ndarray, periods: int, fade: int) -> np.ndarray:
+    """So many ``periods`` of the ``wave``, which rises over the first ``fade`` samples and falls over as many more."""
+    rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(fade) + 0.5) / fade)
+    train = np.concatenate([np.tile(wave, periods), wave[:fade]])
+    train[:fade] *= rise
+    train[-fade:] *= rise[::-1]
+    return train
+
+
+def _passes(
+    period: float, speed: float, ramp: float, settle: int, passes: int, train: np.ndarray, at: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Reference and excitation of all passes; the velocity rises and falls as half a cosine."""
+    rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(round(ramp / period)) + 0.5) / round(ramp / period))
+    velocity, added, rest = [np.zeros(settle)], [np.zeros(settle)], np.zeros(settle)
+    for i in range(passes):
+        flat = np.ones(settle + train.size)
+        velocity += [(-1) ** i * np.concatenate([rise, flat, rise[::-1]]), rest]
+        added += [np.zeros(rise.size + settle), train, np.zeros(rise.size), rest]
+    q_ref, excitation = speed * period * np.cumsum(np.concatenate(velocity)), np.concatenate(added)
+    return (q_ref, excitation) if at == PLACES[0] else (q_ref + excitation, np.zeros(q_ref.size))
+
+
+def _expected(axis: Axis, speed: float, w: np.ndarray, command: np.ndarray, samples: int, noise: float) -> np.ndarray:
+    """Relative deviations (m,) from the amplitudes of the ``command`` (m,) [V] over so many samples."""
+    plant, resolution = sample_axis(axis, speed), axis.sampling.encoder_resolution
+    back = np.exp(-1j * w * plant.period)
+    newer, older = plant.weights
+    position = plant.response(w) * plant.period / ((newer + older * back) * (1.0 - back))
+    power = (noise / axis.drive.force_gain) ** 2 + resolution**2 / 12.0 / np.abs(position) ** 2
+    return np.sqrt(power / samples) / (0.5 * command)

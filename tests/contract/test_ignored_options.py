@@ -1,0 +1,81 @@
+"""An option that the mode asked for would not read is refused in one line, before anything is done."""
+
+import json
+import math
+
+import pytest
+
+from emps_design.cli import app
+from emps_design.machines import machine
+from emps_design.simulation.synthetic import synthetic_record
+
+IGNORED = {
+    "gains --crossover 100 --at velocity-error": "--at: goes with --retune",
+    "gains --crossover 100 --force": "--force: goes with a file to write",
+    "force {designed} --k-e1 0.001 --phase-margin 70": "--phase-margin: goes with --crossover or --bandwidth",
+    "force --k-e1 0.001 --force": "--force: goes with a file to write",
+    "impedance --mass 50 --damping 100 --plants 50": "--plants: goes with --mismatch",
+    "impedance --mass 50 --damping 100 --seed 1 --workers 2": "--seed, --workers: goes with --mismatch",
+    "impedance --mass 50 --damping 100 --two-quadrant": "--two-quadrant: goes with --mismatch",
+    "impedance --mass 50 --damping 100 --force-sensor --unfiltered-current": "--unfiltered-current: goes without",
+    "simulate --scenario breakaway --force": "--force: goes with a file to write",
+    "simulate --scenario breakaway --plants 5": "--plants: goes with --scenario comanipulation",
+    "identify {record} --seed 0": "--seed: goes with --bootstrap",
+    "identify {record} --estimator oe --filter hold": "--filter: goes with --estimator ls",
+    "identify {record} --estimator iv --bootstrap 0 --holdout {record}": "--bootstrap, --holdout: goes with",
+    "identify {record} {record} --holdout {record}": "--holdout: goes with one record",
+    "identify {record} --force": "--force: goes with a file to write",
+    "observe {record} --force": "--force: goes with a file to write",
+    "diagnose {record} --force": "--force: goes with a file to write",
+    "derive --latex --json": "--latex: goes without --json",
+    "report --out {out} --model asymmetric": "--model: goes with --record",
+    "report --out {out} --design-on axis": "--design-on: goes with --record",
+    "report --out {out} --record-filter hold": "--record-filter: goes with --record",
+    "report --out {out} --filter 30Hz": "--filter: goes with the impedance law: --mass and --damping",
+    "report --out {out} --mismatch 0.02": "--mismatch: goes with the impedance law: --mass and --damping",
+    "report {designed} --out {out} --mismatch 0.1 --filter 100": "--filter, --mismatch: goes with the impedance law",
+    "report --out {out} --damping 100": "impedance law: found one of mass and damping, expected both",
+}
+READ = (
+    "gains --crossover 40 --retune --at velocity-error",
+    "force --k-e1 0.001 --phase-margin 70",
+    "force {designed} --k-e1 0.001 --crossover 50 --phase-margin 70",
+    "impedance --mass 50 --damping 100 --mismatch 0.02 --plants 2 --seed 1 --workers 2",
+    "impedance --mass 50 --damping 100 --unfiltered-current",
+    "identify {record} --bootstrap 2 --seed 1",
+    "derive --latex",
+)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("options")
+    synthetic_record(machine("emps2019"), laps=1).save(folder / "record.npz")
+    designed = machine("emps2018").replace(controller={"kind": "ip_velocity", "k_v1": 300.0, "t_v": 0.02})
+    (folder / "designed.toml").write_text(designed.to_toml())
+    return {"record": folder / "record.npz", "designed": folder / "designed.toml", "out": folder / "out.html"}
+
+
+@pytest.mark.parametrize("line", IGNORED)
+def test_what_would_be_ignored_is_refused(line, files, capsys):
+    assert app.run(line.format(**files).split()) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(f"emps-design: {IGNORED[line]}")
+    assert len(err.splitlines()) == 1
+    assert not files["out"].exists()
+
+
+@pytest.mark.parametrize("line", READ)
+def test_what_is_read_is_taken(line, files, capsys):
+    assert app.run(line.format(**files).split()) in (0, 4)
+
+
+def test_a_report_on_an_axis_with_an_impedance_law_takes_the_options_of_the_law(tmp_path, capsys):
+    law = {"kind": "impedance", "mass": 50.0, "damping": 100.0, "filter": 500.0}
+    (tmp_path / "law.toml").write_text(machine("emps2018").replace(controller=law).to_toml())
+    line = f"report {tmp_path}/law.toml --mismatch 0.01 --filter 80Hz --out {tmp_path}/out.html --json"
+    assert app.run(line.split()) in (0, 4)
+    found = json.loads(capsys.readouterr().out)["impedance"]
+    assert found["law"]["filter"] == pytest.approx(160 * math.pi)
+    assert found["mismatch"]["mismatch"] == 0.01

@@ -1,0 +1,134 @@
+"""Feed-forward of what the model knows: below no feed-forward and below the rigid one, and honest about the rest."""
+
+import json
+
+import numpy as np
+import pytest
+
+from emps_design.cli import app
+from emps_design.compensation import FeedForward, compensate
+from emps_design.compensation.feedforward import BASELINE, motion_ahead, terms_of
+from emps_design.effects import EFFECTS
+from emps_design.errors import InputError, UnstableError
+from emps_design.machines import machine
+from emps_design.model import plant_force
+from emps_design.simulation import trapezoid_laps
+
+PROGRAM = trapezoid_laps(1e-3, 0.05, 0.15, 1.0, laps=1)
+EFFECTS_HERE = [
+    {"kind": "position_ripple", "amplitude": 6.0, "phase": 0.7, "period": 0.005},
+    {"kind": "asymmetric_viscous_friction", "viscous_difference": -50.0},
+    {"kind": "nonlinear_viscous_friction", "amount": 9.0, "exponent": 2.0},
+    {"kind": "position_dependent_friction", "amplitude": 8.0, "phase": 0.3, "length": 0.3},
+    {"kind": "load_dependent_friction", "share": 0.1},
+    {"kind": "stribeck_friction", "excess": 10.0, "stribeck_velocity": 0.01, "exponent": 1.0},
+    {"kind": "elastic_force", "stiffness": 120.0, "rest_position": 0.0},
+    {"kind": "actuator_delay", "delay": 2e-3},
+]
+GAINS = {
+    "ip_velocity": {"k_v1": 400.0, "t_v": 0.02},
+    "cascade": {"position": {"kp": 40.0}, "velocity": {"kp": 400.0, "ti": 0.03}, "feedforward": {"velocity": 1.0}},
+    "p": {"kp": 4000.0},
+}
+
+
+def with_effects(*effects, **more):
+    return machine("emps2019").replace(effects=list(effects), **more)
+
+
+@pytest.mark.parametrize("effect", EFFECTS_HERE, ids=lambda effect: effect["kind"])
+def test_every_effect_is_compensated(effect):
+    found = compensate(with_effects(effect), PROGRAM).to_dict()
+    rms = found["tracking_rms"]
+    assert rms["with"] < rms["baseline"] / 3.0 < rms["without"] / 9.0
+    assert rms["with"] <= rms["worst"] < rms["baseline"]
+    assert {*BASELINE} < {*found["kept"]}
+
+
+def test_the_formula_is_the_models():
+    """Along a motion the feed-forward is the inverse dynamic model, whose kernels are the effects' own."""
+    axis = with_effects(*EFFECTS_HERE[:6])
+    terms, left = terms_of(axis)
+    assert not left
+    q, v, a = motion_ahead(PROGRAM, 1e-3, 5e-4)
+    moving = np.abs(v) > 0.01
+    force = FeedForward.of(axis, terms)._force(q, v, a, np.sign(v))
+    model = plant_force(axis, q, v, a, np.zeros(q.size))
+    np.testing.assert_allclose(force[moving], model[moving], rtol=1e-9, atol=1e-7)
+
+
+def test_a_term_that_does_harm_within_its_uncertainty_is_left_out():
+    """A ripple whose phase may be 90 degrees wrong is worse than none."""
+    found = compensate(with_effects(EFFECTS_HERE[0]), PROGRAM, phase_deg=90.0)
+    assert "position_ripple" not in found.feedforward.terms
+    assert any("position_ripple is left out: within its uncertainty it does harm" in line for line in found.warnings)
+    assert found.achieved <= found.baseline
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
+def test_every_effect_is_a_term_or_is_said_not_to_be(effect):
+    parameters = effect.checks[0][0]
+    rotary = {"motion": "rotary"} if effect.motion == "rotary" else {}
+    axis = with_effects({"kind": effect.name, **parameters}, **rotary)
+    terms, left = terms_of(axis)
+    assert (effect.name in terms) + (effect.name in left) + (effect.delay is not None or effect.lag is not None) == 1
+    if effect.name in terms:
+        ahead = FeedForward.of(axis, terms).along(PROGRAM)
+        assert np.isfinite(ahead).all()
+
+
+def test_backlash_is_said_in_one_line(capsys):
+    axis = with_effects({"kind": "backlash", "gap": 1e-4, "frequency": 60.0, "damping": 0.15, "share": 0.4})
+    found = compensate(axis, PROGRAM)
+    assert found.not_compensated == {"backlash": "it has a state of its own, which the reference does not give"}
+    assert found.to_dict()["warnings"][0].startswith("backlash is not compensated: ")
+
+
+@pytest.mark.parametrize("kind", GAINS)
+def test_every_law_that_follows_a_reference_is_compensated(kind):
+    axis = machine("emps2018").replace(controller={"kind": kind, **GAINS[kind]}, effects=[EFFECTS_HERE[1]])
+    found = compensate(axis, PROGRAM)
+    assert found.unit == ("m/s" if kind == "ip_velocity" else "m")
+    assert found.achieved <= min(found.without, found.baseline)
+    beyond = any("goes beyond the limit and is not taken off" in line for line in found.warnings)
+    assert beyond == (kind == "ip_velocity")
+    assert found.achieved < found.without / (1.0 if beyond else 3.0)
+
+
+def test_no_feed_forward_is_an_answer():
+    """An integral that would wind up along the reference leaves nothing to feed forward beside it."""
+    law = {"kind": "cascade", "position": {"kp": 40.0}, "velocity": {"kp": 400.0, "ti": 0.03}}
+    found = compensate(machine("emps2018").replace(controller=law), PROGRAM)
+    assert found.achieved <= min(found.without, found.baseline)
+    assert any("share 1" in line for line in found.warnings)
+
+
+def test_what_has_nothing_to_follow_is_refused():
+    axis = machine("emps2018").replace(controller={"kind": "impedance", "mass": 50.0, "damping": 100.0})
+    with pytest.raises(InputError, match="found 'impedance', which follows no reference"):
+        compensate(axis, PROGRAM)
+    with pytest.raises(InputError, match="found 'none'"):
+        compensate(machine("emps2018"), PROGRAM)
+    with pytest.raises(UnstableError, match="unstable without any feed-forward"):
+        compensate(with_effects(controller={"kp": 900.0, "kv": 4000.0}), PROGRAM)
+    with pytest.raises(InputError, match="mismatch`: found -1"):
+        compensate(with_effects(), PROGRAM, mismatch=-1.0)
+
+
+def test_the_command_prints_and_writes(tmp_path, capsys):
+    (tmp_path / "axis.toml").write_text(with_effects(EFFECTS_HERE[0]).to_toml(), encoding="utf-8")
+    line = ["compensate", str(tmp_path / "axis.toml"), "--stroke", "0.05", "--out", str(tmp_path / "out")]
+    assert app.run([*line, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert set(document["tracking_rms"]) == {"without", "baseline", "with", "worst"}
+    assert document["terms"][-1]["note"].startswith("its phase is that of one record's zero")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"axis.toml", "compensation.json"}
+    assert json.loads((tmp_path / "out" / "compensation.json").read_text()) == {
+        key: value for key, value in document.items() if key != "out"
+    }
+    assert app.run(line) == 0
+    assert "position ripple" in capsys.readouterr().out
+    assert app.run(["compensate", "emps2019", "--scenario", "lap"]) == 2
+    assert "did you mean 'laps'" in capsys.readouterr().err
+    assert app.run(["compensate", "emps2019", "--scenario", "reference"]) == 2
+    assert "expected both" in capsys.readouterr().err

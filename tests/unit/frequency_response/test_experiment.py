@@ -1,0 +1,159 @@
+"""Experiments keep their limits on the nonlinear machine, and give what they promise."""
+
+import json
+
+import numpy as np
+import pytest
+
+from emps_design.cli.app import run as command
+from emps_design.errors import InputError, UnstableError
+from emps_design.frequency_response import Limits, design_experiment, estimate_response
+from emps_design.frequency_response.response import BAND
+from emps_design.machines import machine
+from emps_design.simulation import Plant
+from tests.unit.frequency_response.cases import exact, run, two_mass
+
+LIGHT = {
+    "mechanics": {"mass": 0.8, "viscous": 2.0, "coulomb": 0.5, "offset": 0.0},
+    "drive": {"force_gain": 2.0},
+    "sampling": {"period": 5e-4, "encoder_resolution": 1e-7},
+    "controller": {"kind": "cascade", "position": {"kp": 40.0}, "velocity": {"kp": 40.0, "ti": 0.02}},
+    "effects": [],
+}
+
+
+def noisy(axis, found, newtons, seed=1):
+    """The record of an experiment under white force noise."""
+    force = newtons * np.random.default_rng(seed).standard_normal(found.q_ref.size)
+    return run(axis, found.q_ref, found.excitation, force)
+
+
+@pytest.mark.parametrize("axis", [two_mass(), machine("emps2019").replace(**LIGHT)], ids=["two masses", "light"])
+def test_limits_are_kept_and_deviations_come_as_expected(axis):
+    limits = Limits(stroke=0.4, speed=0.2, force=0.8 * axis.drive.force_gain * axis.drive.command_limit)
+    newtons = 0.004 * axis.mechanics.mass
+    found = design_experiment(axis, limits, 0.05, low=3.0, high=150.0, resolution=1.0, passes=4, noise=newtons)
+    simulated = Plant.of(axis).closed_loop(found.q_ref, voltage_noise=found.excitation)
+    busy = found.excitation != 0.0
+    assert np.min(np.abs(simulated.v[busy])) > 0.1 * found.speed
+    assert np.max(np.abs(simulated.v)) < 1.05 * found.peaks["velocity"] <= 0.2
+    assert np.ptp(simulated.position) < 0.4
+    assert np.max(np.abs(simulated.force)) < limits.force
+    assert np.max(np.abs(simulated.u[busy])) == pytest.approx(found.peaks["command"], rel=0.1)
+    estimate = estimate_response(noisy(axis, found, newtons), axis)
+    expected = np.interp(estimate.response.frequency, found.frequency, found.std)
+    assert np.median(estimate.response.std / expected) == pytest.approx(1.0, abs=0.25)
+    error = np.abs(estimate.response.response / exact(axis, estimate.response.frequency) - 1.0)
+    assert np.mean(error <= BAND * estimate.response.std) >= 0.9
+    assert estimate.warnings == () or all("left out" in warning for warning in estimate.warnings)
+
+
+def test_a_coarse_encoder_costs_at_most_twice_the_expected_deviation():
+    axis = machine("emps2019").replace(**LIGHT).replace(sampling={"encoder_resolution": 1e-6})
+    newtons = 0.004 * axis.mechanics.mass
+    found = design_experiment(axis, Limits(0.4), 0.05, low=3.0, high=150.0, resolution=1.0, noise=newtons)
+    estimate = estimate_response(noisy(axis, found, newtons), axis)
+    expected = np.interp(estimate.response.frequency, found.frequency, found.std)
+    assert 1.0 < np.median(estimate.response.std / expected) < 2.0
+
+
+def test_added_to_the_reference():
+    axis = two_mass()
+    found = design_experiment(axis, Limits(0.4), 0.05, low=3.0, high=80.0, resolution=1.0, at="reference", noise=0.2)
+    assert not np.any(found.excitation)
+    assert list(found.columns) == ["t [s]", "q_ref [m]"]
+    estimate = estimate_response(noisy(axis, found, 0.2), axis)
+    assert (estimate.method, estimate.instrument, estimate.reversals) == ("periodic", "reference", 0)
+    error = np.abs(estimate.response.response / exact(axis, estimate.response.frequency) - 1.0)
+    assert np.mean(error <= BAND * estimate.response.std) >= 0.9
+
+
+def test_a_jerk_limit_makes_it_smaller():
+    axis = two_mass()
+    free = design_experiment(axis, Limits(0.4), 0.05, high=100.0, resolution=1.0)
+    jerk = 0.3 * free.peaks["excitation_jerk"]
+    found = design_experiment(axis, Limits(0.4, jerk=jerk), 0.05, high=100.0, resolution=1.0)
+    assert found.bound_by == "jerk limit"
+    assert found.peaks["excitation_jerk"] == pytest.approx(0.9 * jerk)
+    assert np.all(found.std > free.std)
+
+
+def test_the_command_falls_with_frequency_and_lines_are_odd():
+    found = design_experiment(two_mass(), Limits(0.4), 0.05, low=3.0, high=100.0, resolution=1.0, slope=1.0)
+    lines = np.round(found.frequency * found.samples * found.period).astype(int)
+    assert np.all(lines % 2 == 1)
+    left_out = set(range(lines[0], lines[-1], 2)) - set(lines.tolist())
+    assert len(left_out) >= lines.size // 5
+    flat = design_experiment(two_mass(), Limits(0.4), 0.05, low=3.0, high=100.0, resolution=1.0, slope=0.0)
+    assert found.std[-1] / found.std[3] > 3.0 * flat.std[-1] / flat.std[3]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"limits": Limits(0.05)},
+            "stroke: found 0.05 m, which a pass at 0.05003 m/s fills with .* expected at least 3",
+        ),
+        ({"high": 500.0}, "frequency: found 500 Hz, expected less than the Nyquist frequency, 500 Hz"),
+        ({"low": 0.0}, "frequencies: found 0 to 400 Hz"),
+        ({"resolution": 0.0}, "resolution: found 0 Hz"),
+        ({"low": 10.0, "high": 14.0, "resolution": 1.0}, "resolution: found .* lines in the band"),
+        ({"speed": 0.0}, "speed: found 0, expected a positive number"),
+        ({"limits": Limits(0.5, speed=0.05)}, "speed: found passes at 0.05 m/s, expected less than the limit"),
+        ({"limits": Limits(0.5, force=10.0)}, "force limit: steady motion at 0.05003 m/s leaves no room"),
+        ({"at": "motor"}, "place of the excitation: found 'motor', expected command or reference"),
+    ],
+)
+def test_refused(change, message):
+    given = {"limits": Limits(0.5), "speed": 0.05, **change}
+    with pytest.raises(InputError, match=message):
+        design_experiment(machine("emps2019"), **given)
+
+
+def test_an_unstable_loop_is_not_excited():
+    axis = machine("emps2019")
+    with pytest.raises(UnstableError, match="its loop is unstable, largest pole"):
+        design_experiment(axis.replace(controller={"kv": 20.0 * axis.controller.kv}), Limits(0.5), 0.05)
+
+
+def test_the_circle_closes_without_a_drive(tmp_path, capsys):
+    axis, program, record = (str(tmp_path / name) for name in ("axis.toml", "program.csv", "record.csv"))
+    (tmp_path / "axis.toml").write_text(two_mass().to_toml())
+    line = [
+        "excite",
+        axis,
+        "--stroke",
+        "0.3",
+        "--speed",
+        "0.05",
+        "--to",
+        "120Hz",
+        "--resolution",
+        "1",
+        "--out",
+        program,
+    ]
+    assert command([*line, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["lines"] == len(document["expected_std"])
+    assert command(line) == 0
+    assert "expected of" in capsys.readouterr().out
+    assert command(["simulate", axis, "--reference", program, "--out", record, "--json"]) == 0
+    capsys.readouterr()
+    assert command(["frf", record, "--axis", axis, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["method"], found["instrument"], found["reversals"]) == ("periodic", "excitation", 0)
+    assert found["resonances"][0]["frequency_hz"] == pytest.approx(60.0 * np.sqrt(0.6), rel=5e-3)
+
+
+def test_a_run_keeps_its_excitation(tmp_path):
+    from emps_design.simulation import Run
+    from emps_design.simulation.scenarios import follow
+
+    axis = machine("emps2019")
+    excitation = 0.1 * np.sin(np.arange(400.0))
+    found = follow(axis, np.linspace(0.0, 0.02, 400), excitation=excitation).run
+    found.save(tmp_path / "run.npz")
+    assert np.array_equal(Run.load(tmp_path / "run.npz").excitation, excitation)
+    assert np.array_equal(found.record().excitation, excitation)
