@@ -32,9 +32,12 @@ FILES = {"axis.toml": AXIS, "record.npz": ARCHIVE, "record.csv": TABLE, "puzzle.
 
 
 def command(
-    directory: Path = typer.Argument(..., metavar="DIR", help="Folder to make or to fill."),
-    machine: str = typer.Option("emps2019", "--machine", help="Embedded machine or axis file to copy."),
-    seed: int = typer.Option(0, "--seed", min=0, help="Seed of the noise in the record."),
+    directory: Path | None = typer.Argument(None, metavar="DIR", help="Folder to make or to fill."),
+    trace: Path | None = typer.Option(
+        None, "--from", metavar="TRACE", help="Write the axis file that this export of a drive tells, into DIR or here."
+    ),
+    machine: str | None = typer.Option(None, "--machine", help="Embedded machine or axis file to copy: emps2019."),
+    seed: int | None = typer.Option(None, "--seed", min=0, help="Seed of the noise in the record: 0."),
     force: bool = typer.Option(False, "--force", help="Overwrite files of the same names."),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
@@ -45,6 +48,14 @@ def command(
     from emps_design.machines import load_axis
     from emps_design.simulation.synthetic import synthetic_record
 
+    if trace is not None:
+        if machine is not None or seed is not None:
+            raise InputError("--from: found --machine or --seed beside it, expected the trace alone")
+        _from_trace(trace, directory or Path("."), force, as_json)
+        return
+    if directory is None:
+        raise typer.BadParameter("found no folder, expected DIR, or --from TRACE")
+    machine, seed = machine or "emps2019", seed or 0
     check_folder(directory, FILES, (machine,), force=True)
     taken = [name for name in FILES if (directory / name).exists()]
     if taken and not force:
@@ -66,3 +77,42 @@ def command(
         print_json({"directory": str(directory), "files": list(FILES), "record": record.to_dict(), "seed": seed})
     else:
         say(f"{directory}: {', '.join(FILES)}\nNext: read {directory / 'README.md'}")
+
+
+def _from_trace(trace: Path, directory: Path, force: bool, as_json: bool) -> None:
+    """Write ``directory``/axis.toml with what ``trace`` tells, and say what is left to fill in."""
+    from emps_design.cli.output import print_json, print_warnings, say
+    from emps_design.errors import InputError
+    from emps_design.files import write_text
+    from emps_design.importing.trace import axis_text, read_trace
+
+    check_folder(directory, {"axis.toml": AXIS}, (trace,), force=True)
+    path = directory / "axis.toml"
+    if path.exists() and not force:
+        raise InputError(f"{directory}: axis.toml exists already; choose another folder, or give --force")
+    found = read_trace(trace)
+    text = axis_text(found)
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{directory}: cannot be made, {error.strerror}; expected a folder to write to") from error
+    write_text(path, text)
+    waiting = [line.split()[1] for line in text.splitlines() if line.startswith("# ") and " = " in line]
+    record = found.record
+    warnings = [found.reason] if record is None else list(record.warnings)
+    if as_json:
+        print_json(
+            {
+                "directory": str(directory),
+                "files": ["axis.toml"],
+                "record": None if record is None else record.to_dict(),
+                "encoder_step": found.encoder_step,
+                "command_limit": found.limit,
+                "to_fill_in": waiting,
+                "warnings": warnings,
+            }
+        )
+    else:
+        say(f"{path}: fill in {', '.join(waiting)}")
+        say(f"Then: emps-design import {trace} --axis {path} --out record.npz")
+    print_warnings(warnings)

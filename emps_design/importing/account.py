@@ -9,12 +9,12 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.records import Record
-from emps_design.records.columns import unit_of
+from emps_design.records.columns import plain_title, unit_of
 from emps_design.records.layout import NAMED, RECOGNISED, Assignment
 from emps_design.records.mapping import KEYS
 
 FEW_STEPS = 20.5  # of an encoder: increments that are still told apart
-SMALLEST = 20  # increments that a disturbance may have made smaller than a step
+SMALLEST = (20, 5, 0)  # which of the smallest increments may be one step: a few may have been disturbed
 ON_GRID = 0.1  # of a step, that increments are off whole ones on average where there is an encoder
 ALIKE = 1.25  # times
 
@@ -102,8 +102,13 @@ def encoder_step(q: np.ndarray) -> float | None:
     increments = increments[increments > 1e-9 * largest]
     if increments.size < 50:
         return None
-    smallest = min(SMALLEST, increments.size // 10)
-    step = float(np.partition(increments, smallest)[smallest])
+    increments.sort()
+    found = (_grid(increments, float(increments[place])) for place in SMALLEST)
+    return next((step for step in found if step is not None), None)
+
+
+def _grid(increments: np.ndarray, step: float) -> float | None:
+    """The ``step``, made exact, of which the smaller ``increments`` are multiples; None where they are none of it."""
     for _ in range(2):
         few = increments[increments < FEW_STEPS * step]
         steps = np.round(few / step)
@@ -117,7 +122,7 @@ def record_table(assigned: tuple[Assignment, ...]) -> str:
     """The ``[record]`` table of an axis file for columns that were ``assigned``."""
     lines = ["[record]"]
     for one in assigned:
-        title = one.title.replace("\\", "\\\\").replace('"', '\\"')
+        title = plain_title(one.title)[0].replace("\\", "\\\\").replace('"', '\\"')
         unit = f', unit = "{one.unit}"' if one.unit and KEYS[one.name] not in ("command", "enable") else ""
         lines.append(f'{KEYS[one.name]} = {{ column = "{title}"{unit} }}')
     return "\n".join(lines) + "\n"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import io
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
@@ -18,7 +20,7 @@ from emps_design.records.layout import Layout, assign
 from emps_design.records.matlab_v5 import is_v5, read_v5
 from emps_design.records.matlab_v73 import is_v73, read_v73
 from emps_design.records.record import MEASURED, Record
-from emps_design.records.tables import read_table
+from emps_design.records.tables import read_table, table_titles
 
 MAX_BYTES = 250_000_000  # of a file, and again of what it unpacks to: two hours at 1 kHz
 
@@ -38,6 +40,13 @@ def read_record(path: str | Path, max_bytes: int = MAX_BYTES, layout: Layout = P
     what was found, what was expected and what to do.
     """
     path = Path(path)
+    with _opened(path, max_bytes) as file:
+        return _read(file, path.name, str(path), max_bytes, layout)
+
+
+@contextmanager
+def _opened(path: Path, max_bytes: int) -> Iterator[BinaryIO]:
+    """The ordinary file at ``path``, open for reading."""
     try:
         status = path.stat()
         if stat.S_ISDIR(status.st_mode):
@@ -46,12 +55,35 @@ def read_record(path: str | Path, max_bytes: int = MAX_BYTES, layout: Layout = P
             raise RecordError(f"{path}: is not an ordinary file, expected a .mat, .csv or .npz record")
         _refuse_large(status.st_size, str(path), max_bytes)
         with path.open("rb") as file:
-            return _read(file, path.name, str(path), max_bytes, layout)
+            yield file
     except (OSError, ValueError) as error:
         if isinstance(error, InputError):
             raise
         reason = getattr(error, "strerror", None) or str(error)
         raise RecordError(f"{path}: {reason}; expected a .mat, .csv or .npz record") from error
+
+
+def read_titles(path: str | Path, max_bytes: int = MAX_BYTES) -> list[str]:
+    """The titles of the columns in the file at ``path``, or the names of its arrays; :class:`RecordError` for none."""
+    with _opened(Path(path), max_bytes) as file:
+        return _titles(file, Path(path).name, str(path), max_bytes)
+
+
+def titles_from_bytes(content: bytes, name: str, max_bytes: int = MAX_BYTES) -> list[str]:
+    """The same for the ``content`` of a file called ``name``.
+
+    >>> titles_from_bytes(b"a comment\\nt [ms];q;u\\n0;1;2\\n1;1;3\\n2;1;4", "a.csv")
+    ['t [ms]', 'q', 'u']
+    """
+    _refuse_large(len(content), name, max_bytes)
+    return _titles(io.BytesIO(content), name, name, max_bytes)
+
+
+def _titles(file: BinaryIO, name: str, source: str, max_bytes: int) -> list[str]:
+    head, found = _recognised(file, name, source)
+    if found == ".csv":
+        return table_titles(file, source)
+    return [key for key, values in _arrays(file, found, head, source, max_bytes).items() if np.size(values) > 1]
 
 
 def record_from_bytes(
@@ -71,20 +103,11 @@ def record_from_bytes(
 
 def _read(file: BinaryIO, name: str, source: str, max_bytes: int, layout: Layout) -> Record:
     """Read the open ``file``: readers go through it piece by piece, it is never in memory as a whole."""
-    head = file.read(HEAD)
-    if not head.strip():
-        raise RecordError(f"{source}: is empty, expected a .mat, .csv or .npz record")
-    suffix = Path(name).suffix.lower()
-    found = _kind(head)
-    expected = ".csv" if suffix in _TEXT else suffix if suffix in _KINDS else found
-    if found != expected:
-        raise RecordError(
-            f"{source}: found {_described(head, found)}, expected a {_KINDS[expected]} as its name says"
-            f"{'; save it with save -v7' if expected == '.mat' else ''}"
-        )
-    file.seek(0)
+    head, found = _recognised(file, name, source)
     digest = hashlib.file_digest(cast(Any, file), "sha256").hexdigest()
     file.seek(0)
+    columns: dict[str, np.ndarray]
+    notes: tuple[str, ...]
     if found == ".csv":
         table = read_table(file, source, lambda titles: [one.title for one in assign(titles, layout, source)])
         columns, first_row, notes = table.columns, table.first_row, table.notes
@@ -99,6 +122,23 @@ def _read(file: BinaryIO, name: str, source: str, max_bytes: int, layout: Layout
     signals["assigned"] = tuple(assigned)
     signals["warnings"] = (*notes, *signals["warnings"])
     return Record(name=one_line(Path(name).stem), sha256=digest, **signals)
+
+
+def _recognised(file: BinaryIO, name: str, source: str) -> tuple[bytes, str]:
+    """The first bytes of ``file`` and the kind they are of, which has to be the one that its name says."""
+    head = file.read(HEAD)
+    if not head.strip():
+        raise RecordError(f"{source}: is empty, expected a .mat, .csv or .npz record")
+    suffix = Path(name).suffix.lower()
+    found = _kind(head)
+    expected = ".csv" if suffix in _TEXT else suffix if suffix in _KINDS else found
+    if found != expected:
+        raise RecordError(
+            f"{source}: found {_described(head, found)}, expected a {_KINDS[expected]} as its name says"
+            f"{'; save it with save -v7' if expected == '.mat' else ''}"
+        )
+    file.seek(0)
+    return head, found
 
 
 def _arrays(file: BinaryIO, kind: str, head: bytes, source: str, max_bytes: int) -> dict[str, np.ndarray]:

@@ -46,17 +46,8 @@ def read_scope(lines: Iterable[str], rows: int, source: str, known: Choice) -> S
     """
     numbered = enumerate(lines, 1)
     header, first, row = _header(numbered, source)
-    names, units = header.rows[NAMES], header.rows.get(UNIT, [])
-    clock_of: dict[str, int] = {}
-    place_of: dict[str, int] = {}
-    clock = -1
-    for column, name in enumerate(names):
-        if name == NAMES:
-            clock = column
-        elif name:
-            unit = units[column].split(" ")[0] if column < len(units) else ""
-            title = f"{name} [{unit}]" if unit and not unit.startswith("(") else name
-            clock_of[title], place_of[title] = clock, column
+    names = header.rows[NAMES]
+    clock_of, place_of = _channels(header)
     titles = (TIME, *place_of)
     chosen = [str(title) for title in known(list(titles)) if str(title) in place_of]
     if not chosen or min(clock_of.values()) < 0:
@@ -74,6 +65,26 @@ def read_scope(lines: Iterable[str], rows: int, source: str, known: Choice) -> S
         source,
         _scaled(header.rows, place_of, chosen),
     )
+
+
+def scope_titles(lines: Sequence[str], source: str) -> tuple[str, ...]:
+    """The titles of time and channels in the first ``lines`` of an export."""
+    return (TIME, *_channels(_header(enumerate(lines, 1), source)[0])[1])
+
+
+def _channels(header: _Header) -> tuple[dict[str, int], dict[str, int]]:
+    """The columns of time and of values of each channel, by its title."""
+    clock_of: dict[str, int] = {}
+    place_of: dict[str, int] = {}
+    clock, units = -1, header.rows.get(UNIT, [])
+    for column, name in enumerate(header.rows[NAMES]):
+        if name == NAMES:
+            clock = column
+        elif name:
+            unit = units[column].split(" ")[0] if column < len(units) else ""
+            title = f"{name} [{unit}]" if unit and not unit.startswith("(") else name
+            clock_of[title], place_of[title] = clock, column
+    return clock_of, place_of
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 from emps_design.errors import RecordError
 from emps_design.records.check import LONGEST
 from emps_design.records.header import COMMENT, LOOKED_AT, Choice, find_header, number, split
-from emps_design.records.scope import is_scope, read_scope
+from emps_design.records.scope import is_scope, read_scope, scope_titles
 
 LONGEST_LINE = 100_000  # characters
 HEAD = 1 << 16  # bytes that say which encoding it is
@@ -54,6 +54,18 @@ def read_table(file: BinaryIO, source: str, known: Choice) -> Table:
         raise RecordError(f"{source}: byte {place}: not {encoding[:6].rstrip('-')} text, expected a table") from error
     finally:
         text.detach()
+
+
+def table_titles(file: BinaryIO, source: str) -> list[str]:
+    """The titles of the columns of a text table."""
+    encoding = _encoding(file.read(HEAD))
+    file.seek(0)
+    text = io.TextIOWrapper(file, encoding=encoding, errors="replace")
+    try:
+        head = list(islice((line[:LONGEST_LINE] for line in text), LOOKED_AT))
+    finally:
+        text.detach()
+    return list(scope_titles(head, source) if is_scope(head) else find_header(head, lambda titles: [], source).titles)
 
 
 def _encoding(head: bytes) -> str:

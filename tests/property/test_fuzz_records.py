@@ -5,6 +5,7 @@ A share of the inputs runs with the tests; `make fuzz` sets EMPS_DESIGN_FUZZ to 
 
 import io
 import resource
+from contextlib import suppress
 
 import h5py
 import numpy as np
@@ -15,6 +16,11 @@ from scipy.io import savemat
 
 from emps_design.errors import RecordError
 from emps_design.records import Record, record_from_bytes
+from emps_design.records.check import PLAIN
+from emps_design.records.layout import Layout
+from emps_design.records.mapping import ColumnMap
+from emps_design.records.readers import titles_from_bytes
+from emps_design.units import Units
 from tests.property.fuzzing import fuzz
 
 N = 60
@@ -51,6 +57,47 @@ def as_mat73() -> bytes:
     return stream.getvalue()
 
 
+def as_german() -> bytes:
+    """An export with a preamble, a status of words, units and decimal commas."""
+    head = [
+        "Name;Aufzeichnung 4",
+        "Startzeit;12.03.2026 08:14:22",
+        "",
+        "Zeit [ms];Ist [mm];Soll [mm];Moment [%];Status",
+    ]
+    rows = [";".join(f"{1e3 * x:.4f}" for x in row) + ";bereit" for row in zip(*columns().values(), strict=True)]
+    return "\n".join([*head, *(row.replace(".", ",") for row in rows)]).encode("cp1252")
+
+
+def as_scope() -> bytes:
+    """A TwinCAT Scope export: two time columns, the second channel slower than the others."""
+    t, q_ref, q, u = columns().values()
+    head = [
+        "Name\tProject",
+        "",
+        "Name\tActPos\tTorque\tName\tSetPos",
+        "SampleTime[ms]\t1\t1\tSampleTime[ms]\t2",
+        "Unit\tm (Length)\t% (Ratio)\tUnit\tm (Length)",
+        "",
+    ]
+    slow = [f"{1e3 * a:g}\t{b:.6g}" for a, b in zip(t[::2], q_ref[::2], strict=True)] + ["\t"] * (N // 2)
+    fast = [f"{1e3 * a:g}\t{b:.6g}\t{c:.6g}" for a, b, c in zip(t, q, u, strict=True)]
+    return "\n".join([*head, *("\t".join(pair) for pair in zip(fast, slow, strict=True)), "EOF"]).encode()
+
+
+EXPORTED = Layout(
+    Units("linear", "torque", "%"),
+    ColumnMap.model_validate(
+        {
+            "time": {"column": "Zeit", "unit": "ms"},
+            "position": {"column": "Ist", "unit": "mm"},
+            "reference": {"column": "Soll", "unit": "mm"},
+            "command": {"column": "Moment"},
+        }
+    ),
+    1e-3,
+)
+LAYOUTS = {"german": EXPORTED, "scope": Layout(EXPORTED.units, period=1e-3)}
 GOOD = {
     "csv": ("a.csv", as_csv()),
     "csv-decimal-comma": ("a.csv", as_csv().replace(b".", b",")),
@@ -58,6 +105,8 @@ GOOD = {
     "mat-v5": ("a.mat", as_mat(False)),
     "mat-v5-compressed": ("a.mat", as_mat(True)),
     "mat-v7.3": ("a.mat", as_mat73()),
+    "german": ("a.csv", as_german()),
+    "scope": ("a.csv", as_scope()),
 }
 
 
@@ -68,11 +117,11 @@ def _memory_stays_below_a_gibibyte():
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 2**20  # KiB
 
 
-def check(content: bytes, name: str) -> None:
+def check(content: bytes, name: str, layout: Layout = PLAIN) -> None:
     """A record that keeps its promises, or one line that names the file."""
     refusal = ""
     try:
-        record = record_from_bytes(content, name, max_bytes=MAX_BYTES)
+        record = record_from_bytes(content, name, max_bytes=MAX_BYTES, layout=layout)
     except RecordError as error:
         refusal = str(error)
     if refusal:
@@ -107,7 +156,7 @@ def damaged(draw, content: bytes) -> bytes:
 @pytest.mark.parametrize("kind", GOOD)
 def test_the_undamaged_file_is_read(kind):
     name, content = GOOD[kind]
-    assert len(record_from_bytes(content, name)) == N
+    assert len(record_from_bytes(content, name, layout=LAYOUTS.get(kind, PLAIN))) in (N, N - 1)
 
 
 @pytest.mark.parametrize("kind", GOOD)
@@ -115,7 +164,7 @@ def test_the_undamaged_file_is_read(kind):
 @given(data=st.data())
 def test_damaged_files(kind, data):
     name, content = GOOD[kind]
-    check(data.draw(damaged(content)), name)
+    check(data.draw(damaged(content)), name, LAYOUTS.get(kind, PLAIN))
 
 
 @pytest.mark.parametrize("name", ["a.csv", "a.npz", "a.mat", "a"])
@@ -151,6 +200,28 @@ TITLES = st.sampled_from(("t", "t [ms]", "q", "q_ref", "qm (mm)", "qg", "u", "u 
 def test_any_table(titles, rows, delimiter, repeat):
     lines = [delimiter.join(cells) for cells in rows] * repeat
     check("\n".join([delimiter.join(titles), *lines]).encode("utf-8", "surrogatepass"), "a.csv")
+
+
+WORDS = st.sampled_from(
+    ("Zeit", "Zeit [ms]", "Lageistwert [mm]", "Lagesollwert", "Set position [deg]", "act_pos_deg", "Torque [%]", "# t")
+)
+
+
+@fuzz
+@given(
+    preamble=st.lists(st.text(max_size=12), max_size=4),
+    titles=st.lists(st.one_of(WORDS, TITLES, st.text(max_size=8)), max_size=6),
+    rows=st.lists(st.lists(CELLS, max_size=6), max_size=6),
+    delimiter=st.sampled_from(";,\t"),
+    encoding=st.sampled_from(("utf-8", "utf-16", "cp1252")),
+    layout=st.sampled_from((EXPORTED, LAYOUTS["scope"])),
+)
+def test_any_export(preamble, titles, rows, delimiter, encoding, layout):
+    lines = [*preamble, delimiter.join(titles), *([delimiter.join(cells) for cells in rows] * 20)]
+    content = "\n".join(lines).encode(encoding, "replace")
+    check(content, "a.csv", layout)
+    with suppress(RecordError):
+        assert all(isinstance(title, str) for title in titles_from_bytes(content, "a.csv"))
 
 
 ARRAYS = st.one_of(

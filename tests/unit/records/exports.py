@@ -5,7 +5,7 @@ import numpy as np
 N = 400
 T = np.arange(N) * 1e-3
 Q_REF = 0.1 * np.sin(6 * T)
-ENCODER = 1e-6
+ENCODER = 2e-5
 Q = np.round((Q_REF - 1e-4 * np.cos(6 * T)) / ENCODER) * ENCODER
 NOISE = np.random.default_rng(7).standard_normal(N)
 U = 40 * np.cos(6 * T) + 0.5 * NOISE

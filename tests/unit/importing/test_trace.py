@@ -1,0 +1,84 @@
+"""An axis file from a trace alone: what it tells stands there, what it does not tell waits, and both are valid TOML."""
+
+import json
+import tomllib
+
+import numpy as np
+import pytest
+
+from emps_design.axis import Axis
+from emps_design.cli import app
+from emps_design.errors import AxisError
+from emps_design.importing import import_record
+from emps_design.importing.trace import axis_text, read_trace
+from tests.unit.records.exports import ENCODER, Q_REF, N, Q, T, U, german, rows, scope
+
+FILLED = ("mass", "viscous", "coulomb", "force_gain", "command_limit")
+
+
+@pytest.mark.parametrize(
+    ("text", "motion", "command", "unit"),
+    [
+        (german(), "linear", "torque", "%"),
+        (scope(), "linear", "torque", "%"),
+        (
+            german(header="Zeit [ms];Lageistwert [°];Lagesollwert [°];Stromsollwert [A];Status"),
+            "rotary",
+            "current",
+            "A",
+        ),
+        ("\n".join(["t;q;q_ref;u", *rows(T, Q, Q_REF, U)]), "linear", "voltage", "V"),
+    ],
+)
+def test_an_axis_file_of_a_trace_reads_that_trace(tmp_path, text, motion, command, unit):
+    (tmp_path / "trace.csv").write_text(text, encoding="utf-8")
+    trace = read_trace(tmp_path / "trace.csv")
+    written = axis_text(trace)
+    with pytest.raises(AxisError, match="missing, expected a number"):
+        Axis.from_toml(written)
+    for key in FILLED:
+        written = written.replace(f"# {key} = ", f"{key} = ")
+    axis = Axis.from_toml(written)
+    assert (axis.motion, axis.drive.command, axis.drive.command_unit) == (motion, command, unit)
+    assert axis.sampling.period == 1e-3
+    record = import_record(tmp_path / "trace.csv", axis.replace(drive={"command_limit": 100.0}))
+    assert len(record) == N
+    assert not any("taken from column" in note for note in record.warnings)
+    if motion == "linear":
+        assert axis.sampling.encoder_resolution == pytest.approx(ENCODER, rel=1e-3)
+
+
+def test_a_limit_is_seen_where_the_drive_stops_at_it(tmp_path):
+    (tmp_path / "trace.csv").write_text(german(u=np.clip(U, -30, 30)), encoding="utf-8")
+    assert read_trace(tmp_path / "trace.csv").limit == pytest.approx(30.0)
+    (tmp_path / "trace.csv").write_text(german(), encoding="utf-8")
+    assert read_trace(tmp_path / "trace.csv").limit is None
+
+
+def test_columns_that_are_not_understood_wait_to_be_chosen(tmp_path):
+    (tmp_path / "trace.csv").write_text(
+        german(header="Zeit [ms];Kanal 1;Kanal 2;Momentensollwert [%];S"), encoding="utf-8"
+    )
+    trace = read_trace(tmp_path / "trace.csv")
+    assert trace.record is None
+    text = axis_text(trace)
+    table = tomllib.loads(text)
+    assert table["record"] == {"time": {"column": "Zeit", "unit": "ms"}, "command": {"column": "Momentensollwert"}}
+    assert "# columns of the file: Zeit [ms], Kanal 1, Kanal 2, Momentensollwert [%], S" in text
+    assert '# position = { column = "", unit = "m" }' in text
+
+
+def test_init_from(tmp_path, capsys):
+    (tmp_path / "trace.csv").write_text(german(), encoding="utf-8")
+    words = ["init", "--from", str(tmp_path / "trace.csv"), str(tmp_path / "start"), "--json"]
+    assert app.run(words) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["files"] == ["axis.toml"]
+    assert document["to_fill_in"] == list(FILLED)
+    assert document["encoder_step"] == pytest.approx(ENCODER, rel=1e-3)
+    assert app.run(words) == 2
+    assert "axis.toml exists already" in capsys.readouterr().err
+    assert app.run([*words, "--force"]) == 0
+    assert app.run([*words, "--force", "--machine", "emps2018"]) == 2
+    assert app.run(["init", "--from", str(tmp_path / "none.csv"), str(tmp_path / "a")]) == 2
+    assert not (tmp_path / "a").exists()
