@@ -11,10 +11,10 @@ from emps_design.axis import Axis
 from emps_design.errors import InputError, SimulationError
 from emps_design.notebook import table
 from emps_design.records import Record
-from emps_design.records.check import LONGEST
 from emps_design.simulation.nearest_controller import unstable
 from emps_design.simulation.plant import Plant
 from emps_design.simulation.run import Run
+from emps_design.simulation.trajectories import force_ramp
 
 DROPPED = 50  # samples left out of the relative errors, as in the report of the data set
 
@@ -181,24 +181,6 @@ def breakaway(axis: Axis, rate: float = 1.0, peak: float | None = None, q0: floa
         if limit is None
     ]
     return Breakaway(axis, rate, peak, limits[0], limits[1], runs[0], tuple(warnings))
-
-
-def force_ramp(period: float, rate: float, peak: float) -> np.ndarray:
-    """Force [N] that rises at ``rate`` [N/s] from 0 to ``peak`` [N] (a negative peak falls).
-
-    >>> force_ramp(0.1, 10.0, 2.0)
-    array([0., 1., 2.])
-    """
-    for name, value in (("rate", rate), ("peak", abs(peak))):
-        if not (np.isfinite(value) and value > 0):
-            raise InputError(f"{name}: found {value:g}, expected a positive number")
-    n = round(abs(peak) / (rate * period)) + 1
-    if n > LONGEST:
-        raise InputError(
-            f"rate: found {rate:g} N/s, so that a rise to {abs(peak):g} N takes {n * period:.4g} s; expected at most "
-            f"{LONGEST * period:.4g} s ({LONGEST} samples): raise it faster, or not as far"
-        )
-    return np.sign(peak) * np.minimum(np.arange(n) * rate * period, abs(peak))
 
 
 @dataclass(frozen=True)

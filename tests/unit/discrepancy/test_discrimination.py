@@ -22,19 +22,9 @@ from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
 from emps_design.simulation.synthetic import synthetic_record, trapezoid_laps
+from emps_design.simulation.trajectories import multi_sine
 
 AXIS = machine("emps2019")
-
-
-def multi_sine(period: float, duration: float) -> np.ndarray:
-    """Sines of equal velocity [m], faded in over half a second."""
-    t, frequencies = np.arange(round(duration / period)) * period, (0.3, 0.7, 1.1, 2.3, 4.1)
-    phases = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, len(frequencies))
-    q = sum(np.sin(2.0 * np.pi * f * t + phase) / f for f, phase in zip(frequencies, phases, strict=True))
-    q *= 0.5 - 0.5 * np.cos(np.pi * np.minimum(t / 0.5, 1.0))
-    return 0.02 * q / np.abs(q).max()
-
-
 THRESHOLD = 15.0  # gain in whitened cost, as a healthy reference gives it
 REFERENCES = {
     "trapezoids": 0.05 + trapezoid_laps(1e-3, stroke=0.1, speed=0.2, laps=1),

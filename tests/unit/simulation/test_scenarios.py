@@ -10,8 +10,9 @@ from emps_design.discrepancy.checks.controller_law import check_law, law_voltage
 from emps_design.errors import InputError, RecordError
 from emps_design.machines import machine
 from emps_design.simulation import Plant, Run, breakaway, replay, trapezoid_laps
+from emps_design.simulation import trajectories as programs
 from emps_design.simulation.reference_file import read_reference
-from emps_design.simulation.scenarios import follow, force_ramp
+from emps_design.simulation.scenarios import follow
 
 AXIS = machine("emps2019")
 Q_REF = 0.05 * np.sin(2 * np.pi * 0.6 * np.arange(1500) * 1e-3) ** 2
@@ -86,10 +87,19 @@ def test_follow_tells_when_the_voltage_is_at_its_limit():
     assert "at its limit" in found.warnings[0]
 
 
-def test_a_ramp_of_force_needs_a_rate_and_a_peak():
-    for rate, peak in ((1.0, 0.0), (np.nan, 1.0)):
+def test_half_of_the_program_is_ramp_and_half_constant():
+    q = programs.half_ramp_program(1e-3, speeds=(0.2, 0.1), segment=0.4, laps=2)
+    v = np.diff(q) / 1e-3
+    assert np.mean(np.abs(np.diff(v)) < 1e-9) == pytest.approx(0.5, abs=0.01)
+    assert np.abs(v).max() == pytest.approx(0.2)
+    for call in (
+        lambda: programs.half_ramp_program(0.0),
+        lambda: programs.multi_sine(1e-3, duration=-1.0),
+        lambda: programs.force_ramp(1e-3, 1.0, 0.0),
+        lambda: programs.force_ramp(1e-3, np.nan, 1.0),
+    ):
         with pytest.raises(InputError, match="expected a positive number"):
-            force_ramp(1e-3, rate, peak)
+            call()
 
 
 def test_reference_file_is_interpolated_with_units(tmp_path):
