@@ -12,8 +12,11 @@ from emps_design.axis import Axis
 from emps_design.errors import EmpsError, RecordError
 from emps_design.identification.chains import CHAINS, DEFAULT_CHAIN
 from emps_design.records import Record
+from emps_design.records.layout import NAMED, Assignment
+from emps_design.records.mapping import ColumnMap
 from emps_design.report.display import quantity
 from emps_design.report.page import inline
+from emps_design.studio.columns_view import ColumnsView
 from emps_design.studio.jobs import Job
 from emps_design.studio.panes import blocks, html, message
 from emps_design.studio.state import FRICTIONS, State
@@ -36,7 +39,8 @@ is gone with it: seconds to minutes, with a bar and a button to cancel</td></tr>
 <tr><th><b>Design on this model</b></th><td>take what was identified or diagnosed over into the design tab</td></tr>
 </table>
 <p>A record has the columns t [s], q_ref [m], q [m], u [V], and f_ext [N] where a force was measured; a .mat may use the
-names of the EMPS data set. It stays on this machine. To practise, <code>emps-design init start</code> writes three.</p>
+names of the EMPS data set. The export of a drive shows its columns: choose what is what. A file stays on this machine.
+To practise, <code>emps-design init start</code> writes three.</p>
 """
 
 
@@ -47,14 +51,30 @@ def read_upload(name: str, content: bytes | str, axis: Axis) -> Record:
     """
     from emps_design.importing import import_bytes
 
-    plain = PurePath(name.replace("\\", "/")).name
+    plain, data = _upload(name, content)
     suffix = PurePath(plain).suffix.lower()
-    data = content.encode() if isinstance(content, str) else bytes(content)
     if suffix not in SUFFIXES:
         raise RecordError(f"{plain}: found a {suffix or 'nameless'} file, expected one of {', '.join(SUFFIXES)}")
     if len(data) > LIMIT_MB * 10**6:
         raise RecordError(f"{plain}: found {len(data) / 1e6:.0f} MB, expected at most {LIMIT_MB} MB")
     return import_bytes(data, plain, axis)
+
+
+def upload_titles(name: str, content: bytes | str) -> list[str]:
+    """The titles of the columns of an upload; none where they cannot be told."""
+    from emps_design.records.readers import titles_from_bytes
+
+    plain, data = _upload(name, content)
+    try:
+        return titles_from_bytes(data, plain)
+    except RecordError:
+        return []
+
+
+def _upload(name: str, content: bytes | str) -> tuple[str, bytes]:
+    """The name of an upload without a path, and its bytes."""
+    plain = PurePath(name.replace("\\", "/")).name
+    return plain, content.encode() if isinstance(content, str) else bytes(content)
 
 
 class DataView:
@@ -73,6 +93,8 @@ class DataView:
         self.record: Record | None = None
         self.model: Axis | None = None
         self._dropped_last: tuple[str, bytes | str] | None = None
+        self._table: ColumnMap | None = None
+        self.columns = ColumnsView(self._read_columns)
         self.drop = pn.widgets.FileDropper(
             label=f"Record: drop it here or click to choose one; {', '.join(SUFFIXES)}, at most {LIMIT_MB} MB",
             max_file_size=f"{LIMIT_MB}MB",
@@ -126,6 +148,7 @@ class DataView:
             ),
             self.job.view,
             self.message,
+            self.columns.view,
             pn.FlexBox(self.about, self.result, align_items="flex-start", sizing_mode="stretch_width"),
             sizing_mode="stretch_width",
         )
@@ -142,12 +165,35 @@ class DataView:
         name, content = list(event.new.items())[-1]  # an earlier file stays in the value; the last is the one dropped
         if (name, content) == self._dropped_last:  # taking an earlier file away tells of this one again
             return
-        self._dropped_last = (name, content)
+        self._dropped_last, self._table = (name, content), None
+        self._read_columns(None)
+
+    def _read_columns(self, table: ColumnMap | None) -> None:
+        """Read what was dropped last, by ``table`` where columns were chosen; offer the columns of an export."""
+        if self._dropped_last is None:
+            return
+        (name, content), axis = self._dropped_last, self._axis
+        axis = axis if table is None else axis.replace(record=table)
+        assigned: tuple[Assignment, ...] = ()
         try:
-            self._show(read_upload(name, content, self._machines()[self.machine.value]))
+            record = read_upload(name, content, axis)
+            assigned, self._table = record.assigned, table
+            self._show(record)
         except EmpsError as error:
             self._withdraw()
             self._say(str(error), "stop")
+        plain = bool(assigned) and all(one.how == NAMED for one in assigned)
+        titles = [] if plain else upload_titles(name, content)
+        if not titles:
+            self.columns.hide()
+        elif table is None:
+            self.columns.show(titles, assigned, axis.units)
+
+    @property
+    def _axis(self) -> Axis:
+        """The axis that is chosen, with the columns that were chosen for the record."""
+        axis = self._machines()[self.machine.value]
+        return axis if self._table is None else axis.replace(record=self._table)
 
     def _withdraw(self) -> None:
         """Show no record and no result: after a refused upload the ones before would stand under its name."""
@@ -176,7 +222,7 @@ class DataView:
             "warning" if notes else "good",
             notes,
         )
-        self.about.object = f'<div class="record">{style.svg(record_figure(record), "record")}</div>'
+        self.about.object = f'<div class="record">{style.svg(record_figure(record, self._axis.units), "record")}</div>'
         self.result.object = ""
 
     def _say(self, text: str, level: str, more: str = "") -> None:
@@ -186,7 +232,7 @@ class DataView:
         if self.record is None:
             return
         work = WORK[name]
-        record, axis = self.record, self._machines()[self.machine.value]
+        record, axis = self.record, self._axis
         options = {"friction": self.friction.value, "chain": self.filter.value}
 
         def of_this_record(show: Callable[[Any], None]) -> Callable[[Any], None]:

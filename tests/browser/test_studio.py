@@ -3,6 +3,7 @@
 import re
 import zipfile
 
+import numpy as np
 import pytest
 
 pytestmark = pytest.mark.browser
@@ -179,6 +180,28 @@ def test_a_record_is_refused_observed_identified_and_its_model_designed_on(page,
     page.get_by_text("The design tab now works on").wait_for()
     turn_to(page, "Design")
     assert "practice" in page.get_by_label("Axis", exact=True).input_value()
+
+
+def test_the_columns_of_an_export_are_chosen(page, tmp_path, picture):
+    t = np.arange(4000) * 1e-3
+    q_ref = 0.1 * (1 - np.cos(3 * t))
+    q = np.round((q_ref - 2e-4 * np.sin(3 * t)) / 1e-6) * 1e-6
+    u = 2.6 * np.gradient(np.gradient(q_ref, t), t) + 6 * np.gradient(q_ref, t) + 0.6 * np.sign(np.sin(3 * t))
+    rows = ["Zeit [ms];Kanal 1 [mm];Kanal 2 [mm];Spannung [V];Status"]
+    rows += [
+        f"{1e3 * a:.3f};{1e3 * b:.4f};{1e3 * c:.4f};{d:.4f};4663" for a, b, c, d in zip(t, q, q_ref, u, strict=True)
+    ]
+    (tmp_path / "trace.csv").write_text("\n".join(rows).replace(".", ","))
+    turn_to(page, "Data")
+    upload(page, tmp_path / "trace.csv")
+    page.get_by_role("alert").filter(has_text="trace.csv").first.wait_for(timeout=20_000)
+    for label, title in (("Position", "Kanal 1 [mm]"), ("Reference", "Kanal 2 [mm]")):
+        page.get_by_label(label, exact=True).select_option(title)
+    page.wait_for_timeout(500)
+    page.screenshot(path=picture("studio-columns"), full_page=True)
+    page.get_by_role("button", name="Read these columns").click()
+    page.get_by_text(re.compile("trace: 4000 samples")).wait_for(timeout=20_000)
+    page.screenshot(path=picture("studio-columns-read"), full_page=True)
 
 
 def test_figure_twelve_is_simulated_and_a_long_study_cancelled(page, picture):

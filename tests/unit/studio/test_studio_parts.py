@@ -191,6 +191,37 @@ def test_a_refused_upload_takes_the_record_before_it_away():
     assert 'role="alert"' in view.message.object
 
 
+def test_the_columns_of_an_export_are_chosen_and_read():
+    axis = machine("emps2019")
+    made = synthetic_record(axis, laps=1)
+    rows = "\n".join(
+        f"{1e3 * t:.3f};{1e3 * q:.6f};{1e3 * q_ref:.6f};{u:.6f}"
+        for t, q, q_ref, u in zip(made.t, made.q, made.q_ref, made.u, strict=True)
+    )
+    view = DataView(lambda: {axis.name: axis}, axis.name, state, lambda *turn: None, lambda axis: None)
+    assert not view.columns.view.visible
+    view.drop.value = {"trace.csv": f"Zeit [ms];Kanal 1;Kanal 2;Spannung\n{rows}\n".encode()}
+    assert view.record is None  # two channels may be anything
+    assert 'role="alert"' in view.message.object
+    assert view.columns.view.visible
+    assert view.columns.titles["t"].value == "Zeit [ms]"
+    assert view.columns.titles["q"].options == ["none", "Zeit [ms]", "Kanal 1", "Kanal 2", "Spannung"]
+    for name, title, unit in (("q", "Kanal 1", "mm"), ("q_ref", "Kanal 2", "mm"), ("u", "Spannung", "V")):
+        view.columns.titles[name].value, view.columns.units[name].value = title, unit
+    view.columns.button.clicks += 1
+    assert np.allclose(view.record.q, made.q, atol=1e-9)
+    assert not view.buttons["Identify"].disabled
+    assert view._axis.record.position.column == "Kanal 1"
+    view.columns.units["q"].value = "m"
+    view.columns.button.clicks += 1
+    assert view.record is None
+    assert "expected metres on the load side" in view.message.object
+    view.drop.value = {"plain.csv": f"t [ms];q [mm];q_ref [mm];u\n{rows}\n".encode()}
+    assert not view.columns.view.visible
+    assert len(view.record) == len(made)
+    assert view._axis == axis
+
+
 def test_pinning_keeps_the_design_beside_the_new_one():
     view = DesignView(state(), {name: machine(name) for name in machine_names()}, lambda state: None)
     view.pin.value = True
