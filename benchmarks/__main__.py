@@ -29,7 +29,7 @@ from emps_design.files import write_text
 from emps_design.machines import machine
 from emps_design.records import Record, read_record
 from emps_design.simulation import Plant, monte_carlo, simulate_ensemble
-from emps_design.simulation.synthetic import synthetic_record
+from emps_design.simulation.synthetic import synthetic_record, trapezoid_laps
 
 # What the measured records of the EMPS machine call for, and the same with a Stribeck effect in place of the curve.
 FIVE = (
@@ -39,6 +39,17 @@ FIVE = (
     {"kind": "position_dependent_friction", "amplitude": 2.0, "phase": 0.3, "length": 0.2},
     {"kind": "actuator_lag", "time_constant": 0.25e-3},
 )
+CASCADE = {
+    "kind": "cascade",
+    "position": {"kp": 40.0, "every": 4},
+    "velocity": {"kp": 300.0, "ti": 0.03},
+    "feedforward": {"velocity": 1.0, "acceleration": 2.5, "coulomb": 0.5},
+    "filters": [
+        {"kind": "lowpass", "frequency": 350.0},
+        {"kind": "notch", "frequency": 210.0, "damping": 0.6, "depth": 0.1},
+    ],
+    "velocity_estimator": "backward",
+}
 STRIBECK = {"kind": "stribeck_friction", "excess": 5.0, "stribeck_velocity": 0.01, "exponent": 1.0}
 
 
@@ -112,10 +123,12 @@ def _replays(axis, record, rows) -> None:
     add(rows, "replay, core model, folded", 1e3 * folded, "ms")
     add(rows, "replay, core model, general stepper", 1e3 * general, "ms")
     add(rows, "folded over plain", folded / plain, "times", 0.5)
-    in_c = compiled_c()
-    if isinstance(in_c, str):
-        skip("C", in_c)
+    compiled = compiled_c()
+    if isinstance(compiled, str):
+        skip("C", compiled)
     else:
+        in_c, cascade_in_c = compiled
+        _cascade(cascade_in_c, rows)
         same = in_c(q_ref, axis, q0)
         add(
             rows,
@@ -144,6 +157,20 @@ def _replays(axis, record, rows) -> None:
         )
         add(rows, "python-control, one nlsys with the exact step", 1e3 * seconds, "ms")
         add(rows, "python-control over plain", seconds / plain, "times", 1000.0, least=True)
+
+
+def _cascade(in_c, rows) -> None:
+    """A drive's cascade over 50,000 samples, with a position loop of another rate, feed-forward and two filters."""
+    axis = machine("emps2019").replace(controller=CASCADE, sampling={"period": 0.25e-3})
+    q_ref, plant = trapezoid_laps(0.25e-3, laps=1)[:50_000], Plant.of(axis)
+    run, same = plant.closed_loop(q_ref, quantise=False), in_c(q_ref, axis, float(q_ref[0]))
+    difference = np.abs(same["position"] - run.position).max()
+    add(rows, "C and a cascade, largest difference of position", difference, "m", 1e-12)
+    ours = _median(lambda: plant.closed_loop(q_ref, quantise=False))
+    seconds = _median(lambda: in_c(q_ref, axis, float(q_ref[0])))
+    add(rows, "replay of a cascade, 50,000 samples", 1e3 * ours, "ms")
+    add(rows, "replay of a cascade in C, -O3", 1e3 * seconds, "ms")
+    add(rows, "cascade over C", ours / seconds, "times", 2.0)
 
 
 def _five(axis, record, rows) -> None:

@@ -26,7 +26,7 @@ from emps_design.laws.linear import linear_law
 from emps_design.machines import machine
 from tests.unit.frequency_response.cases import exact, experiment
 
-AXES, SEED = 50, 2026
+AXES, SEED = 50, 9157  # bands and estimator were chosen on other axes, of the seeds 2026 and 7401
 SPEED = 0.05
 COMPARED = ("phase_margin_deg", "crossover", "delay_margin", "gain_margin", "disk_margin")
 

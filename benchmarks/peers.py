@@ -11,9 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
+from emps_design.laws import table_of
+from emps_design.laws.library.cascade import coefficients
+
 
 def compiled_c():
-    """The C yardstick as a callable of (q_ref, axis, q0), or the reason why there is none."""
+    """The C yardsticks of position_pd and of a cascade, callables of (q_ref, axis, q0), or why there are none."""
     compiler = next((name for name in ("gcc", "cc", "clang") if shutil.which(name)), None)
     if compiler is None:
         return "no C compiler here"
@@ -24,26 +27,41 @@ def compiled_c():
     built = subprocess.run(command, capture_output=True, text=True)
     if built.returncode:
         return f"{compiler} failed: {built.stderr.splitlines()[0]}"
-    function = ctypes.CDLL(str(library)).replay
-    pointer = ctypes.POINTER(ctypes.c_double)
-    function.restype = ctypes.c_long
-    function.argtypes = [ctypes.c_long, pointer, pointer, *[ctypes.c_double] * 6, *[pointer] * 5]
+    functions, pointer = ctypes.CDLL(str(library)), ctypes.POINTER(ctypes.c_double)
+    number, count = ctypes.c_double, ctypes.c_long
+    functions.replay.argtypes = [count, pointer, pointer, *[number] * 6, *[pointer] * 5]
+    functions.replay_cascade.argtypes = [
+        count, pointer, pointer, *[number] * 4, count, *[number] * 5, count, pointer, number, *[pointer] * 5
+    ]  # fmt: skip
+    functions.replay.restype = functions.replay_cascade.restype = count
 
     def address(array: np.ndarray):
         return array.ctypes.data_as(pointer)
 
-    def replay(q_ref: np.ndarray, axis, q0: float) -> dict[str, np.ndarray]:
-        n, controller, drive = q_ref.size, axis.controller, axis.drive
+    def run(function, law, q_ref: np.ndarray, axis, q0: float) -> dict[str, np.ndarray]:
+        n, drive = q_ref.size, axis.drive
         position, encoder, velocity, u = np.empty((4, n))
         events, baseline = np.empty((n + 1000, 3)), axis.mechanics.array()
         found = function(
-            n, address(q_ref), address(baseline), axis.sampling.period, drive.force_gain, drive.command_limit,
-            controller.kp, controller.kv, q0, address(position), address(encoder), address(velocity), address(u),
-            address(events),
+            n, address(q_ref), address(baseline), axis.sampling.period, drive.force_gain, drive.command_limit, *law, q0,
+            address(position), address(encoder), address(velocity), address(u), address(events),
         )  # fmt: skip
         return {"position": position, "u": u, "events": events[:found]}
 
-    return replay
+    def position_pd(q_ref: np.ndarray, axis, q0: float) -> dict[str, np.ndarray]:
+        return run(functions.replay, (axis.controller.kp, axis.controller.kv), q_ref, axis, q0)
+
+    def cascade(q_ref: np.ndarray, axis, q0: float) -> dict[str, np.ndarray]:
+        p, period = table_of(axis), axis.sampling.period
+        numbers = np.array([coefficients(one, period) for one in p.filters]).ravel()
+        velocity, ahead = p.velocity, p.feedforward
+        law = (
+            p.position.kp, p.position.every, velocity.kp, velocity.kp * period / velocity.ti, ahead.velocity,
+            ahead.acceleration, ahead.coulomb, len(p.filters), address(numbers),
+        )  # fmt: skip
+        return run(functions.replay_cascade, law, q_ref, axis, q0)
+
+    return position_pd, cascade
 
 
 def python_control():

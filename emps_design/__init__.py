@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         observe as observe,
     )
     from emps_design.laws import Law as Law
+    from emps_design.importing import import_record as import_record
     from emps_design.machines import load_axis as load_axis, machine as machine
     from emps_design.records import Record as Record, read_record as read_record
     from emps_design.report import Report as Report, assemble_report as assemble_report

@@ -78,13 +78,14 @@ def inverse_force(axis: Axis, q: np.ndarray, v: np.ndarray, a: np.ndarray, t: np
 
     >>> from emps_design.machines import machine
     >>> axis = machine("emps2019").replace(effects=[{"kind": "actuator_deadzone", "width": 0.2}])
-    >>> lost = inverse_force(axis, *np.array([[0.0], [0.1], [0.0], [0.0]])) - 0.2 * axis.drive.force_gain
+    >>> lost = inverse_force(axis, *np.array([[0.0], [0.1], [0.0], [0.0]])) - 0.2 * axis.drive.gain
     >>> lost.round(3).tolist()
     [37.579]
     """
     force = plant_force(axis, q, v, a, t)
     q, v, a, t = (np.atleast_1d(np.asarray(x, dtype=float)) for x in (q, v, a, t))
-    b, gain = axis.mechanics.array(), axis.drive.force_gain
+    b, gain = axis.mechanics.array(), axis.drive.gain
+    force = force + axis.drive.braking * v
     if axis.drive.current_time_constant > 0 and t.size > 1:
         force = force + axis.drive.current_time_constant * np.gradient(force, t)
     for effect, p in reversed(_resolve(axis, "actuator")):

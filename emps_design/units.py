@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from emps_design.errors import InputError
@@ -50,12 +51,31 @@ _SPELLINGS = {
     "1": "", "-": "", "none": "", "volt": "V", "ampere": "A", "amp": "A", "newton": "N",
 }  # fmt: skip
 
-# quantities of a linear axis -> of a rotary one, in labels
+# quantities of a linear axis -> of a rotary one
 _TURNED = {
-    "mass": "inertia", "masses": "inertias", "force": "torque", "forces": "torques", "position": "angle",
-    "positions": "angles", "carriage": "load",
+    "mass": "inertia", "masses": "inertias", "force": "torque", "forces": "torques", "carriage": "load",
+    "newton": "newton metre", "newtons": "newton metres", "metre": "radian", "metres": "radians",
 }  # fmt: skip
 _COMMAND_WORDS = {"current": "current", "torque": "torque command", "force": "force command", "duty": "duty"}
+_COMMAND_NAMES = {"V": "volt", "A": "ampere", "N m": "newton metre", "N": "newton", "%": "per cent", "": "unit"}
+
+# What a text has units of the linear axis in, longest first; "volt" is one on every axis.
+_PREFIXED = {"nm": 1e-9, "µm": 1e-6, "um": 1e-6, "mm": 1e-3, "mV": 1e-3, "kV": 1e3, "mN": 1e-3, "kN": 1e3}
+_UNIT = (
+    r"(?:\(m/s\)/N|[NV]/\(m/s(?:\^2)?\)|N/\(m/s\)\^2|[µun]?m/s(?:\^2)?|mm/s(?:\^2)?|N m(?:/A)?|N/(?:[µum]?m|V|s)|N s"
+    r"|kg m\^2|kg|[mk]?[NV]|[nµum]?m|1/m)(?![\w^(%]|/[\w(]| m\b)"
+)
+_NUMBER = r"[-+−]?(?:\d+\.?\d*|\.\d+)(?:e[-+−]?\d+)?"
+_QUANTITY = re.compile(rf"(?<![\w.])({_NUMBER}(?:(?: \+- | ± | to |–|, | and ){_NUMBER})*) ({_UNIT})")
+_BEFORE = r"(?<=[\])] )|(?<=unbounded )|(?<=per )|(?<=\bin )"
+_AFTER = re.compile(rf"(?:{_BEFORE}|(?<=, )(?={_UNIT}$)|^(?={_UNIT}(?:$| rms)))({_UNIT})")
+_BRACKETS = re.compile(r"\[([^\[\]]*)\]")
+# Not prose: drawings, styles, code, tags, arguments and commands.
+_CODE = re.compile(
+    r"(<svg\b.*?</svg>|<style\b.*?</style>|<pre\b.*?</pre>|<code\b.*?</code>|</?[a-z][^<>]*>"
+    r"|\x60[^\x60]*\x60|emps-design \w+)",
+    re.DOTALL,
+)
 
 
 def spelled(unit: str) -> str:
@@ -81,8 +101,8 @@ class Units:
     >>> joint = Units("rotary", "current", "A")
     >>> joint.unit("kg"), joint.unit("N/(m/s)"), joint.unit("V/(m/s)"), joint.unit("N/V"), joint.unit("(m/s)/N")
     ('kg m^2', 'N m/(rad/s)', 'A/(rad/s)', 'N m/A', '(rad/s)/(N m)')
-    >>> joint.label("motor force [N]"), joint.label("voltage limit [V]"), Units().label("motor force [N]")
-    ('motor torque [N m]', 'current limit [A]', 'motor force [N]')
+    >>> joint.label("motor force [N]"), joint.label("voltage limit [V]"), joint.label("position [m]")
+    ('motor torque [N m]', 'current limit [A]', 'angle [rad]')
     >>> Units(command="torque", command_unit="%").unit("N/V")
     'N/%'
     """
@@ -123,18 +143,19 @@ class Units:
 
         ``volt`` is a voltage on every axis, and so is the V of a force gain where the command is a duty.
         """
-        if self.command == "duty" and base == "N/V":
-            base = "N/volt"
         if self.plain:
             return base.replace("volt", "V")
+        if base in ("V", "N m/A"):  # the second is a motor's own, whatever it moves
+            return self.command_unit if base == "V" else base
+        if self.command == "duty" and base == "N/V":
+            base = "N/volt"
 
         def own(match: re.Match[str]) -> str:
-            unit = self._token(match[2])
-            return f"{match[1]}({unit})" if match[1] and " " in unit else f"{match[1]}{unit or '1'}"
+            unit = self._token(match[3])
+            unit = f"{match[2]}{unit}" if unit else "1"
+            return f"{match[1]}({unit})" if match[1] and " " in unit else f"{match[1]}{unit}"
 
-        if base == "V":
-            return self.command_unit
-        return re.sub(r"(/?)\b(N m|kg|N|V|m|volt)\b", own, base)
+        return re.sub(r"(/?)\b([nµumk]?)(N m|kg m\^2|kg|N|V|m|volt)\b", own, base)
 
     def _token(self, token: str) -> str:
         if token == "volt":
@@ -144,15 +165,12 @@ class Units:
         return {"kg": "kg m^2", "N": "N m", "m": "rad"}.get(token, token) if self.rotary else token
 
     def words(self, text: str) -> str:
-        """``text`` with this axis's words for mass, force, position, carriage and voltage: for labels, not for keys.
+        """``text`` in this axis's words for mass, force, carriage and voltage; names of files and keys stay.
 
-        >>> Units("rotary", "torque", "%").words("Mass, position and voltage"), Units().words("mass")
-        ('Inertia, angle and torque command', 'mass')
+        >>> Units("rotary", "torque", "%").words("Mass and voltage, mechanics.mass"), Units().words("mass")
+        ('Inertia and torque command, mechanics.mass', 'mass')
         """
-        table = dict(_TURNED) if self.rotary else {}
-        if self.command != "voltage":
-            table["voltage"] = _COMMAND_WORDS[self.command]
-            table["voltages"] = f"{table['voltage']}s"
+        table = self._table
         if not table:
             return text
 
@@ -160,12 +178,83 @@ class Units:
             word = table[match[0].lower()]
             return word.capitalize() if match[0][0].isupper() else word
 
-        return re.sub(rf"\b({'|'.join(table)})\b", own, text, flags=re.IGNORECASE)
+        return self._words.sub(own, text)
+
+    @cached_property
+    def _words(self) -> re.Pattern[str]:
+        return re.compile(rf"(?<![\w.\x60/=-])({'|'.join(self._table)})(?![\w\x60/(=]|\.\w|-\w+=)", re.IGNORECASE)
+
+    @cached_property
+    def _table(self) -> dict[str, str]:
+        table = dict(_TURNED) if self.rotary else {}
+        if self.command != "voltage":
+            word, name = _COMMAND_WORDS[self.command], _COMMAND_NAMES.get(self.command_unit, self.command_unit)
+            plural = word if self.command == "duty" else f"{word}s"
+            table |= {"voltage": word, "voltages": plural, "volt": name, "volts": f"{name}s"}
+        return table
 
     def label(self, text: str) -> str:
-        """``text`` in this axis's words, and what stands in brackets in its units."""
-        parts = re.split(r"\[([^\]]*)\]", text)
-        return "".join(f"[{self.unit(part)}]" if i % 2 else self.words(part) for i, part in enumerate(parts))
+        """``text`` in this axis's words, and what stands in brackets in its units: for axes of plots, titles, heads."""
+        if self.plain:
+            return text
+        text = _BRACKETS.sub(lambda match: f"[{self._leading(match[1])}]", text)
+        if self.rotary:
+            text = re.sub(r"\b([Pp])osition(?=[^\[\]]{0,20}\[)", lambda m: "Angle" if m[1] == "P" else "angle", text)
+        return self.words(text)
+
+    def _leading(self, text: str) -> str:
+        """``text``, in which a unit may stand first, in this axis's unit."""
+        return re.sub(rf"^({_UNIT})(?=$|[ ,])", lambda match: self._whole(match[1]), text)
+
+    def _whole(self, base: str) -> str:
+        """The unit for ``base``, which may have a prefix that this axis's unit cannot take."""
+        prefixed = base[:2] in _PREFIXED and base[1] == "V" and self.command_unit not in _VOLTAGES | _CURRENTS
+        return f"{_PREFIXED[base[:2]]:g} {self.command_unit}" if prefixed else self.unit(base)
+
+    def text(self, text: str) -> str:
+        """``text`` as this axis's owner reads it: numbers with its units, and its words.
+
+        >>> Units("rotary", "current", "A").text("force error 1.20 N rms, below 12 mm/s; at most 10.0 V")
+        'torque error 1.20 N m rms, below 0.69 deg/s; at most 10.0 A'
+        >>> Units(command="torque", command_unit="%").text("12.3 mV of noise, mass 60.5 kg")
+        '0.0123 % of noise, mass 60.5 kg'
+        """
+        if self.plain:
+            return text
+        return "".join(part if i % 2 else self._prose(part) for i, part in enumerate(_CODE.split(text)))
+
+    def value(self, text: str) -> str:
+        """``text`` of a JSON document: as :meth:`text`, but a single word, which may be a name, stays."""
+        return self.text(text) if " " in text or re.fullmatch(_UNIT, text) else text
+
+    def _prose(self, text: str) -> str:
+        if re.fullmatch(_UNIT, text):
+            return self._whole(text)
+        text = _QUANTITY.sub(self._quantity, text)
+        text = _AFTER.sub(lambda match: self._whole(match[1]), text)
+        return self.label(text)
+
+    def _quantity(self, match: re.Match[str]) -> str:
+        numbers, base = match[1], match[2]
+        unit, factor = self.read(base)
+        if factor != 1.0:
+            numbers = re.sub(_NUMBER, lambda number: _scaled(number[0], factor), numbers)
+        turning = self.rotary and base == "m/s" and re.fullmatch(_NUMBER, numbers)
+        rpm = f" ({_scaled(numbers, 1.0 / _RPM)} rpm)" if turning and abs(_float(numbers)) >= 0.1 else ""
+        return f"{numbers} {unit}".rstrip() + rpm
+
+    def read(self, base: str) -> tuple[str, float]:
+        """The unit in which a number of ``base``, which may have a prefix, is read on this axis, and the factor to it.
+
+        >>> Units("rotary").read("mm"), Units("rotary").read("N"), Units().read("mm")
+        (('deg', 0.057295779513082325), ('N m', 1.0), ('mm', 1.0))
+        """
+        head, slash, rest = base.partition("/")
+        if self.rotary and head == "mm" and rest in ("", "s"):
+            return f"deg{slash}{rest}", 1e-3 / _DEG
+        if head in _PREFIXED and head[1] == "V" and self.command_unit not in _VOLTAGES | _CURRENTS:
+            return self.command_unit, _PREFIXED[head]
+        return self.unit(base), 1.0
 
     def check(self, name: str, value: float, base: str, positive: bool = False) -> float:
         """:func:`~emps_design.quantities.check_magnitude` in this axis's unit for ``base``."""
@@ -223,6 +312,18 @@ class Units:
                 return {self.command_unit: 1.0}
             return {name: factor / family[self.command_unit] for name, factor in family.items()}
         return _MECHANICAL[self.motion][column]
+
+
+def _float(number: str) -> float:
+    return float(number.replace("−", "-"))
+
+
+def _scaled(number: str, factor: float) -> str:
+    """A written ``number`` times ``factor``, with as many significant digits, two at least."""
+    digits = len(re.sub(r"e.*|[^\d]", "", number).lstrip("0"))
+    value = _float(number) * factor
+    text = f"{value:.{max(2, digits)}g}"
+    return text.replace("-", "−") if "−" in number else text
 
 
 def check_command_unit(command: str, unit: str) -> str:

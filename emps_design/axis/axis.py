@@ -9,6 +9,7 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import AfterValidator, BaseModel, Field, ValidationError, model_validator
 
 from emps_design.axis.messages import first_line
@@ -17,6 +18,7 @@ from emps_design.errors import AxisError, InputError, one_line
 from emps_design.files import read_bytes
 from emps_design.laws import leaves, unit_of
 from emps_design.notebook import table
+from emps_design.records import Record
 from emps_design.records.mapping import ColumnMap
 from emps_design.units import Units
 
@@ -83,6 +85,13 @@ class Axis(Table):
     def units(self) -> Units:
         """The units of this axis, in which its numbers are read and written."""
         return Units(self.motion, self.drive.command, self.drive.command_unit)
+
+    def supplied_by(self, *records: Record) -> Axis:
+        """This axis with the mean supply of the ``records`` where its command is a duty and it has none itself."""
+        columns = [record.supply for record in records if record.supply is not None]
+        if self.drive.command != "duty" or self.drive.supply is not None or not columns:
+            return self
+        return self.replace(drive={"supply": float(np.mean(np.concatenate(columns)))})
 
     @classmethod
     def from_toml(cls, text: str, source: str = "axis") -> Axis:

@@ -19,6 +19,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 
 from emps_design.effects import Effect, get_effect
+from emps_design.errors import AxisError
 from emps_design.laws import (
     NONE,
     Finite,
@@ -77,6 +78,9 @@ class Drive(Table):
     back_emf: NonNegative = Field(
         0.0, description="back-EMF, of a motor without a current loop", json_schema_extra={"unit": "volt/(m/s)"}
     )
+    supply: Positive | None = Field(
+        None, description="supply voltage of a duty, where no record has it", json_schema_extra={"unit": "volt"}
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -98,9 +102,31 @@ class Drive(Table):
             )
         table.pop("voltage_limit", None)
         table.setdefault("command_limit", *limits[:1] or ({"voltage": 10.0, "duty": 1.0}.get(command, NO_LIMIT),))
+        if command != "duty" and table.get("supply") is not None:
+            raise ValueError(f"supply: found one where the command is a {command}, expected it of a duty alone")
         if command not in ("voltage", "duty") and table.get("back_emf"):
             raise ValueError(f"back_emf: found one where the command is a {command}, whose loop takes no notice of it")
         return table
+
+    @property
+    def gain(self) -> float:
+        """Force per unit of the command [N/V, or as the command is counted]: G_tau, of a duty times the supply.
+
+        Raises :class:`AxisError` for a duty without a supply.
+        """
+        if self.command != "duty":
+            return self.force_gain
+        if self.supply is None:
+            raise AxisError(
+                "drive.supply: missing, expected the supply voltage [V] of a duty, or a record in which a column is "
+                "mapped to it"
+            )
+        return self.force_gain * self.supply
+
+    @property
+    def braking(self) -> float:
+        """What the back-EMF does to motion, force per velocity [N/(m/s)]: none behind a current loop."""
+        return self.force_gain * self.back_emf
 
     @model_serializer(mode="wrap")
     def _as_written(self, table: SerializerFunctionWrapHandler) -> dict[str, Any]:

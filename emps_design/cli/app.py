@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING, Any, get_type_hints
 from emps_design.cli import interrupts
 from emps_design.cli.interrupts import STATUS as INTERRUPTED
 from emps_design.cli.output import print_json, tell
+from emps_design.cli.wording import speak
 from emps_design.errors import EmpsError, InputError, SimulationError, SpecificationError, UnstableError
+from emps_design.units import Units
 
 if TYPE_CHECKING:
     import typer
@@ -47,6 +49,7 @@ def run(arguments: list[str]) -> int:
     debug = "--debug" in arguments
     as_json = "--json" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
+    speak(Units())  # until the command knows its axis
     try:
         result = _result(arguments)
         sys.stdout.flush()

@@ -9,13 +9,21 @@ import typer
 
 from emps_design.cli.design_options import AsJson, AxisArgument, Force
 from emps_design.cli.destinations import AXIS, JSON, check_folder
+from emps_design.cli.ignored import refuse_force, refuse_ignored
 from emps_design.cli.output import json_text, new_console, print_json, print_warnings, say
 
 FILES = {"axis.toml": AXIS, "compensation.json": JSON}
-SCENARIOS = ("laps", "half-ramp", "multi-sine", "reference")
+# The options that each scenario reads.
+SCENARIOS = {
+    "laps": ("stroke", "speed", "acceleration"),
+    "half-ramp": ("speed",),
+    "multi-sine": ("stroke",),
+    "reference": ("reference",),
+}
 
 
 def command(
+    context: typer.Context,
     axis: AxisArgument = "emps2019",
     scenario: Annotated[str, typer.Option(help="laps, half-ramp, multi-sine or reference")] = "",
     reference: Annotated[Path | None, typer.Option(help="reference to follow: columns t, q_ref (.csv, .npz)")] = None,
@@ -28,18 +36,20 @@ def command(
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
+    from emps_design.cli.wording import load_axis
     from emps_design.compensation import compensate
     from emps_design.errors import InputError, nearest_name
-    from emps_design.machines import load_axis
 
     check_folder(out, FILES, (axis, reference), force)
     scenario = scenario or ("reference" if reference else "laps")
     if scenario not in SCENARIOS:
-        raise InputError(
-            f"--scenario: found {scenario!r}, expected one of {', '.join(SCENARIOS)}{nearest_name(scenario, SCENARIOS)}"
-        )
-    if (scenario == "reference") != (reference is not None):
-        raise InputError("--scenario reference and --reference FILE: found one of them, expected both")
+        nearest = nearest_name(scenario, tuple(SCENARIOS))
+        raise InputError(f"--scenario: found {scenario!r}, expected one of {', '.join(SCENARIOS)}{nearest}")
+    refuse_force(context, out)
+    unread = {name for options in SCENARIOS.values() for name in options} - {*SCENARIOS[scenario]}
+    refuse_ignored(context, sorted(unread), f"goes with another scenario than {scenario}")
+    if scenario == "reference" and reference is None:
+        raise InputError("--scenario reference: found no reference, expected --reference FILE")
     machine = load_axis(axis)
     q_ref = _reference(machine, scenario, reference, stroke, speed, acceleration)
     found = compensate(machine, q_ref, mismatch, phase)

@@ -44,7 +44,10 @@ Mass = Annotated[float | None, typer.Option(help="instead of the axis's [kg]")]
 Viscous = Annotated[float | None, typer.Option(help="instead of the axis's [N/(m/s)]")]
 Coulomb = Annotated[float | None, typer.Option(help="instead of the axis's [N]")]
 ForceGain = Annotated[float | None, typer.Option(help="instead of the axis's [N/V]")]
-VoltageLimit = Annotated[float | None, typer.Option(help="instead of the axis's [V]")]
+VoltageLimit = Annotated[
+    float | None,
+    typer.Option("--voltage-limit", "--command-limit", help="instead of the axis's [V, or the command's unit]"),
+]
 CurrentTimeConstant = Annotated[float | None, typer.Option(help="instead of the axis's [s]")]
 Period = Annotated[float | None, typer.Option(help="instead of the axis's [s]")]
 EncoderResolution = Annotated[float | None, typer.Option(help="instead of the axis's [m]")]

@@ -44,9 +44,9 @@ def command(
     force: Annotated[bool, typer.Option("--force", help=OVERWRITE)] = False,
     as_json: Annotated[bool, typer.Option("--json", help="one JSON document on standard output")] = False,
 ) -> None:
+    from emps_design.cli.wording import load_axis
     from emps_design.discrepancy import diagnose
     from emps_design.importing import import_record
-    from emps_design.machines import load_axis
 
     refuse_force(context, out)
     check_folder(out, FILES, (axis, *records, holdout), force)

@@ -9,12 +9,14 @@ import typer
 
 from emps_design.cli.destinations import OVERWRITE, TABLE, check_out
 from emps_design.cli.frequency import HERTZ
+from emps_design.cli.ignored import refuse_force
 
 if TYPE_CHECKING:
     from emps_design.frequency_response import Experiment
 
 
 def command(
+    context: typer.Context,
     axis: str = typer.Argument("emps2019", help="TOML file or embedded machine, with its controller."),
     stroke: float = typer.Option(..., "--stroke", help="Travel that may be used [m]."),
     speed: float = typer.Option(..., "--speed", help="Speed of the passes [m/s]; the multi-sine takes 80 % of it."),
@@ -27,16 +29,19 @@ def command(
     speed_limit: float | None = typer.Option(None, "--speed-limit", help="Largest speed [m/s]."),
     force_limit: float | None = typer.Option(None, "--force-limit", help="Largest force [N]; the command's own limit."),
     jerk_limit: float | None = typer.Option(None, "--jerk-limit", help="Largest jerk of the multi-sine [m/s^3]."),
-    noise: float = typer.Option(0.35, "--noise", min=0.0, help="Force noise to expect [N rms, white]."),
+    noise: float | None = typer.Option(
+        None, "--noise", min=0.0, help="Force noise to expect [N rms, white]; 2 % of the Coulomb friction."
+    ),
     seed: int = typer.Option(0, "--seed", min=0, help="Seed of lines and phases."),
     out: Path | None = typer.Option(None, "--out", help="Write reference and excitation to this .csv file."),
     force: bool = typer.Option(False, "--force", help=OVERWRITE),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     from emps_design.cli.output import print_json, print_warnings
+    from emps_design.cli.wording import load_axis
     from emps_design.frequency_response import Limits, design_experiment
-    from emps_design.machines import load_axis
 
+    refuse_force(context, out)
     check_out(out, TABLE, (axis,), force)
     limits = Limits(stroke, speed_limit, force_limit, jerk_limit)
     found = design_experiment(load_axis(axis), limits, speed, low, high, resolution, passes, slope, at, noise, seed)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -11,6 +12,7 @@ from emps_design.cli.design_options import AsJson, AxisArgument, Force
 from emps_design.cli.destinations import AXIS, CODE, JSON, TABLE, check_folder
 from emps_design.cli.output import print_json, say
 
+MAX_BYTES = 1_000_000  # of a compensation
 KINDS = {".toml": AXIS, ".csv": TABLE, ".json": JSON}  # what else is code
 
 
@@ -18,16 +20,21 @@ def command(
     axis: AxisArgument,
     target: Annotated[str, typer.Option("--to", help="c, st or json")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="folder for the code, made where there is none")],
+    compensation: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="compensation.json of 'compensate --out': fed forward beside it")
+    ] = None,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
+    from emps_design.cli.wording import load_axis
     from emps_design.codegen import export_controller
     from emps_design.errors import InputError
-    from emps_design.machines import load_axis
 
-    check_folder(out, {}, (axis,), force)
-    exported = export_controller(load_axis(axis), target)
-    check_folder(out, {name: KINDS.get(Path(name).suffix, CODE) for name in exported.files}, (axis,), force)
+    check_folder(out, {}, (axis, compensation), force)
+    found = None if compensation is None else _read(compensation)
+    exported = export_controller(load_axis(axis), target, found)
+    kinds = {name: KINDS.get(Path(name).suffix, CODE) for name in exported.files}
+    check_folder(out, kinds, (axis, compensation), force)
     try:
         out.mkdir(exist_ok=True)
     except OSError as error:
@@ -40,3 +47,20 @@ def command(
         say(f"{out}: {', '.join(exported.files)}")
         vectors = document["vectors"]
         say(f"{vectors['rows']} vectors of the law {document['law']}, axis {document['axis']}")
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """The document of a compensation, whose content the library checks."""
+    from emps_design.errors import InputError
+    from emps_design.files import read_bytes
+
+    expected = "expected the compensation.json of 'compensate --out'"
+    try:
+        document = json.loads(read_bytes(path, MAX_BYTES, expected))
+    except InputError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not JSON, {expected}") from error
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: found {type(document).__name__}, {expected}")
+    return document

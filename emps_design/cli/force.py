@@ -63,9 +63,9 @@ def command(
     velocity_estimator: Estimator = None,
     as_json: AsJson = False,
 ) -> int:
+    from emps_design.cli.wording import load_axis
     from emps_design.control.force.design import design_force_loop
     from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
-    from emps_design.machines import load_axis
 
     refuse_force(context, out)
     check_out(out, AXIS, (axis,), force)

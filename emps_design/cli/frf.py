@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,7 @@ import typer
 
 from emps_design.cli.destinations import MATLAB, OVERWRITE, PICTURES, TABLE, check_out
 from emps_design.cli.frequency import HERTZ
+from emps_design.cli.ignored import refuse_force
 
 if TYPE_CHECKING:
     from emps_design.frequency_response import Estimate
@@ -18,6 +20,7 @@ OUT = {".csv": TABLE, ".mat": MATLAB}
 
 
 def command(
+    context: typer.Context,
     records: list[Path] = typer.Argument(..., metavar="RECORD...", help="Record files: .mat, .csv or .npz."),
     axis: str = typer.Option(
         "emps2019", "--axis", help="TOML file or embedded machine: its force gain and computation delay are read."
@@ -34,13 +37,14 @@ def command(
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     from emps_design.cli.output import print_json, print_warnings, progress_bar
+    from emps_design.cli.wording import load_axis
     from emps_design.errors import InputError, nearest_name
     from emps_design.frequency_response import estimate_response, write_response
     from emps_design.frequency_response.estimate import METHODS
     from emps_design.frequency_response.signals import INSTRUMENTS
     from emps_design.importing import import_record
-    from emps_design.machines import load_axis
 
+    refuse_force(context, out, plot)
     for option, value, known in (
         ("--method", method, ("auto", *METHODS)),
         ("--instrument", instrument, ("", *INSTRUMENTS)),
@@ -63,7 +67,7 @@ def command(
     if as_json:
         print_json(found)
     else:
-        _show(found)
+        _show(found, loaded.units.unit)
     print_warnings(found.warnings)
 
 
@@ -75,7 +79,7 @@ def _draw(path: Path, found: Estimate) -> None:
         response_figure(found).savefig(aside, format=path.suffix[1:])
 
 
-def _show(found: Estimate) -> None:
+def _show(found: Estimate, unit: Callable[[str], str]) -> None:
     import numpy as np
     from rich import box
     from rich.table import Table
@@ -89,7 +93,14 @@ def _show(found: Estimate) -> None:
         f"pass{'' if found.passes == 1 else 'es'}"
     )
     table = Table(box=box.SIMPLE, pad_edge=False)
-    for heading in ("frequency [Hz]", "magnitude [(m/s)/N]", "phase [deg]", "std [%]", "coherence", "ratio of spectra"):
+    for heading in (
+        "frequency [Hz]",
+        f"magnitude [({unit('m/s')})/({unit('N')})]",
+        "phase [deg]",
+        "std [%]",
+        "coherence",
+        "ratio of spectra",
+    ):
         table.add_column(heading, justify="right")
     wanted = np.geomspace(response.frequency[0], response.frequency[-1], 16)
     apart = found.spectral_ratio / response.response - 1.0

@@ -76,21 +76,22 @@ def command(
     velocity_estimator: Estimator = None,
     as_json: AsJson = False,
 ) -> int:
+    from emps_design.cli.wording import load_axis
     from emps_design.control.velocity.design import design_velocity_loop
     from emps_design.control.velocity.specification import check_specification
-    from emps_design.machines import load_axis
 
     refuse_force(context, out)
     if not retune:
         refuse_ignored(context, ["at"], "goes with --retune")
     check_out(out, AXIS, (axis, sigma_from, *(frf or ())), force)
     check_specification(crossover, bandwidth, phase_margin)
+    loaded = load_axis(axis)
     machine = with_numbers(
-        load_axis(axis),
+        loaded,
         mechanics={"mass": mass, "viscous": viscous, "coulomb": coulomb},
         drive={
             "force_gain": force_gain,
-            "voltage_limit": voltage_limit,
+            "voltage_limit" if loaded.drive.command == "voltage" else "command_limit": voltage_limit,
             "current_time_constant": current_time_constant,
         },
         sampling={

@@ -66,11 +66,11 @@ def command(
     import sys
 
     from emps_design.cli.output import print_json, progress_bar, tell
+    from emps_design.cli.wording import load_axis
     from emps_design.errors import InputError, nearest_name, one_line
     from emps_design.files import write_text
     from emps_design.identification.chains import DEFAULT_CHAIN
     from emps_design.importing import import_record
-    from emps_design.machines import load_axis
 
     if external_force not in ("refuse", "known"):
         raise InputError(f"--external-force: found {external_force!r}, expected refuse or known")

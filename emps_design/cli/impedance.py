@@ -52,8 +52,8 @@ def command(
     workers: Annotated[int, typer.Option(min=1, max=256, help="threads; the numbers do not depend on it")] = 1,
     as_json: Annotated[bool, typer.Option("--json", help="one JSON document on standard output")] = False,
 ) -> int:
+    from emps_design.cli.wording import load_axis
     from emps_design.comanipulation.assessment import assess_impedance
-    from emps_design.machines import load_axis
 
     if mismatch is None:
         refuse_ignored(context, ["two_quadrant", "plants", "seed", "workers"], "goes with --mismatch")

@@ -29,10 +29,10 @@ def command(
 ) -> None:
     """Read a drive's export as the [record] table of an axis says, and say what was taken for what."""
     from emps_design.cli.output import print_json, print_warnings
+    from emps_design.cli.wording import load_axis
     from emps_design.errors import InputError
     from emps_design.importing import import_record
     from emps_design.importing.account import Account
-    from emps_design.machines import load_axis
 
     for option, path, kinds in (("--out", out, OUT), ("--plot", plot, DRAWN)):
         if path is not None and path.suffix not in kinds:

@@ -43,9 +43,9 @@ def command(
 ) -> None:
     """A folder to start from: a commented axis file, synthetic records, and what to do with them."""
     from emps_design.cli.output import print_json, say
+    from emps_design.cli.wording import load_axis
     from emps_design.errors import InputError
     from emps_design.files import write_text, write_together
-    from emps_design.machines import load_axis
     from emps_design.simulation.synthetic import synthetic_record
 
     if trace is not None:

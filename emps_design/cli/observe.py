@@ -48,16 +48,16 @@ def command(
 ) -> None:
     """Observe the external force of a record, off-line and on-line."""
     from emps_design.cli.output import print_json, progress_bar, tell
+    from emps_design.cli.wording import load_axis
     from emps_design.identification.observation import observe, with_known_push
     from emps_design.importing import import_record
-    from emps_design.machines import load_axis
 
     refuse_force(context, out)
     check_out(out, TABLE, (axis, record), force)
     loaded = load_axis(axis)
     read = import_record(record, loaded)
     if injected is not None:
-        read = with_known_push(read, _voltage(injected, read), loaded.drive.force_gain)
+        read = with_known_push(read, _voltage(injected, read), loaded.drive.gain)
     with progress_bar(len(read) >= LONG) as progress:
         found = observe(read, loaded, cutoff_hz=cutoff, offline_cutoff_hz=offline_cutoff, progress=progress)
     if out is not None:

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from emps_design.cli.flags import in_flags
+from emps_design.cli.wording import in_units, in_words
 from emps_design.errors import one_line, printable
 
 if TYPE_CHECKING:
@@ -17,22 +18,24 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 Progress = Callable[[str, float], None]
+NAMES = ("name", "axis", "record", "records", "file", "files", "out", "directory", "machine", "column", "title")
 MESSAGES = ("reason", "warnings")  # keys under which the library's messages stand; all other text is data
 
 
-def plain(value: Any, message: bool = False) -> Any:
+def plain(value: Any, key: str = "") -> Any:
     """Return ``value`` as JSON data: numpy to Python, complex to [re, im], Infinity and NaN to None.
 
-    Arguments that a ``message`` names become flags.
+    Texts are in the units of the axis at hand, but for names; arguments that a message names become flags.
     """
     if hasattr(value, "to_dict"):
         return plain(value.to_dict())
     if isinstance(value, str):
-        return in_flags(value) if message else value
+        value = value if key in NAMES else in_units(value)
+        return in_flags(value) if key in MESSAGES else value
     if isinstance(value, dict):
-        return {str(key): plain(item, key in MESSAGES) for key, item in value.items()}
+        return {str(name): plain(item, str(name)) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item, message) for item in value]
+        return [plain(item, key) for item in value]
     if hasattr(value, "tolist"):
         return plain(value.tolist())
     if isinstance(value, complex):
@@ -71,12 +74,12 @@ def print_json(document: Any) -> None:
 
 def say(text: object = "") -> None:
     """Print ``text`` on standard output; what in it is no text (names may hold anything) is shown as ``?``."""
-    print(printable(in_flags(str(text))))
+    print(printable(in_words(str(text))))
 
 
 def tell(text: object) -> None:
     """Print ``text`` as one line of this program on standard error."""
-    print(f"emps-design: {one_line(in_flags(str(text)))}", file=sys.stderr)
+    print(f"emps-design: {one_line(in_words(str(text)))}", file=sys.stderr)
 
 
 def print_warnings(warnings: Iterable[str]) -> None:
@@ -91,7 +94,7 @@ def new_console() -> Console:
 
     class Plain(Console):
         def render_str(self, text: str, **options: Any) -> Any:
-            return super().render_str(printable(in_flags(text)), **options)
+            return super().render_str(printable(in_words(text)), **options)
 
     return Plain(markup=False, emoji=False)
 

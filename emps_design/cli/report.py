@@ -60,14 +60,15 @@ def command(
 ) -> None:
     """The whole design as one self-contained page: specification against achieved, loops, force loop, record."""
     from emps_design.cli.output import print_json, progress_bar, say, tell
+    from emps_design.cli.wording import load_axis
     from emps_design.errors import UnstableError
     from emps_design.files import write_aside
-    from emps_design.machines import load_axis
     from emps_design.report.assemble import assemble_report, has_impedance_law
 
+    given = None if axis is None else load_axis(axis)
     if record is None:
         refuse_ignored(context, ["design_on", "model", "record_filter"], "goes with --record")
-    if mass is None and damping is None and not (axis is not None and has_impedance_law(load_axis(axis))):
+    if mass is None and damping is None and not (given is not None and has_impedance_law(given)):
         refuse_ignored(context, ["filter", "mismatch"], "goes with the impedance law: --mass and --damping")
     if crossover is None and bandwidth is None:
         crossover = 100.0

@@ -86,7 +86,7 @@ def command(
     else:
         result = _single(scenario, axis, record, reference, rate, peak)
         if out is not None:
-            _write(out, result.run)
+            _write(out, result)
         if plot is not None:
             _draw(plot, result)
     document = result.to_dict()
@@ -115,8 +115,8 @@ def _refuse_ignored(context: typer.Context, scenario: str) -> None:
 def _single(
     scenario: str, name: str, record: Path | None, reference: Path | None, rate: float, peak: float | None
 ) -> Any:
+    from emps_design.cli.wording import load_axis
     from emps_design.errors import InputError
-    from emps_design.machines import load_axis
     from emps_design.simulation import scenarios
 
     axis = load_axis(name or "emps2019")
@@ -132,7 +132,7 @@ def _single(
         raise InputError("--scenario reference: found no reference, expected --reference FILE")
     from emps_design.simulation.reference_file import read_reference
 
-    return scenarios.follow(axis, *read_reference(reference, axis.sampling.period))
+    return scenarios.follow(axis, *read_reference(reference, axis.sampling.period, axis.units))
 
 
 def _comanipulation(
@@ -145,8 +145,8 @@ def _comanipulation(
     law: dict[str, Any],
 ) -> Any:
     from emps_design.cli.output import progress_bar
+    from emps_design.cli.wording import load_axis
     from emps_design.comanipulation.scenario import run_comanipulation
-    from emps_design.machines import load_axis
 
     with progress_bar() as progress:
         return run_comanipulation(
@@ -184,11 +184,11 @@ def _check(out: Path | None, plot: Path | None, inputs: tuple[str | Path | None,
             check_out(path, kinds[path.suffix], inputs, force, option)
 
 
-def _write(out: Path, run: Any) -> None:
+def _write(out: Path, result: Any) -> None:
     if out.suffix == ".npz":
-        run.save(out)
+        result.run.save(out)
     else:
-        run.to_csv(out)
+        result.run.to_csv(out, result.axis.units)
 
 
 def _draw(path: Path, result: Any) -> None:

@@ -18,8 +18,8 @@ def command(
     from importlib.util import find_spec
 
     from emps_design.cli.output import print_json, say
+    from emps_design.cli.wording import load_axis
     from emps_design.errors import InputError
-    from emps_design.machines import load_axis
 
     loaded = load_axis(axis)
     if find_spec("panel") is None:

@@ -9,22 +9,24 @@ import json
 import math
 import re
 import textwrap
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib import metadata
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from emps_design.axis.tables import field_in
+from emps_design.codegen.ahead import HOOKS, Ahead
 from emps_design.codegen.block import Block
 from emps_design.codegen.c import KEYWORDS, functions_in_c
 from emps_design.codegen.printer import safe_names
 from emps_design.codegen.st import functions_in_st, st_number
 from emps_design.codegen.vectors import MOTION, REST, Vectors, vectors_of
+from emps_design.compensation.feedforward import FeedForward, terms_of
 from emps_design.errors import InputError
 from emps_design.files import write_text, write_together
-from emps_design.laws import leaves, unit_of
+from emps_design.laws import law_of, leaves, unit_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -60,12 +62,13 @@ class Exported:
             "target": self.target,
             "axis": self.block.axis.name,
             "law": self.block.kind.name,
+            "compensation": list(self.block.ahead.feedforward.terms) if self.block.ahead is not None else [],
             "files": list(self.files),
             "sha256": {name: _hash(text) for name, text in self.files.items()},
             "vectors": {
                 "rows": int(self.vectors.q.size),
                 "inputs": list(self.vectors.titles),
-                "states": self.block.law.memory,
+                "states": int(self.vectors.answers[1].shape[1]),
                 "single_precision_bound": max(bound, default=None),
                 "rows_without_bound": int(self.vectors.q.size - len(bound)),
             },
@@ -74,11 +77,12 @@ class Exported:
         }
 
 
-def export_controller(axis: Axis, target: str) -> Exported:
+def export_controller(axis: Axis, target: str, compensation: Mapping[str, Any] | None = None) -> Exported:
     """Return the controller of ``axis`` as the files of a ``target``: one of ``TARGETS``.
 
-    The same axis gives the same bytes. Raises :class:`InputError` for another target, for an axis without a controller
-    and for a law that has no translation.
+    ``compensation`` is what :func:`~emps_design.compensation.compensate` found, as plain data; C alone takes one. The
+    same axis gives the same bytes. Raises :class:`InputError` for another target, for an axis without a controller, for
+    a law that has no translation and for a compensation of another axis.
 
     >>> from emps_design.machines import machine
     >>> list(export_controller(machine("emps2019"), "c").files)
@@ -86,9 +90,28 @@ def export_controller(axis: Axis, target: str) -> Exported:
     """
     if target not in TARGETS:
         raise InputError(f"`target`: found {target!r}, expected one of {', '.join(TARGETS)}")
-    block = Block.of(axis)
+    block = Block.of(axis, None if compensation is None else _ahead(axis, target, compensation))
     name, vectors = block_name(axis.name), vectors_of(block)
     return Exported(name, target, block, vectors, TARGETS[target](name, block, vectors))
+
+
+def _ahead(axis: Axis, target: str, found: Mapping[str, Any]) -> Ahead:
+    """The feed-forward of a ``compensation`` for this ``axis``, checked."""
+    kept, reversal, taken = found.get("kept"), found.get("reversal"), found.get("law_taken_off")
+    if not isinstance(kept, list) or not isinstance(reversal, int | float) or not isinstance(taken, bool):
+        raise InputError("compensation: found no kept, reversal and law_taken_off, expected what compensate writes")
+    unknown = [str(term) for term in kept if term not in terms_of(axis)[0]]
+    if unknown or found.get("axis") != axis.name:
+        raise InputError(
+            f"compensation: found the terms {', '.join(map(str, kept))} of the axis {found.get('axis')}, expected "
+            f"those of {axis.name}; run compensate on this axis"
+        )
+    if target != "c":
+        raise InputError(f"`target`: found {target!r} with a compensation, expected c: no other takes one yet")
+    ahead = replace(FeedForward.of(axis, kept), reversal=float(reversal))
+    if taken and law_of(axis, axis.sampling.period).follows != "position":
+        raise InputError("compensation: found one of a law that follows a velocity, expected a position")
+    return Ahead.of(ahead, taken)
 
 
 def block_name(name: str) -> str:
@@ -136,7 +159,14 @@ def _words(name: str, block: Block) -> dict[str, Any]:
         "equations": [_comment(line, 1000) for line in said],
         "parameters": list(map(_comment, parameters)),
         "memory": max(1, law.memory),
-        "states": law.memory,
+        "memories": law.memory,
+        "states": law.memory * (2 if block.ahead is not None and block.ahead.takes_off else 1),
+        "inputs": 6 if block.ahead is not None else 3,
+        "ahead": None,
+        "feedforward": None if block.ahead is None else _feedforward(block.ahead),
+        "velocity_unit": unit("m/s"),
+        "acceleration_unit": unit("m/s^2"),
+        "mass_unit": unit("kg"),
         "limit": repr(block.limit),
         "follows": f"a {law.follows}",
         "reference_unit": unit(INPUTS[law.follows]),
@@ -182,17 +212,48 @@ def _with_page(name: str, block: Block, vectors: Vectors, made: dict[str, str]) 
     return {**made, "README.md": _template("README.md").render(words)}
 
 
+def _ahead_in_c(name: str, ahead: Ahead) -> tuple[list[str], dict[str, Any]]:
+    """Definitions of the kernels that are fed forward, and what the templates say of them."""
+    definitions, calls = [], {hook: list[str]() for hook in HOOKS}
+    for part in ahead.parts:
+        made, kernel = functions_in_c(part.program, f"{name}_{part.term}", {})
+        definitions += made
+        calls[part.hook].append(kernel)
+    return definitions, {
+        "hooks": [{"name": hook, "calls": calls[hook]} for hook in HOOKS],
+        "own": [repr(one) for one in ahead.own],
+        "repeats": ahead.repeats,
+        "passes": ahead.passes,
+        "gain": repr(float(ahead.feedforward.axis.drive.force_gain)),
+        **_feedforward(ahead),
+    }
+
+
+def _feedforward(ahead: Ahead) -> dict[str, Any]:
+    """What a page says of a feed-forward."""
+    return {
+        "terms": [term.replace("_", " ") for term in ahead.feedforward.terms],
+        "wait": repr(ahead.feedforward.wait),
+        "reversal": repr(ahead.reversal) if ahead.reversal > 0.0 else "",
+        "takes_off": ahead.takes_off,
+    }
+
+
 def _c(name: str, block: Block, vectors: Vectors) -> dict[str, str]:
     definitions, kernel = functions_in_c(
         block.program, name, dict(zip(list(block.program.kernel.parameters)[4:6], ("LIMIT", "GAINS"), strict=True))
     )
+    words = _words(name, block)
+    if block.ahead is not None:
+        more, words["ahead"] = _ahead_in_c(name, block.ahead)
+        definitions = list(dict.fromkeys([*definitions, *more]))
     gains = list(zip((repr(float(gain)) for gain in block.law.gains), _gain_names(block), strict=True))
-    words = {
-        **_words(name, block),
+    repeats = block.ahead is not None and block.ahead.repeats
+    words |= {
         "definitions": definitions,
         "kernel": kernel,
         "gains": gains or [("0.0", "none")],
-        "uses_math": any("FN(" in definition for definition in definitions),
+        "uses_math": repeats or any("FN(" in definition for definition in definitions),
     }
     made = {
         f"{name}.c": _template("controller.c").render(words),

@@ -7,12 +7,13 @@ the limit, in and out of the limit, and extremes. Random numbers have a fixed se
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from emps_design.codegen.ahead import INPUTS
 from emps_design.codegen.block import Block
 from emps_design.codegen.rounding import Rounded, Roundings, largest, on_rounded, smallest
 
@@ -31,11 +32,12 @@ class Vectors:
     reference: np.ndarray
     q: np.ndarray
     f_ext: np.ndarray
+    motion: tuple[np.ndarray, ...] = ()  # position, velocity, acceleration of the reference that is fed forward
 
     @cached_property
     def answers(self) -> Any:
         """Command (n,) and memory (n, memory) by the simulation's own machine code."""
-        return self.block.run(self.start, self.reference, self.q, self.f_ext)
+        return self.block.run(self.start, self.reference, self.q, self.f_ext, self.motion)
 
     @property
     def u(self) -> np.ndarray:
@@ -51,9 +53,14 @@ class Vectors:
             if self.start[i]:
                 k, now = 0, Roundings()
                 gains, limit = [now.constant(float(gain)) for gain in block.law.gains], now.constant(block.limit)
-                memory = [now.exact(0.0)] * block.law.memory
+                memory, own = [now.exact(0.0)] * block.law.memory, [now.exact(0.0)] * block.law.memory
             given = [now.exact(float(x)) for x in (self.reference[i], self.q[i], self.f_ext[i])]
             u = kernel(k, *given, limit, gains, memory)
+            if block.ahead is not None:
+                added = block.ahead.rounded([now.exact(float(x[i])) for x in self.motion], now)
+                if block.ahead.takes_off:
+                    added = added - kernel(k, given[0], given[0], now.exact(0.0), limit, gains, own)
+                u = u + added
             u = largest(smallest(u if isinstance(u, Rounded) else now.constant(u), limit), -limit)
             found[i] = math.inf if now.open or not u.bound < math.inf else min(u.bound, 2.0 * block.limit)
             k += 1
@@ -66,20 +73,22 @@ class Vectors:
         """
         u, states = self.answers
         titles = ["start", *self.titles, "u", "single", *(f"memory[{i}]" for i in range(states.shape[1]))]
-        columns = [self.start.astype(float), self.reference, self.q, self.f_ext, u, self.bound, *states.T]
+        inputs = [self.reference, self.q, self.f_ext, *self.motion]
+        columns = [self.start.astype(float), *inputs, u, self.bound, *states.T]
         rows = zip(*(column.tolist() for column in columns), strict=True)
         return "\n".join([",".join(titles), *(",".join(map(_shortest, row)) for row in rows)]) + "\n"
 
     @property
     def titles(self) -> tuple[str, ...]:
         """Titles of the inputs."""
-        return "reference", "q", "f_ext"
+        return ("reference", "q", "f_ext", *(INPUTS if self.motion else ()))
 
     def to_dict(self) -> dict[str, Any]:
         """Inputs and answers by name, as plain numbers; ``single`` is None where nothing bounds it."""
         u, states = self.answers
         bound = [one if math.isfinite(one) else None for one in self.bound.tolist()]
-        inputs = {name: getattr(self, name).tolist() for name in self.titles}
+        signals = (self.reference, self.q, self.f_ext, *self.motion)
+        inputs = {name: signal.tolist() for name, signal in zip(self.titles, signals, strict=True)}
         return {"start": self.start.tolist(), **inputs, "u": u.tolist(), "single": bound, "memory": states.tolist()}
 
 
@@ -103,7 +112,15 @@ def vectors_of(block: Block) -> Vectors:
         )
         for i in range(3)
     ]
-    return Vectors(block, start, *signals)
+    reference, q, f_ext = signals
+    return Vectors(block, start, reference, q, f_ext, _ahead(random, start.size) if block.ahead is not None else ())
+
+
+def _ahead(random: np.random.Generator, n: int) -> tuple[np.ndarray, ...]:
+    """Motion of a reference to feed forward (n,): through zero and beyond, at rest in between, slow and fast."""
+    q, v, a = (_single(one) for one in _motion(random, n))
+    slow = np.where(np.arange(n) % 7 < 3, 1e-3, 1.0)
+    return q, _single(0.3 * slow * v), _single(a / FORCE_PER_METRE)
 
 
 def _still() -> tuple[np.ndarray, ...]:
@@ -129,7 +146,8 @@ def _within_limit(block: Block, *wave: np.ndarray) -> float:
     """The largest amplitude, by powers of two, with which ``block`` stays within its limit along ``wave``."""
     start = np.arange(wave[0].size) == 0
     for power in range(6, -60, -1):
-        u, _ = block.run(start, *(_single(2.0**power * one) for one in wave))
+        reference, q, f_ext = (_single(2.0**power * one) for one in wave)
+        u, _ = replace(block, ahead=None).run(start, reference, q, f_ext)
         if np.abs(u).max() < 0.8 * block.limit:
             return 2.0**power
     return 2.0**-20

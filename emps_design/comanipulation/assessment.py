@@ -180,7 +180,7 @@ class ImpedanceAssessment:
             ("mismatch", None if self.mismatch is None else 100.0 * self.mismatch, "%"),
         )
         verdict = "stable" if self.stable else "UNSTABLE"
-        return table(f"{self.axis.name}: the sampled impedance law is {verdict}", rows)
+        return self.axis.units.text(table(f"{self.axis.name}: the sampled impedance law is {verdict}", rows))
 
     def _under_mismatch(self, study: MismatchStudy, mismatch: float) -> dict[str, Any]:
         corners = [self.law.with_errors(errors) for errors in corner_errors(mismatch, self.plant.two_quadrant)]

@@ -138,14 +138,14 @@ def run_block(
 ):  # fmt: skip
     """Run one plant for each row of ``parameters`` and ``gains``; returns the number of good samples of the last."""
     y, none, noted, found = y0.copy(), np.zeros(0), np.zeros((0, 3)), np.zeros(2, np.int64)
-    good = 0
+    good, steady = 0, np.zeros((0, 2))
     for i in range(gains.shape[0]):
         y[:] = y0
         memory[:] = 0.0
         found[0] = 0
         status, good, _ = run_samples(
             (baseline, hooks, starts, parameters[i], settings), y, law, gains[i : i + 1], memory, reference, push, none,
-            columns, slots, floors, scratch, out, noted, found,
+            steady, columns, slots, floors, scratch, out, noted, found,
         )  # fmt: skip
         if status == DONE:
             measure(out[1], out[2], out[3], out[4], wish, limit, settings[0], release, end, measures[i])

@@ -178,7 +178,7 @@ def fitted_hand(axis: Axis, law: ImpedanceLaw) -> tuple[tuple[float, float], flo
     lead = abs(complex(law.damping, PACE * law.mass)) * PACE  # N/m, the apparent impedance over the position
     motor = abs(complex(viscous - law.damping, PACE * (plant.mass - law.mass))) * PACE * 0.24  # N, at full travel
     jolt = max(1.0, law.ratio) * max(plant.coulomb)  # N, of the Coulomb compensation when the velocity turns
-    room = 0.85 * axis.drive.force_gain * axis.drive.command_limit - jolt
+    room = 0.85 * axis.drive.gain * axis.drive.command_limit - jolt
     scale = float(np.clip(room / motor, 0.01, 1.0)) if motor > 0.0 else 1.0
     stiffness = max(HAND[0], 3.0 * stuck / (0.12 * scale), 2.0 * lead)
     stiffness = min(stiffness, 0.05 * light / period**2, 2.0 * light / period)

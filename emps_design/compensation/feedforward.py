@@ -10,8 +10,7 @@ were on its reference (the braking of a velocity feedback) is taken off, unless 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,6 +36,7 @@ class FeedForward:
     baseline: np.ndarray = field(repr=False)
     parameters: tuple[np.ndarray, ...] = field(repr=False)
     late: float = 0.0  # s, between command and force besides the hold and the computation
+    reversal: float = 0.0  # m/s, below which friction is fed forward in proportion; 0: a share of the highest speed
 
     @classmethod
     def of(cls, axis: Axis, terms: Sequence[str]) -> FeedForward:
@@ -55,28 +55,41 @@ class FeedForward:
         if not self.terms:
             return np.zeros(q_ref.size)
         axis, period = self.axis, self.axis.sampling.period
-        wait = (0.5 + axis.sampling.computation_delay) * period + (self.late if LEAD in self.terms else 0.0)
-        q, v, a = motion_ahead(q_ref, period, wait)
-        speed = REVERSAL * float(np.abs(v).max(initial=0.0))
-        direction = np.clip(v / speed, -1.0, 1.0) if speed > 0.0 else np.zeros(q.size)
-        command = self._force(q, v, a, direction) / axis.drive.force_gain
-        braking = answered(axis, q_ref)
+        q, v, a = motion_ahead(q_ref, period, self.wait)
+        at_reversal = replace(self, reversal=self.reversal or reversal_of(q_ref, period))
+        command, braking = at_reversal.command(q, v, a), answered(axis, q_ref)
         return command if braking is None else command - braking
 
-    def _force(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    @property
+    def wait(self) -> float:
+        """Time [s] from a sample to the middle of what its command does."""
+        sampling = self.axis.sampling
+        return (0.5 + sampling.computation_delay) * sampling.period + (self.late if LEAD in self.terms else 0.0)
+
+    def command(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Command (n,) that the motion ``q`` [m], ``v`` [m/s], ``a`` [m/s^2] (n,) needs, by the terms."""
         from emps_design.simulation.kernels.inverse import force_along, table
 
-        own = np.array([self.baseline[at] if name in self.terms else 0.0 for name, at in BASELINE.items()])
-        chosen = [place for place, name in enumerate(self._names) if name in self.terms]
-        hooks, starts = table([self.axis.effects[place].effect for place in chosen])
-        p = np.concatenate([np.zeros(0), *(self.parameters[place] for place in chosen)])
-        force = np.empty(q.size)
-        force_along(q, v, a, direction, own, self.baseline, hooks, starts, p, np.zeros(1), force)
-        return force
+        direction = np.clip(v / self.reversal, -1.0, 1.0) if self.reversal > 0.0 else np.zeros(q.size)
+        chosen = self.effects()
+        hooks, starts = table([effect for _, effect, _ in chosen])
+        p, force = np.concatenate([np.zeros(0), *(values for _, _, values in chosen)]), np.empty(q.size)
+        force_along(q, v, a, direction, self.own(), self.baseline, hooks, starts, p, np.zeros(1), force)
+        return force / self.axis.drive.force_gain
 
-    @cached_property
-    def _names(self) -> list[str]:
-        return names_of_effects(self.axis)
+    def own(self) -> np.ndarray:
+        """The baseline that counts (4,)."""
+        return np.array([self.baseline[at] if name in self.terms else 0.0 for name, at in BASELINE.items()])
+
+    def effects(self) -> list[tuple[str, Effect, np.ndarray]]:
+        """Name, effect and parameters of every effect among the terms."""
+        each = zip(names_of_effects(self.axis), self.axis.effects, self.parameters, strict=True)
+        return [(name, one.effect, values) for name, one, values in each if name in self.terms]
+
+
+def reversal_of(q_ref: np.ndarray, period: float) -> float:
+    """The speed [m/s] below which friction is fed forward in proportion, along a reference ``q_ref`` (n,) [m]."""
+    return REVERSAL * float(np.abs(motion_ahead(q_ref, period, 0.0)[1]).max(initial=0.0))
 
 
 def names_of_effects(axis: Axis) -> list[str]:

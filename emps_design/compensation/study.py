@@ -21,6 +21,7 @@ from emps_design.compensation.feedforward import (
     FeedForward,
     answered,
     names_of_effects,
+    reversal_of,
     terms_of,
 )
 from emps_design.errors import InputError, SimulationError, UnstableError
@@ -77,14 +78,21 @@ class Compensation:
             "terms": [vars(term) for term in self.terms],
             "not_compensated": self.not_compensated,
             "kept": list(self.feedforward.terms),
-            "lead": self.feedforward.late if LEAD in self.feedforward.terms else 0.0,
+            "reversal": self.feedforward.reversal,
+            "lead": self.feedforward.wait,
+            "law_taken_off": answered(self.axis, self.q_ref) is not None,
             "assumed": {
                 "mismatch": self.mismatch,
                 "phase_deg": self.phase_deg,
                 "not_varied": "periods and lengths, whose error is that of the phase, and exponents",
             },
             "limited_share": self.limited,
-            "units": {"tracking_rms": self.unit, "alone": self.unit, "left_out": self.unit, "lead": "s"},
+            "units": {
+                "tracking_rms": self.unit,
+                "alone": self.unit,
+                "lead": "s",
+                "reversal": self.axis.units.unit("m/s"),
+            },
             "warnings": list(self.warnings),
         }
 
@@ -173,7 +181,7 @@ def compensate(
     if trial.rms(FeedForward.of(axis, kept)) > without:
         notes |= dict.fromkeys(kept, "no feed-forward lowers the error")
         kept = ()
-    ahead = FeedForward.of(axis, kept)
+    ahead = replace(FeedForward.of(axis, kept), reversal=reversal_of(q_ref, axis.sampling.period))
     achieved, limited = trial.run(ahead.along(q_ref))
     worst = _worst(trial, ahead, mismatch, phase_deg)
     warnings = [f"{name} is not compensated: {reason}" for name, reason in left.items()]

@@ -181,4 +181,4 @@ class Diagnosis:
     def _repr_html_(self) -> str:
         rows = [(f.label, f.where["text"], f.gap_before, f.gap_after) for f in self.findings]
         heads = ("effect", "where", "gap before [N]", "gap after [N]")
-        return table(f"{self.verdict}: {self.sentence}", rows, heads if rows else ())
+        return self.axis.units.text(table(f"{self.verdict}: {self.sentence}", rows, heads if rows else ()))

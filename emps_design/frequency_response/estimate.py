@@ -259,7 +259,7 @@ def _finished(
     """The response and its deviations from what the loop answers."""
     period, w = records[0].period, 2.0 * np.pi * answer.frequency
     late = axis.sampling.computation_delay * period
-    gain = axis.drive.force_gain
+    gain = axis.drive.gain
 
     def plant(ratio: np.ndarray) -> np.ndarray:
         return continuous_from_increments(ratio, w, period, late) / gain

@@ -33,7 +33,7 @@ ROOM = 0.9  # share of a limit that is used
 STEEPEST = 10.0  # times the command, what may be added to have it: below the crossover the controller works against it
 LEAST = 2  # periods on a pass, besides the one in which the loop settles
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # farthest from every ratio of small whole numbers
-NOISE = 0.35  # N rms, white, where none is given
+NOISE_SHARE = 0.02  # of the Coulomb friction, rms of white force noise where none is given
 
 
 @dataclass(frozen=True)
@@ -112,13 +112,14 @@ def design_experiment(
     passes: int = 4,
     slope: float = 0.5,
     at: str = PLACES[0],
-    noise: float = NOISE,
+    noise: float | None = None,
     seed: int = 0,
 ) -> Experiment:
     """Return the experiment for ``axis``: lines from ``low`` to ``high`` [Hz], ``resolution`` [Hz] the base line.
 
     ``speed`` [m/s] is that of the passes, ``slope`` the power of frequency by which the command's amplitude falls,
-    ``at`` where the multi-sine is added, ``noise`` [N rms] what the deviations are expected from. Raises
+    ``at`` where the multi-sine is added, ``noise`` [N rms] what the deviations are expected
+    from, by default 2 % of the Coulomb friction. Raises
     :class:`InputError` for what does not fit the limits, :class:`UnstableError` for an axis whose loop is unstable.
 
     >>> from emps_design.machines import machine
@@ -179,6 +180,7 @@ def design_experiment(
         "command": steady + peaks["command"],
         "stroke": float(np.ptp(q_ref)) + 2.0 * peaks["position"],
     }
+    noise = NOISE_SHARE * axis.mechanics.coulomb if noise is None else noise
     std = _expected(axis, speed, w, amplitude * np.abs(one * command), periods * samples * passes, noise)
     f = lines / (samples * period)
     words = (
@@ -238,12 +240,12 @@ def _peak(amplitudes: np.ndarray, lines: np.ndarray, samples: int) -> float:
 def _steady_command(axis: Axis, speed: float) -> float:
     """What the passes take, the harder way [V]."""
     m = axis.mechanics
-    return (m.viscous * speed + m.coulomb + abs(m.offset)) / axis.drive.force_gain
+    return (m.viscous * speed + m.coulomb + abs(m.offset)) / axis.drive.gain
 
 
 def _amplitude(axis: Axis, limits: Limits, speed: float, steady: float, unit: dict[str, float]) -> tuple[float, str]:
     """The largest factor on the peaks ``unit`` that every limit bears, and which limit binds."""
-    gain = axis.drive.force_gain
+    gain = axis.drive.gain
     rooms = {
         "speed of the passes": TURNING * speed / unit["velocity"],
         "command limit": (ROOM * axis.drive.command_limit - steady) / unit["command"],
@@ -280,7 +282,7 @@ def _between_steps(speed: float, axis: Axis) -> float:
 
 def _ramp(axis: Axis, limits: Limits, speed: float, steady: float, usual: float) -> float:
     """How long the passes take to reach their ``speed`` [s]: as ``usual``, or what half of the force allows."""
-    gain = axis.drive.force_gain
+    gain = axis.drive.gain
     most = min(gain * axis.drive.command_limit, np.inf if limits.force is None else limits.force)
     room = 0.5 * (ROOM * most - gain * steady)
     return max(0.1, usual, 0.5 * np.pi * axis.mechanics.mass * speed / room) if room > 0.0 else usual
@@ -315,5 +317,5 @@ def _expected(axis: Axis, speed: float, w: np.ndarray, command: np.ndarray, samp
     back = np.exp(-1j * w * plant.period)
     newer, older = plant.weights
     position = plant.response(w) * plant.period / ((newer + older * back) * (1.0 - back))
-    power = (noise / axis.drive.force_gain) ** 2 + resolution**2 / 12.0 / np.abs(position) ** 2
+    power = (noise / axis.drive.gain) ** 2 + resolution**2 / 12.0 / np.abs(position) ** 2
     return np.sqrt(power / samples) / (0.5 * command)

@@ -35,11 +35,12 @@ from emps_design.frequency_response.response import FrequencyResponse
 from emps_design.laws import law_of
 from emps_design.laws.linear import LinearLaw, linear_law
 
-DRAWS, SEED = 400, 20
+DRAWS, SEED = 600, 20
 BETWEEN = 6  # points of the grid in each interval of the data
 BEYOND = 60  # points on either side of the data
 FAR_BELOW = 1e-3  # of the lowest line, where the grid begins
-QUANTILES = (0.025, 0.975)
+# Of the draws 99 % for a band of 95 %: they know nothing of what the deviations are uncertain by themselves.
+QUANTILES = (0.005, 0.995)
 BOUND = 2.5  # standard deviations of one line's bound, where the largest of many is taken
 CROSSINGS = ("phase_margin_deg", "crossover", "delay_margin", "gain_margin", "gain_margin_frequency")
 NAMES = (*CROSSINGS, "disk_margin", "sensitivity_peak_below", "sensitivity_peak_above")
@@ -108,7 +109,7 @@ class MeasuredPlant:
         masses = np.array([mass_line(response.w, one, std)[0] for one in data])
         period = axis.sampling.period
         late = axis.sampling.computation_delay * period
-        return cls(response.w, data, masses, axis.drive.force_gain, late, period)
+        return cls(response.w, data, masses, axis.drive.gain, late, period)
 
     @cached_property
     def _pieces(self) -> np.ndarray:
@@ -280,7 +281,7 @@ def _number(value: Any) -> float | None:
 
 
 def _band(values: np.ndarray) -> tuple[float, float] | None:
-    """The 95 % interval around the first of ``values`` from the others; None where too few have one."""
+    """The interval around the first of ``values`` from the others; None where too few have one."""
     drawn = values[1:][np.isfinite(values[1:])]
     if not math.isfinite(values[0]) or drawn.size < 0.5 * (values.size - 1):
         return None
@@ -301,7 +302,7 @@ def _words(
     low, high = float(response.w[0]), float(response.w[-1])
     if not stable:
         words.append(f"{response.name}: the loop is unstable on the measured plant")
-    elif share < QUANTILES[1]:
+    elif share < 0.975:
         words.append(f"{response.name}: unstable in {100 * (1 - share):.3g} % of the plants that the deviations allow")
     lowest, highest = (size[int(np.searchsorted(grid, w))] for w in (low, high * (1.0 - 1e-12)))
     if lowest < 1.0:

@@ -19,6 +19,8 @@ SAME = 1e-3  # share of its power by which one period may differ from the next
 STEADY = 2e-3  # share of the highest speed by which a reference may differ a period later
 SHORTEST = 8  # samples of a period
 FEWEST = 64  # samples of a stretch
+CORRELATED = 0.4  # of two periods in a row at least half is the same again one period later
+CANDIDATES = 100  # lags that are looked at
 LOOKED_AT = 1 << 20  # samples in which the period of a long record shows, or it has none
 
 
@@ -113,10 +115,8 @@ def _repeats(r: np.ndarray, bias: np.ndarray | None) -> int:
     correlation = irfft(spectrum.real**2 + spectrum.imag**2, size)[: part.size]
     overlap = np.arange(part.size, 0, -1) / part.size
     even = correlation[overlap > 0.1] / correlation[0] / overlap[overlap > 0.1]
-    peaks = find_peaks(even, height=0.3)[0]
-    peaks = peaks[peaks >= SHORTEST]
-    highest = peaks[np.argsort(-even[peaks], kind="stable")][:40]
-    return next((int(lag) for lag in np.sort(highest) if _holds(limited, int(lag))), 0)
+    peaks = find_peaks(even, height=CORRELATED)[0]
+    return next((int(lag) for lag in peaks[peaks >= SHORTEST][:CANDIDATES] if _holds(limited, int(lag))), 0)
 
 
 def _holds(part: np.ndarray, lag: int) -> bool:

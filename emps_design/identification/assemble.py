@@ -60,7 +60,8 @@ def assemble(
     said = dict(zip((quantity.name for quantity in parameters_of(model)), fit.value.tolist(), strict=True))
     warnings = [*record.warnings, *notes, *implausible(said, axis)]
     estimates = {}
-    for i, quantity in enumerate(parameters_of(model)):
+    for i, written in enumerate(parameters_of(model)):
+        quantity = replace(written, unit=axis.units.unit(written.unit), text=axis.units.words(written.text))
         told, why = None if shares is None else float(shares[i]), ""
         if told is not None and told < weakest:
             why = (

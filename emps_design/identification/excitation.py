@@ -51,7 +51,7 @@ def force_free(record: Record, axis: Axis, external_force_known: bool = False) -
     """
     if record.f_ext is None or external_force_known:
         return record
-    rms, motor = (float(np.sqrt(np.mean(x**2))) for x in (record.f_ext, axis.drive.force_gain * record.u))
+    rms, motor = (float(np.sqrt(np.mean(x**2))) for x in (record.f_ext, axis.drive.gain * record.u))
     if rms > SENSOR_NOISE * motor:
         raise RecordError(
             f"{record.name}: an external force of {rms:.3g} N rms acts, and (12) holds without one; record without "

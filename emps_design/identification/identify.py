@@ -62,6 +62,7 @@ def identify(
         from emps_design.machines import machine
 
         axis = machine("emps2019")
+    axis = axis.supplied_by(record)
     record = check_record(record, axis, external_force_known)
     axis, notes = known_part(axis, model), notes_on(known_part(axis, model))
     chosen = chosen_cutoff(acting(record, axis))

@@ -31,6 +31,7 @@ from emps_design.identification.result import Identification
 from emps_design.identification.statistics import long_run
 from emps_design.records import Record
 from emps_design.simulation import Plant, Run
+from emps_design.simulation.driven import driven_by
 
 ITERATIONS = 8
 WEAK_INSTRUMENT = 0.1  # share of a column that its instrument explains, below which it says nothing
@@ -94,6 +95,7 @@ def identify_with_instruments(
     """
     if axis.controller.kind == "none":
         raise AxisError(f"{axis.name}: instruments need the controller of the record; give [controller] in the axis")
+    axis = axis.supplied_by(record)
     record = check_record(record, axis, external_force_known)
     axis = known_part(axis, model)
     filtered = filter_record(record, axis, "hold", cutoff_hz)
@@ -132,7 +134,7 @@ def identify_with_instruments(
 def instruments(record: Record, axis: Axis, model: str, value: np.ndarray, filtered: Filtered) -> np.ndarray:
     """Columns of the closed-loop simulation from ``q_ref`` with parameters ``value``, filtered alike, (n, p)."""
     run = simulate(record, axis, model, value)
-    led = hold_chain(replace(record, q=run.position, u=run.u), axis.drive.force_gain, filtered.cutoff_hz)
+    led = hold_chain(replace(record, q=run.position, u=run.u), axis.drive.gain, filtered.cutoff_hz)
     Z, _ = regression(led, model)
     return Z * filtered.used[:, None]
 
@@ -153,9 +155,7 @@ def simulate(record: Record, axis: Axis, model: str, value: np.ndarray) -> Run:
     effects = [*identified_effects(model, p), *known_part(axis, model).effects]
     machine = axis.replace(mechanics=mechanics, effects=effects, sampling={"period": record.period})
     try:
-        return Plant.of(machine).closed_loop(
-            record.q_ref, disturbance=record.f_ext, q0=float(record.q[0]), quantise=False
-        )
+        return Plant.of(machine).closed_loop(**driven_by(machine, record), quantise=False)
     except SimulationError as error:
         raise RecordError(
             f"{record.name}: no simulation with the controller of {axis.name} at {1 / record.period:g} Hz ({error}), "

@@ -14,7 +14,7 @@ from emps_design.errors import InputError, nearest_name
 from emps_design.identification.chains import CHAINS
 from emps_design.identification.filtered import Filtered
 from emps_design.identification.inverse_model import with_predicted_force
-from emps_design.observer import acting_voltage, effects_force, left_out
+from emps_design.observer import acting_voltage, effects_force, left_out, motor_share
 from emps_design.records import Record
 
 
@@ -44,20 +44,26 @@ def identified_effects(model: str, p: Mapping[str, float]) -> list[dict[str, Any
 def acting(record: Record, axis: Axis) -> Record:
     """The record with the voltage that acts in place of the recorded one: see :func:`acting_voltage`."""
     voltage, _ = acting_voltage(axis.replace(sampling={"period": record.period}), record.u)
-    return replace(record, u=voltage)
+    return replace(record, u=voltage * motor_share(axis, record))
 
 
 def filter_record(record: Record, axis: Axis, chain: str, cutoff_hz: float | None = None) -> Filtered:
     """Run ``record`` through ``chain``, less what the axis' drive and effects account for.
 
-    Delays, lags and maps of the drive go into the voltage; the force of effects that have a regressor is taken out of
+    Delays, lags and maps of the drive go into the voltage, and so do the supply of a duty and where the motor was
+    switched off; what a back-EMF brakes, and the force of effects that have a regressor is taken out of
     the motor force, with the parameters of the axis and its present mechanics where an effect depends on them.
     Raises :class:`InputError`, which names the nearest chain.
     """
     if chain not in CHAINS:
         raise InputError(f"`chain`: found {chain!r}, expected {', '.join(CHAINS)}{nearest_name(chain, list(CHAINS))}")
     voltage, rest = acting_voltage(axis.replace(sampling={"period": record.period}), record.u)
-    filtered = CHAINS[chain](replace(record, u=voltage), axis.drive.force_gain, cutoff_hz)
+    share = motor_share(axis, record)
+    filtered = CHAINS[chain](replace(record, u=voltage * share), axis.drive.gain, cutoff_hz)
+    if axis.drive.braking:
+        on = np.ones(len(record)) if record.enable is None else (record.enable != 0.0).astype(float)
+        braked = axis.drive.braking * filtered.motion.v * on[len(record) - len(filtered.motion.v) :]
+        filtered = replace(filtered, force=filtered.force - filtered.reduce(braked))
     if not rest.effects:
         return filtered
     moved = with_predicted_force(filtered.motion, axis.mechanics.array())

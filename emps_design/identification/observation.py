@@ -160,7 +160,7 @@ def observe(
     tell("off-line observer", 0.0)
     seen = motion(record, offline_cutoff_hz)
     parameter = _parameter_bound(seen, axis, parameter_std)
-    offline = observe_offline(seen, held_force(record, axis.drive.force_gain, offline_cutoff_hz), axis)
+    offline = observe_offline(seen, held_force(record, axis.drive.gain, offline_cutoff_hz), axis)
     methods = {"offline": _judge(record, axis, offline, 0.0, ends["offline"], parameter, settings["offline"])}
     del seen, offline
     share = 1 / (1 + len(online))

@@ -29,6 +29,7 @@ from emps_design.identification.inverse_model import (
 )
 from emps_design.identification.known import acting, filter_record, known_part, notes
 from emps_design.identification.result import Identification
+from emps_design.observer import motor_force
 from emps_design.records import Record
 
 ITERATIONS = 12
@@ -62,6 +63,7 @@ def identify_by_output_error(
     """
     if axis.controller.kind == "none":
         raise AxisError(f"{axis.name}: output error needs the controller of the record; give [controller] in the axis")
+    axis = axis.supplied_by(record)
     record = check_record(record, axis, external_force_known)
     axis = known_part(axis, model)
     if cutoff_hz is None:
@@ -73,15 +75,17 @@ def identify_by_output_error(
         W, Y = regression(filtered, model)
         start = least_squares(W, Y, names, filtered.used).value
     except (RecordError, RankError):
-        filtered = hold_chain(record, axis.drive.force_gain, cutoff_hz, fewest_rows=0)
+        filtered = hold_chain(record, axis.drive.gain, cutoff_hz, fewest_rows=0)
         filtered = replace(filtered, used=np.ones_like(filtered.used))
         start = _mechanics(axis, model)
         said.append(RESTS_TAKE_PART)
     edge = int(1.0 / (cutoff_hz * record.period))
 
+    measured = motor_force(axis, record)
+
     def force_error(parameters: np.ndarray) -> np.ndarray:
         run = simulate(record, axis, model, parameters)
-        error = low_pass(axis.drive.force_gain * (record.u - run.u), cutoff_hz, record.period)
+        error = low_pass(measured - run.force, cutoff_hz, record.period)
         return error[edge : len(record) - edge : filtered.decimation] * filtered.used
 
     value, residual, jacobian = _least(force_error, start, 3 if model == "symmetric" else 5, record.name)

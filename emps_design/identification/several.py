@@ -101,7 +101,7 @@ class SeveralIdentifications:
             "axis": self.axis.name,
             "parameters": {row.pop("name"): row for row in self.table()},
             "cross_validation": self.cross_validation.tolist(),
-            "cross_validation_unit": "N",
+            "cross_validation_unit": self.axis.units.unit("N"),
             "own_rms_error": np.diag(self.cross_validation).tolist(),
             "identifications": [one.to_dict() for one in self.identifications],
             "warnings": list(self.warnings),

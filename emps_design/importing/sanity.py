@@ -133,9 +133,11 @@ def _force(axis: Axis, record: Record, source: str) -> list[str]:
             return []
         record = replace(record, u=record.u * record.supply)
     a, v, u = _motion(record, record.q)
-    m = axis.mechanics
-    needed = m.mass * a + m.viscous * v + m.coulomb * np.sign(v) + m.offset
-    force = axis.drive.force_gain * u
+    m, drive = axis.mechanics, axis.supplied_by(record).drive
+    if drive.command == "duty" and drive.supply is None:
+        return []
+    needed = m.mass * a + (m.viscous + drive.braking) * v + m.coulomb * np.sign(v) + m.offset
+    force = drive.gain * u
     if not (np.std(force) and np.std(needed)):
         return []
     if _correlation(force, needed) < OPPOSED:

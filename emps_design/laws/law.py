@@ -94,6 +94,12 @@ class Law:
         """What the law follows (n,) [m or m/s] along the positions ``q_ref`` (n,) [m]: them, or their rate."""
         return np.diff(q_ref, prepend=q_ref[:1]) / period if self.follows == "velocity" else q_ref
 
+    def followed(self, record: Any) -> np.ndarray:
+        """What the law followed (n,) [m or m/s] in a :class:`~emps_design.records.Record`."""
+        if self.follows == "velocity" and record.velocity_reference is not None:
+            return record.velocity_reference
+        return self.reference(record.q_ref, record.period)
+
 
 @dataclass(frozen=True)
 class LawKind:

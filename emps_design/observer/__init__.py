@@ -7,7 +7,11 @@ from typing import TYPE_CHECKING
 from emps_design.exports import on_first_use
 
 if TYPE_CHECKING:
-    from emps_design.observer.actuation import acting_voltage as acting_voltage
+    from emps_design.observer.actuation import (
+        acting_voltage as acting_voltage,
+        motor_force as motor_force,
+        motor_share as motor_share,
+    )
     from emps_design.observer.external_force import (
         DEFAULT_CUTOFF_HZ as DEFAULT_CUTOFF_HZ,
         REST_VELOCITY as REST_VELOCITY,

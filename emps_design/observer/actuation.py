@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.records import Record
 
 
 def acting_voltage(axis: Axis, u: np.ndarray) -> tuple[np.ndarray, Axis]:
@@ -14,7 +16,7 @@ def acting_voltage(axis: Axis, u: np.ndarray) -> tuple[np.ndarray, Axis]:
 
     Static maps of the actuator, delays and lags, that of the current loop too, are known from ``u`` alone, and a
     disturbance of the controller is in ``u`` already: with them taken care of here, every observer, on-line ones too,
-    sees the force that reaches the carriage.
+    sees the force that reaches the carriage. What a back-EMF brakes joins the viscous friction.
 
     >>> from emps_design.machines import machine
     >>> dead = machine("emps2019").replace(effects=[{"kind": "actuator_deadzone", "width": 0.5}])
@@ -37,8 +39,25 @@ def acting_voltage(axis: Axis, u: np.ndarray) -> tuple[np.ndarray, Axis]:
     u = _delayed(u, late)
     for constant in lags:
         u = _lagged(u, constant / axis.sampling.period)
-    used_up = {"drive": {"current_time_constant": 0.0}, "sampling": {"computation_delay": 0}}
+    used_up = {
+        "drive": {"current_time_constant": 0.0, "back_emf": 0.0},
+        "sampling": {"computation_delay": 0},
+        "mechanics": {"viscous": axis.mechanics.viscous + axis.drive.braking},
+    }
     return u, axis.replace(effects=kept, **used_up)
+
+
+def motor_share(axis: Axis, record: Record) -> Any:
+    """Share (n,) of ``axis.drive.gain`` that acts at each sample of ``record``, or 1.0: its supply, off or on."""
+    share: Any = 1.0
+    if axis.drive.command == "duty" and record.supply is not None:
+        share = axis.drive.force_gain * record.supply / axis.drive.gain
+    return share if record.enable is None else share * (record.enable != 0.0)
+
+
+def motor_force(axis: Axis, record: Record) -> np.ndarray:
+    """Motor force (n,) [N] that the command of ``record`` asks for, before delays, lags and back-EMF."""
+    return axis.drive.gain * motor_share(axis, record) * record.u
 
 
 def _delayed(u: np.ndarray, late: float) -> np.ndarray:

@@ -61,7 +61,7 @@ def observe_offline(motion: Motion, motor_force: np.ndarray, axis: Axis) -> np.n
     >>> observe_offline(still, np.zeros(3), machine("emps2018")).tolist()
     [0.0, 0.0, 0.0]
     """
-    return model_force(replace(motion, tau=motor_force, force_gain=axis.drive.force_gain), axis) - motor_force
+    return model_force(replace(motion, tau=motor_force, force_gain=axis.drive.gain), axis) - motor_force
 
 
 def left_out(axis: Axis) -> dict[str, tuple[str, ...]]:
@@ -148,7 +148,7 @@ class ForceObserver:
         if not 0 < cutoff_hz < 0.5 / period:
             raise InputError(f"cut-off: found {cutoff_hz:g} Hz, expected between 0 and {0.5 / period:g} Hz")
         self.axis, self.cutoff_hz, self.rest_velocity = axis, cutoff_hz, rest_velocity
-        self._period, self._gain = period, axis.drive.force_gain
+        self._period, self._gain = period, axis.drive.gain
         self._resistance = Resistance(axis, left_out(axis)["online"])
         self._alpha = 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * period)
         self.reset()

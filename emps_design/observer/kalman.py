@@ -42,7 +42,7 @@ class KalmanForceObserver:
                 f"{axis.name}: position noise {noise:g} m; give encoder_resolution in the axis, or position_noise > 0"
             )
         self.axis, self.rest_velocity, self.position_noise = axis, rest_velocity, noise
-        self._resistance, self._gain = Resistance(axis, left_out(axis)["kalman"]), axis.drive.force_gain
+        self._resistance, self._gain = Resistance(axis, left_out(axis)["kalman"]), axis.drive.gain
         self._period, self._viscous = axis.sampling.period, axis.mechanics.viscous
         if force_rate is None:
             bandwidth_hz = DEFAULT_CUTOFF_HZ if bandwidth_hz is None else bandwidth_hz

@@ -199,9 +199,10 @@ def _plausible(named: Mapping[str, np.ndarray], period: float, layout: Layout, s
         largest = float(np.max(np.abs(named[column]))) if column in named else 0.0
         if largest > highest:
             unit = layout.unit(column)
+            milli = f"if it is in m{unit}, title the column '{column} [m{unit}]'"
+            hinted = milli if unit in ("V", "A", "N", "N m") else "check its unit and scale"
             raise RecordError(
-                f"{source}: column {column}: found {largest:.4g} {unit}, expected at most {highest:g} "
-                f"{unit}; if it is in m{unit}, title the column '{column} [m{unit}]'"
+                f"{source}: column {column}: found {largest:.4g} {unit}, expected at most {highest:g} {unit}; {hinted}"
             )
 
 

@@ -88,13 +88,12 @@ def assign(titles: Sequence[str], layout: Layout, source: str) -> list[Assignmen
 
 
 def _is_plain(titles: Sequence[str], layout: Layout) -> bool:
-    """Whether a file is a record of this package rather than an export: it says so, or has no mapped column."""
+    """Whether a file is a record of this package rather than an export: it says so, or has no other names."""
     if RECORD in titles:
         return True
-    mapped = [column.column for name, column in layout.columns.named.items() if column.column not in NAMES]
     plain = {plain_title(title)[0].casefold() for title in titles}
-    has_none = not any(plain_title(column)[0].casefold() in plain for column in mapped)
-    return bool(mapped) and has_none and {"t", "q", "u"} <= {NAMES.get(title, "") for title in plain}
+    mapped = {plain_title(column.column)[0].casefold() for column in layout.columns.named.values()}
+    return plain <= NAMES.keys() and not mapped <= plain
 
 
 def _all_mapped(titles: Sequence[str], layout: Layout, source: str) -> dict[str, Assignment]:

@@ -16,7 +16,7 @@ from emps_design.errors import InputError, RecordError, one_line
 from emps_design.records.archives import read_archive
 from emps_design.records.check import PLAIN, checked
 from emps_design.records.columns import RECORD
-from emps_design.records.layout import Layout, assign
+from emps_design.records.layout import NAMED, Layout, assign
 from emps_design.records.matlab_v5 import is_v5, read_v5
 from emps_design.records.matlab_v73 import is_v73, read_v73
 from emps_design.records.record import MEASURED, Record
@@ -115,7 +115,8 @@ def _read(file: BinaryIO, name: str, source: str, max_bytes: int, layout: Layout
         columns, first_row, notes = _arrays(file, found, head, source, max_bytes), 0, ()
     measured = {key: columns.pop(key) for key in list(columns) if key.startswith(MEASURED)}
     assigned = assign(list(columns), layout, source)
-    columns.pop(RECORD, None)
+    if columns.pop(RECORD, None) is None and layout.columns.named and all(one.how == NAMED for one in assigned):
+        notes = (*notes, "read by the names of a record: it has none of the columns that [record] maps")
     signals = checked(columns, source, first_row, layout=layout, assigned=assigned)
     if measured:
         signals["measured"] = {key.removeprefix(MEASURED): values for key, values in measured.items()}

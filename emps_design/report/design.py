@@ -83,6 +83,7 @@ def design_page(results: DesignResults) -> Page:
             *results.parts,
             _end_section(results),
         ),
+        units=velocity.axis.units,
     )
 
 

@@ -81,6 +81,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
         names,
         tuple(summary),
         tuple(section for section in sections if section is not None),
+        units=diagnosis.axis.units,
     )
 
 

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from emps_design.errors import printable
 from emps_design.report.display import NOTHING, number
-from emps_design.report.style import svg
+from emps_design.report.style import labelled, svg
+from emps_design.units import Units
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -171,10 +172,11 @@ class Page:
     summary: tuple[Block, ...]
     sections: tuple[Section, ...]
     footer: str = ""
+    units: Units = field(default_factory=Units)
 
     def html(self) -> str:
-        """Return the document as HTML text."""
-        return _environment().get_template("page.html.j2").render(page=self, counter=_Counter())
+        """Return the document as HTML text, in the units and words of the axis it is about."""
+        return self.units.text(_environment().get_template("page.html.j2").render(page=self, counter=_Counter()))
 
     def pictures(self) -> tuple[Picture, ...]:
         """Every picture of the page, in order."""
@@ -199,9 +201,9 @@ class _Counter:
         return self.count[kind]
 
 
-def _drawing(picture: Picture, index: int) -> str:
-    drawing = svg(picture.figure, f"f{index}")
-    label = escape(re.sub(r"<[^>]+>", "", inline(picture.title or picture.caption)), quote=True)
+def _drawing(picture: Picture, index: int, units: Units) -> str:
+    drawing = svg(labelled(picture.figure, units), f"f{index}")
+    label = escape(re.sub(r"<[^>]+>", "", units.text(inline(picture.title or picture.caption))), quote=True)
     return drawing.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
 
 

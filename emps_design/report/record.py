@@ -25,7 +25,11 @@ def record_section(record: Record, found: Sequence[Identification], axis: Axis) 
             f"{len(record)} samples of {quantity(record.period, 's')}, {quantity(record.duration, 's', 3)} in all. "
             f"Filter {first.chain}: {first.filter_text}."
         ),
-        Picture(record_figure(record), "Position on the load side and the voltage that the drive was given.", "Record"),
+        Picture(
+            record_figure(record, axis.units),
+            "Position on the load side and the voltage that the drive was given.",
+            "Record",
+        ),
         *(_parameters_table(one, axis) for one in found),
         _quality_table(found),
         _force_picture(first),

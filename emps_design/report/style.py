@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from emps_design.units import Units
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -76,6 +78,39 @@ def subplots(
 
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, columns, **options)
+
+
+def labelled(figure: Figure, units: Units) -> Figure:
+    """Put everything written in ``figure`` into the units and words of an axis, and return the figure."""
+    from matplotlib.text import Text
+
+    if units.plain:
+        return figure
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            _read_in(axis, units)
+    for text in figure.findobj(Text):
+        written = text.get_text()
+        if (own := units.text(written)) != written:
+            text.set_text(own)
+    return figure
+
+
+def _read_in(axis: Any, units: Units) -> None:
+    """Count ``axis`` in what people read where that is another scale: an axis of a plot in mm in deg."""
+    label = axis.get_label_text()
+    unit, factor = units.read(label.partition("[")[2].partition("]")[0])
+    if factor == 1.0 or axis.get_scale() != "linear":
+        return
+    from matplotlib.ticker import AutoLocator, FuncFormatter
+
+    class Scaled(AutoLocator):
+        def tick_values(self, vmin: float, vmax: float) -> Any:
+            return np.asarray(super().tick_values(vmin * factor, vmax * factor)) / factor
+
+    axis.set_major_locator(Scaled())
+    axis.set_major_formatter(FuncFormatter(lambda value, place: f"{round(value * factor, 9):g}".replace("-", "−")))
+    axis.set_label_text(re.sub(r"\[.*\]", f"[{unit}]", label))
 
 
 def svg(figure: Figure, key: str = "") -> str:

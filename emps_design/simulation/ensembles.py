@@ -195,7 +195,7 @@ def _side_by_side(task: dict[str, Any], baselines: np.ndarray) -> np.ndarray:
     period, drive = axis.sampling.period, axis.drive
     resolution = axis.sampling.encoder_resolution if task["quantise"] else 0.0
     gains = law_of(axis, period).gains
-    numbers = core.numbers_of(period, drive.force_gain, drive.command_limit, resolution, gains)
+    numbers = core.numbers_of(period, drive.gain, drive.command_limit, resolution, gains)
     nothing = np.zeros(0)
     push = nothing if task["disturbance"] is None else task["disturbance"]
     measured_q, measured_u = task["measured"] or (nothing, nothing)
@@ -206,7 +206,7 @@ def _side_by_side(task: dict[str, Any], baselines: np.ndarray) -> np.ndarray:
     run_lanes(padded, numbers, (q0, 0.0), reference, push, measured_q, measured_u, first, scratch, none, result)
     n = reference.size - first
     result[:, :3] = np.sqrt(result[:, :3] / n)
-    result[:, 2] *= drive.force_gain
+    result[:, 2] *= drive.gain
     result[:, 4] /= n
     return result[:m]
 
@@ -222,7 +222,7 @@ def _alone(task: dict[str, Any], plant: Plant, baseline: np.ndarray, parameters:
     def rms(difference: np.ndarray) -> float:
         return float(np.sqrt(np.mean(difference[kept] ** 2)))
 
-    gain = plant.axis.drive.force_gain
+    gain = plant.axis.drive.gain
     missed = rms(measured[0] - run.q) if measured else 0.0
     force = gain * rms(measured[1] - run.u) if measured else 0.0
     rest = float(np.mean(run.v[kept] == 0.0))

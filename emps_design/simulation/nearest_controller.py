@@ -8,6 +8,7 @@ from typing import Any
 
 from emps_design.axis import Axis
 from emps_design.errors import AxisError, SimulationError, UnstableError
+from emps_design.laws import leaves
 
 STEP = math.sqrt(2.0)  # between the numbers that are tried
 STEPS = 12  # down and up, as many: further away a loop runs because it hardly moves
@@ -22,7 +23,7 @@ def unstable(axis: Axis, error: SimulationError, simulate: Callable[[Axis], Any]
     if not nearest:
         return UnstableError(f"{error}; no other number of the controller alone makes it run")
     name, value = next(iter(nearest.items()))
-    own = getattr(axis.controller, name)
+    own = dict(_numbers(axis))[name]
     return UnstableError(f"{error}; nearest that works: {name} = {value:g} instead of {own:g}", nearest)
 
 
@@ -33,10 +34,7 @@ def nearest_controller(axis: Axis, simulate: Callable[[Axis], Any]) -> dict[str,
     spare, and is the one whose factor is nearest to 1.
     """
     found: list[tuple[int, str, float]] = []
-    numbers = axis.to_dict()["controller"]
-    for name, own in numbers.items():
-        if isinstance(own, bool) or not isinstance(own, int | float) or own == 0.0:
-            continue
+    for name, own in _numbers(axis):
         for side in (-1, 1):
             before = False
             for count in range(1, STEPS + 1):
@@ -54,9 +52,21 @@ def nearest_controller(axis: Axis, simulate: Callable[[Axis], Any]) -> dict[str,
     return {name: value}
 
 
+def _numbers(axis: Axis) -> list[tuple[str, float]]:
+    """The numbers of the controller of ``axis`` by name, ``velocity.kp`` of an inner table; zeros and counts aside."""
+    values = leaves(axis.to_dict()["controller"])
+    return [(".".join(path), value) for path, value in values if isinstance(value, float) and value != 0.0]
+
+
 def _runs(axis: Axis, name: str, value: float, simulate: Callable[[Axis], Any]) -> bool:
+    controller = axis.to_dict()["controller"]
+    *tables, key = name.split(".")
+    inner = controller
+    for table in tables:
+        inner = inner[int(table) if isinstance(inner, list | tuple) else table]
+    inner[key] = value
     try:
-        simulate(axis.replace(controller={name: value}))
+        simulate(axis.replace(controller=controller))
     except (SimulationError, AxisError):
         return False
     return True

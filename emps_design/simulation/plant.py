@@ -17,7 +17,7 @@ from emps_design.simulation.kernels import baseline as core
 from emps_design.simulation.kernels import hold_loop as stepper
 from emps_design.simulation.kernels import motion
 from emps_design.simulation.kernels.compile import address
-from emps_design.simulation.prepared import Prepared, intention_columns, positive, signal
+from emps_design.simulation.prepared import Prepared, intention_columns, motor_rows, positive, signal
 from emps_design.simulation.run import Run
 
 # Own states smaller than this need not be known relatively: a load that has hardly begun to move, by unit.
@@ -108,6 +108,8 @@ class Plant:
         reference: np.ndarray | None = None,
         quantise: bool = True,
         intention: np.ndarray | None = None,
+        supply: np.ndarray | None = None,
+        enable: np.ndarray | None = None,
         energy: bool = False,
         tolerance: float = 1.0,
         method: str = "auto",
@@ -118,10 +120,10 @@ class Plant:
         place of the axis's; ``disturbance`` (n,) [N] on the carriage, held over each period; ``voltage_noise`` (n,) [V]
         added after the controller; ``q0`` [m] first position (default ``q_ref[0]``) and ``v0`` [m/s]; ``reference`` is
         what the law follows, by default ``q_ref``, or its backward difference for a law that follows a velocity;
-        ``intention`` (n,) [m] is where a hand means to be, nan where it has let go; ``energy`` asks for the energy
-        balance; ``quantise=False``
-        takes an exact encoder; ``tolerance`` scales what one step may be wrong by; ``method`` is ``auto``, ``general``,
-        ``plain`` or ``folded``.
+        ``intention`` (n,) [m] is where a hand means to be, nan where it has let go; ``supply`` (n,) [V] is what a duty
+        is a share of, by default the axis's; ``enable`` (n,) is 0 where the motor is switched off, its winding open;
+        ``energy`` asks for the energy balance; ``quantise=False`` takes an exact encoder; ``tolerance`` scales what one
+        step may be wrong by; ``method`` is ``auto``, ``general``, ``plain`` or ``folded``.
         Raises :class:`SimulationError` with time, state and effect where the simulation cannot go on.
         """
         period = self.axis.sampling.period if period is None else positive(period)
@@ -134,7 +136,7 @@ class Plant:
         q0 = float(q_ref[0]) if q0 is None else float(q0)
         return self._simulate(
             law, reference, q_ref, baseline, parameters, disturbance, voltage_noise, q0, v0, period, quantise,
-            intention, energy, tolerance, method,
+            intention, motor_rows(self.axis.drive, supply, enable, q_ref.size), energy, tolerance, method,
         )  # fmt: skip
 
     def open_loop(
@@ -149,6 +151,8 @@ class Plant:
         *,
         quantise: bool = True,
         intention: np.ndarray | None = None,
+        supply: np.ndarray | None = None,
+        enable: np.ndarray | None = None,
         energy: bool = False,
         tolerance: float = 1.0,
         method: str = "auto",
@@ -161,13 +165,13 @@ class Plant:
         u = signal(u, "u", "V")
         nothing = np.full(u.size, np.nan)
         return self._simulate(
-            None, u, nothing, baseline, parameters, disturbance, None, q0, v0, period, quantise, intention, energy,
-            tolerance, method,
+            None, u, nothing, baseline, parameters, disturbance, None, q0, v0, period, quantise, intention,
+            motor_rows(self.axis.drive, supply, enable, u.size), energy, tolerance, method,
         )  # fmt: skip
 
     def _simulate(
         self, law, reference, q_ref, baseline, parameters, disturbance, noise, q0, v0, period, quantise, intention,
-        energy, tolerance, method,
+        motor, energy, tolerance, method,
     ) -> Run:  # fmt: skip
         b, p = self.numbers(baseline, parameters)
         hands = self.effects.count(HAND)
@@ -179,7 +183,7 @@ class Plant:
         push = _EMPTY if disturbance is None else signal(disturbance, "disturbance", "N", n)
         noise = _EMPTY if noise is None else signal(noise, "voltage_noise", "V", n)
         resolution = self.axis.sampling.encoder_resolution if quantise else 0.0
-        fastest = "general" if energy else self._method(law, noise, resolution)
+        fastest = "general" if energy or motor.size else self._method(law, noise, resolution)
         possible = ("auto", *METHODS[: METHODS.index(fastest) + 1])
         if method not in possible:
             raise InputError(f"method: found {method!r}, expected one of {', '.join(possible)} for this axis")
@@ -187,7 +191,7 @@ class Plant:
         events, found = np.empty((n + 1000, 3)), np.array([0, n + 1000])
         if method == "general":
             rows, balance = self._general(
-                law, reference, push, noise, q0, v0, period, energy, events, found,
+                law, reference, push, noise, motor, q0, v0, period, energy, events, found,
                 self.prepared(b, p, q0, v0, n, period, resolution, intention, energy, tolerance),
             )  # fmt: skip
         else:
@@ -203,7 +207,7 @@ class Plant:
             u=u,
             f_ext=outside,
             events=events[:kept].copy(),
-            force_gain=self.axis.drive.force_gain,
+            force_gain=motor[:, 0] if motor.size else self.axis.drive.gain,
             period=period,
             lost_events=int(found[0]) - kept,
             energy=balance,
@@ -231,8 +235,10 @@ class Plant:
 
     def _core(self, method, b, law, reference, push, noise, start, period, resolution, events, found):
         n, drive, delay = reference.size, self.axis.drive, self.axis.sampling.computation_delay
+        n, drive, delay = reference.size, self.axis.drive, self.axis.sampling.computation_delay
+        b = b + np.array([0.0, drive.braking, 0.0, 0.0])
         position, velocity, u, encoder = np.empty((4, n))
-        numbers = core.numbers_of(period, drive.force_gain, drive.command_limit, resolution, law.gains)
+        numbers = core.numbers_of(period, drive.gain, drive.command_limit, resolution, law.gains)
         if method == "plain":
             good = core.run_plain(
                 b, numbers, delay, start, reference, push, noise, position, encoder, velocity, u, events, found
@@ -263,14 +269,15 @@ class Plant:
         """Return what the general stepper needs to run ``n`` samples from ``q0`` [m], ``v0`` [m/s]."""
         columns, slots = self._intended(intention, n, period)
         drive, settings = self.axis.drive, np.zeros(motion.SETTINGS)
-        settings[motion.PERIOD], settings[motion.GAIN] = period, drive.force_gain
+        settings[motion.PERIOD], settings[motion.GAIN] = period, drive.gain
         settings[motion.LIMIT], settings[motion.RESOLUTION] = drive.command_limit, resolution
         settings[motion.DELAYED], settings[motion.LAG] = self.axis.sampling.computation_delay, self._lag
         if self._lagging >= 0:
             at = self._lagging
             mine = p[self._p_at[at] : self._p_at[at + 1]]
             settings[motion.LAG] = self.effects[at].lag(q0, v0, 0.0, 0.0, _EMPTY, mine, b)
-        settings[motion.VISCOUS_P] = settings[motion.VISCOUS_N] = b[1]
+        settings[motion.BRAKING] = drive.braking
+        settings[motion.VISCOUS_P] = settings[motion.VISCOUS_N] = b[1] + drive.braking
         for i, effect in enumerate(self.effects):
             if effect.slopes is not None:
                 mine = p[self._p_at[i] : self._p_at[i + 1]]
@@ -292,8 +299,10 @@ class Plant:
         scratch = np.zeros(stepper.room(states, guards))
         return Prepared(b, p, settings, y, self._hooks, self._starts, columns, slots, floors, scratch)
 
-    def _general(self, law, reference, push, noise, q0, v0, period, energy, events, found, ready):
+    def _general(self, law, reference, push, noise, motor, q0, v0, period, energy, events, found, ready):
         n, y = reference.size, ready.y
+        if np.any(motor[:, 1:] != self.axis.drive.braking):  # what is solved or slid through is for one braking
+            ready.settings[[motion.SLIDES, motion.EXACT]] = 0.0
         out = np.empty((5, n))
         place, gains, memory = 0, _NO_SIGNALS, _EMPTY
         if law is not None:
@@ -302,8 +311,8 @@ class Plant:
                 raise InputError(f"law: found gains for {len(gains)} samples, expected {n}: those of its own record")
         plant = (ready.baseline, ready.hooks, ready.starts, ready.parameters, ready.settings)
         status, k, within = stepper.run(
-            plant, y, place, gains, memory, reference, push, noise, ready.columns, ready.slots, ready.floors,
-            ready.scratch, out, events, found,
+            plant, y, place, gains, memory, reference, push, noise, motor, ready.columns, ready.slots,
+            ready.floors, ready.scratch, out, events, found,
         )  # fmt: skip
         if status != stepper.DONE:
             names = ", ".join(effect.name for effect in self.effects) or "none"

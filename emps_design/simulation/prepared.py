@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from emps_design.axis import Drive
 from emps_design.errors import InputError
 
 
@@ -42,6 +43,19 @@ def intention_columns(wanted: np.ndarray, hand: np.ndarray, held: bool, n: int, 
         speed[1:] = np.where(np.isnan(speed[1:]), step, speed[1:])
     place = signal(np.where(grips, wanted, 0.0), "intention", "m", n)
     return np.column_stack([grips[:, None] * hand[:3], place, np.nan_to_num(speed), np.arange(n) * period])
+
+
+def motor_rows(drive: Drive, supply: Any, enable: Any, n: int) -> np.ndarray:
+    """Gain [N/V] and braking [N/(m/s)] of a motor at each sample, (n, 2), or (0, 2) where they never change.
+
+    ``supply`` (n,) [V] of a duty, None: that of the ``drive``; ``enable`` (n,) 0 where it is off, None: nowhere.
+    """
+    supply = None if drive.command != "duty" or supply is None else signal(supply, "supply", "V", n)
+    if supply is None and enable is None:
+        return np.zeros((0, 2))
+    on = np.ones(n) if enable is None else (signal(enable, "enable", "", n) != 0.0).astype(float)
+    gain = drive.gain if supply is None else drive.force_gain * supply
+    return np.column_stack([on * gain, on * drive.braking])
 
 
 def positive(period: Any) -> float:

@@ -11,16 +11,20 @@ from emps_design.errors import InputError, RecordError
 from emps_design.files import read_bytes
 from emps_design.records.archives import read_archive
 from emps_design.records.check import LONGEST
-from emps_design.records.columns import read_title
+from emps_design.records.columns import PLAIN, read_title
+from emps_design.units import Units
 
 MAX_BYTES = 100_000_000
 MAX_SAMPLES = LONGEST
 
 
-def read_reference(path: str | Path, period: float) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+def read_reference(
+    path: str | Path, period: float, units: Units = PLAIN
+) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
     """Return ``q_ref`` (n,) [m], ``f_ext`` (n,) [N] or None and ``excitation`` (n,) [V] or None.
 
     They are interpolated at multiples of ``period`` [s]; an excitation is held from one row to the next.
+    ``units`` are those of the axis.
     Raises :class:`RecordError` in one line for a file that has no such columns, is not finite, or runs back in time.
     """
     path = Path(path)
@@ -34,7 +38,7 @@ def read_reference(path: str | Path, period: float) -> tuple[np.ndarray, np.ndar
         columns = _table(content, path)
     named = {}
     for text, values in columns.items():
-        title = read_title(text, str(path))
+        title = read_title(text, str(path), units)
         if title.name in ("t", "q_ref", "f_ext", "excitation"):
             named[title.name] = np.ravel(np.asarray(values)).astype(float) * title.factor
     missing = [name for name in ("t", "q_ref") if name not in named]

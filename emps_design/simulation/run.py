@@ -14,6 +14,8 @@ from emps_design.errors import RecordError
 from emps_design.files import write_aside
 from emps_design.notebook import table
 from emps_design.records import Record
+from emps_design.records.columns import PLAIN
+from emps_design.units import Units
 
 # name: (label, unit) of every signal of a run
 SIGNALS = {
@@ -37,10 +39,11 @@ class Run:
     """One simulated run, one row per sample.
 
     ``q`` [m] is what the encoder reports (with its errors), ``position`` [m] and ``v`` [m/s] the true motion on the
-    encoder's side, ``u`` [V] the recorded voltage, ``force`` = G_tau u [N], ``f_ext`` [N] the external force that a
-    sensor on the carriage feels. ``events`` has a row (time [s], kind, position [m]) for every velocity zero, stick,
-    break-away and guard; ``lost_events`` counts those that did not fit. ``energy`` [J] is there where it was asked for,
-    ``excitation`` [V] where something was added to the controller's output.
+    encoder's side, ``u`` [V] the recorded voltage, ``force`` = G_tau u [N] (``force_gain`` (n,) where the supply
+    changes, or the motor is switched off), ``f_ext`` [N] the external force that a sensor on the carriage feels.
+    ``events`` has a row (time [s], kind, position [m]) for every velocity zero, stick, break-away and guard;
+    ``lost_events`` counts those that did not fit. ``energy`` [J] is there where it was asked for, ``excitation`` [V]
+    where something was added to the controller's output.
     """
 
     q_ref: np.ndarray
@@ -50,7 +53,7 @@ class Run:
     u: np.ndarray
     f_ext: np.ndarray
     events: np.ndarray = field(repr=False)
-    force_gain: float
+    force_gain: float | np.ndarray
     period: float
     lost_events: int = 0
     energy: dict[str, float] | None = None
@@ -112,7 +115,6 @@ class Run:
         """Write every signal to ``path`` (.npz, no pickles); :meth:`load` gives the same bits back."""
         plain = {
             "period": self.period,
-            "force_gain": self.force_gain,
             "lost_events": self.lost_events,
             "energy": self.energy,
             "name": self.name,
@@ -123,12 +125,16 @@ class Run:
                 allow_pickle=False,
                 **{name: values for name, values in self.signals.items() if name in (*STORED, *OPTIONAL)},
                 events=self.events,
+                force_gain=np.asarray(self.force_gain),
                 run=np.frombuffer(json.dumps(plain).encode(), dtype=np.uint8),
             )
 
-    def to_csv(self, path: str | Path) -> None:
-        """Write every signal to ``path`` as a table whose titles carry the units; 17 digits, so nothing is lost."""
-        titles = ",".join(f"{name} [{DESCRIBED[name][1]}]" for name in self.signals)
+    def to_csv(self, path: str | Path, units: Units = PLAIN) -> None:
+        """Write every signal to ``path`` as a table whose titles carry the units; 17 digits, so nothing is lost.
+
+        ``units`` are those of the axis.
+        """
+        titles = ",".join(f"{name} [{units.unit(DESCRIBED[name][1])}]" for name in self.signals)
         with write_aside(path) as aside:
             columns = np.column_stack(list(self.signals.values()))
             np.savetxt(aside, columns, fmt="%.17g", delimiter=",", header=titles, comments="")
@@ -141,12 +147,13 @@ class Run:
         try:
             with np.load(path, allow_pickle=False) as archive:
                 optional = [name for name in OPTIONAL if name in archive]
-                signals = {name: archive[name] for name in (*STORED, "events", *optional)}
+                signals = {name: archive[name] for name in (*STORED, "events", "force_gain", *optional)}
                 plain = json.loads(archive["run"].tobytes())
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, TypeError) as error:
             reason = " ".join(str(error).split())
             raise RecordError(f"{path}: not a simulated run ({reason}); expected an .npz of Run.save") from error
-        return cls(**signals, **plain)
+        gain = signals.pop("force_gain")
+        return cls(**signals, **plain, force_gain=gain if gain.ndim else float(gain))
 
     def to_dict(self) -> dict[str, Any]:
         """Length, events and energy as plain data; the signals stay in :meth:`save`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -10,12 +11,15 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.errors import InputError, SimulationError
 from emps_design.notebook import table
+from emps_design.observer import motor_force
 from emps_design.records import Record
+from emps_design.simulation.driven import driven_by
 from emps_design.simulation.nearest_controller import unstable
 from emps_design.simulation.plant import Plant
 from emps_design.simulation.run import Run
 from emps_design.simulation.trajectories import force_ramp
 
+ABSOLUTE = ("position", "velocity", "force")  # signals whose mean absolute error is given
 DROPPED = 50  # samples left out of the relative errors, as in the report of the data set
 
 
@@ -35,7 +39,8 @@ class Replay:
     """A record beside the simulation of its axis from the reference alone (or from ``u``, without a controller).
 
     ``relative_error_percent`` has position, velocity, acceleration (central differences of the positions) and force
-    (of the voltage that reaches the drive, so a computation delay shifts the simulated one).
+    (of the voltage that reaches the drive, so a computation delay shifts the simulated one). ``mean_absolute_error`` is
+    over all samples [SI].
     """
 
     axis: Axis
@@ -44,6 +49,7 @@ class Replay:
     closed_loop: bool
     relative_error_percent: dict[str, float]
     rms_error: dict[str, float]
+    mean_absolute_error: dict[str, float]
     warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
@@ -57,17 +63,15 @@ class Replay:
             "effects": [effect.kind for effect in self.axis.effects],
             "relative_error_percent": self.relative_error_percent,
             "rms_error": self.rms_error,
+            "mean_absolute_error": self.mean_absolute_error,
             "run": self.run.to_dict(),
             "warnings": list(self.warnings),
         }
 
     def _repr_html_(self) -> str:
         rows = [(name, error, "%", self.rms_error.get(name)) for name, error in self.relative_error_percent.items()]
-        return table(
-            f"{self.record.name}: measured against {self.axis.name} simulated",
-            rows,
-            ("signal", "relative error", "unit", "rms error [SI]"),
-        )
+        title = f"{self.record.name}: measured against {self.axis.name} simulated"
+        return self.axis.units.text(table(title, rows, ("signal", "relative error", "unit", "rms error [SI]")))
 
 
 def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
@@ -91,21 +95,25 @@ def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
     push = record.f_ext
     if push is not None:
         warnings.append("the record's f_ext acts on the simulated carriage")
-    start = float(record.q[0])
+    axis = axis.supplied_by(record)
+    how = {"period": record.period, "quantise": quantise}
     if closed:
-        run = _closed_loop(axis, record.q_ref, disturbance=push, q0=start, period=record.period, quantise=quantise)
+        run = _closed_loop(axis, lambda axis: {**driven_by(axis, record), **how})
     else:
-        run = Plant.of(axis).open_loop(record.u, disturbance=push, q0=start, period=record.period, quantise=quantise)
+        run = Plant.of(axis).open_loop(
+            record.u, push, float(record.q[0]), supply=record.supply, enable=record.enable, **how
+        )
         warnings.append("axis without a controller: simulated in open loop from the recorded voltage")
     pairs = {
         "position": (record.q, run.q),
         "velocity": (np.gradient(record.q, record.period), np.gradient(run.q, record.period)),
         "acceleration": tuple(np.gradient(np.gradient(q, record.period), record.period) for q in (record.q, run.q)),
-        "force": (axis.drive.force_gain * record.u, run.force),
+        "force": (motor_force(axis, record), run.force),
     }
     relative = {name: relative_error_percent(*pair) for name, pair in pairs.items()}
+    absolute = {name: float(np.mean(np.abs(pairs[name][0] - pairs[name][1]))) for name in ABSOLUTE}
     rms = {name: float(np.sqrt(np.mean((a - b)[DROPPED:] ** 2))) for name, (a, b) in pairs.items()}
-    return Replay(axis, record, run, closed, relative, rms, tuple(warnings))
+    return Replay(axis, record, run, closed, relative, rms, absolute, tuple(warnings))
 
 
 @dataclass(frozen=True)
@@ -221,17 +229,18 @@ def follow(
 
     Raises :class:`UnstableError` where the loop diverges, with the nearest that does not.
     """
-    run = replace(_closed_loop(axis, q_ref, disturbance=f_ext, voltage_noise=excitation), excitation=excitation)
+    how = {"q_ref": q_ref, "disturbance": f_ext, "voltage_noise": excitation}
+    run = replace(_closed_loop(axis, lambda axis: how), excitation=excitation)
     clipped = float(np.mean(np.abs(run.u) >= axis.drive.command_limit))
     warnings = (f"the voltage is at its limit {100 * clipped:.1f} % of the time",) if clipped > 0 else ()
     return Followed(axis, run, warnings)
 
 
-def _closed_loop(axis: Axis, q_ref: np.ndarray, **given: Any) -> Run:
-    """The closed loop of ``axis`` along ``q_ref`` (n,) [m]; :class:`UnstableError` where it diverges."""
+def _closed_loop(axis: Axis, driven: Callable[[Axis], dict[str, Any]]) -> Run:
+    """The closed loop of ``axis``, ``driven`` as that says for an axis; :class:`UnstableError` where it diverges."""
 
     def simulate(axis: Axis) -> Run:
-        return Plant.of(axis).closed_loop(q_ref, **given)
+        return Plant.of(axis).closed_loop(**driven(axis))
 
     try:
         return simulate(axis)

@@ -8,6 +8,7 @@ from typing import Any
 import panel as pn
 
 from emps_design.studio.state import CHOICES
+from emps_design.units import Units
 
 # The title of the slider stays in the page for screen readers (and for the script that names its handle).
 _QUIET = (
@@ -75,6 +76,10 @@ class Field:
     def _show(self, value: float) -> None:
         self.field.value = _written(value) if isinstance(self.field, pn.widgets.TextInput) else value
 
+    def speak(self, units: Units) -> None:
+        """Be called what the number is called on an axis of these ``units``."""
+        self.field.label = units.label(CHOICES[self.name].label)
+
 
 class Knob(Field):
     """A field and a slider of the number ``name``."""
@@ -100,6 +105,11 @@ class Knob(Field):
     def _show(self, value: float) -> None:
         super()._show(value)
         self.slider.value = value
+
+    def speak(self, units: Units) -> None:
+        """Be called what the number is called on an axis of these ``units``."""
+        super().speak(units)
+        self.slider.label = self.field.label
 
     def limit(self, low: float, high: float) -> None:
         """Let the slider reach ``low`` to ``high`` only; the field takes any number, so that the page can answer."""

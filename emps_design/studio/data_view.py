@@ -20,6 +20,7 @@ from emps_design.studio.columns_view import ColumnsView
 from emps_design.studio.jobs import Job
 from emps_design.studio.panes import blocks, html, message
 from emps_design.studio.state import FRICTIONS, State
+from emps_design.units import Units
 
 LIMIT_MB = 100
 Options = dict[str, str]  # what the tab chose: friction model and filter of an identification
@@ -96,7 +97,7 @@ class DataView:
         self._table: ColumnMap | None = None
         self.columns = ColumnsView(self._read_columns)
         self.drop = pn.widgets.FileDropper(
-            label=f"Record: drop it here or click to choose one; {', '.join(SUFFIXES)}, at most {LIMIT_MB} MB",
+            label=f"Record: drop or choose one; {', '.join(SUFFIXES)}, at most {LIMIT_MB} MB",
             max_file_size=f"{LIMIT_MB}MB",
             multiple=False,
             height=76,
@@ -226,7 +227,11 @@ class DataView:
         self.result.object = ""
 
     def _say(self, text: str, level: str, more: str = "") -> None:
-        self.message.object = message(text, level, more)
+        self.message.object = message("", level, self._own(inline(text) + more))
+
+    def _own(self, text: str) -> str:
+        """``text`` in the units and words of the axis of the record."""
+        return self._axis.units.text(text)
 
     def _start(self, name: str) -> None:
         if self.record is None:
@@ -258,11 +263,11 @@ class DataView:
             self._say(f"The design tab now works on {self.model.name}.", "good")
 
 
-def _blocks(*blocks: Any) -> str:
-    """Blocks of a report page as HTML, without the page around them."""
+def _blocks(units: Units, *blocks: Any) -> str:
+    """Blocks of a report page as HTML in the ``units`` of an axis, without the page around them."""
     from emps_design.report import Page, Section
 
-    text = Page("", "", (), (Section("Result", *blocks),)).html()
+    text = Page("", "", (), (Section("Result", *blocks),), units=units).html()
     start = text.index("</h2>", text.index('<section id="result">')) + len("</h2>")
     return text[start : text.index("</section>", start)]
 
@@ -281,7 +286,7 @@ def identify_work(record: Record, axis: Axis, options: Options, progress: Callab
     complete = all(estimate.determined for estimate in found.parameters.values())
     return {
         "text": f"Identified: {values}; force error {quantity(found.rms_error, 'N')} rms.",
-        "html": _blocks(*identification_blocks(found, axis)),
+        "html": _blocks(axis.units, *identification_blocks(found, axis)),
         "model": found.to_axis(name=f"{axis.name.split(' from ')[0]} from {record.name}") if complete else None,
         "level": "good" if complete else "warning",
     }
@@ -298,7 +303,7 @@ def observe_work(record: Record, axis: Axis, options: Options, progress: Callabl
     least = min(found.methods.values(), key=lambda method: method.smallest.value).smallest.value
     return {
         "text": f"Observed with {axis.name}: forces below {quantity(least, 'N', 3)} cannot be told from errors.",
-        "html": _blocks(*observation_blocks(found)),
+        "html": _blocks(axis.units, *observation_blocks(found)),
     }
 
 
@@ -314,7 +319,7 @@ def diagnose_work(record: Record, axis: Axis, options: Options, progress: Callab
     document = found.to_dict()
     return {
         "text": typeset(document.get("sentence", document["verdict"])),
-        "html": _blocks(*shown),
+        "html": _blocks(axis.units, *shown),
         "model": found.axis.replace(name=f"{axis.name} diagnosed on {record.name}"),
         "level": "warning" if document["findings"] else "good",
     }

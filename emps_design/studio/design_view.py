@@ -60,6 +60,7 @@ class DesignView:
         self.pin.param.watch(self._pinned, "value")
         self.knobs = {name: Knob(name, getattr(state, name), self.turn) for _, names in GROUPS for name in names}
         self.message, self.numbers, self.laws = html(), html(), html()
+        self.titles: dict[str, pn.pane.HTML] = {}
         self._quiet = False
         self.view = self._layout()
         self.set_state(state)
@@ -67,7 +68,8 @@ class DesignView:
     def _layout(self) -> pn.Row:
         groups: list[Any] = []
         for title, names in GROUPS:
-            groups.append(html(f"<h3>{title}</h3>", margin=(6, 6, 0, 6)))
+            self.titles[title] = html(margin=(6, 6, 0, 6))
+            groups.append(self.titles[title])
             groups += [self.words["specification"]] if title == "Velocity loop" else []
             groups += [self.knobs[name].view for name in names]
         left = pn.Column(self.machine, *groups, width=330, margin=(0, 8, 0, 0))
@@ -158,7 +160,10 @@ class DesignView:
         state = self.state
         self._quiet = True
         try:
+            for title, pane in self.titles.items():
+                pane.object = self._own(f"<h3>{title}</h3>")
             for name, knob in self.knobs.items():
+                knob.speak(state.axis.units)
                 knob.set(getattr(state, name))
             for name, group in self.words.items():
                 group.value = getattr(state, name)
@@ -213,11 +218,16 @@ class DesignView:
             self._plane_of = key
         self.plane.show(state.specification, self.design, self.pinned)
         self._show_numbers()
-        self.laws.object = laws_table(state, self.design)
+        self.laws.object = self._own(laws_table(state, self.design))
 
     def _show_numbers(self) -> None:
         if self.design is not None:
-            self.numbers.object = numbers_table(self.state, self.design, self.pinned)
+            self.numbers.object = self._own(numbers_table(self.state, self.design, self.pinned))
+
+    def _own(self, text: str) -> str:
+        """``text`` in the units and words of the axis."""
+        return self.state.axis.units.text(text)
 
     def _say(self, text: str, level: str) -> None:
-        self.message.object = f'<div class="message {level}" role="status">{inline(text)}</div>' if text else ""
+        text = self._own(inline(text))
+        self.message.object = f'<div class="message {level}" role="status">{text}</div>' if text else ""

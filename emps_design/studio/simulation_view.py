@@ -8,7 +8,7 @@ from typing import Any
 import panel as pn
 
 from emps_design.report.page import inline
-from emps_design.report.style import svg
+from emps_design.report.style import labelled, svg
 from emps_design.studio.controls import Field, after_this_event
 from emps_design.studio.jobs import Job
 from emps_design.studio.panes import html
@@ -60,11 +60,13 @@ class SimulationView:
             ),
             sizing_mode="stretch_width",
         )
+        self.show(now)
 
     def show(self, state: State) -> None:
         """Show the numbers of ``state``."""
         self.task.value = state.task
         for name, field in self.fields.items():
+            field.speak(state.axis.units)
             field.set(getattr(state, name))
 
     def _start(self) -> None:
@@ -73,15 +75,19 @@ class SimulationView:
         self.job.start(lambda progress: simulate(state, progress), self._done, self._failed)
 
     def _failed(self, message: str) -> None:
-        self.message.object = f'<div class="message stop" role="alert">{inline(message)}</div>'
+        text = self._state().axis.units.text(inline(message))
+        self.message.object = f'<div class="message stop" role="alert">{text}</div>'
 
     def _done(self, found: Simulated) -> None:
         level, text = found.verdict()
-        self.message.object = f'<div class="message {level}" role="status">{inline(text)}</div>'
+        units = found.state.axis.units
+        text = units.text(inline(text))
+        self.message.object = f'<div class="message {level}" role="status">{text}</div>'
         rows = "".join(
             f"<tr><th>{inline(name)}</th><td><b>{inline(value)}</b></td></tr>" for name, value in found.rows()
         )
-        self.table.object = f"<table>{rows}</table>"
+        self.table.object = units.text(f"<table>{rows}</table>")
         captions = found.captions()
         for name, figure in found.figures().items():
-            self.pictures[name].object = f'{svg(figure, name)}<p class="caption">{inline(captions[name])}</p>'
+            caption = units.text(inline(captions[name]))
+            self.pictures[name].object = f'{svg(labelled(figure, units), name)}<p class="caption">{caption}</p>'

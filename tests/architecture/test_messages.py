@@ -55,3 +55,11 @@ def test_a_flag_in_a_message_is_seen():
     found = texts('"""Docstring --here."""\nraise InputError(f"{name}: too slow; give --cutoff")')
     assert [text for text in found if FLAG.search(COMMAND.sub("", text))] == [": too slow; give --cutoff"]
     assert not FLAG.search(COMMAND.sub("", "emps-design simulate model.toml --reference next.csv"))
+
+
+@pytest.mark.parametrize("module", sorted((PACKAGE / "cli").glob("*.py")), ids=named)
+def test_a_command_speaks_of_the_axis_it_loads(module):
+    """``cli.wording.load_axis`` sets the units of what is printed; the library's own does not."""
+    lines = module.read_text(encoding="utf-8").splitlines()
+    bare = [line for line in lines if re.search(r"from emps_design\.machines import .*\bload_axis\b", line)]
+    assert len(bare) == (module.name == "wording.py")

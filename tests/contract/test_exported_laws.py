@@ -11,10 +11,14 @@ import pytest
 import emps_design.laws as laws
 from emps_design.axis import Axis
 from emps_design.codegen import export_controller
+from emps_design.compensation import compensate
+from emps_design.compensation.feedforward import motion_ahead
+from emps_design.errors import InputError
 from emps_design.laws import LAWS
 from emps_design.machines import machine
-from emps_design.simulation import Plant
+from emps_design.simulation import Plant, trapezoid_laps
 from tests.contract.test_laws import GIVEN, OWN, OWN_TABLE, axis_with
+from tests.unit.compensation.test_compensation import EFFECTS_HERE
 
 CC = shutil.which("cc")
 EVERY = pytest.mark.parametrize("kind", LAWS, ids=lambda kind: kind.name)
@@ -46,16 +50,18 @@ class Compiled:
         number = ctypes.c_float if single else ctypes.c_double
 
         class State(ctypes.Structure):
-            _fields_ = (("k", ctypes.c_longlong), ("memory", number * max(1, exported.block.law.memory)))
+            # the memory twice: of the law on its reference too
+            _fields_ = (("k", ctypes.c_longlong), ("memory", number * max(2, 2 * exported.block.law.memory)))
 
         self.state, self.library = State(), ctypes.CDLL(str(library))
         self.begin, self.step = getattr(self.library, f"{name}_init"), getattr(self.library, f"{name}_step")
-        self.step.restype, self.step.argtypes = number, [ctypes.POINTER(State), number, number, number]
+        self.step.restype, self.number, self.pointer = number, number, ctypes.POINTER(State)
 
-    def run(self, reference, q, f_ext):
+    def run(self, *inputs):
+        self.step.argtypes = [self.pointer, *[self.number] * len(inputs)]
         self.begin(ctypes.byref(self.state))
         here = ctypes.byref(self.state)
-        rows = zip(reference.tolist(), q.tolist(), f_ext.tolist(), strict=True)
+        rows = zip(*(one.tolist() for one in inputs), strict=True)
         return np.array([self.step(here, *row) for row in rows])
 
 
@@ -122,6 +128,65 @@ def test_one_changed_coefficient_is_noticed(kind, tmp_path):
         path.write_text(f"{source[:start]}{changed!r}{source[end:]}", encoding="utf-8")
         done = make_check(tmp_path)
         assert done.returncode != 0, f"{source[start:end]} -> {changed!r}: {done.stdout}"
+
+
+PROGRAM = trapezoid_laps(1e-3, 0.05, 0.15, 1.0, laps=1)
+COMPENSATED = {
+    "rigid": [],
+    "several": EFFECTS_HERE[:4],
+    "itself": [EFFECTS_HERE[4]],
+    "late": [EFFECTS_HERE[5], EFFECTS_HERE[7]],
+}
+
+
+@compiled
+@pytest.mark.parametrize("name", COMPENSATED)
+def test_a_compensated_law_has_the_simulations_bits(name, tmp_path):
+    """``make check`` with the feed-forward inside, and a closed loop with it, sample for sample."""
+    axis = machine("emps2019").replace(effects=COMPENSATED[name])
+    found = compensate(axis, PROGRAM)
+    exported = export_controller(axis, "c", found.to_dict())
+    exported.write(tmp_path)
+    done = make_check(tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert make_check(tmp_path, f"CFLAGS=-O1 -g {' '.join(SANITIZERS)}").returncode == 0
+    added = found.feedforward.along(PROGRAM)
+    run = Plant.of(axis).closed_loop(PROGRAM, voltage_noise=added, method="general")
+    motion = motion_ahead(PROGRAM, 1e-3, found.feedforward.wait)
+    block = Compiled(tmp_path, exported)
+    answers = block.run(PROGRAM, run.q, run.f_ext, *motion)
+    np.testing.assert_array_equal(answers.view(np.int64), run.u.view(np.int64))
+
+
+@compiled
+def test_one_changed_number_of_the_feed_forward_is_noticed(tmp_path):
+    axis = machine("emps2019").replace(effects=COMPENSATED["several"])
+    exported = export_controller(axis, "c", compensate(axis, PROGRAM).to_dict())
+    exported.write(tmp_path)
+    path = tmp_path / f"{exported.name}.c"
+    source = path.read_text(encoding="utf-8")
+    begin = source.index("_position_ripple_force(")
+    for match in re.finditer(r"R\((\d+\.\d+)\)", source[begin : source.index("void ", begin)]):
+        value, start = float(match[1]), begin + match.start(1)
+        if value in (0.0, 1.0, 1e-4):
+            continue
+        changed = f"{source[:start]}{value * (1.0 + 1e-6)!r}{source[begin + match.end(1) :]}"
+        path.write_text(changed, encoding="utf-8")
+        assert make_check(tmp_path).returncode != 0, match[0]
+
+
+def test_a_compensation_of_another_axis_is_refused():
+    axis = machine("emps2019")
+    found = compensate(axis, PROGRAM).to_dict()
+    for other, document, message in (
+        (axis.replace(name="other"), found, "run compensate on this axis"),
+        (axis, {**found, "kept": ["position_ripple"]}, "expected those of emps2019"),
+        (axis, {}, "expected what compensate writes"),
+    ):
+        with pytest.raises(InputError, match=message):
+            export_controller(other, "c", document)
+    with pytest.raises(InputError, match="expected c: no other takes one yet"):
+        export_controller(axis, "st", found)
 
 
 @compiled

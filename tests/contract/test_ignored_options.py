@@ -26,6 +26,8 @@ IGNORED = {
     "identify {record} {record} --holdout {record}": "--holdout: goes with one record",
     "identify {record} --force": "--force: goes with a file to write",
     "observe {record} --force": "--force: goes with a file to write",
+    "frf {record} --force": "--force: goes with a file to write",
+    "excite --stroke 0.5 --speed 0.05 --force": "--force: goes with a file to write",
     "diagnose {record} --force": "--force: goes with a file to write",
     "derive --latex --json": "--latex: goes without --json",
     "report --out {out} --model asymmetric": "--model: goes with --record",

@@ -6,7 +6,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define COLUMNS (6 + {{ states }})
+#define INPUTS {{ inputs }}
+#define COLUMNS (3 + INPUTS + {{ states }})
 #define LONGEST 4096
 
 int main(int count, char **names)
@@ -42,26 +43,33 @@ int main(int count, char **names)
         if (value[0] > 0.0) {
             {{ name }}_init(&state);
         }
-        double u = (double){{ name }}_step(&state, ({{ name }}_real)value[1], ({{ name }}_real)value[2], ({{ name }}_real)value[3]);
-        double apart = fabs(u - value[4]);
+        double u = (double){{ name }}_step(&state{% for i in range(1, inputs + 1) %}, ({{ name }}_real)value[{{ i }}]{% endfor %});
+        double expected = value[INPUTS + 1], within = value[INPUTS + 2];
+        double apart = fabs(u - expected);
 #ifdef {{ macro }}_SINGLE
-        bad = !(apart <= value[5]);
-        if (value[5] < HUGE_VAL) {
+        bad = !(apart <= within);
+        if (within < HUGE_VAL) {
             largest = apart > largest ? apart : largest;
-            bound = value[5] > bound ? value[5] : bound;
+            bound = within > bound ? within : bound;
         } else {
             unbounded++;
         }
 #else
         largest = apart > largest ? apart : largest;
-        bad = memcmp(&u, &value[4], sizeof u) != 0;
-        for (int i = 0; i < {{ states }}; i++) {
+        (void)within;
+        bad = memcmp(&u, &expected, sizeof u) != 0;
+        for (int i = 0; i < {{ memories }}; i++) {
             double memory = (double)state.memory[i];
-            bad = bad || memcmp(&memory, &value[6 + i], sizeof memory) != 0;
+            bad = bad || memcmp(&memory, &value[3 + INPUTS + i], sizeof memory) != 0;
         }
+{% if states > memories %}        for (int i = 0; i < {{ memories }}; i++) {
+            double memory = (double)state.braking[i];
+            bad = bad || memcmp(&memory, &value[3 + INPUTS + {{ memories }} + i], sizeof memory) != 0;
+        }
+{% endif %}
 #endif
         if (bad && wrong++ == 0) {
-            fprintf(stderr, "vectors.csv, row %ld: found u = %.17g, expected %.17g\n", row, u, value[4]);
+            fprintf(stderr, "vectors.csv, row %ld: found u = %.17g, expected %.17g\n", row, u, expected);
         }
     }
     fclose(file);

@@ -22,18 +22,50 @@ static const real GAINS[{{ gains | length }}] = {
 
 {% for definition in definitions %}{{ definition }}
 
-{% endfor %}void {{ name }}_init({{ name }}_state *state)
+{% endfor %}{% if ahead %}/* What the reference's motion needs, by the model [{{ command_unit }}]. */
+static real {{ name }}_feedforward(real q, real v, real a)
+{
+    real direction = {% if ahead.reversal %}v / R({{ ahead.reversal }}){% else %}R(0.0){% endif %};
+    real tau = R(0.0);
+
+    (void)q;
+    direction = direction > R(1.0) ? R(1.0) : direction;
+    direction = direction < R(-1.0) ? R(-1.0) : direction;
+{% if ahead.repeats %}    for (int pass = 0; pass < {{ ahead.passes }}; pass++) { /* a friction that depends on the force itself */
+        real before = tau;
+{% endif %}{% for hook in ahead.hooks %}    real {{ hook.name }} = R(0.0){% for call in hook.calls %} + {{ call }}(q, v, tau){% endfor %};
+{% endfor %}    real mass = R({{ ahead.own[0] }}) + inertia; /* {{ mass_unit }} */
+    real level = R({{ ahead.own[2] }}) + dry; /* {{ force_unit }}, of dry friction */
+
+    level = level > R(0.0) ? level : R(0.0);
+    tau = R({{ ahead.own[1] }}) * v + R({{ ahead.own[3] }}) + force;
+    tau = tau + (mass * a + level * direction);
+{% if ahead.repeats %}    if (FN(fabs)(tau - before) < R(1e-10)) {
+        break;
+    }
+    }
+{% endif %}    return tau / R({{ ahead.gain }});
+}
+
+{% endif %}void {{ name }}_init({{ name }}_state *state)
 {
     state->k = 0;
     for (int i = 0; i < {{ macro }}_MEMORY; i++) {
         state->memory[i] = R(0);
-    }
+{% if ahead and ahead.takes_off %}        state->braking[i] = R(0);
+{% endif %}    }
 }
 
-real {{ name }}_step({{ name }}_state *state, real reference, real q, real f_ext)
+real {{ name }}_step({{ name }}_state *state, real reference, real q, real f_ext{% if ahead %}, real ahead_q, real ahead_v, real ahead_a{% endif %})
 {
     real u = {{ kernel }}(state->k, reference, q, f_ext, state->memory);
+{% if ahead %}    real ahead = {{ name }}_feedforward(ahead_q, ahead_v, ahead_a);
+{% if ahead.takes_off %}    real braking = {{ kernel }}(state->k, reference, reference, R(0.0), state->braking);
 
+    u = u + (ahead - braking);
+{% else %}
+    u = u + ahead;
+{% endif %}{% endif %}
     state->k++;
     if (u > LIMIT) {
         u = LIMIT;

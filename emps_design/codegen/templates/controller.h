@@ -27,7 +27,8 @@ typedef double {{ name }}_real;
 typedef struct {
     long long k; /* samples since {{ name }}_init */
     {{ name }}_real memory[{{ macro }}_MEMORY]; /* of the law, SI: what the equations above have at k-1, k-2, ... */
-} {{ name }}_state;
+{% if ahead and ahead.takes_off %}    {{ name }}_real braking[{{ macro }}_MEMORY]; /* the same of the law on its reference, whose answer is taken off */
+{% endif %}} {{ name }}_state;
 
 /* Begin anew: the next sample is the first, and the axis has been at rest until then. */
 void {{ name }}_init({{ name }}_state *state);
@@ -35,8 +36,12 @@ void {{ name }}_init({{ name }}_state *state);
 /* One sample. Takes what the law follows, {{ follows }} [{{ reference_unit }}], the position that the encoder reports
  * [{{ position_unit }}], and the external force on the carriage [{{ force_unit }}] (0 where there is no sensor for it).
  * Returns the command [{{ command_unit }}], at most {{ limit }} either way.
- */
-{{ name }}_real {{ name }}_step({{ name }}_state *state, {{ name }}_real reference, {{ name }}_real q, {{ name }}_real f_ext);
+{% if ahead %} *
+ * ahead_q [{{ position_unit }}], ahead_v [{{ velocity_unit }}], ahead_a [{{ acceleration_unit }}]: the motion of the reference {{ ahead.wait }} s after
+ * this sample, from which the feed-forward is computed: {{ ahead.terms | join(", ") }}.
+{% endif %} */
+{{ name }}_real {{ name }}_step({{ name }}_state *state, {{ name }}_real reference, {{ name }}_real q, {{ name }}_real f_ext{% if ahead %},
+    {{ name }}_real ahead_q, {{ name }}_real ahead_v, {{ name }}_real ahead_a{% endif %});
 
 #ifdef __cplusplus
 }

@@ -263,7 +263,8 @@ class ForceLoopDesign:
             ("gain margin, sampled", self.margins.gain_margin, "ratio"),
         )
         verdict = "stable" if self.stable else "UNSTABLE"
-        return table(f"{self.velocity_loop.axis.name}: the sampled force loop is {verdict}", rows, missing="unbounded")
+        axis = self.velocity_loop.axis
+        return axis.units.text(table(f"{axis.name}: the sampled force loop is {verdict}", rows, missing="unbounded"))
 
 
 def design_force_loop(

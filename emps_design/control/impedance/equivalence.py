@@ -179,7 +179,7 @@ def _loop(
     words = list(safety_words(axis, mass, damping, mismatch))
     gains: tuple[float | None, float | None]
     try:
-        gains = velocity_gains(plant.mass, plant.viscous_positive, axis.drive.force_gain, crossover, phase)
+        gains = velocity_gains(plant.mass, plant.viscous_positive, axis.drive.gain, crossover, phase)
     except SpecificationError as error:
         gains = None, None
         words.append(f"no such loop: {error}")
@@ -188,7 +188,7 @@ def _loop(
         sampled = sample_axis(axis)
         pole = close(sampled, ip_law(sampled, gains[0], gains[1])).radius
         if pole > 1.0 + MARGINAL:
-            at_input = gains[0] * axis.drive.force_gain / plant.mass
+            at_input = gains[0] * axis.drive.gain / plant.mass
             words.append(
                 f"not for this drive: its sampled velocity loop would be unstable, largest pole {pole:.4g}; "
                 f"give an input crossover below its {at_input:.4g} rad/s"

@@ -204,7 +204,7 @@ def law_for(axis: Axis, law: ImpedanceLaw, period: float) -> Law:
     gains = gains_of(
         law.estimate, law.mass, law.damping, law.filters, period, law.velocity_estimator, stiffness=law.stiffness,
         coulomb_factor=law.coulomb_factor, current_factor=law.current_factor, force_sensor=law.force_sensor,
-        force_gain=axis.drive.force_gain, current_time_constant=axis.drive.current_time_constant, delay=delay,
+        force_gain=axis.drive.gain, current_time_constant=axis.drive.current_time_constant, delay=delay,
         reference_velocity=law.reference_velocity,
     )  # fmt: skip
     return law_with(np.array(gains, dtype=float), delay)

@@ -111,8 +111,9 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
         )
     check_magnitude("velocity", velocity, "m/s")
     b = axis.mechanics.array()
+    b[VISCOUS] += axis.drive.braking
     members = [Member(entry.effect, entry.effect.values(entry.parameters), b) for entry in axis.effects]
-    gain, lag = axis.drive.force_gain, axis.drive.current_time_constant
+    gain, lag = axis.drive.gain, axis.drive.current_time_constant
     warnings: list[str] = []
 
     tau = b[VISCOUS] * velocity + np.sign(velocity) * b[COULOMB] + b[OFFSET]

@@ -68,7 +68,7 @@ class VelocityLoopDesign:
     @property
     def gain(self) -> float:
         """K = k_v1 G_tau [N/(m/s)]."""
-        return self.k_v1 * self.axis.drive.force_gain
+        return self.k_v1 * self.axis.drive.gain
 
     @property
     def K_v(self) -> float:
@@ -253,7 +253,8 @@ class VelocityLoopDesign:
             ("sampled: crossover at the plant input", sampled.crossover, "rad/s"),
         )
         verdict = "stable" if self.sampled.stable else "UNSTABLE"
-        return table(f"{self.axis.name}: the sampled loop is {verdict}", rows, missing="undefined")
+        title = f"{self.axis.name}: the sampled loop is {verdict}"
+        return self.axis.units.text(table(title, rows, missing="undefined"))
 
 
 def design_velocity_loop(
@@ -284,7 +285,7 @@ def design_velocity_loop(
     w = float(crossover or 0.0)
     if phase_margin_deg <= feasible_phase_margin(mechanics.mass, mechanics.viscous, w)[0]:
         raise infeasible(axis, requested, velocity)
-    k_v1, t_v = velocity_gains(mechanics.mass, mechanics.viscous, axis.drive.force_gain, w, phase_margin_deg)
+    k_v1, t_v = velocity_gains(mechanics.mass, mechanics.viscous, axis.drive.gain, w, phase_margin_deg)
     return VelocityLoopDesign(axis, k_v1, t_v, requested, velocity=velocity)
 
 

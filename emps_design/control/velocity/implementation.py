@@ -74,7 +74,7 @@ def largest_velocity_step(axis: Axis, loop: SampledVelocityLoop) -> dict[str, fl
     samples = min(20_000, 10 + math.ceil(math.log(1e-4) / math.log(slowest)))
     _, _, voltage = loop.step_response(samples)
     peak = float(np.max(np.abs(voltage)))
-    dry = (axis.mechanics.coulomb + abs(axis.mechanics.offset)) / axis.drive.force_gain
+    dry = (axis.mechanics.coulomb + abs(axis.mechanics.offset)) / axis.drive.gain
     actuator = ActuatorMap.of(axis)
     largest = min(abs(actuator.command(actuator.acting(side * axis.drive.command_limit))) for side in (1.0, -1.0))
     needed = max(abs(actuator.command(side * dry)) for side in (1.0, -1.0))

@@ -91,7 +91,7 @@ def margins_under_mismatch(design: VelocityLoopDesign, errors: Mapping[str, floa
         corners.append({"parameters": shares, "bandwidth": loop.bandwidth, **loop.margins.to_dict()})
         mechanics = axis.mechanics
         if phase > feasible_phase_margin(mechanics.mass, mechanics.viscous, crossover)[0]:
-            gains = velocity_gains(mechanics.mass, mechanics.viscous, axis.drive.force_gain, crossover, phase)
+            gains = velocity_gains(mechanics.mass, mechanics.viscous, axis.drive.gain, crossover, phase)
             k_v1s.append(gains[0])
             t_vs.append(gains[1])
     stable = [corner for corner in corners if corner["stable"]]

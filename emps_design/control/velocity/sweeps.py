@@ -64,7 +64,7 @@ def sweep_velocity_loop(
     w, phase = np.broadcast_arrays(np.asarray(crossover, dtype=float), np.asarray(phase_margin_deg, dtype=float))
     if not np.all(np.isfinite(w) & (w > 0.0)):
         raise InputError("crossover: found a value that is not a positive number of rad/s")
-    mass, viscous, gain = axis.mechanics.mass, axis.mechanics.viscous, axis.drive.force_gain
+    mass, viscous, gain = axis.mechanics.mass, axis.mechanics.viscous, axis.drive.gain
     feasible = (phase > np.degrees(np.arctan2(viscous, mass * w))) & (phase < 90.0)
     asked = np.where(feasible, phase, np.nan)
     K, t_v = plant_input_gain(mass, viscous, w, asked)

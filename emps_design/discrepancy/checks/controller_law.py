@@ -71,16 +71,18 @@ def check_law(record: Record, axis: Axis, library: tuple[Effect, ...]) -> LawChe
 
 
 def law_voltage(record: Record, axis: Axis) -> np.ndarray:
-    """Voltage (n,) [V] that the law of ``axis`` gives for the recorded reference and position, limit included."""
+    """What the law of ``axis`` gives (n,) [V] for recorded reference and position, limited; 0 while switched off."""
     law = law_of(axis, record.period, record.extra)
     memory = np.zeros(law.memory)
     limit = axis.drive.command_limit
-    reference = law.reference(record.q_ref, record.period)
+    reference = law.followed(record)
     sensed = np.zeros(len(record)) if record.f_ext is None else record.f_ext
     voltage = np.array(
         [law.kernel(k, reference[k], record.q[k], sensed[k], limit, law.row(k), memory) for k in range(len(record))]
     )
-    return np.clip(voltage, -limit, limit)
+    added = 0.0 if record.excitation is None else record.excitation
+    on = 1.0 if record.enable is None else record.enable != 0.0
+    return np.clip(voltage + added, -limit, limit) * on
 
 
 def propose_command(effect: Effect, record: Record, gap: np.ndarray) -> np.ndarray | None:
@@ -120,7 +122,7 @@ def _wrong_law(record: Record, axis: Axis, swing: float, miss: float) -> str:
     kind = get_law(axis.controller.kind)
     if kind.propose is not None:
         wanted = np.where(np.arange(len(record)) < START_UP, np.nan, record.u)
-        followed = law_of(axis, record.period).reference(record.q_ref, record.period)
+        followed = law_of(axis, record.period, record.extra).followed(record)
         proposed = kind.propose(followed, record.q, wanted, axis.controller, record.period)
         if proposed is not None:
             free = axis.replace(controller=proposed, drive={"command_limit": 1e9})

@@ -70,7 +70,7 @@ def prepare(
 ) -> Preparation:
     """Check the records and the controller's law, and split what may be fitted; what confirms stays closed."""
     dropped = [one.effect.name for one in axis.effects]
-    axis = axis.replace(effects=[])
+    axis = axis.replace(effects=[]).supplied_by(*records, *(() if holdout is None else (holdout,)))
     warnings = check_records(records, axis)
     if dropped:
         warnings.append(f"the axis's own effects are left out and looked for again: {', '.join(dropped)}")

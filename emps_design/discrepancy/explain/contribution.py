@@ -29,7 +29,7 @@ def contribution(hypothesis: Hypothesis, index: int, number: int = 0) -> tuple[n
     record, used = problem.records[0], problem.splits[0].used
     effect, values = model.effects[index], model.values[index][0]
     if effect.channel == "controller":
-        return problem.axis.drive.force_gain * command_of(effect, values, record), used
+        return problem.axis.drive.gain * command_of(effect, values, record), used
     run = alone.run(0)
     played = replace(problem, records=(replace(record, q=run.q, u=run.u),))
     seen = missing_force(Hypothesis(played, model.without(index)))[0]

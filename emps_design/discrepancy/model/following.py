@@ -14,6 +14,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.laws.library import position_pd
 from emps_design.records import Record
+from emps_design.simulation.driven import driven_by
 
 BANDWIDTH_HZ = 25.0  # of the velocity loop that follows; the encoder's noise, differentiated, sets the upper end
 LEAST_SAMPLES = 40  # per period of that bandwidth: with fewer the two-tap velocity loses too much phase
@@ -22,11 +23,11 @@ POSITION_SHARE = 0.25  # of the velocity loop's bandwidth, for the position loop
 
 def drive(axis: Axis, record: Record) -> dict[str, Any]:
     """Keywords of :meth:`Plant.closed_loop` that make the simulation of ``record`` start and move as it did."""
-    start = {"q_ref": record.q_ref, "q0": float(record.q[0]), "disturbance": record.f_ext}
-    if axis.controller.kind != "none":
+    start = driven_by(axis, record)
+    if "law" in start:
         return start
     rate = 2 * np.pi * min(BANDWIDTH_HZ, 1 / (LEAST_SAMPLES * record.period))  # rad/s
-    kp, kv = POSITION_SHARE * rate, axis.mechanics.mass * rate / axis.drive.force_gain
+    kp, kv = POSITION_SHARE * rate, axis.mechanics.mass * rate / axis.drive.gain
     law = position_pd.LAW.law(position_pd.Table(kp=kp, kv=kv), axis, record.period)
     past = np.concatenate((np.full(2, record.q[0]), record.q[:-2]))
     # The law brakes its own velocity: leading the reference by v/kp makes it act on the difference of velocities.

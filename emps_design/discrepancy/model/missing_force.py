@@ -17,6 +17,7 @@ from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.effects import Motion
 from emps_design.effects.effect import MASS, VISCOUS
 from emps_design.identification.filters import held_force, motion
+from emps_design.observer import motor_share
 
 CUTOFF_HZ = 60.0
 REVERSAL_MARGIN = 0.06  # s on both sides of a reversal, where a zero-phase filter mixes the two directions
@@ -35,14 +36,15 @@ class MissingForce:
 def missing_force(hypothesis: Hypothesis, cutoff_hz: float = CUTOFF_HZ) -> tuple[MissingForce, ...]:
     """Return the missing force of a model, one per record, low-passed at ``cutoff_hz`` [Hz] without phase."""
     problem, baseline = hypothesis.problem, hypothesis.model.baseline
-    gain, result = problem.axis.drive.force_gain, []
+    gain, result = problem.axis.drive.gain, []
     for record, run, split in zip(problem.records, hypothesis.runs(), problem.splits, strict=True):
-        played = replace(record, q=run.q, u=run.u)
+        share = motor_share(problem.axis, record)
+        acting, played = replace(record, u=share * record.u), replace(record, q=run.q, u=share * run.u)
         measured, simulated = motion(record, cutoff_hz), motion(played, cutoff_hz)
         predicted = held_force(played, gain, cutoff_hz)
         inertia = baseline[MASS] * (measured.a - simulated.a)
         viscous = baseline[VISCOUS] * (measured.v - simulated.v)
-        force = held_force(record, gain, cutoff_hz) - predicted - inertia - viscous
+        force = held_force(acting, gain, cutoff_hz) - predicted - inertia - viscous
         away = away_from_reversals(measured.v, record.period) & split.used
         result.append(MissingForce(replace(measured, tau=predicted, voltage=record.u, force_gain=gain), force, away))
     return tuple(result)

@@ -13,6 +13,7 @@ from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.following import drive
 from emps_design.discrepancy.model.partition import Split
 from emps_design.discrepancy.model.whitening import Whitening
+from emps_design.observer import motor_force
 from emps_design.records import Record
 from emps_design.simulation import Plant, Run
 
@@ -109,8 +110,8 @@ class Hypothesis:
 
     def residuals(self) -> tuple[np.ndarray, ...]:
         """Measured minus simulated motor force [N], one array (n,) per record."""
-        gain = self.problem.axis.drive.force_gain
-        return tuple(gain * r.u - run.force for r, run in zip(self.problem.records, self.runs(), strict=True))
+        axis = self.problem.axis
+        return tuple(motor_force(axis, r) - run.force for r, run in zip(self.problem.records, self.runs(), strict=True))
 
     def whitened(self) -> tuple[np.ndarray, ...]:
         """Innovations of :meth:`residuals` in units of the noise."""

@@ -42,7 +42,7 @@ def healthy_runs(
 
 def _healthy_records(baseline: Fit, floor: Floor, generator: np.random.Generator) -> Hypothesis:
     """The baseline, and what it would have recorded with resampled noise over its voltage."""
-    gain, records = baseline.problem.axis.drive.force_gain, []
+    gain, records = baseline.problem.axis.drive.gain, []
     for record, run in zip(baseline.problem.records, baseline.runs(), strict=True):
         noise = floor.whitening.undo(resampled(floor.draws, len(record), generator))
         records.append(replace(record, q=run.q, u=run.u + noise / gain))

@@ -14,6 +14,7 @@ from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.search.acceptance import Judge
 from emps_design.discrepancy.validation.holdout import adapted
 from emps_design.errors import SimulationError
+from emps_design.observer import motor_force
 
 
 @dataclass(frozen=True)
@@ -96,4 +97,4 @@ def _left(hypothesis: Hypothesis, disturbance: np.ndarray | None = None) -> np.n
         run = hypothesis.run(0, disturbance)
     except SimulationError:
         return np.zeros(int(used.sum()))
-    return problem.whitening.apply(problem.axis.drive.force_gain * record.u - run.force)[used]
+    return problem.whitening.apply(motor_force(problem.axis, record) - run.force)[used]

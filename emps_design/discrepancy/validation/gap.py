@@ -12,6 +12,7 @@ from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.following import drive
 from emps_design.discrepancy.model.missing_force import missing_force
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
+from emps_design.observer import motor_force
 from emps_design.records import Record
 from emps_design.simulation import Plant
 
@@ -105,4 +106,4 @@ def _predict(baseline: Hypothesis, extended: Hypothesis) -> Prediction:
     axis, record = problem.axis, problem.records[0]
     plants = (Plant.of(hypothesis.model.to_axis(axis)) for hypothesis in (baseline, extended))
     before, after = (plant.closed_loop(**drive(axis, record)).force for plant in plants)
-    return Prediction(record, axis.drive.force_gain * record.u, before, after, problem.splits[0].used)
+    return Prediction(record, motor_force(axis, record), before, after, problem.splits[0].used)

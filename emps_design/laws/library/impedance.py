@@ -145,7 +145,7 @@ def gains(p, axis, period):
     check_filters(period, cutoff, cutoff)
     return gains_of(
         FrictionModel.of(axis), p.mass, p.damping, (cutoff, cutoff), period, p.velocity_estimator,
-        force_gain=axis.drive.force_gain, current_time_constant=axis.drive.current_time_constant,
+        force_gain=axis.drive.gain, current_time_constant=axis.drive.current_time_constant,
         delay=axis.sampling.computation_delay,
     )  # fmt: skip
 

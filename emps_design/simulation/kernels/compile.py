@@ -137,6 +137,7 @@ def source_files(function: Callable[..., Any]) -> set[Path]:
 
 
 part = njit(**_OPTIONS)  # a piece of a stepper: compiled into whatever calls it, cached with that
+inlined = njit(inline="always", **_OPTIONS)  # a short piece that is called in every sample
 
 
 _double, _void = ir.DoubleType(), ir.VoidType()

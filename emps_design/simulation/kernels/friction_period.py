@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from emps_design.simulation.kernels.compile import part
+from emps_design.simulation.kernels.compile import inlined, part
 
 REVERSAL, STICK, BREAKAWAY, GUARDED = range(4)  # kinds of events that are recorded
 _STOPS = 32  # followed within one period
@@ -197,7 +197,7 @@ def follow(q, v, tau, command, push, span, friction, t, events, found):
     return q, 0.0, command + (tau - command) * math.exp(-rest / lag) if lag > 0.0 else command
 
 
-@part
+@inlined
 def advance(q, v, tau, command, push, span, forward, backward, friction, t, events, found):
     """The same, with ``forward`` and ``backward`` the :func:`response` to ``span``: a slide costs no exponential."""
     mass, viscous_p, viscous_n, coulomb_p, coulomb_n, lag = friction

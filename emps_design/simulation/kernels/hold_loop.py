@@ -15,6 +15,7 @@ from emps_design.simulation.kernels.event_steps import CHATTER, DIVERGED, DONE, 
 from emps_design.simulation.kernels.friction_period import advance, follow, response
 from emps_design.simulation.kernels.motion import (
     ACTUATOR,
+    BRAKING,
     COMMAND,
     DELAY,
     DELAYED,
@@ -67,16 +68,18 @@ def applied(j, u, plant):
 
 @cached()
 def run(
-    plant, y, law, gains, memory, reference, push, noise, signals, slots, floors, scratch, out, events, found
+    plant, y, law, gains, memory, reference, push, noise, motor_rows, signals, slots, floors, scratch, out, events,
+    found,
 ):  # fmt: skip
     """Run the loop over ``reference.size`` samples; returns the status, the sample, and the time within its period [s].
 
     ``plant`` = arrays (baseline, table of hooks, start of each row of the table, parameters, settings); ``law`` is the
     address of the controller, 0: the reference is the voltage; ``gains`` have one row, or one a sample. ``push`` [N]
-    and ``noise`` [V] are empty or one value a sample; column i of ``signals`` is written to ``p[slots[i]]`` at every
-    sample. ``floors`` are the sizes below which own states need not be known relatively. ``out`` has a row each for
-    encoder, position, velocity, voltage and external force, ``events`` three columns; both are filled, and ``found``
-    [0] counts the events. ``scratch`` has room for :func:`room` numbers.
+    and ``noise`` [V] are empty or one value a sample, ``motor_rows`` empty or a row a sample of the motor's gain and
+    what its back-EMF brakes; column i of ``signals`` is written to ``p[slots[i]]`` at every sample. ``floors`` are the
+    sizes below which own states need not be known relatively. ``out`` has a row each for encoder, position, velocity,
+    voltage and external force, ``events`` three columns; both are filled, and ``found`` [0] counts the events.
+    ``scratch`` has room for :func:`room` numbers.
     """
     # Pointers from here on: arrays in tuples would be counted, at ten times the cost of the arithmetic.
     drive = pointer(scratch)  # gap between motor force and command, since when, and what a slide keeps
@@ -95,11 +98,13 @@ def run(
     position, velocity, u, outside = (
         shifted(encoder, n), shifted(encoder, 2 * n), shifted(encoder, 3 * n), shifted(encoder, 4 * n),
     )  # fmt: skip
+    varies = motor_rows.shape[0] > 0
     stride = gains.shape[1] if gains.shape[0] > 1 else 0
     period, limit, resolution = settings[PERIOD], settings[LIMIT], settings[RESOLUTION]
     jumps, late = starts[JUMP + 1] > starts[JUMP], starts[DELAY + 1] > starts[DELAY]
     touched, weighs = starts[TOUCH + 1] > starts[TOUCH], starts[TOUCH_MASS + 1] > starts[TOUCH_MASS]
-    holds = starts[HELD + 1] > starts[HELD]
+    holds, senses = starts[HELD + 1] > starts[HELD], starts[SENSOR + 1] > starts[SENSOR]
+    commands, waits = starts[COMMAND + 1] > starts[COMMAND], int(settings[DELAYED])
     weighed = starts[INERTIA + 1] > starts[INERTIA]
     bounds[0], bounds[1] = -np.inf, np.inf
     slides, steady = settings[SLIDES] > 0.0, settings[SLIDES] > 1.0
@@ -123,11 +128,13 @@ def run(
         t = k * period
         for i in range(slots.size):
             p[slots[i]] = signals[k, i]
+        if varies:
+            settings[GAIN], settings[BRAKING] = motor_rows[k, 0], motor_rows[k, 1]
         force = push[k] if push.size else 0.0
         if holds:
             force -= total(HELD, y_, t, tau, plant)
         position[k], velocity[k] = y[0], y[1]
-        seen = y[0] + total(SENSOR, y_, t, tau, plant)
+        seen = y[0] + total(SENSOR, y_, t, tau, plant) if senses else y[0]
         if resolution > 0.0:
             seen = np.floor(seen / resolution + 0.5) * resolution
         encoder[k] = seen
@@ -144,7 +151,8 @@ def run(
             volts = call_law(law, k, reference[k], seen, felt, limit, shifted(gains_, k * stride), memory_)
         else:
             volts = reference[k]
-        volts += total(COMMAND, y_, t, tau, plant)
+        if commands:
+            volts += total(COMMAND, y_, t, tau, plant)
         if noise.size:
             volts += noise[k]
         if not abs(volts) < np.inf:
@@ -157,7 +165,7 @@ def run(
                     return RUNAWAY, k, 0.0
         u[k] = volts
 
-        whole, first = int(settings[DELAYED]), 0.0
+        whole, first = waits, 0.0
         if late:
             wait = whole * period + max(0.0, total(DELAY, y_, t, tau, plant))
             whole = int(np.floor(wait / period + 1e-9))

@@ -21,8 +21,8 @@ from emps_design.simulation.kernels.compile import call_kernel, call_rate, part
 FORCE, DRY, INERTIA, COMMAND, ACTUATOR, DELAY, SENSOR, RATE, GUARD, JUMP, TOUCH, TOUCH_MASS, HELD = range(13)
 # Places in ``settings``.
 (PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, SLIDES, EXACT, ENERGY, SERIES,
- VISCOUS_P, VISCOUS_N) = range(15)  # fmt: skip
-SETTINGS = 15
+ VISCOUS_P, VISCOUS_N, BRAKING) = range(16)  # fmt: skip
+SETTINGS = 16
 
 ORDER = 4  # of convergence, measured in the tests
 # What one step may be wrong by in position [m], velocity [m/s], and relative to the largest value of an own state.
@@ -58,9 +58,10 @@ def total(row, y, t, tau, plant):
 
 @part
 def weigh(y, t, tau, acting, push, plant):
-    """What :func:`balance` gives, for a motor force ``acting`` while kernels get ``tau``."""
-    b = plant[0]
-    net = acting + push - b[1] * y[1] - b[3] - total(FORCE, y, t, tau, plant)
+    """What :func:`balance` gives, for a motor force ``acting`` while kernels get ``tau``, both before the back-EMF."""
+    b, braked = plant[0], plant[4][BRAKING] * y[1]
+    tau -= braked
+    net = acting - braked + push - b[1] * y[1] - b[3] - total(FORCE, y, t, tau, plant)
     level = max(0.0, b[2] + total(DRY, y, t, tau, plant))
     return net, level, b[0] + total(INERTIA, y, t, tau, plant)
 
@@ -96,12 +97,13 @@ def derivative(y, t, tau, push, s, plant, dy):
         dy[1] = (net - s * level) / mass
     if settings[STATES] == 2.0:
         return
-    seen = kernel_force(t, tau, plant)
+    braked = settings[BRAKING] * y[1]
+    seen = kernel_force(t, tau, plant) - braked
     for i in range(starts[RATE], starts[RATE + 1]):
         x_at, p_at = hooks[3 * i + 1], hooks[3 * i + 2]
         call_rate(hooks[3 * i], y[0], y[1], t, seen, y, x_at, p, p_at, b, level, dy)
     if settings[ENERGY] > 0.0:
-        e, v, acting = int(settings[ENERGY]), dy[0], motor(t, tau, plant)
+        e, v, acting = int(settings[ENERGY]), dy[0], motor(t, tau, plant) - braked
         dy[e] = acting * v
         dy[e + 1] = push * v
         dy[e + 2] = (b[1] * v + (0.0 if settings[FREE] > 0.0 else s * level)) * v
@@ -160,7 +162,7 @@ def margin(event, sign, y, t, tau, push, plant):
         net, level, _ = balance(y, t, tau, push, plant)
         return level * (1.0 + 1e-14) + 1e-12 - abs(net)
     i = event - 2  # entry of the table of hooks
-    tau = kernel_force(t, tau, plant)
+    tau = kernel_force(t, tau, plant) - plant[4][BRAKING] * y[1]
     return sign * call_kernel(hooks[3 * i], y[0], y[1], t, tau, y, hooks[3 * i + 1], p, hooks[3 * i + 2], b)
 
 

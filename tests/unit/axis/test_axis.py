@@ -268,3 +268,20 @@ def test_gravity_needs_an_axis_that_turns():
     message = r"effects\.0\.kind: found 'gravity' on a linear axis, .*; gravity needs motion = 'rotary'"
     with pytest.raises(AxisError, match=message):
         machine("emps2019").replace(effects=[gravity])
+
+
+def test_results_of_a_rotary_axis_in_python():
+    from emps_design.control import design_velocity_loop
+    from emps_design.identification import identify
+    from emps_design.simulation import synthetic_record
+
+    axis = Axis.from_toml(ROTARY).replace(
+        mechanics={"mass": 1.15, "viscous": 8.1, "coulomb": 7.2},
+        drive={"force_gain": 9.2, "command_limit": 10.0},
+        controller={"kind": "position_pd", "kp": 22.0, "kv": 7.6},
+    )
+    shown = design_velocity_loop(axis, crossover=60.0, phase_margin_deg=60.0)._repr_html_()
+    assert "<td>A/(rad/s)</td>" in shown
+    found = identify(synthetic_record(axis, laps=1), axis)
+    assert found.to_dict()["parameters"]["viscous"]["unit"] == "N m/(rad/s)"
+    assert "<td>kg m^2</td>" in found._repr_html_()

@@ -1,6 +1,7 @@
 """Feed-forward of what the model knows: below no feed-forward and below the rigid one, and honest about the rest."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -52,7 +53,8 @@ def test_the_formula_is_the_models():
     assert not left
     q, v, a = motion_ahead(PROGRAM, 1e-3, 5e-4)
     moving = np.abs(v) > 0.01
-    force = FeedForward.of(axis, terms)._force(q, v, a, np.sign(v))
+    given = replace(FeedForward.of(axis, terms), reversal=1e-3)
+    force = axis.drive.force_gain * given.command(q, v, a)
     model = plant_force(axis, q, v, a, np.zeros(q.size))
     np.testing.assert_allclose(force[moving], model[moving], rtol=1e-9, atol=1e-7)
 
@@ -131,4 +133,6 @@ def test_the_command_prints_and_writes(tmp_path, capsys):
     assert app.run(["compensate", "emps2019", "--scenario", "lap"]) == 2
     assert "did you mean 'laps'" in capsys.readouterr().err
     assert app.run(["compensate", "emps2019", "--scenario", "reference"]) == 2
-    assert "expected both" in capsys.readouterr().err
+    assert "expected --reference FILE" in capsys.readouterr().err
+    assert app.run(["compensate", "emps2019", "--scenario", "half-ramp", "--stroke", "0.1"]) == 2
+    assert "--stroke: goes with another scenario than half-ramp" in capsys.readouterr().err

@@ -8,6 +8,7 @@ import pytest
 from emps_design.errors import RecordError
 from emps_design.frequency_response import estimate_response
 from emps_design.frequency_response.response import BAND
+from emps_design.frequency_response.signals import signals_of
 from emps_design.machines import machine
 from emps_design.records import Record
 from tests.unit.frequency_response.cases import exact, experiment, multi_sine, passes, run, two_mass
@@ -139,6 +140,17 @@ def test_too_little_excitation_is_refused():
     axis = machine("emps2019")
     with pytest.raises(RecordError, match="found .* lines on which the excitation stands out.*; excite more strongly"):
         estimate_response(experiment(axis, volts=1e-4, newtons=2.0, count=2, periods=2), axis)
+
+
+def test_the_period_is_found_among_many_passes():
+    rng = np.random.default_rng(5)
+    q_ref, starts = passes(1e-3, 200 + 3 * 400, 80, 0.05)
+    excitation, wave = np.zeros(q_ref.size), np.tile(multi_sine(400, np.arange(3, 60, 2), rng), 3)
+    for start in starts:
+        excitation[start + 200 : start + 200 + wave.size] = wave
+    record = Record.from_arrays(1e-3, q_ref, q_ref, 1.0 + excitation, name="many", excitation=excitation)
+    found = signals_of(record)
+    assert (found.repeats, len(found.stretches)) == (400, 80)
 
 
 def test_no_reference_is_refused():

@@ -5,9 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from emps_design.axis import Axis
 from emps_design.cli.app import run as command
 from emps_design.errors import InputError, UnstableError
-from emps_design.frequency_response import Limits, design_experiment, estimate_response
+from emps_design.frequency_response import Limits, design_experiment, estimate_response, read_response
 from emps_design.frequency_response.response import BAND
 from emps_design.machines import machine
 from emps_design.simulation import Plant
@@ -145,6 +146,37 @@ def test_the_circle_closes_without_a_drive(tmp_path, capsys):
     found = json.loads(capsys.readouterr().out)
     assert (found["method"], found["instrument"], found["reversals"]) == ("periodic", "excitation", 0)
     assert found["resonances"][0]["frequency_hz"] == pytest.approx(60.0 * np.sqrt(0.6), rel=5e-3)
+
+
+def test_a_rotary_axis_of_two_rates(tmp_path, capsys):
+    coupling = {"kind": "flexible_coupling", "frequency": 210.0, "damping": 0.02, "share": 0.5}
+    axis = Axis(
+        name="spindle",
+        motion="rotary",
+        mechanics={"mass": 2e-4, "viscous": 4e-4, "coulomb": 0.02},
+        drive={"command": "current", "force_gain": 0.1, "command_limit": 12.0},
+        sampling={"period": 2.5e-4, "encoder_resolution": 1e-6, "computation_delay": 1},
+        controller={
+            "kind": "cascade",
+            "position": {"kp": 40.0, "every": 4},
+            "velocity": {"kp": 0.3, "ti": 0.02},
+            "filters": [{"kind": "notch", "frequency": 210.0, "damping": 0.6, "depth": 0.1333}],
+        },
+        effects=[coupling],
+    )
+    (tmp_path / "axis.toml").write_text(axis.to_toml())
+    files = [str(tmp_path / name) for name in ("axis.toml", "program.csv", "record.csv", "response.csv")]
+    options = ["--stroke", "30", "--speed", "4", "--from", "4", "--to", "500", "--resolution", "2", "--out"]
+    assert command(["excite", files[0], *options, files[1]]) == 0
+    assert command(["simulate", files[0], "--reference", files[1], "--out", files[2]]) == 0
+    assert command(["frf", files[2], "--axis", files[0], "--out", files[3]]) == 0
+    assert "magnitude" in capsys.readouterr().out
+    found = read_response(files[3])
+    assert np.median(np.abs(found.response / exact(axis, found.frequency, 4.0) - 1.0)) < 0.01
+    assert command(["gains", files[0], "--crossover", "150", "--frf", files[3], "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    for name in ("crossover", "phase_margin_deg", "delay_margin"):
+        assert document["measured"][name] == pytest.approx(document["sampled"][name], rel=0.03)
 
 
 def test_a_run_keeps_its_excitation(tmp_path):

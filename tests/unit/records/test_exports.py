@@ -108,6 +108,17 @@ def test_a_saved_import_is_read_by_the_same_layout(tmp_path):
     assert all(np.array_equal(again.columns[name], values) for name, values in record.columns.items())
 
 
+def test_a_missing_column_is_not_taken_from_one_with_the_name_of_a_record():
+    """Volts beside a duty: where the duty is missing, the volts are no command."""
+    columns = {"position": {"column": "q"}, "command": {"column": "duty"}}
+    text = "\n".join(["t;q;q_ref;u;temperature", *rows(T, Q, Q_REF, U, 0 * T)])
+    with pytest.raises(RecordError, match="command: found no column 'duty'"):
+        read(text, columns)
+    plain = read("\n".join(["t;q;q_ref;u", *rows(T, Q, Q_REF, U)]), columns)  # nothing but the names of a record
+    assert same(plain)
+    assert any("read by the names of a record" in note for note in plain.warnings)
+
+
 def test_optional_columns_are_kept_and_come_back(tmp_path):
     header = "t;q;q_ref;u;v_act [rpm];bus [V];on;vset [rad/s];inj"
     text = "\n".join([header, *rows(T, Q, Q_REF, U, 60 * T, 48 + 0 * T, T > 0.1, T, 0.1 * T)])
@@ -162,6 +173,13 @@ def test_irregular_time_is_resampled_and_what_that_costs_is_said():
     assert 0 < np.sqrt(np.mean(away**2)) <= promised < 1e-5
     with pytest.raises(RecordError, match="sampling must be uniform"):
         read(jittered())
+
+
+def test_a_part_without_the_gap_is_read():
+    record = read(jittered(gap=0.1), resample=True, window=(0.0, 0.19))
+    assert record.duration == pytest.approx(0.19, abs=2e-3)
+    with pytest.raises(RecordError, match="column t: found .* s, expected some of it between 7 and 9 s"):
+        read(jittered(), resample=True, window=(7.0, 9.0))
 
 
 def test_the_original_times_are_kept_through_an_archive(tmp_path):

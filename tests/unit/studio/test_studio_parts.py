@@ -444,3 +444,27 @@ def test_two_threads_draw_what_one_does():
 def test_what_can_be_specified_is_told_apart_by_every_reader(reader):
     for one, other in combinations(PlanePlot.COLORS, 2):
         assert np.linalg.norm(lab(one, SEEN_BY[reader]) - lab(other, SEEN_BY[reader])) > 15.0, (one, other)
+
+
+def test_labels_and_tables_are_in_the_units_of_the_axis():
+    joint = Axis.from_dict(
+        {
+            "name": "joint",
+            "motion": "rotary",
+            "mechanics": {"mass": 1.15, "viscous": 8.1, "coulomb": 7.2},
+            "drive": {"command": "current", "force_gain": 9.2, "command_limit": 10.3},
+            "sampling": {"period": 1e-3, "encoder_resolution": 3e-6},
+        }
+    )
+    session = Session(joint)
+    design = session.design
+    assert design.knobs["k_e1"].field.label == "Torque gain k_e1 [(rad/s)/(N m)]"
+    assert design.knobs["mass"].field.label == design.knobs["mass"].slider.label == "Apparent inertia M_a [kg m^2]"
+    assert session.simulation.fields["push"].field.label == "Push [N m]"
+    assert "k_v1 [A/(rad/s)]" in design.numbers.object
+    assert "Torque loop" in design.titles["Force loop"].object
+    assert "N/(m/s)" not in design.laws.object
+    design.machine.value = "emps2018"
+    assert design.knobs["mass"].field.label == "Apparent mass M_a [kg]"
+    assert session.simulation.fields["push"].field.label == "Push [N]"
+    assert "k_v1 [V/(m/s)]" in design.numbers.object
