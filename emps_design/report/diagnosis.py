@@ -23,6 +23,7 @@ from emps_design.report.diagnosis_sections import (
 )
 from emps_design.report.display import quantity, sentence_of
 from emps_design.report.page import Callout, Facts, Page, Picture
+from emps_design.units import Units
 
 if TYPE_CHECKING:
     from emps_design.discrepancy.result import Diagnosis
@@ -75,13 +76,14 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
         design_section(diagnosis, document),
         method_section(document),
     ]
+    axis = getattr(diagnosis, "axis", None)
     names = ", ".join(record["name"] for record in document.get("records", ()))
     return Page(
         "Where simulation and machine disagree",
         names,
         tuple(summary),
         tuple(section for section in sections if section is not None),
-        units=diagnosis.axis.units,
+        units=Units() if axis is None else axis.units,
     )
 
 
