@@ -62,7 +62,7 @@ _COMMAND_NAMES = {"V": "volt", "A": "ampere", "N m": "newton metre", "N": "newto
 # What a text has units of the linear axis in, longest first; "volt" is one on every axis.
 _PREFIXED = {"nm": 1e-9, "µm": 1e-6, "um": 1e-6, "mm": 1e-3, "mV": 1e-3, "kV": 1e3, "mN": 1e-3, "kN": 1e3}
 _UNIT = (
-    r"(?:\(m/s\)/N|[NV]/\(m/s(?:\^2)?\)|N/\(m/s\)\^2|[µun]?m/s(?:\^2)?|mm/s(?:\^2)?|N m(?:/A)?|N/(?:[µum]?m|V|s)|N s"
+    r"(?:\(m/s\)/N|[NV]/\(m/s(?:\^2)?\)|N/\(m/s\)\^2|[µun]?m/s(?:\^[23])?|mm/s(?:\^2)?|N m(?:/A)?|N/(?:[µum]?m|V|s)|N s"
     r"|kg m\^2|kg|[mk]?[NV]|[nµum]?m|1/m)(?![\w^(%]|/[\w(]| m\b)"
 )
 _NUMBER = r"[-+−]?(?:\d+\.?\d*|\.\d+)(?:e[-+−]?\d+)?"

@@ -186,6 +186,8 @@ def compensate(
     worst = _worst(trial, ahead, mismatch, phase_deg)
     warnings = [f"{name} is not compensated: {reason}" for name, reason in left.items()]
     warnings += [f"{name} is left out: {note}" for name, note in notes.items()]
+    if axis.drive.back_emf > 0.0:
+        warnings.append("the back-EMF of the motor is not fed forward")
     if answered(axis, q_ref) is None:
         warnings.append(
             "what the law answers on its own reference goes beyond the limit and is not taken off; in a cascade, give "

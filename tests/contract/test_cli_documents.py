@@ -68,6 +68,13 @@ DOCUMENTS = {
         "offline.smallest_observable_force.bound online.rms_error online.delay "
         "online.smallest_observable_force.value online.smallest_observable_force.bound",
     ),
+    "compensate": (
+        "compensate {axis} --stroke 0.05 --out {out}",
+        "tracking_rms.without tracking_rms.baseline tracking_rms.with tracking_rms.worst terms",
+    ),
+    "export": ("export {axis} --to c --out {out}", "files vectors"),
+    "export-st": ("export {axis} --to st --out {out}", "files vectors"),
+    "export-json": ("export {axis} --to json --out {out}", "files vectors"),
     "derive": ("derive", ""),
     "report": ("report {axis} --record {record} --crossover 100 --out {out}.html", "warnings"),
     "demo": ("demo --out {out}.html", "machine record out"),
