@@ -123,7 +123,7 @@ def coloured(s: Spectra, h: np.ndarray, beta: np.ndarray) -> float:
     left = s.power - 2.0 * (h.conj() * (s.answer @ beta)).real + np.abs(h) ** 2 * explained
     shape = np.maximum(np.abs(h * (s.position @ beta)) ** 2, 1e-300)
     shape = shape / np.exp(np.average(np.log(shape), weights=s.counts))
-    return float(np.sum(left / shape))
+    return float(max(np.sum(np.maximum(left, 0.0) / shape), 1e-14 * s.power.sum()))
 
 
 def rates(s: Spectra) -> np.ndarray:

@@ -19,7 +19,10 @@ def kind_of(found: Fit, velocity_reference: bool) -> str:
         return "" if s.position or s.force else "cascade"
     if s.position:
         return "" if s.force else "position_pd" if plain and not s.form and s.share == 0 else "cascade"
-    return "ip_velocity" if s.form == "ip" and plain and s.share == 1 else ""
+    if s.form != "ip" or not plain or s.share != 1:
+        return ""
+    # With the backward difference the integral of the velocity error is the position error: one law, two kinds.
+    return "position_pd" if found.timing.velocity_estimator == "backward" and not s.force else "ip_velocity"
 
 
 def numbers_of(found: Fit, velocity_reference: bool) -> dict[str, float]:
@@ -30,7 +33,7 @@ def numbers_of(found: Fit, velocity_reference: bool) -> dict[str, float]:
     if kind == "p":
         return {"kp": part["position"]}
     if kind == "position_pd":
-        return {"kp": rate, "kv": gain}
+        return {"kp": rate if s.position else found.wi, "kv": gain}
     if kind == "ip_velocity":
         own = {"k_v1": gain, "t_v": 1.0 / found.wi}
         return own | ({"k_e1": part["force"] / gain} if s.force else {})
