@@ -9,10 +9,10 @@ import json
 from datetime import UTC, datetime
 from pathlib import Path
 
+from benchmarks.table_2 import sweep
 from emps_design.cli.output import progress_bar
 from emps_design.files import write_text
 from emps_design.paper.section_3 import PRINTED
-from emps_design.paper.table_2 import sweep
 
 EXPERIMENTS = 10
 

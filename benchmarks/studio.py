@@ -82,6 +82,6 @@ def _turn() -> float:
     took = []
     for frequency in np.linspace(60.0, 140.0, 9):
         start = time.perf_counter()
-        view.knobs["frequency"].field.value = float(frequency)
+        view.knobs["frequency"].field.value = f"{frequency:g}"
         took.append(time.perf_counter() - start)
     return float(np.median(took))

@@ -6,19 +6,21 @@ Everything is evaluated from the kernels of the effects, so whatever an effect's
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.effects import Motion
-from emps_design.effects.curve import Resolved, states_along
+from emps_design.effects import Effect, Motion
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS, Kernel
 from emps_design.errors import InputError
 
 if TYPE_CHECKING:
     import sympy
+
+Resolved = Sequence[tuple[Effect, np.ndarray]]  # effects with the arrays of their parameters
 
 _SETTLED = 1e-9  # N, between two passes of a force that depends on itself
 _PASSES = 200
@@ -109,6 +111,37 @@ def _undo(actuator: Kernel, p: np.ndarray, acting: np.ndarray) -> np.ndarray:
     return np.interp(acting, given[order][first], asked[order][first])
 
 
+def states_along(
+    effect: Effect, p: np.ndarray, b: np.ndarray, effects: Resolved, q: np.ndarray, v: np.ndarray, t: np.ndarray
+) -> np.ndarray:
+    """Own states of ``effect`` (n, n_states) while the carriage follows ``q`` [m], ``v`` [m/s] over ``t`` [s].
+
+    They start at rest; ``effects`` are those whose dry friction adds to the Coulomb level of the moment.
+    """
+    change, initial = effect.rate, effect.initial
+    if change is None or initial is None:
+        return np.zeros((q.size, 0))
+    from scipy.integrate import solve_ivp
+    from scipy.interpolate import CubicHermiteSpline
+
+    start = np.array(initial(q[0], p, b), dtype=float)
+    if q.size < 2:
+        return start[None, :]
+    path = CubicHermiteSpline(t, q, v)
+    speed = path.derivative()
+
+    def rate(now: float, x: np.ndarray) -> np.ndarray:
+        here, there, dx = float(path(now)), float(speed(now)), np.zeros(start.size)
+        dry = [one.dry(here, there, now, 0.0, (), values, b) for one, values in effects if one.dry is not None]
+        change(here, there, now, 0.0, x, p, b, max(0.0, b[COULOMB] + sum(dry)), dx)
+        return dx
+
+    longest = float(np.diff(t).max())
+    return solve_ivp(
+        rate, (t[0], t[-1]), start, "LSODA", t_eval=t, rtol=1e-7, atol=1e-10, max_step=longest
+    ).y.T  # fmt: skip
+
+
 def steady_friction(axis: Axis, v: np.ndarray, q: float = 0.0, t: float = 0.0) -> np.ndarray:
     """Force [N] (n,) that keeps the carriage at the speeds ``v`` (n,) [m/s] when it passes ``q`` [m] at ``t`` [s].
 
@@ -123,40 +156,6 @@ def steady_friction(axis: Axis, v: np.ndarray, q: float = 0.0, t: float = 0.0) -
     settled = axis.replace(effects=[one for one in axis.effects if one.effect.rate is None])
     still = np.zeros(v.size)
     return plant_force(settled, still + q, v, still, still + t)
-
-
-@dataclass(frozen=True)
-class TwoQuadrants:
-    """Friction by direction, equation (3): F_v+ v + F_c+ for v > 0, F_v- v - F_c- for v < 0, constant force and all."""
-
-    viscous_positive: float
-    viscous_negative: float
-    coulomb_positive: float
-    coulomb_negative: float
-
-    def to_dict(self) -> dict[str, float]:
-        """The four numbers by name [N/(m/s), N/(m/s), N, N]."""
-        return dict(vars(self))
-
-
-def two_quadrants(axis: Axis, speeds: tuple[float, float] = (0.1, 0.2), q: float = 0.0, t: float = 0.0) -> TwoQuadrants:
-    """F_v+, F_v-, F_c+ and F_c- of Table I: lines through the steady friction at two ``speeds`` [m/s] each way.
-
-    Exact for friction that is linear in each direction. The constant force is counted with the Coulomb friction, from
-    which no motion can tell it.
-
-    >>> from emps_design.machines import machine
-    >>> {name: round(value, 4) for name, value in two_quadrants(machine("emps2018-two-quadrant")).to_dict().items()}
-    ... # doctest: +NORMALIZE_WHITESPACE
-    {'viscous_positive': 474.9727, 'viscous_negative': 563.8568, 'coulomb_positive': 17.3811,
-     'coulomb_negative': 11.5846}
-    """
-    slow, fast = speeds
-    if not 0 < slow < fast:
-        raise InputError(f"speeds: found {slow:g}, {fast:g} m/s, expected two positive ones, the slower first")
-    up_slow, up_fast, down_slow, down_fast = steady_friction(axis, np.array([slow, fast, -slow, -fast]), q, t).tolist()
-    positive, negative = (up_fast - up_slow) / (fast - slow), (down_slow - down_fast) / (fast - slow)
-    return TwoQuadrants(positive, negative, up_slow - positive * slow, -(down_slow + negative * slow))
 
 
 @dataclass(frozen=True)

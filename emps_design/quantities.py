@@ -95,13 +95,15 @@ class Quantity:
 _FREQUENCIES = {"": 1.0, "rad/s": 1.0, "1/s": 1.0, "hz": 2.0 * math.pi, "khz": 2000.0 * math.pi}
 
 
-def frequency(text: str | float, unit: str = "rad/s") -> float:
+def read_frequency(text: str | float, unit: str = "rad/s") -> float:
     """Return a frequency as someone writes it, in ``unit`` ("rad/s" or "Hz"), which is also what a bare number means.
 
     Raises :class:`InputError` for anything else; whether the number makes sense is for others to say.
 
-    >>> round(frequency("30Hz"), 4), frequency("188.5"), frequency("188.5 rad/s"), round(frequency("377rad/s", "Hz"), 3)
-    (188.4956, 188.5, 188.5, 60.001)
+    >>> round(read_frequency("30Hz"), 4), read_frequency("188.5"), read_frequency("188.5 rad/s")
+    (188.4956, 188.5, 188.5)
+    >>> round(read_frequency("377rad/s", "Hz"), 3)
+    60.001
     """
     written = str(text).strip()
     match = re.fullmatch(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan))\s*([a-zA-Z/1]*)", written)

@@ -25,11 +25,11 @@ from emps_design.laws import (
     Finite,
     NonNegative,
     Positive,
+    checked_parameters,
     field_at,
     fields_of,
     fields_within,
     known_laws,
-    parameters_of,
 )
 from emps_design.units import COMMANDS, check_command_unit
 
@@ -185,7 +185,7 @@ class Controller(Table):
             expected = f"{', '.join(map(repr, kinds[:-1]))} or {NONE!r}"
             problem = {"type": "literal_error", "loc": ("kind",), "input": kind, "ctx": {"expected": expected}}
             raise ValidationError.from_exception_data("Controller", [cast(Any, problem)])
-        parameters = parameters_of(kind, {k: v for k, v in table.items() if k != "kind"})
+        parameters = checked_parameters(kind, {k: v for k, v in table.items() if k != "kind"})
         return {"kind": kind, "parameters": parameters}
 
     @model_serializer

@@ -31,6 +31,7 @@ COMMANDS = (
     "observe",
     "excite",
     "frf",
+    "law",
     "diagnose",
     "compensate",
     "export",

@@ -7,13 +7,13 @@ from typing import Any
 import typer
 
 from emps_design.errors import InputError
-from emps_design.quantities import frequency
+from emps_design.quantities import read_frequency
 
 
 def _read(unit: str) -> dict[str, Any]:
     def parse(text: str) -> float:
         try:
-            return frequency(text, unit)
+            return read_frequency(text, unit)
         except InputError as error:  # a ValueError would lose its words
             raise typer.BadParameter(str(error)) from error
 

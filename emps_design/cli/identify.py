@@ -144,16 +144,12 @@ def _one(estimator: str, record: Record, axis: Axis, options: dict[str, Any]) ->
 
 
 def _show_one(found: Identification) -> None:
-    from rich import box
-    from rich.table import Table
-
-    from emps_design.cli.output import new_console
+    from emps_design.cli.output import new_console, new_table
 
     console = new_console()
     title = f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}"
-    table = Table(title=title, box=box.SIMPLE, pad_edge=False, padding=(0, 1, 0, 0))
-    for heading in ("parameter", "value", "std (15)", "% (16)", "std *", "95 % ± *", "unit"):
-        table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right", no_wrap=True)
+    headings = ("parameter", "value", "std (15)", "% (16)", "std *", "95 % ± *", "unit")
+    table = new_table(title, *headings, words=("unit",), whole=True, pad_edge=False, padding=(0, 1, 0, 0))
     for name, estimate in found.parameters.items():
         if estimate.interval_95 is None:
             table.add_row(name, "not determined", "", "", "", "", estimate.quantity.unit)
@@ -212,15 +208,11 @@ def _show_one(found: Identification) -> None:
 
 
 def _show_several(found: SeveralIdentifications) -> None:
-    from rich import box
-    from rich.table import Table
-
-    from emps_design.cli.output import new_console
+    from emps_design.cli.output import new_console, new_table
 
     console = new_console()
-    table = Table(box=box.SIMPLE, title=f"{len(found.records)} records, {found.model} model")
-    for heading in ("parameter", "mean", "spread", "std *", "drift/record", "unit"):
-        table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right", no_wrap=True)
+    headings = ("parameter", "mean", "spread", "std *", "drift/record", "unit")
+    table = new_table(f"{len(found.records)} records, {found.model} model", *headings, words=("unit",), whole=True)
     for row in found.table():
         table.add_row(
             row["name"],
@@ -233,7 +225,7 @@ def _show_several(found: SeveralIdentifications) -> None:
     console.print(table)
     console.print("spread: std between records; std *: mean within one, for a correlated residual; drift **: p < 1 %")
     title = "force error [N rms]: identified on the row's record, judged on the column's"
-    matrix = Table(box=box.SIMPLE, title=title, pad_edge=False, padding=(0, 1, 0, 0))
+    matrix = new_table(title, pad_edge=False, padding=(0, 1, 0, 0))
     matrix.add_column("", overflow="fold")
     for number in range(1, len(found.records) + 1):
         matrix.add_column(str(number), justify="right", no_wrap=True)

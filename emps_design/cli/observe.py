@@ -104,20 +104,12 @@ def _write(out: Path, found: Observation) -> None:
 
 
 def _show(found: Observation) -> None:
-    from rich import box
-    from rich.table import Table
+    from emps_design.cli.output import new_console, new_table
 
-    from emps_design.cli.output import new_console
-
-    console = new_console()
+    console, known = new_console(), found.f_ext is not None
     title = f"External force of {found.record}, axis {found.axis}"
-    table = Table(title=title, box=box.SIMPLE, pad_edge=False)
-    table.add_column("method")
-    known = found.f_ext is not None
-    headings = ["delay [ms]"]
-    headings += ["rms error [N]", "away from edges [N]", "rise [ms]", "plateau"] if known else []
-    for heading in headings:
-        table.add_column(heading, justify="right")
+    judged = ("rms error [N]", "away from edges [N]", "rise [ms]", "plateau") if known else ()
+    table = new_table(title, "method", "delay [ms]", *judged, pad_edge=False)
     for name, result in found.methods.items():
         cells = [f"{1e3 * result.delay:.2f}"]
         if known:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from emps_design.errors import one_line, printable
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
 Progress = Callable[[str, float], None]
 NAMES = ("name", "axis", "record", "records", "file", "files", "out", "directory", "machine", "column", "title")
@@ -96,6 +97,20 @@ def new_console() -> Console:
             return super().render_str(printable(in_words(text)), **options)
 
     return Plain(markup=False, emoji=False)
+
+
+def new_table(title: str, *headings: str, words: Collection[str] = (), whole: bool = False, **look: Any) -> Table:
+    """Return a table with ``headings``: the first column and ``words`` are text, the others numbers, set to the right.
+
+    ``whole``: no cell is broken over lines; ``look`` is of :class:`rich.table.Table`.
+    """
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title=title or None, box=box.SIMPLE, **look)
+    for place, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if place and heading not in words else "left", no_wrap=whole)
+    return table
 
 
 @contextmanager

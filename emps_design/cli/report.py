@@ -6,8 +6,8 @@ from pathlib import Path
 
 import typer
 
-from emps_design.cli.design_options import within
-from emps_design.cli.destinations import OVERWRITE, PAGE, check_out
+from emps_design.cli.design_options import AsJson, Bandwidth, Crossover, Force, PhaseMargin, within
+from emps_design.cli.destinations import PAGE, check_out
 from emps_design.cli.frequency import RAD_S
 from emps_design.cli.ignored import refuse_ignored
 
@@ -15,60 +15,48 @@ from emps_design.cli.ignored import refuse_ignored
 def command(
     context: typer.Context,
     axis: str | None = typer.Argument(
-        None, help="TOML file or embedded machine; default emps2018, emps2019 with a record."
+        None, help="TOML file or embedded machine; default emps2018, emps2019 with a record"
     ),
-    record: Path | None = typer.Option(None, "--record", help="Record to identify: .mat, .csv or .npz."),
-    out: Path = typer.Option(..., "--out", help="HTML file to write."),
-    crossover: float | None = typer.Option(
-        None,
-        "--crossover",
-        **RAD_S,
-        callback=within("rad/s"),
-        help="Crossover of the velocity loop [rad/s, or such as 30Hz].",
-    ),
-    bandwidth: float | None = typer.Option(
-        None,
-        "--bandwidth",
-        **RAD_S,
-        callback=within("rad/s"),
-        help="Closed-loop -3 dB bandwidth [rad/s, or such as 30Hz].",
-    ),
-    phase_margin: float = typer.Option(60.0, "--phase-margin", callback=within("deg"), help="Phase margin [deg]."),
-    retune: bool = typer.Option(False, "--retune", help="Meet the specification in the sampled loop."),
+    record: Path | None = typer.Option(None, "--record", help="record to identify: .mat, .csv or .npz"),
+    out: Path = typer.Option(..., "--out", help="HTML file to write"),
+    crossover: Crossover = None,
+    bandwidth: Bandwidth = None,
+    phase_margin: PhaseMargin = 60.0,
+    retune: bool = typer.Option(False, "--retune", help="meet the specification in the sampled loop"),
     design_on: str | None = typer.Option(
-        None, "--design-on", help="record: design on what the record gives; axis: on the axis as it is."
+        None, "--design-on", help="record: design on what the record gives; axis: on the axis as it is"
     ),
-    model: str = typer.Option("symmetric", "--model", help="Friction model for the design: symmetric or asymmetric."),
+    model: str = typer.Option("symmetric", "--model", help="friction model for the design: symmetric or asymmetric"),
     record_filter: str | None = typer.Option(
-        None, "--record-filter", help="Filter of the identification: hold (default), report or paper."
+        None, "--record-filter", help="filter of the identification: hold (default), report or paper"
     ),
     k_e1: float | None = typer.Option(
-        None, "--k-e1", callback=within("(m/s)/N"), help="Force gain [(m/s)/N]: adds the force loop."
+        None, "--k-e1", callback=within("(m/s)/N"), help="force gain [(m/s)/N]: adds the force loop"
     ),
     hand: float | None = typer.Option(
-        None, "--hand", callback=within("N/(m/s)"), help="Viscous hand [N/(m/s)]: adds the force loop."
+        None, "--hand", callback=within("N/(m/s)"), help="viscous hand [N/(m/s)]: adds the force loop"
     ),
     environment: float | None = typer.Option(
-        None, "--environment", callback=within("N/m"), help="Stiffness of the wall [N/m]: adds the force loop."
+        None, "--environment", callback=within("N/m"), help="stiffness of the wall [N/m]: adds the force loop"
     ),
     mass: float | None = typer.Option(
-        None, "--mass", callback=within("kg"), help="Apparent mass M_a [kg]: adds the impedance law."
+        None, "--mass", callback=within("kg"), help="apparent mass M_a [kg]: adds the impedance law"
     ),
     damping: float | None = typer.Option(
-        None, "--damping", callback=within("N/(m/s)"), help="Apparent damping B [N/(m/s)], with --mass."
+        None, "--damping", callback=within("N/(m/s)"), help="apparent damping B [N/(m/s)], with --mass"
     ),
     filter: float | None = typer.Option(
         None,
         "--filter",
         **RAD_S,
         callback=within("rad/s"),
-        help="Filter of the impedance law [rad/s, or such as 80Hz].",
+        help="filter of the impedance law [rad/s, or such as 80Hz]",
     ),
     mismatch: float = typer.Option(
-        0.02, "--mismatch", callback=within(""), help="Error of the impedance law's estimates."
+        0.02, "--mismatch", callback=within(""), help="error of the impedance law's estimates"
     ),
-    force: bool = typer.Option(False, "--force", help=OVERWRITE),
-    as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
+    force: Force = False,
+    as_json: AsJson = False,
 ) -> None:
     """The whole design as one self-contained page: specification against achieved, loops, force loop, record."""
     from emps_design.cli.output import print_json, progress_bar, say, tell

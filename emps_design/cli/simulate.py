@@ -200,37 +200,24 @@ def _draw(path: Path, result: Any) -> None:
 
 
 def _show(document: dict[str, Any]) -> None:
-    from rich import box
-    from rich.table import Table
+    from emps_design.cli.output import new_console, new_table
 
-    from emps_design.cli.output import new_console
-
-    table = Table(title=f"{document['scenario']}, axis {document.get('axis', '')}", box=box.SIMPLE)
-    table.add_column("quantity")
-    table.add_column("value", justify="right")
+    table = new_table(f"{document['scenario']}, axis {document.get('axis', '')}", "quantity", "value")
     for key, value in _rows(document):
         table.add_row(key, value)
     new_console().print(table)
 
 
 def _show_bench(document: dict[str, Any]) -> None:
-    from rich import box
-    from rich.table import Table
-
-    from emps_design.cli.output import new_console
+    from emps_design.cli.output import new_console, new_table
 
     console, printed = new_console(), document["printed"]
     for key, title in (("table_1", "Table I"), ("table_2", "Table II")):
-        table = Table(title=title, box=box.SIMPLE)
-        table.add_column("parameter")
-        for head in ("value", "2 sigma", "% sigma", "printed", "2 sigma", "% sigma"):
-            table.add_column(head, justify="right")
+        table = new_table(title, "parameter", "value", "2 sigma", "% sigma", "printed", "2 sigma", "% sigma")
         for name, row in document[key].items():
             table.add_row(name.replace("_", " "), *(f"{number:.4g}" for number in (*row, *printed[key][name])))
         console.print(table)
-    table = Table(title="Errors [N], least and largest of ten", box=box.SIMPLE)
-    for head in ("", "found", "printed"):
-        table.add_column(head)
+    table = new_table("Errors [N], least and largest of ten", "", "found", "printed", words=("found", "printed"))
     for key, title in (("rms_1", "identification"), ("rms_2", "observation"), ("rms_direct", "direct validation")):
         found = document[key]
         table.add_row(title, f"{min(found):.2f} to {max(found):.2f}", "{:g} to {:g}".format(*printed[key]))

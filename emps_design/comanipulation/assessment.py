@@ -12,7 +12,7 @@ from emps_design.axis import Axis
 from emps_design.comanipulation.study import MismatchStudy, mismatch_study
 from emps_design.comanipulation.wall_limit import WallLimit, wall_limit
 from emps_design.control.impedance.equivalence import LOW_FREQUENCY, equivalent_loop, safety_words
-from emps_design.control.impedance.law import PRINTED, FrictionModel, ImpedanceLaw, impedance_law, left_out
+from emps_design.control.impedance.law import PRINTED, FrictionModel, ImpedanceLaw, impedance_law
 from emps_design.control.impedance.passivity import largest_wall, passivity
 from emps_design.control.impedance.response import relay_oscillation
 from emps_design.control.impedance.robustness import (
@@ -28,15 +28,10 @@ from emps_design.control.impedance.robustness import (
     verdict,
     worst_radius,
 )
-from emps_design.control.impedance.sampled import (
-    MARGINAL,
-    Clock,
-    SampledLoop,
-    extended_loop,
-    recursion_poles,
-    sampled_loop,
-)
+from emps_design.control.impedance.sampled import Clock, SampledLoop, extended_loop, recursion_poles, sampled_loop
+from emps_design.control.loop.sampled_loop import MARGINAL
 from emps_design.errors import SpecificationError, UnstableError
+from emps_design.laws.friction_model import left_out
 from emps_design.notebook import table
 
 SHARES = (

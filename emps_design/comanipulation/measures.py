@@ -9,11 +9,14 @@ import numpy as np
 from emps_design.control.impedance.robustness import VERDICTS
 from emps_design.simulation.kernels.compile import part
 
-# Places in the measures of a run.
-(P_PEAK_U, P_CLIPPED, P_CLIPPED_END, P_FLIPS, P_PEAK_FORCE, P_FORCE2, P_IMPULSE, P_WORK, P_PATH, P_MISS2, P_HELD,
- P_N, P_AA, P_AV, P_VV, P_AF, P_VF, P_FF, P_END_MIN_V, P_END_MAX_V, P_END_TURNS, P_END_MIN_U, P_END_MAX_U,
- P_DRIFT, P_RATIO, P_MOVING, P_END_SPEED, P_DIVERGED, P_RELEASE_V) = range(29)  # fmt: skip
-MEASURES = 29
+# What is measured on a run, in the order of the array that holds it.
+NAMES = (
+    "peak_u", "clipped", "clipped_end", "flips", "peak_force", "force2", "impulse", "work", "path", "miss2", "held",
+    "n", "aa", "av", "vv", "af", "vf", "ff", "end_min_v", "end_max_v", "end_turns", "end_min_u", "end_max_u",
+    "end_speed", "release_v", "moving", "drift", "ratio", "diverged",
+)  # fmt: skip
+MEASURES = len(NAMES)
+_PEAK_U, _DIVERGED = NAMES.index("peak_u"), NAMES.index("diverged")
 _SWING = 50  # samples within which a voltage that was at one limit must be at the other to count as a flip
 
 
@@ -25,7 +28,6 @@ def measure(q, v, u, force, wish, limit, period, release, end, measures):
     n samples or one more; the carriage is let go at sample ``release``; a verdict looks at the samples from ``end`` on.
     """
     n = q.size - 1
-    measures[:] = 0.0
     last_clip, clipped_at, stopped = 0.0, 0, n
     clipped = clipped_end = flips = turns_end = moving = 0
     peak_u = peak_force = force2 = impulse = work = path = miss2 = end_speed = 0.0
@@ -67,50 +69,43 @@ def measure(q, v, u, force, wish, limit, period, release, end, measures):
             min_u, max_u = min(min_u, volts), max(max_u, volts)
             turns_end += v0 * v1 < 0.0 or (v0 != 0.0 and v1 == 0.0)
             end_speed += moved
-    measures[P_PEAK_U], measures[P_PEAK_FORCE] = peak_u, peak_force
-    measures[P_CLIPPED], measures[P_CLIPPED_END], measures[P_FLIPS] = clipped, clipped_end, flips
-    measures[P_FORCE2], measures[P_IMPULSE], measures[P_WORK] = force2, impulse, work
-    measures[P_PATH], measures[P_MISS2], measures[P_HELD], measures[P_N] = path, miss2, release, moving
-    measures[P_AA], measures[P_AV], measures[P_VV] = aa, av, vv
-    measures[P_AF], measures[P_VF], measures[P_FF] = af, vf, ff
-    measures[P_END_MIN_V], measures[P_END_MAX_V], measures[P_END_TURNS] = min_v, max_v, turns_end
-    measures[P_END_MIN_U], measures[P_END_MAX_U] = min_u, max_u
-    measures[P_END_SPEED] = end_speed / (period * max(n - end, 1))
-    measures[P_RELEASE_V] = v[release]
-    _drift(q[release:], stopped - release, period, measures)
+    drift, ratio = _drift(q[release:], stopped - release, period)
+    found = (
+        peak_u, clipped, clipped_end, flips, peak_force, force2, impulse, work, path, miss2, release,
+        moving, aa, av, vv, af, vf, ff, min_v, max_v, turns_end, min_u, max_u,
+        end_speed / (period * max(n - end, 1)), v[release], stopped - release, drift, ratio, 0.0,
+    )  # fmt: skip
+    measures[:] = np.array(found)
 
 
 @part
-def _drift(free, moving, period, measures):
+def _drift(free, moving, period):
     """Speed that the free motion tends to, from its steps over three equal spans (Aitken: exact for one decay).
 
-    The first tenth is left out (filters settle). A negative product with the direction of motion means that dry
-    friction stops the carriage in finite time.
+    And the ratio of two changes of the step. The first tenth is left out (filters settle). A negative product with the
+    direction of motion means that dry friction stops the carriage in finite time.
     """
-    measures[P_MOVING] = moving
     skip = moving // 10
     span = (moving - skip) // 3
     if span < 1:
-        measures[P_RATIO] = np.nan
-        return
+        return 0.0, np.nan
     v1 = (free[skip + span] - free[skip]) / (span * period)
     v2 = (free[skip + 2 * span] - free[skip + span]) / (span * period)
     v3 = (free[skip + 3 * span] - free[skip + 2 * span]) / (span * period)
     side = 1.0 if v1 >= 0.0 else -1.0
     first, second = v2 - v1, v3 - v2
     bend = second - first
-    measures[P_RATIO] = second / first if first != 0.0 else 0.0
+    ratio = second / first if first != 0.0 else 0.0
     if abs(bend) > 1e-12 * (abs(v1) + abs(v3)):
-        measures[P_DRIFT] = side * (v3 - second * second / bend)
-    else:
-        measures[P_DRIFT] = side * v3
+        return side * (v3 - second * second / bend), ratio
+    return side * v3, ratio
 
 
 @part
 def broken_off(limit, measures):
     """Measures of a run that could not be finished: unstable, and nothing else known."""
     measures[:] = np.nan
-    measures[P_DIVERGED], measures[P_PEAK_U] = 1.0, limit
+    measures[_DIVERGED], measures[_PEAK_U] = 1.0, limit
 
 
 @dataclass(frozen=True)
@@ -128,10 +123,9 @@ class Measures:
     integrates: np.ndarray
 
     def __getattr__(self, name: str) -> np.ndarray:
-        place = globals().get(f"P_{name.upper()}")
-        if place is None:
+        if name not in NAMES:
             raise AttributeError(name)
-        return self.raw[:, place]
+        return self.raw[:, NAMES.index(name)]
 
     @property
     def verdict(self) -> np.ndarray:

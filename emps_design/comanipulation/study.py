@@ -18,11 +18,13 @@ from emps_design.axis import Axis
 from emps_design.comanipulation.measures import Measures
 from emps_design.comanipulation.run import run_many
 from emps_design.comanipulation.task import Task, fitted_task
-from emps_design.control.impedance.law import PARAMETERS, FrictionModel, ImpedanceLaw
+from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
 from emps_design.control.impedance.response import impedance_error
 from emps_design.control.impedance.robustness import VERDICTS, check_mismatch, corner_errors
-from emps_design.control.impedance.sampled import MARGINAL, Clock, numbers, spectral_radius
+from emps_design.control.impedance.sampled import Clock, numbers, spectral_radius
+from emps_design.control.loop.sampled_loop import MARGINAL
 from emps_design.errors import InputError
+from emps_design.laws.friction_model import PARAMETERS
 
 MOST = 1_000_000  # plants; more would not fit into memory
 CALM = ("stable", "dead_band")  # verdicts of a carriage that comes to rest
@@ -226,7 +228,7 @@ def mismatch_study(
 
     laws = [law.with_errors(dict(zip(PARAMETERS, row, strict=True))) for row in errors.tolist()]
     clock = Clock.of(axis)
-    options = {"velocity_estimator": law.velocity_estimator, "force_sensor": law.force_sensor}
+    options: dict[str, Any] = {"velocity_estimator": law.velocity_estimator, "force_sensor": law.force_sensor}
     error, radius = np.zeros(len(errors)), np.zeros(len(errors))
     for direction in (1, -1) if split or plant.two_quadrant else (1,):
         n = {
@@ -253,7 +255,7 @@ def _beyond(axis: Axis, laws: list[ImpedanceLaw], task: Task) -> tuple[dict[str,
     drive, sampling = axis.drive, axis.sampling
     lag = drive.current_time_constant
     lagged = {"drive": {"current_time_constant": 2.0 * lag if lag > 0.0 else 0.5 * sampling.period}}
-    changes = {
+    changes: dict[str, dict[str, Any]] = {
         "current loop of twice the time constant" if lag > 0.0 else "current loop of half a period": lagged,
         "one more sample of delay": {"sampling": {"computation_delay": sampling.computation_delay + 1}},
         "encoder steps ten times as large": {"sampling": {"encoder_resolution": 10.0 * sampling.encoder_resolution}},

@@ -12,7 +12,8 @@ from emps_design.axis import Axis
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
 from emps_design.control.impedance.response import relay_oscillation
 from emps_design.control.impedance.robustness import break_away, corner_errors
-from emps_design.control.impedance.sampled import MARGINAL, Clock, Environment, sampled_loop
+from emps_design.control.impedance.sampled import Clock, Environment, sampled_loop
+from emps_design.control.loop.sampled_loop import MARGINAL
 from emps_design.errors import InputError
 
 HAND = (1000.0, 100.0)  # N/m and N/(m/s) of an operator's hand

@@ -7,7 +7,7 @@ the describing function predicts it, and a simulation of the whole axis pressed 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -50,13 +50,7 @@ class WallLimit:
 
     def to_dict(self) -> dict[str, Any]:
         """The three limits [N/m], the push [N], and the errors of the estimates."""
-        return {
-            "linear": self.linear,
-            "predicted": self.predicted,
-            "simulated": self.simulated,
-            "push": self.push,
-            "errors": self.errors,
-        }
+        return asdict(self)
 
 
 def wall_limit(axis: Axis, law: ImpedanceLaw, mismatch: float = 0.0) -> WallLimit | None:

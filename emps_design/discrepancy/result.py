@@ -13,6 +13,7 @@ from emps_design.discrepancy.explain.extent import EVERYWHERE
 from emps_design.discrepancy.explain.residual_views import View
 from emps_design.discrepancy.search.noise_floor import Floor
 from emps_design.discrepancy.validation.gap import Gap, Prediction
+from emps_design.notebook import table
 from emps_design.quantities import display_unit
 
 SCHEMA = "emps-design/diagnosis/1"
@@ -138,7 +139,21 @@ class Diagnosis:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract's document, and what the report shows besides."""
+        """The contract's document, and what the report shows besides, absent where it is not known.
+
+        | key | content |
+        |---|---|
+        | ``simulation`` | "closed loop", or "inverse model" where the controller is not known |
+        | ``unexplained`` | for ``unnamed``: {text, map: {position [m], velocity [m/s], force [N]}, ...} |
+        | ``spectrum_over_time`` | {time [s], frequency [Hz], force [N]}: what the baseline misses |
+        | ``candidates`` | [{effect, label, gap [N], statistic, threshold, accepted: bool, note}], best first |
+        | ``parameters`` | {name: {unit, axis, baseline: {value, std}, extended: {value, std}}} |
+        | ``not_excluded`` | [{effect, label, size, unit, text}]: the smallest size that would have been seen |
+        | ``experiment`` | :meth:`Experiment.to_dict`: what would separate what these data cannot, or None |
+        | ``records`` | [{name, role, sha256}] with role "train" or "holdout" |
+        | ``calibration`` | str, how the threshold was found |
+        | ``assumptions``, ``warnings`` | [str] |
+        """
         judged = {"train": self.train} | ({} if self.holdout is None else {"holdout": self.holdout})
         gap, inverse = (
             {"unit": "N", **self.noise.to_dict(measure)} | {part: g.to_dict(measure) for part, g in judged.items()}
@@ -164,11 +179,6 @@ class Diagnosis:
         return replace(self, model_file=model_file, experiment=written)
 
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td>{f.label}</td><td>{f.where['text']}</td>"
-            f"<td>{f.gap_before:.3f} N</td><td>{f.gap_after:.3f} N</td></tr>"
-            for f in self.findings
-        )
-        head = "<tr><th>effect</th><th>where</th><th>gap before</th><th>gap after</th></tr>"
-        text = f"<p><b>{self.verdict}</b>: {self.sentence}</p>" + (f"<table>{head}{rows}</table>" if rows else "")
-        return self.axis.units.text(text)
+        rows = [(f.label, f.where["text"], f.gap_before, f.gap_after) for f in self.findings]
+        heads = ("effect", "where", "gap before [N]", "gap after [N]")
+        return self.axis.units.text(table(f"{self.verdict}: {self.sentence}", rows, heads if rows else ()))

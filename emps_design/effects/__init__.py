@@ -7,8 +7,8 @@ imported. It is a plain import: the file's code runs.
 
 from __future__ import annotations
 
-from emps_design.effects.effect import Effect, Motion, Parameter
-from emps_design.effects.library import EFFECTS
+from emps_design.effects.effect import Effect as Effect, Motion as Motion, Parameter as Parameter
+from emps_design.effects.library import EFFECTS as EFFECTS
 from emps_design.registry import Registry
 
 VARIABLE = "EMPS_DESIGN_EFFECTS"  # environment variable with the files of a user's own effects
@@ -18,16 +18,3 @@ known_effects, get_effect = REGISTRY.known, REGISTRY.get
 register, load_file = REGISTRY.register, REGISTRY.load_file
 
 REGISTRY.load_environment()
-
-__all__ = [
-    "EFFECTS",
-    "REGISTRY",
-    "VARIABLE",
-    "Effect",
-    "Motion",
-    "Parameter",
-    "get_effect",
-    "known_effects",
-    "load_file",
-    "register",
-]

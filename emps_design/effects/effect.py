@@ -21,8 +21,8 @@ and the plant is, with ``sum`` over the effects of an axis,
 where S(v) is the set-valued sign: sign(v) in motion, anything in [-1, 1] at rest.
 
 Sign convention: ``force`` stands on the left-hand side of the inverse dynamic model, beside the friction; a force that
-pushes the carriage towards +q is returned with a minus. Kernels use ``math`` alone and no other function of their
-file, so that they compile as they stand. A kernel evaluated at its own ``jump_time`` gives the value after the jump:
+pushes the carriage towards +q is returned with a minus. Kernels use ``math`` and one another alone, so
+that they compile as they stand. A kernel evaluated at its own ``jump_time`` gives the value after the jump:
 edges are compared with ``SNAP`` to spare.
 """
 
@@ -144,7 +144,7 @@ class Effect:
 
     ``expression(q, v, t, tau, p, b)`` is the SymPy form of :meth:`contribution` (``tau`` stands for the voltage in a
     static actuator map); None where own states are needed.
-    ``over``: the variable it is drawn over, "v", "q", "t", "tau", "u", a "loop" of position, or after a "step".
+    ``over``: the variable it is best seen over, "v", "q", "t", "tau", "u", a "loop" of position, or after a "step".
     ``motion``: "rotary" of what only an axis that turns has, "" of the others.
     ``repeats``: the parameter [m] after which it repeats along the travel; its slope over position then averages out.
     ``passive``: over a motion that ends where it began, at rest, the effect never gives back more work than it took.

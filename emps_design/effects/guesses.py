@@ -30,7 +30,7 @@ def absorb(residual: np.ndarray, v: np.ndarray, a: np.ndarray, index: np.ndarray
     return kept - basis @ (basis.T @ kept), basis
 
 
-def explained(target: np.ndarray, basis: np.ndarray, sine: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+def squares_explained(target: np.ndarray, basis: np.ndarray, sine: np.ndarray, cosine: np.ndarray) -> np.ndarray:
     """Sum of squares (m,) of ``target`` (k,) that each pair of columns of ``sine`` and ``cosine`` (k, m) explains."""
     first = sine - basis @ (basis.T @ sine)
     second = cosine - basis @ (basis.T @ cosine)
@@ -71,7 +71,7 @@ def periods(
     target, basis = absorb(residual, v, a, index)
     turns = np.arange(1.0 / span, 1.0 / shortest, 0.5 / span)
     pieces = np.array_split(2 * np.pi * turns, -(-turns.size // CHUNK))
-    power = np.concatenate([explained(target, basis, *columns(index, waves)) for waves in pieces])
+    power = np.concatenate([squares_explained(target, basis, *columns(index, waves)) for waves in pieces])
     return [float(1.0 / turns[i]) for i in strongest(power, count)]
 
 

@@ -1,12 +1,13 @@
-"""Amplitude and phase of a harmonic, A sin(angle + phase), as two linear coefficients and back."""
+"""What effects that are one harmonic, A sin(angle + phase), share: two linear coefficients, parameters, a search."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
-from emps_design.effects.effect import Parameters
+from emps_design.effects.effect import Motion, Parameter, Parameters
 
 
 def columns(angle: np.ndarray) -> np.ndarray:
@@ -32,3 +33,30 @@ def from_linear(coefficients: np.ndarray, shape: Parameters) -> dict[str, float]
     sine, cosine = (float(c) for c in coefficients)
     rest = {name: value for name, value in shape.items() if name not in ("amplitude", "phase")}
     return {"amplitude": math.hypot(sine, cosine), "phase": math.atan2(cosine, sine), **rest}
+
+
+def phase(zero: str) -> Parameter:
+    """The phase, at the ``zero`` named; where that lies is another one in every record."""
+    return Parameter("phase", r"\varphi", "rad", linear=True, scale=1.0, per_record=True, text=f"phase at {zero}")
+
+
+def period(what: str) -> Parameter:
+    """The travel after which ``what`` repeats, from a tenth of a millimetre to 10 cm."""
+    starts = (0.001, 0.002, 0.0025, 0.004, 0.005, 0.01, 0.02)
+    text = f"travel after which {what} repeats"
+    return Parameter("period", r"\lambda", "m", lower=1e-4, upper=0.1, starts=starts, text=text)
+
+
+def plausible(parameters: Parameters, motion: Motion) -> bool:
+    """Whether a ``period`` is a line: one longer than a third of the stroke is a force, or a scale, over all of it."""
+    return parameters["period"] < float(np.ptp(motion.q)) / 3
+
+
+def waves(coordinate: np.ndarray) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Both phases of ``coordinate`` (n,) at some of its samples and angular wave numbers, as a search asks for them."""
+
+    def columns(index: np.ndarray, wave_numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        angle = coordinate[index][:, None] * wave_numbers
+        return np.sin(angle), np.cos(angle)
+
+    return columns

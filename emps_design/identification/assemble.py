@@ -62,21 +62,20 @@ def assemble(
     estimates = {}
     for i, written in enumerate(parameters_of(model)):
         quantity = replace(written, unit=axis.units.unit(written.unit), text=axis.units.words(written.text))
-        if shares is not None and shares[i] < weakest:
-            warnings.append(
-                f"{quantity.name} is not determined: the reference explains {100 * shares[i]:.0f} % of its column, the "
-                "rest is noise; record motion that excites it"
+        told, why = None if shares is None else float(shares[i]), ""
+        if told is not None and told < weakest:
+            why = (
+                f"the reference explains {100 * told:.0f} % of its column, the rest is noise; "
+                "record motion that excites it"
             )
-            estimates[quantity.name] = Estimate(quantity, None, None, reliability=float(shares[i]))
-            continue
-        if (systematic is not None and np.isnan(systematic[i])) or quantity.name in at_rests:
-            warnings.append(
-                f"{quantity.name} is not determined: only reversals and rests speak of it, which the inverse model "
-                "does not hold; record several constant speeds in both directions, with acceleration between them"
+        elif (systematic is not None and np.isnan(systematic[i])) or quantity.name in at_rests:
+            why = (
+                "only reversals and rests speak of it, which the inverse model does not hold; record several constant "
+                "speeds in both directions, with acceleration between them"
             )
-            estimates[quantity.name] = Estimate(
-                quantity, None, None, reliability=None if shares is None else float(shares[i])
-            )
+        if why:
+            warnings.append(f"{quantity.name} is not determined: {why}")
+            estimates[quantity.name] = Estimate(quantity, None, None, reliability=told)
             continue
         bias = 0.0 if systematic is None else float(systematic[i])
         half = spread.quantile * float(np.hypot(spread.std[i], bias))
@@ -94,7 +93,7 @@ def assemble(
             if bootstrap
             else None,
             systematic=None if systematic is None else bias,
-            reliability=None if shares is None else float(shares[i]),
+            reliability=told,
         )
     return Identification(
         record=record.name,

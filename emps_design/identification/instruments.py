@@ -24,7 +24,6 @@ from emps_design.identification.inverse_model import (
     least_squares,
     parameters_of,
     regression,
-    relative_error,
 )
 from emps_design.identification.known import filter_record, identified_effects, known_part, notes
 from emps_design.identification.plausibility import implausible
@@ -200,17 +199,5 @@ def _solve(Z: np.ndarray, W: np.ndarray, Y: np.ndarray, names: tuple[str, ...], 
     """(Z^T W)^-1 Z^T Y in the shape of a least-squares fit, with the deviations for independent errors."""
     bread = np.linalg.inv(Z.T @ W)
     value = bread @ (Z.T @ Y)
-    residual = Y - W @ value
-    variance = residual @ residual / (n - len(names))
-    return LeastSquares(
-        names=names,
-        value=value,
-        covariance=variance * bread @ (Z.T @ Z) @ bread.T,
-        residual=residual,
-        rms_error=float(np.sqrt(residual @ residual / n)),
-        relative_error_percent=relative_error(residual, Y),
-        condition_number=float(np.linalg.cond(Z.T @ W) ** 0.5),
-    )
-
-
-__all__ = ["HausmanTest", "hausman_test", "identify_with_instruments", "instruments", "simulate"]
+    condition = float(np.linalg.cond(Z.T @ W) ** 0.5)
+    return LeastSquares.of(names, value, bread @ (Z.T @ Z) @ bread.T, Y - W @ value, Y, n, condition)

@@ -136,6 +136,18 @@ class LeastSquares:
     relative_error_percent: float
     condition_number: float
 
+    @classmethod
+    def of(
+        cls, names: tuple[str, ...], value: np.ndarray, spread: np.ndarray, residual: np.ndarray, force: np.ndarray,
+        rows: int, condition_number: float,
+    ) -> LeastSquares:  # fmt: skip
+        """The solution ``value`` (p,) from so many ``rows`` of ``force`` (n,); ``spread`` (p, p) times (14) is (15)."""
+        square = float(residual @ residual)
+        return cls(
+            names, value, square / (rows - len(names)) * spread, residual, float(np.sqrt(square / rows)),
+            relative_error(residual, force), condition_number,
+        )  # fmt: skip
+
     @property
     def std(self) -> np.ndarray:
         """One standard deviation by (15), for errors that are independent from sample to sample."""
@@ -158,18 +170,8 @@ def least_squares(W: np.ndarray, Y: np.ndarray, names: tuple[str, ...], used: np
     r, target = r[:p, :p], r[:p, p]
     check_rank(r, names)
     value = np.linalg.solve(r, target)
-    residual = Y - W @ value
     inverse = np.linalg.inv(r)
-    variance = residual @ residual / (n - p)  # (14)
-    return LeastSquares(
-        names=names,
-        value=value,
-        covariance=variance * inverse @ inverse.T,
-        residual=residual,
-        rms_error=float(np.sqrt(residual @ residual / n)),
-        relative_error_percent=relative_error(residual, Y),
-        condition_number=float(np.linalg.cond(r)),
-    )
+    return LeastSquares.of(names, value, inverse @ inverse.T, Y - W @ value, Y, n, float(np.linalg.cond(r)))
 
 
 def _triangle(W: np.ndarray, Y: np.ndarray) -> np.ndarray:

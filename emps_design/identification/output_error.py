@@ -26,7 +26,6 @@ from emps_design.identification.inverse_model import (
     least_squares,
     parameters_of,
     regression,
-    relative_error,
 )
 from emps_design.identification.known import acting, filter_record, known_part, notes
 from emps_design.identification.result import Identification
@@ -90,16 +89,9 @@ def identify_by_output_error(
         return error[edge : len(record) - edge : filtered.decimation] * filtered.used
 
     value, residual, jacobian = _least(force_error, start, 3 if model == "symmetric" else 5, record.name)
-    n = int(filtered.used.sum())
-    fit = LeastSquares(
-        names=names,
-        value=value,
-        covariance=float(residual @ residual) / (n - len(value)) * np.linalg.inv(jacobian.T @ jacobian),
-        residual=residual,
-        rms_error=float(np.sqrt(residual @ residual / n)),
-        relative_error_percent=relative_error(residual, filtered.force * filtered.used),
-        condition_number=float(np.linalg.cond(jacobian)),
-    )
+    measured, spread = filtered.force * filtered.used, np.linalg.inv(jacobian.T @ jacobian)
+    rows, condition = int(filtered.used.sum()), float(np.linalg.cond(jacobian))
+    fit = LeastSquares.of(names, value, spread, residual, measured, rows, condition)
     off = low_pass(record.q - simulate(record, axis, model, value).position, cutoff_hz, record.period)
     extra = {
         "closed_loop": {
@@ -109,7 +101,6 @@ def identify_by_output_error(
         }
     }
     found = assemble(record, axis, model, "output_error", filtered, jacobian, fit, extra=extra, notes=said, weakest=0.0)
-    measured = filtered.force * filtered.used
     return replace(found, series={**found.series, "measured": measured, "model": measured - residual})
 
 

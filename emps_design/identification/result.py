@@ -12,6 +12,7 @@ from emps_design.errors import AxisError
 from emps_design.identification.inverse_model import baseline_of
 from emps_design.identification.known import identified_effects
 from emps_design.identification.statistics import LongRun
+from emps_design.notebook import table
 from emps_design.quantities import Quantity
 
 
@@ -49,19 +50,11 @@ class Estimate:
     def to_dict(self) -> dict[str, Any]:
         """Plain data, SI."""
         return {
-            "value": self.value,
-            "std": self.std,
+            **{name: value for name, value in vars(self).items() if name != "quantity"},
             "relative_std_percent": self.relative_std_percent,
             "unit": self.quantity.unit,
             "symbol": self.quantity.symbol,
             "determined": self.determined,
-            "std_long_run": self.std_long_run,
-            "interval_95": self.interval_95,
-            "std_hac": self.std_hac,
-            "std_bootstrap": self.std_bootstrap,
-            "interval_95_bootstrap": self.interval_95_bootstrap,
-            "systematic": self.systematic,
-            "reliability": self.reliability,
         }
 
 
@@ -129,15 +122,9 @@ class Identification:
         }
 
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td>{name}</td><td>{_number(e.value)}</td><td>{_number(e.std)}</td><td>{_number(e.std_long_run)}</td>"
-            f"<td>{e.quantity.unit}</td></tr>"
-            for name, e in self.parameters.items()
-        )
-        return (
-            "<table><tr><th>parameter</th><th>value</th><th>std, (15)</th><th>std, correlated residual</th>"
-            f"<th>unit</th></tr>{rows}</table>"
-        )
+        rows = [(name, e.value, e.std, e.std_long_run, e.quantity.unit) for name, e in self.parameters.items()]
+        heads = ("parameter", "value", "std, (15)", "std, correlated residual", "unit")
+        return table(f"{self.record}: {self.model} model, {self.chain} filter", rows, heads, missing="not determined")
 
     def _determined(self, purpose: str) -> dict[str, float]:
         """Every parameter as a number; :class:`AxisError` names those that the record does not determine."""
@@ -149,7 +136,3 @@ class Identification:
                 "that excites them"
             )
         return values
-
-
-def _number(value: float | None) -> str:
-    return "not determined" if value is None else f"{value:.4f}"

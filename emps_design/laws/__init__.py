@@ -19,22 +19,22 @@ from pydantic.fields import FieldInfo
 
 from emps_design.errors import AxisError
 from emps_design.laws.law import (
-    BACKWARD,
-    TWO_TAP,
-    Finite,
-    FromRecord,
-    Gain,
-    Group,
-    Law,
-    LawKind,
-    LawTable,
-    NonNegative,
-    Positive,
-    parameter,
-    unit_of,
-    velocity_in_words,
+    BACKWARD as BACKWARD,
+    TWO_TAP as TWO_TAP,
+    Finite as Finite,
+    FromRecord as FromRecord,
+    Gain as Gain,
+    Group as Group,
+    Law as Law,
+    LawKind as LawKind,
+    LawTable as LawTable,
+    NonNegative as NonNegative,
+    Positive as Positive,
+    parameter as parameter,
+    unit_of as unit_of,
+    velocity_in_words as velocity_in_words,
 )
-from emps_design.laws.library import LAWS
+from emps_design.laws.library import LAWS as LAWS
 from emps_design.registry import Registry
 
 VARIABLE = "EMPS_DESIGN_LAWS"  # environment variable with the files of a user's own laws
@@ -112,7 +112,7 @@ def _recorded(sources: Mapping[str, Any], columns: Mapping[str, Any]) -> np.ndar
     return np.column_stack(np.broadcast_arrays(*found))
 
 
-def parameters_of(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
+def checked_parameters(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Check the numbers ``given`` to a law of ``kind`` and return them with its defaults, in the order of the laws.
 
     A ``[controller]`` table may hold parameters of other kinds too, which wait there for their own. Raises pydantic's
@@ -199,35 +199,3 @@ def _table(kind: str, laws: tuple[LawKind, ...]) -> type[LawTable]:
 
 
 REGISTRY.load_environment()
-
-__all__ = [
-    "BACKWARD",
-    "LAWS",
-    "NONE",
-    "REGISTRY",
-    "TWO_TAP",
-    "VARIABLE",
-    "Finite",
-    "FromRecord",
-    "Gain",
-    "Group",
-    "Law",
-    "LawKind",
-    "LawTable",
-    "NonNegative",
-    "Positive",
-    "field_at",
-    "fields_of",
-    "fields_within",
-    "get_law",
-    "known_laws",
-    "law_of",
-    "leaves",
-    "load_file",
-    "parameter",
-    "parameters_of",
-    "register",
-    "table_of",
-    "unit_of",
-    "velocity_in_words",
-]

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
@@ -27,7 +27,8 @@ NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 
 FOLLOWS = ("position", "velocity", "rest position")  # the last is where a spring pulls to, and no more
-TWO_TAP, BACKWARD = "two_tap", "backward"
+TWO_TAP: Final = "two_tap"
+BACKWARD: Final = "backward"
 
 
 def parameter(description: str, unit: str, default: Any = ...) -> Any:

@@ -118,10 +118,3 @@ TABLES: dict[str, dict[str, tuple[float, float, float]]] = {
 RANGES: dict[str, tuple[float, float]] = {"rms_1": (3.6, 5.3), "rms_2": (3.9, 5.4), "rms_direct": (2.7, 3.4)}  # N
 BREAK_AWAY = 17.0  # N, F_s+ of section III-A
 UNIT_OF_K_T = "N/A"  # section II-A
-CONDITIONS = {
-    "crossover": 100.0,
-    "disturbance": 20.0,
-    "mismatch": 0.02,
-    "M_a": 50.0,
-    "B": 100.0,
-}  # rad/s, rad/s, -, kg, N/(m/s)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.identification.chains import paper_chain
+from emps_design.identification.filtered import Filtered
 from emps_design.identification.inverse_model import regression
 from emps_design.identification.observation import direct_validation
 from emps_design.identification.result import Identification
@@ -114,7 +115,7 @@ def reproduce_section_3(
     )
 
 
-def _prepared(record: Record, bench: Bench):
+def _prepared(record: Record, bench: Bench) -> tuple[Filtered, np.ndarray, np.ndarray, Any]:
     filtered = paper_chain(record, bench.axis.drive.force_gain)
     W, _ = regression(filtered, MODEL)
     return filtered, W, filtered.force, filtered.f_ext

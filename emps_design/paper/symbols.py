@@ -51,7 +51,7 @@ W_1v, X_1, X_1h, e_1 = _words(r"\mathbf{W_1} ; \mathbf{X_1} ; \widehat{\mathbf{X
 W_2, X_2, X_1m, e_2 = _words(
     r"\mathbf{W_2} ; \mathbf{X_2} ; \widehat{\overline{\mathbf{X}}}_{\mathbf{1}} ; \mathbf{e_2}"
 )
-tau_m1, tau_m1h = _words(r"\tau_{\mathbf{m1}} ; \widehat{\tau}_{\mathbf{m1}}")
+(tau_m1,) = _words(r"\tau_{\mathbf{m1}}")
 tau_m2, tau_e2, tau_e2h, tau_mv, tau_ev, tau_evh = _words(
     r"\tau_{\mathbf{m2}} ; \tau_{\mathbf{e2}} ; \widehat{\tau}_{\mathbf{e2}} ; "
     r"\tau_{\mathbf{m}} ; \tau_{\mathbf{e}} ; \widehat{\tau}_{\mathbf{e}}"

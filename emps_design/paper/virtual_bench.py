@@ -4,7 +4,7 @@ The records of the 2018 paper are not public. This machine has the two-quadrant 
 so that tables and errors come out as printed, what such a machine has besides: friction that bends, break-away,
 friction that depends on position and drifts between experiments, noise of the friction, an encoder, and a force sensor
 with a gripper in front of it. ``bench_numbers.py`` says of every number whether it is the paper's or chosen, and why;
-``table_2.py`` shows by a sweep which of them make Table II.
+``benchmarks/table_2.py`` shows by a sweep which of them make Table II.
 """
 
 from __future__ import annotations

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from emps_design.report.page import (
         Callout as Callout,
         Facts as Facts,
-        Formula as Formula,
-        Group as Group,
+        Listing as Listing,
         Html as Html,
         Page as Page,
         Picture as Picture,

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from emps_design.report.display import angle, delay, frequency, number, quantity, ratio, symbol
+from emps_design.report.display import angle, delay, frequency, number, quantity, ratio, sentence_of, symbol
 from emps_design.report.drive import drive_section
 from emps_design.report.footer import inputs_table, versions
 from emps_design.report.force import force_section
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from emps_design.control.force.design import ForceLoopDesign
     from emps_design.control.loop.margins import Margins
     from emps_design.control.velocity.design import VelocityLoopDesign
-    from emps_design.control.velocity.step_response import StepResponse
 
 ASSUMPTIONS = (
     "The axis is rigid unless its file lists an effect that says otherwise; Coulomb friction drops out of the linear "
@@ -37,18 +36,15 @@ class DesignResults:
 
     ``force``: the force loop around it, None where nobody asked for one; ``inputs``: SHA-256 of every input by name,
     None for what is built in; ``parts``: more sections (a record, an impedance law), each already a :class:`Section`;
-    ``notes``: statements for the summary; ``stops``: what else is unstable; ``warnings``: more of them.
+    ``notes``: statements for the summary; ``stops``: what else is unstable.
     """
 
     velocity: VelocityLoopDesign
-    step: StepResponse
-    sampled_step: StepResponse | None
     force: ForceLoopDesign | None = None
     inputs: Mapping[str, str | None] = field(default_factory=dict)
     parts: tuple[Section, ...] = ()
     notes: tuple[str, ...] = ()
     stops: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
 
 
 def design_results(
@@ -63,12 +59,9 @@ def design_results(
     Without ``k_e1`` there is no force loop.
     """
     from emps_design.control.force.design import design_force_loop
-    from emps_design.control.velocity.step_response import continuous_step, sampled_step
 
     return DesignResults(
         velocity=velocity,
-        step=continuous_step(velocity),
-        sampled_step=sampled_step(velocity) if velocity.sampled.stable else None,
         force=None if k_e1 is None else design_force_loop(velocity, k_e1, hand=hand, environment=environment),
         **more,
     )
@@ -84,7 +77,7 @@ def design_page(results: DesignResults) -> Page:
         _summary(results),
         (
             gains_section(velocity),
-            velocity_section(velocity, results.step, results.sampled_step),
+            velocity_section(velocity),
             drive_section(velocity),
             *([] if results.force is None else [force_section(results.force)]),
             *results.parts,
@@ -102,7 +95,7 @@ def _asked(velocity: VelocityLoopDesign) -> str:
         parts.append(f"phase margin {angle(phase)}")
     retuned = (
         f"; gains retuned so that the sampled loop meets it at the {velocity.retuned_at.replace('-', ' ')}"
-        if (velocity.retuned_at)
+        if velocity.retuned_at
         else ""
     )
     return "Asked for: " + ", ".join(parts) + retuned
@@ -113,20 +106,14 @@ def _stops(results: DesignResults) -> list[Callout]:
     velocity, force = results.velocity, results.force
     stops = []
     if not velocity.sampled.stable:
-        pole = abs(velocity.sampled.poles[0])
-        stops.append(
-            Callout(
-                "stop",
-                "with these gains the sampled velocity loop is unstable.",
-                f"Its largest pole has magnitude {pole:.4f}, outside the unit circle. The margins of the continuous "
-                "loop below say nothing about this drive. Sample faster, remove delay, or ask for less: "
-                f"{velocity.nearest_in_words}.",
-            )
+        less = (
+            f"{sentence_of(velocity.reason)} The margins of the continuous loop below say nothing about this drive: "
+            "sample faster, remove delay, or ask for less."
         )
+        stops.append(Callout("stop", "with these gains the sampled velocity loop is unstable.", less))
     if force is not None and not force.stable:
-        limit = force.k_e1_max_sampled
-        body = f"The largest stable gain is {number(limit)} (m/s)/N." if limit else "No gain is stable here."
-        stops.append(Callout("stop", f"the force loop is unstable at k_e1 = {number(force.k_e1)} (m/s)/N.", body))
+        title = f"the force loop is unstable at k_e1 = {number(force.k_e1)} (m/s)/N."
+        stops.append(Callout("stop", title, sentence_of(force.reason)))
     return [*stops, *(Callout("stop", stop) for stop in results.stops)]
 
 
@@ -164,7 +151,7 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
                 f"the {angle(velocity.plant_input.phase_margin_deg)} that the continuous loop has there."
             )
         )
-    warnings = [w for w in (*results.warnings, *velocity.warnings) if not w.startswith("the sampled loop is unstable")]
+    warnings = [w for w in velocity.warnings if not w.startswith("the sampled loop is unstable")]
     if warnings:
         blocks.append(Callout("warning", "To read with the numbers", items=tuple(dict.fromkeys(warnings))))
     return tuple(blocks)

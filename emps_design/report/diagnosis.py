@@ -1,19 +1,15 @@
-"""The page of ``diagnose``: one sentence, where, before and after, what lost, what could not be excluded, what to do.
-
-What a diagnosis must offer is written in :class:`emps_design.report.diagnosis_protocol.Diagnosis`.
-"""
+"""The page of ``diagnose``: one sentence, where, before and after, what lost, what may be there unseen, what to do."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from emps_design.discrepancy.explain.extent import EVERYWHERE
 from emps_design.discrepancy.search.acceptance import explained
 from emps_design.report import diagnosis_figures as figures
 from emps_design.report.diagnosis_design import design_section
 from emps_design.report.diagnosis_experiment import experiment_section
-from emps_design.report.diagnosis_protocol import Diagnosis, Trace, View
 from emps_design.report.diagnosis_sections import (
     candidates_section,
     findings_section,
@@ -22,13 +18,15 @@ from emps_design.report.diagnosis_sections import (
     method_section,
     parameters_section,
     remedy_section,
-    sentence_of,
     unexplained_section,
     views_section,
 )
-from emps_design.report.display import quantity
+from emps_design.report.display import quantity, sentence_of
 from emps_design.report.page import Callout, Facts, Page, Picture
 from emps_design.units import Units
+
+if TYPE_CHECKING:
+    from emps_design.discrepancy.result import Diagnosis
 
 VERDICTS = {
     "named": ("warning", "What is missing from the model has a name"),
@@ -127,10 +125,7 @@ def _gap_facts(gap: Mapping[str, Any], simulated: str) -> Facts:
         errors = [("force error", before)]
     items = [(name, quantity(value, unit, 3), f"{word}, {simulated}") for name, value in errors]
     items.append(("noise floor", quantity(floor, unit, 3), gap.get("floor_from", "")))
-    if None not in (before, after, floor) and before > max(floor, after):
+    if before is not None and after is not None and floor is not None and before > max(floor, after):
         share = f"{100 * explained(before, after, floor):.0f} %"
         items.append(("of the gap closed", share, "in mean square over the floor; 100 % reaches it"))
     return Facts(tuple(items))
-
-
-__all__ = ["Diagnosis", "Trace", "View", "diagnosis_page", "typeset"]

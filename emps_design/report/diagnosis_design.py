@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from emps_design.axis import Axis
 from emps_design.errors import EmpsError
-from emps_design.report.diagnosis_protocol import Diagnosis
 from emps_design.report.display import NOTHING, angle, delay, number, quantity, ratio
 from emps_design.report.page import Section, Table
+
+if TYPE_CHECKING:
+    from emps_design.discrepancy.result import Diagnosis
 
 CROSSOVER, PHASE_MARGIN = 100.0, 60.0  # rad/s, deg: the specification of the paper's velocity loop
 
@@ -40,54 +42,38 @@ def design_change(before: Axis, after: Axis) -> list[dict[str, Any]]:
         kept = SampledVelocityLoop(sample_axis(after), old.k_v1, old.t_v)
         expected, really, better = old.sampled.margins, kept.margins, new.sampled.margins
     except EmpsError as error:
-        return [{"quantity": "velocity loop", "before": None, "after": None, "note": str(error)}]
+        return [_row("velocity loop", None, None, str(error))]
     asked = f"for {number(CROSSOVER, 3)} rad/s and {number(PHASE_MARGIN, 2)}°"
-    if not really.stable:
-        surprise = {
-            "quantity": "the old gains",
-            "before": "stable" if expected.stable else "unstable",
-            "after": "unstable",
-            "note": "designed on the model as it was, run on the better one",
-        }
-    else:
-        surprise = {
-            "quantity": "phase margin of the old gains",
-            "before": angle(expected.phase_margin_deg),
-            "after": angle(really.phase_margin_deg),
-            "note": "what was expected, and what the better model says they have",
-        }
     rows = [
-        {
-            "quantity": "k_v1",
-            "before": quantity(old.k_v1, "V/(m/s)"),
-            "after": quantity(new.k_v1, "V/(m/s)"),
-            "note": asked,
-        },
-        {"quantity": "t_v", "before": quantity(old.t_v, "s"), "after": quantity(new.t_v, "s"), "note": asked},
-        surprise,
+        _row("k_v1", quantity(old.k_v1, "V/(m/s)"), quantity(new.k_v1, "V/(m/s)"), asked),
+        _row("t_v", quantity(old.t_v, "s"), quantity(new.t_v, "s"), asked),
     ]
+    if not really.stable:
+        now = "stable" if expected.stable else "unstable"
+        rows.append(_row("the old gains", now, "unstable", "designed on the model as it was, run on the better one"))
+    else:
+        phases = angle(expected.phase_margin_deg), angle(really.phase_margin_deg)
+        note = "what was expected, and what the better model says they have"
+        rows.append(_row("phase margin of the old gains", *phases, note))
     if expected.stable and better.stable:
         for name, shown in (
             ("phase margin, sampled", lambda m: angle(m.phase_margin_deg)),
             ("delay margin, sampled", lambda m: delay(m.delay_margin, m.period)),
             ("gain margin, sampled", lambda m: ratio(m.gain_margin)),
         ):
-            rows.append(
-                {"quantity": name, "before": shown(expected), "after": shown(better), "note": "each with its own gains"}
-            )
-    for name, attribute, unit in (
+            rows.append(_row(name, shown(expected), shown(better), "each with its own gains"))
+    note = "beside the effects found" if after.effects else ""
+    for name, key, unit in (
         ("Coulomb friction to compensate", "coulomb", "N"),
         ("viscous friction", "viscous", "N/(m/s)"),
     ):
-        rows.append(
-            {
-                "quantity": name,
-                "before": quantity(getattr(before.mechanics, attribute), unit),
-                "after": quantity(getattr(after.mechanics, attribute), unit),
-                "note": "beside the effects found" if after.effects else "",
-            }
-        )
+        was, now = (quantity(getattr(axis.mechanics, key), unit) for axis in (before, after))
+        rows.append(_row(name, was, now, note))
     return rows
+
+
+def _row(quantity: str, before: str | None, after: str | None, note: str) -> dict[str, Any]:
+    return {"quantity": quantity, "before": before, "after": after, "note": note}
 
 
 def _design_rows(diagnosis: Diagnosis, document: Mapping[str, Any]) -> list[dict[str, Any]]:

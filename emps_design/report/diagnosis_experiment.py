@@ -64,8 +64,7 @@ def reference_figure(t: np.ndarray, q_ref: np.ndarray) -> Figure:
         top.plot(*thin(t, 1e3 * q_ref), color=BLUE, linewidth=1.3)
         top.set_ylabel("reference [mm]")
         bottom.plot(*thin(t, 1e3 * np.gradient(q_ref, t)), color=BLUE, linewidth=0.9)
-        bottom.set_ylabel("velocity [mm/s]")
-        bottom.set_xlabel("time [s]")
+        bottom.set(ylabel="velocity [mm/s]", xlabel="time [s]")
         for axes in (top, bottom):
             axes.margins(x=0.01)
         figure.align_ylabels()

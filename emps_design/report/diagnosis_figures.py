@@ -51,8 +51,7 @@ def map_figure(missing: Mapping[str, Any]) -> Figure:
         places = (1e3 * np.array(missing["position"]), 1e3 * np.array(missing["velocity"]))
         shown = axes.pcolormesh(*places, force, cmap="PuOr", vmin=-most, vmax=most, shading="nearest", rasterized=True)
         figure.colorbar(shown, ax=axes, label="missing force [N]")
-        axes.set_xlabel("position [mm]")
-        axes.set_ylabel("velocity [mm/s]")
+        axes.set(xlabel="position [mm]", ylabel="velocity [mm/s]")
         axes.grid(visible=False)
     return figure
 
@@ -66,8 +65,7 @@ def spectrum_figure(spectrum: Mapping[str, Any]) -> Figure:
             spectrum["time"], spectrum["frequency"], force, cmap="Purples", vmin=0.0, shading="nearest", rasterized=True
         )
         figure.colorbar(shown, ax=axes, label="missing force [N rms in a line]")
-        axes.set_xlabel("time [s]")
-        axes.set_ylabel("frequency [Hz]")
+        axes.set(xlabel="time [s]", ylabel="frequency [Hz]")
         axes.grid(visible=False)
     return figure
 
@@ -89,8 +87,10 @@ def _draw_view(axes: Axes, view: Any) -> None:
         xs, ys = thin(x, y)
         axes.plot(xs, ys, color=color, linewidth=1.4, label=label)
     axes.axhline(0.0, color=GREY, linewidth=0.8)
-    axes.set_xlabel(f"{view.quantity} [{unit}]")
-    axes.set_ylabel("amplitude [N]" if view.quantity in SPECTRAL else "residual force [N]")
+    axes.set(
+        xlabel=f"{view.quantity} [{unit}]",
+        ylabel="amplitude [N]" if view.quantity in SPECTRAL else "residual force [N]",
+    )
     if view.quantity in SPECTRAL and x.size and x[0] > 0:
         axes.set_xscale("log")
     if view.title:
@@ -114,18 +114,14 @@ def before_after_figure(diagnosis: Any) -> Figure:
         top.plot(*thin(t[inside], trace.measured[inside]), color=BLACK, linewidth=1.9, label="measured")
         for y, color, label in models:
             top.plot(*thin(t[inside], np.asarray(y)[inside]), color=color, linewidth=1.2, label=label)
-        top.set_ylabel("motor force [N]")
-        top.set_xlabel("time [s]")
-        top.set_title(f"Force, {low:.3g} s to {high:.3g} s")
+        top.set(ylabel="motor force [N]", xlabel="time [s]", title=f"Force, {low:.3g} s to {high:.3g} s")
         top.legend(ncols=3, loc="upper right")
         for y, color, label in models:
             error = np.asarray(trace.measured) - np.asarray(y)
             bottom.plot(*thin(t[settled], error[settled]), color=color, linewidth=0.9, label=label)
         bottom.axhline(0.0, color=GREY, linewidth=0.8)
         bottom.axvspan(low, high, color=YELLOW, alpha=0.3, linewidth=0)
-        bottom.set_ylabel("measured − simulated [N]")
-        bottom.set_xlabel("time [s]")
-        bottom.set_title("What each model leaves")
+        bottom.set(ylabel="measured − simulated [N]", xlabel="time [s]", title="What each model leaves")
         bottom.legend(ncols=2, loc="upper right")
         for axes in (top, bottom):
             axes.margins(x=0.01)

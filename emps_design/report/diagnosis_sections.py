@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from emps_design.report import diagnosis_figures as figures
-from emps_design.report.diagnosis_protocol import Diagnosis
-from emps_design.report.display import NOTHING, interval, probability, quantity, with_std, words
+from emps_design.report.display import NOTHING, interval, probability, quantity, sentence_of, with_std, words
 from emps_design.report.footer import inputs_table, versions
 from emps_design.report.page import Callout, Picture, Points, Section, Table, Text, html
 
-
-def sentence_of(text: str) -> str:
-    """``text`` with a capital and a full stop, empty text as it is."""
-    return f"{text[0].upper()}{text[1:]}".rstrip(".") + "." if text else ""
+if TYPE_CHECKING:
+    from emps_design.discrepancy.result import Diagnosis
 
 
 def _label(finding: Mapping[str, Any]) -> str:

@@ -70,8 +70,7 @@ def _canvas(width: float, height: float) -> tuple[Figure, Axes]:
     from emps_design.report.style import WIDTH
 
     figure, axes = subplots(height=WIDTH * height / width)
-    axes.set_xlim(0, width)
-    axes.set_ylim(0, height)
+    axes.set(xlim=(0, width), ylim=(0, height))
     axes.set_aspect("equal")
     axes.axis("off")
     return figure, axes

@@ -155,3 +155,12 @@ def words(name: str) -> str:
     'viscous positive'
     """
     return name.replace("_", " ")
+
+
+def sentence_of(text: str) -> str:
+    """Return ``text`` with a capital and a full stop, empty text as it is.
+
+    >>> sentence_of("no gain is stable")
+    'No gain is stable.'
+    """
+    return f"{text[0].upper()}{text[1:]}".rstrip(".") + "." if text else ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from emps_design.report.display import NOTHING, angle, delay, frequency, quantity, ratio, symbol
-from emps_design.report.page import Formula, Html, Section, Table, Text
+from emps_design.report.page import Html, Listing, Section, Table, Text
 
 if TYPE_CHECKING:
     from emps_design.control.velocity.design import VelocityLoopDesign
@@ -25,7 +25,7 @@ def drive_section(velocity: VelocityLoopDesign, mismatch: float = MISMATCH) -> S
     axis = velocity.axis
     equation = difference_equation(axis, velocity.k_v1, velocity.t_v)
     blocks: list[Any] = [
-        Formula("\n".join(equation.lines), "The law with its numbers, once a sample: q [m], v_ref [m/s], u [V].")
+        Listing("\n".join(equation.lines), "The law with its numbers, once a sample: q [m], v_ref [m/s], u [V].")
     ]
     if velocity.sampled.stable:
         step = largest_velocity_step(axis, velocity.sampled)

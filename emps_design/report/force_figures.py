@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from emps_design.report.style import BLACK, BLUE, GREEN, GREY, RED, look, subplots
+from emps_design.report.loop_figures import nyquist_plane, z_plane
+from emps_design.report.style import BLACK, BLUE, GREEN, RED, look, subplots
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,8 +42,7 @@ def force_limit_figure(design: ForceLoopDesign) -> Figure:
                 zorder=5,
                 label="this design: " + ("stable" if design.stable else "unstable"),
             )
-        axes.set_xlabel("stiffness of the wall $K_{env}$ [N/mm]")
-        axes.set_ylabel(r"$k_{e1}$ [(m/s)/N]")
+        axes.set(xlabel="stiffness of the wall $K_{env}$ [N/mm]", ylabel=r"$k_{e1}$ [(m/s)/N]")
         axes.grid(which="both", linewidth=0.5)
         axes.legend(loc="lower left")
     return figure
@@ -53,33 +53,9 @@ def force_loop_figure(design: ForceLoopDesign) -> Figure:
     period = design.velocity_loop.axis.sampling.period
     w = np.geomspace(0.5, np.pi / period * (1 - 1e-9), 500)
     loop = design.response(w)
-    poles = np.asarray(design.poles)
-    turn = np.linspace(0, 2 * np.pi, 300)
     with look():
         figure, (left, right) = subplots(1, 2, height=4.0)
-        left.plot(np.cos(turn), np.sin(turn), color=GREY, linewidth=0.9, linestyle="--")
         left.plot(loop.real, loop.imag, color=RED)
-        left.plot([-1.0], [0.0], "P", color=BLACK, markersize=9)
-        left.annotate("−1", (-1.0, 0.0), xytext=(-6, 8), textcoords="offset points", ha="right", fontsize=10)
-        left.set_xlim(-2.2, 1.4)
-        left.set_ylim(-2.6, 1.0)
-        left.set_aspect("equal", adjustable="box")
-        left.set_xlabel("real part")
-        left.set_ylabel("imaginary part")
-        left.set_title("force loop, sampled")
-        right.fill(np.cos(turn), np.sin(turn), color="#EEF7FD", linewidth=0)
-        right.plot(np.cos(turn), np.sin(turn), color=BLACK, linewidth=1.0)
-        inside = np.abs(poles) < 1.0
-        right.plot(poles.real[inside], poles.imag[inside], "x", color=BLUE, markersize=9, markeredgewidth=2)
-        right.plot(poles.real[~inside], poles.imag[~inside], "X", color=RED, markersize=10)
-        limit = max(1.15, 1.1 * float(np.max(np.abs(poles))))
-        right.set_xlim(-limit, limit)
-        right.set_ylim(-limit, limit)
-        right.set_aspect("equal", adjustable="box")
-        right.set_xlabel("real part")
-        right.set_ylabel("imaginary part")
-        right.set_title("closed-loop poles, z plane")
-        for axes in (left, right):
-            axes.axhline(0.0, color=GREY, linewidth=0.8)
-            axes.axvline(0.0, color=GREY, linewidth=0.8)
+        nyquist_plane(left, (-2.2, 1.4), (-2.6, 1.0), "force loop, sampled")
+        z_plane(right, np.asarray(design.poles), "closed-loop poles, z plane")
     return figure

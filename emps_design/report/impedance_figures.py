@@ -65,8 +65,7 @@ def apparent_impedance_figure(omega: np.ndarray, curves: Mapping[str, np.ndarray
         for axes in (top, bottom):
             axes.axvspan(omega[0], 20.0, color="#DCEEFB", linewidth=0, zorder=0)
         top.set_ylabel("impedance [N/(m/s)]")
-        bottom.set_ylabel("phase [deg]")
-        bottom.set_xlabel("frequency [rad/s]")
+        bottom.set(ylabel="phase [deg]", xlabel="frequency [rad/s]")
         top.legend(loc="upper left")
     return figure
 
@@ -87,12 +86,14 @@ def stability_map_figure(found: StabilityMap, mass: float, filter: float) -> Fig
             handles.append(_line(color, f"limit at ±{100 * e:g} %"))
         axes.plot([mass], [filter], "o", color=BLACK, markersize=8, zorder=5)
         handles.append(_line(BLACK, "this law", marker="o", linestyle="none"))
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        axes.set_xlim(found.masses[0], found.masses[-1])
-        axes.set_ylim(found.filters[0], found.filters[-1])
-        axes.set_xlabel("apparent mass $M_a$ [kg]")
-        axes.set_ylabel("filter [rad/s]")
+        axes.set(
+            xscale="log",
+            yscale="log",
+            xlim=(found.masses[0], found.masses[-1]),
+            ylim=(found.filters[0], found.filters[-1]),
+            xlabel="apparent mass $M_a$ [kg]",
+            ylabel="filter [rad/s]",
+        )
         figure.legend(handles=handles, loc="outside upper right", ncols=4)
     return figure
 
@@ -126,8 +127,7 @@ def mismatch_figure(study: MismatchStudy) -> Figure:
                         linewidths=0.7,
                         label=name.replace("_", " ") + (", corner" if square else ""),
                     )
-        left.set_xlabel("apparent mass [kg]")
-        left.set_ylabel("apparent damping [N/(m/s)]")
+        left.set(xlabel="apparent mass [kg]", ylabel="apparent damping [N/(m/s)]")
         if shown.any():
             figure.legend(loc="outside upper left", ncols=3, markerscale=0.9)
         counts = [int(np.sum(study.verdict == place)) for place in range(len(VERDICTS))]
@@ -156,8 +156,7 @@ def wall_figure(contact: WallContact) -> Figure:
         top.axhspan(wall, top.get_ylim()[1], facecolor=GREY, alpha=0.25, label="wall")
         top.axhline(wall, color=GREY, linewidth=0.8)
         top.set_ylabel("position [mm]")
-        bottom.set_ylabel("force [N]")
-        bottom.set_xlabel("time [s]")
+        bottom.set(ylabel="force [N]", xlabel="time [s]")
         for axes, place in ((top, "upper right"), (bottom, "lower right")):
             axes.margins(x=0.01)
             axes.legend(loc=place)
@@ -175,10 +174,7 @@ def contact_map_figure(found: ContactMap) -> Figure:
         axes.contourf(stiffness, damping, unstable, levels=[0.5, 1.5], colors=["#F9C9A3"], alpha=0.7)
         if 0.0 < unstable.mean() < 1.0:
             axes.contour(stiffness, damping, unstable, levels=[0.5], colors=[RED], linewidths=1.8)
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        axes.set_xlabel("stiffness of the contact [N/m]")
-        axes.set_ylabel("damping [N/(m/s)]")
+        axes.set(xscale="log", yscale="log", xlabel="stiffness of the contact [N/m]", ylabel="damping [N/(m/s)]")
         places = [(300.0, 20.0, "hand")] + ([(2e6, 3.0, "unstable")] if unstable.any() else [])
         for x, y, text in places:
             axes.annotate(text, (x, y), ha="center", color=RED if text == "unstable" else BLACK)

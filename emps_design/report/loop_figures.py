@@ -57,8 +57,7 @@ def bode_figure(loop: BrokenLoop, period: float) -> Figure:
             color=GREEN,
         )
         top.set_ylabel("magnitude [dB]")
-        bottom.set_ylabel("phase [deg]")
-        bottom.set_xlabel("frequency [rad/s]")
+        bottom.set(ylabel="phase [deg]", xlabel="frequency [rad/s]")
         figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=2)
         hertz_axis(top)
     return figure
@@ -112,8 +111,6 @@ def nyquist_figure(loops: tuple[BrokenLoop, ...]) -> Figure:
     with look():
         figure, grid = subplots(1, len(loops), height=4.2, squeeze=False)
         for axes, loop in zip(grid.flat, loops, strict=True):
-            turn = np.linspace(0, 2 * np.pi, 200)
-            axes.plot(np.cos(turn), np.sin(turn), color=GREY, linewidth=0.9, linestyle="--")
             for curve in loop.curves:
                 axes.plot(curve.L.real, curve.L.imag, color=curve.color, label=curve.label)
                 m = curve.margins
@@ -121,24 +118,47 @@ def nyquist_figure(loops: tuple[BrokenLoop, ...]) -> Figure:
                     point = curve.response(np.array([m.crossover]))[0]
                     axes.plot([0.0, point.real], [0.0, point.imag], color=curve.color, linewidth=0.8)
                     axes.plot([point.real], [point.imag], "o", color=curve.color, markersize=5)
-            axes.plot([-1.0], [0.0], "P", color=BLACK, markersize=9, zorder=6)
-            axes.annotate("−1", (-1.0, 0.0), xytext=(-6, 8), textcoords="offset points", ha="right", fontsize=10)
-            axes.axhline(0.0, color=GREY, linewidth=0.8)
-            axes.axvline(0.0, color=GREY, linewidth=0.8)
-            axes.set_xlim(-2.6, 1.3)
-            axes.set_ylim(-2.6, 1.3)
-            axes.set_aspect("equal")
-            axes.set_xlabel("real part")
-            axes.set_ylabel("imaginary part")
-            axes.set_title(loop.title)
+            nyquist_plane(axes, (-2.6, 1.3), (-2.6, 1.3), loop.title)
             axes.legend(loc="lower right")
     return figure
+
+
+def complex_plane(
+    axes: Axes, real: tuple[float, float], imaginary: tuple[float, float], title: str, unit: str = ""
+) -> None:
+    """Give ``axes`` the zero lines, limits and names of a plane in which a circle is a circle."""
+    axes.axhline(0.0, color=GREY, linewidth=0.8)
+    axes.axvline(0.0, color=GREY, linewidth=0.8)
+    axes.set(xlim=real, ylim=imaginary, xlabel=f"real part{unit}", ylabel=f"imaginary part{unit}", title=title)
+    axes.set_aspect("equal", adjustable="box")
+
+
+def nyquist_plane(axes: Axes, real: tuple[float, float], imaginary: tuple[float, float], title: str) -> None:
+    """Give ``axes`` the plane of an open loop: the unit circle, and the point -1."""
+    turn = np.linspace(0, 2 * np.pi, 300)
+    axes.plot(np.cos(turn), np.sin(turn), color=GREY, linewidth=0.9, linestyle="--")
+    axes.plot([-1.0], [0.0], "P", color=BLACK, markersize=9, zorder=6)
+    axes.annotate("−1", (-1.0, 0.0), xytext=(-6, 8), textcoords="offset points", ha="right", fontsize=10)
+    complex_plane(axes, real, imaginary, title)
+
+
+def z_plane(axes: Axes, poles: np.ndarray, title: str) -> None:
+    """Draw sampled ``poles`` and the unit circle, those outside it in red."""
+    turn, inside = np.linspace(0, 2 * np.pi, 300), np.abs(poles) < 1.0
+    axes.fill(np.cos(turn), np.sin(turn), color="#EEF7FD", linewidth=0)
+    axes.plot(np.cos(turn), np.sin(turn), color=BLACK, linewidth=1.0)
+    axes.plot(poles.real[inside], poles.imag[inside], "x", color=BLUE, markersize=9, markeredgewidth=2)
+    if not inside.all():
+        beyond = poles[~inside]
+        axes.plot(beyond.real, beyond.imag, "X", color=RED, markersize=10, label="outside: unstable")
+        axes.legend(loc="lower left")
+    limit = max(1.15, 1.1 * float(np.max(np.abs(poles))))
+    complex_plane(axes, (-limit, limit), (-limit, limit), title)
 
 
 def poles_figure(design: VelocityLoopDesign) -> Figure:
     """Draw the closed-loop poles: continuous in the s plane with (9), sampled in the z plane with the unit circle."""
     continuous = np.asarray(design.closed_loop().poles())
-    sampled = np.asarray(design.sampled.poles)
     with look():
         figure, (left, right) = subplots(1, 2, height=3.9)
         reach = 1.25 * float(np.max(np.abs(continuous)))
@@ -148,33 +168,9 @@ def poles_figure(design: VelocityLoopDesign) -> Figure:
             left.plot([x, 0.0, x], [y, 0.0, -y], color="#D1D5DB", linewidth=0.8)
             left.annotate(f"z = {z:g}", (x, y), fontsize=7.5, color=GREY, ha="right", va="bottom")
         left.plot(continuous.real, continuous.imag, "x", color=BLUE, markersize=9, markeredgewidth=2)
-        left.axhline(0.0, color=GREY, linewidth=0.8)
-        left.axvline(0.0, color=GREY, linewidth=0.8)
-        left.set_xlim(-1.15 * reach, 0.35 * reach)
-        left.set_ylim(-1.1 * reach, 1.1 * reach)
-        left.set_aspect("equal", adjustable="box")
-        left.set_xlabel("real part [rad/s]")
-        left.set_ylabel("imaginary part [rad/s]")
-        left.set_title("continuous closed loop (9)")
-        turn = np.linspace(0, 2 * np.pi, 300)
-        right.fill(np.cos(turn), np.sin(turn), color="#EEF7FD", linewidth=0)
-        right.plot(np.cos(turn), np.sin(turn), color=BLACK, linewidth=1.0)
-        inside = np.abs(sampled) < 1.0
-        right.plot(sampled.real[inside], sampled.imag[inside], "x", color=BLUE, markersize=9, markeredgewidth=2)
-        if not inside.all():
-            right.plot(
-                sampled.real[~inside], sampled.imag[~inside], "X", color=RED, markersize=10, label="outside: unstable"
-            )
-            right.legend(loc="lower left")
-        right.axhline(0.0, color=GREY, linewidth=0.8)
-        right.axvline(0.0, color=GREY, linewidth=0.8)
-        limit = max(1.15, 1.1 * float(np.max(np.abs(sampled))))
-        right.set_xlim(-limit, limit)
-        right.set_ylim(-limit, limit)
-        right.set_aspect("equal", adjustable="box")
-        right.set_xlabel("real part")
-        right.set_ylabel("imaginary part")
-        right.set_title("sampled closed loop, as implemented")
+        title = "continuous closed loop (9)"
+        complex_plane(left, (-1.15 * reach, 0.35 * reach), (-1.1 * reach, 1.1 * reach), title, " [rad/s]")
+        z_plane(right, np.asarray(design.sampled.poles), "sampled closed loop, as implemented")
     return figure
 
 
@@ -207,8 +203,7 @@ def step_figure(continuous: StepResponse, sampled: StepResponse | None) -> Figur
                 axes.axvline(step.settling_time * 1e3, color=color, linewidth=0.9, linestyle=":")
         axes.set_xlim(0.0, t_end)
         axes.set_ylim(bottom=0.0)
-        axes.set_xlabel("time [ms]")
-        axes.set_ylabel("velocity / reference")
+        axes.set(xlabel="time [ms]", ylabel="velocity / reference")
         axes.legend(loc="lower right")
     return figure
 
@@ -223,7 +218,7 @@ def _step_label(name: str, step: StepResponse) -> str:
 
 def velocity_loop_figures(design: VelocityLoopDesign) -> dict[str, Figure]:
     """Return the pictures of a design by name: bode_velocity_error, bode_plant_input, nyquist, poles, step."""
-    from emps_design.control.velocity.step_response import continuous_step, sampled_step
+    from emps_design.control.velocity.step_response import step_responses
 
     error, plant = broken_loops(design)
     period = design.axis.sampling.period
@@ -232,5 +227,5 @@ def velocity_loop_figures(design: VelocityLoopDesign) -> dict[str, Figure]:
         "bode_plant_input": bode_figure(plant, period),
         "nyquist": nyquist_figure((error, plant)),
         "poles": poles_figure(design),
-        "step": step_figure(continuous_step(design), sampled_step(design) if design.sampled.stable else None),
+        "step": step_figure(*step_responses(design)),
     }

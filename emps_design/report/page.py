@@ -129,26 +129,15 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Formula:
+class Listing:
     """Lines of a program or an equation, set as they are."""
 
     text: str
     caption: str = ""
-    kind: str = field(default="formula", init=False)
+    kind: str = field(default="listing", init=False)
 
 
-@dataclass(frozen=True)
-class Group:
-    """Blocks beside each other on a wide page."""
-
-    blocks: tuple[Any, ...]
-    kind: str = field(default="group", init=False)
-
-    def __init__(self, *blocks: Any):
-        object.__setattr__(self, "blocks", blocks)
-
-
-Block = Text | Points | Facts | Callout | Table | Picture | Formula | Group
+Block = Text | Points | Facts | Callout | Table | Picture | Listing
 
 
 @dataclass(frozen=True)
@@ -192,8 +181,7 @@ class Page:
     def pictures(self) -> tuple[Picture, ...]:
         """Every picture of the page, in order."""
         blocks = [*self.summary, *(block for section in self.sections for block in section.blocks)]
-        flat = [inner for block in blocks for inner in (block.blocks if isinstance(block, Group) else (block,))]
-        return tuple(block for block in flat if isinstance(block, Picture))
+        return tuple(block for block in blocks if isinstance(block, Picture))
 
     def _repr_html_(self) -> str:
         source = escape(self.html(), quote=True)

@@ -20,9 +20,8 @@ if TYPE_CHECKING:
 
 # Okabe and Ito's palette: distinct under the common forms of colour blindness and in grey print.
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
-SKY, PURPLE, YELLOW, BLACK = "#56B4E9", "#CC79A7", "#F0E442", "#1A1A1A"
+PURPLE, YELLOW, BLACK = "#CC79A7", "#F0E442", "#1A1A1A"
 GREY = "#6B7280"
-PALETTE = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY, BLACK)
 
 WIDTH = 8.8  # inches, the text column of a page
 

@@ -66,9 +66,12 @@ def _parameters(effect: Any) -> str:
     return ", ".join(f"{name} {quantity(value, units[name])}" for name, value in effect.parameters.items())
 
 
-def velocity_section(velocity: VelocityLoopDesign, step: StepResponse, sampled: StepResponse | None) -> Section:
-    """Return the section on the loop: Bode, Nyquist, poles and its ``step``, ``sampled`` where that is stable."""
+def velocity_section(velocity: VelocityLoopDesign) -> Section:
+    """Return the section on the loop: Bode, Nyquist, poles and its step response, sampled too where that is stable."""
+    from emps_design.control.velocity.step_response import step_responses
+
     error, plant = broken_loops(velocity)
+    step, sampled = step_responses(velocity)
     period = velocity.axis.sampling.period
 
     def column(response: StepResponse | None, value: Any) -> Any:

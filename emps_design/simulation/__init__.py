@@ -7,16 +7,15 @@ from typing import TYPE_CHECKING
 from emps_design.exports import on_first_use
 
 if TYPE_CHECKING:
-    from emps_design.simulation.ensembles import (
-        Ensemble as Ensemble,
+    from emps_design.simulation.ensembles import Ensemble as Ensemble, simulate_ensemble as simulate_ensemble
+    from emps_design.simulation.environment import Hand as Hand, Wall as Wall
+    from emps_design.simulation.plant import Plant as Plant
+    from emps_design.simulation.plants import (
         Plants as Plants,
         corners as corners,
         monte_carlo as monte_carlo,
-        simulate_ensemble as simulate_ensemble,
         sweep as sweep,
     )
-    from emps_design.simulation.environment import Hand as Hand, Wall as Wall
-    from emps_design.simulation.plant import Plant as Plant
     from emps_design.simulation.run import Run as Run
     from emps_design.simulation.scenarios import breakaway as breakaway, replay as replay
     from emps_design.simulation.synthetic import (

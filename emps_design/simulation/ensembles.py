@@ -1,4 +1,4 @@
-"""Simulate many plants: corners, Monte-Carlo, sweeps; side by side, on every core, or on a cluster.
+"""Simulate many plants side by side, on every core, or on a cluster.
 
 Work goes through joblib, so it runs in threads here and, inside ``joblib.parallel_config(backend="dask")``, on a
 ``dask.distributed`` cluster with the same call. Plants are cut into equal parts whatever the number of workers, and
@@ -8,23 +8,22 @@ loses the others; an interrupt keeps what is finished.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from itertools import product
 from typing import Any
 
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.errors import InputError, SimulationError, nearest_name
+from emps_design.errors import InputError, SimulationError
 from emps_design.laws import law_of
 from emps_design.records import Record
 from emps_design.simulation.kernels import baseline as core
 from emps_design.simulation.kernels.batch import LANES, ROWS, run_lanes
 from emps_design.simulation.plant import Plant
+from emps_design.simulation.plants import Plants
 from emps_design.simulation.scenarios import DROPPED
 
-BASELINE = ("mass", "viscous", "coulomb", "offset")
 DONE, FAILED, UNFINISHED = 0, 1, 2
 STATUS = ("done", "failed", "unfinished")
 METRICS = {  # name: unit
@@ -36,66 +35,6 @@ METRICS = {  # name: unit
 }
 PEAK = list(METRICS).index("peak_voltage")
 _PART = {"lanes": 8 * LANES, "single": 8}  # plants handed out at a time
-
-
-@dataclass(frozen=True, eq=False)
-class Plants:
-    """Parameters of many plants: ``baseline`` (m, 4) and, per effect, ``parameters`` (m, n_parameters).
-
-    ``names`` says what was varied, ``values`` (m, len(names)) how.
-    """
-
-    baseline: np.ndarray
-    parameters: tuple[np.ndarray, ...]
-    names: tuple[str, ...]
-    values: np.ndarray
-
-    def __len__(self) -> int:
-        return self.baseline.shape[0]
-
-
-def monte_carlo(axis: Axis, spread: float | Mapping[str, float], plants: int, seed: int = 0) -> Plants:
-    """Draw ``plants`` plants evenly within +- ``spread`` (relative, of every name given, or of the whole baseline).
-
-    Names are ``mass``, ``viscous``, ``coulomb``, ``offset`` and ``effect.parameter``.
-
-    >>> from emps_design.machines import machine
-    >>> drawn = monte_carlo(machine("emps2019"), 0.02, 100)
-    >>> len(drawn), bool(np.abs(drawn.baseline[:, 0] / 95.1089 - 1).max() <= 0.02)
-    (100, True)
-    """
-    spreads = _spreads(axis, spread)
-    if plants < 1:
-        raise InputError(f"plants: found {plants}, expected at least 1")
-    factors = np.random.default_rng(seed).uniform(-1.0, 1.0, (plants, len(spreads)))
-    return _scaled(axis, tuple(spreads), 1.0 + factors * np.array(list(spreads.values())))
-
-
-def corners(axis: Axis, spread: float | Mapping[str, float]) -> Plants:
-    """Every combination of the ends of +- ``spread`` (relative), and the axis itself first.
-
-    >>> from emps_design.machines import machine
-    >>> len(corners(machine("emps2019"), {"mass": 0.02, "coulomb": 0.1}))
-    5
-    """
-    spreads = _spreads(axis, spread)
-    if len(spreads) > 16:
-        raise InputError(f"corners: found {len(spreads)} parameters, expected at most 16 (2^16 plants)")
-    signs = np.array([(0.0,) * len(spreads), *product((-1.0, 1.0), repeat=len(spreads))])
-    return _scaled(axis, tuple(spreads), 1.0 + signs * np.array(list(spreads.values())))
-
-
-def sweep(axis: Axis, name: str, values: Sequence[float]) -> Plants:
-    """One plant for each of ``values`` of the parameter called ``name`` (its unit is the axis file's).
-
-    >>> from emps_design.machines import machine
-    >>> sweep(machine("emps2019"), "mass", [90.0, 100.0]).baseline[:, 0]
-    array([ 90., 100.])
-    """
-    values = np.asarray(values, dtype=float)
-    if values.ndim != 1 or values.size == 0 or not np.isfinite(values).all():
-        raise InputError(f"sweep of {name}: found {values.tolist()}, expected a row of finite numbers")
-    return _placed(axis, (name,), values[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,9 +91,11 @@ def simulate_ensemble(
     and a fraction. Ctrl-C returns what is finished, the rest flagged ``unfinished``. Raises :class:`InputError` where
     neither a reference nor a record is given, or the axis has no controller.
     """
-    if record is None and q_ref is None:
+    if q_ref is None and record is not None:
+        q_ref = record.q_ref
+    if q_ref is None:
         raise InputError("ensemble: found neither q_ref nor record, expected one of them")
-    wanted = np.ascontiguousarray(record.q_ref if q_ref is None else q_ref, dtype=float)
+    wanted = np.ascontiguousarray(q_ref, dtype=float)
     if record is not None and len(record) != wanted.size:
         raise InputError(f"ensemble: q_ref has {wanted.size} samples, the record {len(record)}; expected the same")
     task = {
@@ -177,7 +118,16 @@ def simulate_ensemble(
     return Ensemble(plants, metrics, status, reasons, interrupted)
 
 
-def _collect(task, plants, parts, table, status, reasons, workers, progress) -> bool:
+def _collect(
+    task: dict[str, Any],
+    plants: Plants,
+    parts: list[tuple[int, int]],
+    table: np.ndarray,
+    status: np.ndarray,
+    reasons: dict[int, str],
+    workers: int,
+    progress: Callable[[str, float], None] | None,
+) -> bool:
     """Hand out the parts and gather what comes back, in any order; returns whether it was interrupted."""
     from joblib import Parallel, delayed
 
@@ -277,46 +227,3 @@ def _alone(task: dict[str, Any], plant: Plant, baseline: np.ndarray, parameters:
     force = gain * rms(measured[1] - run.u) if measured else 0.0
     rest = float(np.mean(run.v[kept] == 0.0))
     return np.array([rms(reference - run.position), missed, force, float(np.abs(run.u).max()), rest])
-
-
-def _known(axis: Axis) -> dict[str, tuple[int, int]]:
-    """Names that can be varied: place of the effect (-1: baseline), place in its parameters."""
-    names = {name: (-1, i) for i, name in enumerate(BASELINE)}
-    for place, one in enumerate(axis.effects):
-        for i, parameter in enumerate(one.effect.parameters):
-            names[f"{one.kind}.{parameter.name}"] = (place, i)
-    return names
-
-
-def _spreads(axis: Axis, spread: float | Mapping[str, float]) -> dict[str, float]:
-    spreads = dict(spread) if isinstance(spread, Mapping) else {name: float(spread) for name in BASELINE}
-    for name, value in spreads.items():
-        if not (np.isfinite(value) and 0 <= value < 1):
-            raise InputError(f"spread of {name}: found {value:g}, expected a relative number in [0, 1)")
-    return spreads
-
-
-def _nominal(axis: Axis, names: tuple[str, ...]) -> np.ndarray:
-    known, plant = _known(axis), Plant.of(axis)
-    for name in names:
-        if name not in known:
-            raise InputError(
-                f"parameter: found {name!r}, expected one of {', '.join(known)}{nearest_name(name, list(known))}"
-            )
-    places = [known[name] for name in names]
-    return np.array([(plant.baseline if place < 0 else plant.parameters[place])[i] for place, i in places])
-
-
-def _scaled(axis: Axis, names: tuple[str, ...], factors: np.ndarray) -> Plants:
-    return _placed(axis, names, _nominal(axis, names) * factors)
-
-
-def _placed(axis: Axis, names: tuple[str, ...], values: np.ndarray) -> Plants:
-    _nominal(axis, names)
-    known, plant, m = _known(axis), Plant.of(axis), len(values)
-    baseline = np.tile(plant.baseline, (m, 1))
-    parameters = tuple(np.tile(p, (m, 1)) for p in plant.parameters)
-    for column, name in enumerate(names):
-        place, i = known[name]
-        (baseline if place < 0 else parameters[place])[:, i] = values[:, column]
-    return Plants(baseline, parameters, names, values)

@@ -6,18 +6,12 @@ They join the plant through the hooks of an effect, so the same stepper locates 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from emps_design.effects import Effect, Parameter
 from emps_design.errors import InputError
-from emps_design.quantities import Quantity
-
-_MASS = Quantity("mass", "M_h", "kg", lower=0.0)
-_DAMPING = Quantity("damping", "B_h", "N/(m/s)", lower=0.0)
-_STIFFNESS = Quantity("stiffness", "K", "N/m", lower=0.0)
 
 
 def _hand_force(q, v, t, tau, x, p, b):
@@ -93,14 +87,14 @@ class Hand:
     held: bool = False
 
     def __post_init__(self) -> None:
-        for quantity in (_MASS, _DAMPING, _STIFFNESS):
-            quantity.check(getattr(self, quantity.name))
+        self.effect()
         if self.held and self.mass > 0.0:
             raise InputError(f"hand: found {self.mass:g} kg and a held force, expected no mass or held=False")
 
     def effect(self) -> tuple[Effect, np.ndarray]:
-        """The hand as the stepper takes it."""
-        return HAND, np.array([self.mass, self.damping, self.stiffness, 0.0, 0.0, 0.0])
+        """The hand as the stepper takes it; :class:`InputError` for a number out of its bounds."""
+        own = {"mass": self.mass, "damping": self.damping, "stiffness": self.stiffness}
+        return HAND, HAND.values({**own, "intended_position": 0.0, "intended_velocity": 0.0, "since": 0.0})
 
 
 @dataclass(frozen=True)
@@ -113,13 +107,10 @@ class Wall:
     side: float = 1.0
 
     def __post_init__(self) -> None:
-        _STIFFNESS.check(self.stiffness)
-        Quantity("damping", "c", "s/m", lower=0.0).check(self.damping)
-        if self.side not in (-1.0, 1.0) or not math.isfinite(self.position):
-            raise InputError(
-                f"wall: found side {self.side:g} at {self.position:g} m, expected side +1 or -1, finite place"
-            )
+        self.effect()
+        if self.side not in (-1.0, 1.0):
+            raise InputError(f"wall: found side {self.side:g} at {self.position:g} m, expected side +1 or -1")
 
     def effect(self) -> tuple[Effect, np.ndarray]:
-        """The wall as the stepper takes it."""
-        return WALL, np.array([self.position, self.stiffness, self.damping, self.side])
+        """The wall as the stepper takes it; :class:`InputError` for a number out of its bounds."""
+        return WALL, WALL.values(vars(self))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dis
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,26 +11,20 @@ from emps_design.axis import Axis
 from emps_design.effects import Effect
 from emps_design.errors import InputError, SimulationError
 from emps_design.laws import Law, law_of
+from emps_design.simulation.effect_hooks import hooks_of, sees_command, touches_motion
 from emps_design.simulation.environment import HAND, Hand, Wall
 from emps_design.simulation.kernels import baseline as core
 from emps_design.simulation.kernels import hold_loop as stepper
+from emps_design.simulation.kernels import motion
 from emps_design.simulation.kernels.compile import address
 from emps_design.simulation.prepared import Prepared, intention_columns, motor_rows, positive, signal
 from emps_design.simulation.run import Run
 
-HOOKS = ("force", "dry", "inertia", "command", "actuator", "delay", "sensor", "rate", "guard", "jump_time")
 # Own states smaller than this need not be known relatively: a load that has hardly begun to move, by unit.
 FLOORS = {"m": 1e-6, "m/s": 1e-4, "N": 1e-2}
+METHODS = ("general", "plain", "folded")  # of stepping; what is exact by one is by those before it
 _EMPTY = np.zeros(0)
 _NO_SIGNALS, _NO_SLOTS = np.zeros((0, 0)), np.zeros(0, np.int64)
-
-REASONS = {
-    stepper.DIVERGED: "the motion left every bound (1000 m, 1000 m/s) or became not a number",
-    stepper.NO_STEP: "no step is short enough for the tolerance",
-    stepper.CHATTER: "more than 2000 events in one sampling period",
-    stepper.MASSLESS: "the effects leave no mass on the encoder's side",
-    stepper.RUNAWAY: "the loop is unstable: the voltage has swung from limit to limit 40 times, each within 0.2 s",
-}
 
 
 class Plant:
@@ -76,8 +69,8 @@ class Plant:
         self._hooks, self._starts = self._table()
         dynamic = self._states > 2 or any(effect.guard or effect.jump_time for effect in self.effects)
         moving = [effect for i, effect in enumerate(self.effects) if i not in self._held]
-        self._exact = not any(_touches_motion(effect) for effect in moving if effect.slopes is None)
-        seen = any(_sees_command(effect) for i, effect in enumerate(self.effects) if i != self._lagging)
+        self._exact = not any(touches_motion(effect) for effect in moving if effect.slopes is None)
+        seen = any(sees_command(effect) for i, effect in enumerate(self.effects) if i != self._lagging)
         self._slides = 0 if dynamic else 1 if seen else 2
 
     @classmethod
@@ -92,23 +85,11 @@ class Plant:
         return Plant(self.axis, effects, (*self.environment, *things))
 
     def _table(self) -> tuple[np.ndarray, np.ndarray]:
-        rows: list[list[tuple[int, int, int]]] = [[] for _ in range(stepper.HELD + 1)]
+        rows: list[list[tuple[int, int, int]]] = [[] for _ in range(motion.HELD + 1)]
         for i, effect in enumerate(self.effects):
-            place = (int(self._x_at[i]), int(self._p_at[i]))
-            if i == self._lagging:
-                continue
-            if i in self._held:
-                rows[stepper.HELD].append((address(effect.force), *place))
-                continue
-            for row, hook in enumerate(HOOKS):
-                kernel = getattr(effect, hook)
-                if kernel is not None:
-                    form = hook if hook in ("actuator", "rate") else "kernel"
-                    rows[row].append((address(kernel, form), *place))
-            if i in self._outside:
-                for row, hook in ((stepper.TOUCH, effect.force), (stepper.TOUCH_MASS, effect.inertia)):
-                    if hook is not None:
-                        rows[row].append((address(hook), *place))
+            if i != self._lagging:
+                for row, kernel in hooks_of(effect, i in self._outside, i in self._held):
+                    rows[row].append((kernel, int(self._x_at[i]), int(self._p_at[i])))
         table = np.array([number for row in rows for entry in row for number in entry] or [0], np.int64)
         return table, np.cumsum([0] + [len(row) for row in rows])
 
@@ -203,15 +184,10 @@ class Plant:
         noise = _EMPTY if noise is None else signal(noise, "voltage_noise", "V", n)
         resolution = self.axis.sampling.encoder_resolution if quantise else 0.0
         fastest = "general" if energy or motor.size else self._method(law, noise, resolution)
-        possible = (
-            "general",
-            *{"general": (), "plain": ("plain",), "folded": ("plain", "folded")}.get(fastest, ("open",)),
-        )
-        method = fastest if method == "auto" else method
+        possible = ("auto", *METHODS[: METHODS.index(fastest) + 1])
         if method not in possible:
-            raise InputError(
-                f"method: found {method!r}, expected one of {', '.join(('auto', *possible))} for this axis"
-            )
+            raise InputError(f"method: found {method!r}, expected one of {', '.join(possible)} for this axis")
+        method = fastest if method == "auto" else method
         events, found = np.empty((n + 1000, 3)), np.array([0, n + 1000])
         if method == "general":
             rows, balance = self._general(
@@ -253,33 +229,28 @@ class Plant:
     def _method(self, law: Law | None, noise: np.ndarray, resolution: float) -> str:
         """The fastest way that is exact for this axis."""
         delay = self.axis.sampling.computation_delay
-        if self.effects or self._lag > 0 or (law is not None and not law.state_feedback):
+        if self.effects or self._lag > 0 or law is None or not law.state_feedback:
             return "general"
-        if law is None:
-            return "general" if delay or noise.size else "open"
         return "plain" if delay or noise.size or resolution > 0 else "folded"
 
     def _core(self, method, b, law, reference, push, noise, start, period, resolution, events, found):
         n, drive, delay = reference.size, self.axis.drive, self.axis.sampling.computation_delay
-        rows, b = np.empty((4, n)), b + np.array([0.0, drive.braking, 0.0, 0.0])
-        position, velocity, u, encoder = rows
-        gains = np.zeros(4) if law is None else law.gains
-        numbers = core.numbers_of(period, drive.gain, drive.command_limit, resolution, gains)
+        n, drive, delay = reference.size, self.axis.drive, self.axis.sampling.computation_delay
+        b = b + np.array([0.0, drive.braking, 0.0, 0.0])
+        position, velocity, u, encoder = np.empty((4, n))
+        numbers = core.numbers_of(period, drive.gain, drive.command_limit, resolution, law.gains)
         if method == "plain":
             good = core.run_plain(
                 b, numbers, delay, start, reference, push, noise, position, encoder, velocity, u, events, found
             )
         else:
-            run = core.run_folded if method == "folded" else core.run_open
-            good = run(b, numbers, start, reference, push, position, velocity, u, events, found)
+            good = core.run_folded(b, numbers, start, reference, push, position, velocity, u, events, found)
             encoder = position
-            if resolution > 0:
-                encoder = np.floor(position / resolution + 0.5) * resolution
         if good == n and not abs(position[-1]) < 1e3:
             good = int(np.argmin(np.abs(position) < 1e3))
         if good < n:
             at, reason = (good, stepper.DIVERGED) if good >= 0 else (-good - 1, stepper.RUNAWAY)
-            raise SimulationError(REASONS[reason], at * period, (float(position[at]), float(velocity[at])))
+            raise SimulationError(stepper.REASONS[reason], at * period, (float(position[at]), float(velocity[at])))
         return encoder, position, velocity, u, push if push.size else np.broadcast_to(0.0, n)
 
     def prepared(
@@ -297,26 +268,26 @@ class Plant:
     ) -> Prepared:
         """Return what the general stepper needs to run ``n`` samples from ``q0`` [m], ``v0`` [m/s]."""
         columns, slots = self._intended(intention, n, period)
-        drive, settings = self.axis.drive, np.zeros(stepper.SETTINGS)
-        settings[stepper.PERIOD], settings[stepper.GAIN] = period, drive.gain
-        settings[stepper.LIMIT], settings[stepper.RESOLUTION] = drive.command_limit, resolution
-        settings[stepper.DELAYED], settings[stepper.LAG] = self.axis.sampling.computation_delay, self._lag
+        drive, settings = self.axis.drive, np.zeros(motion.SETTINGS)
+        settings[motion.PERIOD], settings[motion.GAIN] = period, drive.gain
+        settings[motion.LIMIT], settings[motion.RESOLUTION] = drive.command_limit, resolution
+        settings[motion.DELAYED], settings[motion.LAG] = self.axis.sampling.computation_delay, self._lag
         if self._lagging >= 0:
             at = self._lagging
             mine = p[self._p_at[at] : self._p_at[at + 1]]
-            settings[stepper.LAG] = self.effects[at].lag(q0, v0, 0.0, 0.0, _EMPTY, mine, b)
-        settings[stepper.BRAKING] = drive.braking
-        settings[stepper.VISCOUS_P] = settings[stepper.VISCOUS_N] = b[1] + drive.braking
+            settings[motion.LAG] = self.effects[at].lag(q0, v0, 0.0, 0.0, _EMPTY, mine, b)
+        settings[motion.BRAKING] = drive.braking
+        settings[motion.VISCOUS_P] = settings[motion.VISCOUS_N] = b[1] + drive.braking
         for i, effect in enumerate(self.effects):
             if effect.slopes is not None:
                 mine = p[self._p_at[i] : self._p_at[i + 1]]
-                settings[[stepper.VISCOUS_P, stepper.VISCOUS_N]] += effect.slopes(mine)
+                settings[[motion.VISCOUS_P, motion.VISCOUS_N]] += effect.slopes(mine)
         states = self._states + (4 if energy else 0)
-        settings[stepper.FREE], settings[stepper.STATES] = self._free, states
-        settings[stepper.TOLERANCE], settings[stepper.ENERGY] = tolerance, self._states if energy else 0
-        settings[stepper.SERIES] = self._lag > 0 and any(effect.lag for effect in self.effects)
+        settings[motion.FREE], settings[motion.STATES] = self._free, states
+        settings[motion.TOLERANCE], settings[motion.ENERGY] = tolerance, self._states if energy else 0
+        settings[motion.SERIES] = self._lag > 0 and any(effect.lag for effect in self.effects)
         if not energy:
-            settings[stepper.SLIDES], settings[stepper.EXACT] = self._slides, self._exact
+            settings[motion.SLIDES], settings[motion.EXACT] = self._slides, self._exact
         y, floors = np.zeros(states), np.zeros(states)
         y[0], y[1] = q0, v0
         for i, effect in enumerate(self.effects):
@@ -324,14 +295,14 @@ class Plant:
                 own = p[self._p_at[i] : self._p_at[i + 1]]
                 y[self._x_at[i] : self._x_at[i + 1]] = effect.initial(q0, own, b)
         floors[2 : self._states] = self._floors
-        guards = int(self._starts[stepper.GUARD + 1] - self._starts[stepper.GUARD])
+        guards = int(self._starts[motion.GUARD + 1] - self._starts[motion.GUARD])
         scratch = np.zeros(stepper.room(states, guards))
         return Prepared(b, p, settings, y, self._hooks, self._starts, columns, slots, floors, scratch)
 
     def _general(self, law, reference, push, noise, motor, q0, v0, period, energy, events, found, ready):
         n, y = reference.size, ready.y
         if np.any(motor[:, 1:] != self.axis.drive.braking):  # what is solved or slid through is for one braking
-            ready.settings[[stepper.SLIDES, stepper.EXACT]] = 0.0
+            ready.settings[[motion.SLIDES, motion.EXACT]] = 0.0
         out = np.empty((5, n))
         place, gains, memory = 0, _NO_SIGNALS, _EMPTY
         if law is not None:
@@ -345,19 +316,19 @@ class Plant:
         )  # fmt: skip
         if status != stepper.DONE:
             names = ", ".join(effect.name for effect in self.effects) or "none"
-            raise SimulationError(REASONS[status], k * period + within, tuple(y.tolist()), names)
-        balance = self._balance(ready.baseline, ready.parameters, y, q0, v0, n * period) if energy else None
-        return out, balance
+            raise SimulationError(stepper.REASONS[status], k * period + within, tuple(y.tolist()), names)
+        return out, self._energy(ready, q0, v0, n * period) if energy else None
 
-    def _balance(self, b, p, y, q0, v0, end) -> dict[str, float]:
+    def _energy(self, ready: Prepared, q0: float, v0: float, end: float) -> dict[str, float]:
         """Where the energy went [J]; ``residual`` is what the integration, or a jump of the mass, lost or made."""
+        y, b = ready.y, ready.baseline
 
-        def kinetic(q, v, t):
+        def kinetic(q: float, v: float, t: float) -> float:
             mass = b[0]
             for i, effect in enumerate(self.effects):
                 if effect.inertia is not None:
-                    own, mine = y[self._x_at[i] : self._x_at[i + 1]], p[self._p_at[i] : self._p_at[i + 1]]
-                    mass += effect.inertia(q, v, t, 0.0, own, mine, b)
+                    own = ready.parameters[self._p_at[i] : self._p_at[i + 1]]
+                    mass += effect.inertia(q, v, t, 0.0, y[self._x_at[i] : self._x_at[i + 1]], own, b)
             return 0.5 * mass * v * v
 
         motor, push, friction, effects = (float(work) for work in y[self._states :])
@@ -379,16 +350,3 @@ class Plant:
         wanted = np.zeros(n) if intention is None else np.asarray(intention, dtype=float)
         columns = intention_columns(wanted, self.parameters[hand], hand in self._held, n, period)
         return columns, self._p_at[hand] + np.arange(6)
-
-
-def _touches_motion(effect: Effect) -> bool:
-    """Whether ``effect`` acts between motor force and motion, not only on the signals around them."""
-    return any((effect.force, effect.dry, effect.inertia, effect.rate, effect.guard, effect.jump_time))
-
-
-def _sees_command(effect: Effect) -> bool:
-    """Whether a force of ``effect`` reads the motor force, or a mass that may change, so that it jumps with it."""
-    if effect.inertia is not None:
-        return True
-    kernels = [kernel for kernel in (effect.force, effect.dry) if kernel is not None]
-    return any("tau" in {step.argval for step in dis.get_instructions(kernel)} for kernel in kernels)

@@ -105,11 +105,7 @@ def point_to_point(period: float, stroke: float, speed: float, acceleration: flo
 
 def _force_noise(random: np.random.Generator, n: int, period: float) -> np.ndarray:
     """First-order noise (n,) [N] of the level and band that the module names."""
+    from scipy.signal import lfilter
+
     decay = float(np.exp(-2.0 * np.pi * FORCE_BAND * period))
-    white = random.standard_normal(n) * np.sqrt(1.0 - decay**2)
-    noise = np.empty(n)
-    level = 0.0
-    for k in range(n):
-        level = decay * level + white[k]
-        noise[k] = level
-    return FORCE_NOISE * noise
+    return FORCE_NOISE * lfilter([1.0], [1.0, -decay], random.standard_normal(n) * np.sqrt(1.0 - decay**2))

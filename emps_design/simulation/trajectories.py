@@ -1,4 +1,4 @@
-"""Reference programs for the axis and force profiles for whoever pushes it, sampled at the drive's period.
+"""Reference programs for the axis and the ramp of force that starts it, sampled at the drive's period.
 
 Every function returns an array (n,), SI, and refuses numbers that cannot be meant with :class:`InputError`.
 """
@@ -57,16 +57,6 @@ def multi_sine(
     return amplitude * q / np.abs(q).max()
 
 
-def steps_program(period: float, levels: tuple[float, ...], hold: float = 0.5) -> np.ndarray:
-    """Each of ``levels`` held for ``hold`` seconds: position [m], voltage [V] or force [N] alike.
-
-    >>> steps_program(0.25, (0.0, 5.0), hold=0.5)
-    array([0., 0., 5., 5.])
-    """
-    _positive(period=period, hold=hold)
-    return np.repeat(np.asarray(levels, dtype=float), max(1, round(hold / period)))
-
-
 def force_ramp(period: float, rate: float, peak: float) -> np.ndarray:
     """Force [N] that rises at ``rate`` [N/s] from 0 to ``peak`` [N] (a negative peak falls).
 
@@ -83,25 +73,10 @@ def force_ramp(period: float, rate: float, peak: float) -> np.ndarray:
     return np.sign(peak) * np.minimum(np.arange(n) * rate * period, abs(peak))
 
 
-def push_and_release(
-    period: float, force: float, push: float = 1.0, rest: float = 1.0, ramp: float = 0.1
-) -> np.ndarray:
-    """Force [N] of an operator: nothing, a rise over ``ramp``, ``force`` for ``push`` seconds, a fall, nothing.
-
-    >>> push_and_release(0.5, 20.0, push=1.0, rest=1.0, ramp=0.5)
-    array([ 0.,  0.,  0., 20., 20., 20.,  0.,  0.])
-    """
-    _positive(period=period, push=push, rest=rest, ramp=ramp)
-    flat, level, edge = round(rest / period), round(push / period), max(1, round(ramp / period))
-    rise = np.arange(edge) / edge
-    parts = [np.zeros(flat), rise, np.ones(level), 1.0 - rise, np.zeros(flat)]
-    return force * np.concatenate(parts)
-
-
 def _positive(**numbers: float) -> None:
     for name, value in numbers.items():
         if not (np.isfinite(value) and value > 0):
             raise InputError(f"{name}: found {value:g}, expected a positive number")
 
 
-__all__ = ["force_ramp", "half_ramp_program", "multi_sine", "push_and_release", "steps_program", "trapezoid_laps"]
+__all__ = ["force_ramp", "half_ramp_program", "multi_sine", "trapezoid_laps"]

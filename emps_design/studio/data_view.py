@@ -18,7 +18,7 @@ from emps_design.report.display import quantity
 from emps_design.report.page import inline
 from emps_design.studio.columns_view import ColumnsView
 from emps_design.studio.jobs import Job
-from emps_design.studio.panes import blocks, html
+from emps_design.studio.panes import blocks, html, message
 from emps_design.studio.state import FRICTIONS, State
 from emps_design.units import Units
 
@@ -227,8 +227,7 @@ class DataView:
         self.result.object = ""
 
     def _say(self, text: str, level: str, more: str = "") -> None:
-        role = "alert" if level == "stop" else "status"
-        self.message.object = f'<div class="message {level}" role="{role}">{self._own(inline(text) + more)}</div>'
+        self.message.object = message("", level, self._own(inline(text) + more))
 
     def _own(self, text: str) -> str:
         """``text`` in the units and words of the axis of the record."""

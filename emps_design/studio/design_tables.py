@@ -50,12 +50,12 @@ def numbers_table(state: State, design: VelocityLoopDesign, pinned: VelocityLoop
 
 
 def _requirements(state: State, design: VelocityLoopDesign) -> str:
-    from emps_design.studio.plots import steps_of
+    from emps_design.control.velocity.step_response import sampled_step
 
     m = design.sampled.margins
     if not m.stable:
         return '<p class="requirements"><b class="no">The sampled loop is unstable: no requirement is met.</b></p>'
-    overshoot = steps_of(design)[1].overshoot_percent
+    overshoot = sampled_step(design).overshoot_percent
     phase_good = m.phase_margin_deg is None or m.phase_margin_deg >= state.required_phase_deg
     return (
         f'<p class="requirements">Phase margin {angle(m.phase_margin_deg)} of {angle(state.required_phase_deg)} '

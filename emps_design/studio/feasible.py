@@ -69,13 +69,11 @@ class Feasible:
 
 def crossover_of(specification: str, frequency: np.ndarray, phase_margin_deg: np.ndarray) -> np.ndarray:
     """The crossover [rad/s] that ``frequency`` means: itself, or that of a -3 dB bandwidth at the phase margin."""
-    from emps_design.control.velocity.gains import canonical_form, second_order_bandwidth
+    from emps_design.control.velocity.gains import crossover_of_bandwidth
 
     if specification == "crossover":
         return np.broadcast_to(frequency, np.broadcast_shapes(np.shape(frequency), np.shape(phase_margin_deg)))
-    phases, where = np.unique(phase_margin_deg, return_inverse=True)
-    ratio = np.array([second_order_bandwidth(*canonical_form(1.0, float(phase))) for phase in phases])
-    return frequency / ratio[where].reshape(np.shape(phase_margin_deg))
+    return crossover_of_bandwidth(frequency, phase_margin_deg)
 
 
 def _designs(

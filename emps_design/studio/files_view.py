@@ -12,11 +12,16 @@ from emps_design.errors import EmpsError
 from emps_design.records import Record
 from emps_design.report.page import inline
 from emps_design.studio import exports
-from emps_design.studio.panes import html
+from emps_design.studio.panes import html, message
 from emps_design.studio.state import State
 
 # A download is a link in a button's dress, which the button's type does not colour.
 BUTTON = ":host { --surface-color: #0072b2; --surface-text-color: #fff; }"
+REPORT = "the whole design as one page to read, print and hand on, with the record where one is loaded"
+VECTORS, PIXELS = "every figure of the design as vectors, for a paper", "the same as pixels, for slides"
+MODEL = "the axis with the controller of the design: every emps-design command takes it"
+GAINS = "gains and margins, as emps-design gains --json prints them"
+STATE = "everything the controls of all tabs hold, and the pinned design: to go on another day"
 
 
 class FilesView:
@@ -28,48 +33,18 @@ class FilesView:
         self._state, self._record, self._loaded = state, record, loaded
         self.message = html()
         made: tuple[tuple[str, str, str, Callable[[], bytes]], ...] = (
-            (
-                "Report (HTML)",
-                "emps-design-report.html",
-                "the whole design as one page to read, print and hand on, with the record where one is loaded",
-                lambda: exports.report_html(state(), record()).encode(),
-            ),
-            (
-                "Figures (SVG)",
-                "emps-design-figures-svg.zip",
-                "every figure of the design as vectors, for a paper",
-                lambda: exports.figures_zip(state(), "svg"),
-            ),
-            (
-                "Figures (PNG)",
-                "emps-design-figures-png.zip",
-                "the same as pixels, for slides",
-                lambda: exports.figures_zip(state(), "png"),
-            ),
-            (
-                "Model (TOML)",
-                "emps-design-model.toml",
-                "the axis with the controller of the design: every emps-design command takes it",
-                lambda: exports.model_toml(state()).encode(),
-            ),
-            (
-                "Gains (JSON)",
-                "emps-design-gains.json",
-                "gains and margins, as emps-design gains --json prints them",
-                lambda: exports.gains_json(state()).encode(),
-            ),
-            (
-                "State (TOML)",
-                "emps-design-state.toml",
-                "everything the controls of all tabs hold, and the pinned design: to go on another day",
-                lambda: state().to_toml().encode(),
-            ),
+            ("Report (HTML)", "report.html", REPORT, lambda: exports.report_html(state(), record()).encode()),
+            ("Figures (SVG)", "figures-svg.zip", VECTORS, lambda: exports.figures_zip(state(), "svg")),
+            ("Figures (PNG)", "figures-png.zip", PIXELS, lambda: exports.figures_zip(state(), "png")),
+            ("Model (TOML)", "model.toml", MODEL, lambda: exports.model_toml(state()).encode()),
+            ("Gains (JSON)", "gains.json", GAINS, lambda: exports.gains_json(state()).encode()),
+            ("State (TOML)", "state.toml", STATE, lambda: state().to_toml().encode()),
         )
         rows = [
             pn.Row(
                 pn.widgets.FileDownload(
-                    callback=self._guarded(filename, make),
-                    filename=filename,
+                    callback=self._guarded(f"emps-design-{name}", make),
+                    filename=f"emps-design-{name}",
                     label=label,
                     color="primary",
                     width=200,
@@ -79,7 +54,7 @@ class FilesView:
                 pn.pane.HTML(inline(what), margin=(10, 6), stylesheets=["div { font-size: 13px; }"]),
                 margin=0,
             )
-            for label, filename, what, make in made
+            for label, name, what, make in made
         ]
         self.load = pn.widgets.FileInput(label="State to load (.toml)", accept=".toml", multiple=False, margin=(4, 6))
         self.load.param.watch(self._load, "value")
@@ -119,5 +94,4 @@ class FilesView:
         self._say(f"{name} is loaded; the design tab shows it", "good")
 
     def _say(self, text: str, level: str) -> None:
-        role = "alert" if level == "stop" else "status"
-        self.message.object = f'<div class="message {level}" role="{role}">{inline(text)}</div>'
+        self.message.object = message(text, level)

@@ -8,6 +8,8 @@ from typing import Any
 
 import panel as pn
 
+from emps_design.report.page import inline
+
 STYLE = """
 .message { padding: 5px 10px; border-left: 5px solid #56b4e9; background: #eef7fd; font-size: 13px; margin: 2px 0 4px; }
 .message.stop { border-color: #b3261e; background: #fdecea; }
@@ -34,6 +36,12 @@ h3 { margin: 6px 0; font-size: 15px; }
 def html(text: str = "", **options: Any) -> pn.pane.HTML:
     """Return a pane of HTML that stretches over the width it has."""
     return pn.pane.HTML(text, stylesheets=[STYLE], **{"sizing_mode": "stretch_width", "margin": (0, 5), **options})
+
+
+def message(text: str, level: str, more: str = "") -> str:
+    """Return ``text`` as the HTML of a message, ``stop`` read out at once by screen readers; ``more`` is HTML."""
+    role = "alert" if level == "stop" else "status"
+    return f'<div class="message {level}" role="{role}">{inline(text)}{more}</div>'
 
 
 @cache

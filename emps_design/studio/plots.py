@@ -152,6 +152,8 @@ class LoopPlots:
 
     def update(self, design: VelocityLoopDesign, place: str) -> None:
         """Show ``design``, its loop broken at ``place``."""
+        from emps_design.control.velocity.step_response import step_responses
+
         loop = broken_loops(design, 250)[0 if place == "velocity error" else 1]
         for key, curve in (("continuous", loop.continuous), ("sampled", loop.sampled)):
             self.lines[key].data = _curve_data(curve)
@@ -167,7 +169,7 @@ class LoopPlots:
         self.marks.data = marks
         for span in self.nyquist_frequency:
             span.location = math.pi / design.axis.sampling.period
-        continuous, sampled = steps_of(design)
+        continuous, sampled = step_responses(design, 301)
         self.steps["continuous"].data = {"t": continuous.t * 1e3, "y": continuous.y}
         self.steps["sampled"].data = {"t": [], "y": []} if sampled is None else {"t": sampled.t * 1e3, "y": sampled.y}
         self.unstable_note.text = "" if sampled else "sampled loop unstable: no step response"
@@ -210,13 +212,6 @@ def _curve_data(curve: Any) -> dict[str, np.ndarray]:
         "re": curve.L.real,
         "im": curve.L.imag,
     }
-
-
-def steps_of(design: VelocityLoopDesign) -> tuple[Any, Any]:
-    """Continuous and sampled step response of ``design``; None for a sampled loop that is unstable."""
-    from emps_design.control.velocity.step_response import continuous_step, sampled_step
-
-    return continuous_step(design, 301), sampled_step(design) if design.sampled.stable else None
 
 
 class PlanePlot:

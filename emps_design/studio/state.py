@@ -8,7 +8,7 @@ from typing import Any
 
 from emps_design.axis import Axis
 from emps_design.errors import InputError, nearest_name
-from emps_design.quantities import frequency
+from emps_design.quantities import read_frequency
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ def checked(name: str, value: Any, source: str = "studio") -> Any:
     choice = CHOICES[name]
     if choice.frequency and isinstance(value, str):
         try:
-            value = frequency(value)
+            value = read_frequency(value)
         except InputError as error:
             raise InputError(f"{source}: {name}: {error}") from error
     kind, what = (int, "a whole number, ") if isinstance(choice.step, int) else (int | float, "")

@@ -3,15 +3,14 @@
 import inspect
 import math
 import pkgutil
-import re
 
 import numpy as np
 import pytest
 
 from emps_design.effects import EFFECTS, Motion
 from emps_design.effects import library as package
-from emps_design.effects.curve import curve, states_along
 from emps_design.effects.effect import CHECK_BASELINE, MASS, SCALAR_HOOKS, VISCOUS
+from emps_design.model import states_along
 
 B = np.array(CHECK_BASELINE)
 UNITS = {"", "N", "N/m", "N/(m/s)", "N/(m/s)^2", "m", "m/s", "s", "Hz", "rad", "V"}
@@ -273,15 +272,6 @@ def test_jumps_in_time_are_where_the_kernel_says(effect):
         for jump in jumps[:-1]:
             before, at, after = (kernel(0.0, 0.1, jump + d, 0.0, (), p, B) for d in (-1e-6, 0.0, 1e-6))
             assert at == after != before
-
-
-@all_effects
-def test_every_effect_can_be_drawn(effect):
-    for parameters, _, _ in effect.checks:
-        drawn = curve(effect, parameters, B, points=60)
-        assert re.search(r"\[.+\]$", drawn.x_label)
-        assert drawn.lines
-        assert all(y.shape == drawn.x.shape and np.isfinite(y).all() for y in drawn.lines.values())
 
 
 @all_effects

@@ -15,13 +15,13 @@ the closed loop T/(1 - T) is positive feedback with a pole at s = 0: neither sta
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from emps_design.control.force.limits import first_instability, largest_force_gain
 from emps_design.control.loop.margins import Margins, loop_margins
 from emps_design.control.loop.sampled_loop import SampledLoop, close
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis, sample_plant
@@ -38,26 +38,6 @@ if TYPE_CHECKING:
 
 
 ROUNDING = 1e-12  # of a pole: a limit is where the poles cross the circle, a verdict leaves MARGINAL room
-
-
-def largest_force_gain(
-    omega_0v: float, z_v: float, K_v: float, hand: float = 0.0, environment: float = 0.0, on_carriage: bool = True
-) -> float | None:
-    """Return the k_e1 [(m/s)/N] at which the continuous force loop loses stability (Routh); None: never.
-
-    ``omega_0v`` [rad/s], ``z_v``, ``K_v`` [N/m] of (8), (9); ``hand`` [N/(m/s)], ``environment`` [N/m]. For a wall
-    alone 2 z_v w_0v / K_env, times (1 + K_env/K_v) when the force also acts on the carriage.
-
-    >>> round(largest_force_gain(141.42, 0.61237, 2.3146e6, environment=1e4, on_carriage=False), 6)
-    0.01732
-    >>> largest_force_gain(141.42, 0.61237, 2.3146e6, hand=100.0) is None
-    True
-    """
-    share = 1.0 / K_v if on_carriage else 0.0
-    # s^3/w0^2 + second s^2 + (1 + K share + k k_h) s + k K = 0
-    second = 2.0 * z_v / omega_0v + hand * share
-    needed = environment / omega_0v**2 - second * hand
-    return second * (1.0 + environment * share) / needed if needed > 0.0 else None
 
 
 @dataclass(frozen=True)
@@ -156,7 +136,7 @@ class ForceLoopDesign:
         loop = self.velocity_loop
         start = 1e-3 / (self.hand + self.environment / loop.omega_0v) if self.hand + self.environment > 0.0 else 1.0
         if self._plant.delay + self.sensor_delay <= 100 or self.hand + self.environment == 0.0:
-            return _first_instability(lambda gains: self.sampled_loop(gains).radius <= 1.0 + ROUNDING, start)
+            return first_instability(lambda gains: self.sampled_loop(gains).radius <= 1.0 + ROUNDING, start)
         gently = replace(self, k_e1=start)
         if not gently.stable:
             return 0.0
@@ -318,19 +298,3 @@ def design_force_loop(
     if not 0 <= sensor_delay <= 1000:
         raise InputError(f"sensor delay: found {sensor_delay} samples, expected 0 to 1000")
     return ForceLoopDesign(velocity_loop, float(k_e1), float(hand), float(environment), sensor_delay, on_carriage)
-
-
-def _first_instability(stable: Callable[[np.ndarray], np.ndarray], start: float) -> float | None:
-    """The gain where ``stable``, asked of many gains at once, turns false; None below 1e9 starts, 0.0 at ``start``."""
-    low, high = 0.0, start
-    while bool(np.all(found := stable(grid := high * 1.15 ** np.arange(16.0)))):
-        low, high = float(grid[-1]), float(grid[-1]) * 1.15
-        if low > 1e9 * start:
-            return None
-    while True:
-        first = int(np.argmin(found))
-        low, high = (float(grid[first - 1]) if first else low), float(grid[first])
-        if low == 0.0 or high - low <= 1e-12 * high:
-            return low
-        grid = np.linspace(low, high, 18)[1:]
-        found = stable(grid)

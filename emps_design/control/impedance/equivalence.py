@@ -105,7 +105,7 @@ def equivalent_impedance(
     """
     if not math.isfinite(k_e1) or k_e1 <= 0.0:
         raise InputError(f"k_e1: found {k_e1:g} (m/s)/N, expected more than 0")
-    w0, z = canonical_form(crossover, phase_margin_deg)
+    w0, z = map(float, canonical_form(crossover, phase_margin_deg))
     damping = 1.0 / k_e1 if _known(criterion) == LOW_FREQUENCY else (1.0 - BAND**2 / (3.0 * w0**2)) / k_e1
     return _loop(axis, 2.0 * z / (w0 * k_e1), damping, k_e1, w0, criterion, mismatch)
 
@@ -196,7 +196,7 @@ def _loop(
     if w0 < BAND:
         words.append(f"the cascade's own resonance, {w0:.3g} rad/s, lies inside the operator's {BAND:g} rad/s")
     return EquivalentLoop(
-        mass, damping, k_e1, *gains, w0, 0.5 * lag * w0, crossover, phase, criterion, pole, tuple(words)
+        mass, damping, k_e1, gains[0], gains[1], w0, 0.5 * lag * w0, crossover, phase, criterion, pole, tuple(words)
     )
 
 

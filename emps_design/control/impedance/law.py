@@ -8,7 +8,7 @@ printed. Hats are ``(1 + error)`` times the plant's numbers, so an error of +2 %
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.errors import InputError
 from emps_design.laws import Law
-from emps_design.laws.friction_model import PARAMETERS, FrictionModel, left_out
+from emps_design.laws.friction_model import FrictionModel
 from emps_design.laws.library.impedance import (
     check_filters,
     default_filter,
@@ -42,11 +42,7 @@ class ApparentImpedance:
 
     def to_dict(self) -> dict[str, float]:
         """Keys of the contract: apparent_mass [kg], apparent_damping [N/(m/s)], coulomb_left [N]."""
-        return {
-            "apparent_mass": self.mass,
-            "apparent_damping": self.damping,
-            "coulomb_left": self.coulomb_left,
-        }
+        return {"apparent_mass": self.mass, "apparent_damping": self.damping, "coulomb_left": self.coulomb_left}
 
 
 @dataclass(frozen=True)
@@ -168,18 +164,9 @@ class ImpedanceLaw:
         """Plain data, SI; unfiltered is None."""
         acceleration, current = self.filters
         return {
-            "mass": self.mass,
-            "damping": self.damping,
-            "stiffness": self.stiffness,
-            "rest_position": self.rest_position,
-            "reference_velocity": self.reference_velocity,
+            **asdict(self),
             "filter": acceleration if math.isfinite(acceleration) else None,
             "current_filter": current if math.isfinite(current) else None,
-            "coulomb_factor": self.coulomb_factor,
-            "current_factor": self.current_factor,
-            "force_sensor": self.force_sensor,
-            "velocity_estimator": self.velocity_estimator,
-            "estimate": self.estimate.to_dict(),
         }
 
 
@@ -231,17 +218,3 @@ def _finite(name: str, value: float, unit: str, lower: float = -math.inf, open_b
             )
         bound = f"{'more than' if open_below else 'at least'} {lower:g}"
         raise InputError(f"{name}: found {value:g} {unit}".rstrip() + f", expected {bound} {unit}".rstrip())
-
-
-__all__ = [
-    "DERIVED",
-    "PARAMETERS",
-    "PRINTED",
-    "ApparentImpedance",
-    "FrictionModel",
-    "ImpedanceLaw",
-    "default_filter",
-    "impedance_law",
-    "law_for",
-    "left_out",
-]

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.polynomial import polynomial as poly
 
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
-from emps_design.control.impedance.sampled import MARGINAL, Clock, Environment, numbers, sampled_loop, spectral_radius
+from emps_design.control.impedance.sampled import Clock, Environment, numbers, sampled_loop, spectral_radius
+from emps_design.control.loop.sampled_loop import MARGINAL
 
 Bands = tuple[tuple[float, float], ...]
 

@@ -8,16 +8,15 @@ leaves a dead band ``F_c - c Fh_c`` [N] below which a push does not keep the car
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
 import numpy as np
 
-from emps_design.control.impedance.law import PARAMETERS, FrictionModel, ImpedanceLaw
+from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
 from emps_design.control.impedance.sampled import (
-    MARGINAL,
     Clock,
     numbers,
     recursion_poles,
@@ -25,7 +24,9 @@ from emps_design.control.impedance.sampled import (
     sampled_loop,
     spectral_radius,
 )
+from emps_design.control.loop.sampled_loop import MARGINAL
 from emps_design.errors import InputError
+from emps_design.laws.friction_model import PARAMETERS
 
 # By rising severity; ``no_motion``: the carriage was not moving when it was let go, so nothing is known of it.
 VERDICTS = ("stable", "dead_band", "no_motion", "creeping", "limit_cycle", "unstable")
@@ -129,7 +130,9 @@ def drift_threshold(period: float, resolution: float, velocity_estimator: str = 
     return max(resolution / period / (2.0 if velocity_estimator == "two_tap" else 1.0), 1e-6)
 
 
-def worst_radius(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mismatch: float, masses, filters) -> np.ndarray:
+def worst_radius(
+    law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mismatch: float, masses: Any, filters: Any
+) -> np.ndarray:
     """Largest pole modulus over the corners of ``mismatch``, sliding and sticking, for arrays of M_a and filter.
 
     ``masses`` [kg] and ``filters`` [rad/s] broadcast together; the result has their shape. ``law`` gives the rest.
@@ -181,7 +184,12 @@ class StabilityMap:
 
 
 def stability_map(
-    law: ImpedanceLaw, plant: FrictionModel, clock: Clock, masses=None, filters=None, mismatches=(0.0, 0.02, 0.05)
+    law: ImpedanceLaw,
+    plant: FrictionModel,
+    clock: Clock,
+    masses: Any = None,
+    filters: Any = None,
+    mismatches: Sequence[float] = (0.0, 0.02, 0.05),
 ) -> StabilityMap:
     """Map the stable (M_a, filter, mismatch); ``law`` gives damping, estimator and the rest.
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, law_for
-from emps_design.control.loop.sampled_loop import MARGINAL, SampledLoop, close, sorted_poles
+from emps_design.control.loop.sampled_loop import SampledLoop, close, sorted_poles
 from emps_design.control.plant.discretisation import sample_axis, sample_plant
 from emps_design.control.plant.environment import FREE, Environment, attached, felt
 from emps_design.control.plant.linear_plant import rigid_plant
@@ -53,7 +53,7 @@ def sampled_loop(
     return sampled_loops(numbers(law, plant, direction), clock, law.velocity_estimator, law.force_sensor, environment)
 
 
-def numbers(law: ImpedanceLaw, plant: FrictionModel, direction: int = 1) -> dict[str, float]:
+def numbers(law: ImpedanceLaw, plant: FrictionModel, direction: int = 1) -> dict[str, Any]:
     """The numbers that decide the loop, by name; arrays of equal shape may stand in for any of them."""
     i = 0 if direction > 0 else 1
     acceleration, current = law.filters
@@ -133,19 +133,3 @@ def _law(n: dict[str, Any], clock: Clock, velocity_estimator: str, force_sensor:
         force_sensor=force_sensor, current_time_constant=clock.current_time_constant, delay=clock.delay,
     )  # fmt: skip
     return law_with(gains, clock.delay)
-
-
-__all__ = [
-    "FREE",
-    "MARGINAL",
-    "Clock",
-    "Environment",
-    "SampledLoop",
-    "extended_loop",
-    "numbers",
-    "recursion_poles",
-    "recursion_radius",
-    "sampled_loop",
-    "sampled_loops",
-    "spectral_radius",
-]

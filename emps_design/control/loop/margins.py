@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -63,17 +63,8 @@ class Margins:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data with SI units, angles in degrees."""
-        document: dict[str, Any] = {
-            "stable": self.stable,
-            "phase_margin_deg": self.phase_margin_deg,
-            "crossover": self.crossover,
-            "delay_margin": self.delay_margin,
-            "gain_margin": self.gain_margin,
-            "gain_margin_db": self.gain_margin_db,
-            "gain_margin_frequency": self.gain_margin_frequency,
-            "gain_reduction_margin": self.gain_reduction_margin,
-        }
-        if self.period is not None:
+        document = {**asdict(self), "gain_margin_db": self.gain_margin_db}
+        if document.pop("period") is not None:
             document["delay_margin_samples"] = self.delay_margin_samples
         return document
 

@@ -74,23 +74,23 @@ class SampledPlant:
         row, G0, G1 = row[self.kept], self.G0[self.kept], self.G1[self.kept]
         size = self.kept.size
         # Leverrier and Faddeev: the adjugate of (z I - Phi) without differences of nearly equal polynomials.
-        adjugate, denominator, n0, n1 = np.eye(size), [1.0], [d0], [d1]
+        adjugate, powers, newer, older = np.eye(size), [1.0], [d0], [d1]
         for power in range(1, size + 1):
-            n0.append(float(row @ adjugate @ G0))
-            n1.append(float(row @ adjugate @ G1))
+            newer.append(float(row @ adjugate @ G0))
+            older.append(float(row @ adjugate @ G1))
             product = Phi @ adjugate
-            denominator.append(-float(np.trace(product)) / power)
-            adjugate = product + denominator[-1] * np.eye(size)
-        denominator = np.array(denominator)
-        n0 = np.array(n0) + d0 * np.append(0.0, denominator[1:])
-        n1 = np.array(n1) + d1 * np.append(0.0, denominator[1:])
+            powers.append(-float(np.trace(product)) / power)
+            adjugate = product + powers[-1] * np.eye(size)
+        denominator = np.array(powers)
+        n0 = np.array(newer) + d0 * np.append(0.0, denominator[1:])
+        n1 = np.array(older) + d1 * np.append(0.0, denominator[1:])
         # increment/u = (N0 z + N1) / (D z^(d+2)), and the estimate weighs two increments: (w0 z + w1) / (T z).
         increments = np.polyadd(np.append(n0, 0.0), n1)
         numerator = np.trim_zeros(np.polymul(increments, np.array(self.weights) / self.period), "f")
-        powers = self.delay + 3
-        while powers and numerator[-1] == 0.0:
-            numerator, powers = numerator[:-1], powers - 1
-        return numerator, np.append(denominator, np.zeros(powers))
+        late = self.delay + 3
+        while late and numerator[-1] == 0.0:
+            numerator, late = numerator[:-1], late - 1
+        return numerator, np.append(denominator, np.zeros(late))
 
     def integrator(self, w: np.ndarray) -> np.ndarray:
         """T z / (z - 1) at ``w`` [rad/s], the sampled 1/s of a law [s]."""

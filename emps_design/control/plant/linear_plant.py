@@ -16,12 +16,13 @@ current loop where that has a time constant. Inputs: voltage, and an external fo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.plant.actuator import ActuatorMap
+from emps_design.control.plant.operating_point import Member
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
 from emps_design.errors import InputError
 from emps_design.quantities import check_magnitude
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
     import control
 
 POSITION, VELOCITY = 0, 1
-PLACES = 64  # along one repeat of an effect
-CORNER = 1e-3  # relative difference of the slopes on either side of a place, above which it is a corner
 
 
 @dataclass(frozen=True)
@@ -48,8 +47,8 @@ class LinearPlant:
     E: np.ndarray
     C: np.ndarray
     delay: float
-    mass: float
-    viscous: float
+    mass: Any
+    viscous: Any
     state: tuple[str, ...]
     warnings: tuple[str, ...] = ()
     steepest: float = 0.0
@@ -113,7 +112,7 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     check_magnitude("velocity", velocity, "m/s")
     b = axis.mechanics.array()
     b[VISCOUS] += axis.drive.braking
-    members = [_Member(entry.effect, entry.effect.values(entry.parameters), b) for entry in axis.effects]
+    members = [Member(entry.effect, entry.effect.values(entry.parameters), b) for entry in axis.effects]
     gain, lag = axis.drive.gain, axis.drive.current_time_constant
     warnings: list[str] = []
 
@@ -154,7 +153,7 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     for member, size in zip(members, sizes, strict=True):
         own = slice(first, first + size)
         mass += member.inertia(velocity, tau)
-        d_q, d_v, d_tau, d_x = member.force_slopes(velocity, tau)
+        d_q, d_v, d_tau, d_x = member.slopes(member.force, velocity, tau)
         drag[POSITION] += d_q
         drag[VELOCITY] += d_v
         drag[own] += d_x
@@ -165,16 +164,16 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
             A[own, own] += r_x
             A[own, :] += np.outer(r_tau, force_row)
             B[own] += r_tau * force_in
-        s_q, s_v, s_x = member.sensor_slopes(velocity, tau)
+        s_q, s_v, _, s_x = member.slopes(member.sensor, velocity, tau)
         C[POSITION] += s_q
         C[VELOCITY] += s_v
         C[own] += s_x
         first += size
         warnings += member.left_out(velocity, tau)
     if not mass > 0.0:
-        names = " and ".join(entry.kind for entry in axis.effects)
+        kinds = " and ".join(entry.kind for entry in axis.effects)
         raise InputError(
-            f"effects: {mass:.4g} kg are left on the encoder's side of {names}, expected shares that leave some"
+            f"effects: {mass:.4g} kg are left on the encoder's side of {kinds}, expected shares that leave some"
         )
     A[VELOCITY] = ((1.0 - drag_tau) * force_row - drag) / mass
     B[VELOCITY] = (1.0 - drag_tau) * force_in / mass
@@ -187,149 +186,7 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     return LinearPlant(A, B, E, C, delay, float(mass), float(drag[VELOCITY]), tuple(names), tuple(warnings), steepest)
 
 
-class _Member:
-    """One effect at the operating point: its hooks called as plain functions, differentiated by central differences."""
-
-    def __init__(self, effect, p: np.ndarray, b: np.ndarray):
-        self.effect, self.p, self.b = effect, p, b
-        self.x = np.array(effect.initial(0.0, p, b) if effect.initial else (), dtype=float)
-        self.settled = True
-        names = [parameter.name for parameter in effect.parameters]
-        self.repeat = float(p[names.index(effect.repeats)]) if effect.repeats else 0.0
-        self.places = np.arange(PLACES) / PLACES * self.repeat if effect.repeats else np.zeros(1)
-
-    def settle(self, v: float, tau: float) -> None:
-        """Bring the own states to rest at the operating point (Newton); keep the initial ones where that fails."""
-        if self.effect.rate is None:
-            return
-        x = self.x.copy()
-        for _ in range(50):
-            residual = self._rate(0.0, v, tau, x)
-            jacobian = self._rate_jacobian(v, tau, x)
-            step = np.linalg.lstsq(jacobian, -residual, rcond=None)[0]
-            x = x + step
-            if np.all(np.abs(step) <= 1e-12 + 1e-9 * np.abs(x)):
-                break
-        scale = np.abs(self._rate_jacobian(v, tau, x)) @ np.abs(x) + abs(v) + 1e-12
-        self.settled = bool(np.all(np.isfinite(x)) and np.all(np.abs(self._rate(0.0, v, tau, x)) <= 1e-6 * scale))
-        if self.settled:
-            self.x = x
-
-    def force(self, q: float, v: float, tau: float, x: np.ndarray) -> float:
-        """Everything the effect adds to the resisting force while sliding [N], its mean over one repeat."""
-        return float(np.mean([self.force_at(q + place, v, tau, x) for place in self.places]))
-
-    def force_at(self, q: float, v: float, tau: float, x: np.ndarray) -> float:
-        """Everything the effect adds to the resisting force while sliding at ``q`` [N]."""
-        arguments = (q, v, 0.0, tau, x, self.p, self.b)
-        total = self.effect.force(*arguments) if self.effect.force else 0.0
-        if self.effect.dry:
-            total += np.sign(v) * self.effect.dry(*arguments)
-        if self.effect.takes_dry:
-            total -= np.sign(v) * self.b[COULOMB]
-        return float(total)
-
-    def inertia(self, v: float, tau: float) -> float:
-        if self.effect.inertia is None:
-            return 0.0
-        return float(self.effect.inertia(0.0, v, 0.0, tau, self.x, self.p, self.b))
-
-    def delay(self, v: float, tau: float) -> float:
-        if self.effect.delay is None:
-            return 0.0
-        return float(self.effect.delay(0.0, v, 0.0, tau, self.x, self.p, self.b))
-
-    def force_slopes(self, v: float, tau: float) -> tuple[float, float, float, np.ndarray]:
-        return (
-            self._over_position(lambda q: self.force_at(q, v, tau, self.x)),
-            _slope(lambda value: self.force(0.0, value, tau, self.x), v, 1e-4 * abs(v)),
-            _slope(lambda value: self.force(0.0, v, value, self.x), tau, 1e-3),
-            np.array([_slope(lambda value: self.force(0.0, v, tau, value), *at) for at in self._each_state()]),
-        )
-
-    def rate_slopes(self, v: float, tau: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        return (
-            _slope(lambda q: self._rate(q, v, tau, self.x), 0.0, 1e-6),
-            _slope(lambda value: self._rate(0.0, value, tau, self.x), v, 1e-4 * abs(v)),
-            _slope(lambda value: self._rate(0.0, v, value, self.x), tau, 1e-3),
-            self._rate_jacobian(v, tau, self.x),
-        )
-
-    def sensor_slopes(self, v: float, tau: float) -> tuple[float, float, np.ndarray]:
-        if self.effect.sensor is None:
-            return 0.0, 0.0, np.zeros(self.x.size)
-
-        def sensor(q: float, v: float, x: np.ndarray) -> float:
-            return self.effect.sensor(q, v, 0.0, tau, x, self.p, self.b)
-
-        return (
-            self._over_position(lambda q: sensor(q, v, self.x)),
-            _slope(lambda value: sensor(0.0, value, self.x), v, 1e-4 * abs(v)),
-            np.array([_slope(lambda value: sensor(0.0, v, value), *at) for at in self._each_state()]),
-        )
-
-    def _over_position(self, function) -> float:
-        """Slope of ``function(q)`` [../m]: none where it repeats along the travel, the flatter side's at a corner."""
-        if self.repeat:
-            return 0.0
-        here, step = function(0.0), 1e-6
-        before, after = (here - function(-step)) / step, (function(step) - here) / step
-        if abs(after - before) > CORNER * max(abs(before), abs(after)):
-            return min(before, after, key=abs)
-        return 0.5 * (before + after)
-
-    def steepest(self, v: float, tau: float) -> float:
-        """Largest slope over position [N/m] of a force that repeats along the travel; 0 for any other."""
-        if not self.repeat or not (self.effect.force or self.effect.dry):
-            return 0.0
-        step = 1e-4 * self.repeat
-        slopes = [_slope(lambda q: self.force_at(q, v, tau, self.x), place, step) for place in self.places]
-        return float(np.max(np.abs(slopes)))
-
-    def left_out(self, v: float, tau: float) -> list[str]:
-        """What the slopes of this effect do not show."""
-        effect, warnings = self.effect, []
-        if effect.guard is not None or effect.jump_time is not None:
-            warnings.append(f"{effect.name}: not smooth, counted by its slope in steady motion at {v:g} m/s only")
-        if effect.command is not None:
-            warnings.append(f"{effect.name}: a signal added to the voltage, left out of the linear design")
-        if not self.settled:
-            warnings.append(f"{effect.name}: has no steady state at {v:g} m/s, linearised at its initial one")
-        if self.repeat:
-            where = f"{effect.name}: repeats every {self.repeat:.4g} m, {abs(v) / self.repeat:.4g} Hz at {v:g} m/s"
-            if effect.sensor is not None:
-                readings = [effect.sensor(q, v, 0.0, tau, self.x, self.p, self.b) for q in self.places]
-                size, what = 0.5 * float(np.ptp(readings)), "an error of the reading of +-{:.3g} m, not a gain"
-            else:
-                forces = [self.force_at(q, v, tau, self.x) for q in self.places]
-                size, what = 0.5 * float(np.ptp(forces)), "a disturbance of +-{:.3g} N, not a spring"
-            warnings.append(f"{where}; its slope averages out there: in the linear design it is {what.format(size)}")
-        return warnings
-
-    def _rate(self, q: float, v: float, tau: float, x: np.ndarray) -> np.ndarray:
-        dx = np.zeros(self.x.size)
-        self.effect.rate(q, v, 0.0, tau, x, self.p, self.b, self.b[COULOMB], dx)
-        return dx
-
-    def _rate_jacobian(self, v: float, tau: float, x: np.ndarray) -> np.ndarray:
-        columns = [_slope(lambda value: self._rate(0.0, v, tau, value), *at) for at in self._each_state(x)]
-        return np.array(columns).T.reshape(self.x.size, self.x.size)
-
-    def _each_state(self, x: np.ndarray | None = None):
-        """Yield (x, step vector) for a central difference in each own state."""
-        x = self.x if x is None else x
-        for place in range(x.size):
-            step = np.zeros(x.size)
-            step[place] = max(1e-9, 1e-4 * abs(x[place]))
-            yield x, step
-
-
-def _slope(function, at, step):
-    """Central difference of ``function`` at ``at``; ``step`` is a number, or a vector with one entry that is not 0."""
-    return (function(at + step) - function(at - step)) / (2.0 * np.max(step))
-
-
-def _steady_force(members: list[_Member], b: np.ndarray, v: float, tau: float) -> float:
+def _steady_force(members: list[Member], b: np.ndarray, v: float, tau: float) -> float:
     """Motor force that keeps the carriage at ``v`` [N]."""
     forces = sum(member.force(0.0, v, tau, member.x) for member in members)
     return float(b[VISCOUS] * v + np.sign(v) * b[COULOMB] + b[OFFSET] + forces)

@@ -21,19 +21,19 @@ from typing import TYPE_CHECKING, Any
 from emps_design.axis import Axis
 from emps_design.control.loop.margins import Margins
 from emps_design.control.velocity.gains import (
-    binding_limit,
     crossover_of_bandwidth,
     feasible_phase_margin,
+    positive_root,
     second_order_bandwidth,
     velocity_gains,
 )
 from emps_design.control.velocity.specification import (
     check_specification,
-    in_words,
+    infeasible,
     nearest_that_works,
     pairs_by_closed_form,
+    proposal_in_words,
 )
-from emps_design.errors import SpecificationError
 from emps_design.notebook import table
 
 if TYPE_CHECKING:
@@ -88,20 +88,20 @@ class VelocityLoopDesign:
     @property
     def bandwidth(self) -> float:
         """Frequency where T_vc has fallen to -3 dB [rad/s]."""
-        return second_order_bandwidth(self.omega_0v, self.z_v)
+        return float(second_order_bandwidth(self.omega_0v, self.z_v))
 
     @cached_property
     def velocity_error(self) -> Margins:
         """Margins of T_vo, the loop broken at the velocity error: phi_v and w_v of (7), read back from the gains."""
         mass, damping = self.axis.mechanics.mass, self.axis.mechanics.viscous + self.gain
-        x = _positive_root(mass**2, damping**2, -(self.K_v**2))
+        x = positive_root(mass**2, damping**2, -(self.K_v**2))
         return _continuous_margins(math.sqrt(x), math.atan2(damping, mass * math.sqrt(x)))
 
     @cached_property
     def plant_input(self) -> Margins:
         """Margins of the loop broken at the plant input, continuous and without any delay."""
         mass, viscous = self.axis.mechanics.mass, self.axis.mechanics.viscous
-        w = math.sqrt(_positive_root(mass**2, viscous**2 - self.gain**2, -(self.K_v**2)))
+        w = math.sqrt(positive_root(mass**2, viscous**2 - self.gain**2, -(self.K_v**2)))
         return _continuous_margins(w, math.atan(w * self.t_v) + math.atan2(viscous, mass * w))
 
     @property
@@ -183,7 +183,7 @@ class VelocityLoopDesign:
     @property
     def nearest_in_words(self) -> str:
         """:attr:`nearest_stable` for a message, with what it has as implemented."""
-        return in_words(self.nearest_stable, pairs_by_closed_form(self.axis, self.requested, self.velocity))
+        return proposal_in_words(self.nearest_stable, pairs_by_closed_form(self.axis, self.requested, self.velocity))
 
     @property
     def reason(self) -> str:
@@ -279,35 +279,17 @@ def design_velocity_loop(
     requested = check_specification(crossover, bandwidth, phase_margin_deg)
     mechanics = axis.mechanics
     if not 0.0 < phase_margin_deg < 90.0:
-        raise _infeasible(axis, requested, velocity)
+        raise infeasible(axis, requested, velocity)
     if bandwidth is not None:
-        crossover = crossover_of_bandwidth(bandwidth, phase_margin_deg)
+        crossover = float(crossover_of_bandwidth(bandwidth, phase_margin_deg))
     w = float(crossover or 0.0)
     if phase_margin_deg <= feasible_phase_margin(mechanics.mass, mechanics.viscous, w)[0]:
-        raise _infeasible(axis, requested, velocity)
+        raise infeasible(axis, requested, velocity)
     k_v1, t_v = velocity_gains(mechanics.mass, mechanics.viscous, axis.drive.gain, w, phase_margin_deg)
     return VelocityLoopDesign(axis, k_v1, t_v, requested, velocity=velocity)
-
-
-def _positive_root(a: float, b: float, c: float) -> float:
-    """The positive root of a x^2 + b x + c = 0 with a > 0 > c, without cancellation."""
-    root = math.sqrt(b * b - 4.0 * a * c)
-    return 2.0 * -c / (b + root) if b >= 0.0 else (root - b) / (2.0 * a)
 
 
 def _continuous_margins(crossover: float, phase: float) -> Margins:
     return Margins(
         stable=True, phase_margin_deg=math.degrees(phase), crossover=crossover, delay_margin=phase / crossover
-    )
-
-
-def _infeasible(axis: Axis, requested: dict[str, float], velocity: float) -> SpecificationError:
-    """The error for a pair outside the feasible range: which limit binds, and the nearest pair that works."""
-    name, phase = next(iter(requested)), requested["phase_margin_deg"]
-    pairs = pairs_by_closed_form(axis, requested, velocity)
-    nearest = nearest_that_works(pairs, requested)
-    return SpecificationError(
-        f"phase margin: found {phase:g} deg at a {name} of {requested[name]:g} rad/s; {binding_limit(phase)}; "
-        f"{in_words(nearest, pairs)}",
-        nearest,
     )

@@ -1,8 +1,14 @@
-"""Closed forms of the velocity loop: gains from a specification, (7), and what follows from it alone, (9)."""
+"""Closed forms of the velocity loop: gains from a specification, (7), and what follows from it alone, (9).
+
+Where nothing is refused, arrays (n,) in the place of numbers give as many answers.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import Any
+
+import numpy as np
 
 from emps_design.errors import SpecificationError
 
@@ -40,39 +46,58 @@ def velocity_gains(
             f"{low:.4g} and less than {high:g} deg; {binding_limit(phase_margin_deg)}",
             {"crossover": crossover, "phase_margin_deg": min(max(phase_margin_deg, low + 0.5), 89.5)},
         )
-    phase = math.radians(phase_margin_deg)
-    k_v1 = (mass * crossover * math.tan(phase) - viscous) / force_gain
-    return k_v1, k_v1 * force_gain * math.cos(phase) / (mass * crossover**2)
+    gain, t_v = plant_input_gain(mass, viscous, crossover, phase_margin_deg)
+    return float(gain) / force_gain, float(t_v)
 
 
-def canonical_form(crossover: float, phase_margin_deg: float) -> tuple[float, float]:
+def plant_input_gain(mass: float, viscous: float, crossover: Any, phase_margin_deg: Any) -> tuple[Any, Any]:
+    """Return K = k_v1 G_tau [N/(m/s)] and t_v [s] by (7), positive or not.
+
+    >>> [round(float(x), 5) for x in plant_input_gain(2.0, 1.0, 10.0, 45.0)]
+    [19.0, 0.06718]
+    """
+    phase = np.radians(phase_margin_deg)
+    gain = mass * crossover * np.tan(phase) - viscous
+    return gain, gain * np.cos(phase) / (mass * crossover**2)
+
+
+def canonical_form(crossover: Any, phase_margin_deg: Any) -> tuple[Any, Any]:
     """Return omega_0v [rad/s] and z_v [-] of (9); they depend on the specification alone, not on the machine.
 
     >>> w0, z = canonical_form(100.0, 60.0)
-    >>> round(w0, 2), round(z, 5)
+    >>> round(float(w0), 2), round(float(z), 5)
     (141.42, 0.61237)
     """
-    phase = math.radians(phase_margin_deg)
-    return crossover / math.sqrt(math.cos(phase)), math.sin(phase) / (2.0 * math.sqrt(math.cos(phase)))
+    phase = np.radians(phase_margin_deg)
+    root = np.sqrt(np.cos(phase))
+    return crossover / root, np.sin(phase) / (2.0 * root)
 
 
-def second_order_bandwidth(omega_0v: float, z_v: float) -> float:
+def second_order_bandwidth(omega_0v: Any, z_v: Any) -> Any:
     """Return the frequency [rad/s] where (9) has fallen to -3 dB, the ratio 10^(-3/20).
 
-    >>> round(second_order_bandwidth(*canonical_form(100.0, 60.0)), 2)
+    >>> round(float(second_order_bandwidth(*canonical_form(100.0, 60.0))), 2)
     159.9
     """
-    slope = 1.0 - 2.0 * z_v**2
-    root = math.sqrt(slope**2 + MINUS_3_DB**-2 - 1.0)
-    # Two ways to write the positive root; each keeps its digits on its side.
-    x = slope + root if slope >= 0.0 else (MINUS_3_DB**-2 - 1.0) / (root - slope)
-    return omega_0v * math.sqrt(x)
+    # |T_vc| = 10^(-3/20): x^2 - 2 (1 - 2 z^2) x + 1 = 10^(3/10) with x = (w/w_0v)^2
+    return omega_0v * np.sqrt(positive_root(1.0, 4.0 * z_v**2 - 2.0, 1.0 - MINUS_3_DB**-2))
 
 
-def crossover_of_bandwidth(bandwidth: float, phase_margin_deg: float) -> float:
+def positive_root(a: Any, b: Any, c: Any) -> Any:
+    """Return the positive root of a x^2 + b x + c = 0 with a > 0 > c, without cancellation.
+
+    >>> float(positive_root(1.0, 1.0, -6.0)), float(positive_root(1.0, -1.0, -6.0))
+    (2.0, 3.0)
+    """
+    root = np.sqrt(b * b - 4.0 * a * c)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(b >= 0.0, -2.0 * c / (b + root), (root - b) / (2.0 * a))[()]
+
+
+def crossover_of_bandwidth(bandwidth: Any, phase_margin_deg: Any) -> Any:
     """Return the crossover [rad/s] whose closed loop has the -3 dB ``bandwidth`` [rad/s] at that phase margin.
 
-    >>> round(crossover_of_bandwidth(159.898, 60.0), 2)
+    >>> round(float(crossover_of_bandwidth(159.898, 60.0)), 2)
     100.0
     """
     return bandwidth / second_order_bandwidth(*canonical_form(1.0, phase_margin_deg))

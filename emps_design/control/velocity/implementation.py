@@ -106,8 +106,7 @@ def encoder_voltage_noise(axis: Axis, loop: SampledVelocityLoop) -> dict[str, fl
     back = np.exp(-1j * w * plant.period)
     newer, older = plant.weights
     estimate = (newer + older * back) * (1.0 - back) / plant.period
-    law = loop.k_v1 * (1.0 + plant.integrator(w) / loop.t_v) * estimate
-    transfer = law / (1.0 + loop.plant_input_response(w))
+    transfer = loop.controller_response(w) * estimate / (1.0 + loop.plant_input_response(w))
     rms = resolution / math.sqrt(12.0) * math.sqrt(float(np.mean(np.abs(transfer) ** 2)))
     one_step = loop.k_v1 * (1.0 + plant.period / loop.t_v) * newer / plant.period * resolution
     return {"rms": rms, "one_step": one_step, "resolution": resolution}

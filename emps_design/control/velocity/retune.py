@@ -15,7 +15,8 @@ from emps_design.axis import Axis
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.gains import MINUS_3_DB
-from emps_design.control.velocity.specification import Pairs, check_specification, in_words, nearest_that_works
+from emps_design.control.velocity.sampled import SampledVelocityLoop
+from emps_design.control.velocity.specification import Pairs, check_specification, nearest_that_works, proposal_in_words
 from emps_design.control.velocity.sweeps import sweep_stability
 from emps_design.errors import InputError, SpecificationError
 
@@ -35,7 +36,6 @@ def retuned_gains(
     "velocity-error"; they broadcast. Whether the loop is stable with the gains is for its poles to say.
 
     >>> from emps_design.machines import machine
-    >>> from emps_design.control.velocity.sampled import SampledVelocityLoop
     >>> plant = sample_axis(machine("emps2018"))
     >>> k_v1, t_v = retuned_gains(plant, 100.0, 60.0)
     >>> round(SampledVelocityLoop(plant, float(k_v1), float(t_v)).margins.phase_margin_deg, 6)
@@ -92,7 +92,7 @@ def retune_velocity_loop(
     nearest = nearest_that_works(pairs, requested)
     raise SpecificationError(
         f"retune: no gains give the sampled loop {phase_margin_deg:g} deg at a {name} of {frequency:g} rad/s; "
-        f"{reason}; {in_words(nearest, pairs)}",
+        f"{reason}; {proposal_in_words(nearest, pairs)}",
         nearest,
     )
 
@@ -127,7 +127,6 @@ def bandwidth_gains(
     integral action; the slowest stable loop that reaches it is taken. Arrays (n,).
 
     >>> from emps_design.machines import machine
-    >>> from emps_design.control.velocity.sampled import SampledVelocityLoop
     >>> plant = sample_axis(machine("emps2018"))
     >>> k_v1, t_v = bandwidth_gains(plant, np.array([50.0]), np.array([60.0]))
     >>> round(SampledVelocityLoop(plant, float(k_v1[0]), float(t_v[0])).bandwidth, 6)
@@ -137,11 +136,9 @@ def bandwidth_gains(
 
     def over(w: np.ndarray, B: np.ndarray, phase: np.ndarray) -> np.ndarray:
         """By how much the closed loop with crossover ``w`` is above -3 dB at ``B``."""
-        k_v1, t_v = retuned_gains(plant, w, phase, at)
-        inner = k_v1 * plant.response(B)
+        loops = SampledVelocityLoop(plant, *retuned_gains(plant, w, phase, at))
         with np.errstate(invalid="ignore"):
-            forward = inner * plant.period / (1.0 - np.exp(-1j * B * plant.period)) / t_v
-            return np.abs(forward / (1.0 + inner + forward)) - MINUS_3_DB
+            return np.abs(loops.closed_loop_response(B)) - MINUS_3_DB
 
     nyquist = 0.999 * math.pi / plant.period
     k_found, t_found = np.full(B.size, np.nan), np.full(B.size, np.nan)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 class SampledVelocityLoop:
     """Given gains in the loop as implemented: poles first, then margins at both places, then what they cost.
 
-    ``k_v1`` [V/(m/s)], ``t_v`` [s].
+    ``k_v1`` [V/(m/s)], ``t_v`` [s]; arrays of them give as many responses, and nothing else.
 
     >>> from emps_design.control.plant.discretisation import sample_axis
     >>> from emps_design.machines import machine
@@ -37,8 +37,8 @@ class SampledVelocityLoop:
     """
 
     plant: SampledPlant
-    k_v1: float
-    t_v: float
+    k_v1: Any
+    t_v: Any
 
     @cached_property
     def loop(self) -> SampledLoop:
@@ -57,9 +57,14 @@ class SampledVelocityLoop:
 
     def plant_input_response(self, w: np.ndarray) -> np.ndarray:
         """Open loop broken at the plant input at ``w`` [rad/s]."""
-        return self._controller(w) * self.plant.response(w)
+        return self.controller_response(w) * self.plant.response(w)
 
-    def _controller(self, w: np.ndarray) -> np.ndarray:
+    def delayed_response(self, w: np.ndarray, delay: np.ndarray) -> np.ndarray:
+        """Open loop at the plant input at ``w`` [rad/s] with ``delay`` [s] more, arrays alike."""
+        return self.controller_response(w) * self.plant.delayed_response(w, delay)
+
+    def controller_response(self, w: np.ndarray) -> np.ndarray:
+        """From minus the velocity estimate to the voltage at ``w`` [rad/s]."""
         return self.k_v1 * (1.0 + self.plant.integrator(w) / self.t_v)
 
     def velocity_error_response(self, w: np.ndarray) -> np.ndarray:
@@ -80,7 +85,7 @@ class SampledVelocityLoop:
             self.plant.frequencies(),
             self.stable,
             self.plant.period,
-            lambda w, delay: self._controller(w) * self.plant.delayed_response(w, delay),
+            self.delayed_response,
         )
 
     @cached_property

@@ -17,10 +17,10 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis
-from emps_design.control.velocity.gains import MINUS_3_DB, canonical_form, second_order_bandwidth
+from emps_design.control.velocity.gains import MINUS_3_DB, binding_limit, crossover_of_bandwidth
 from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.control.velocity.sweeps import sweep_sampled_margins, sweep_velocity_loop
-from emps_design.errors import InputError
+from emps_design.errors import InputError, SpecificationError
 from emps_design.quantities import check_magnitude
 
 ROOM = 1.0  # samples of delay margin
@@ -91,11 +91,8 @@ class Pairs:
     def _passes(self, k_v1: np.ndarray, t_v: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Whether the closed loops have not fallen to -3 dB at ``PASSED`` of ``w`` [rad/s]."""
         w = np.minimum(PASSED * w, 0.5 * math.pi / self.plant.period)
-        integrator = self.plant.integrator(w)
-        inner = k_v1 * self.plant.response(w)
         with np.errstate(invalid="ignore"):
-            forward = inner * integrator / t_v
-            return np.abs(forward / (1.0 + inner + forward)) >= MINUS_3_DB
+            return np.abs(SampledVelocityLoop(self.plant, k_v1, t_v).closed_loop_response(w)) >= MINUS_3_DB
 
 
 def pairs_by_closed_form(axis: Axis, requested: dict[str, float], velocity: float = 0.1) -> Pairs:
@@ -111,8 +108,7 @@ def pairs_by_closed_form(axis: Axis, requested: dict[str, float], velocity: floa
         inside = (phase > 0.0) & (phase < 90.0)
         phase = np.where(inside, phase, 45.0)
         if "bandwidth" in requested:
-            ratio = [second_order_bandwidth(*canonical_form(1.0, angle)) for angle in phase.tolist()]
-            frequency = frequency / np.array(ratio)
+            frequency = crossover_of_bandwidth(frequency, phase)
         sweep = sweep_velocity_loop(axis, frequency, phase)
         return np.where(inside, sweep.k_v1, np.nan), np.where(inside, sweep.t_v, np.nan)
 
@@ -174,10 +170,10 @@ def _nearest(
     return None
 
 
-def in_words(nearest: dict[str, Any], pairs: Pairs | None = None) -> str:
+def proposal_in_words(nearest: dict[str, Any], pairs: Pairs | None = None) -> str:
     """The nearest pair in words, for one-line messages; ``pairs`` tells what it has as implemented.
 
-    >>> in_words({"crossover": 100.0, "phase_margin_deg": 79.5})
+    >>> proposal_in_words({"crossover": 100.0, "phase_margin_deg": 79.5})
     'nearest that works: 79.5 deg at a crossover of 100 rad/s'
     """
     if not nearest:
@@ -210,3 +206,15 @@ def _achieved(loop: SampledVelocityLoop) -> Iterator[str]:
 def _round(value: float) -> float:
     """Four significant digits, to be read; steps of 1 % leave room for that."""
     return float(f"{value:.4g}")
+
+
+def infeasible(axis: Axis, requested: dict[str, float], velocity: float) -> SpecificationError:
+    """The error for a pair outside the feasible range: which limit binds, and the nearest pair that works."""
+    name, phase = next(iter(requested)), requested["phase_margin_deg"]
+    pairs = pairs_by_closed_form(axis, requested, velocity)
+    nearest = nearest_that_works(pairs, requested)
+    return SpecificationError(
+        f"phase margin: found {phase:g} deg at a {name} of {requested[name]:g} rad/s; {binding_limit(phase)}; "
+        f"{proposal_in_words(nearest, pairs)}",
+        nearest,
+    )

@@ -100,6 +100,11 @@ def sampled_step(design: VelocityLoopDesign) -> StepResponse:
     return measure_step(t, v)
 
 
+def step_responses(design: VelocityLoopDesign, points: int = 2001) -> tuple[StepResponse, StepResponse | None]:
+    """Step response of the continuous loop and of the loop as implemented, None where that is unstable."""
+    return continuous_step(design, points), sampled_step(design) if design.sampled.stable else None
+
+
 def step_horizon(design: VelocityLoopDesign) -> float:
     """Window [s] that shows rise and settling: 12 radians of the natural frequency, more when overdamped."""
     return 12.0 * max(1.0, design.z_v) / design.omega_0v

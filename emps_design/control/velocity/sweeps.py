@@ -11,7 +11,13 @@ from emps_design.axis import Axis
 from emps_design.control.loop.margins import KEYS, margin_arrays
 from emps_design.control.plant.discretisation import SampledPlant
 from emps_design.control.plant.linear_plant import POSITION
-from emps_design.control.velocity.gains import MINUS_3_DB
+from emps_design.control.velocity.gains import (
+    canonical_form,
+    plant_input_gain,
+    positive_root,
+    second_order_bandwidth,
+)
+from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.errors import InputError
 
 
@@ -60,27 +66,16 @@ def sweep_velocity_loop(
         raise InputError("crossover: found a value that is not a positive number of rad/s")
     mass, viscous, gain = axis.mechanics.mass, axis.mechanics.viscous, axis.drive.gain
     feasible = (phase > np.degrees(np.arctan2(viscous, mass * w))) & (phase < 90.0)
-    phi = np.radians(np.where(feasible, phase, np.nan))
-    tangent, cosine = np.tan(phi), np.cos(phi)
-    K = mass * w * tangent - viscous
-    t_v = K * cosine / (mass * w**2)
-    K_v = mass * w**2 / cosine
-    omega_0v, z_v = w / np.sqrt(cosine), 0.5 * tangent * np.sqrt(cosine)
-
-    slope = 1.0 - 2.0 * z_v**2
-    root = np.sqrt(slope**2 + (MINUS_3_DB**-2 - 1.0))
-    x = np.where(slope >= 0.0, slope + root, (MINUS_3_DB**-2 - 1.0) / (root - slope))
-    bandwidth = omega_0v * np.sqrt(x)
-
+    asked = np.where(feasible, phase, np.nan)
+    K, t_v = plant_input_gain(mass, viscous, w, asked)
+    K_v, (omega_0v, z_v) = K / t_v, canonical_form(w, asked)
     # |L| = 1 at the plant input: M^2 x^2 + (F^2 - K^2) x - K_v^2 = 0 with x = w^2
-    b = viscous**2 - K**2
-    root = np.sqrt(b * b + 4.0 * mass**2 * K_v**2)
-    x = np.where(b >= 0.0, 2.0 * K_v**2 / (b + root), (root - b) / (2.0 * mass**2))
-    at_input = np.sqrt(x)
+    at_input = np.sqrt(positive_root(mass**2, viscous**2 - K**2, -(K_v**2)))
     lag = np.arctan(at_input * t_v) + np.arctan2(viscous, mass * at_input)
     return VelocityLoopSweep(
-        w, phase, feasible, K / gain, t_v, K_v, omega_0v, z_v, bandwidth, np.degrees(lag), at_input, lag / at_input
-    )
+        w, phase, feasible, K / gain, t_v, K_v, omega_0v, z_v, second_order_bandwidth(omega_0v, z_v),
+        np.degrees(lag), at_input, lag / at_input,
+    )  # fmt: skip
 
 
 def sweep_stability(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> np.ndarray:
@@ -139,20 +134,24 @@ def sweep_sampled_margins(
     found = {key: np.full(k.size, np.nan) for key in KEYS}
     for start in range(0, chosen.size, 2000):  # pieces that stay in the cache
         piece = chosen[start : start + 2000]
-        gain, time = k[piece], t[piece]
-
-        def response(w: np.ndarray, rows: np.ndarray, gain: np.ndarray = gain, time: np.ndarray = time) -> np.ndarray:
-            P = plant.response(w)
-            integrator = plant.integrator(w)
-            if at == "plant-input":
-                return gain[rows] * P + (gain / time)[rows] * (P * integrator)
-            return (gain / time)[rows] * (P * integrator) / (1.0 + gain[rows] * P)
-
-        def delayed(w: np.ndarray, rows: np.ndarray, delay: np.ndarray, gain: Any = gain, time: Any = time) -> Any:
-            integrator = plant.integrator(w)
-            return (gain[rows] + (gain / time)[rows] * integrator) * plant.delayed_response(w, delay)
-
-        later = delayed if at == "plant-input" else None
-        for key, values in margin_arrays(response, piece.size, grid, np.pi / plant.period, later).items():
+        for key, values in _margins(plant, k[piece], t[piece], grid, at).items():
             found[key][piece] = values
     return {"stable": stable.reshape(shape), **{key: values.reshape(shape) for key, values in found.items()}}
+
+
+def _margins(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray, grid: np.ndarray, at: str) -> dict[str, Any]:
+    """Margins of stable loops (n,); the delay margin is exact where the delay acts."""
+
+    def loops(rows: np.ndarray) -> SampledVelocityLoop:
+        return SampledVelocityLoop(plant, k_v1[rows], t_v[rows])
+
+    nyquist = np.pi / plant.period
+    if at != "plant-input":
+        return margin_arrays(lambda w, rows: loops(rows).velocity_error_response(w), k_v1.size, grid, nyquist)
+    return margin_arrays(
+        lambda w, rows: loops(rows).plant_input_response(w),
+        k_v1.size,
+        grid,
+        nyquist,
+        lambda w, rows, delay: loops(rows).delayed_response(w, delay),
+    )

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.experiment.excitation import Envelope, excitations, in_words
+from emps_design.discrepancy.experiment.excitation import Envelope, excitations, instruction
 from emps_design.discrepancy.model.candidate import Candidate, Slot
 from emps_design.discrepancy.model.fit import Fit
 from emps_design.discrepancy.model.least_squares import descend
@@ -144,7 +144,7 @@ def choose(rivals: tuple[Fit, ...], threshold: float, noise: float = 1.0) -> Exp
         over_noise=best.over_noise,
         needed=needed,
         compared=tuple(
-            {"program": n, "text": in_words(n), "distance": first[n].distance, "over_noise": first[n].over_noise}
+            {"program": n, "text": instruction(n), "distance": first[n].distance, "over_noise": first[n].over_noise}
             for n in ranked
         ),
         q_ref=references[chosen] if decides else None,
@@ -255,10 +255,10 @@ def _text(excitation: str, apart: _Apart, needed: float, duration: float) -> str
     far = f"{apart.distance:.2g} N rms and {apart.over_noise:.1f} standard deviations of the noise"
     if apart.over_noise < needed:
         return (
-            f"no motion within what the records show tells {names}: at best ({in_words(excitation)}) they are {far} "
+            f"no motion within what the records show tells {names}: at best ({instruction(excitation)}) they are {far} "
             f"apart, where {needed:.1f} decide; beyond it, {one.experiment}"
         )
     return (
-        f"{in_words(excitation)}, {duration:.0f} s, to tell {names}: fitted to one another they are still {far} apart, "
-        f"where {needed:.1f} decide; diagnose the new record together with the old"
+        f"{instruction(excitation)}, {duration:.0f} s, to tell {names}: fitted to one another they are still {far} "
+        f"apart, where {needed:.1f} decide; diagnose the new record together with the old"
     )

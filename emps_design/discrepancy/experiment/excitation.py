@@ -223,10 +223,10 @@ def excitations(envelope: Envelope) -> dict[str, np.ndarray]:
     return {excitation.__name__: excitation(envelope) for excitation in EXCITATIONS}
 
 
-def in_words(name: str) -> str:
+def instruction(name: str) -> str:
     """What the excitation called ``name`` does, as an instruction.
 
-    >>> in_words("slow_crawl")
+    >>> instruction("slow_crawl")
     'crawl from rest, both ways, at 0.5 to 5 % of the top speed'
     """
     text = next(excitation.__doc__ or name for excitation in EXCITATIONS if excitation.__name__ == name)

@@ -1,52 +1,33 @@
 """The physical effects this package knows, one file each, in the order they are listed and tried."""
 
-from emps_design.effects.effect import Effect
-from emps_design.effects.library import (
-    actuator_deadzone,
-    actuator_delay,
-    actuator_lag,
-    actuator_saturation,
-    asymmetric_viscous_friction,
-    backlash,
-    controller_disturbance,
-    elastic_force,
-    encoder_error,
-    end_stop,
-    external_force,
-    flexible_coupling,
-    friction_drift,
-    gravity,
-    load_dependent_friction,
-    mass_change,
-    nonlinear_viscous_friction,
-    periodic_disturbance,
-    position_dependent_friction,
-    position_ripple,
-    presliding_friction,
-    stribeck_friction,
-)
+from __future__ import annotations
 
-EFFECTS: tuple[Effect, ...] = (
-    asymmetric_viscous_friction.EFFECT,
-    nonlinear_viscous_friction.EFFECT,
-    stribeck_friction.EFFECT,
-    presliding_friction.EFFECT,
-    load_dependent_friction.EFFECT,
-    position_dependent_friction.EFFECT,
-    friction_drift.EFFECT,
-    position_ripple.EFFECT,
-    elastic_force.EFFECT,
-    gravity.EFFECT,
-    end_stop.EFFECT,
-    mass_change.EFFECT,
-    external_force.EFFECT,
-    periodic_disturbance.EFFECT,
-    flexible_coupling.EFFECT,
-    backlash.EFFECT,
-    actuator_delay.EFFECT,
-    actuator_lag.EFFECT,
-    actuator_saturation.EFFECT,
-    actuator_deadzone.EFFECT,
-    encoder_error.EFFECT,
-    controller_disturbance.EFFECT,
+from importlib import import_module
+
+from emps_design.effects.effect import Effect
+
+ORDER = (
+    "asymmetric_viscous_friction",
+    "nonlinear_viscous_friction",
+    "stribeck_friction",
+    "presliding_friction",
+    "load_dependent_friction",
+    "position_dependent_friction",
+    "friction_drift",
+    "position_ripple",
+    "elastic_force",
+    "gravity",
+    "end_stop",
+    "mass_change",
+    "external_force",
+    "periodic_disturbance",
+    "flexible_coupling",
+    "backlash",
+    "actuator_delay",
+    "actuator_lag",
+    "actuator_saturation",
+    "actuator_deadzone",
+    "encoder_error",
+    "controller_disturbance",
 )
+EFFECTS: tuple[Effect, ...] = tuple(import_module(f"{__name__}.{name}").EFFECT for name in ORDER)

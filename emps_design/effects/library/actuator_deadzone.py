@@ -22,7 +22,7 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
 
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
-    typical = float(np.sqrt(np.mean(motion.voltage**2)))
+    typical = float(np.sqrt(np.mean(np.asarray(motion.voltage) ** 2)))
     return [{"width": share * typical} for share in (0.03, 0.1, 0.2, 0.4)]
 
 

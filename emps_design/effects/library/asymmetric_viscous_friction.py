@@ -2,8 +2,8 @@
 
 With F_v = (F_v+ + F_v-)/2 in the baseline and ``viscous_difference`` = (F_v+ - F_v-)/2 the extra force is
 viscous_difference |v|. The other half of a two-quadrant friction, different Coulomb levels, is not here: half their
-difference is a constant force, exactly, and the baseline's offset holds it. ``model.two_quadrants`` gives the four
-numbers of equation (3) back.
+difference is a constant force, exactly, and the baseline's offset holds it. ``FrictionModel`` has the four numbers
+of equation (3).
 """
 
 import numpy as np

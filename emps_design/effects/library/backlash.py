@@ -8,8 +8,8 @@ rest in the middle of the play. The damper acts from contact on, so it may pull 
 
 from math import pi
 
+from emps_design.effects import two_mass
 from emps_design.effects.effect import MASS, Effect, Parameter
-from emps_design.quantities import Quantity
 
 
 def force(q, v, t, tau, x, p, b):
@@ -28,16 +28,8 @@ def inertia(q, v, t, tau, x, p, b):
 
 
 def rate(q, v, t, tau, x, p, b, level, dx):
-    reduced = b[MASS] * p[3] * (1.0 - p[3])
-    w = 2.0 * pi * p[1]
-    half = 0.5 * p[0]
-    contact = 0.0
-    if x[0] > half:
-        contact = reduced * w * (w * (x[0] - half) + 2.0 * p[2] * (v - x[1]))
-    elif x[0] < -half:
-        contact = reduced * w * (w * (x[0] + half) + 2.0 * p[2] * (v - x[1]))
     dx[0] = v - x[1]
-    dx[1] = contact / (p[3] * b[MASS])
+    dx[1] = force(q, v, t, tau, x, p, b) / (p[3] * b[MASS])
 
 
 def initial(q0, p, b):
@@ -56,27 +48,15 @@ EFFECT = Effect(
     source="dead zone and spring; M. Nordin, P.-O. Gutman, Automatica 38 (2002)",
     parameters=(
         Parameter("gap", "g", "m", lower=0.0, upper=5e-3, starts=(5e-5, 1e-4, 2e-4), text="total play"),
-        Parameter(
-            "frequency",
-            "f_n",
-            "Hz",
-            lower=5.0,
-            upper=400.0,
-            starts=(60.0,),
-            text="resonance of the two masses in contact, free",
-        ),
-        Parameter(
-            "damping", r"\zeta", "", lower=0.0, upper=1.0, starts=(0.15,), text="damping ratio of that resonance"
-        ),
-        Parameter("share", r"\mu", "", lower=0.01, upper=0.95, starts=(0.4,), text="share of the mass behind the play"),
+        *two_mass.coupling(" in contact", (60.0,), 0.15, "behind the play"),
     ),
     force=force,
     inertia=inertia,
     rate=rate,
     initial=initial,
     guard=guard,
-    states=(Quantity("twist", "d", "m"), Quantity("load_velocity", r"\dot q_l", "m/s")),
-    no_regressor="the load is a state that no measured signal gives",
+    states=two_mass.STATES,
+    no_regressor=two_mass.NO_REGRESSOR,
     over="loop",
     where="a knock after every reversal of the transmitted force, then a short free flight",
     confused_with=("flexible_coupling", "presliding_friction", "actuator_deadzone"),

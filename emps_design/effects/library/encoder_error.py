@@ -39,10 +39,6 @@ def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarra
     return [{"period": period} for period in found]
 
 
-def plausible(parameters: Parameters, motion: Motion) -> bool:
-    return parameters["period"] < float(np.ptp(motion.q)) / 3  # longer is a matter of scale, not of a line
-
-
 def expression(q, v, t, tau, p, b):
     import sympy
 
@@ -57,25 +53,15 @@ EFFECT = Effect(
     source="eccentricity and interpolation error of incremental encoders",
     parameters=(
         Parameter("amplitude", "A", "m", lower=0.0, upper=1e-2, linear=True, scale=5e-6, text="amplitude of the error"),
-        Parameter(
-            "phase", r"\varphi", "rad", linear=True, scale=1.0, per_record=True, text="phase at the encoder's zero"
-        ),
-        Parameter(
-            "period",
-            r"\lambda",
-            "m",
-            lower=1e-4,
-            upper=0.1,
-            starts=(0.001, 0.002, 0.0025, 0.004, 0.005, 0.01, 0.02),
-            text="travel after which the error repeats",
-        ),
+        harmonic.phase("the encoder's zero"),
+        harmonic.period("the error"),
     ),
     sensor=sensor,
     regressor=regressor,
     propose=propose,
     to_linear=harmonic.to_linear,
     from_linear=harmonic.from_linear,
-    plausible=plausible,
+    plausible=harmonic.plausible,
     expression=expression,
     over="q",
     repeats="period",

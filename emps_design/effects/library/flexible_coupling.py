@@ -7,8 +7,8 @@ stays on the encoder's side. States: twist d = q - q_load [m] and load velocity 
 
 from math import pi
 
-from emps_design.effects.effect import MASS, Effect, Parameter
-from emps_design.quantities import Quantity
+from emps_design.effects import two_mass
+from emps_design.effects.effect import MASS, Effect
 
 
 def force(q, v, t, tau, x, p, b):
@@ -22,11 +22,8 @@ def inertia(q, v, t, tau, x, p, b):
 
 
 def rate(q, v, t, tau, x, p, b, level, dx):
-    reduced = b[MASS] * p[2] * (1.0 - p[2])
-    w = 2.0 * pi * p[0]
-    coupling = reduced * w * w * x[0] + 2.0 * p[1] * reduced * w * (v - x[1])
     dx[0] = v - x[1]
-    dx[1] = coupling / (p[2] * b[MASS])
+    dx[1] = force(q, v, t, tau, x, p, b) / (p[2] * b[MASS])
 
 
 def initial(q0, p, b):
@@ -39,35 +36,13 @@ EFFECT = Effect(
     channel="plant",
     equation=r"\tau_c = k (q - q_l) + c (\dot q - \dot q_l),\quad M_l \ddot q_l = \tau_c",
     source="two-mass model; the coupling of paper section II-A, assumed rigid there",
-    parameters=(
-        Parameter(
-            "frequency",
-            "f_n",
-            "Hz",
-            lower=5.0,
-            upper=400.0,
-            starts=(20.0, 35.0, 60.0, 100.0),
-            text="resonance of the two masses, free",
-        ),
-        Parameter(
-            "damping", r"\zeta", "", lower=0.0, upper=1.0, starts=(0.05,), text="damping ratio of that resonance"
-        ),
-        Parameter(
-            "share",
-            r"\mu",
-            "",
-            lower=0.01,
-            upper=0.95,
-            starts=(0.4,),
-            text="share of the mass that sits behind the coupling",
-        ),
-    ),
+    parameters=two_mass.coupling("", (20.0, 35.0, 60.0, 100.0), 0.05, "that sits behind the coupling"),
     force=force,
     inertia=inertia,
     rate=rate,
     initial=initial,
-    states=(Quantity("twist", "d", "m"), Quantity("load_velocity", r"\dot q_l", "m/s")),
-    no_regressor="the load is a state that no measured signal gives",
+    states=two_mass.STATES,
+    no_regressor=two_mass.NO_REGRESSOR,
     over="loop",
     where="a band around the resonance, after every jerk of the reference",
     confused_with=("actuator_delay", "actuator_lag", "backlash"),

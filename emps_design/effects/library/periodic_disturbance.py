@@ -22,10 +22,7 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
 
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
-    def columns(index: np.ndarray, waves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        angle = motion.t[index][:, None] * waves
-        return np.sin(angle), np.cos(angle)
-
+    columns = harmonic.waves(motion.t)
     found = search.periods(residual, motion.t, motion.v, motion.a, away, columns, shortest=0.025, count=6)
     return [{"frequency": 1.0 / period} for period in found]
 
@@ -48,15 +45,7 @@ EFFECT = Effect(
     source="harmonic external force of paper eq. (2)",
     parameters=(
         Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=2.0, text="amplitude of the force"),
-        Parameter(
-            "phase",
-            r"\varphi",
-            "rad",
-            linear=True,
-            scale=1.0,
-            per_record=True,
-            text="phase at the record's first sample",
-        ),
+        harmonic.phase("the record's first sample"),
         Parameter(
             "frequency",
             "f",

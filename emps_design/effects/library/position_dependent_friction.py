@@ -38,9 +38,7 @@ EFFECT = Effect(
     source="first harmonic of the Coulomb level over position; paper section II-B takes the level as constant",
     parameters=(
         Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=3.0, text="variation of the Coulomb level"),
-        Parameter(
-            "phase", r"\varphi", "rad", linear=True, scale=1.0, per_record=True, text="phase at the encoder's zero"
-        ),
+        harmonic.phase("the encoder's zero"),
         Parameter(
             "length",
             r"\Lambda",

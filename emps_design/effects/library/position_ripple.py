@@ -24,16 +24,9 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
 
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
-    def columns(index: np.ndarray, waves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        angle = motion.q[index][:, None] * waves
-        return np.sin(angle), np.cos(angle)
-
+    columns = harmonic.waves(motion.q)
     found = search.periods(residual, motion.q, motion.v, motion.a, away, columns, shortest=5e-4)
     return [{"period": period} for period in found]
-
-
-def plausible(parameters: Parameters, motion: Motion) -> bool:
-    return parameters["period"] < float(np.ptp(motion.q)) / 3  # longer is a force over the stroke, not a ripple
 
 
 def expression(q, v, t, tau, p, b):
@@ -50,25 +43,15 @@ EFFECT = Effect(
     source="cogging and screw eccentricity; one encoder revolution is 2.5 mm on the EMPS",
     parameters=(
         Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=2.0, text="amplitude of the ripple"),
-        Parameter(
-            "phase", r"\varphi", "rad", linear=True, scale=1.0, per_record=True, text="phase at the encoder's zero"
-        ),
-        Parameter(
-            "period",
-            r"\lambda",
-            "m",
-            lower=1e-4,
-            upper=0.1,
-            starts=(0.001, 0.002, 0.0025, 0.004, 0.005, 0.01, 0.02),
-            text="travel after which the ripple repeats",
-        ),
+        harmonic.phase("the encoder's zero"),
+        harmonic.period("the ripple"),
     ),
     force=force,
     regressor=regressor,
     propose=propose,
     to_linear=harmonic.to_linear,
     from_linear=harmonic.from_linear,
-    plausible=plausible,
+    plausible=harmonic.plausible,
     expression=expression,
     over="q",
     repeats="period",

@@ -1,4 +1,4 @@
-"""Run the baseline ``M dv/dt = tau - F_v v - offset - F_c S(v)`` under ``position_pd``, or under a given voltage.
+"""Run the baseline ``M dv/dt = tau - F_v v - offset - F_c S(v)`` under ``position_pd``.
 
 The period is that of :mod:`friction_period` with an ideal current loop. :func:`run_plain` steps sample by sample;
 :func:`run_folded` folds controller and motion into one affine map for as long as the carriage slides and the voltage
@@ -158,36 +158,6 @@ def run_folded(b, numbers, start, reference, push, position, velocity, u, events
         if not abs(q) < 1e3:
             return k - 1
     return n
-
-
-@cached()
-def run_open(b, numbers, start, voltage, push, position, velocity, u, events, found):
-    """Drive the baseline with ``voltage`` (n,) [V]; returns the number of good samples."""
-    mass, dry, offset = b[MASS], b[COULOMB], b[OFFSET]
-    period, limit, gain = numbers[PERIOD], numbers[LIMIT], numbers[GAIN]
-    e, _, m1, g1, _, m2, _ = response(period, mass, b[VISCOUS], 0.0)
-    friction = (mass, b[VISCOUS], b[VISCOUS], dry + offset, dry - offset, 0.0)
-    events_, found_ = pointer(events), pointer(found)
-    q, v = start
-    for k in range(voltage.size):
-        volts = min(max(voltage[k], -limit), limit)
-        position[k], velocity[k], u[k] = q, v, volts
-        net = gain * volts - offset
-        if push.size:
-            net += push[k]
-        if v == 0.0 and abs(net) <= dry:
-            continue
-        if v != 0.0:
-            force = net - dry if v > 0.0 else net + dry
-            new = v * e + force * m1
-            if new * v > 0.0:
-                q += v * g1 + force * m2
-                v = new
-                continue
-        q, v, _ = follow(q, v, 0.0, net + offset, 0.0, period, friction, k * period, events_, found_)
-        if not abs(q) < 1e3:
-            return k
-    return voltage.size
 
 
 def numbers_of(period: float, gain: float, limit: float, resolution: float, gains: np.ndarray) -> np.ndarray:

@@ -16,14 +16,14 @@ from typing import Any
 
 import numba
 from llvmlite import ir
-from numba import cfunc, njit, types
+from numba import cfunc, extending, njit, types
 from numba.core.dispatcher import Dispatcher
-from numba.extending import intrinsic
 
 from emps_design.errors import SimulationError
 
 _NUMBER = types.float64
 _POINTER = types.CPointer(types.float64)
+intrinsic: Any = extending.intrinsic  # what it returns is called without the context of typing
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
 
 SIGNATURES = {
@@ -140,7 +140,7 @@ part = njit(**_OPTIONS)  # a piece of a stepper: compiled into whatever calls it
 inlined = njit(inline="always", **_OPTIONS)  # a short piece that is called in every sample
 
 
-_double, _void, _long = ir.DoubleType(), ir.VoidType(), ir.IntType(64)
+_double, _void = ir.DoubleType(), ir.VoidType()
 
 
 def _call(builder: Any, place: Any, result: Any, arguments: list[Any]) -> Any:
@@ -214,6 +214,3 @@ def call_law(typingctx, place, sample, reference, q, f_ext, limit, gains, memory
         return _call(builder, arguments[0], _double, list(arguments[1:]))
 
     return types.float64(types.int64, types.int64, *[_NUMBER] * 4, _POINTER, _POINTER), generate
-
-
-__all__ = ["address", "cached", "call_actuator", "call_kernel", "call_law", "call_rate", "part", "pointer", "shifted"]

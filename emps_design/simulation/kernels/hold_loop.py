@@ -19,9 +19,7 @@ from emps_design.simulation.kernels.motion import (
     COMMAND,
     DELAY,
     DELAYED,
-    ENERGY,
     EXACT,
-    FREE,
     GAIN,
     GUARD,
     HELD,
@@ -33,11 +31,7 @@ from emps_design.simulation.kernels.motion import (
     PERIOD,
     RESOLUTION,
     SENSOR,
-    SERIES,
-    SETTINGS,
     SLIDES,
-    STATES,
-    TOLERANCE,
     TOUCH,
     TOUCH_MASS,
     VISCOUS_N,
@@ -50,6 +44,13 @@ from emps_design.simulation.kernels.motion import (
 from emps_design.simulation.kernels.smooth_period import SPEEDS, feeling, slide
 
 RUNAWAY, MASSLESS = 4, 5  # what a run can end with, besides what :func:`carry` can
+REASONS = {
+    DIVERGED: "the motion left every bound (1000 m, 1000 m/s) or became not a number",
+    NO_STEP: "no step is short enough for the tolerance",
+    CHATTER: "more than 2000 events in one sampling period",
+    MASSLESS: "the effects leave no mass on the encoder's side",
+    RUNAWAY: "the loop is unstable: the voltage has swung from limit to limit 40 times, each within 0.2 s",
+}
 _APART = 5e-10  # s, how far from a jump in time its two sides are evaluated; above SNAP of the effects
 
 
@@ -230,10 +231,3 @@ def run(
 def room(states: int, guards: int) -> int:
     """Length of ``scratch`` for an axis with so many states and guards."""
     return 7 + 8 * states + guards + 4 * SPEEDS
-
-
-__all__ = [
-    "BRAKING", "CHATTER", "DELAYED", "DIVERGED", "DONE", "ENERGY", "EXACT", "FREE", "GAIN", "GUARD", "HELD", "LAG",
-    "LIMIT", "MASSLESS", "NO_STEP", "PERIOD", "RESOLUTION", "RUNAWAY", "SERIES", "SETTINGS", "SLIDES", "STATES",
-    "TOLERANCE", "TOUCH", "TOUCH_MASS", "VISCOUS_N", "VISCOUS_P", "room", "run",
-]  # fmt: skip

@@ -8,7 +8,7 @@ import pytest
 from emps_design.cli.app import COMMANDS, run
 from emps_design.errors import InputError
 from emps_design.machines import machine
-from emps_design.quantities import frequency
+from emps_design.quantities import read_frequency
 from emps_design.simulation.synthetic import synthetic_record
 
 
@@ -27,14 +27,14 @@ from emps_design.simulation.synthetic import synthetic_record
     ],
 )
 def test_a_frequency_as_someone_writes_it(text, in_rad_s, in_hertz):
-    assert frequency(text) == pytest.approx(in_rad_s)
-    assert frequency(text, "Hz") == pytest.approx(in_hertz)
+    assert read_frequency(text) == pytest.approx(in_rad_s)
+    assert read_frequency(text, "Hz") == pytest.approx(in_hertz)
 
 
 @pytest.mark.parametrize("text", ["", "Hz", "30 Herz", "30 V", "3O", "1e", "30 30", "0x1F", "1_000"])
 def test_what_is_no_frequency(text):
     with pytest.raises(InputError, match="expected a number of rad/s, or such as 30Hz"):
-        frequency(text)
+        read_frequency(text)
 
 
 @pytest.mark.parametrize(

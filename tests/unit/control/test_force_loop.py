@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emps_design.control.force.design import design_force_loop, largest_force_gain
+from emps_design.control.force.design import design_force_loop
+from emps_design.control.force.limits import largest_force_gain
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.errors import InputError
 from emps_design.machines import machine

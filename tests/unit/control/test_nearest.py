@@ -11,7 +11,7 @@ from emps_design.cli.app import run
 from emps_design.control.plant.discretisation import sample_axis
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.control.velocity.retune import retune_velocity_loop
-from emps_design.control.velocity.specification import Pairs, in_words, nearest_that_works
+from emps_design.control.velocity.specification import Pairs, nearest_that_works, proposal_in_words
 from emps_design.errors import SpecificationError
 from emps_design.machines import machine
 
@@ -166,7 +166,7 @@ def test_nothing_is_said_to_be_nothing():
         Pairs(plant, gains, lambda frequency, phase: frequency), {"crossover": 100.0, "phase_margin_deg": 60.0}
     )
     assert nothing == {}
-    assert in_words(nothing) == "no pair of a frequency and a phase margin works"
+    assert proposal_in_words(nothing) == "no pair of a frequency and a phase margin works"
 
 
 def test_little_room_is_told(capsys):

@@ -114,6 +114,15 @@ def test_a_wrong_controller_is_recognised_with_the_gains_that_fit(gains):
         diagnose(record(), AXIS.replace(controller=gains), library=SHORT)
 
 
+@pytest.mark.slow
+def test_a_controller_of_another_kind_is_named():
+    axis = AXIS.replace(controller={"kind": "ip_velocity", "k_v1": 500.0, "t_v": 0.01})
+    with pytest.raises(
+        InputError, match=r"law nowhere .* position_pd with kp = 160\.\d+, kv = 243\.\d+.* correct the axis"
+    ):
+        diagnose(record(), axis, library=SHORT)
+
+
 def test_records_that_cannot_be_judged_say_what_to_record():
     whole = record()
     with pytest.raises(RecordError, match="expected at least 2 s"):

@@ -7,7 +7,7 @@ import pytest
 
 from emps_design.discrepancy import diagnose
 from emps_design.discrepancy.experiment.discrimination import choose, experiment
-from emps_design.discrepancy.experiment.excitation import EXCITATIONS, Envelope, excitations, in_words
+from emps_design.discrepancy.experiment.excitation import EXCITATIONS, Envelope, excitations, instruction
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import fit
 from emps_design.discrepancy.model.partition import split
@@ -72,7 +72,7 @@ def test_excitations_stay_inside_the_record_and_begin_and_end_at_rest_where_it_b
         made = split(Record(np.arange(q_ref.size) * period, q_ref, q_ref, 0.0 * q_ref, period))
         assert len(made.strokes) >= 4, name
         assert 0.15 < made.select.sum() / made.used.sum() < 0.5, name
-        assert in_words(name)[0].islower()
+        assert instruction(name)[0].islower()
 
 
 def problem_of(effect: dict, q_ref: np.ndarray) -> Problem:

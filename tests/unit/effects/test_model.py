@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from emps_design.errors import InputError
+from emps_design.laws.friction_model import FrictionModel
 from emps_design.machines import machine
-from emps_design.model import formula, inverse_force, plant_force, steady_friction, two_quadrants
+from emps_design.model import formula, inverse_force, plant_force, steady_friction
 from emps_design.simulation import Plant
 
 PLANT = {
@@ -92,16 +93,17 @@ def test_saturated_force_is_the_nearest_that_acts():
 
 
 def test_quadrants_of_the_paper_and_of_an_unsymmetric_axis():
-    two = two_quadrants(machine("emps2018-two-quadrant"))
-    assert two.viscous_positive == pytest.approx(474.9727)
-    assert two.viscous_negative == pytest.approx(563.8568)
-    assert two.coulomb_positive == pytest.approx(17.3811)
-    assert two.coulomb_negative == pytest.approx(11.5846)
-    one = two_quadrants(machine("emps2019"))
-    m = machine("emps2019").mechanics
-    assert (one.coulomb_positive, one.coulomb_negative) == pytest.approx((m.coulomb + m.offset, m.coulomb - m.offset))
-    with pytest.raises(InputError, match="speeds: found 0.2, 0.1 m/s, expected two positive ones, the slower first"):
-        two_quadrants(machine("emps2019"), speeds=(0.2, 0.1))
+    speeds = np.array([0.1, 0.2])
+    for name, quadrants in (
+        ("emps2018-two-quadrant", (474.9727, 563.8568, 17.3811, 11.5846)),
+        ("emps2019", (203.5034, 203.5034, 20.3935 - 3.1648, 20.3935 + 3.1648)),
+    ):
+        axis = machine(name)
+        model = FrictionModel.of(axis)
+        assert model.array()[1:] == pytest.approx(quadrants)
+        forth, back = steady_friction(axis, speeds), steady_friction(axis, -speeds)
+        np.testing.assert_allclose(forth, model.viscous_positive * speeds + model.coulomb_positive, rtol=1e-12)
+        np.testing.assert_allclose(back, -model.viscous_negative * speeds - model.coulomb_negative, rtol=1e-12)
 
 
 def test_motion_of_different_lengths_is_refused():

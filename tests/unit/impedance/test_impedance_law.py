@@ -13,9 +13,10 @@ from emps_design.control.impedance.equivalence import (
     equivalent_loop,
     safety_words,
 )
-from emps_design.control.impedance.law import PRINTED, FrictionModel, ImpedanceLaw, impedance_law, left_out
+from emps_design.control.impedance.law import PRINTED, FrictionModel, ImpedanceLaw, impedance_law
 from emps_design.effects import known_effects
 from emps_design.errors import InputError, SpecificationError
+from emps_design.laws.friction_model import left_out
 from emps_design.machines import machine
 from emps_design.paper import symbols as y
 from emps_design.paper.derivations.impedance import cost_of_printed, derived_law, felt_under, printed_law

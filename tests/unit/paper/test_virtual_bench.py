@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from benchmarks.table_2 import STRAIGHT, Assumption, rms_speeds, tables_under
 from emps_design.errors import InputError
 from emps_design.paper.bench_numbers import CHOSEN, NUMBERS, PAPER, numbers
 from emps_design.paper.section_3 import PRINTED, reproduce_section_3
-from emps_design.paper.table_2 import STRAIGHT, Assumption, outcome, rms_speeds
 from emps_design.paper.virtual_bench import (
     bench_axis,
     break_away_test,
@@ -120,7 +120,7 @@ def test_speeds_of_the_bench_are_those_that_table_2_says(section):
 def test_each_figure_of_table_2_has_its_assumption():
     """Taken back, an assumption moves its own figure away from the printed one and leaves the others."""
     bench, straight, level, bare = (
-        outcome(Assumption("", changed), experiments=3)
+        tables_under(Assumption("", changed), experiments=3)
         for changed in ({}, STRAIGHT, {"position_amplitude": 0.0}, {"mass_beyond_sensor": 0.0})
     )
     assert np.all(straight.table_2["value"][1:3] < 0.65 * bench.table_2["value"][1:3])

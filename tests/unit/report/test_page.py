@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from emps_design.report import Callout, Facts, Formula, Group, Html, Page, Picture, Points, Section, Table, Text, style
+from emps_design.report import Callout, Facts, Html, Listing, Page, Picture, Points, Section, Table, Text, style
 from emps_design.report.display import delay, frequency, number, quantity, ratio, with_std
 
 
@@ -24,7 +24,7 @@ def page():
         (Callout("stop", "The loop is unstable", "1 & 2"), Facts((("margin", "60.0°", ""),))),
         (
             Section("First things", Text("x < y"), Points(["one", Html("<i>two</i>")]), picture(), None),
-            Section("Second", Group(picture("b"), Table(["a", "b [N]"], [["row", 1.5]], "Numbers.")), Formula("a = b")),
+            Section("Second", picture("b"), Table(["a", "b [N]"], [["row", 1.5]], "Numbers."), Listing("a = b")),
         ),
         "made by hand",
     )

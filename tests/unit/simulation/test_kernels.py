@@ -165,6 +165,6 @@ def test_nowhere_to_write_a_cache_is_no_obstacle():
 
 
 def test_hooks_of_the_effect_module_are_those_of_the_stepper():
-    from emps_design.simulation.plant import HOOKS
+    from emps_design.simulation.effect_hooks import HOOKS
 
     assert set(HOOKS) == {*effect.SCALAR_HOOKS, "actuator", "rate"}

@@ -96,7 +96,7 @@ def test_half_of_the_program_is_ramp_and_half_constant():
         lambda: programs.half_ramp_program(0.0),
         lambda: programs.multi_sine(1e-3, duration=-1.0),
         lambda: programs.force_ramp(1e-3, 1.0, 0.0),
-        lambda: programs.push_and_release(1e-3, 1.0, push=np.nan),
+        lambda: programs.force_ramp(1e-3, np.nan, 1.0),
     ):
         with pytest.raises(InputError, match="expected a positive number"):
             call()

@@ -78,7 +78,7 @@ ASSUMPTIONS = (
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Tables:
     """Both tables under an assumption, means over experiments: ``value``, ``spread``, ``two_sigma`` (5,) and the error.
 
     ``table_1`` and ``table_2`` hold one dict each with these names, SI; ``rms`` [N] is direct validation's.
@@ -118,41 +118,41 @@ class Outcome:
         }
 
 
-def outcome(assumption: Assumption, experiments: int = 10, seed: int = 1000) -> Outcome:
+def tables_under(assumption: Assumption, experiments: int = 10, seed: int = 1000) -> Tables:
     """Identify both tables under ``assumption`` from so many experiments of either kind, at the mean friction.
 
     The seeds are not those of :func:`virtual_bench.virtual_bench`, on which the bench's numbers are judged.
     """
     n = numbers(**assumption.numbers)
     gain = bench_axis(n).drive.force_gain
-    found: dict[str, list] = {"table_1": [], "table_2": []}
+    fits: dict[str, list] = {"table_1": [], "table_2": []}
     for index in range(experiments):
         for key, make in (("table_1", identification_experiment), ("table_2", comanipulation_experiment)):
             record = make(n, np.random.default_rng([seed, index]), 1.0, key)
-            found[key].append(_fit(record, gain, assumption.chain))
+            fits[key].append(_fit(record, gain, assumption.chain))
     tables = {
         key: {
-            "value": np.mean([fit.value for fit in fits], axis=0),
-            "spread": np.std([fit.value for fit in fits], axis=0, ddof=1),
-            "two_sigma": np.mean([2.0 * fit.std for fit in fits], axis=0),
+            "value": np.mean([fit.value for fit in own], axis=0),
+            "spread": np.std([fit.value for fit in own], axis=0, ddof=1),
+            "two_sigma": np.mean([2.0 * fit.std for fit in own], axis=0),
         }
-        for key, fits in found.items()
+        for key, own in fits.items()
     }
-    return Outcome(assumption, **tables, rms=float(np.mean([fit.rms_error for fit in found["table_2"]])))
+    return Tables(assumption, **tables, rms=float(np.mean([fit.rms_error for fit in fits["table_2"]])))
 
 
 def sweep(
     assumptions: tuple[Assumption, ...] = ASSUMPTIONS,
     experiments: int = 10,
     progress: Callable[[str, float], None] | None = None,
-) -> list[Outcome]:
-    """Return the :func:`outcome` of each assumption."""
-    outcomes = []
+) -> list[Tables]:
+    """Return the :func:`tables_under` each assumption."""
+    found = []
     for index, one in enumerate(assumptions):
         if progress is not None:
             progress(one.title, index / len(assumptions))
-        outcomes.append(outcome(one, experiments))
-    return outcomes
+        found.append(tables_under(one, experiments))
+    return found
 
 
 def _fit(record: Record, gain: float, chain: str) -> LeastSquares:

@@ -1,0 +1,92 @@
+"""Which controller made a record: structure and gains from reference, position and command alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from emps_design.cli.destinations import AXIS, OVERWRITE, check_out
+
+if TYPE_CHECKING:
+    from emps_design.identification.controller import LawEstimate
+
+
+def command(
+    record: Path = typer.Argument(..., metavar="RECORD", help="Record file: .mat, .csv, .npz, or a drive's export."),
+    axis: str = typer.Option(
+        "emps2019", "--axis", help="TOML file or embedded machine: how its records are read. [controller] is not."
+    ),
+    out: Path | None = typer.Option(None, "--out", help="Write the [controller] table to this TOML file."),
+    force: bool = typer.Option(False, "--force", help=OVERWRITE),
+    as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
+) -> None:
+    from emps_design.axis import Axis
+    from emps_design.cli.output import print_json, print_warnings
+    from emps_design.cli.wording import load_axis
+    from emps_design.errors import InputError
+    from emps_design.files import write_text
+    from emps_design.identification.controller import identify_law
+    from emps_design.importing import import_record
+    from emps_design.laws import NONE
+
+    check_out(out, AXIS, (axis, record), force)
+    loaded = load_axis(axis)
+    loaded = Axis.from_dict({**loaded.to_dict(), "controller": {"kind": NONE}}, loaded.name)
+    found = identify_law(import_record(record, loaded), loaded.drive.command_unit)
+    if out is not None and found.controller is None:
+        raise InputError(f"{record}: {found.reason}; {out} is not written")
+    if out is not None:
+        write_text(out, found.to_toml())
+    if as_json:
+        print_json(found)
+    else:
+        _show(found)
+    print_warnings(found.warnings)
+
+
+def _show(found: LawEstimate) -> None:
+    from rich import box
+    from rich.table import Table
+
+    from emps_design.cli.output import new_console, say
+
+    console = new_console()
+    console.print(found.verdict, style="bold", end="")
+    console.print(f"  {found.reason}" if found.reason else "", highlight=False)
+    if found.controller is not None:
+        say()
+        say(found.to_toml())
+        table = Table(box=box.SIMPLE, pad_edge=False)
+        for heading in ("number", "value", "std", "std [%]"):
+            table.add_column(heading, justify="left" if heading == "number" else "right", no_wrap=True)
+        for name, value, std in _numbers(found.controller, found.std):
+            percent = f"{abs(100 * std / value):.2g}" if value else ""
+            table.add_row(name, f"{value:.7g}", f"{std:.2g}", percent)
+        console.print(table)
+    if found.residual_rms is not None and found.residual_share is not None:
+        left = f"{found.residual_rms:.4g} {found.command_unit}".rstrip()
+        share = 100 * found.residual_share
+        console.print(f"leaves {left} rms, {share:.3g} % of the command's deviation", highlight=False)
+    for note in found.notes:
+        console.print(note, highlight=False)
+    if len(found.tried) > 1:
+        table = Table(box=box.SIMPLE, pad_edge=False, title="tried")
+        table.add_column("structure", overflow="fold")
+        for heading in (f"left, whitened [{found.command_unit}]", "criterion"):
+            table.add_column(heading, justify="right", no_wrap=True)
+        for one in found.tried:
+            table.add_row(one["terms"], f"{one['residual_rms']:.4g}", f"{one['criterion']:+.1f}")
+        console.print(table)
+
+
+def _numbers(table: Any, std: Any, name: str = "") -> list[tuple[str, float, float]]:
+    """The numbers of a table that have a deviation, by their place in it."""
+    if isinstance(std, dict):
+        pairs = [(f"{name}.{key}" if name else key, table[key], one) for key, one in std.items()]
+    elif isinstance(std, list):
+        pairs = [(f"{name}[{i}]", table[i], one) for i, one in enumerate(std)]
+    else:
+        return [(name, table, std)]
+    return [row for key, value, one in pairs for row in _numbers(value, one, key)]

@@ -1,0 +1,130 @@
+"""The law that explains a command best, how well, and what else explains it: search, limit, noise, choice in turn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from emps_design.identification.controller.choice import choose, mirrored, simplify
+from emps_design.identification.controller.filters import Filter, filtered
+from emps_design.identification.controller.fit import Fit, fit
+from emps_design.identification.controller.limit import acting, plateau
+from emps_design.identification.controller.noise import robust_deviation, usable_behind, whitening_filter
+from emps_design.identification.controller.regressors import Signals, Timing, regressors
+from emps_design.identification.controller.search import search
+from emps_design.identification.controller.structures import PROPORTIONAL, Structure
+
+HOLDS = 0.05  # of the command's deviation: a law that leaves more is none
+AS_GOOD = 6.0  # of the information criterion, odds of 20 : 1: a rival closer than that cannot be told apart
+LIMIT_ROUNDS = 4
+WORSE = 1.1  # times what is left with the integral free behind each plateau: what it did there is then not told
+
+
+@dataclass(frozen=True)
+class Found:
+    """The law that explains a command best, and how well: ``share`` of the command's deviation is left."""
+
+    signals: Signals  # whitened
+    fit: Fit
+    rivals: list[Fit]
+    rms: float
+    share: float
+    limited: np.ndarray | None
+    limit: float | None
+    holds: bool | None  # None: not told
+
+    @property
+    def held(self) -> np.ndarray | None:
+        """Samples (n,) in which the integral stands still."""
+        return self.limited if self.holds else None
+
+
+def best_law(signals: Signals, only: Structure | None = None) -> Found:
+    """The law that explains the command best, whatever that is worth; of the structure ``only`` where that is given."""
+    flat = plateau(signals.command) & signals.used
+    worth, none = 0.0, tuple[Filter, ...]()
+    for stands_still in (None, flat):
+        if only is None:
+            best = search(signals, stands_still)[0]
+            structure, timing, filters, worth = best.structure, best.timing, best.filters, best.filter_worth
+        else:
+            structure, timing, filters = only, Timing(), none
+        start = Fit(replace(structure, offset=True), timing, filters, 0.0, np.zeros(0), 1.0, 1)
+        if flat.any() and not signals.velocity_reference:  # a search takes a clipped peak for a filtered one
+            free = replace(signals, used=signals.used & ~flat)
+            plain = Fit(PROPORTIONAL, Timing(), none, 0.0, np.zeros(0), 1.0, 1)
+            start = min((fit(free, one) for one in (start, plain)), key=lambda one: one.criterion)
+        free, fitted, limited, limit, holds = _up_to_the_limit(signals, start, flat)
+        held = limited if holds else None
+        left = _left(free, fitted, held)
+        if not flat.any() or float(np.std(left[free.used])) < HOLDS * float(np.std(signals.command)):
+            break
+    fitted = simplify(free, fitted, worth, held)
+    whitening = whitening_filter(_left(free, fitted, held), free.used)
+    white = replace(free, whitening=whitening, used=usable_behind(free.used, whitening))
+    if only is None:
+        fitted, rivals = choose(white, fitted, worth, held)
+    else:
+        fitted, rivals = simplify(white, fit(white, fitted, held), worth, held), []
+    if (other := mirrored(white, fitted, held)) is not None:
+        # Alike, the position loop is taken to be the slower of the two, as it is where people set it.
+        if other.criterion < fitted.criterion - AS_GOOD or (
+            other.criterion < fitted.criterion + AS_GOOD and other.position_rate < other.wi
+        ):
+            fitted, other = other, fitted
+        rivals = [other, *rivals]
+    rms = float(np.sqrt(np.mean(_left(free, fitted, held)[free.used] ** 2)))
+    share = rms / float(np.std(signals.command[free.used]))
+    return Found(white, fitted, rivals, rms, share, limited, limit, holds)
+
+
+def command_of(signals: Signals, found: Fit, held: np.ndarray | None) -> np.ndarray:
+    """Command (n,) of a fit without its limit."""
+    return filtered(found.filters, regressors(signals, found.timing, held) @ found.beta, signals.period)
+
+
+def _left(signals: Signals, found: Fit, held: np.ndarray | None) -> np.ndarray:
+    """What a fit leaves (n,) of the command in the samples that count, 0 in others."""
+    left = np.zeros(len(signals))
+    left[signals.used] = signals.counted(signals.command - command_of(signals, found, held))
+    return left
+
+
+def _up_to_the_limit(
+    signals: Signals, start: Fit, flat: np.ndarray
+) -> tuple[Signals, Fit, np.ndarray | None, float | None, bool | None]:
+    """Fit the samples in which no limit acts; where it does, by the law that is found itself.
+
+    Returns the signals that count, the fit, where the limit acts, the limit, and whether the integral holds there.
+    """
+    if not flat.any():
+        return signals, fit(signals, start), None, None, True
+    # At first nobody knows where the integral stood still: it may have any value behind each plateau.
+    levels = np.cumsum(np.diff(flat.astype(int), prepend=0) == -1)
+    apart = replace(signals, used=signals.used & ~flat, levels=levels)
+    loose = fit(apart, start)
+    left = signals.command - command_of(signals, loose, None)
+    known = levels[apart.used]
+    count = levels[-1] + 1
+    means = np.bincount(known, left[apart.used], count) / np.maximum(np.bincount(known, None, count), 1)
+    wanted = signals.command - left + means[levels]
+    noise = robust_deviation(apart.counted(left))
+    limited, limit = acting(signals.command, np.where(signals.used, wanted, 0.0), noise)
+    if limit is None:
+        return signals, fit(signals, start), None, None, True
+    for _ in range(LIMIT_ROUNDS):
+        free = replace(signals, used=signals.used & ~limited)
+        tried = [(fit(free, loose, limited), True)]
+        if start.structure.form:
+            tried.append((fit(free, loose), False))
+        fitted, holds = min(tried, key=lambda pair: pair[0].cost)
+        wanted = command_of(signals, fitted, limited if holds else None)
+        noise = robust_deviation((signals.command - wanted)[free.used])
+        now, level = acting(signals.command, np.where(signals.used, wanted, 0.0), noise)
+        if level is None or np.array_equal(now, limited):
+            break
+        limited, limit = now, level
+    if fitted.cost / fitted.samples > WORSE * loose.cost / loose.samples:
+        return apart, loose, flat, limit, None
+    return free, fitted, limited, limit, holds

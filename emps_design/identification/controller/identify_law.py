@@ -1,0 +1,156 @@
+"""Tell the controller that made a record from its reference, position and command alone.
+
+A search over band spectra finds timing, form and filters; least squares on the samples refines them, first as if noise
+were white, then behind a filter that makes the residual so; terms that are zero are left out; what could be otherwise
+is fitted too, and named where it explains the record as well. See docs/theory/controller_law.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from emps_design.identification.controller.best_law import AS_GOOD, HOLDS, Found, best_law
+from emps_design.identification.controller.deviations import covariance, with_deviations
+from emps_design.identification.controller.fit import Fit
+from emps_design.identification.controller.law_estimate import AMBIGUOUS, NOT_TOLD, TOLD, LawEstimate
+from emps_design.identification.controller.regressors import Signals
+from emps_design.identification.controller.steps import without_steps
+from emps_design.identification.controller.structures import PROPORTIONAL
+from emps_design.identification.controller.tables import deviations_of, kind_of, numbers_of, table_of
+from emps_design.identification.controller.wording import described, notes_of, short
+from emps_design.records import Record
+
+START_UP = 0.02  # s, before which what the controller remembers is not known
+FEWEST = 200  # samples
+AROUND = 3  # samples about one with the motor switched off that do not count
+FEWEST_AT_START = 4  # samples left out, whatever the period
+FEEDBACK = ("kp", "kv", "k_v1", "t_v", "position.kp", "velocity.kp", "velocity.ti")
+LOOSE = 0.2  # relative deviation of a gain beyond which it is not determined
+
+IRREGULAR = "irregular samples tell no law with a memory, only a proportional one"
+
+
+def identify_law(record: Record, command_unit: str = "V") -> LawEstimate:
+    """Tell the controller that made ``record``, whose command is in ``command_unit``; reads no axis.
+
+    >>> import numpy as np
+    >>> t = np.arange(4000) * 1e-3
+    >>> r = 0.1 * np.sin(3.0 * t) * np.minimum(t, 1.0)
+    >>> q = np.round((r - 1e-4 * np.sin(20.0 * t)) / 1e-7) * 1e-7
+    >>> u = 40.0 * (50.0 * (r - q) - np.diff(q, prepend=q[0]) / 1e-3)
+    >>> u = u + np.random.default_rng(0).normal(0.0, 1e-3, u.size)
+    >>> found = identify_law(Record.from_arrays(1e-3, r, q, u))
+    >>> found.verdict, found.controller["kind"], round(found.controller["kp"], 1), round(found.controller["kv"], 1)
+    ('told', 'position_pd', 50.0, 40.0)
+    """
+    irregular, record = record.measured is not None, own_samples(record)
+    signals = signals_of(record)
+    if isinstance(signals, str):
+        return _not_told(record, command_unit, signals)
+    if irregular:
+        if signals.velocity_reference:
+            return _not_told(record, command_unit, f"{IRREGULAR}, and that follows no velocity")
+        return _report(record, command_unit, best_law(signals, PROPORTIONAL), None, f"{IRREGULAR}: that ")
+    found, steps = best_law(signals), None
+    if found.share > HOLDS and (stepless := without_steps(signals)) is not None:
+        again = best_law(stepless[0])
+        if again.share <= HOLDS:
+            found, steps = again, stepless[1]
+    return _report(record, command_unit, found, steps)
+
+
+def signals_of(record: Record) -> Signals | str:
+    """What the controller of a record saw and gave, or why it cannot be told from that."""
+    velocity = record.velocity_reference
+    if velocity is None and not record.q_ref_recorded:
+        return "the record has no reference, which the controller followed; record it too"
+    used = np.ones(len(record), bool)
+    if record.enable is not None:
+        used &= np.convolve(record.enable <= 0.0, np.ones(2 * AROUND + 1), "same") < 0.5
+    used[: max(FEWEST_AT_START, round(START_UP / record.period))] = False
+    if used.sum() < FEWEST:
+        return f"{int(used.sum())} samples with the controller at work, expected at least {FEWEST}; record longer"
+    if not np.ptp(record.q[used]) > 0.0:
+        return "the axis stands still; record a motion"
+    if not np.ptp(record.u[used]) > 0.0:
+        return "the command stands still; record what the controller gives while the axis moves"
+    command = record.u if record.excitation is None else record.u - record.excitation
+    reference = record.q_ref if velocity is None else velocity
+    return Signals(reference, record.q, command, record.period, used, velocity is not None, record.f_ext)
+
+
+def own_samples(record: Record) -> Record:
+    """The record at its own times where it was resampled, on a clock that then means nothing."""
+    if record.measured is None:
+        return record
+    names = ("q_ref", "q", "u", "f_ext", "velocity_reference", "enable", "excitation")
+    own: dict[str, Any] = {name: record.measured[name] for name in names if name in record.measured}
+    t = np.arange(own["q"].size) * record.period
+    return replace(record, t=t, measured=None, **own)
+
+
+def _report(record: Record, unit: str, found: Found, steps: np.ndarray | None, why: str = "") -> LawEstimate:
+    velocity_reference = found.signals.velocity_reference
+    tried = tuple(described(one, found) for one in [found.fit, *found.rivals])
+    said: dict[str, Any] = {"residual_rms": found.rms, "residual_share": found.share, "tried": tried}
+    if found.share > HOLDS or not found.fit.stabilising:
+        reason = (
+            f"{why or 'the best law tried '}leaves {100 * found.share:.3g} % of the command's deviation, expected at "
+            f"most {100 * HOLDS:g} %: an open loop, another structure, or columns that are not the controller's own"
+        )
+        return _not_told(record, unit, reason, **said)
+    kind = kind_of(found.fit, velocity_reference)
+    if not kind:
+        reason = f"the command follows a law that no kind of controller here has: {tried[0]['terms']}"
+        return _not_told(record, unit, reason, **said)
+    spread = covariance(found.signals, found.fit, found.held)
+    numbers = with_deviations(found.fit, spread, lambda one: numbers_of(one, velocity_reference))
+    loose = [name for name, (value, std) in numbers.items() if name in FEEDBACK and not std < LOOSE * abs(value)]
+    if loose:
+        reason = f"the record does not determine {', '.join(loose)}; record more motion"
+        return _not_told(record, unit, reason, **said)
+    values = {name: _rounded(value, std) for name, (value, std) in numbers.items()}
+    close = [one for one in found.rivals if one.criterion < found.fit.criterion + AS_GOOD]
+    close = [one for one in close if kind_of(one, velocity_reference)]
+    other_numbers = all(_same_structure(one, found.fit) for one in close)
+    equivalents = tuple(
+        table_of(one, velocity_reference, numbers_of(one, velocity_reference), found.holds is not False)
+        for one in close
+    )
+    reason = ""
+    if close:
+        what = "position.kp and 1/velocity.ti exchanged" if other_numbers else ", ".join(map(short, equivalents))
+        reason = f"the record fits as well: {what}"
+    return LawEstimate(
+        record=record.name,
+        verdict=TOLD if other_numbers else AMBIGUOUS,
+        reason=reason,
+        controller=table_of(found.fit, velocity_reference, values, found.holds is not False),
+        std=deviations_of(found.fit, {name: std for name, (_, std) in numbers.items()}),
+        command_unit=unit,
+        delay=found.fit.timing.delay,
+        limit=found.limit,
+        limited_samples=0 if found.limited is None else int(found.limited.sum()),
+        equivalents=equivalents,
+        notes=notes_of(record, unit, found, steps),
+        **said,
+    )
+
+
+def _rounded(value: float, std: float) -> float:
+    """The value to a thousandth of its deviation."""
+    return float(f"{value:.{max(0, min(15, 2 - int(np.floor(np.log10(std)))))}f}") if std > 0.0 else value
+
+
+def _same_structure(one: Fit, other: Fit) -> bool:
+    return one.structure == other.structure and one.timing == other.timing and len(one.filters) == len(other.filters)
+
+
+def _not_told(record: Record, unit: str, reason: str, **said: Any) -> LawEstimate:
+    given = {"residual_rms": None, "residual_share": None} | said
+    return LawEstimate(
+        record=record.name, verdict=NOT_TOLD, reason=reason, controller=None, std={}, command_unit=unit, **given
+    )

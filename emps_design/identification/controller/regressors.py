@@ -1,0 +1,138 @@
+"""The columns that a servo's command is linear in, from what its controller saw: reference and position.
+
+Without its filters and below its limit, the command of a cascade at sample k is a sum of these, each times a product of
+gains (``data``: the difference equations of :mod:`emps_design.laws.library.cascade`):
+
+    error         r - q, held between the position loop's samples         error_sum         its sum times the period
+    slip          vr - v                                                  slip_sum          its sum times the period
+    velocity      v                                                       velocity_sum      its sum times the period
+    acceleration  ar                                                      sign              sign(vr)
+    force_sum     sum of a measured external force times the period       offset            1
+
+The sums belong to the integral part. It stands still while the limit acts, and so do they.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+
+EVERY = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20)  # samples of a position loop that are tried
+DELAYS = (0, 1, 2)  # samples
+ESTIMATORS = ("backward", "two_tap")
+STRANGE_START = 20.0  # of the criterion, for a position loop that does not start with the record, as axis files have it
+
+COLUMNS = (
+    "error",
+    "error_sum",
+    "slip",
+    "slip_sum",
+    "velocity",
+    "velocity_sum",
+    "acceleration",
+    "sign",
+    "force_sum",
+    "offset",
+)
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What a controller saw and gave: ``reference``, ``position`` and ``command`` (n,), each ``period`` [s].
+
+    The reference is a position [m or rad], or a velocity where ``velocity_reference``; ``force`` (n,) [N or N m] is
+    a measured external force; ``used`` (n,) says which samples count. ``whitening`` are the coefficients of the
+    prediction error filter in z^-1 that makes the noise of the command white; ``used`` is about what leaves it.
+    ``levels`` (n,) numbers stretches in each of which the command may carry a constant of its own.
+    """
+
+    reference: np.ndarray
+    position: np.ndarray
+    command: np.ndarray
+    period: float
+    used: np.ndarray
+    velocity_reference: bool = False
+    force: np.ndarray | None = None
+    whitening: tuple[float, ...] = (1.0,)
+    levels: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return self.position.size
+
+    def counted(self, columns: np.ndarray) -> np.ndarray:
+        """What counts of ``columns`` (n, ...): whitened, the samples used, without the mean of each stretch."""
+        rows = lfilter(self.whitening, [1.0], columns, axis=0)[self.used]
+        if self.levels is None:
+            return rows
+        starts = np.flatnonzero(np.diff(self.levels[self.used], prepend=-1))
+        sizes = np.diff(np.append(starts, len(rows)))
+        means = np.add.reduceat(rows, starts, axis=0) / sizes.reshape(-1, *[1] * (rows.ndim - 1))
+        return rows - np.repeat(means, sizes, axis=0)
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Which samples a controller takes: the position loop every n-th, from ``phase`` on; ``delay`` [samples] between
+    a measurement and its command; how velocity is estimated."""
+
+    every: int = 1
+    phase: int = 0
+    delay: int = 0
+    velocity_estimator: str = "backward"
+
+    @property
+    def surprise(self) -> float:
+        """-2 log of its probability before the record is seen: half of all loops run at one rate, the rest share."""
+        return (2.0 * float(np.log(len(EVERY) - 1)) if self.every > 1 else 0.0) + STRANGE_START * (self.phase > 0)
+
+
+def regressors(signals: Signals, timing: Timing, limited: np.ndarray | None = None) -> np.ndarray:
+    """The columns (n, len(COLUMNS)); ``limited`` (n,) says in which samples the limit acts.
+
+    What a record cannot have (the error where the reference is a velocity, a force that was not measured) is 0.
+
+    >>> ramp = np.arange(4.0)
+    >>> signals = Signals(ramp, 0.5 * ramp, ramp, 1.0, np.ones(4, bool))
+    >>> regressors(signals, Timing(every=2))[:, :3].T.tolist()
+    [[0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 1.0, 2.0], [0.0, 0.5, 0.5, 0.5]]
+    """
+    n, period = len(signals), signals.period
+    r, q = signals.reference, signals.position
+    v = estimated_velocity(q, period, timing.velocity_estimator)
+    if signals.velocity_reference:
+        error, vr = np.zeros(n), r
+    else:
+        error, vr = held(r - q, timing.every, timing.phase), np.diff(r, prepend=r[:1]) / period
+    ar = np.diff(vr, prepend=vr[:1] if signals.velocity_reference else 0.0) / period
+    force = np.zeros(n) if signals.force is None else signals.force
+    slip = vr - v
+    free = np.ones(n, bool)
+    if limited is not None:
+        free[: n - timing.delay] = ~limited[timing.delay :]
+    sums = [_held_sum(x, free) * period for x in (error, slip, v, force)]
+    columns = (error, sums[0], slip, sums[1], v, sums[2], ar, np.sign(vr), sums[3])
+    table = np.column_stack([*columns, np.ones(n)])
+    if timing.delay:
+        table = np.concatenate([np.repeat(table[:1], timing.delay, axis=0), table[: n - timing.delay]])
+    return table
+
+
+def estimated_velocity(q: np.ndarray, period: float, estimator: str) -> np.ndarray:
+    """Velocity (n,) from the position (n,), backward difference or two-tap; at rest before the first sample."""
+    taps = 2 if estimator == "two_tap" else 1
+    before = np.concatenate([np.full(taps, q[0]), q[:-taps]])
+    return (q - before) / (taps * period)
+
+
+def held(x: np.ndarray, every: int, phase: int) -> np.ndarray:
+    """``x`` (n,) taken every n-th sample from ``phase`` on and held; before that, as if held since before the start."""
+    samples = np.arange(x.size)
+    return x[np.maximum((samples - phase) // every * every + phase, 0)]
+
+
+def _held_sum(x: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """Sum of ``x`` up to each sample, that keeps nothing of samples that are not ``free``."""
+    kept = np.cumsum(np.where(free, x, 0.0))
+    return np.where(free, kept, kept + x)

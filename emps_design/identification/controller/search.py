@@ -1,0 +1,234 @@
+"""Search for the structure that explains a command best: timing and filters in turn, for each delay and form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from emps_design.identification.controller.filters import Filter
+from emps_design.identification.controller.regressors import DELAYS, ESTIMATORS, EVERY, Signals, Timing, regressors
+from emps_design.identification.controller.spectra import (
+    Spectra,
+    coloured,
+    cross,
+    least,
+    normal,
+    rates,
+    response,
+    transform,
+)
+from emps_design.identification.controller.structures import PROPORTIONAL, Structure
+
+MOST_FILTERS = 3
+WORTH = 20.0  # of the information criterion: what a further filter must gain
+FILTER_SHOWS = 0.1  # share of the residual's rms that it must take away where the noise is on the position
+FURTHEST = 6.0  # that the logarithm of an integral rate moves from where it was scanned
+SLOPE_STEP = 1e-6  # of a sought number
+STEPS, FIRST_STEPS = 40, 12  # of the minimisation over filters, and to choose among starts
+TURNS = 8  # of timing and filters, at most
+LOWPASSES = np.geomspace(0.003, 0.5, 16)  # of the sampling frequency
+NOTCHES = [
+    (share, damping, depth)
+    for share in np.geomspace(0.004, 0.42, 28)
+    for damping in (0.1, 0.4, 1.0)
+    for depth in (0.1, 0.6)
+]
+FOLLOWED, FOLLOWED_ON = 5, 2  # of the best candidates, in the first turn and later
+APART = 0.3  # of the logarithm of a frequency
+STARTS = 2  # notches, of those, that are followed
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A structure with its timing and filters, the integral rate ``wi`` [1/s], and the squares that it leaves."""
+
+    structure: Structure
+    timing: Timing
+    filters: tuple[Filter, ...]
+    wi: float
+    cost: float
+    coloured: float
+    samples: int
+
+    @property
+    def position_noise(self) -> bool:
+        """Whether what is left looks like noise on the recorded position rather than on the command."""
+        return self.coloured < self.cost
+
+    @property
+    def criterion(self) -> float:
+        """Bayesian information criterion, with the noise where it fits better."""
+        n, size = self.samples, self.structure.size + sum(len(f.numbers) for f in self.filters)
+        squares = min(self.cost, self.coloured)
+        return n * float(np.log(squares / n)) + size * float(np.log(n)) + self.timing.surprise
+
+    @property
+    def filter_worth(self) -> float:
+        """What a further filter must gain of the criterion.
+
+        Noise on the position weakens the command's answer where it is loud, as a filter would: gains that are small
+        next to what is left are no filter then.
+        """
+        return -2.0 * self.samples * float(np.log(1.0 - FILTER_SHOWS)) if self.position_noise else WORTH
+
+
+class Spectrum:
+    """The spectra of one record at every timing, each computed when first asked for."""
+
+    def __init__(self, signals: Signals, limited: np.ndarray | None = None) -> None:
+        self.signals, self.limited = signals, limited
+        self.command = transform(signals, signals.command[:, None])[:, 0]
+        self.fixed: dict[str, np.ndarray] = {}
+        self.known: dict[Timing, Spectra] = {}
+
+    def at(self, timing: Timing) -> Spectra:
+        """The spectra of a timing; its delay does not matter."""
+        timing = replace(timing, delay=0)
+        if timing not in self.known:
+            table = regressors(self.signals, timing, self.limited)
+            name = timing.velocity_estimator
+            if name not in self.fixed:
+                self.fixed[name] = transform(self.signals, table)
+            values = self.fixed[name].copy()
+            values[:, :2] = transform(self.signals, table[:, :2])
+            self.known[timing] = cross(self.signals, values, self.command, timing)
+        return self.known[timing]
+
+
+def search(signals: Signals, limited: np.ndarray | None = None) -> list[Candidate]:
+    """The best candidate for each form, delay and estimator, the best first."""
+    spectrum = Spectrum(signals, limited)
+    follows: dict[str, Any] = {"position": False, "share": 1} if signals.velocity_reference else {}
+    structures = [Structure(form=form, force=signals.force is not None, **follows) for form in ("pi", "ip")]
+    if not signals.velocity_reference:
+        structures += [replace(structures[1], position=False, share=1), PROPORTIONAL]
+    started = []
+    for structure in structures:
+        for name in ESTIMATORS:
+            for delay in DELAYS:
+                plain = evaluate(spectrum, structure, Timing(1, 0, delay, name), ())
+                started.append(one_more_filter(spectrum, plain) or plain)
+    started.sort(key=lambda c: c.criterion)
+    beam, done = started[:FOLLOWED], []
+    for turn in range(TURNS):
+        after = [improve(spectrum, one) for one in beam]
+        done += [old for old, new in zip(beam, after, strict=True) if new is old]
+        beam = sorted((new for old, new in zip(beam, after, strict=True) if new is not old), key=lambda c: c.criterion)
+        beam = beam[: FOLLOWED if turn == 0 else FOLLOWED_ON]
+        if not beam:
+            break
+    best, *others = sorted(done + beam, key=lambda c: c.criterion)
+    return [_started_elsewhere(spectrum, best), *others]
+
+
+def _started_elsewhere(spectrum: Spectrum, now: Candidate) -> Candidate:
+    """The candidate with a position loop that starts in another sample of the record, where that is better."""
+    if not now.structure.position:
+        return now
+    loops = [replace(now.timing, every=every, phase=phase) for every in EVERY for phase in range(every)]
+    timed = min((evaluate(spectrum, now.structure, loop, now.filters) for loop in loops), key=lambda c: c.criterion)
+    return min(now, polish(spectrum, timed), key=lambda c: c.criterion)
+
+
+def improve(spectrum: Spectrum, now: Candidate) -> Candidate:
+    """Choose the position loop's samples, then add or exchange a filter; the same candidate where nothing gains."""
+    found = now
+    if now.structure.position:
+        loops = [replace(now.timing, every=every) for every in EVERY]
+        timed = min((evaluate(spectrum, now.structure, loop, now.filters) for loop in loops), key=lambda c: c.criterion)
+        if timed.timing != now.timing:
+            found = min(found, polish(spectrum, timed), key=lambda c: c.criterion)
+    fewer = [replace(found, filters=(*found.filters[:i], *found.filters[i + 1 :])) for i in range(len(found.filters))]
+    more = [better for one in (found, *fewer) if (better := one_more_filter(spectrum, one)) is not None]
+    found = min((found, *more), key=lambda c: c.criterion)
+    return found if found.criterion < now.criterion - 1.0 else now
+
+
+def evaluate(spectrum: Spectrum, structure: Structure, timing: Timing, filters: tuple[Filter, ...]) -> Candidate:
+    """The candidate with these filters as they are, at its best integral rate."""
+    s = spectrum.at(timing)
+    tried = rates(s) if structure.form else np.zeros(1)
+    cost, linear = least(s, normal(s, response(filters, s, timing.delay)), structure, tried)
+    cost = np.where(structure.stabilising(linear), cost, s.power.sum())
+    return candidate(s, structure, timing, filters, float(tried[int(np.argmin(cost))]))
+
+
+def candidate(s: Spectra, structure: Structure, timing: Timing, filters: tuple[Filter, ...], wi: float) -> Candidate:
+    """The candidate with these filters and this integral rate; one that would not stabilise explains nothing."""
+    h = response(filters, s, timing.delay)
+    cost, linear = least(s, normal(s, h), structure, np.array([wi]))
+    power = float(s.power.sum())
+    if not structure.stabilising(linear[0]):
+        return Candidate(structure, timing, filters, wi, power, power, s.samples)
+    spread = coloured(s, h, structure.combination(wi) @ linear[0])
+    return Candidate(structure, timing, filters, wi, float(cost[0]), spread, s.samples)
+
+
+def polish(spectrum: Spectrum, start: Candidate, steps: int = STEPS) -> Candidate:
+    """Improve integral rate and filters of a candidate together."""
+    from scipy.optimize import minimize
+
+    s = spectrum.at(start.timing)
+    integral = bool(start.structure.form)
+    if not (integral or start.filters):
+        return start
+
+    delay = response((), s, start.timing.delay)
+
+    def unpacked(x: np.ndarray) -> tuple[float, tuple[Filter, ...]]:
+        at, filters = int(integral), []
+        for one in start.filters:
+            filters.append(one.moved(x[at : at + len(one.numbers)], s.period))
+            at += len(one.numbers)
+        return start.wi * float(np.exp(np.clip(x[0], -FURTHEST, FURTHEST))) if integral else 0.0, tuple(filters)
+
+    def squares(x: np.ndarray) -> tuple[float, np.ndarray]:
+        """Logarithm of the squares that are left, and its slopes by forward differences, all in one go."""
+        points = [unpacked(moved) for moved in np.vstack([x, x + SLOPE_STEP * np.eye(x.size)])]
+        known: dict[Filter, np.ndarray] = {}
+        rows = []
+        for _, filters in points:
+            row = delay
+            for one in filters:
+                if one not in known:
+                    known[one] = response((one,), s, 0)
+                row = row * known[one]
+            rows.append(row)
+        rates_of = np.array([wi for wi, _ in points])
+        left = np.log(least(s, normal(s, np.stack(rows)), start.structure, rates_of)[0])
+        return float(left[0]), (left[1:] - left[0]) / SLOPE_STEP
+
+    size = int(integral) + sum(len(f.numbers) for f in start.filters)
+    options = {"gtol": 1e-6, "maxiter": steps}
+    found = minimize(squares, np.zeros(size), jac=True, method="BFGS", options=options)
+    wi, filters = unpacked(found.x)
+    return candidate(s, start.structure, start.timing, filters, wi)
+
+
+def one_more_filter(spectrum: Spectrum, now: Candidate) -> Candidate | None:
+    """The candidate with the one further filter that gains most, or None where none is worth its numbers."""
+    if len(now.filters) == MOST_FILTERS:
+        return None
+    rate = 1.0 / spectrum.signals.period
+    starts = [best_start(spectrum, now, [Filter.lowpass(share * rate) for share in LOWPASSES])[0]]
+    starts += best_start(spectrum, now, [Filter.notch(share * rate, *rest) for share, *rest in NOTCHES])[:STARTS]
+    best = min((polish(spectrum, start, FIRST_STEPS) for start in starts), key=lambda c: c.criterion)
+    best = polish(spectrum, best)
+    return best if best.criterion < now.criterion - now.filter_worth else None
+
+
+def best_start(spectrum: Spectrum, now: Candidate, more: list[Filter]) -> list[Candidate]:
+    """The candidate with one filter ``more``, the best first, each apart from those before it."""
+    s = spectrum.at(now.timing)
+    h = response(now.filters, s, now.timing.delay)
+    tried = []
+    for one in more:
+        cost, _ = least(s, normal(s, h * response((one,), s, 0)), now.structure, np.array([now.wi]))
+        tried.append(replace(now, filters=(*now.filters, one), cost=float(cost[0])))
+    found: list[Candidate] = []
+    for start in sorted(tried, key=lambda c: c.cost):
+        if all(abs(start.filters[-1].numbers[0] - f.filters[-1].numbers[0]) > APART for f in found):
+            found.append(start)
+    return found

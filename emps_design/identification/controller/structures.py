@@ -1,0 +1,101 @@
+"""Which terms a controller has, and how its command is linear in what is left once its integral time is known.
+
+With ``wi = 1/ti`` and the gain K of the velocity loop, the command before the filters is, see :mod:`.regressors`,
+
+    pi      K kp (error + wi error_sum) + K share (slip + wi slip_sum) - K (1 - share) (velocity + wi velocity_sum)
+    ip      K kp wi error_sum + K share (wi slip_sum - velocity) - K (1 - share) (velocity + wi velocity_sum)
+
+and the feed-forward; so for each ``wi`` it is linear in K kp, K share, K (1 - share), and the rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from emps_design.identification.controller.regressors import COLUMNS
+
+PLACE = {name: i for i, name in enumerate(COLUMNS)}
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The terms of a controller.
+
+    ``form`` "pi" or "ip", or "" without integral; ``position`` whether a position loop is there; ``share`` of the
+    reference's velocity 0 or 1, or None where it is a number between; ``velocity`` whether velocity is fed back at
+    all; ``acceleration``, ``coulomb``, ``force``, ``offset`` whether these terms are there.
+    """
+
+    form: str = "pi"
+    position: bool = True
+    share: int | None = None
+    velocity: bool = True
+    acceleration: bool = True
+    coulomb: bool = True
+    force: bool = False
+    offset: bool = True
+
+    @property
+    def linear(self) -> tuple[str, ...]:
+        """The linear coefficients, in the order of :meth:`combination`."""
+        names = ["position"] if self.position else []
+        if self.velocity:
+            names += {None: ["following", "damping"], 1: ["following"], 0: ["damping"]}[self.share]
+        names += [name for name in ("acceleration", "coulomb", "force", "offset") if getattr(self, name)]
+        return tuple(names)
+
+    @property
+    def size(self) -> int:
+        """How many numbers it has, without those of filters."""
+        return len(self.linear) + bool(self.form)
+
+    def combination(self, wi: float) -> np.ndarray:
+        """What takes the regressors to the columns of ``linear``, (len(COLUMNS), n_linear)."""
+        proportional = float(self.form != "ip")
+        terms = {
+            "position": {"error": proportional, "error_sum": wi},
+            "following": {"slip": proportional, "slip_sum": wi, "velocity": proportional - 1.0},
+            "damping": {"velocity": -1.0, "velocity_sum": -wi},
+            "acceleration": {"acceleration": 1.0},
+            "coulomb": {"sign": 1.0},
+            "force": {"force_sum": wi},
+            "offset": {"offset": 1.0},
+        }
+        table = np.zeros((len(COLUMNS), len(self.linear)))
+        for column, name in enumerate(self.linear):
+            for regressor, factor in terms[name].items():
+                table[PLACE[regressor], column] = factor
+        return table
+
+    def stabilising(self, linear: np.ndarray) -> np.ndarray:
+        """Whether these coefficients (..., n_linear) feed position and velocity back with the sign of a controller."""
+        part = dict(zip(self.linear, np.moveaxis(linear, -1, 0), strict=True))
+        velocity = part.get("following", 0.0) + part.get("damping", 0.0)
+        return (velocity > 0.0 if self.velocity else True) & (part.get("position", 1.0) > 0.0)
+
+    @property
+    def simpler(self) -> tuple[Structure, ...]:
+        """The structures with one number less."""
+        found = []
+        if self.acceleration:
+            found.append(replace(self, acceleration=False))
+        if self.coulomb:
+            found.append(replace(self, coulomb=False))
+        if self.force:
+            found.append(replace(self, force=False))
+        if self.offset:
+            found.append(replace(self, offset=False))
+        if self.form == "pi":
+            found.append(replace(self, form=""))
+        if self.velocity and self.share is None:
+            found += [replace(self, share=0), replace(self, share=1)]
+        if self.position and self.velocity and (self.form or self.share != 0):
+            found.append(replace(self, position=False))
+        if self.position and self.velocity and not self.form and self.share is not None:
+            found.append(replace(self, velocity=False, share=0))
+        return tuple(found)
+
+
+PROPORTIONAL = Structure(form="", share=0, velocity=False, acceleration=False, coulomb=False)

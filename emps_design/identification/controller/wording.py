@@ -1,0 +1,62 @@
+"""What is said of a law beside its table: the structures that were compared, and what no table holds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from emps_design.identification.controller.best_law import Found
+from emps_design.identification.controller.fit import Fit
+from emps_design.records import Record
+
+
+def described(one: Fit, found: Found) -> dict[str, Any]:
+    """A structure that was compared, as plain data."""
+    s, timing = one.structure, one.timing
+    terms = [f"{s.form or 'p'} velocity loop" if s.velocity else "no velocity loop"]
+    if s.position:
+        terms.append(f"position loop every {timing.every}" + (f" from {timing.phase}" if timing.phase else ""))
+    if s.velocity and s.share != 0:
+        terms.append("all of the reference velocity" if s.share == 1 else "a share of the reference velocity")
+    terms += [name for name in ("acceleration", "coulomb", "force", "offset") if getattr(s, name)]
+    terms += [timing.velocity_estimator.replace("_", "-"), f"delay {timing.delay}"]
+    terms += [f"{f.kind} {f.frequency:.4g} Hz" for f in one.filters]
+    return {
+        "terms": ", ".join(terms),
+        "residual_rms": float(np.sqrt(one.cost / one.samples)),
+        "criterion": one.criterion - found.fit.criterion,
+    }
+
+
+def short(table: dict[str, Any]) -> str:
+    """A table's structure in a few words."""
+    every = table.get("position", {}).get("every")
+    form = table.get("velocity", {}).get("form")
+    parts = [table["kind"], f"form {form}" if form else "", f"every {every}" if every else ""]
+    return " ".join(part for part in [*parts, table.get("velocity_estimator", "")] if part)
+
+
+def notes_of(record: Record, unit: str, found: Found, steps: np.ndarray | None) -> tuple[str, ...]:
+    """What the reader has to know and the table does not say."""
+    timing, s = found.fit.timing, found.fit.structure
+    notes = []
+    if timing.delay:
+        notes.append(f"the command in the record is {timing.delay} samples behind the position it follows from")
+    if timing.phase:
+        notes.append(f"the position loop runs first at sample {timing.phase}: leave out as many at the start")
+    if s.offset:
+        offset = float(found.fit.linear[s.linear.index("offset")])
+        what = "the integral starts at" if s.form else "the command carries a constant"
+        notes.append(f"{what} {f'{offset:.4g} {unit}'.rstrip()}, which no table holds")
+    if found.limit is not None:
+        notes.append(f"the limit of {f'{found.limit:.6g} {unit}'.rstrip()} acts: command_limit of [drive]")
+        if found.holds is None and s.form:
+            notes.append("what the integral does at the limit is not told: anti_windup is the default")
+    if steps is not None:
+        notes.append(f"steps of {np.std(steps):.3g} {unit} rms, added to the controller's output, were taken off first")
+    if record.enable is not None and np.any(record.enable <= 0.0):
+        notes.append("samples with the motor switched off were left out")
+    if not np.ptp(found.signals.reference[found.signals.used]) > 0.0:
+        notes.append("the reference stands still, so feed-forward is not told")
+    return tuple(notes)

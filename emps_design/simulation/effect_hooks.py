@@ -1,0 +1,45 @@
+"""What the general stepper takes of an effect: the compiled kernels of its hooks, and what they let the steps be."""
+
+from __future__ import annotations
+
+import dis
+from collections.abc import Iterator
+
+from emps_design.effects import Effect
+from emps_design.simulation.kernels import motion
+from emps_design.simulation.kernels.compile import address
+
+# In the order of the rows of the table of hooks.
+HOOKS = ("force", "dry", "inertia", "command", "actuator", "delay", "sensor", "rate", "guard", "jump_time")
+
+
+def hooks_of(effect: Effect, touching: bool, held: bool) -> Iterator[tuple[int, int]]:
+    """Yield the row of the table, and the address, of every kernel of ``effect``.
+
+    ``touching``: it is something at the carriage, whose force a sensor there feels; ``held``: that force is the
+    sample's for the whole period.
+    """
+    if held and effect.force is not None:
+        yield motion.HELD, address(effect.force)
+        return
+    for row, hook in enumerate(HOOKS):
+        kernel = getattr(effect, hook)
+        if kernel is not None:
+            yield row, address(kernel, hook if hook in ("actuator", "rate") else "kernel")
+    if touching:
+        for row, kernel in ((motion.TOUCH, effect.force), (motion.TOUCH_MASS, effect.inertia)):
+            if kernel is not None:
+                yield row, address(kernel)
+
+
+def touches_motion(effect: Effect) -> bool:
+    """Whether ``effect`` acts between motor force and motion, not only on the signals around them."""
+    return any((effect.force, effect.dry, effect.inertia, effect.rate, effect.guard, effect.jump_time))
+
+
+def sees_command(effect: Effect) -> bool:
+    """Whether a force of ``effect`` reads the motor force, or a mass that may change, so that it jumps with it."""
+    if effect.inertia is not None:
+        return True
+    kernels = [kernel for kernel in (effect.force, effect.dry) if kernel is not None]
+    return any("tau" in {step.argval for step in dis.get_instructions(kernel)} for kernel in kernels)

@@ -1,0 +1,194 @@
+"""Which controller made a record: structure and gains from closed loops that the tests compute themselves."""
+
+import json
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from emps_design.cli.app import run
+from emps_design.identification.controller import AMBIGUOUS, NOT_TOLD, TOLD, identify_law
+from emps_design.identification.controller.deviations import covariance, with_deviations
+from emps_design.identification.controller.filters import Filter
+from emps_design.identification.controller.fit import Fit, fit
+from emps_design.identification.controller.identify_law import signals_of
+from emps_design.identification.controller.regressors import Timing
+from emps_design.identification.controller.structures import Structure
+from emps_design.identification.controller.tables import numbers_of
+from emps_design.machines import machine
+from emps_design.records import Record
+from tests.unit.identification.controller.closed_loop import Loop
+
+# A loop, the numbers that have to be found, and the structure.
+CASES = {
+    "position_pd, backward, coarse encoder": (
+        Loop(kp=30.0, kv=300.0, step=1e-5, noise=0.1),
+        {"kp": 30.0, "kv": 300.0},
+        {"kind": "position_pd", "velocity_estimator": "backward"},
+    ),
+    "position_pd, two-tap": (
+        Loop(kp=60.0, kv=300.0, step=1e-6, two_tap=True, noise=0.01),
+        {"kp": 60.0, "kv": 300.0},
+        {"kind": "position_pd", "velocity_estimator": "two_tap"},
+    ),
+    "ip_velocity, two-tap": (
+        Loop(kp=None, kv=400.0, ti=0.05, form="ip", share=1.0, two_tap=True, noise=0.01),
+        {"k_v1": 400.0, "t_v": 0.05},
+        {"kind": "ip_velocity", "velocity_estimator": "two_tap"},
+    ),
+    "velocity reference": (
+        Loop(kp=None, kv=300.0, ti=0.04, velocity_reference=True, lowpass=200.0, noise=0.02),
+        {"velocity.kp": 300.0, "velocity.ti": 0.04, "filters.0.frequency": 200.0},
+        {"kind": "cascade", "velocity.form": "pi", "filters.0.kind": "lowpass"},
+    ),
+    "ip cascade": (
+        Loop(kp=20.0, kv=400.0, ti=0.03, form="ip", share=0.5, lowpass=150.0, noise=0.02),
+        {"position.kp": 20.0, "velocity.kp": 400.0, "velocity.ti": 0.03, "feedforward.velocity": 0.5}
+        | {"filters.0.frequency": 150.0},
+        {"kind": "cascade", "position.every": 1, "velocity.form": "ip", "filters.0.kind": "lowpass"},
+    ),
+    "late by a sample": (
+        Loop(kp=20.0, kv=400.0, ti=0.03, share=1.0, acceleration=5.0, delay=1, noise=0.02),
+        {"position.kp": 20.0, "velocity.kp": 400.0, "velocity.ti": 0.03, "feedforward.acceleration": 5.0},
+        {"kind": "cascade", "velocity.form": "pi", "feedforward.velocity": 1.0},
+    ),
+    "two notches": (
+        Loop(kp=20, kv=400, ti=0.05, share=0.9, notches=((120, 0.5, 0.1), (310, 0.4, 0.2)), noise=0.02, samples=8000),
+        {"position.kp": 20.0, "velocity.kp": 400.0, "velocity.ti": 0.05, "feedforward.velocity": 0.9}
+        | {"filters.0.frequency": 120.0, "filters.1.frequency": 310.0},
+        {"kind": "cascade", "filters.0.kind": "notch", "filters.1.kind": "notch"},
+    ),
+    "at its limit": (
+        Loop(kp=25.0, kv=400.0, ti=0.04, share=0.9, limit=14.0, noise=0.02, samples=8000),
+        {"position.kp": 25.0, "velocity.kp": 400.0, "velocity.ti": 0.04, "feedforward.velocity": 0.9},
+        {"kind": "cascade", "velocity.form": "pi"},
+    ),
+    "proportional, at its limit": (
+        Loop(kp=3000.0, proportional=True, limit=25.0, friction=(150.0, 6.0), noise=0.05),
+        {"kp": 3000.0},
+        {"kind": "p"},
+    ),
+}
+
+
+def record_of(loop: Loop) -> Record:
+    r, q, u = loop.run()
+    if not loop.velocity_reference:
+        return Record.from_arrays(loop.period, r, q, u, name="loop")
+    record = Record.from_arrays(loop.period, q, q, u, name="loop")
+    return replace(record, velocity_reference=r, q_ref_recorded=False)
+
+
+def at(table, name: str):
+    for key in name.split("."):
+        table = table[int(key)] if isinstance(table, list) else table[key]
+    return table
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_structure_and_gains_of_a_loop(name):
+    loop, numbers, structure = CASES[name]
+    found = identify_law(record_of(loop))
+    assert found.verdict == TOLD or (found.verdict == AMBIGUOUS and "every" in found.reason), found.reason
+    assert {key: at(found.controller, key) for key in structure} == structure
+    assert found.delay == loop.delay
+    assert len(found.controller.get("filters", [])) == (loop.lowpass is not None) + len(loop.notches)
+    for key, true in numbers.items():
+        value, std = at(found.controller, key), at(found.std, key)
+        assert value == pytest.approx(true, rel=0.03), key
+        assert abs(value - true) < 4.0 * std, (key, value, std)
+    assert found.residual_rms == pytest.approx(loop.noise, rel=0.1)
+    if np.isfinite(loop.limit):
+        assert found.limit == pytest.approx(loop.limit, rel=2e-3)
+
+
+@pytest.mark.slow
+def test_a_cascade_at_4_khz_with_everything():
+    loop = Loop(
+        kp=40.0, every=4, kv=500.0, ti=0.02, share=0.8, acceleration=4.5, coulomb=5.0, lowpass=300.0,
+        notches=((180.0, 0.6, 0.15),), period=0.25e-3, samples=12000, noise=0.05,
+    )  # fmt: skip
+    found = identify_law(record_of(loop))
+    table = found.controller
+    assert table["position"]["every"] == 4
+    wanted = {"position.kp": 40.0, "velocity.kp": 500.0, "velocity.ti": 0.02, "feedforward.velocity": 0.8}
+    wanted |= {"feedforward.acceleration": 4.5, "feedforward.coulomb": 5.0}
+    for key, true in wanted.items():
+        assert at(table, key) == pytest.approx(true, rel=0.03), key
+        assert abs(at(table, key) - true) < 4.0 * at(found.std, key), key
+    frequencies = {one["kind"]: one["frequency"] for one in table["filters"]}
+    assert frequencies == {"lowpass": pytest.approx(300.0, rel=0.06), "notch": pytest.approx(180.0, rel=0.03)}
+
+
+@pytest.mark.slow
+def test_deviations_hold_the_truth_as_often_as_they_say():
+    """95 % within two deviations: 200 noises on one run of a loop, at its own structure."""
+    loop = Loop(kp=20.0, kv=400.0, ti=0.03, share=0.9, lowpass=150.0, noise=0.0, samples=4000)
+    r, q, clean = loop.run()
+    rng = np.random.default_rng(5)
+    true = {"position.kp": 20.0, "velocity.kp": 400.0, "velocity.ti": 0.03, "feedforward.velocity": 0.9}
+    true |= {"filters.0.frequency": 150.0}
+    structure = Structure(acceleration=False, coulomb=False, offset=False)
+    start = Fit(structure, Timing(), (Filter.lowpass(140.0),), 0.0, np.zeros(0), 1.0, 1)
+    within = dict.fromkeys(true, 0)
+    for _ in range(200):
+        record = Record.from_arrays(loop.period, r, q, clean + rng.normal(0.0, 0.03, clean.size))
+        signals = signals_of(record)
+        fitted = fit(signals, start)
+        found = with_deviations(fitted, covariance(signals, fitted, None), lambda one: numbers_of(one, False))
+        for name, value in true.items():
+            within[name] += abs(found[name][0] - value) < 2.0 * found[name][1]
+    assert all(181 <= count <= 199 for count in within.values()), within  # 191, four deviations of the count
+
+
+def test_it_says_why_it_cannot_tell():
+    loop = Loop(kp=30.0, kv=300.0, noise=0.01, samples=1500)
+    r, q, u = loop.run()
+    record = Record.from_arrays(loop.period, r, q, u)
+    cases = {
+        "no reference": replace(record, q_ref_recorded=False),
+        "stands still": replace(record, q=np.zeros(q.size)),
+        "command stands still": replace(record, u=np.ones(u.size)),
+        "expected at least": record.part(0, 150),
+    }
+    for reason, one in cases.items():
+        found = identify_law(one)
+        assert (found.verdict, found.controller) == (NOT_TOLD, None)
+        assert reason in found.reason
+        with pytest.raises(ValueError, match=reason):
+            found.to_toml()
+
+
+@pytest.mark.slow
+def test_an_open_loop_has_no_law():
+    t = np.arange(4000) * 1e-3
+    rng = np.random.default_rng(3)
+    u = np.sin(7.0 * t) + 0.5 * np.sign(np.sin(23.0 * t)) + 0.3 * rng.normal(size=t.size).cumsum() / 30.0
+    speed = 0.0
+    q = np.zeros(t.size)
+    for k in range(1, t.size):
+        speed += 1e-3 * (u[k - 1] - 3.0 * speed)
+        q[k] = q[k - 1] + 1e-3 * speed
+    record = Record.from_arrays(1e-3, 0.1 * np.sin(5.0 * t), np.round(q / 1e-6) * 1e-6, u)
+    assert identify_law(record).verdict == NOT_TOLD
+
+
+def test_the_command_prints_the_table_and_never_reads_the_one_in_the_axis(tmp_path, capsys):
+    record = record_of(Loop(kp=30.0, kv=300.0, noise=0.01, samples=2000))
+    record.save(tmp_path / "trace.csv")
+    answers = []
+    for kp in ("160.0", "3.0"):
+        axis = tmp_path / f"{kp}.toml"
+        axis.write_text(machine("emps2019").replace(controller={"kp": float(kp)}).to_toml())
+        out = tmp_path / f"law{kp}.toml"
+        assert run(["law", str(tmp_path / "trace.csv"), "--axis", str(axis), "--out", str(out), "--json"]) == 0
+        answers.append(json.loads(capsys.readouterr().out))
+        assert tomllib.loads(out.read_text())["controller"] == answers[-1]["controller"]
+    assert answers[0] == answers[1]
+    assert answers[0]["controller"]["kp"] == pytest.approx(30.0, rel=0.01)
+    assert set(answers[0]["std"]) == {"kp", "kv"}
+    assert 0.0 < answers[0]["residual"]["share"] < 0.01
+    assert run(["law", str(tmp_path / "trace.csv")]) == 0
+    assert "[controller]" in capsys.readouterr().out
