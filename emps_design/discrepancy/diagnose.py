@@ -42,9 +42,10 @@ def diagnose(
     ``records`` of one axis are explained together; ``holdout``, or ``confirm_time`` (start, stop) [s] of the first
     record, is opened once, at the end. ``fit_time`` [s] limits what is fitted. ``library`` defaults to every known
     effect; its starts and bounds are sized to the axis. ``searches`` healthy records are simulated and searched like
-    this one, for the gain that chance alone reaches; 0 takes a linearisation of that. ``progress(stage, share)`` hears
-    how far it is, ``searched(model)`` the model with which a search ended, before it is confirmed. Raises :class:`InputError` for records that cannot be
-    judged, and where the controller of ``axis`` is not the one that made them.
+    this one, for the gain that chance alone reaches; 0 takes a linearisation of that. ``progress(stage, share)``
+    hears how far it is, ``searched(model)`` the model with which a search ended, before it is confirmed. Raises
+    :class:`InputError` for records that cannot be judged, and where the controller of ``axis`` is not the one that
+    made them.
     """
     from threadpoolctl import threadpool_limits
 

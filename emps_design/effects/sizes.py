@@ -1,7 +1,8 @@
 """Starts and bounds of an effect for the axis at hand: those of the library are written for an ordinary linear axis.
 
-A play of 0.1 mm is worth a try on a stroke of 0.25 m; on an axis that turns by 2 rad it is 1 mrad. So every start and
-bound with a length, a speed, a force or a command in its unit is scaled by how much longer, faster, stronger an axis is.
+A play of 0.1 mm is worth a try on a stroke of 0.25 m; on an axis that turns by 2 rad it is 1 mrad. So every
+start and bound with a length, a speed, a force or a command in its unit is scaled by how much longer, faster or
+stronger an axis is.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ ALIKE = 3.0  # up to this many times more or less, an axis is an ordinary one
 
 
 def sizes(q: np.ndarray, u: np.ndarray, period: float, force_gain: float) -> dict[str, float]:
-    """How large an axis is against the ordinary one, by unit, from positions ``q`` (n,) [m] and commands ``u`` (n,) [V].
+    """How large an axis is against the ordinary one, by unit, from ``q`` (n,) [m] and ``u`` (n,) [V] of a record.
 
     1 where it is alike. The speed is taken over a hundredth of the record, below which an encoder's steps would count.
 
@@ -43,7 +44,8 @@ def sized(effect: Effect, factors: Mapping[str, float]) -> Effect:
     """The ``effect`` with starts, bounds and typical sizes of its parameters times the ``factors`` of their units.
 
     >>> from emps_design.effects import get_effect
-    >>> small, large = get_effect("backlash"), sized(get_effect("backlash"), {"m": 10.0, "N": 1.0, "m/s": 1.0, "V": 1.0})
+    >>> small = get_effect("backlash")
+    >>> large = sized(small, {"m": 10.0, "N": 1.0, "m/s": 1.0, "V": 1.0})
     >>> small.parameters[0].starts, large.parameters[0].starts, large.parameters[1] == small.parameters[1]
     ((5e-05, 0.0001, 0.0002), (0.0005, 0.001, 0.002), True)
     """
