@@ -12,6 +12,7 @@ import numpy as np
 
 SHARP = 2e-3  # s, to which the edges of pulses are sought
 THINNED = 3000  # samples kept for a search: above 100 Hz of a 25 s record
+MOST_PULSES = 100  # of a train; what comes more often is no push now and then
 CHUNK = 200  # wave numbers at a time, to bound the memory
 
 
@@ -138,6 +139,7 @@ def pulses(residual: np.ndarray, t: np.ndarray, period: float) -> list[dict[str,
         found.append({**pulse, "every": every})
         if every:
             found.append({**pulse, "start": float(t[runs[tallest][0]]), "every": 0.0})
+    found = [pulse for pulse in found if not pulse["every"] or t[-1] - pulse["start"] < MOST_PULSES * pulse["every"]]
     area = np.concatenate(([0.0], np.cumsum(residual - np.median(residual)))) * period
     found = [_sharpened(pulse, area, t, period) for pulse in found]
     return sorted(found, key=lambda p: -abs(p["amplitude"]) * p["duration"])
