@@ -84,6 +84,7 @@ def _from_trace(trace: Path, directory: Path, force: bool, as_json: bool) -> Non
     from emps_design.cli.output import print_json, print_warnings, say
     from emps_design.errors import InputError
     from emps_design.files import write_text
+    from emps_design.identification.controller import TOLD, identify_law
     from emps_design.importing.trace import axis_text, read_trace
 
     check_folder(directory, {"axis.toml": AXIS}, (trace,), force=True)
@@ -91,7 +92,8 @@ def _from_trace(trace: Path, directory: Path, force: bool, as_json: bool) -> Non
     if path.exists() and not force:
         raise InputError(f"{directory}: axis.toml exists already; choose another folder, or give --force")
     found = read_trace(trace)
-    text = axis_text(found)
+    law = None if found.record is None else identify_law(found.record, found.units.command_unit)
+    text = axis_text(found, law.to_toml() if law is not None and law.verdict == TOLD else "")
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -108,11 +110,14 @@ def _from_trace(trace: Path, directory: Path, force: bool, as_json: bool) -> Non
                 "record": None if record is None else record.to_dict(),
                 "encoder_step": found.encoder_step,
                 "command_limit": found.limit,
+                "law": law,
                 "to_fill_in": waiting,
                 "warnings": warnings,
             }
         )
     else:
+        if law is not None:
+            say(f"Controller: {law.verdict}{f', {law.reason}' if law.reason else ''}")
         say(f"{path}: fill in {', '.join(waiting)}")
         say(f"Then: emps-design import {trace} --axis {path} --out record.npz")
     print_warnings(warnings)
