@@ -27,6 +27,7 @@ from emps_design.errors import InputError
 from emps_design.laws.friction_model import PARAMETERS
 
 MOST = 1_000_000  # plants; more would not fit into memory
+TOGETHER = 10_000  # plants whose poles are computed in one call, which hears no interrupt
 CALM = ("stable", "dead_band")  # verdicts of a carriage that comes to rest
 BOUNDED = (*CALM, "creeping")  # neither a limit cycle nor unstable
 
@@ -230,15 +231,16 @@ def mismatch_study(
     clock = Clock.of(axis)
     options: dict[str, Any] = {"velocity_estimator": law.velocity_estimator, "force_sensor": law.force_sensor}
     error, radius = np.zeros(len(errors)), np.zeros(len(errors))
-    for direction in (1, -1) if split or plant.two_quadrant else (1,):
-        n = {
-            **numbers(law, plant, direction),
-            "mass_hat": law.estimate.mass * (1.0 + errors[:, 0]),
-            "viscous_hat": law.estimate.viscous[0 if direction > 0 else 1]
-            * (1.0 + errors[:, 1 if direction > 0 else 2]),
-        }
-        error = np.maximum(error, impedance_error(n, clock, **options))
-        radius = np.maximum(radius, spectral_radius(n, clock, **options))
+    for some in (slice(start, start + TOGETHER) for start in range(0, len(errors), TOGETHER)):
+        for direction in (1, -1) if split or plant.two_quadrant else (1,):
+            n = {
+                **numbers(law, plant, direction),
+                "mass_hat": law.estimate.mass * (1.0 + errors[some, 0]),
+                "viscous_hat": law.estimate.viscous[0 if direction > 0 else 1]
+                * (1.0 + errors[some, 1 if direction > 0 else 2]),
+            }
+            error[some] = np.maximum(error[some], impedance_error(n, clock, **options))
+            radius[some] = np.maximum(radius[some], spectral_radius(n, clock, **options))
     error[radius > 1.0 + MARGINAL] = np.nan
     task = fitted_task(axis, law, mismatch) if task is None else task
     measures = run_many(axis, laws, task, workers, progress)
