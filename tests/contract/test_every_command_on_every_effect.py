@@ -27,14 +27,12 @@ SIMULATED = {
     "identify": "identify {record} --axis {identified}",
     "observe": "observe {record} --axis {identified}",
 }
-# What takes a second or more runs where an effect has its typical size, the impedance law also where it is large.
 LAW = {"impedance": "impedance {design} --mass 50 --damping 100"}
 LONG = {
     "comanipulation": "simulate {design} --scenario comanipulation --plants 2",
     "diagnose": "diagnose {record} --axis {identified}",
 }
 REPORT = {"report": "report {design} --k-e1 0.005 --out {out}"}
-AT = {"small": SIMULATED, "typical": SIMULATED | LAW | LONG | REPORT, "large": SIMULATED | LAW}
 SIZES = {"small": 1e-3, "typical": 1.0, "large": 100.0}
 ONE_EACH = [effect.name for effect in EFFECTS]
 # Pairs that meet in one place of the plant: two of the actuator, two over position, play and spring, sensor and drive.
@@ -111,7 +109,7 @@ def test_every_design_command_runs_on_pairs(pair, record, tmp_path, capsys):
 def test_every_simulating_command_runs(name, size, record, tmp_path, capsys, monkeypatch):
     if name != "elastic_force":  # pictures take longest, and there an effect is a number like any other
         monkeypatch.setattr("emps_design.report.assemble.design_page", lambda results: Page("title", "", (), ()))
-    check(AT[size], [parameters(name, size)], record, tmp_path, capsys)
+    check(SIMULATED | LAW | LONG | REPORT, [parameters(name, size)], record, tmp_path, capsys)
 
 
 @pytest.mark.slow

@@ -29,6 +29,7 @@ AROUND = 3  # samples about one with the motor switched off that do not count
 FEWEST_AT_START = 4  # samples left out, whatever the period
 FEEDBACK = ("kp", "kv", "k_v1", "t_v", "position.kp", "velocity.kp", "velocity.ti")
 LOOSE = 0.2  # relative deviation of a gain beyond which it is not determined
+ROUNDING = 1e-6  # relative, by which the numbers of one law written in two ways may differ
 
 IRREGULAR = "irregular samples tell no law with a memory, only a proportional one"
 
@@ -115,11 +116,15 @@ def _report(record: Record, unit: str, found: Found, steps: np.ndarray | None, w
     values = {name: _rounded(value, std) for name, (value, std) in numbers.items()}
     close = [one for one in found.rivals if one.criterion < found.fit.criterion + AS_GOOD]
     close = [one for one in close if kind_of(one, velocity_reference)]
-    other_numbers = all(_same_structure(one, found.fit) for one in close)
-    equivalents = tuple(
+    own, *others = (
         table_of(one, velocity_reference, numbers_of(one, velocity_reference), found.holds is not False)
-        for one in close
+        for one in (found.fit, *close)
     )
+    # Two sums of terms may be one law: an integral of the velocity error is a proportional position loop.
+    differ = [not _same_numbers(other, own) for other in others]
+    close = [one for one, other in zip(close, differ, strict=True) if other]
+    equivalents = tuple(table for table, other in zip(others, differ, strict=True) if other)
+    other_numbers = all(_same_structure(one, found.fit) for one in close)
     reason = ""
     if close:
         what = "position.kp and 1/velocity.ti exchanged" if other_numbers else ", ".join(map(short, equivalents))
@@ -147,6 +152,17 @@ def _rounded(value: float, std: float) -> float:
 
 def _same_structure(one: Fit, other: Fit) -> bool:
     return one.structure == other.structure and one.timing == other.timing and len(one.filters) == len(other.filters)
+
+
+def _same_numbers(one: Any, other: Any) -> bool:
+    """Whether two tables of a controller say the same, but for rounding."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_same_numbers(one[key], other[key]) for key in one)
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(map(_same_numbers, one, other))
+    if isinstance(one, float) and isinstance(other, float):
+        return abs(one - other) <= ROUNDING * abs(other)
+    return bool(one == other)
 
 
 def _not_told(record: Record, unit: str, reason: str, **said: Any) -> LawEstimate:

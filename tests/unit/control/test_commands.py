@@ -170,7 +170,8 @@ def test_derive_prints_steps_and_errata(capsys):
     assert {"8", "9", "10", "13", "15", "18", "26", "30"} <= {step["number"] for step in found["errata"]}
     assert found["cost_of_printed_30"]["printed"]["apparent_mass"] == pytest.approx(73.8, abs=0.05)
     assert found["warnings"] == []
-    assert document(capsys, "derive", "--latex") == found
+    assert run(["derive", "--latex", "--json"]) == 2  # one document or the other
+    assert "--json" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -89,6 +89,8 @@ def test_effects_that_are_not_viscous_are_named(axis):
     kinds = known_effects()
     for kind in kinds:
         effect = kinds[kind]
+        if not effect.acts_on("linear"):
+            continue
         values = {p.name: p.starts[0] if p.starts else max(p.lower, min(p.upper, 0.01)) for p in effect.parameters}
         viscous = kind == "asymmetric_viscous_friction"
         assert left_out(axis.replace(effects=[{"kind": kind, **values}])) == (() if viscous else (kind,))
