@@ -83,7 +83,8 @@ def draw(effect, path: Path) -> None:
     q_ref = trapezoid_laps(axis.sampling.period, laps=1)
     parameters = {parameter.name: typical(parameter) for parameter in effect.parameters}
     without = Plant.of(axis).closed_loop(q_ref)
-    run = Plant.of(axis.replace(effects=[{"kind": effect.name, **parameters}])).closed_loop(q_ref)
+    extended = axis.replace(motion=effect.motion or axis.motion, effects=[{"kind": effect.name, **parameters}])
+    run = Plant.of(extended).closed_loop(q_ref)
     change = run.force - without.force
     figure = Figure(figsize=(8, 2.6), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
