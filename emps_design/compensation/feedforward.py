@@ -17,7 +17,7 @@ import numpy as np
 
 from emps_design.effects import Effect
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
-from emps_design.laws import Law, law_of
+from emps_design.laws import law_of
 
 if TYPE_CHECKING:
     from emps_design.axis import Axis
@@ -153,13 +153,7 @@ def answered(axis: Axis, q_ref: np.ndarray) -> np.ndarray | None:
 
     None where the law's own limit would cut that: what is left of it cannot be taken off.
     """
-    law = law_of(axis, axis.sampling.period)
-    free, limited = (_answered(law, q_ref, axis.sampling.period, limit) for limit in (np.inf, axis.drive.command_limit))
+    law, period = law_of(axis, axis.sampling.period), axis.sampling.period
+    reference = law.reference(q_ref, period)
+    free, limited = (law.commands(reference, q_ref, limit) for limit in (np.inf, axis.drive.command_limit))
     return free if np.array_equal(free, limited) else None
-
-
-def _answered(law: Law, q_ref: np.ndarray, period: float, limit: float) -> np.ndarray:
-    reference, memory = law.reference(q_ref, period).tolist(), [0.0] * law.memory
-    gains = law.gains.tolist() if np.ndim(law.gains) == 1 else None
-    rows = enumerate(zip(reference, q_ref.tolist(), strict=True))
-    return np.array([law.kernel(k, r, q, 0.0, limit, gains or law.row(k), memory) for k, (r, q) in rows])

@@ -86,9 +86,17 @@ class Law:
     state_feedback: bool = False
     cycle: int = 1
 
-    def row(self, k: int) -> Any:
-        """The gains at sample ``k``."""
-        return self.gains[k] if np.ndim(self.gains) == 2 else self.gains
+    def commands(
+        self, reference: np.ndarray, q: np.ndarray, limit: float, f_ext: np.ndarray | None = None
+    ) -> np.ndarray:
+        """What the law gives (n,) for what it follows, the position and the sensed force (n,), from rest, in Python."""
+        rows, memory = self.gains.tolist(), [0.0] * self.memory
+        sensed = [0.0] * q.size if f_ext is None else f_ext.tolist()
+        samples = enumerate(zip(reference.tolist(), q.tolist(), sensed, strict=True))
+        by_sample = np.ndim(self.gains) == 2
+        return np.array(
+            [self.kernel(k, r, x, f, limit, rows[k] if by_sample else rows, memory) for k, (r, x, f) in samples]
+        )
 
     def reference(self, q_ref: np.ndarray, period: float) -> np.ndarray:
         """What the law follows (n,) [m or m/s] along the positions ``q_ref`` (n,) [m]: them, or their rate."""

@@ -74,13 +74,8 @@ def check_law(record: Record, axis: Axis, library: tuple[Effect, ...]) -> LawChe
 def law_voltage(record: Record, axis: Axis) -> np.ndarray:
     """What the law of ``axis`` gives (n,) [V] for recorded reference and position, limited; 0 while switched off."""
     law = law_of(axis, record.period, record.extra)
-    memory = np.zeros(law.memory)
     limit = axis.drive.command_limit
-    reference = law.followed(record)
-    sensed = np.zeros(len(record)) if record.f_ext is None else record.f_ext
-    voltage = np.array(
-        [law.kernel(k, reference[k], record.q[k], sensed[k], limit, law.row(k), memory) for k in range(len(record))]
-    )
+    voltage = law.commands(law.followed(record), record.q, limit, record.f_ext)
     added = 0.0 if record.excitation is None else record.excitation
     on = 1.0 if record.enable is None else record.enable != 0.0
     return np.clip(voltage + added, -limit, limit) * on
