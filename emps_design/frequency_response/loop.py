@@ -28,6 +28,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.loop.margins import margin_arrays
+from emps_design.control.loop.transfer import transfer
 from emps_design.errors import InputError
 from emps_design.frequency_response.hold import mass_line, sampled_position
 from emps_design.frequency_response.resonances import resonances
@@ -154,15 +155,9 @@ def law_response(law: LinearLaw, w: np.ndarray, period: float) -> np.ndarray:
             f"law: found loops of different rates, the same again after {law.cycle} samples, expected one rate: a "
             "response at one frequency says nothing about the others that such a law makes of it"
         )
-    w = np.asarray(w, dtype=float)
-    z = np.exp(1j * w * period)
     kept = law.used
-    A, B, C = law.A[np.ix_(kept, kept)], law.B[kept, 1], law.C[kept]
-    if not kept.any():
-        return np.full(w.shape, complex(law.D[1]))
-    column = np.broadcast_to(B[:, None], (*w.shape, B.size, 1))
-    states = np.linalg.solve(z[..., None, None] * np.eye(B.size) - A, column)
-    return states[..., 0] @ C + law.D[1]
+    A, b, c = law.A[np.ix_(kept, kept)], law.B[kept, 1], law.C[kept]
+    return transfer(A, b, c, law.D[1], np.exp(1j * np.asarray(w) * period))
 
 
 def measured_margins(response: FrequencyResponse, axis: Axis, draws: int = DRAWS) -> MeasuredMargins:
