@@ -69,9 +69,7 @@ def table_titles(file: BinaryIO, source: str) -> list[str]:
     return list(scope_titles(head, source) if is_scope(head) else find_header(head, lambda titles: [], source).titles)
 
 
-def read_plain_table(
-    content: bytes, source: str, expected: str, needed: Collection[str] = ()
-) -> dict[str, np.ndarray]:
+def read_plain_table(content: bytes, source: str, expected: str, needed: Collection[str] = ()) -> dict[str, np.ndarray]:
     """Return the columns of a table that this package or a script wrote: a row of titles, numbers below it.
 
     Commas or semicolons stand between cells, # begins a comment. Where a title that is ``needed`` is missing the
