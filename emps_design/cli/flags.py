@@ -19,6 +19,7 @@ FLAGS = {
     "phase_deg": "--phase",
     "record": "--record",
     "target": "--to",
+    "window": "import --time",
 }
 
 

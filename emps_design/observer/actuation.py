@@ -55,9 +55,11 @@ def as_driven(axis: Axis, record: Record) -> tuple[Record, Axis]:
     nothing: what the axis then has too much of viscous friction the voltage gives back.
 
     >>> from emps_design.machines import machine
-    >>> off = Record.from_arrays(1e-3, *np.ones((3, 4)), enable=np.array([1.0, 1.0, 0.0, 0.0]))
-    >>> as_driven(machine("emps2019"), off)[0].u.tolist()
-    [1.0, 1.0, 0.0, 0.0]
+    >>> from emps_design.machines import machine
+    >>> wave = 0.1 * np.sin(np.arange(60) / 9)
+    >>> off = Record.from_arrays(1e-2, wave, wave, np.ones(60) + wave, enable=np.arange(60) < 30)
+    >>> [int(np.count_nonzero(half)) for half in np.split(as_driven(machine("emps2019"), off)[0].u, 2)]
+    [30, 0]
     """
     voltage, driven = acting_voltage(axis.replace(sampling={"period": record.period}), record.u)
     voltage = voltage * motor_share(axis, record)
