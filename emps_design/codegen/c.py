@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from emps_design.codegen.printer import Printer, names_of, parts
+from emps_design.codegen.printer import Printer, names_in, names_of, parts
 from emps_design.codegen.program import (
     ARRAY,
     INT,
@@ -57,7 +57,7 @@ class CPrinter(Printer):
         self.types = function.variables
         known = self.constants.get(function.name, {})
         body = self.lines(function, known)
-        used = _all(function.body) | known.keys()
+        used = names_in(function.body) | known.keys()
         unused = [
             f"{self.indent}(void){self.names[name]};" for name in function.parameters if name not in used | known.keys()
         ]
@@ -155,16 +155,7 @@ def _belongs(name: str, steps: tuple[Statement, ...]) -> bool:
     if len(users) != 1 or isinstance(users[0], Assign | Return):
         return bool(users)
     blocks, tests = parts(users[0])
-    return any(name in names_of(test) for test in tests) or sum(name in _all(block) for block in blocks) > 1
-
-
-def _sets(name: str, step: Statement) -> bool:
-    """Whether ``step`` gives ``name`` its first value, for which it need not have one."""
-    return isinstance(step, Assign) and isinstance(step.target, Name) and name not in names_of(step.value)
-
-
-def _all(steps: tuple[Statement, ...]) -> set[str]:
-    return set().union(*map(names_of, steps))
+    return any(name in names_of(test) for test in tests) or sum(name in names_in(block) for block in blocks) > 1
 
 
 def _written(steps: tuple[Statement, ...]) -> set[str]:

@@ -17,7 +17,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from emps_design.axis.tables import field_in
-from emps_design.codegen.ahead import HOOKS, Ahead
+from emps_design.codegen.ahead import Ahead
 from emps_design.codegen.block import Block
 from emps_design.codegen.c import KEYWORDS, functions_in_c
 from emps_design.codegen.printer import safe_names
@@ -27,6 +27,7 @@ from emps_design.compensation.feedforward import FeedForward, terms_of
 from emps_design.errors import InputError
 from emps_design.files import write_text, write_together
 from emps_design.laws import law_of, leaves, unit_of
+from emps_design.simulation.kernels.inverse import HOOKS
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -171,6 +171,11 @@ def names_of(one: Statement | Expression) -> set[str]:
     return set().union(*inside, {one.variable} if isinstance(one, For) else ())
 
 
+def names_in(steps: Iterable[Statement]) -> set[str]:
+    """Every variable, parameter and array that ``steps`` name."""
+    return set().union(*map(names_of, steps))
+
+
 def _counters(steps: tuple[Statement, ...]) -> list[str]:
     """Variables of the loops, in order, each once."""
     found: dict[str, None] = {}
