@@ -133,7 +133,7 @@ class ExpressionReader:
                 return self.refuse(
                     node, "a whole power", f"one from 1 to {LARGEST_POWER}, of a variable; or a real exponent"
                 )
-            return _product(real(base), int(exponent.value))
+            return product(real(base), int(exponent.value))
         self.calls.add("pow")
         return Call("pow", (real(base), real(exponent)), REAL)
 
@@ -232,7 +232,7 @@ def real(one: Expression) -> Expression:
     return Call("real", (one,), REAL)
 
 
-def _product(base: Expression, exponent: int) -> Expression:
+def product(base: Expression, exponent: int) -> Expression:
     """``base ** exponent`` by squaring, the products in the order of the simulation's compiler."""
     power, result = base, None
     while exponent:

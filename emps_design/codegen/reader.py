@@ -57,9 +57,15 @@ def read_into(
     above: Any,
 ) -> None:
     """Add ``function`` to ``found``, behind what it calls."""
-    name = getattr(function, "__name__", repr(function))
     if function in above:
+        name = getattr(function, "__name__", repr(function))
         raise InputError(f"{name}: found a function that calls itself, expected none: a drive has no room for it")
+    reader(function, source_tree(function), types, found, calls, (*above, function)).read()
+
+
+def source_tree(function: Callable[..., Any]) -> ast.FunctionDef:
+    """The definition of ``function`` as its file has it."""
+    name = getattr(function, "__name__", repr(function))
     try:
         source = textwrap.dedent(inspect.getsource(function))
         tree = ast.parse(source).body[0]
@@ -67,11 +73,13 @@ def read_into(
         raise InputError(f"{name}: its source cannot be read ({error}); put the function into a file") from error
     if not isinstance(tree, ast.FunctionDef):
         raise InputError(f"{name}: found {type(tree).__name__}, expected a function made with def")
-    reader(function, tree, types, found, calls, (*above, function)).read()
+    return tree
 
 
 class FunctionReader(ExpressionReader):
     """Reads one function."""
+
+    result = REAL
 
     def read_function(self, function: Any, types: tuple[str, ...]) -> None:
         read_into(type(self), function, types, self.found, self.calls, self.above)
@@ -80,13 +88,13 @@ class FunctionReader(ExpressionReader):
         steps = [step for step in self.tree.body if not _is_text(step)]
         # A variable is real as soon as one value of it is; types settle because they only move from whole to real.
         before = None
-        while before != self.variables:
-            before = dict(self.variables)
+        while before != (self.variables, self.result):
+            before = (dict(self.variables), self.result)
             body = self.block(steps)
         self.variables = {name: kind for name, kind in sorted(self.variables.items()) if name not in self.parameters}
-        if not _returns(body):
+        if self.result and not _returns(body):
             self.refuse(self.tree, "a way through the function without a return", "a number on every way")
-        self.found[self.tree.name] = Function(self.tree.name, self.parameters, self.variables, body)
+        self.found[self.tree.name] = Function(self.tree.name, self.parameters, self.variables, body, self.result)
 
     # Statements.
 
