@@ -124,7 +124,7 @@ def _with_numbers(program: Program, p: np.ndarray, b: np.ndarray) -> Program:
 
 def _put(one: Any, arrays: Mapping[str, np.ndarray], time: str) -> Any:
     """``one`` with the cells of ``arrays`` as numbers, and ``time`` as 0."""
-    if isinstance(one, Cell) and one.array in arrays:
+    if isinstance(one, Cell) and isinstance(one.array, str) and one.array in arrays:
         if not isinstance(one.index, Number):
             raise InputError(f"found {one.array} at a place that is computed, expected a constant one")
         return Number(float(arrays[one.array][int(one.index.value)]), REAL)

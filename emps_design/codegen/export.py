@@ -1,4 +1,4 @@
-"""Write a controller as code into a folder: C99, Structured Text or JSON, with the vectors that prove it."""
+"""Write a controller as code into a folder: C99, Structured Text, units of FMI 3.0, JSON, with its proof."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from emps_design.codegen.ahead import Ahead
 from emps_design.codegen.block import Block
-from emps_design.codegen.pages import block_name, hash_of
+from emps_design.codegen.fmu import binary_for, in_fmu
+from emps_design.codegen.pages import Files, block_name, hash_of
 from emps_design.codegen.targets import in_c, in_json, in_st
 from emps_design.codegen.vectors import Vectors, vectors_of
 from emps_design.compensation.feedforward import FeedForward, terms_of
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
     from emps_design.axis import Axis
 
+NO_COMPILER = "no C compiler was found: the units hold their source alone, for the importing tool to compile"
+
 
 @dataclass(frozen=True)
 class Exported:
@@ -31,13 +34,13 @@ class Exported:
     target: str
     block: Block
     vectors: Vectors = field(repr=False)
-    files: dict[str, str] = field(repr=False)
+    files: Files = field(repr=False)
 
     def write(self, folder: Path) -> None:
         """Write the files into ``folder``, which exists, all of them or none."""
         with write_together(folder) as aside:
             for name, text in self.files.items():
-                write_text(aside / name, text)
+                write_text(aside / name, text) if isinstance(text, str) else (aside / name).write_bytes(text)
 
     def to_dict(self) -> dict[str, Any]:
         """Names of the files and what the vectors are."""
@@ -58,14 +61,15 @@ class Exported:
                 "rows_without_bound": int(self.vectors.q.size - len(bound)),
             },
             "units": {"single_precision_bound": self.block.axis.units.unit("V")},
-            "warnings": [],
+            "binary": (binary_for() or None) if self.target == "fmu" else None,
+            "warnings": [NO_COMPILER] if self.target == "fmu" and not binary_for() else [],
         }
 
 
 def export_controller(axis: Axis, target: str, compensation: Mapping[str, Any] | None = None) -> Exported:
     """Return the controller of ``axis`` as the files of a ``target``: one of ``TARGETS``.
 
-    ``compensation`` is what :func:`~emps_design.compensation.compensate` found, as plain data; C alone takes one. The
+    ``compensation`` is what :func:`~emps_design.compensation.compensate` found, as plain data. The
     same axis gives the same bytes. Raises :class:`InputError` for another target, for an axis without a controller, for
     a law that has no translation and for a compensation of another axis.
 
@@ -75,12 +79,12 @@ def export_controller(axis: Axis, target: str, compensation: Mapping[str, Any] |
     """
     if target not in TARGETS:
         raise InputError(f"`target`: found {target!r}, expected one of {', '.join(TARGETS)}")
-    block = Block.of(axis, None if compensation is None else _ahead(axis, target, compensation))
+    block = Block.of(axis, None if compensation is None else _ahead(axis, compensation))
     name, vectors = block_name(axis.name), vectors_of(block)
     return Exported(name, target, block, vectors, TARGETS[target](name, block, vectors))
 
 
-def _ahead(axis: Axis, target: str, found: Mapping[str, Any]) -> Ahead:
+def _ahead(axis: Axis, found: Mapping[str, Any]) -> Ahead:
     """The feed-forward of a ``compensation`` for this ``axis``, checked."""
     kept, reversal, taken = found.get("kept"), found.get("reversal"), found.get("law_taken_off")
     if not isinstance(kept, list) or not isinstance(reversal, int | float) or not isinstance(taken, bool):
@@ -91,12 +95,12 @@ def _ahead(axis: Axis, target: str, found: Mapping[str, Any]) -> Ahead:
             f"compensation: found the terms {', '.join(map(str, kept))} of the axis {found.get('axis')}, expected "
             f"those of {axis.name}; run compensate on this axis"
         )
-    if target != "c":
-        raise InputError(f"`target`: found {target!r} with a compensation, expected c: no other takes one yet")
     ahead = replace(FeedForward.of(axis, kept), reversal=float(reversal))
     if taken and law_of(axis, axis.sampling.period).follows != "position":
         raise InputError("compensation: found one of a law that follows a velocity, expected a position")
     return Ahead.of(ahead, taken)
 
 
-TARGETS: dict[str, Callable[[str, Block, Vectors], dict[str, str]]] = {"c": in_c, "st": in_st, "json": in_json}
+TARGETS: dict[str, Callable[[str, Block, Vectors], Files]] = {
+    "c": in_c, "st": in_st, "fmu": in_fmu, "json": in_json,
+}  # fmt: skip

@@ -39,8 +39,8 @@ class Machine:
     """An axis as C.
 
     ``structures``, ``functions`` and the ``opened`` run; for each form of a hook the names of its ``kernels`` by
-    number; ``initial`` the function, its type, first state, first parameter and number of states of each effect that has some;
-    ``numbers`` the arrays that it begins with; ``ring`` the samples that are kept.
+    number; ``initial`` the function, its type, first state, first parameter and number of states of each effect that
+    has some; ``numbers`` the arrays that it begins with; ``ring`` the samples that are kept.
     """
 
     structures: list[str]

@@ -8,6 +8,7 @@ import inspect
 import math
 import re
 import textwrap
+from collections.abc import Mapping
 from functools import lru_cache
 from importlib import metadata
 from importlib.resources import files
@@ -22,6 +23,7 @@ from emps_design.codegen.vectors import MOTION, REST, Vectors
 from emps_design.laws import leaves, unit_of
 
 INPUTS = {"position": "m", "velocity": "m/s", "rest position": "m"}  # unit of what a law follows
+Files = Mapping[str, str | bytes]  # by name
 LONGEST_NAME = 40
 CHARACTERS = 120  # of a line of a comment
 
@@ -36,8 +38,8 @@ def block_name(name: str) -> str:
     return safe_names([plain], KEYWORDS | frozenset({"end_if", "program", "function", "var", "type"}))[plain]
 
 
-def hash_of(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
+def hash_of(content: str | bytes) -> str:
+    return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()
 
 
 @lru_cache
@@ -108,8 +110,8 @@ def gain_names(block: Block) -> list[str]:
     return [comment(named.get(place, "")) for place in range(len(block.law.gains))]
 
 
-def with_page(name: str, block: Block, vectors: Vectors, made: dict[str, str]) -> dict[str, str]:
-    """``made`` with the axis, the vectors, and a page that says what is there."""
+def with_page(name: str, block: Block, vectors: Vectors, made: Files, **more: Any) -> Files:
+    """``made`` with the axis, the vectors, and a page that says what is there; ``more`` is for its template."""
     made = {**made, f"{name}.toml": block.axis.to_toml(comments=True), "vectors.csv": vectors.to_csv()}
     bounds = [one for one in vectors.bound.tolist() if math.isfinite(one)]
     left = vectors.q.size - len(bounds)
@@ -120,7 +122,8 @@ def with_page(name: str, block: Block, vectors: Vectors, made: dict[str, str]) -
         + (f"; {left} rows have none, behind a comparison that rounding decides." if left else ".")
     )
     hashes = [(file, hash_of(text)) for file, text in made.items()]
-    words = {**words_of(name, block), "files": list(made), "rows": vectors.q.size, "bound": said, "hashes": hashes}
+    words = {**words_of(name, block), **more, "files": list(made), "rows": vectors.q.size, "bound": said}
+    words["hashes"] = hashes
     return {**made, "README.md": template("README.md").render(words)}
 
 

@@ -80,9 +80,11 @@ class Printer:
         if isinstance(step, Assign):
             return [self.assigned(self.expression(step.target), self.expression(step.value))]
         if isinstance(step, Return):
+            assert step.value is not None
             return self.returned(self.expression(step.value))
         if isinstance(step, For):
             return self.loop(step)
+        assert isinstance(step, If)
         return self.branch(step)
 
     def expression(self, one: Expression, outside: int = 0, right: bool = False) -> str:
@@ -93,7 +95,7 @@ class Printer:
         if isinstance(one, Name):
             return self.names[one.name]
         if isinstance(one, Cell):
-            return f"{self.names[one.array]}[{self.index(one.index)}]"
+            return f"{self.names[str(one.array)]}[{self.index(one.index)}]"
         if isinstance(one, Call):
             return self.call(one, [self.expression(argument) for argument in one.arguments])
         if isinstance(one, Apply):

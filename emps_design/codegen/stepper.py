@@ -44,7 +44,12 @@ from emps_design.codegen.program import (
 from emps_design.codegen.reader import FunctionReader, source_tree
 from emps_design.simulation.kernels import compile as compiled
 
-MORE = {np.floor: "floor", np.ceil: "ceil", np.sqrt: "sqrt", math.expm1: "expm1", math.log1p: "log1p"}
+MORE: dict[Any, str] = {np.floor: "floor", np.ceil: "ceil", np.sqrt: "sqrt"}  # and what C has, a drive need not
+MORE |= {
+    getattr(math, name): name
+    for name in ("expm1", "log1p", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "atan2", "hypot", "copysign",
+                 "fmod", "log10", "log2", "erf", "erfc")
+}  # fmt: skip
 BY_NUMBER = {  # kernels called by their number: what they answer
     compiled.call_kernel: ("call_kernel", REAL),
     compiled.call_actuator: ("call_actuator", REAL),
@@ -130,10 +135,8 @@ class StepperReader(FunctionReader):
         wanted = targets[0].elts
         if isinstance(value, ast.Tuple):
             for place, target in enumerate(wanted):
-                own, later = ast.unparse(target), value.elts[place + 1 :]
-                if any(
-                    isinstance(part, ast.expr) and ast.unparse(part) == own for one in later for part in ast.walk(one)
-                ):
+                later = [part for one in value.elts[place + 1 :] for part in ast.walk(one)]
+                if any(isinstance(part, ast.expr) and ast.unparse(part) == ast.unparse(target) for part in later):
                     return self.refuse(value, f"{ast.unparse(target)} set and used in one assignment")
             return [one for pair in zip(wanted, value.elts, strict=True) for one in self.stored(*pair)]
         whole, before = self.number(value), list[Statement]()
@@ -166,7 +169,9 @@ class StepperReader(FunctionReader):
             self.variables[node.id] = kind
             return Assign(Name(node.id, kind), self.converted(node, value, kind))
         target = self.number(node)
-        return Assign(target, value) if target.type == INT else super().assign(node, value)
+        if isinstance(target, Cell) and target.type == INT:
+            return Assign(target, value)
+        return super().assign(node, value)
 
     def common(self, node: ast.AST, first: str, second: str) -> str:
         """The type of what is of both types: whole numbers become real."""

@@ -1,4 +1,4 @@
-"""A stepper as C99: several values are a structure, and the run over samples is opened, so that one sample is a call."""
+"""A stepper as C99: several values are a structure, and the loop over samples is opened, so that one is a call."""
 
 from __future__ import annotations
 
@@ -75,9 +75,9 @@ class StepperPrinter(CPrinter):
         )
         known = {name: f"m->{safe}" for name, safe in fields.items()}
         blocks = function.body[:place], inside.body[:cut], (*inside.body[cut:], *function.body[place + 1 :])
-        printed = [self.lines(Function(function.name, {}, {}, block), known) for block in blocks]
+        before, upto, after = (self.lines(Function(function.name, {}, {}, block), known) for block in blocks)
         declared = [f"{self.declared(kind, fields[name])};" for name, kind in own.items()]
-        return Opened(declared, *printed, self.declared(function.result, ""))
+        return Opened(declared, before, upto, after, self.declared(function.result, ""))
 
     def definitions(self) -> list[str]:
         """The structures that were used."""

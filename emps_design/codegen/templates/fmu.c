@@ -202,6 +202,30 @@ FMI status fmi3SetIntervalFraction(void *given, const reference *a, size_t b, co
 FMI status fmi3SetShiftDecimal(void *given, const reference *a, size_t b, const double *c) { (void)a; (void)b; (void)c; return missing(given); }
 FMI status fmi3SetShiftFraction(void *given, const reference *a, size_t b, const uint64_t *c, const uint64_t *d) { (void)a; (void)b; (void)c; (void)d; return missing(given); }
 FMI status fmi3GetOutputDerivatives(void *given, const reference *a, size_t b, const int32_t *c, double *d, size_t e) { (void)a; (void)b; (void)c; (void)d; (void)e; return missing(given); }
+FMI status fmi3EnterContinuousTimeMode(void *given) { return missing(given); }
+FMI status fmi3CompletedIntegratorStep(void *given, bool a, bool *b, bool *c) { (void)a; (void)b; (void)c; return missing(given); }
+FMI status fmi3SetTime(void *given, double a) { (void)a; return missing(given); }
+FMI status fmi3SetContinuousStates(void *given, const double *a, size_t b) { (void)a; (void)b; return missing(given); }
+FMI status fmi3GetContinuousStateDerivatives(void *given, double *a, size_t b) { (void)a; (void)b; return missing(given); }
+FMI status fmi3GetEventIndicators(void *given, double *a, size_t b) { (void)a; (void)b; return missing(given); }
+FMI status fmi3GetContinuousStates(void *given, double *a, size_t b) { (void)a; (void)b; return missing(given); }
+FMI status fmi3GetNominalsOfContinuousStates(void *given, double *a, size_t b) { (void)a; (void)b; return missing(given); }
+FMI status fmi3GetNumberOfEventIndicators(void *given, size_t *a) { (void)a; return missing(given); }
+FMI status fmi3GetNumberOfContinuousStates(void *given, size_t *a) { (void)a; return missing(given); }
+FMI status fmi3ActivateModelPartition(void *given, reference a, double b) { (void)a; (void)b; return missing(given); }
+
+FMI void *fmi3InstantiateModelExchange(const char *a, const char *b, const char *c, bool d, bool e, void *f, log_message g)
+{
+    (void)a; (void)b; (void)c; (void)d; (void)e; (void)f; (void)g;
+    return NULL;
+}
+
+FMI void *fmi3InstantiateScheduledExecution(const char *a, const char *b, const char *c, bool d, bool e, void *f, log_message g,
+    void *h, void *i, void *j)
+{
+    (void)a; (void)b; (void)c; (void)d; (void)e; (void)f; (void)g; (void)h; (void)i; (void)j;
+    return NULL;
+}
 
 #define NO_TYPE(name, type) \
     FMI status fmi3Get##name(void *given, const reference *which, size_t count, type *value, size_t values) \

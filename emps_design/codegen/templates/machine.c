@@ -75,7 +75,7 @@ typedef struct {
     real own_push[RING];
 } run_state;
 
-enum { TIME, U, F_EXT, Q, POSITION, V, Q_START, VALUES };
+enum { TIME, U, F_EXT, Q, POSITION, V, Q_START, VALUES, PARAMETER = Q_START };
 static const double START[VALUES] = {0};
 typedef run_state model;
 
