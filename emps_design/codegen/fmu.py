@@ -44,7 +44,7 @@ class Variable:
 
 def in_fmu(name: str, block: Block, vectors: Vectors) -> Files:
     """The files of the target: both units, the axis, the vectors of both, the page."""
-    made = {
+    made: Files = {
         f"{name}.fmu": controller_unit(name, block, vectors),
         f"{name}_machine.fmu": machine_unit(name, block.axis),
         "machine.csv": machine_vectors(block.axis),
