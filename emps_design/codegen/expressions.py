@@ -58,6 +58,7 @@ class ExpressionReader:
         self.counters: set[str] = set()
 
     def refuse(self, node: ast.AST, what: str, expected: str = "arithmetic, if, for over range, math") -> Any:
+        """Raise :class:`InputError` with the place: ``what`` was found at ``node``."""
         line = getattr(node, "lineno", 1) + self.function.__code__.co_firstlineno - 1
         place = f"{self.function.__code__.co_filename}, line {line}, {self.tree.name}"
         raise InputError(f"{place}: found {what}, which has no translation; expected {expected}")
@@ -108,6 +109,7 @@ class ExpressionReader:
         return self.refuse(node, f"{type(node).__name__.lower()}")
 
     def constant(self, node: ast.expr, value: Any) -> Expression:
+        """A constant: finite, a number."""
         if isinstance(value, bool) or not isinstance(value, int | float):
             return self.refuse(node, f"{value!r:.40}", "a number")
         if isinstance(value, float) and not math.isfinite(value):
@@ -115,6 +117,7 @@ class ExpressionReader:
         return Number(value, INT if isinstance(value, int) else REAL)
 
     def arithmetic(self, node: ast.BinOp, operator: str) -> Expression:
+        """``left operator right``."""
         left, right = self.number(node.left), self.number(node.right)
         if operator == "**":
             return self.power(node, left, right)
@@ -128,6 +131,7 @@ class ExpressionReader:
         return Binary(operator, left, right, INT)
 
     def power(self, node: ast.BinOp, base: Expression, exponent: Expression) -> Expression:
+        """``base ** exponent``: a small whole power as products."""
         if isinstance(exponent, Number) and exponent.type == INT:
             if not 1 <= exponent.value <= LARGEST_POWER or not isinstance(base, Name | Cell):
                 return self.refuse(
@@ -138,6 +142,7 @@ class ExpressionReader:
         return Call("pow", (real(base), real(exponent)), REAL)
 
     def call(self, node: ast.Call) -> Expression:
+        """A call of ``math``, ``abs``, ``min``, ``max``, a conversion, or a function of the file."""
         function = self.value_of(node.func)
         if node.keywords or any(isinstance(argument, ast.Starred) for argument in node.args):
             return self.refuse(node, "arguments by name or with a star", "plain ones")
@@ -172,6 +177,7 @@ class ExpressionReader:
         return self.refuse(node, f"a call of {ast.unparse(node.func)}", "math, abs, min, max or a function of the file")
 
     def apply(self, node: ast.Call, function: FunctionType, arguments: list[Expression]) -> Expression:
+        """A call of a function of the file, which is read first."""
         types = tuple(ARRAY if one.type == ARRAY else REAL for one in arguments)
         if function.__name__ not in self.found:
             self.read_function(function, types)
@@ -180,10 +186,12 @@ class ExpressionReader:
         return Apply(function.__name__, tuple(one if one.type == ARRAY else real(one) for one in arguments))
 
     def whole(self, node: ast.expr) -> Expression:
+        """``node`` as a whole number."""
         found = self.number(node)
         return found if found.type == INT else self.refuse(node, "a real number", "a whole one, or int() of it")
 
     def condition(self, node: ast.expr) -> Expression:
+        """``node`` as a condition."""
         if isinstance(node, ast.BoolOp):
             first, *others = [self.condition(value) for value in node.values]
             for other in others:
@@ -202,6 +210,7 @@ class ExpressionReader:
         return self.refuse(node, "a condition that is not a comparison", "one such as x > 0.0")
 
     def compared(self, left: Expression, operator: str, right: Expression) -> Expression:
+        """A comparison of numbers of one kind."""
         if REAL in (left.type, right.type):
             left, right = real(left), real(right)
         return Binary(operator, left, right, TRUTH)
@@ -209,6 +218,7 @@ class ExpressionReader:
     # Names.
 
     def assigned(self) -> set[str]:
+        """Names that the function assigns to."""
         names = [node for node in ast.walk(self.tree) if isinstance(node, ast.Name)]
         return {node.id for node in names if isinstance(node.ctx, ast.Store)}
 

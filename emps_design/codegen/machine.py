@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -74,7 +73,7 @@ def machine_of(axis: Axis, name: str) -> Machine:
     helpers = [HELPERS[one] for one in HELPERS if one in calls] + [HELPER]
     hooks = ready.hooks.tolist()
     hooks[: 3 * int(ready.starts[-1]) : 3] = [places[one] for one in hooks[: 3 * int(ready.starts[-1]) : 3]]
-    numbers = {"b": ready.baseline, "p": ready.parameters, "settings": ready.settings, "y": ready.y,
+    numbers = {"baseline": ready.baseline, "parameters": ready.parameters, "settings": ready.settings, "y": ready.y,
                "floors": ready.floors, "hooks": hooks, "starts": ready.starts}  # fmt: skip
     texts = {key: [repr(one) for one in np.asarray(values).tolist()] or ["0"] for key, values in numbers.items()}
     return Machine(
@@ -85,16 +84,8 @@ def machine_of(axis: Axis, name: str) -> Machine:
 
 def _stepper(states: int, ring: int) -> Program:
     """The stepper of an axis with so many ``states``: driven by a command and a force, no law, nothing that varies."""
-    fixed = {
-        "law": 0,
-        "y": SimpleNamespace(size=states),
-        "reference": SimpleNamespace(size=ring),
-        "push": SimpleNamespace(size=ring),
-        "noise": SimpleNamespace(size=0),
-        "slots": SimpleNamespace(size=0),
-        "motor_rows": SimpleNamespace(shape=(0, 2)),
-        "gains": SimpleNamespace(shape=(1, 0)),
-    }
+    sizes = {"y.size": states, "reference.size": ring, "push.size": ring, "noise.size": 0, "slots.size": 0}
+    fixed = {"law": 0, **sizes, "motor_rows.shape[0]": 0, "gains.shape[0]": 1}
     return read_stepper(hold_loop.run, TYPES, fixed)
 
 

@@ -39,11 +39,13 @@ def block_name(name: str) -> str:
 
 
 def hash_of(content: str | bytes) -> str:
+    """SHA-256 of what is written."""
     return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()
 
 
 @lru_cache
 def template(name: str) -> Any:
+    """The template called ``name``."""
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(undefined=StrictUndefined, keep_trailing_newline=True, autoescape=False)

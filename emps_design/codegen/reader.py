@@ -82,9 +82,11 @@ class FunctionReader(ExpressionReader):
     result = REAL
 
     def read_function(self, function: Any, types: tuple[str, ...]) -> None:
+        """Add ``function`` to ``found``, with arguments of these ``types``."""
         read_into(type(self), function, types, self.found, self.calls, self.above)
 
     def read(self) -> None:
+        """Read the function into ``found``."""
         steps = [step for step in self.tree.body if not _is_text(step)]
         # A variable is real as soon as one value of it is; types settle because they only move from whole to real.
         before = None
@@ -99,9 +101,11 @@ class FunctionReader(ExpressionReader):
     # Statements.
 
     def block(self, steps: list[ast.stmt]) -> tuple[Statement, ...]:
+        """Statements in order."""
         return tuple(one for step in steps for one in self.statement(step))
 
     def statement(self, node: ast.stmt) -> list[Statement]:
+        """One statement, which may become several."""
         if isinstance(node, ast.Pass) or _is_text(node):
             return []
         if isinstance(node, ast.Return):
@@ -121,6 +125,7 @@ class FunctionReader(ExpressionReader):
         return self.refuse(node, f"{type(node).__name__.lower()}")
 
     def assignments(self, targets: list[ast.expr], value: ast.expr) -> list[Statement]:
+        """``targets = value``."""
         if any(isinstance(target, ast.Tuple) for target in targets):
             return self.refuse(value, "several variables in one assignment", "one at a time")
         first = self.assign(targets[0], self.number(value))
@@ -128,6 +133,7 @@ class FunctionReader(ExpressionReader):
         return [first, *again]
 
     def assign(self, node: ast.expr, value: Expression) -> Statement:
+        """One assignment of a ``value`` that has been read."""
         if isinstance(node, ast.Subscript):
             target = self.number(node)
             assert isinstance(target, Cell)
@@ -146,6 +152,7 @@ class FunctionReader(ExpressionReader):
         return Assign(Name(node.id, kind), real(value) if kind == REAL else value)
 
     def loop(self, node: ast.For) -> list[Statement]:
+        """``for`` over ``range``."""
         call = node.iter
         if not (isinstance(call, ast.Call) and self.value_of(call.func) is range and isinstance(node.target, ast.Name)):
             return self.refuse(node, "a loop", "for over range")

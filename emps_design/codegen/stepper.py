@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import math
+import operator
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -55,13 +56,14 @@ BY_NUMBER = {  # kernels called by their number: what they answer
     compiled.call_actuator: ("call_actuator", REAL),
     compiled.call_rate: ("call_rate", ""),
 }
+COMPARED: dict[type, Callable[[Any, Any], bool]] = {ast.Gt: operator.gt, ast.NotEq: operator.ne}
 EXPONENT = "exponent_of"  # of a number, as ``math.frexp`` has it
 
 
-def read_stepper(stepper: Dispatcher, types: Mapping[str, str], fixed: Mapping[str, Any]) -> Program:
+def read_stepper(stepper: Dispatcher, types: Mapping[str, str], fixed: Mapping[str, float]) -> Program:
     """Return ``stepper`` with the parts it calls; ``types`` are those of its arguments, by name.
 
-    ``fixed`` are values of names that do not change, as ``{"law": 0}``.
+    ``fixed`` are numbers that are known beforehand, by what stands for them, as ``{"law": 0, "push.size": 1}``.
     """
     found: dict[str, Function] = {}
     calls: set[str] = set()
@@ -84,11 +86,12 @@ class StepperReader(FunctionReader):
     def __init__(self, *given: Any):
         super().__init__(*given)
         self.result = ""
-        self.fixed: dict[str, Any] = {}
+        self.fixed: dict[str, float] = {}
         stores = [node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name) and type(node.ctx) is ast.Store]
         self.once = {name for name in stores if stores.count(name) == 1}
 
     def read(self) -> None:
+        """Read the function into ``found``, without variables that are known beforehand."""
         super().read()
         function = self.found[self.tree.name]
         used = names_in(function.body)
@@ -99,16 +102,18 @@ class StepperReader(FunctionReader):
 
     def known(self, node: ast.expr) -> Any:
         """The number that ``node`` is known to be beforehand, None where it is not."""
-        names = {one.id for one in ast.walk(node) if isinstance(one, ast.Name)}
-        cells = any(isinstance(one, ast.Subscript) and isinstance(one.value, ast.Name) for one in ast.walk(node))
-        if cells or not names or not names <= self.fixed.keys():
-            return None
-        value = eval(ast.unparse(node), {"__builtins__": {}}, self.fixed)  # names and arithmetic of our own source
-        return value if isinstance(value, bool | int | float) else None
+        if isinstance(node, ast.Compare) and len(node.ops) == 1 and type(node.ops[0]) in COMPARED:
+            left, right = (
+                one.value if isinstance(one, ast.Constant) else self.known(one)
+                for one in (node.left, node.comparators[0])
+            )
+            return None if left is None or right is None else COMPARED[type(node.ops[0])](left, right)
+        return self.fixed.get(ast.unparse(node))
 
     # Statements.
 
     def statement(self, node: ast.stmt) -> list[Statement]:
+        """One statement, which may become several or none."""
         if isinstance(node, ast.Return):
             if node.value is None:
                 return [Return(None)]
@@ -126,10 +131,12 @@ class StepperReader(FunctionReader):
         return super().statement(node)
 
     def loop(self, node: ast.For) -> list[Statement]:
+        """``for`` over ``range``; none where it is known to be empty."""
         last = node.iter.args[-1] if isinstance(node.iter, ast.Call) and len(node.iter.args) == 1 else None
         return [] if last is not None and self.known(last) == 0 else super().loop(node)
 
     def assignments(self, targets: list[ast.expr], value: ast.expr) -> list[Statement]:
+        """``targets = value``, several at once too."""
         if not isinstance(targets[0], ast.Tuple):
             return self.stored(targets[0], value) if len(targets) == 1 else super().assignments(targets, value)
         wanted = targets[0].elts
@@ -155,12 +162,13 @@ class StepperReader(FunctionReader):
         """One assignment; what is known beforehand and set once is not a variable."""
         if self.fixed and isinstance(target, ast.Name) and target.id in self.once:
             number = value.value if isinstance(value, ast.Constant) else self.known(value)
-            if number is not None:
+            if isinstance(number, int | float):
                 self.fixed[target.id] = number
                 return []
         return [self.assign(target, self.number(value))]
 
     def assign(self, node: ast.expr, value: Expression) -> Statement:
+        """One assignment of a ``value`` of any type."""
         if isinstance(node, ast.Name):
             known = self.parameters.get(node.id) or self.variables.get(node.id) or ""
             kind = self.common(node, known, value.type)
@@ -198,6 +206,7 @@ class StepperReader(FunctionReader):
     # Expressions.
 
     def number(self, node: ast.expr) -> Expression:
+        """``node`` as an expression of any type."""
         value = node.value if isinstance(node, ast.Constant) else self.known(node)
         if isinstance(value, bool):
             return Number(int(value), TRUTH)
@@ -217,6 +226,7 @@ class StepperReader(FunctionReader):
         return super().number(node)
 
     def constant(self, node: ast.expr, value: Any) -> Expression:
+        """A constant, which may be infinite."""
         return Number(value, REAL) if value in (math.inf, -math.inf) else super().constant(node, value)
 
     def item(self, node: ast.Subscript) -> Expression:
@@ -232,6 +242,7 @@ class StepperReader(FunctionReader):
         return Cell(whole.name if isinstance(whole, Name) else whole, place, REAL if whole.type == ARRAY else INT)
 
     def condition(self, node: ast.expr) -> Expression:
+        """``node`` as a condition; a number is one where it is not 0."""
         value = node.value if isinstance(node, ast.Constant) else self.known(node)
         if value is not None:
             return Number(int(bool(value)), TRUTH)
@@ -243,11 +254,13 @@ class StepperReader(FunctionReader):
         return super().condition(node)
 
     def power(self, node: ast.BinOp, base: Expression, exponent: Expression) -> Expression:
+        """``base ** exponent``, of any base."""
         if isinstance(exponent, Number) and exponent.type == INT and 1 <= exponent.value <= LARGEST_POWER:
             return product(real(base), int(exponent.value))
         return super().power(node, base, exponent)
 
     def call(self, node: ast.Call) -> Expression:
+        """What kernels may call, and compiled parts of the stepper."""
         function = self.value_of(node.func)
         if isinstance(function, Dispatcher):
             return self.apply(node, function.py_func, list(map(self.number, node.args)))
@@ -263,6 +276,7 @@ class StepperReader(FunctionReader):
         return super().call(node)
 
     def apply(self, node: ast.Call, function: Callable[..., Any], arguments: list[Expression]) -> Expression:
+        """A call of a function of the program, with arguments of any type."""
         name = function.__name__
         if name not in self.found:
             self.read_function(function, tuple(one.type for one in arguments))

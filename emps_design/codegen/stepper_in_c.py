@@ -57,6 +57,7 @@ class StepperPrinter(CPrinter):
         self.structures: dict[str, str] = {}
 
     def function(self, function: Function) -> str:
+        """The definition of ``function``."""
         self.ring = self.rings.get(function.name, set())
         return super().function(function)
 
@@ -88,17 +89,20 @@ class StepperPrinter(CPrinter):
         return found
 
     def declared(self, kind: str, name: str, written: bool = True) -> str:
+        """A variable, an argument or a function of one ``kind``."""
         if items(kind):
             self.structures.setdefault(kind, f"several_{len(self.structures) + 1}")
         told = self.structures.get(kind) or KINDS[kind]
         return f"{told}{'' if told.endswith('*') else ' '}{name}"
 
     def literal(self, one: Number) -> str:
+        """A constant, which may be infinite."""
         if math.isinf(one.value):
             return "HUGE_VAL" if one.value > 0 else "-HUGE_VAL"
         return str(one.value) if one.type == TRUTH else super().literal(one)
 
     def expression(self, one: Expression, outside: int = 0, right: bool = False) -> str:
+        """``one`` as text."""
         if isinstance(one, Several):
             return f"({self.declared(one.type, '').strip()}){{{', '.join(map(self.expression, one.items))}}}"
         if isinstance(one, Item):
@@ -112,6 +116,7 @@ class StepperPrinter(CPrinter):
         return super().expression(one, outside, right)
 
     def statement(self, step: Statement) -> list[str]:
+        """One statement."""
         if isinstance(step, Return) and step.value is None:
             return ["return;"]
         if isinstance(step, Leave):

@@ -42,6 +42,7 @@ def _numbers(ahead: Ahead, number: Callable[[float], str]) -> dict[str, Any]:
 
 
 def in_c(name: str, block: Block, vectors: Vectors) -> Files:
+    """C99: source, header, check and Makefile, with the axis, the vectors and the page."""
     definitions, kernel = functions_in_c(
         block.program, name, dict(zip(list(block.program.kernel.parameters)[4:6], ("LIMIT", "GAINS"), strict=True))
     )
@@ -68,6 +69,7 @@ def in_c(name: str, block: Block, vectors: Vectors) -> Files:
 
 
 def in_st(name: str, block: Block, vectors: Vectors) -> Files:
+    """Structured Text in LREAL and REAL, with the axis, the vectors and the page."""
     sizes = {
         parameter: size
         for parameter, size in zip(
@@ -90,6 +92,7 @@ def in_st(name: str, block: Block, vectors: Vectors) -> Files:
 
 
 def in_json(name: str, block: Block, vectors: Vectors) -> Files:
+    """One document: numbers, equations and vectors."""
     words = words_of(name, block)
     document = {
         "schema": "emps-design/controller/1",

@@ -51,8 +51,8 @@ static void call_rate(long long which, real q, real v, real t, real tau, real *x
 
 {% for definition in machine.stepping %}{{ definition }}
 
-{% endfor %}static const real BASELINE[] = { {{- machine.numbers["b"] | join(", ") -}} }; /* mass, viscous, Coulomb, offset */
-static const real PARAMETERS[] = { {{- machine.numbers["p"] | join(", ") -}} };
+{% endfor %}static const real BASELINE[] = { {{- machine.numbers["baseline"] | join(", ") -}} }; /* mass, viscous, Coulomb, offset */
+static const real PARAMETERS[] = { {{- machine.numbers["parameters"] | join(", ") -}} };
 static const real SETTINGS[] = { {{- machine.numbers["settings"] | join(", ") -}} };
 static const real FLOORS[] = { {{- machine.numbers["floors"] | join(", ") -}} };
 static const long long HOOKS[] = { {{- machine.numbers["hooks"] | join(", ") -}} };
