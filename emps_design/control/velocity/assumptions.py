@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from emps_design.axis import Axis
 from emps_design.control.plant.discretisation import sample_axis, sample_plant
 from emps_design.control.plant.environment import Environment, attached
 from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.control.velocity.specification import ROOM
+
+if TYPE_CHECKING:
+    from emps_design.control.velocity.design import VelocityLoopDesign
 
 
 def room_in_words(loop: SampledVelocityLoop) -> list[str]:
@@ -26,6 +30,21 @@ def room_in_words(loop: SampledVelocityLoop) -> list[str]:
         f"the sampled loop is barely stable: {margins.delay_margin_samples:.2g} samples more delay make it unstable "
         f"(phase margin {margins.phase_margin_deg:.3g} deg at the plant input)"
     ]
+
+
+def law_in_words(design: VelocityLoopDesign) -> list[str]:
+    """Say what the structure and the filters of ``design`` mean for its numbers and for the drive."""
+    notes = []
+    if design.filters and not design.retuned_at:
+        notes.append(
+            "the closed forms know no filters: what they cost is in the sampled loop; `retune` meets the request there"
+        )
+    if design.structure.reference_filter:
+        notes.append(
+            f"the axis file has no reference filter: set 1/(1 + t_v s), {1e3 * design.t_v:.4g} ms, in the drive, or "
+            'take form = "ip", which answers alike'
+        )
+    return notes
 
 
 def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> list[str]:
@@ -51,7 +70,7 @@ def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> 
             "N/(m/s), the sampled loop takes all"
         )
     if loop.stable:
-        back = replace(loop, plant=sample_axis(axis, -velocity))
+        back = replace(loop, plant=sample_axis(axis, -velocity, loop.plant.filters))
         here, there = loop.margins.phase_margin_deg, back.margins.phase_margin_deg
         if not back.stable:
             notes.append(f"the sampled loop is unstable at {-velocity:g} m/s")
@@ -70,7 +89,7 @@ def _where_it_is_steepest(axis: Axis, loop: SampledVelocityLoop) -> list[str]:
     for stiffness in (steepest, -steepest):
         linear = attached(loop.plant.linear, Environment(stiffness=stiffness))
         plant = sample_plant(linear, sampling.period, sampling.computation_delay, axis.controller.velocity_estimator)
-        slow = replace(loop, plant=plant)
+        slow = replace(loop, plant=replace(plant, filters=loop.plant.filters))
         where = f"in slow motion, where the force over position has its slope of {stiffness:.3g} N/m,"
         there = slow.margins.phase_margin_deg
         if not slow.stable:
