@@ -88,6 +88,7 @@ def command(
     as_json: AsJson = False,
 ) -> int:
     from emps_design.cli.wording import load_axis
+    from emps_design.control.velocity.comparison import gains_document
     from emps_design.control.velocity.design import design_velocity_loop
     from emps_design.control.velocity.specification import check_specification
 
@@ -133,7 +134,7 @@ def command(
         design = retune_velocity_loop(machine, at=at, **specification)
     else:
         design = design_velocity_loop(machine, **specification)
-    document: dict[str, Any] = design.to_dict()
+    document = gains_document(design)
     if errors is not None:
         from emps_design.control.velocity.sensitivity import margins_under_mismatch
 

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from emps_design.axis import Axis
 from emps_design.control.plant.discretisation import sample_axis, sample_plant
 from emps_design.control.plant.environment import Environment, attached
 from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.control.velocity.specification import ROOM
-
-if TYPE_CHECKING:
-    from emps_design.control.velocity.design import VelocityLoopDesign
 
 
 def room_in_words(loop: SampledVelocityLoop) -> list[str]:
@@ -32,16 +28,16 @@ def room_in_words(loop: SampledVelocityLoop) -> list[str]:
     ]
 
 
-def law_in_words(design: VelocityLoopDesign) -> list[str]:
-    """Say what the structure and the filters of ``design`` mean for its numbers and for the drive."""
+def law_in_words(loop: SampledVelocityLoop, by_closed_form: bool) -> list[str]:
+    """Say what structure and filters of ``loop`` mean for the numbers of a design and for the drive."""
     notes = []
-    if design.filters and not design.retuned_at:
+    if loop.plant.filters and by_closed_form:
         notes.append(
             "the closed forms know no filters: what they cost is in the sampled loop; `retune` meets the request there"
         )
-    if design.structure.reference_filter:
+    if loop.structure.reference_filter:
         notes.append(
-            f"the axis file has no reference filter: set 1/(1 + t_v s), {1e3 * design.t_v:.4g} ms, in the drive, or "
+            f"the axis file has no reference filter: set 1/(1 + t_v s), {1e3 * loop.t_v:.4g} ms, in the drive, or "
             'take form = "ip", which answers alike'
         )
     return notes

@@ -12,6 +12,11 @@ if TYPE_CHECKING:
     from emps_design.control.velocity.design import VelocityLoopDesign
 
 
+def gains_document(design: VelocityLoopDesign) -> dict[str, Any]:
+    """What ``gains`` says about ``design``: its plain data, and its gains in each structure under ``structures``."""
+    return {**design.to_dict(), "structures": structures_side_by_side(design)}
+
+
 def structures_side_by_side(design: VelocityLoopDesign) -> list[dict[str, Any]]:
     """Bandwidth [rad/s], overshoot [%] and margins that the gains of ``design`` have in each structure.
 

@@ -142,7 +142,7 @@ class VelocityLoopDesign:
 
         warnings = [*self.sampled.warnings, *room_in_words(self.sampled)]
         warnings += effects_in_words(self.axis, self.sampled, self.velocity)
-        warnings += law_in_words(self)
+        warnings += law_in_words(self.sampled, not self.retuned_at)
         if self.retuned_at:
             asked = ", ".join(
                 f"{key.removesuffix('_deg').replace('_', ' ')} {value:g} {'deg' if key.endswith('_deg') else 'rad/s'}"
@@ -231,7 +231,6 @@ class VelocityLoopDesign:
         return self.axis.replace(controller=Controller.model_validate(own))
 
     def _implementation(self) -> dict[str, Any]:
-        from emps_design.control.velocity.comparison import structures_side_by_side
         from emps_design.control.velocity.implementation import (
             difference_equation,
             encoder_voltage_noise,
@@ -240,7 +239,6 @@ class VelocityLoopDesign:
 
         stable = self.sampled.stable
         return {
-            "structures": structures_side_by_side(self),
             "difference_equation": difference_equation(
                 self.axis, self.k_v1, self.t_v, self.structure, self.filters
             ).to_dict(),
