@@ -134,12 +134,15 @@ def _bulk(fitted: Fit, part: str, burst: float = rules.BURST) -> float:
 
 
 def _seen_again(better: Fit, worse: Fit, burst: float) -> bool:
-    """Whether the selecting part gains what the fitting part of each record leads to expect."""
+    """Whether the selecting part gains what the fitting part of each record, or of all, leads to expect."""
     gained = expected = 0.0
-    for split, better_w, worse_w in zip(better.problem.splits, better.innovations, worse.innovations, strict=True):
-        change = np.minimum(worse_w**2, burst**2) - np.minimum(better_w**2, burst**2)
+    pairs = zip(better.innovations, worse.innovations, strict=True)
+    changes = tuple(np.minimum(worse**2, burst**2) - np.minimum(better**2, burst**2) for better, worse in pairs)
+    overall = better.problem.gather(changes, "fit")
+    for split, change in zip(better.problem.splits, changes, strict=True):
         gained += float(change[split.select].sum())
-        expected += float(change[split.fit].mean()) * int(split.select.sum())
+        fitted = change[split.fit] if split.fit.any() else overall
+        expected += float(fitted.mean()) * int(split.select.sum())
     return gained > rules.SEEN_AGAIN * expected
 
 
