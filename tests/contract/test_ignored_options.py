@@ -28,6 +28,7 @@ IGNORED = {
     "observe {record} --force": "--force: goes with a file to write",
     "frf {record} --force": "--force: goes with a file to write",
     "excite --stroke 0.5 --speed 0.05 --force": "--force: goes with a file to write",
+    "excite --stroke 0.5 --speed 0.05 --steps 20 --seed 1": "--seed: goes without --steps",
     "diagnose {record} --force": "--force: goes with a file to write",
     "derive --latex --json": "--latex: goes without --json",
     "report --out {out} --model asymmetric": "--model: goes with --record",
@@ -46,6 +47,7 @@ READ = (
     "impedance --mass 50 --damping 100 --unfiltered-current",
     "identify {record} --bootstrap 2 --seed 1",
     "derive --latex",
+    "excite --stroke 0.5 --speed 0.05 --steps 8 --resolution 2 --slope 1 --passes 2",
 )
 
 
