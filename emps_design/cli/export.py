@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from emps_design.cli.design_options import AsJson, AxisArgument, Force
-from emps_design.cli.destinations import ARCHIVE, AXIS, CODE, JSON, TABLE, check_folder
+from emps_design.cli.destinations import ARCHIVE, AXIS, CODE, JSON, TABLE, check_folder, make_folder
 from emps_design.cli.output import print_json, print_warnings, say
 
 MAX_BYTES = 1_000_000  # of a compensation
@@ -28,17 +28,13 @@ def command(
 ) -> None:
     from emps_design.cli.wording import load_axis
     from emps_design.codegen import export_controller
-    from emps_design.errors import InputError
 
     check_folder(out, {}, (axis, compensation), force)
     found = None if compensation is None else _read(compensation)
     exported = export_controller(load_axis(axis), target, found)
     kinds = {name: KINDS.get(Path(name).suffix, CODE) for name in exported.files}
     check_folder(out, kinds, (axis, compensation), force)
-    try:
-        out.mkdir(exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be made, {error.strerror}; expected a folder to write to") from error
+    make_folder(out)
     exported.write(out)
     document = {"out": str(out), **exported.to_dict()}
     if as_json:
