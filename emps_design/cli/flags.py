@@ -20,7 +20,7 @@ FLAGS = {
     "record": "--record",
     "retune": "--retune",
     "target": "--to",
-    "window": "import --time",
+    "window": "--time",
 }
 
 

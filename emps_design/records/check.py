@@ -14,7 +14,7 @@ from emps_design.records.layout import LONGEST, NAMED, RECOGNISED, Assignment, L
 
 PLAIN = Layout()  # what a record is without an axis: metres and volts, by the names of the contract
 SHORTEST = 50  # samples; less than this says nothing about an axis
-CUT = "take a part of it with `window`, or split it"
+CUT = "take a part of it with import and its `window`, or split it"
 NOTED_SATURATION = 0.005  # share of samples
 LARGEST = 1e15  # of any column; beyond it the checks themselves would overflow
 # Beyond these a unit was mistaken: no single axis is longer, faster or stronger.
