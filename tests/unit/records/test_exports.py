@@ -268,7 +268,9 @@ def test_a_part_may_be_taken_of_a_file_that_is_too_long_as_a_whole(monkeypatch):
     for module in ("layout", "check"):
         monkeypatch.setattr(f"emps_design.records.{module}.LONGEST", 100)
     text = "t,q_ref,q,u\n" + "\n".join(f"{k / 1000:.3f},{k / 100:.2f},{k / 100:.2f},{k % 7}" for k in range(400))
-    with pytest.raises(RecordError, match=r"found more than 100 rows, expected fewer; take a part of it with import and its `window`"):
+    with pytest.raises(
+        RecordError, match=r"found more than 100 rows, expected fewer; take a part of it with import and its `window`"
+    ):
         record_from_bytes(text.encode(), "long.csv")
     part = record_from_bytes(text.encode(), "long.csv", layout=layout(units=PLAIN.units, window=(0.1, 0.15)))
     assert len(part) == 51
