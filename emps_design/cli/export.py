@@ -1,4 +1,4 @@
-"""The controller as code for a drive: C99, Structured Text or JSON, with the vectors that prove it."""
+"""The controller as code: C99, Structured Text, units of FMI 3.0 or JSON, with the vectors that prove it."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import Annotated, Any
 import typer
 
 from emps_design.cli.design_options import AsJson, AxisArgument, Force
-from emps_design.cli.destinations import AXIS, CODE, JSON, TABLE, check_folder, make_folder
-from emps_design.cli.output import print_json, say
+from emps_design.cli.destinations import ARCHIVE, AXIS, CODE, JSON, TABLE, check_folder, make_folder
+from emps_design.cli.output import print_json, print_warnings, say
 
 MAX_BYTES = 1_000_000  # of a compensation
-KINDS = {".toml": AXIS, ".csv": TABLE, ".json": JSON}  # what else is code
+KINDS = {".toml": AXIS, ".csv": TABLE, ".json": JSON, ".fmu": ARCHIVE}  # what else is code
 
 
 def command(
     axis: AxisArgument,
-    target: Annotated[str, typer.Option("--to", help="c, st or json")],
+    target: Annotated[str, typer.Option("--to", help="c, st, fmu or json")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="folder for the code, made where there is none")],
     compensation: Annotated[
         Path | None, typer.Option(metavar="FILE", help="compensation.json of 'compensate --out': fed forward beside it")
@@ -43,6 +43,7 @@ def command(
         say(f"{out}: {', '.join(exported.files)}")
         vectors = document["vectors"]
         say(f"{vectors['rows']} vectors of the law {document['law']}, axis {document['axis']}")
+    print_warnings(document["warnings"])
 
 
 def _read(path: Path) -> dict[str, Any]:

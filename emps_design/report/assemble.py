@@ -122,6 +122,7 @@ def assemble_report(
     inputs: dict[str, str | None] = {_input_name(given): _digest(given)}
 
     from emps_design.control.velocity.design import check_specification, design_velocity_loop
+    from emps_design.control.velocity.structure import IP
 
     check_specification(crossover, bandwidth, phase_margin_deg)  # before the record: a wrong number is refused at once
     parts: list[Section] = []
@@ -139,12 +140,13 @@ def assemble_report(
         parts.append(section)
         notes.append(_basis(loaded, found[0], design_on))
     tell("designing the loops", 0.4)
+    law: dict[str, Any] = {} if k_e1 is None else {"structure": IP, "filters": ()}  # a force loop is around IP
     if retune:
         from emps_design.control.velocity.retune import retune_velocity_loop
 
-        velocity = retune_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg)
+        velocity = retune_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg, **law)
     else:
-        velocity = design_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg)
+        velocity = design_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg, **law)
     if response is not None:
         from emps_design.frequency_response.comparison import Comparison
         from emps_design.report.frequency_response import response_section

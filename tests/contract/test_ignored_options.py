@@ -11,6 +11,7 @@ from emps_design.simulation.synthetic import synthetic_record
 
 IGNORED = {
     "gains --crossover 100 --at velocity-error": "--at: goes with --retune",
+    "gains --crossover 100 --reference-filter": "--reference-filter: goes with --structure pi",
     "gains --crossover 100 --force": "--force: goes with a file to write",
     "force {designed} --k-e1 0.001 --phase-margin 70": "--phase-margin: goes with --crossover or --bandwidth",
     "force --k-e1 0.001 --force": "--force: goes with a file to write",
@@ -41,6 +42,7 @@ IGNORED = {
 }
 READ = (
     "gains --crossover 40 --retune --at velocity-error",
+    "gains --crossover 40 --structure pi --reference-filter --filter notch:90Hz",
     "force --k-e1 0.001 --phase-margin 70",
     "force {designed} --k-e1 0.001 --crossover 50 --phase-margin 70",
     "impedance --mass 50 --damping 100 --mismatch 0.02 --plants 2 --seed 1 --workers 2",

@@ -6,7 +6,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from tests.hidden.drives import EFFECTS, TURNING, UNKNOWN
+from tests.hidden.drives import EFFECTS, FURTHER, TURNING, UNKNOWN
 from tests.hidden.generate import cases, main, make
 from tests.hidden.plant import NAMES, numbers
 
@@ -23,7 +23,7 @@ def test_sets_are_complete():
 def test_effects_are_those_of_the_package():
     from emps_design.effects import EFFECTS as package
 
-    assert {*EFFECTS, *TURNING} == {effect.name for effect in package}
+    assert {*EFFECTS, *FURTHER, *TURNING} == {effect.name for effect in package}
     assert set(TURNING) == {effect.name for effect in package if effect.motion}
 
 

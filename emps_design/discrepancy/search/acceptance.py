@@ -72,10 +72,14 @@ class Judge:
     def _faint(self, model: Candidate) -> int | None:
         """The first effect whose amplitude is a force far below the noise, or a share that is next to none."""
         for index, (effect, values) in enumerate(zip(model.effects, model.values, strict=True)):
+            least = {"N": rules.AUDIBLE * self.floor.force, "": rules.LEAST_AMPLITUDE}
+            sizes: dict[str, list[float]] = {unit: [] for unit in least}
             for place, parameter in enumerate(effect.parameters):
-                least = {"N": rules.AUDIBLE * self.floor.force, "": rules.LEAST_AMPLITUDE * parameter.scale}
-                if parameter.linear and np.abs(values[:, place]).max() < least.get(parameter.unit, 0.0):
-                    return index
+                if parameter.linear and parameter.unit in sizes:
+                    unit = parameter.scale if parameter.unit == "" else 1.0
+                    sizes[parameter.unit].append(float(np.abs(values[:, place]).max()) / unit)
+            if any(found and max(found) < least[unit] for unit, found in sizes.items()):
+                return index
         return None
 
     def _whitened_away(self, fitted: Fit) -> bool:
