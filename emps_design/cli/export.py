@@ -1,4 +1,4 @@
-"""The controller as code for a drive: C99, Structured Text or JSON, with the vectors that prove it."""
+"""The controller as code: C99, Structured Text, units of FMI 3.0 or JSON, with the vectors that prove it."""
 
 from __future__ import annotations
 
@@ -9,29 +9,41 @@ from typing import Annotated, Any
 import typer
 
 from emps_design.cli.design_options import AsJson, AxisArgument, Force
-from emps_design.cli.destinations import AXIS, CODE, JSON, TABLE, check_folder, make_folder
-from emps_design.cli.output import print_json, say
+from emps_design.cli.destinations import ARCHIVE, AXIS, CODE, JSON, TABLE, check_folder, make_folder
+from emps_design.cli.frequency import HERTZ
+from emps_design.cli.ignored import refuse_ignored
+from emps_design.cli.output import print_json, print_warnings, say
 
 MAX_BYTES = 1_000_000  # of a compensation
-KINDS = {".toml": AXIS, ".csv": TABLE, ".json": JSON}  # what else is code
+KINDS = {".toml": AXIS, ".csv": TABLE, ".json": JSON, ".fmu": ARCHIVE}  # what else is code
 
 
 def command(
+    context: typer.Context,
     axis: AxisArgument,
-    target: Annotated[str, typer.Option("--to", help="c, st or json")],
+    target: Annotated[str, typer.Option("--to", help="c, st, fmu or json")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="folder for the code, made where there is none")],
     compensation: Annotated[
         Path | None, typer.Option(metavar="FILE", help="compensation.json of 'compensate --out': fed forward beside it")
+    ] = None,
+    observer: Annotated[
+        float | None,
+        typer.Option(**HERTZ, help="the on-line force observer with this low-pass [Hz], in place of the controller"),
     ] = None,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
     from emps_design.cli.wording import load_axis
-    from emps_design.codegen import export_controller
+    from emps_design.codegen import export_controller, export_observer
 
+    if observer is not None:
+        refuse_ignored(context, ["compensation"], "goes without --observer")
     check_folder(out, {}, (axis, compensation), force)
     found = None if compensation is None else _read(compensation)
-    exported = export_controller(load_axis(axis), target, found)
+    if observer is not None:
+        exported = export_observer(load_axis(axis), target, observer)
+    else:
+        exported = export_controller(load_axis(axis), target, found)
     kinds = {name: KINDS.get(Path(name).suffix, CODE) for name in exported.files}
     check_folder(out, kinds, (axis, compensation), force)
     make_folder(out)
@@ -43,6 +55,7 @@ def command(
         say(f"{out}: {', '.join(exported.files)}")
         vectors = document["vectors"]
         say(f"{vectors['rows']} vectors of the law {document['law']}, axis {document['axis']}")
+    print_warnings(document["warnings"])
 
 
 def _read(path: Path) -> dict[str, Any]:
