@@ -31,6 +31,7 @@ IGNORED = {
     "excite --stroke 0.5 --speed 0.05 --force": "--force: goes with a file to write",
     "excite --stroke 0.5 --speed 0.05 --steps 20 --seed 1": "--seed: goes without --steps",
     "diagnose {record} --force": "--force: goes with a file to write",
+    "export {designed} --to c --out {out} --observer 20 --compensation x": "--compensation: goes without --observer",
     "derive --latex --json": "--latex: goes without --json",
     "report --out {out} --model asymmetric": "--model: goes with --record",
     "report --out {out} --design-on axis": "--design-on: goes with --record",
