@@ -64,7 +64,7 @@ def best_law(signals: Signals, only: Structure | None = None) -> Found:
     whitening = whitening_filter(_left(free, fitted, held), free.used)
     white = replace(free, whitening=whitening, used=usable_behind(free.used, whitening))
     if only is None:
-        fitted, rivals = most_often(*choose(white, fitted, worth, held))
+        fitted, rivals = choose(white, fitted, worth, held)
     else:
         fitted, rivals = simplify(white, fit(white, fitted, held), worth, held), []
     if (other := mirrored(white, fitted, held)) is not None:
@@ -77,28 +77,6 @@ def best_law(signals: Signals, only: Structure | None = None) -> Found:
     rms = float(np.sqrt(np.mean(_left(free, fitted, held)[free.used] ** 2)))
     share = rms / float(np.std(signals.command[free.used]))
     return Found(white, fitted, rivals, rms, share, limited, limit, holds)
-
-
-def most_often(found: Fit, rivals: list[Fit]) -> tuple[Fit, list[Fit]]:
-    """The fit and its rivals, with the position loop that runs most often first where the record cannot tell its rate.
-
-    A loop that takes every sample is the simpler law.
-    """
-
-    def otherwise(one: Fit) -> tuple[Structure, Timing]:
-        return one.structure, replace(one.timing, every=1, phase=0)
-
-    alike = [
-        one
-        for one in rivals
-        if one.criterion < found.criterion + AS_GOOD
-        and otherwise(one) == otherwise(found)
-        and one.timing.every < found.timing.every
-    ]
-    if not alike:
-        return found, rivals
-    best = min(alike, key=lambda one: one.timing.every)
-    return best, [found, *(one for one in rivals if one is not best)]
 
 
 def command_of(signals: Signals, found: Fit, held: np.ndarray | None) -> np.ndarray:
