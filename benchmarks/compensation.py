@@ -2,8 +2,8 @@
 
 Drives and effects are drawn as in ``tests/hidden``, at its larger size; the simulator shares no code with the package.
 The feed-forward is that of the true numbers (``--diagnose``: of what ``diagnose`` names in the case's own record), and
-of numbers that are 2 % wrong with phases 10 degrees wrong. Writes ``benchmarks/compensation.json``. ``--measured DATA_EMPS.mat`` compensates
-the measured axis instead: what a model of laps 1 to 3 leaves to the feedback on lap 4.
+of numbers that are 2 % wrong with phases 10 degrees wrong. Writes ``benchmarks/compensation.json``.
+``--measured DATA_EMPS.mat`` takes the measured axis: what a model of laps 1 to 3 leaves to the feedback on lap 4.
 """
 
 from __future__ import annotations
