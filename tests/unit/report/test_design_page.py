@@ -85,7 +85,7 @@ def test_the_axis_brings_its_own_sections():
 def test_captions_name_no_colour_of_a_line(page):
     """The palette is for colour-blind readers; what one sees as red another sees as orange. Legends name the lines."""
     captions = [piece.partition("<h2>")[0].partition("<svg")[0] for piece in re.split(r"<b>Figure \d+\.", page)[1:]]
-    assert len(captions) == 14
+    assert len(captions) == 15
     named = [text for text in captions if re.search(r"\b(red|blue|orange|green|purple)\b", text, re.IGNORECASE)]
     assert named == []
 
