@@ -65,6 +65,12 @@ NAMES = (
     "middle",  # m, where the cross term is zero
     "arm_torque",  # N m, weight of an arm, of an axis that turns
     "arm_angle",  # rad, from hanging at the encoder's zero
+    # more physics that no library has
+    "crank",  # share of the mass that comes and goes along the travel
+    "crank_length",  # m
+    "magnet",  # N/(m/s), a brake in one zone of the travel, moving forwards
+    "magnet_width",  # m
+    "thixotropy",  # N, dry friction that a speed held for a while takes away
 )
 PLACE = {name: index for index, name in enumerate(NAMES)}
 
@@ -89,13 +95,13 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
         ripple_a, ripple_l, ripple_p, spring, spring_rest, stop_k, stop_q, stop_s, mass_change, mass_t,
         pulse_a, pulse_t, pulse_d, pulse_e, hum_a, hum_f, hum_p, part, f_c, zeta, gap, delay, lag, clip, dead,
         enc_a, enc_l, enc_p, wave_u, wave_f, wave_d, wave_t, ageing, cross, wake, middle,
-        arm_torque, arm_angle,
+        arm_torque, arm_angle, crank, crank_length, magnet, magnet_width, thixotropy,
     ) = (
         p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10],
         p[11], p[12], p[13], p[14], p[15], p[16], p[17], p[18], p[19], p[20],
         p[21], p[22], p[23], p[24], p[25], p[26], p[27], p[28], p[29], p[30], p[31], p[32], p[33], p[34], p[35],
         p[36], p[37], p[38], p[39], p[40], p[41], p[42], p[43], p[44], p[45], p[46],
-        p[47], p[48],
+        p[47], p[48], p[49], p[50], p[51], p[52], p[53],
     )  # fmt: skip
     mass, viscous, coulomb, offset, gain, limit = drive[0], drive[1], drive[2], drive[3], drive[4], drive[5]
     kp, kv = law[0], law[1]
@@ -105,7 +111,7 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
     late = round(delay / h)
     whole, rest = late // steps, late % steps
     q_out, u_out, forces = np.zeros(n), np.zeros(n), np.zeros(n)
-    q, v, q2, v2, z, acting, old, aged = q_ref[0], 0.0, q_ref[0], 0.0, 0.0, 0.0, 0.0, 0.0
+    q, v, q2, v2, z, acting, old, aged, thin = q_ref[0], 0.0, q_ref[0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     before, filtered_before = 0.0, 0.0
     for k in range(n):
         seen = q
@@ -139,6 +145,9 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
             m = mass
             if mass_change != 0.0 and t > mass_t:
                 m = mass * (1.0 + mass_change)
+            if crank != 0.0:  # the force of a mass that depends on position: m a + m' v^2 / 2
+                turn = tau_2 * (q - middle) / crank_length
+                m *= 1.0 + crank * math.sin(turn)
             warm = 1.0
             if drift != 0.0:
                 warm = 1.0 + drift * (1.0 - math.exp(-t / drift_t))
@@ -158,6 +167,10 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
             if hum_a != 0.0:
                 f += hum_a * math.sin(tau_2 * hum_f * t + hum_p)
             f -= cross * (q - middle) * v
+            if crank != 0.0:
+                f -= 0.5 * mass * crank * tau_2 / crank_length * math.cos(turn) * v * v
+            if magnet != 0.0 and v > 0.0:
+                f -= magnet * v * math.exp(-(((q - middle) / magnet_width) ** 2))
             if wake != 0.0:
                 old += (math.tanh(v / 0.02) - old) * h / 0.3
                 f += wake * old
@@ -171,6 +184,9 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
             if ageing != 0.0:
                 aged += ((0.0 if abs(v) > 1e-4 else 1.0) - aged) * h / (0.6 if abs(v) > 1e-4 else 0.05)
                 level += ageing * aged
+            if thixotropy != 0.0:
+                thin += (abs(v) / (abs(v) + 0.05) - thin) * h / 0.4
+                level += thixotropy * (1.0 - thin)
             level = max(0.0, level)
             own = m
             if part > 0.0:

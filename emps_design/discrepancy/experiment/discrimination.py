@@ -90,12 +90,13 @@ def experiment(outcome: Outcome, named: tuple[str, ...], equivalents: dict[str, 
     where nothing is asked.
     """
     best = outcome.best
-    rivals = [
-        outcome.tried[frozenset((*best.model.names, other)) - {name}]
+    sets = [
+        frozenset((*best.model.names, other)) - {name}
         for name, others in equivalents.items()
         for other in others
         if name in named or len(others) > rules.MOST_EQUIVALENTS
     ]
+    rivals = [outcome.tried[key] for key in sets if key in outcome.tried]
     if rivals and best.problem.axis.controller.kind != "none":
         left = best.cost / best.problem.samples("used")  # structure that nothing explains blurs like noise
         threshold = outcome.calibration.healthy.threshold
