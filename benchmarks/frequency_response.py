@@ -19,7 +19,7 @@ from emps_design.control.loop.margins import loop_margins
 from emps_design.control.loop.sampled_loop import axis_loop
 from emps_design.control.plant.discretisation import sample_axis
 from emps_design.frequency_response import estimate_response, measured_margins
-from emps_design.frequency_response.loop import law_response
+from emps_design.frequency_response.measured_plant import law_response
 from emps_design.frequency_response.response import BAND
 from emps_design.laws import law_of
 from emps_design.laws.linear import linear_law

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from emps_design.cli.design_options import AsJson, AxisArgument, Force
-from emps_design.cli.destinations import AXIS, JSON, check_folder
+from emps_design.cli.destinations import AXIS, JSON, check_folder, make_folder
 from emps_design.cli.ignored import refuse_force, refuse_ignored
 from emps_design.cli.output import json_text, new_console, print_json, print_warnings, say
 
@@ -81,7 +81,7 @@ def _reference(axis: Any, scenario: str, path: Path | None, stroke: float, speed
 def _write(out: Path, found: Any, document: dict[str, Any]) -> str:
     from emps_design.files import write_text, write_together
 
-    out.mkdir(exist_ok=True)
+    make_folder(out)
     with write_together(out) as aside:
         write_text(aside / "axis.toml", found.axis.to_toml(comments=True))
         write_text(aside / "compensation.json", f"{json_text(document)}\n")

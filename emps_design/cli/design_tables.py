@@ -28,13 +28,16 @@ def print_gains(document: dict[str, Any]) -> None:
     """Print what ``gains`` found: stability first, then gains, margins at each place, and what is asked next."""
     console = new_console()
     sampled = document["sampled"]
-    console.print(_verdict(sampled["stable"], f"{document['axis']}: sampled velocity loop"))
+    console.print(
+        _verdict(sampled["stable"], f"{document['axis']}: sampled velocity loop, {loop_in_words(document)},"),
+        soft_wrap=True,
+    )
 
     gains = _table("Velocity loop", "", "value", "unit", "requested")
     asked = {} if document["retuned"] else document["requested"]
     for label, key, unit in (
-        ("k_v1", "k_v1", "V/(m/s)"),
-        ("t_v", "t_v", "s"),
+        ("k_v1, kp of a drive", "k_v1", "V/(m/s)"),
+        ("t_v, Tn of a drive", "t_v", "s"),
         ("K_v = k_v1 G_tau / t_v", "K_v", "N/m"),
         ("natural frequency w_0v", "omega_0v", "rad/s"),
         ("damping ratio z_v", "z_v", ""),
@@ -75,6 +78,7 @@ def print_gains(document: dict[str, Any]) -> None:
         "bandwidth, -3 dB", number(document["bandwidth"]), "", number(sampled["bandwidth"], nothing=undefined), "rad/s"
     )
     console.print(margins)
+    _print_structures(console, document)
     low, high = document["feasible_phase_margin_deg"]
     console.print(f"feasible phase margin at this crossover: {low:.4g} to {high:.4g} deg (open interval)")
 
@@ -97,6 +101,37 @@ def print_gains(document: dict[str, Any]) -> None:
     if "out" in document:
         console.print(f"axis file with this controller: {document['out']}", soft_wrap=True)
     _print_warnings(console, document["warnings"])
+
+
+def loop_in_words(document: dict[str, Any]) -> str:
+    """Structure and filters of a velocity loop.
+
+    >>> filters = [{"kind": "lowpass", "frequency": 350.0}]
+    >>> loop_in_words({"structure": "pi", "reference_filter": False, "filters": filters})
+    'PI with lowpass 350 Hz'
+    """
+    parts = ["reference filter"] if document["reference_filter"] else []
+    for one in document["filters"]:
+        shape = f" (damping {one['damping']:g}, depth {one['depth']:g})" if one["kind"] == "notch" else ""
+        parts.append(f"{one['kind']} {one['frequency']:g} Hz{shape}")
+    return document["structure"].upper() + (f" with {', '.join(parts)}" if parts else "")
+
+
+def _print_structures(console: Console, document: dict[str, Any]) -> None:
+    """What each structure makes of the same gains, the one of the design marked."""
+    table = _table("The same gains in each structure", "", "-3 dB", "overshoot", "sampled", "overshoot")
+    for one in document["structures"]:
+        own = (one["structure"], one["reference_filter"]) == (document["structure"], document["reference_filter"])
+        sampled = one["sampled"]
+        cells = [f"{one['bandwidth'] / (2.0 * math.pi):.4g} Hz", f"{one['overshoot_percent']:.3g} %"]
+        if sampled:
+            bandwidth = sampled["bandwidth"]
+            cells.append("undefined" if bandwidth is None else f"{bandwidth / (2.0 * math.pi):.4g} Hz")
+            cells.append(f"{sampled['overshoot_percent']:.3g} %")
+        else:
+            cells += ["unstable"] * 2
+        table.add_row(f"{'>' if own else ' '} {one['label']}", *cells)
+    console.print(table)
 
 
 def print_force(document: dict[str, Any]) -> None:

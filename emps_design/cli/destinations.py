@@ -76,6 +76,14 @@ def check_folder(
         check_out(out / name, kind, inputs, force)
 
 
+def make_folder(out: Path, parents: bool = False) -> None:
+    """Make the folder ``out`` where there is none, with ``parents`` those above it too."""
+    try:
+        out.mkdir(parents=parents, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{out}: cannot be made, {error.strerror}; expected a folder to write to") from error
+
+
 def content(path: Path) -> str:
     """What the file at ``path`` holds, in words; nothing for an empty one.
 

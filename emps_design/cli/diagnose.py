@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from emps_design.cli.destinations import AXIS, JSON, OVERWRITE, PAGE, TABLE, check_folder
+from emps_design.cli.destinations import AXIS, JSON, OVERWRITE, PAGE, TABLE, check_folder, make_folder
 from emps_design.cli.ignored import refuse_force
 from emps_design.cli.interrupts import before_the_end
 from emps_design.cli.output import json_text, new_console, print_json, print_warnings, progress_bar
@@ -96,7 +96,7 @@ def _write(diagnosis: Any, out: Path, axis: str) -> None:
     from emps_design.discrepancy.experiment.discrimination import FILE
     from emps_design.report.diagnosis import diagnosis_page
 
-    out.mkdir(exist_ok=True)
+    make_folder(out)
     trace = diagnosis.trace
     with write_together(out) as aside:
         whose = f"numbers that belong to one record (phases, times) are those of {trace.name}"

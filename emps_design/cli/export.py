@@ -1,4 +1,4 @@
-"""The controller as code for a drive: C99, Structured Text or JSON, with the vectors that prove it."""
+"""The controller as code: C99, Structured Text, units of FMI 3.0 or JSON, with the vectors that prove it."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import Annotated, Any
 import typer
 
 from emps_design.cli.design_options import AsJson, AxisArgument, Force
-from emps_design.cli.destinations import AXIS, CODE, JSON, TABLE, check_folder
-from emps_design.cli.output import print_json, say
+from emps_design.cli.destinations import ARCHIVE, AXIS, CODE, JSON, TABLE, check_folder, make_folder
+from emps_design.cli.output import print_json, print_warnings, say
 
 MAX_BYTES = 1_000_000  # of a compensation
-KINDS = {".toml": AXIS, ".csv": TABLE, ".json": JSON}  # what else is code
+KINDS = {".toml": AXIS, ".csv": TABLE, ".json": JSON, ".fmu": ARCHIVE}  # what else is code
 
 
 def command(
     axis: AxisArgument,
-    target: Annotated[str, typer.Option("--to", help="c, st or json")],
+    target: Annotated[str, typer.Option("--to", help="c, st, fmu or json")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="folder for the code, made where there is none")],
     compensation: Annotated[
         Path | None, typer.Option(metavar="FILE", help="compensation.json of 'compensate --out': fed forward beside it")
@@ -28,17 +28,13 @@ def command(
 ) -> None:
     from emps_design.cli.wording import load_axis
     from emps_design.codegen import export_controller
-    from emps_design.errors import InputError
 
     check_folder(out, {}, (axis, compensation), force)
     found = None if compensation is None else _read(compensation)
     exported = export_controller(load_axis(axis), target, found)
     kinds = {name: KINDS.get(Path(name).suffix, CODE) for name in exported.files}
     check_folder(out, kinds, (axis, compensation), force)
-    try:
-        out.mkdir(exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be made, {error.strerror}; expected a folder to write to") from error
+    make_folder(out)
     exported.write(out)
     document = {"out": str(out), **exported.to_dict()}
     if as_json:
@@ -47,6 +43,7 @@ def command(
         say(f"{out}: {', '.join(exported.files)}")
         vectors = document["vectors"]
         say(f"{vectors['rows']} vectors of the law {document['law']}, axis {document['axis']}")
+    print_warnings(document["warnings"])
 
 
 def _read(path: Path) -> dict[str, Any]:

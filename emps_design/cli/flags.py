@@ -18,6 +18,7 @@ FLAGS = {
     "peak": "--peak",
     "phase_deg": "--phase",
     "record": "--record",
+    "retune": "--retune",
     "target": "--to",
 }
 

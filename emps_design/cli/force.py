@@ -66,6 +66,8 @@ def command(
     from emps_design.cli.wording import load_axis
     from emps_design.control.force.design import design_force_loop
     from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
+    from emps_design.control.velocity.structure import IP
+    from emps_design.laws.library import ip_velocity
 
     refuse_force(context, out)
     check_out(out, AXIS, (axis,), force)
@@ -95,13 +97,14 @@ def command(
         if crossover is None and bandwidth is None:
             crossover = 100.0
             notes.append(f"velocity loop: designed for the paper's 100 rad/s crossover and {phase_margin:g} deg")
-        loop = design_velocity_loop(machine, crossover, bandwidth, phase_margin, velocity)
+        loop = design_velocity_loop(machine, crossover, bandwidth, phase_margin, velocity, IP, filters=())
     design = design_force_loop(loop, k_e1, hand or 0.0, environment or 0.0, sensor_delay, not sensor_only)
 
     document: dict[str, Any] = design.to_dict()
     document["warnings"] += notes
     if design.stable and out is not None:
-        document["out"] = write_axis(out, machine.replace(controller={**loop.controller_table(), "k_e1": k_e1}))
+        gains = {"k_v1": loop.k_v1, "t_v": loop.t_v, "k_e1": k_e1}
+        document["out"] = write_axis(out, machine.replace(controller={"kind": ip_velocity.LAW.name, **gains}))
     if not design.stable:
         document["nearest"], document["reason"] = design.nearest_stable, design.reason
     if as_json:

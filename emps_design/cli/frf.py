@@ -25,7 +25,7 @@ def command(
     axis: str = typer.Option(
         "emps2019", "--axis", help="TOML file or embedded machine: its force gain and computation delay are read."
     ),
-    method: str = typer.Option("auto", "--method", help="auto, periodic, local-polynomial or welch."),
+    method: str = typer.Option("auto", "--method", help="auto, periodic, stepped, local-polynomial or welch."),
     instrument: str = typer.Option(
         "", "--instrument", help="What moves the loop: excitation (default where the record has it) or reference."
     ),

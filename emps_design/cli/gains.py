@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -33,6 +34,13 @@ from emps_design.cli.design_options import (
     write_axis,
 )
 from emps_design.cli.destinations import AXIS, check_out
+from emps_design.cli.filter_options import (
+    Filters,
+    ReferenceFilter,
+    StructureOption,
+    filters_asked_for,
+    structure_asked_for,
+)
 from emps_design.cli.ignored import refuse_force, refuse_ignored
 from emps_design.cli.output import print_json, tell
 from emps_design.errors import InputError
@@ -53,6 +61,9 @@ def command(
     phase_margin: PhaseMargin = 60.0,
     retune: Annotated[bool, typer.Option("--retune", help="meet the specification in the sampled loop")] = False,
     at: Annotated[str, typer.Option(help="with --retune: plant-input or velocity-error")] = "plant-input",
+    structure: StructureOption = None,
+    reference_filter: ReferenceFilter = False,
+    filters: Filters = None,
     mismatch: Annotated[
         float | None, typer.Option(callback=within(""), help="relative error of the parameters, such as 0.02")
     ] = None,
@@ -77,6 +88,7 @@ def command(
     as_json: AsJson = False,
 ) -> int:
     from emps_design.cli.wording import load_axis
+    from emps_design.control.velocity.comparison import gains_document
     from emps_design.control.velocity.design import design_velocity_loop
     from emps_design.control.velocity.specification import check_specification
 
@@ -101,12 +113,17 @@ def command(
         },
         controller={"velocity_estimator": velocity_estimator},
     )
+    form = structure_asked_for(machine, structure)
+    if form.form == "ip":
+        refuse_ignored(context, ["reference_filter"], "goes with --structure pi; ip has no zero to take away")
     errors = _errors(machine, mismatch, sigma_from)
     specification: dict[str, Any] = {
         "crossover": crossover,
         "bandwidth": bandwidth,
         "phase_margin_deg": phase_margin,
         "velocity": velocity,
+        "structure": replace(form, reference_filter=reference_filter),
+        "filters": filters_asked_for(filters),
     }
     responses = _responses(frf or [])
     if retune and responses:
@@ -117,7 +134,7 @@ def command(
         design = retune_velocity_loop(machine, at=at, **specification)
     else:
         design = design_velocity_loop(machine, **specification)
-    document: dict[str, Any] = design.to_dict()
+    document = gains_document(design)
     if errors is not None:
         from emps_design.control.velocity.sensitivity import margins_under_mismatch
 
@@ -131,8 +148,7 @@ def command(
     if responses:
         from emps_design.frequency_response.loop import measured_document, measured_margins
 
-        run = machine.replace(controller=design.controller_table())
-        found = [measured_margins(response, run) for response in responses]
+        found = [measured_margins(response, design.loop_axis) for response in responses]
         document["measured"] = measured_document(found)
         document["warnings"] += [warning for one in found for warning in one.warnings]
     on_data = "measured" not in document or document["measured"]["stable"]
@@ -183,6 +199,8 @@ def _retuned(
         specification["phase_margin_deg"],
         at,
         specification["velocity"],
+        specification["structure"],
+        specification["filters"],
     )
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from emps_design.cli.destinations import ANYTHING, ARCHIVE, AXIS, TABLE, check_folder
+from emps_design.cli.destinations import ANYTHING, ARCHIVE, AXIS, TABLE, check_folder, make_folder
 
 # What `puzzle.npz` has and `axis.toml` lacks.
 PUZZLE = ({"kind": "position_ripple", "amplitude": 2.0, "period": 0.0025, "phase": 0.5},)
@@ -63,10 +63,7 @@ def command(
     axis = load_axis(machine)
     record = synthetic_record(axis, seed=seed)
     puzzle = synthetic_record(axis.replace(effects=[*axis.effects, *PUZZLE]), seed=seed + 1)
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{directory}: cannot be made, {error.strerror}; expected a folder to write to") from error
+    make_folder(directory, parents=True)
     with write_together(directory) as aside:
         write_text(aside / "axis.toml", axis.to_toml(comments=True))
         record.save(aside / "record.npz")
@@ -94,10 +91,7 @@ def _from_trace(trace: Path, directory: Path, force: bool, as_json: bool) -> Non
     found = read_trace(trace)
     law = None if found.record is None else identify_law(found.record, found.units.command_unit)
     text = axis_text(found, law.to_toml() if law is not None and law.verdict == TOLD else "")
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{directory}: cannot be made, {error.strerror}; expected a folder to write to") from error
+    make_folder(directory, parents=True)
     write_text(path, text)
     waiting = [line.split()[1] for line in text.splitlines() if line.startswith("# ") and " = " in line]
     record = found.record

@@ -202,9 +202,10 @@ def _draw(path: Path, result: Any) -> None:
 def _show(document: dict[str, Any]) -> None:
     from emps_design.cli.output import new_console, new_table
 
-    table = new_table(f"{document['scenario']}, axis {document.get('axis', '')}", "quantity", "value")
-    for key, value in _rows(document):
-        table.add_row(key, value)
+    title = f"{document['scenario']}, axis {document.get('axis', '')}"
+    table = new_table(title, "quantity", "value", "unit", words=("unit",))
+    for row in _rows(document, document.get("units", {})):
+        table.add_row(*row)
     new_console().print(table)
 
 
@@ -226,20 +227,23 @@ def _show_bench(document: dict[str, Any]) -> None:
     console.print(table)
 
 
-def _rows(document: dict[str, Any], before: str = "") -> list[tuple[str, str]]:
-    rows: list[tuple[str, str]] = []
+def _rows(document: dict[str, Any], units: dict[str, str], before: tuple[str, ...] = ()) -> list[tuple[str, str, str]]:
+    """Name, value and unit of each number; ``units`` has a unit by the name of a quantity, or of a group of them."""
+    from emps_design.cli.wording import for_reader
+
+    rows: list[tuple[str, str, str]] = []
     for key, value in document.items():
+        path = (*before, key)
         if key in ("run", "study", "law", "task", "units", "warnings", "scenario", "axis", "effort"):
             continue
         if isinstance(value, dict):
-            rows += _rows(value, f"{before}{key} ")
+            rows += _rows(value, units, path)
         elif not isinstance(value, list) or value:
-            text = (
-                f"{value:.6g}"
-                if isinstance(value, float)
-                else ", ".join(map(str, value))
-                if isinstance(value, list)
-                else value
-            )
-            rows.append(((before + key).replace("_", " "), str(text)))
+            base = next((units[name] for name in path if name in units), "")
+            if isinstance(value, float):
+                unit, factor = for_reader(value, base)
+                text = f"{factor * value:.6g}"
+            else:
+                unit, text = "", ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+            rows.append((" ".join(path).replace("_", " "), text, unit))
     return rows

@@ -40,3 +40,8 @@ def in_words(text: str) -> str:
 def in_units(value: str) -> str:
     """A text of a JSON document in the units and words of the axis at hand; a single word of it is a name."""
     return _at_hand[0].value(value)
+
+
+def for_reader(size: float, base: str) -> tuple[str, float]:
+    """The unit in which ``size`` [SI of ``base``] is shown to a reader of the axis at hand, and the factor to it."""
+    return _at_hand[0].display(size, base)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.codegen.printer import names_of
+from emps_design.codegen.printer import names_in
 from emps_design.codegen.program import (
     ARRAY,
     REAL,
@@ -31,9 +31,8 @@ from emps_design.codegen.reader import read_program
 from emps_design.codegen.rounding import Rounded, Roundings, largest, on_rounded, smallest
 from emps_design.compensation.feedforward import FeedForward
 from emps_design.errors import InputError
-from emps_design.simulation.kernels.inverse import PASSES
+from emps_design.simulation.kernels.inverse import HOOKS, PASSES
 
-HOOKS = ("force", "dry", "inertia")
 KERNEL = (REAL, REAL, REAL, REAL, ARRAY, ARRAY, ARRAY)  # arguments of an effect's kernel
 INPUTS = ("ahead_q", "ahead_v", "ahead_a")
 
@@ -74,16 +73,12 @@ class Ahead:
     @property
     def repeats(self) -> bool:
         """Whether a kernel reads the motor force, so that the sum depends on itself."""
-        return any(list(part.program.kernel.parameters)[2] in _used(part.program.kernel.body) for part in self.parts)
+        return any(list(part.program.kernel.parameters)[2] in names_in(part.program.kernel.body) for part in self.parts)
 
     @property
     def passes(self) -> int:
         """How often the sum is computed at most."""
         return PASSES if self.repeats else 1
-
-    def sum_of(self, hook: str) -> list[Part]:
-        """The parts of one hook, in order."""
-        return [part for part in self.parts if part.hook == hook]
 
     def command(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Command (n,) by the machine code of the simulation, for the reference's motion (n,) each."""
@@ -120,7 +115,7 @@ def _with_numbers(program: Program, p: np.ndarray, b: np.ndarray) -> Program:
         raise InputError(f"{program.kernel.name}: found a kernel that calls functions, expected math alone")
     kernel = program.kernel
     q, v, t, tau, x, own, baseline = kernel.parameters
-    if x in _used(kernel.body):
+    if x in names_in(kernel.body):
         raise InputError(f"{kernel.name}: found a state, which a feed-forward does not have")
     body = tuple(_put(step, {own: p, baseline: b}, t) for step in kernel.body)
     function = Function(kernel.name, {name: REAL for name in (q, v, tau)}, kernel.variables, body)
@@ -129,7 +124,7 @@ def _with_numbers(program: Program, p: np.ndarray, b: np.ndarray) -> Program:
 
 def _put(one: Any, arrays: Mapping[str, np.ndarray], time: str) -> Any:
     """``one`` with the cells of ``arrays`` as numbers, and ``time`` as 0."""
-    if isinstance(one, Cell) and one.array in arrays:
+    if isinstance(one, Cell) and isinstance(one.array, str) and one.array in arrays:
         if not isinstance(one.index, Number):
             raise InputError(f"found {one.array} at a place that is computed, expected a constant one")
         return Number(float(arrays[one.array][int(one.index.value)]), REAL)
@@ -154,7 +149,3 @@ def _put(one: Any, arrays: Mapping[str, np.ndarray], time: str) -> Any:
 
 def _all(steps: tuple[Statement, ...], arrays: Mapping[str, np.ndarray], time: str) -> tuple[Statement, ...]:
     return tuple(_put(step, arrays, time) for step in steps)
-
-
-def _used(steps: tuple[Statement, ...]) -> set[str]:
-    return set().union(*map(names_of, steps))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from emps_design.codegen.printer import Printer, names_of, parts
+from emps_design.codegen.printer import Printer, names_in, names_of, parts
 from emps_design.codegen.program import (
     ARRAY,
     INT,
@@ -18,8 +18,8 @@ from emps_design.codegen.program import (
     Name,
     Number,
     Program,
-    Return,
     Statement,
+    While,
 )
 
 KEYWORDS = frozenset(
@@ -57,20 +57,24 @@ class CPrinter(Printer):
         self.types = function.variables
         known = self.constants.get(function.name, {})
         body = self.lines(function, known)
-        used = _all(function.body) | known.keys()
+        used = names_in(function.body) | known.keys()
         unused = [
             f"{self.indent}(void){self.names[name]};" for name in function.parameters if name not in used | known.keys()
         ]
         written = _written(function.body)
         arguments = ", ".join(
-            f"{'' if name in written else 'const '}real *{self.names[name]}"
-            if kind == ARRAY
-            else f"{TYPES[kind]} {self.names[name]}"
+            self.declared(kind, self.names[name], name in written)
             for name, kind in function.parameters.items()
             if name not in known
         )
-        head = f"static real {self.functions[function.name]}({arguments})"
+        head = f"static {self.declared(function.result, self.functions[function.name])}({arguments})"
         return "\n".join([head, "{", *unused, *body, "}"])
+
+    def declared(self, kind: str, name: str, written: bool = True) -> str:
+        """A variable, an argument or a function of one ``kind``."""
+        if kind == ARRAY:
+            return f"{'' if written else 'const '}real *{name}"
+        return f"{TYPES[kind]} {name}"
 
     def block(self, steps: tuple[Statement, ...]) -> list[str]:
         """Statements with the declarations of what no other block uses, each at the first value where it can be."""
@@ -83,12 +87,16 @@ class CPrinter(Printer):
             if isinstance(step, Assign) and step.target == Name(name, outer[name])
         }
         lines = [
-            f"{self.indent}{TYPES[outer[name]]} {self.names[name]};" for name in here if name not in first.values()
+            f"{self.indent}{self.declared(outer[name], self.names[name])};"
+            for name in here
+            if name not in first.values()
         ]
         for step in steps:
-            told = f"{TYPES[outer[first[id(step)]]]} " if id(step) in first else ""
             printed = self.statement(step)
-            lines += [self.indent + told + printed[0], *(self.indent + line for line in printed[1:])]
+            if id(step) in first:
+                name = first[id(step)]
+                printed[0] = self.declared(outer[name], "") + printed[0]
+            lines += [self.indent + line for line in printed]
         self.types = outer
         return lines
 
@@ -152,19 +160,10 @@ def functions_in_c(program: Program, prefix: str, constants: dict[str, str]) -> 
 def _belongs(name: str, steps: tuple[Statement, ...]) -> bool:
     """Whether ``name`` is used in ``steps``, and not in one block of one of them alone."""
     users = [step for step in steps if name in names_of(step)]
-    if len(users) != 1 or isinstance(users[0], Assign | Return):
+    if len(users) != 1 or not isinstance(users[0], If | For | While):
         return bool(users)
     blocks, tests = parts(users[0])
-    return any(name in names_of(test) for test in tests) or sum(name in _all(block) for block in blocks) > 1
-
-
-def _sets(name: str, step: Statement) -> bool:
-    """Whether ``step`` gives ``name`` its first value, for which it need not have one."""
-    return isinstance(step, Assign) and isinstance(step.target, Name) and name not in names_of(step.value)
-
-
-def _all(steps: tuple[Statement, ...]) -> set[str]:
-    return set().union(*map(names_of, steps))
+    return any(name in names_of(test) for test in tests) or sum(name in names_in(block) for block in blocks) > 1
 
 
 def _written(steps: tuple[Statement, ...]) -> set[str]:
@@ -172,7 +171,7 @@ def _written(steps: tuple[Statement, ...]) -> set[str]:
     found: set[str] = set()
     for step in steps:
         if isinstance(step, Assign):
-            found |= {step.target.array} if isinstance(step.target, Cell) else set()
-        if isinstance(step, If | For):
+            found |= {str(step.target.array)} if isinstance(step.target, Cell) else set()
+        if isinstance(step, If | For | While):
             found = found.union(*map(_written, parts(step)[0]))
     return found

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any
 
 from emps_design.codegen.program import (
     Apply,
@@ -20,6 +22,7 @@ from emps_design.codegen.program import (
     Return,
     Statement,
     Unary,
+    While,
 )
 
 PRECEDENCE = {"or": 1, "and": 2, "==": 4, "!=": 4, "<": 5, "<=": 5, ">": 5, ">=": 5, "+": 6, "-": 6, "*": 7, "/": 7}
@@ -77,9 +80,11 @@ class Printer:
         if isinstance(step, Assign):
             return [self.assigned(self.expression(step.target), self.expression(step.value))]
         if isinstance(step, Return):
+            assert step.value is not None
             return self.returned(self.expression(step.value))
         if isinstance(step, For):
             return self.loop(step)
+        assert isinstance(step, If)
         return self.branch(step)
 
     def expression(self, one: Expression, outside: int = 0, right: bool = False) -> str:
@@ -90,7 +95,7 @@ class Printer:
         if isinstance(one, Name):
             return self.names[one.name]
         if isinstance(one, Cell):
-            return f"{self.names[one.array]}[{self.index(one.index)}]"
+            return f"{self.names[str(one.array)]}[{self.index(one.index)}]"
         if isinstance(one, Call):
             return self.call(one, [self.expression(argument) for argument in one.arguments])
         if isinstance(one, Apply):
@@ -141,6 +146,8 @@ def parts(step: Statement) -> tuple[list[tuple[Statement, ...]], list[Expression
     """Blocks of a branch or a loop, and what is computed before them: ``else`` with one ``if`` in it is ``else if``."""
     if isinstance(step, For):
         return [step.body], [step.start, step.stop]
+    if isinstance(step, While):
+        return [step.body], [step.condition]
     assert isinstance(step, If)
     blocks, tests, rest = [step.then], [step.condition], step.otherwise
     while len(rest) == 1 and isinstance(rest[0], If):
@@ -148,34 +155,28 @@ def parts(step: Statement) -> tuple[list[tuple[Statement, ...]], list[Expression
     return [*blocks, *([rest] if rest else [])], tests
 
 
-def names_of(one: Statement | Expression) -> set[str]:
-    """Every variable, parameter and array that ``one`` names."""
-    if isinstance(one, Number):
+def names_of(one: Any) -> set[str]:
+    """Every variable, parameter and array that ``one``, a statement or an expression, names."""
+    if isinstance(one, str) or not (isinstance(one, tuple) or is_dataclass(one)):
         return set()
-    if isinstance(one, Name):
-        return {one.name}
-    if isinstance(one, Cell):
-        return {one.array} | names_of(one.index)
-    if isinstance(one, Unary):
-        return names_of(one.operand)
-    if isinstance(one, Binary):
-        return names_of(one.left) | names_of(one.right)
-    if isinstance(one, Call | Apply):
-        return set().union(*map(names_of, one.arguments))
-    if isinstance(one, Assign):
-        return names_of(one.target) | names_of(one.value)
-    if isinstance(one, Return):
-        return names_of(one.value)
-    blocks, tests = parts(one)
-    inside = [names_of(each) for each in (*tests, *(step for block in blocks for step in block))]
-    return set().union(*inside, {one.variable} if isinstance(one, For) else ())
+    if isinstance(one, tuple):
+        return names_in(one)
+    own = {Name: "name", Cell: "array", For: "variable"}.get(type(one), "")
+    named = getattr(one, own) if own else ""
+    found = {named} if isinstance(named, str) and named else set()
+    return found.union(*(names_of(getattr(one, part.name)) for part in fields(one)))
+
+
+def names_in(steps: Iterable[Any]) -> set[str]:
+    """Every variable, parameter and array that ``steps`` name."""
+    return set().union(*map(names_of, steps))
 
 
 def _counters(steps: tuple[Statement, ...]) -> list[str]:
     """Variables of the loops, in order, each once."""
     found: dict[str, None] = {}
     for step in steps:
-        if isinstance(step, If | For):
+        if isinstance(step, If | For | While):
             own = [step.variable] if isinstance(step, For) else []
             found |= dict.fromkeys([*own, *(name for block in parts(step)[0] for name in _counters(block))])
     return list(found)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 REAL, INT, ARRAY = "real", "int", "array"
+TRUTH, WHOLES = "truth", "wholes"  # of a condition; of an array of whole numbers
 
 
 @dataclass(frozen=True)
@@ -29,9 +30,9 @@ class Name:
 
 @dataclass(frozen=True)
 class Cell:
-    """One number of an array."""
+    """One number of an array, which has a name or is an item."""
 
-    array: str
+    array: str | Item
     index: Expression
     type: str = REAL
 
@@ -73,7 +74,24 @@ class Apply:
     type: str = REAL
 
 
-Expression = Number | Name | Cell | Unary | Binary | Call | Apply
+@dataclass(frozen=True)
+class Several:
+    """Numbers or arrays together; its type is theirs, ``(real,int)``."""
+
+    items: tuple[Expression, ...]
+    type: str
+
+
+@dataclass(frozen=True)
+class Item:
+    """One of several."""
+
+    of: Expression
+    place: int
+    type: str
+
+
+Expression = Number | Name | Cell | Unary | Binary | Call | Apply | Several | Item
 
 
 @dataclass(frozen=True)
@@ -106,22 +124,45 @@ class For:
 
 @dataclass(frozen=True)
 class Return:
-    """``return value``."""
+    """``return value``; None where nothing is returned."""
 
-    value: Expression
+    value: Expression | None
 
 
-Statement = Assign | If | For | Return
+@dataclass(frozen=True)
+class While:
+    """``while condition: body``."""
+
+    condition: Expression
+    body: tuple[Statement, ...]
+
+
+@dataclass(frozen=True)
+class Do:
+    """A call of a function that returns nothing."""
+
+    call: Expression
+
+
+@dataclass(frozen=True)
+class Leave:
+    """``break`` or ``continue``."""
+
+    how: str
+
+
+Statement = Assign | If | For | Return | While | Do | Leave
 
 
 @dataclass(frozen=True)
 class Function:
-    """One function: ``parameters`` and ``variables`` by name with their types, and its steps; it returns a real."""
+    """One function: ``parameters`` and ``variables`` by name with their types, and its steps; ``result`` is a type."""
 
     name: str
     parameters: dict[str, str]
     variables: dict[str, str]
     body: tuple[Statement, ...]
+    result: str = REAL
 
 
 @dataclass(frozen=True)

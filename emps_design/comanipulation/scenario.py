@@ -52,6 +52,7 @@ class Comanipulation:
             "transparency": {name: exact[name] for name in ("apparent_mass", "apparent_damping", "r2", "error")},
             "peak_voltage": exact["peak_voltage"],
             "effort": exact["effort"],
+            "units": {"apparent_mass": "kg", "apparent_damping": "N/(m/s)", "peak_voltage": "V"},
             "seed": self.study.seed,
             "plants": self.study.plants,
             "mismatch": self.study.mismatch,

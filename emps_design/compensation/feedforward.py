@@ -54,10 +54,13 @@ class FeedForward:
         """
         if not self.terms:
             return np.zeros(q_ref.size)
-        axis, period = self.axis, self.axis.sampling.period
+        return self.beside(q_ref, answered(self.axis, q_ref))
+
+    def beside(self, q_ref: np.ndarray, braking: np.ndarray | None) -> np.ndarray:
+        """The same, ``braking`` (n,) what the law answers on ``q_ref`` by :func:`answered`; None: nothing taken off."""
+        period = self.axis.sampling.period
         q, v, a = motion_ahead(q_ref, period, self.wait)
-        at_reversal = replace(self, reversal=self.reversal or reversal_of(q_ref, period))
-        command, braking = at_reversal.command(q, v, a), answered(axis, q_ref)
+        command = replace(self, reversal=self.reversal or reversal_of(q_ref, period)).command(q, v, a)
         return command if braking is None else command - braking
 
     @property

@@ -62,6 +62,7 @@ class Compensation:
     mismatch: float
     phase_deg: float
     limited: float
+    takes_off: bool
     unit: str
     warnings: tuple[str, ...] = ()
 
@@ -80,7 +81,7 @@ class Compensation:
             "kept": list(self.feedforward.terms),
             "reversal": self.feedforward.reversal,
             "lead": self.feedforward.wait,
-            "law_taken_off": answered(self.axis, self.q_ref) is not None,
+            "law_taken_off": self.takes_off,
             "assumed": {
                 "mismatch": self.mismatch,
                 "phase_deg": self.phase_deg,
@@ -141,9 +142,18 @@ class Trial:
         limited = float(np.mean(np.abs(run.u) >= self.axis.drive.command_limit))
         return float(np.sqrt(np.mean(error**2))), limited
 
+    @cached_property
+    def braking(self) -> np.ndarray | None:
+        """What the law answers (n,) on the reference; None where its limit cuts that."""
+        return answered(self.axis, self.q_ref)
+
+    def with_ahead(self, feedforward: FeedForward) -> tuple[float, float]:
+        """:meth:`run` with ``feedforward``."""
+        return self.run(feedforward.beside(self.q_ref, self.braking) if feedforward.terms else None)
+
     def rms(self, feedforward: FeedForward) -> float:
         """Rms of the tracking error with ``feedforward``."""
-        return self.run(feedforward.along(self.q_ref))[0]
+        return self.with_ahead(feedforward)[0]
 
 
 def compensate(
@@ -182,13 +192,13 @@ def compensate(
         notes |= dict.fromkeys(kept, "no feed-forward lowers the error")
         kept = ()
     ahead = replace(FeedForward.of(axis, kept), reversal=reversal_of(q_ref, axis.sampling.period))
-    achieved, limited = trial.run(ahead.along(q_ref))
+    achieved, limited = trial.with_ahead(ahead)
     worst = _worst(trial, ahead, mismatch, phase_deg)
     warnings = [f"{name} is not compensated: {reason}" for name, reason in left.items()]
     warnings += [f"{name} is left out: {note}" for name, note in notes.items()]
     if axis.drive.back_emf > 0.0:
         warnings.append("the back-EMF of the motor is not fed forward")
-    if answered(axis, q_ref) is None:
+    if trial.braking is None:
         warnings.append(
             "what the law answers on its own reference goes beyond the limit and is not taken off; in a cascade, give "
             "the velocity loop the reference's velocity, share 1"
@@ -199,8 +209,8 @@ def compensate(
         Term(name, name in kept, alone[name], *trials[name], notes.get(name, _home(axis, name))) for name in possible
     )
     return Compensation(
-        axis, ahead, q_ref, without, baseline, achieved, worst, terms, left, mismatch, phase_deg, limited, trial.unit,
-        tuple(warnings),
+        axis, ahead, q_ref, without, baseline, achieved, worst, terms, left, mismatch, phase_deg, limited,
+        trial.braking is not None, trial.unit, tuple(warnings),
     )  # fmt: skip
 
 
@@ -214,7 +224,7 @@ def _selected(
         harm: dict[str, float] = {}
         for name in kept:
             others = tuple(one for one in kept if one != name)
-            lacking = trial.rms(FeedForward.of(trial.axis, others)) if others else trial.run(None)[0]
+            lacking = trial.rms(FeedForward.of(trial.axis, others))
             worst = _worst(trial, FeedForward.of(trial.axis, tuple(kept)), mismatch, phase_deg, only=name)
             trials[name] = (lacking, worst)
             if worst > lacking:

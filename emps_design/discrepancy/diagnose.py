@@ -17,7 +17,6 @@ from emps_design.discrepancy.search.noise_floor import LEFT, Floor, floor_of_res
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.validation.verdict import validate
 from emps_design.effects import Effect, known_effects
-from emps_design.effects.sizes import sized, sizes
 from emps_design.records import Record
 
 SEARCHES = ((0.0, 0.6), (0.6, 0.25), (0.85, 0.15))  # start and share of the progress; noise taken again in between
@@ -51,10 +50,7 @@ def diagnose(
 
     report, hears = progress or (lambda stage, share: None), searched or (lambda model: None)
     records = (records,) if isinstance(records, Record) else tuple(records)
-    known = known_effects().values() if library is None else library
-    first = records[0]
-    factors = sizes(first.q, first.u, first.period, axis.supplied_by(first).drive.gain)
-    library = tuple(sized(effect, factors) for effect in known if effect.acts_on(axis.motion))
+    library = tuple(known_effects().values() if library is None else library)
     # The matrices here are tall and thin: BLAS threads would only spin, and the fits run side by side already.
     with threadpool_limits(1):
         report("checking the records and the controller's law", 0.02)

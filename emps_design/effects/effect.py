@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 MASS, VISCOUS, COULOMB, OFFSET = range(4)  # places in the baseline array ``b``
 CHECK_BASELINE = (100.0, 200.0, 20.0, -5.0)  # the baseline of every effect's hand-computed checks
-REACH = 1000.0  # times the ordinary axis, up to which an effect's numbers are taken
+REACH = 1000.0  # times the ordinary axis in length, force or command, up to which an effect's numbers are taken
 SNAP = 1e-10  # s, by which an edge in time is seen early, above the rounding of any record's clock
 
 CHANNELS = ("controller", "actuator", "plant", "sensor")
@@ -75,10 +75,12 @@ class Parameter(Quantity):
 
     def check(self, value: float) -> float:
         """As of any quantity, for an axis up to ``REACH`` times larger or smaller than the ordinary one."""
-        if self.discrete or not re.search(r"\b[mNV]\b", self.unit):
+        sized = len(re.findall(r"\b[mNV]\b", self.unit))
+        if self.discrete or not sized:
             return super().check(value)
-        lower = self.lower / REACH if self.lower > 0.0 else self.lower * REACH
-        return Quantity(self.name, self.symbol, self.unit, lower, self.upper * REACH).check(value)
+        reach = REACH**sized  # a weak axis with a long stroke: N/m differ by both
+        lower = self.lower / reach if self.lower > 0.0 else self.lower * reach
+        return Quantity(self.name, self.symbol, self.unit, lower, self.upper * reach).check(value)
 
 
 @dataclass(frozen=True)

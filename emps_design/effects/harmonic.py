@@ -1,13 +1,22 @@
-"""What effects that are one harmonic, A sin(angle + phase), share: two linear coefficients, parameters, a search."""
+"""What effects that are one harmonic, A sin(angle + phase), share: kernel, two linear coefficients, parameters, search.
+
+Amplitude and phase are not linear; the coefficients of sine and cosine of the angle are, and give both.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from emps_design.effects.effect import Motion, Parameter, Parameters
+
+
+def along_travel(q: float, v: float, t: float, tau: float, x: Any, p: Any, b: Any) -> float:
+    """One harmonic of the position ``q`` [m], a kernel: ``p`` = amplitude, phase [rad], travel of a period [m]."""
+    return p[0] * math.sin(2.0 * math.pi * q / p[2] + p[1])
 
 
 def columns(angle: np.ndarray) -> np.ndarray:
@@ -52,11 +61,17 @@ def plausible(parameters: Parameters, motion: Motion) -> bool:
     return parameters["period"] < float(np.ptp(motion.q)) / 3
 
 
-def waves(coordinate: np.ndarray) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Both phases of ``coordinate`` (n,) at some of its samples and angular wave numbers, as a search asks for them."""
+def waves(
+    coordinate: np.ndarray, size: np.ndarray | float = 1.0
+) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Both phases of ``coordinate`` (n,) at some of its samples and angular wave numbers, as a search asks for them.
+
+    ``size`` (n,) is what the waves are multiplied by, sample by sample.
+    """
+    size = np.broadcast_to(size, coordinate.shape)
 
     def columns(index: np.ndarray, wave_numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         angle = coordinate[index][:, None] * wave_numbers
-        return np.sin(angle), np.cos(angle)
+        return size[index][:, None] * np.sin(angle), size[index][:, None] * np.cos(angle)
 
     return columns

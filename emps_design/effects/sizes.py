@@ -51,10 +51,11 @@ def sized(effect: Effect, factors: Mapping[str, float]) -> Effect:
     """
     if all(factor == 1.0 for factor in factors.values()):
         return effect
-    return replace(effect, parameters=tuple(_sized(parameter, factors) for parameter in effect.parameters))
+    return replace(effect, parameters=tuple(sized_parameter(parameter, factors) for parameter in effect.parameters))
 
 
-def _sized(parameter: Parameter, factors: Mapping[str, float]) -> Parameter:
+def sized_parameter(parameter: Parameter, factors: Mapping[str, float]) -> Parameter:
+    """A single ``parameter`` in the same way."""
     factor = _factor(parameter.unit, factors)
     if factor == 1.0 or parameter.discrete:
         return parameter

@@ -12,33 +12,37 @@ Source: R. Pintelon and J. Schoukens, System Identification: A Frequency Domain 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import RecordError
-from emps_design.frequency_response.broadband import Answer, blocks, local_polynomial, welch
-from emps_design.frequency_response.distortion import Distortion, distortion_of
+from emps_design.frequency_response.answers import (
+    BLOCK,
+    Extra,
+    Progress,
+    broadband_answer,
+    periodic_answer,
+    stepped_answer,
+)
+from emps_design.frequency_response.broadband import Answer, blocks
+from emps_design.frequency_response.distortion import Distortion
 from emps_design.frequency_response.hold import continuous_from_increments, without_aliases
-from emps_design.frequency_response.periodic import Spectra, spectra
 from emps_design.frequency_response.resonances import Resonance, resonances
 from emps_design.frequency_response.response import BAND, FrequencyResponse
-from emps_design.frequency_response.signals import COMMAND, Signals, motion, signals_of
+from emps_design.frequency_response.signals import Signals, motion, signals_of
 from emps_design.records import Record
 
-METHODS = ("periodic", "local-polynomial", "welch")
+METHODS = ("periodic", "stepped", "local-polynomial", "welch")
 HIGHEST_SHARE = 0.8  # of the Nyquist frequency; above it the aliases are as large as the response
 WORST = 0.5  # relative deviation beyond which a line says nothing
 CLEAR = 10.0  # times the noise that the answers of command and position have to be, or their quotient is the noise's
-BLOCK = 4.0  # s, of what does not repeat
 MANY = 24  # blocks from which on averaged spectra do
 POOLED = 9  # neighbouring lines whose noise is averaged
 RESTING = 0.01  # share of the time from which on a rest is worth a word
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,22 +129,12 @@ def estimate_response(
     method = _method(read) if method == "auto" else method
     tell = progress or (lambda stage, fraction: None)
     if method == "periodic":
-        answer, extra = _periodic(read, highest, tell)
+        answer, extra = periodic_answer(read, highest, tell)
+    elif method == "stepped":
+        answer, extra = stepped_answer(read, highest, tell)
     else:
-        answer, extra = _broadband(read, method, low, highest, tell)
+        answer, extra = broadband_answer(read, method, low, highest, tell)
     return _finished(several, read, axis, answer, method, extra, low, highest)
-
-
-@dataclass(frozen=True, eq=False)
-class _Extra:
-    """What else an estimate found: periods, scatter between the passes, distortion, and the ratio of spectra (m,)."""
-
-    passes: int
-    periods: int
-    averages: float
-    ratio: np.ndarray
-    scatter: float = 1.0
-    distortion: Distortion | None = None
 
 
 def _same_period(records: list[Record], axis: Axis) -> float:
@@ -159,91 +153,12 @@ def _same_period(records: list[Record], axis: Axis) -> float:
 
 
 def _method(read: list[Signals]) -> str:
+    if all(one.steps for one in read):
+        return "stepped"
     if all(one.repeats and one.stretches for one in read) and len({one.repeats for one in read}) == 1:
         return "periodic"
     count = sum(1 for one in read for _ in blocks(one, round(BLOCK / one.period)))
     return "welch" if count >= MANY else "local-polynomial"
-
-
-def _periodic(read: list[Signals], highest: float, tell: Progress) -> tuple[Answer, _Extra]:
-    for one in read:
-        if not one.repeats:
-            raise RecordError(f"{one.name}: the {one.kind} does not repeat, expected whole periods of it")
-    found: list[Spectra] = []
-    for i, one in enumerate(read):
-        tell("spectra", i / len(read))
-        found += spectra(one, highest)
-    if not found:
-        raise RecordError(
-            f"{read[0].name}: the {read[0].kind} repeats every {read[0].repeats * read[0].period:g} s, but nowhere "
-            "twice while the reference runs evenly; expected at least two whole periods on one pass"
-        )
-    excited = np.all([one.excited for one in found], axis=0)
-    if np.count_nonzero(excited) < 4:
-        raise RecordError(
-            f"{read[0].name}: found {np.count_nonzero(excited)} excited lines, expected at least 4; excite more of the "
-            "band, or more strongly"
-        )
-    weights = np.array([one.periods * np.abs(one.r[excited]) ** 2 for one in found])
-    share = weights / weights.sum(axis=0)
-    each = np.array([one.z[excited] / one.r[excited, None] for one in found])
-    own = np.array([one.noise[excited] / np.abs(one.r[excited, None, None]) ** 2 for one in found])
-    z = np.sum(share[..., None] * each, axis=0)
-    noise = np.sum(share[..., None, None] ** 2 * own, axis=0)
-    line = found[0].line[excited]
-    frequency = line / (read[0].repeats * read[0].period)
-    freedom = float(found[0].freedom * len(found))
-    answer = Answer(frequency, z, noise, freedom, weights.sum(axis=0))
-    g = z[:, 0] / z[:, 1]
-    scatter = 1.0
-    if len(found) > 1:
-        # What a pass differs by from the mean, as an output, against what its own noise predicts.
-        left = each[..., 0] - g * each[..., 1]
-        predicted = own[..., 0, 0].real + np.abs(g) ** 2 * own[..., 1, 1].real - 2.0 * (own[..., 0, 1] * g.conj()).real
-        scatter = float(np.mean(np.abs(left) ** 2 / predicted / (1.0 - share)))
-    ratio = np.sum(
-        [o.z[excited, 0] * o.z[excited, 1].conj() + o.noise[excited, 0, 1] * o.periods for o in found], axis=0
-    )
-    ratio /= np.sum([np.abs(o.z[excited, 1]) ** 2 + o.noise[excited, 1, 1].real * o.periods for o in found], axis=0)
-    periods = sum(one.periods for one in found)
-    distortion = distortion_of(found, excited, float(frequency[0] / line[0]), g)
-    return answer, _Extra(len(found), periods, periods, ratio, scatter, distortion)
-
-
-def _broadband(read: list[Signals], method: str, low: float, highest: float, tell: Progress) -> tuple[Answer, _Extra]:
-    period = read[0].period
-    ratio_of = [replace(one, r=one.u, kind=COMMAND) for one in read]
-    samples = round(BLOCK / period)
-    if method == "welch":
-        answers = [welch(one, samples // 4, low, highest) for one in read]
-        ratios = [welch(one, samples // 4, low, highest) for one in ratio_of]
-    else:
-        parts = [(one, other, part) for one, other in zip(read, ratio_of, strict=True) for part in blocks(one, samples)]
-        shortest = min((part.stop - part.start for _, _, part in parts), default=0)
-        if shortest < 8 * 10:
-            raise RecordError(f"{read[0].name}: found stretches of {shortest} samples, expected at least 80")
-        # Blocks of one length have their lines at the same frequencies.
-        parts = [(a, b, slice(part.start, part.start + shortest)) for a, b, part in parts]
-        answers, ratios = [], []
-        for i, (one, other, part) in enumerate(parts):
-            tell("local polynomials", i / len(parts))
-            answers.append(local_polynomial(one, part, low, highest))
-            ratios.append(local_polynomial(other, part, low, highest))
-    answer, ratio = _averaged(answers), _averaged(ratios)
-    count = len(answers) if method != "welch" else max(1, round(answer.freedom))
-    return answer, _Extra(len(answers), count, count, ratio.z[:, 0] / ratio.z[:, 1])
-
-
-def _averaged(answers: list[Answer]) -> Answer:
-    """Several answers at the same lines as one, each by the power of its instrument."""
-    if len({one.frequency.size for one in answers}) > 1 or not answers[0].frequency.size:
-        raise RecordError("found no lines between the lowest and the highest frequency, expected a wider band")
-    weights = np.array([one.weight for one in answers])
-    share = weights / weights.sum(axis=0)
-    z = np.sum(share[..., None] * np.array([one.z for one in answers]), axis=0)
-    noise = np.sum(share[..., None, None] ** 2 * np.array([one.noise for one in answers]), axis=0)
-    freedom = sum(one.freedom for one in answers)
-    return Answer(answers[0].frequency, z, noise, freedom, weights.sum(axis=0))
 
 
 def _finished(
@@ -252,7 +167,7 @@ def _finished(
     axis: Axis,
     answer: Answer,
     method: str,
-    extra: _Extra,
+    extra: Extra,
     low: float,
     highest: float,
 ) -> Estimate:
@@ -270,15 +185,20 @@ def _finished(
         + C[:, 1, 1].real / np.abs(z_u) ** 2
         - 2.0 * (C[:, 0, 1] / (z_q * z_u.conj())).real
     )
-    variance = _pooled(np.maximum(variance, 0.0), np.abs(z_q / z_u))
-    freedom = answer.freedom * min(POOLED, variance.size) * (0.5 if method != "periodic" else 1.0)
+    variance, freedom = np.maximum(variance, 0.0), answer.freedom
+    if method != "stepped":  # where lines are far apart, each with an amplitude of its own
+        variance = _pooled(variance, np.abs(z_q / z_u))
+        freedom *= min(POOLED, variance.size) * (1.0 if method == "periodic" else 0.5)
     variance = variance * max(1.0, extra.scatter) * _for_few(freedom)
     if extra.distortion is not None:
         variance = variance + extra.distortion.odd_variance(answer.frequency)
     coherence = 1.0 / (1.0 + variance * extra.averages)
     response, aliases = without_aliases(w, plant(z_q / z_u), np.sqrt(variance), period)
     std = np.sqrt(variance + aliases**2)
-    clear = np.minimum(np.abs(z_q) ** 2 / _near(C[:, 0, 0].real), np.abs(z_u) ** 2 / _near(C[:, 1, 1].real)) >= CLEAR
+    of_q, of_u = C[:, 0, 0].real, C[:, 1, 1].real
+    if method != "stepped":
+        of_q, of_u = _near(of_q), _near(of_u)
+    clear = np.minimum(np.abs(z_q) ** 2 / of_q, np.abs(z_u) ** 2 / of_u) >= CLEAR
     kept = clear & (std <= WORST) & (answer.frequency >= low) & (answer.frequency <= highest * (1.0 + 1e-9))
     name = ", ".join(record.name for record in records)
     if np.count_nonzero(kept) < 4:
@@ -338,7 +258,7 @@ def _for_few(freedom: float) -> float:
     return float(f.ppf(0.95, 2.0, 2.0 * max(freedom, 1.0)) / BAND**2)
 
 
-def _words(extra: _Extra, reversals: int, rest: float, seconds: float, left_out: int) -> list[str]:
+def _words(extra: Extra, reversals: int, rest: float, seconds: float, left_out: int) -> list[str]:
     """What a reader of the response has to know."""
     words = []
     if reversals > extra.passes or rest > RESTING:

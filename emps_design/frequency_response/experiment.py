@@ -1,12 +1,11 @@
-"""The experiment that measures a response: a random-phase multi-sine on a carriage that runs to and fro.
+"""The experiment that measures a response: a multi-sine or a stepped sine on a carriage that runs to and fro.
 
 While the carriage runs one way, dry friction is a constant and the loop is linear. So the reference makes passes at a
-steady speed, and on each, once the loop has settled, the multi-sine repeats: odd lines alone, one of every four left
-out, so that noise, even and odd distortion show apart. Lines lie no closer than a hundredth of their frequency. The
+steady speed, and on each, once the loop has settled, the excitation is added, :mod:`.waves`. The
 spectrum of the command falls with a power of the frequency; what has to be added to the controller's output, or to the
 reference, for that follows from the loop of the axis's model, and so do all peaks. The amplitude is the largest that
-keeps the velocity from changing sign and every limit. Of several draws of the phases the one with the smallest peak is
-taken. Expected deviations follow from the noise assumed: white force noise and the encoder's quantisation.
+keeps the velocity from changing sign and every limit. Expected deviations follow from the noise assumed: white force
+noise and the encoder's quantisation.
 Source: R. Pintelon and J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapter 5.
 """
 
@@ -22,16 +21,13 @@ from emps_design.axis import Axis
 from emps_design.control.loop.sampled_loop import axis_loop
 from emps_design.control.plant.discretisation import sample_axis
 from emps_design.errors import InputError, UnstableError
+from emps_design.frequency_response.waves import BLOCKS, GROUP, MultiSine, SteppedSine, Wave
 
 PLACES = ("command", "reference")
-DRAWS = 100
-GROUP = 4  # one line of so many is left out
-CLOSEST = 0.01  # share of its frequency, the distance of a line to the next
 HIGHEST_SHARE = 0.8  # of the Nyquist frequency
 TURNING = 0.8  # share of the steady speed that the excitation may take
 ROOM = 0.9  # share of a limit that is used
 STEEPEST = 10.0  # times the command, what may be added to have it: below the crossover the controller works against it
-LEAST = 2  # periods on a pass, besides the one in which the loop settles
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # farthest from every ratio of small whole numbers
 NOISE_SHARE = 0.02  # of the Coulomb friction, rms of white force noise where none is given
 
@@ -50,11 +46,14 @@ class Limits:
 class Experiment:
     """Reference and excitation at the samples, and what is expected of them.
 
-    ``q_ref`` (n,) [m]; ``excitation`` (n,) [V] is 0 where the reference carries the multi-sine; ``frequency`` (m,) [Hz]
+    ``q_ref`` (n,) [m]; ``excitation`` (n,) [V] is 0 where the reference carries it; ``frequency`` (m,) [Hz]
     and ``std`` (m,) the lines and their expected relative deviations; ``peaks`` largest values beside the ``limits``.
+    ``signal`` is a multi-sine, with so many ``periods`` of ``samples`` on each pass, or a stepped sine, with so many
+    blocks of ``samples`` at most.
     """
 
     axis: Axis
+    signal: str
     at: str
     q_ref: np.ndarray = field(repr=False)
     excitation: np.ndarray = field(repr=False)
@@ -85,6 +84,7 @@ class Experiment:
         """Plain data without the signals."""
         return {
             "axis": self.axis.name,
+            "signal": self.signal,
             "at": self.at,
             "seconds": self.q_ref.size * self.period,
             "speed": self.speed,
@@ -114,12 +114,14 @@ def design_experiment(
     at: str = PLACES[0],
     noise: float | None = None,
     seed: int = 0,
+    steps: int | None = None,
 ) -> Experiment:
     """Return the experiment for ``axis``: lines from ``low`` to ``high`` [Hz], ``resolution`` [Hz] the base line.
 
     ``speed`` [m/s] is that of the passes, ``slope`` the power of frequency by which the command's amplitude falls,
-    ``at`` where the multi-sine is added, ``noise`` [N rms] what the deviations are expected
-    from, by default 2 % of the Coulomb friction. Raises
+    ``at`` where the excitation is added, ``noise`` [N rms] what the deviations are expected
+    from, by default 2 % of the Coulomb friction. With ``steps`` it is a stepped sine of so many lines, each measured
+    over 1/``resolution`` as often as there would be ``passes``. Raises
     :class:`InputError` for what does not fit the limits, :class:`UnstableError` for an axis whose loop is unstable.
 
     >>> from emps_design.machines import machine
@@ -130,7 +132,7 @@ def design_experiment(
     period = axis.sampling.period
     nyquist = 0.5 / period
     high = HIGHEST_SHARE * nyquist if high is None else high
-    _check(limits, speed, low, high, resolution, nyquist, at)
+    _check(limits, speed, low, high, resolution, nyquist, at, steps)
     speed = _between_steps(speed, axis)
     loop = axis_loop(axis, speed)
     if not loop.stable:
@@ -141,37 +143,37 @@ def design_experiment(
     steady = _steady_command(axis, speed)
     ramp = _ramp(axis, limits, speed, steady, 0.2 * samples * period)
     settle = round(max(0.2, 2.0 / low) / period)
-    fade = min(settle, samples // 2)
-    flat = (limits.stroke * ROOM - speed * ramp) / speed / period - settle - fade
-    periods = int(flat // samples) - 1
-    if periods < LEAST:
-        longest = ((LEAST + 1) * samples + settle + fade + 2) * period * speed + speed * ramp
+    wave: Wave
+    if steps is not None:
+        wave = SteppedSine.between(low * period, high * period, steps, samples)
+    else:
+        fade, random = min(settle, samples // 2), np.random.default_rng(seed)
+        wave = MultiSine.between(low * period, high * period, samples, fade, random)
+    flat = int((limits.stroke * ROOM - speed * ramp) / speed / period - settle)
+    if flat < wave.shortest:
+        needed = (wave.shortest + settle + 2) * period * speed + speed * ramp
         raise InputError(
-            f"stroke: found {limits.stroke:g} m, which a pass at {speed:.4g} m/s fills with {max(periods + 1, 0)} "
-            f"periods of {samples * period:g} s, expected at least {LEAST + 1}: {longest / ROOM:.3g} m, a lower speed, "
-            "or a coarser resolution"
+            f"stroke: found {limits.stroke:g} m, where a pass at {speed:.4g} m/s can be excited for "
+            f"{max(flat, 0) * period:.3g} s, expected at least {wave.shortest * period:.4g} s: {needed / ROOM:.3g} m, "
+            "a lower speed, or a coarser resolution"
         )
-    random = np.random.default_rng(seed)
-    lines = _lines(samples, low * samples * period, high * samples * period, random)
-    w = 2.0 * np.pi * lines / (samples * period)
+    f = wave.cycles / period
+    w = 2.0 * np.pi * f
     by = "voltage" if at == PLACES[0] else "reference"
     command = loop.response(w, "voltage", by) + (1.0 if at == PLACES[0] else 0.0)
-    wanted = w**-slope
-    added = wanted / np.maximum(np.abs(command), 1.0 / STEEPEST if by == "voltage" else 1e-12)
-    phases = np.exp(2j * np.pi * random.random((DRAWS, lines.size)))
-    crest = np.max(np.abs(_wave(phases * added * command, lines, samples)), axis=1)
-    one = phases[int(np.argmin(crest))] * added
+    added = w**-slope / np.maximum(np.abs(command), 1.0 / STEEPEST if by == "voltage" else 1e-12)
+    one = wave.phased(added, command)
+    velocity = one * loop.response(w, "velocity", by)
     unit = {
-        "velocity": _peak(one * loop.response(w, "velocity", by), lines, samples),
-        "command": _peak(one * command, lines, samples),
-        "position": _peak(one * loop.response(w, "velocity", by) / (1j * w), lines, samples),
-        "jerk": _peak(one * loop.response(w, "velocity", by) * (1j * w) ** 2, lines, samples),
+        "velocity": wave.peak(velocity),
+        "command": wave.peak(one * command),
+        "position": wave.peak(velocity / (1j * w)),
+        "jerk": wave.peak(velocity * (1j * w) ** 2),
     }
     amplitude, bound_by = _amplitude(axis, limits, speed, steady, unit)
-    wave = amplitude * _wave(one, lines, samples)
-    if by == "reference" and _follows_velocity(axis):
-        wave = amplitude * _wave(one * period / (1.0 - np.exp(-1j * w * period)), lines, samples)
-    q_ref, excitation = _passes(period, speed, ramp, settle, passes, _faded(wave, periods + 1, fade), at)
+    carried = one * period / (1.0 - np.exp(-1j * w * period)) if by == "reference" and _follows_velocity(axis) else one
+    trains, each = wave.trains(amplitude * carried, flat, passes)
+    q_ref, excitation = _passes(period, speed, ramp, settle, trains, at)
     peaks = {name: amplitude * value for name, value in unit.items()}
     peaks = {
         **{f"excitation_{name}": value for name, value in peaks.items()},
@@ -181,19 +183,20 @@ def design_experiment(
         "stroke": float(np.ptp(q_ref)) + 2.0 * peaks["position"],
     }
     noise = NOISE_SHARE * axis.mechanics.coulomb if noise is None else noise
-    std = _expected(axis, speed, w, amplitude * np.abs(one * command), periods * samples * passes, noise)
-    f = lines / (samples * period)
-    words = (
-        [f"{np.count_nonzero(std > 0.3)} of {f.size} lines will hardly stand out of the noise"]
-        if std.max() > 0.3
-        else []
-    )
+    std = _expected(axis, speed, w, amplitude * np.abs(one * command), each, noise)
+    faint = int(np.count_nonzero(std > 0.3))
+    words = (f"{faint} of {f.size} lines will hardly stand out of the noise",) if faint else ()
+    periods = wave.periods(flat) if isinstance(wave, MultiSine) else BLOCKS
+    samples = samples if isinstance(wave, MultiSine) else int(np.max(each)) // BLOCKS // passes
     return Experiment(
-        axis, at, q_ref, excitation, f, std, speed, passes, periods, samples, noise, peaks, bound_by, tuple(words)
-    )
+        axis, wave.label, at, q_ref, excitation, f, std, speed, len(trains), periods, samples, noise, peaks, bound_by,
+        words,
+    )  # fmt: skip
 
 
-def _check(limits: Limits, speed: float, low: float, high: float, resolution: float, nyquist: float, at: str) -> None:
+def _check(
+    limits: Limits, speed: float, low: float, high: float, resolution: float, nyquist: float, at: str, steps: int | None
+) -> None:
     if at not in PLACES:
         raise InputError(f"place of the excitation: found {at!r}, expected {' or '.join(PLACES)}")
     if not 0.0 < low < high:
@@ -202,39 +205,13 @@ def _check(limits: Limits, speed: float, low: float, high: float, resolution: fl
         raise InputError(f"frequency: found {high:g} Hz, expected less than the Nyquist frequency, {nyquist:g} Hz")
     if not 0.0 < resolution <= 0.5 * (high - low):
         raise InputError(f"resolution: found {resolution:g} Hz, expected more than 0 and several lines in the band")
+    if steps is not None and steps < GROUP:
+        raise InputError(f"steps: found {steps}, expected at least {GROUP} lines")
     for name, value in (("speed", speed), ("stroke", limits.stroke)):
         if not value > 0.0:
             raise InputError(f"{name}: found {value:g}, expected a positive number")
     if limits.speed is not None and speed >= ROOM * limits.speed:
         raise InputError(f"speed: found passes at {speed:g} m/s, expected less than the limit of {limits.speed:g} m/s")
-
-
-def _lines(samples: int, low: float, high: float, random: np.random.Generator) -> np.ndarray:
-    """Odd numbers from ``low`` to ``high``, one of every group left out by lot, no closer than :data:`CLOSEST`."""
-    chosen: list[int] = []
-    line = int(np.ceil(low)) | 1
-    while line <= min(high, samples / 2 - 1):
-        chosen.append(line)
-        line = max(line + 2, int(line * (1.0 + CLOSEST)) | 1)
-    groups = [chosen[i : i + GROUP] for i in range(0, len(chosen), GROUP)]
-    out = {group[int(random.integers(GROUP))] for group in groups if len(group) == GROUP}
-    kept = np.array([line for line in chosen if line not in out])
-    if kept.size < GROUP:
-        raise InputError(
-            f"resolution: found {kept.size} lines in the band, expected at least {GROUP}: take a finer one"
-        )
-    return kept
-
-
-def _wave(amplitudes: np.ndarray, lines: np.ndarray, samples: int) -> np.ndarray:
-    """One period (..., samples) of sines with complex ``amplitudes`` (..., m) at the ``lines``."""
-    spectrum = np.zeros((*amplitudes.shape[:-1], samples // 2 + 1), complex)
-    spectrum[..., lines] = 0.5 * samples * amplitudes
-    return np.fft.irfft(spectrum, samples, axis=-1)
-
-
-def _peak(amplitudes: np.ndarray, lines: np.ndarray, samples: int) -> float:
-    return float(np.max(np.abs(_wave(amplitudes, lines, samples))))
 
 
 def _steady_command(axis: Axis, speed: float) -> float:
@@ -288,22 +265,13 @@ def _ramp(axis: Axis, limits: Limits, speed: float, steady: float, usual: float)
     return max(0.1, usual, 0.5 * np.pi * axis.mechanics.mass * speed / room) if room > 0.0 else usual
 
 
-def _faded(wave: np.ndarray, periods: int, fade: int) -> np.ndarray:
-    """So many ``periods`` of the ``wave``, which rises over the first ``fade`` samples and falls over as many more."""
-    rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(fade) + 0.5) / fade)
-    train = np.concatenate([np.tile(wave, periods), wave[:fade]])
-    train[:fade] *= rise
-    train[-fade:] *= rise[::-1]
-    return train
-
-
 def _passes(
-    period: float, speed: float, ramp: float, settle: int, passes: int, train: np.ndarray, at: str
+    period: float, speed: float, ramp: float, settle: int, trains: list[np.ndarray], at: str
 ) -> tuple[np.ndarray, np.ndarray]:
     """Reference and excitation of all passes; the velocity rises and falls as half a cosine."""
     rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(round(ramp / period)) + 0.5) / round(ramp / period))
     velocity, added, rest = [np.zeros(settle)], [np.zeros(settle)], np.zeros(settle)
-    for i in range(passes):
+    for i, train in enumerate(trains):
         flat = np.ones(settle + train.size)
         velocity += [(-1) ** i * np.concatenate([rise, flat, rise[::-1]]), rest]
         added += [np.zeros(rise.size + settle), train, np.zeros(rise.size), rest]
@@ -311,8 +279,10 @@ def _passes(
     return (q_ref, excitation) if at == PLACES[0] else (q_ref + excitation, np.zeros(q_ref.size))
 
 
-def _expected(axis: Axis, speed: float, w: np.ndarray, command: np.ndarray, samples: int, noise: float) -> np.ndarray:
-    """Relative deviations (m,) from the amplitudes of the ``command`` (m,) [V] over so many samples."""
+def _expected(
+    axis: Axis, speed: float, w: np.ndarray, command: np.ndarray, samples: np.ndarray | int, noise: float
+) -> np.ndarray:
+    """Relative deviations (m,) from the amplitudes of the ``command`` (m,) [V] over so many ``samples`` (m,)."""
     plant, resolution = sample_axis(axis, speed), axis.sampling.encoder_resolution
     back = np.exp(-1j * w * plant.period)
     newer, older = plant.weights

@@ -11,11 +11,12 @@ chapters 3, 4 and 7.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from emps_design.frequency_response.signals import Signals
+from emps_design.frequency_response.steps import Step
 
 LINES = 14  # lines between the excited ones that the parabola is laid through
 ORDER = 2
@@ -39,6 +40,17 @@ class Spectra:
     periods: int
     excited: np.ndarray
 
+    def at(self, lines: np.ndarray) -> Spectra:
+        """Those of ``lines`` (m,) alone."""
+        return replace(
+            self,
+            line=self.line[lines],
+            r=self.r[lines],
+            z=self.z[lines],
+            noise=self.noise[lines],
+            excited=self.excited[lines],
+        )
+
 
 def spectra(signals: Signals, highest: float) -> list[Spectra]:
     """Spectra of the stretches of ``signals`` up to ``highest`` [Hz]; the loop settles over a third of a period first,
@@ -53,6 +65,14 @@ def spectra(signals: Signals, highest: float) -> list[Spectra]:
             begin = stop - periods * signals.repeats
             found.append(_stretch(signals, begin, periods, highest))
     return found
+
+
+def step_spectra(signals: Signals, step: Step) -> Spectra:
+    """The spectra of a step at its one line."""
+    periods = (step.stop - step.start) // step.samples
+    just_above = (step.turns + 0.5) / (step.samples * signals.period)
+    whole = _stretch(replace(signals, repeats=step.samples), step.stop - periods * step.samples, periods, just_above)
+    return whole.at(np.array([step.turns - 1]))
 
 
 def _stretch(signals: Signals, begin: int, periods: int, highest: float) -> Spectra:

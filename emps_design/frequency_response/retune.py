@@ -11,13 +11,15 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.plant.discretisation import ESTIMATORS
+from emps_design.control.plant.discretisation import ESTIMATORS, filter_response
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.retune import PLACES, retuned_gains
 from emps_design.control.velocity.specification import check_specification
+from emps_design.control.velocity.structure import Structure, own_filters, own_structure
 from emps_design.errors import InputError, SpecificationError
 from emps_design.frequency_response.loop import MeasuredMargins, MeasuredPlant, measured_margins
 from emps_design.frequency_response.response import FrequencyResponse
+from emps_design.laws.library.cascade import Filter
 
 NEAREST = 60  # slower crossovers that are tried for the nearest that works
 MET = 1e-2  # relative deviation of crossover and phase margin
@@ -29,6 +31,7 @@ class _Estimated:
 
     plant: MeasuredPlant
     weights: tuple[float, float]
+    filters: tuple[Filter, ...]
 
     @property
     def period(self) -> float:
@@ -37,7 +40,8 @@ class _Estimated:
     def response(self, w: np.ndarray) -> np.ndarray:
         back = np.exp(-1j * np.asarray(w) * self.period)
         newer, older = self.weights
-        return self.plant.position(w) * (newer + older * back) * (1.0 - back) / self.period
+        found = self.plant.position(w) * (newer + older * back) * (1.0 - back) / self.period
+        return found * filter_response(self.filters, w, self.period)
 
     def integrator(self, w: np.ndarray) -> np.ndarray:
         return self.period / (1.0 - np.exp(-1j * np.asarray(w) * self.period))
@@ -50,6 +54,8 @@ def retune_on_response(
     phase_margin_deg: float = 60.0,
     at: str = PLACES[0],
     velocity: float = 0.1,
+    structure: Structure | None = None,
+    filters: tuple[Filter, ...] | None = None,
 ) -> VelocityLoopDesign:
     """Return the design whose loop on the measured plant has ``crossover`` [rad/s] and ``phase_margin_deg`` [deg].
 
@@ -73,20 +79,24 @@ def retune_on_response(
             f"{response.name}: found a crossover of {crossover:g} rad/s, expected one within the data, {low:.4g} to "
             f"{high:.4g} rad/s"
         )
-    plant: Any = _Estimated(MeasuredPlant.of(response, axis), ESTIMATORS[axis.controller.velocity_estimator])
+    structure, filters = own_structure(axis, structure), own_filters(axis, filters)
+    weights = ESTIMATORS[axis.controller.velocity_estimator]
+    plant: Any = _Estimated(MeasuredPlant.of(response, axis), weights, filters)
+    place = PLACES[0] if structure.form == "pi" else at
 
     def design_of(w: float) -> tuple[VelocityLoopDesign | None, MeasuredMargins | None]:
-        k_v1, t_v = (float(gain) for gain in retuned_gains(plant, w, phase_margin_deg, at))
+        k_v1, t_v = (float(gain) for gain in retuned_gains(plant, w, phase_margin_deg, place))
         if not np.isfinite(k_v1):
             return None, None
-        design = VelocityLoopDesign(axis, k_v1, t_v, requested, retuned_at=at, velocity=velocity)
-        found = measured_margins(response, axis.replace(controller=design.controller_table()), draws=0)
-        return design, found
+        design = VelocityLoopDesign(
+            axis, k_v1, t_v, requested, retuned_at=at, velocity=velocity, structure=structure, filters=filters
+        )
+        return design, measured_margins(response, design.loop_axis, draws=0)
 
     def met(w: float, found: MeasuredMargins | None) -> bool:
         if found is None or not found.stable:
             return False
-        if at != PLACES[0]:
+        if place != PLACES[0]:
             return True
         phase = found.values["phase_margin_deg"]
         return phase is not None and abs(phase / phase_margin_deg - 1.0) < MET

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from emps_design.errors import RecordError
+from emps_design.frequency_response.steps import Step, steps_of
 from emps_design.records import Record
 
 EXCITATION, REFERENCE, COMMAND = INSTRUMENTS = ("excitation", "reference", "command")
@@ -29,7 +30,7 @@ class Signals:
     """Instrument, command and position increments of one record, (n,) each, and the stretches that can be used.
 
     ``r`` instrument, ``u`` command [V], ``dq`` increments [m]; ``repeats`` is the period of the instrument in samples,
-    0 where it has none; ``stretches`` holds first and last sample (excluded) of each.
+    0 where it has none; ``stretches`` holds first and last sample (excluded) of each, ``steps`` of a stepped sine.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Signals:
     repeats: int
     stretches: tuple[tuple[int, int], ...]
     bias: np.ndarray = field(repr=False)
+    steps: tuple[Step, ...] = ()
 
     @property
     def used(self) -> np.ndarray:
@@ -73,7 +75,10 @@ def signals_of(record: Record, instrument: str = "") -> Signals:
             "them to move the loop: without it noise and feedback cannot be told from the plant"
         )
     dq = np.diff(record.q, prepend=record.q[:1])
-    repeats = _repeats(r, bias if instrument == EXCITATION else None) if instrument != COMMAND else 0
+    steps = steps_of(r) if instrument != COMMAND else ()
+    repeats = 0
+    if instrument != COMMAND and not steps:
+        repeats = _repeats(r, bias if instrument == EXCITATION else None)
     return Signals(
         record.name,
         instrument,
@@ -82,8 +87,9 @@ def signals_of(record: Record, instrument: str = "") -> Signals:
         dq,
         record.period,
         repeats,
-        tuple(_stretches(r, bias, repeats, instrument)),
+        tuple((one.start, one.stop) for one in steps) or tuple(_stretches(r, bias, repeats, instrument)),
         bias,
+        steps,
     )
 
 

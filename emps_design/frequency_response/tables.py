@@ -11,10 +11,8 @@ since the object itself is stored in a form that MATLAB alone reads. Back: ``sys
 
 from __future__ import annotations
 
-import csv
 import io
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,6 +21,7 @@ from emps_design.files import read_bytes, write_aside
 from emps_design.frequency_response.response import FrequencyResponse
 from emps_design.records.matlab_v5 import is_v5, read_v5
 from emps_design.records.matlab_v73 import is_v73, read_v73
+from emps_design.records.tables import read_plain_table
 
 COLUMNS = ("frequency_hz", "magnitude", "phase_deg", "coherence", "std")
 NEEDED = COLUMNS[:3]
@@ -64,8 +63,8 @@ def read_response(path: str | Path) -> FrequencyResponse:
     elif is_v5(content[:128]):
         columns = read_v5(io.BytesIO(content), str(path), MAX_BYTES)
     else:
-        columns = _table(content, path)
-    columns = {name: np.ravel(values) for name, values in columns.items()}
+        columns = read_plain_table(content, str(path), EXPECTED, NEEDED)
+    columns = {name.lower(): np.ravel(values) for name, values in columns.items()}
     missing = [name for name in NEEDED if name not in columns]
     if missing:
         hint = nearest_name(missing[0], list(columns))
@@ -86,25 +85,3 @@ def read_response(path: str | Path) -> FrequencyResponse:
         )
     except InputError as error:
         raise InputError(f"{path}: {str(error).partition(': ')[2]}") from error
-
-
-def _table(content: bytes, path: Path) -> dict[str, Any]:
-    """Columns of a CSV by title."""
-    try:
-        head, *lines = content.decode("utf-8-sig").splitlines()
-    except (UnicodeDecodeError, ValueError) as error:
-        raise InputError(f"{path}: not a text table; {EXPECTED}") from error
-    between = ";" if ";" in head else ","
-    titles = [title.strip().lower() for title in next(csv.reader([head], delimiter=between))]
-    rows = [line for line in lines if line.strip()]
-    if not rows:
-        raise InputError(f"{path}: found a header and no lines, expected numbers below the titles")
-    if any(name not in titles for name in NEEDED):  # the titles are the trouble, not what is below them
-        return dict.fromkeys(titles, np.zeros(0))
-    try:
-        numbers = np.loadtxt(rows, delimiter=between, ndmin=2)
-    except ValueError as error:
-        raise InputError(f"{path}: {one_line(error)}; expected numbers below the titles") from error
-    if numbers.shape[1] != len(titles):
-        raise InputError(f"{path}: found {numbers.shape[1]} columns below {len(titles)} titles, expected as many")
-    return dict(zip(titles, numbers.T, strict=True))

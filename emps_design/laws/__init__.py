@@ -63,8 +63,7 @@ def law_of(axis: Any, period: float, columns: Mapping[str, Any] | None = None) -
             f"controller.kind: found {kind!r}, expected {', '.join(most)} or {last} to close a loop; "
             "give closed_loop(law=...) or simulate open_loop"
         )
-    law, own = get_law(kind), _own(axis)
-    recorded = {name: source for name, source in own.items() if isinstance(source, dict) and "record" in source}
+    law, own, recorded = get_law(kind), _own(axis), recorded_gains(axis)
     if not recorded:
         return law.law(law.table(**own), axis, period)
     rows, sample = np.unique(_recorded(recorded, columns or {}), axis=0, return_inverse=True)
@@ -82,6 +81,18 @@ def law_of(axis: Any, period: float, columns: Mapping[str, Any] | None = None) -
     if len(found) == 1:
         return found[0]
     return replace(found[0], gains=np.array([one.gains for one in found])[sample.ravel()], state_feedback=False)
+
+
+def recorded_gains(axis: Any) -> dict[str, dict[str, Any]]:
+    """The gains of the law of ``axis`` that come from a record, each with its ``record`` (a column) and ``scale``.
+
+    >>> from emps_design.machines import machine
+    >>> kp = {"record": "kp", "scale": 2.0}
+    >>> recorded_gains(machine("emps2019").replace(controller={"kind": "p", "kp": kp}))
+    {'kp': {'record': 'kp', 'scale': 2.0}}
+    """
+    own = {} if axis.controller.kind == NONE else _own(axis)
+    return {name: source for name, source in own.items() if isinstance(source, dict) and "record" in source}
 
 
 def table_of(axis: Any) -> LawTable:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import io
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain, islice
@@ -11,7 +12,7 @@ from typing import BinaryIO, TextIO
 
 import numpy as np
 
-from emps_design.errors import RecordError
+from emps_design.errors import RecordError, one_line
 from emps_design.records.check import LONGEST
 from emps_design.records.header import COMMENT, LOOKED_AT, Choice, find_header, number, split
 from emps_design.records.scope import is_scope, read_scope, scope_titles
@@ -66,6 +67,34 @@ def table_titles(file: BinaryIO, source: str) -> list[str]:
     finally:
         text.detach()
     return list(scope_titles(head, source) if is_scope(head) else find_header(head, lambda titles: [], source).titles)
+
+
+def read_plain_table(content: bytes, source: str, expected: str, needed: Collection[str] = ()) -> dict[str, np.ndarray]:
+    """Return the columns of a table that this package or a script wrote: a row of titles, numbers below it.
+
+    Commas or semicolons stand between cells, # begins a comment. Where a title that is ``needed`` is missing the
+    columns are empty: the titles are the trouble then, not what is below them. ``expected`` ends a message.
+
+    >>> {name: values.tolist() for name, values in read_plain_table(b"t; q\\n0; 1\\n1; 3 # end", "a.csv", "").items()}
+    {'t': [0.0, 1.0], 'q': [1.0, 3.0]}
+    """
+    try:
+        head, *lines = content.decode("utf-8-sig").splitlines()
+        between = ";" if ";" in head else ","
+        titles = [title.strip() for title in next(csv.reader([head], delimiter=between), [])]
+    except (UnicodeDecodeError, ValueError, csv.Error) as error:
+        raise RecordError(f"{source}: not a text table; {expected}") from error
+    if not any(line.partition(COMMENT)[0].strip() for line in lines):
+        raise RecordError(f"{source}: found a header and no lines, expected numbers below the titles")
+    if not {title.lower() for title in titles}.issuperset(needed):
+        return dict.fromkeys(titles, np.zeros(0))
+    try:
+        numbers = np.loadtxt(lines, delimiter=between, ndmin=2)
+    except ValueError as error:
+        raise RecordError(f"{source}: {one_line(error)}; expected numbers below the titles") from error
+    if numbers.shape[1] != len(titles):
+        raise RecordError(f"{source}: found {numbers.shape[1]} columns below {len(titles)} titles, expected as many")
+    return dict(zip(titles, numbers.T, strict=True))
 
 
 def _encoding(head: bytes) -> str:

@@ -120,6 +120,7 @@ def assemble_report(
     inputs: dict[str, str | None] = {_input_name(given): _digest(given)}
 
     from emps_design.control.velocity.design import check_specification, design_velocity_loop
+    from emps_design.control.velocity.structure import IP
 
     check_specification(crossover, bandwidth, phase_margin_deg)  # before the record: a wrong number is refused at once
     parts: list[Section] = []
@@ -131,12 +132,13 @@ def assemble_report(
         parts.append(section)
         notes.append(_basis(loaded, found[0], design_on))
     tell("designing the loops", 0.4)
+    law: dict[str, Any] = {} if k_e1 is None else {"structure": IP, "filters": ()}  # a force loop is around IP
     if retune:
         from emps_design.control.velocity.retune import retune_velocity_loop
 
-        velocity = retune_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg)
+        velocity = retune_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg, **law)
     else:
-        velocity = design_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg)
+        velocity = design_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg, **law)
     assessed, stops = None, ()
     controller = loaded.controller
     if mass is None and has_impedance_law(loaded):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from emps_design.axis import Axis
@@ -33,13 +34,11 @@ def design_change(before: Axis, after: Axis) -> list[dict[str, Any]]:
     >>> rows[0]["quantity"], rows[0]["before"], rows[0]["after"]
     ('k_v1', '462.9 V/(m/s)', '487.0 V/(m/s)')
     """
-    from emps_design.control.plant.discretisation import sample_axis
     from emps_design.control.velocity.design import design_velocity_loop
-    from emps_design.control.velocity.sampled import SampledVelocityLoop
 
     try:
         old, new = (design_velocity_loop(axis, CROSSOVER, phase_margin_deg=PHASE_MARGIN) for axis in (before, after))
-        kept = SampledVelocityLoop(sample_axis(after), old.k_v1, old.t_v)
+        kept = replace(old, axis=after).sampled
         expected, really, better = old.sampled.margins, kept.margins, new.sampled.margins
     except EmpsError as error:
         return [_row("velocity loop", None, None, str(error))]

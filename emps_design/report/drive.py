@@ -23,7 +23,7 @@ def drive_section(velocity: VelocityLoopDesign, mismatch: float = MISMATCH) -> S
     from emps_design.control.velocity.sensitivity import margins_under_mismatch, relative_mismatch
 
     axis = velocity.axis
-    equation = difference_equation(axis, velocity.k_v1, velocity.t_v)
+    equation = difference_equation(axis, velocity.k_v1, velocity.t_v, velocity.structure, velocity.filters)
     blocks: list[Any] = [
         Listing("\n".join(equation.lines), "The law with its numbers, once a sample: q [m], v_ref [m/s], u [V].")
     ]

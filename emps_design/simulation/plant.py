@@ -53,24 +53,24 @@ class Plant:
         self._lag = axis.drive.current_time_constant
         # An effect that is a lag of the motor force takes the place of an ideal current loop.
         lags = [i for i, effect in enumerate(self.effects) if effect.lag]
-        self._lagging = lags[0] if lags and self._lag == 0 else -1
+        self.lagging = lags[0] if lags and self._lag == 0 else -1
         self._free = any(effect.takes_dry for effect in self.effects)
         self._p = np.concatenate([_EMPTY, *self.parameters])
-        self._p_at = np.cumsum([0] + [len(values) for values in self.parameters])
-        own = [0 if i == self._lagging else len(effect.states) for i, effect in enumerate(self.effects)]
-        self._x_at = 2 + np.cumsum([0, *own])
-        self._states = int(self._x_at[-1])
+        self.parameters_at = np.cumsum([0] + [len(values) for values in self.parameters])
+        own = [0 if i == self.lagging else len(effect.states) for i, effect in enumerate(self.effects)]
+        self.states_at = 2 + np.cumsum([0, *own])
+        self._states = int(self.states_at[-1])
         self._floors = [
             FLOORS.get(state.unit, 1e-6)
             for i, effect in enumerate(self.effects)
             for state in effect.states
-            if i != self._lagging
+            if i != self.lagging
         ]
         self._hooks, self._starts = self._table()
         dynamic = self._states > 2 or any(effect.guard or effect.jump_time for effect in self.effects)
         moving = [effect for i, effect in enumerate(self.effects) if i not in self._held]
         self._exact = not any(touches_motion(effect) for effect in moving if effect.slopes is None)
-        seen = any(sees_command(effect) for i, effect in enumerate(self.effects) if i != self._lagging)
+        seen = any(sees_command(effect) for i, effect in enumerate(self.effects) if i != self.lagging)
         self._slides = 0 if dynamic else 1 if seen else 2
 
     @classmethod
@@ -87,9 +87,9 @@ class Plant:
     def _table(self) -> tuple[np.ndarray, np.ndarray]:
         rows: list[list[tuple[int, int, int]]] = [[] for _ in range(motion.HELD + 1)]
         for i, effect in enumerate(self.effects):
-            if i != self._lagging:
+            if i != self.lagging:
                 for row, kernel in hooks_of(effect, i in self._outside, i in self._held):
-                    rows[row].append((kernel, int(self._x_at[i]), int(self._p_at[i])))
+                    rows[row].append((kernel, int(self.states_at[i]), int(self.parameters_at[i])))
         table = np.array([number for row in rows for entry in row for number in entry] or [0], np.int64)
         return table, np.cumsum([0] + [len(row) for row in rows])
 
@@ -272,15 +272,15 @@ class Plant:
         settings[motion.PERIOD], settings[motion.GAIN] = period, drive.gain
         settings[motion.LIMIT], settings[motion.RESOLUTION] = drive.command_limit, resolution
         settings[motion.DELAYED], settings[motion.LAG] = self.axis.sampling.computation_delay, self._lag
-        if self._lagging >= 0:
-            at = self._lagging
-            mine = p[self._p_at[at] : self._p_at[at + 1]]
+        if self.lagging >= 0:
+            at = self.lagging
+            mine = p[self.parameters_at[at] : self.parameters_at[at + 1]]
             settings[motion.LAG] = self.effects[at].lag(q0, v0, 0.0, 0.0, _EMPTY, mine, b)
         settings[motion.BRAKING] = drive.braking
         settings[motion.VISCOUS_P] = settings[motion.VISCOUS_N] = b[1] + drive.braking
         for i, effect in enumerate(self.effects):
             if effect.slopes is not None:
-                mine = p[self._p_at[i] : self._p_at[i + 1]]
+                mine = p[self.parameters_at[i] : self.parameters_at[i + 1]]
                 settings[[motion.VISCOUS_P, motion.VISCOUS_N]] += effect.slopes(mine)
         states = self._states + (4 if energy else 0)
         settings[motion.FREE], settings[motion.STATES] = self._free, states
@@ -291,9 +291,9 @@ class Plant:
         y, floors = np.zeros(states), np.zeros(states)
         y[0], y[1] = q0, v0
         for i, effect in enumerate(self.effects):
-            if effect.initial is not None and i != self._lagging:
-                own = p[self._p_at[i] : self._p_at[i + 1]]
-                y[self._x_at[i] : self._x_at[i + 1]] = effect.initial(q0, own, b)
+            if effect.initial is not None and i != self.lagging:
+                own = p[self.parameters_at[i] : self.parameters_at[i + 1]]
+                y[self.states_at[i] : self.states_at[i + 1]] = effect.initial(q0, own, b)
         floors[2 : self._states] = self._floors
         guards = int(self._starts[motion.GUARD + 1] - self._starts[motion.GUARD])
         scratch = np.zeros(stepper.room(states, guards))
@@ -327,8 +327,8 @@ class Plant:
             mass = b[0]
             for i, effect in enumerate(self.effects):
                 if effect.inertia is not None:
-                    own = ready.parameters[self._p_at[i] : self._p_at[i + 1]]
-                    mass += effect.inertia(q, v, t, 0.0, y[self._x_at[i] : self._x_at[i + 1]], own, b)
+                    own = ready.parameters[self.parameters_at[i] : self.parameters_at[i + 1]]
+                    mass += effect.inertia(q, v, t, 0.0, y[self.states_at[i] : self.states_at[i + 1]], own, b)
             return 0.5 * mass * v * v
 
         motor, push, friction, effects = (float(work) for work in y[self._states :])
@@ -349,4 +349,4 @@ class Plant:
         hand = self.effects.index(HAND)
         wanted = np.zeros(n) if intention is None else np.asarray(intention, dtype=float)
         columns = intention_columns(wanted, self.parameters[hand], hand in self._held, n, period)
-        return columns, self._p_at[hand] + np.arange(6)
+        return columns, self.parameters_at[hand] + np.arange(6)

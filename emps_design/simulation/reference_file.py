@@ -12,6 +12,7 @@ from emps_design.files import read_bytes
 from emps_design.records.archives import read_archive
 from emps_design.records.check import LONGEST
 from emps_design.records.columns import PLAIN, read_title
+from emps_design.records.tables import read_plain_table
 from emps_design.units import Units
 
 MAX_BYTES = 100_000_000
@@ -35,7 +36,7 @@ def read_reference(
     if content[:2] == b"PK":
         columns = read_archive(io.BytesIO(content), str(path), MAX_BYTES)
     else:
-        columns = _table(content, path)
+        columns = read_plain_table(content, str(path), "expected columns t, q_ref (.csv or .npz)")
     named = {}
     for text, values in columns.items():
         title = read_title(text, str(path), units)
@@ -62,22 +63,3 @@ def read_reference(
     held = np.searchsorted(t, grid + 1e-6 * period, side="right") - 1
     excitation = named["excitation"][held] if "excitation" in named else None
     return np.interp(grid, t, named["q_ref"]), force, excitation
-
-
-def _table(content: bytes, path: Path) -> dict[str, np.ndarray]:
-    """Columns of a text table by title; commas or semicolons between them."""
-    try:
-        head, *lines = content.decode("utf-8-sig").splitlines()
-    except (UnicodeDecodeError, ValueError) as error:
-        raise RecordError(f"{path}: not a text table; expected columns t, q_ref (.csv or .npz)") from error
-    between = ";" if ";" in head else ","
-    titles = head.split(between)
-    if not any(line.partition("#")[0].strip() for line in lines):  # what follows # is a comment
-        raise RecordError(f"{path}: found a header and no samples, expected numbers below the titles")
-    try:
-        rows = np.loadtxt(lines, delimiter=between, ndmin=2)
-    except ValueError as error:
-        raise RecordError(f"{path}: {' '.join(str(error).split())}; expected numbers below the titles") from error
-    if rows.shape[1] != len(titles):
-        raise RecordError(f"{path}: found {rows.shape[1]} columns below {len(titles)} titles, expected as many")
-    return dict(zip(titles, rows.T, strict=True))

@@ -64,6 +64,13 @@ class Replay:
             "relative_error_percent": self.relative_error_percent,
             "rms_error": self.rms_error,
             "mean_absolute_error": self.mean_absolute_error,
+            "units": {
+                "relative_error_percent": "%",
+                "position": "m",
+                "velocity": "m/s",
+                "acceleration": "m/s^2",
+                "force": "N",
+            },
             "run": self.run.to_dict(),
             "warnings": list(self.warnings),
         }
@@ -135,6 +142,7 @@ class Breakaway:
     def to_dict(self) -> dict[str, Any]:
         """Break-away forces with units."""
         both = self.forward is not None and self.backward is not None
+        forces = ("peak", "forward", "backward", "static_friction", "constant_force")
         return {
             "scenario": "breakaway",
             "axis": self.axis.name,
@@ -144,7 +152,7 @@ class Breakaway:
             "backward": self.backward,
             "static_friction": 0.5 * (self.forward - self.backward) if both else None,
             "constant_force": 0.5 * (self.forward + self.backward) if both else None,
-            "units": {"rate": "N/s", "peak": "N", "forward": "N", "backward": "N"},
+            "units": {"rate": "N/s", **dict.fromkeys(forces, "N")},
             "run": self.run.to_dict(),
             "warnings": list(self.warnings),
         }

@@ -78,7 +78,9 @@ def figures_zip(state: State, kind: str) -> bytes:
 
 def gains_json(state: State) -> str:
     """The document that ``gains --json`` prints for ``state``."""
-    document = velocity_design(state).to_dict()
+    from emps_design.control.velocity.comparison import gains_document
+
+    document = gains_document(velocity_design(state))
     return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False, default=float) + "\n"
 
 

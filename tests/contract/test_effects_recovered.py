@@ -8,16 +8,21 @@ from emps_design.effects import EFFECTS
 from emps_design.machines import machine
 from emps_design.simulation import Plant
 
+HEIGHTS = {f"height_{i}": h for i, h in enumerate((3.0, 2.0, -2.0, 5.0, 8.0, 1.0), start=1)}
 TRUE = {
     "asymmetric_viscous_friction": {"viscous_difference": -40.0},
     "nonlinear_viscous_friction": {"amount": 5.0, "exponent": 2.0},
     "stribeck_friction": {"excess": 8.0, "stribeck_velocity": 0.01, "exponent": 1.4},
     "presliding_friction": {"stiffness": 1e5},
+    "maxwell_slip_friction": {"share": 0.3, "travel": 5e-4},
     "load_dependent_friction": {"share": 0.1},
     "position_dependent_friction": {"amplitude": 5.0, "phase": 0.4, "length": 0.13},
+    "friction_map": {"start": 0.0, "end": 0.15, **HEIGHTS},
     "friction_drift": {"change": -0.4, "time_constant": 2.0},
     "position_ripple": {"amplitude": 4.0, "phase": 0.6, "period": 0.01},
+    "friction_ripple": {"amplitude": 4.0, "phase": 0.6, "period": 0.01},
     "elastic_force": {"stiffness": 60.0, "rest_position": 0.0},
+    "force_map": {"start": 0.0, "end": 0.15, **HEIGHTS},
     "gravity": {"torque": 30.0, "angle": 0.5},
     "end_stop": {"stiffness": 1500.0, "position": 0.13, "side": 1.0},
     "mass_change": {"change": 0.15, "time": 1.5},

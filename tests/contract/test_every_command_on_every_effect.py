@@ -44,6 +44,8 @@ PAIRS = [
     ("elastic_force", "end_stop"),
     ("presliding_friction", "load_dependent_friction"),
     ("mass_change", "actuator_lag"),
+    ("presliding_friction", "maxwell_slip_friction"),
+    ("force_map", "friction_map"),
 ]
 
 

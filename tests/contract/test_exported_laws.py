@@ -185,8 +185,6 @@ def test_a_compensation_of_another_axis_is_refused():
     ):
         with pytest.raises(InputError, match=message):
             export_controller(other, "c", document)
-    with pytest.raises(InputError, match="expected c: no other takes one yet"):
-        export_controller(axis, "st", found)
 
 
 @compiled

@@ -10,7 +10,10 @@ from emps_design.codegen import export_controller
 from emps_design.codegen.program import ARRAY, INT, REAL
 from emps_design.codegen.reader import read_program
 from emps_design.codegen.st import KEYWORDS, functions_in_st
+from emps_design.compensation import compensate
 from emps_design.laws import LAWS
+from emps_design.machines import machine
+from tests.contract.test_exported_laws import COMPENSATED, PROGRAM
 from tests.contract.test_laws import axis_with
 from tests.unit.codegen.structured_text import Blocks
 
@@ -29,6 +32,21 @@ def test_the_text_gives_the_bits_of_the_vectors(kind, estimator):
         single = blocks.run(f"{exported.name}_single", *inputs)
     assert single.dtype == np.float32
     assert np.all(np.abs(single - vectors.u) <= vectors.bound)
+
+
+@pytest.mark.parametrize("name", COMPENSATED)
+def test_the_text_of_a_compensated_law_gives_the_bits_of_the_vectors(name):
+    axis = machine("emps2019").replace(effects=COMPENSATED[name])
+    exported = export_controller(axis, "st", compensate(axis, PROGRAM).to_dict())
+    vectors, blocks = exported.vectors, Blocks(exported.files[f"{exported.name}.st"])
+    inputs = vectors.start, vectors.reference, vectors.q, vectors.f_ext, *vectors.motion
+    found = blocks.run(exported.name, *inputs)
+    np.testing.assert_array_equal(found.view(np.int64), vectors.u.view(np.int64))
+    with np.errstate(all="ignore"):
+        single = blocks.run(f"{exported.name}_single", *inputs)
+    assert single.dtype == np.float32
+    assert np.all(np.abs(single - vectors.u) <= vectors.bound)
+    assert np.isfinite(vectors.bound).any() == (not exported.block.ahead.repeats)  # which settles elsewhere
 
 
 @EVERY

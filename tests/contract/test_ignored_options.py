@@ -11,6 +11,7 @@ from emps_design.simulation.synthetic import synthetic_record
 
 IGNORED = {
     "gains --crossover 100 --at velocity-error": "--at: goes with --retune",
+    "gains --crossover 100 --reference-filter": "--reference-filter: goes with --structure pi",
     "gains --crossover 100 --force": "--force: goes with a file to write",
     "force {designed} --k-e1 0.001 --phase-margin 70": "--phase-margin: goes with --crossover or --bandwidth",
     "force --k-e1 0.001 --force": "--force: goes with a file to write",
@@ -28,6 +29,7 @@ IGNORED = {
     "observe {record} --force": "--force: goes with a file to write",
     "frf {record} --force": "--force: goes with a file to write",
     "excite --stroke 0.5 --speed 0.05 --force": "--force: goes with a file to write",
+    "excite --stroke 0.5 --speed 0.05 --steps 20 --seed 1": "--seed: goes without --steps",
     "diagnose {record} --force": "--force: goes with a file to write",
     "derive --latex --json": "--latex: goes without --json",
     "report --out {out} --model asymmetric": "--model: goes with --record",
@@ -40,12 +42,14 @@ IGNORED = {
 }
 READ = (
     "gains --crossover 40 --retune --at velocity-error",
+    "gains --crossover 40 --structure pi --reference-filter --filter notch:90Hz",
     "force --k-e1 0.001 --phase-margin 70",
     "force {designed} --k-e1 0.001 --crossover 50 --phase-margin 70",
     "impedance --mass 50 --damping 100 --mismatch 0.02 --plants 2 --seed 1 --workers 2",
     "impedance --mass 50 --damping 100 --unfiltered-current",
     "identify {record} --bootstrap 2 --seed 1",
     "derive --latex",
+    "excite --stroke 0.5 --speed 0.05 --steps 8 --resolution 2 --slope 1 --passes 2",
 )
 
 

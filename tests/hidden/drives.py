@@ -109,6 +109,24 @@ def draw_effect(
     if name == "gravity":
         x = drive.coulomb * (0.5, 1.0)[big] * _between(rng, 0.85, 1.2)
         return {"arm_torque": x, "arm_angle": phase}, {name: {"torque": x, "angle": phase}}
+    if name == "maxwell_slip_friction":
+        x, w = (0.25, 0.4)[big], _between(rng, 5e-4, 1.5e-3)
+        return {"slip_share": x, "slip_travel": w}, {name: {"share": x, "travel": w}}
+    if name == "friction_ripple":
+        x = drive.coulomb * (0.15, 0.3)[big] * _between(rng, 0.85, 1.2)
+        return (
+            {"rub_amplitude": x, "rub_period": period, "rub_phase": phase},
+            {name: {"amplitude": x, "period": period, "phase": phase}},
+        )
+    if name in ("force_map", "friction_map"):
+        x = drive.coulomb * (0.2, 0.4)[big]
+        bends = x * rng.uniform(0.0, 1.0, 6) * ([1.0, -1.0] * 3 if name == "force_map" else np.linspace(0.2, 2.0, 6))
+        heights, place = bends.tolist(), {"start": 0.0, "end": round(drive.travel, 3)}
+        plant = {f"{'pull' if name == 'force_map' else 'wear'}_{i}": h for i, h in enumerate(heights, start=1)}
+        return (
+            {"map_start": place["start"], "map_end": place["end"], **plant},
+            {name: {**place, **{f"height_{i}": h for i, h in enumerate(heights, start=1)}}},
+        )
     if name == "end_stop":
         x, depth = c * (1200.0, 2600.0)[big], _between(rng, 0.012, 0.025)
         place = drive.travel - depth if sign > 0 else depth
@@ -217,6 +235,7 @@ EFFECTS = (
     "controller_disturbance",
 )
 TURNING = ("gravity",)  # of an axis that turns: compared between the simulators, in no generated case
+FURTHER = ("maxwell_slip_friction", "friction_ripple", "force_map", "friction_map")  # compared only, as yet
 UNKNOWN = (
     "unknown_ageing",
     "unknown_cross",

@@ -65,6 +65,15 @@ NAMES = (
     "middle",  # m, where the cross term is zero
     "arm_torque",  # N m, weight of an arm, of an axis that turns
     "arm_angle",  # rad, from hanging at the encoder's zero
+    "slip_share",  # of the dry friction, added as an element that lags behind reversals
+    "slip_travel",  # m
+    "rub_amplitude",  # N, dry friction that repeats along the travel
+    "rub_period",  # m
+    "rub_phase",  # rad
+    "map_start",  # m, of the curves over the travel that follow
+    "map_end",  # m
+    *(f"pull_{i}" for i in range(1, 7)),  # N, against +q
+    *(f"wear_{i}" for i in range(1, 7)),  # N, of the dry friction
     # more physics that no library has
     "crank",  # share of the mass that comes and goes along the travel
     "crank_length",  # m
@@ -84,6 +93,21 @@ def numbers(**values: float) -> np.ndarray:
 
 
 @numba.njit(cache=True)
+def curve(q, start, end, heights):
+    """Smooth curve through 0 and six ``heights`` at even distances, flat outside: Bernstein form, piece by piece."""
+    x = min(max(6.0 * (q - start) / (end - start), 0.0), 6.0)
+    i = min(int(x), 5)
+    s = x - i
+    knots = np.zeros(7)
+    knots[1:] = heights
+    rise_a = (knots[i + 1] - knots[i - 1]) / 6.0 if i > 0 else 0.0
+    rise_b = (knots[i + 2] - knots[i]) / 6.0 if i < 5 else 0.0
+    a, d = knots[i], knots[i + 1]
+    r = 1.0 - s
+    return a * r**3 + 3.0 * (a + rise_a) * r * r * s + 3.0 * (d - rise_b) * r * s * s + d * s**3
+
+
+@numba.njit(cache=True)
 def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_noise):
     """Run the closed loop along ``q_ref`` (n,) [m]; returns encoder position (n,) [m] and recorded voltage (n,) [V].
 
@@ -95,17 +119,20 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
         ripple_a, ripple_l, ripple_p, spring, spring_rest, stop_k, stop_q, stop_s, mass_change, mass_t,
         pulse_a, pulse_t, pulse_d, pulse_e, hum_a, hum_f, hum_p, part, f_c, zeta, gap, delay, lag, clip, dead,
         enc_a, enc_l, enc_p, wave_u, wave_f, wave_d, wave_t, ageing, cross, wake, middle,
-        arm_torque, arm_angle, crank, crank_length, magnet, magnet_width, thixotropy,
+        arm_torque, arm_angle, slip_share, slip_l, rub_a, rub_l, rub_p, map_start, map_end,
     ) = (
         p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10],
         p[11], p[12], p[13], p[14], p[15], p[16], p[17], p[18], p[19], p[20],
         p[21], p[22], p[23], p[24], p[25], p[26], p[27], p[28], p[29], p[30], p[31], p[32], p[33], p[34], p[35],
         p[36], p[37], p[38], p[39], p[40], p[41], p[42], p[43], p[44], p[45], p[46],
-        p[47], p[48], p[49], p[50], p[51], p[52], p[53],
+        p[47], p[48], p[49], p[50], p[51], p[52], p[53], p[54], p[55],
     )  # fmt: skip
     mass, viscous, coulomb, offset, gain, limit = drive[0], drive[1], drive[2], drive[3], drive[4], drive[5]
     kp, kv = law[0], law[1]
     n, tau_2 = len(q_ref), 2.0 * math.pi
+    pull, wear = p[56:62], p[62:68]
+    crank, crank_length, magnet, magnet_width, thixotropy = p[68], p[69], p[70], p[71], p[72]
+    mapped, slipped = map_end > map_start, 0.0
     steps = round(period / STEP)
     h = period / steps
     late = round(delay / h)
@@ -154,6 +181,11 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
             f = tau - offset - warm * viscous * v + force_noise[k]
             f -= asymmetric * abs(v) + quadratic * v * abs(v) + spring * (q - spring_rest)
             f -= arm_torque * math.sin(q + arm_angle)
+            if mapped:
+                f -= curve(q, map_start, map_end, pull)
+            if slip_share != 0.0:
+                slipped = math.copysign(1.0, v) + (slipped - math.copysign(1.0, v)) * math.exp(-abs(v) * h / slip_l)
+                f -= slip_share * coulomb * slipped
             if ripple_a != 0.0:
                 f -= ripple_a * math.sin(tau_2 * q / ripple_l + ripple_p)
             if stop_k > 0.0 and stop_s * (q - stop_q) > 0.0:
@@ -181,6 +213,10 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
                 level += load_share * abs(tau - offset)
             if travel_a != 0.0:
                 level += travel_a * math.sin(tau_2 * q / travel_l + travel_p)
+            if rub_a != 0.0:
+                level += rub_a * math.sin(tau_2 * q / rub_l + rub_p)
+            if mapped:
+                level += curve(q, map_start, map_end, wear)
             if ageing != 0.0:
                 aged += ((0.0 if abs(v) > 1e-4 else 1.0) - aged) * h / (0.6 if abs(v) > 1e-4 else 0.05)
                 level += ageing * aged

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.hidden.drives import EFFECTS, TURNING, UNKNOWN
+from tests.hidden.drives import EFFECTS, FURTHER, TURNING, UNKNOWN
 from tests.hidden.generate import SMALL, Case, cases, main, make
 from tests.hidden.plant import NAMES, numbers
 
@@ -44,7 +44,7 @@ def test_a_small_effect_is_a_share_of_an_ordinary_one():
 def test_effects_are_those_of_the_package():
     from emps_design.effects import EFFECTS as package
 
-    assert {*EFFECTS, *TURNING} == {effect.name for effect in package}
+    assert {*EFFECTS, *FURTHER, *TURNING} == {effect.name for effect in package}
     assert set(TURNING) == {effect.name for effect in package if effect.motion}
 
 

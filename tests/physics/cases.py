@@ -5,17 +5,22 @@ from __future__ import annotations
 import numpy as np
 
 PERIOD = 4e-3
+HEIGHTS = {f"height_{i}": h for i, h in enumerate((2.0, -1.0, 4.0, 4.0, 8.0, 0.0), start=1)}
 CASES = {
     "none": {},
     "asymmetric_viscous_friction": {"viscous_difference": -40.0},
     "nonlinear_viscous_friction": {"amount": -1.5, "exponent": 2.0},
     "stribeck_friction": {"excess": 8.0, "stribeck_velocity": 0.01, "exponent": 1.0},
     "presliding_friction": {"stiffness": 1e5},
+    "maxwell_slip_friction": {"share": 0.3, "travel": 4e-4},
     "load_dependent_friction": {"share": 0.1},
     "position_dependent_friction": {"amplitude": 4.0, "phase": 0.3, "length": 0.1},
+    "friction_map": {"start": 0.0, "end": 0.02, **HEIGHTS},
     "friction_drift": {"change": 0.4, "time_constant": 0.8},
     "position_ripple": {"amplitude": 3.0, "phase": 0.5, "period": 2.5e-3},
+    "friction_ripple": {"amplitude": 3.0, "phase": 0.5, "period": 2.5e-3},
     "elastic_force": {"stiffness": 300.0, "rest_position": 0.02},
+    "force_map": {"start": 0.0, "end": 0.02, **HEIGHTS},
     "gravity": {"torque": 6.0, "angle": 0.7},
     "end_stop": {"stiffness": 2e4, "position": 0.003, "side": 1.0},
     "mass_change": {"change": 0.3, "time": 0.7773},

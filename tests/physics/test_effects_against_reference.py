@@ -13,6 +13,7 @@ TOGETHER = (
     ("stribeck_friction", "flexible_coupling", "actuator_delay"),
     ("backlash", "asymmetric_viscous_friction", "external_force"),
     ("presliding_friction", "position_ripple", "actuator_lag"),
+    ("presliding_friction", "maxwell_slip_friction", "friction_map"),
     ("position_dependent_friction", "end_stop", "mass_change", "periodic_disturbance"),
 )
 

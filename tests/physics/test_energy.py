@@ -14,6 +14,7 @@ DISSIPATIVE = {  # effects whose force can only take energy, with parameters bet
     "load_dependent_friction": {"share": (0, 0.5)},
     "position_dependent_friction": {"amplitude": (0, 30), "phase": (-3, 3), "length": (0.02, 1)},
     "presliding_friction": {"stiffness": (1e4, 1e6)},
+    "maxwell_slip_friction": {"share": (0, 1), "travel": (1e-4, 2e-2)},
     "flexible_coupling": {"frequency": (10, 200), "damping": (0, 0.5), "share": (0.05, 0.8)},
     "backlash": {"gap": (0, 1e-3), "frequency": (10, 150), "damping": (0, 0.3), "share": (0.05, 0.8)},
     "end_stop": {"stiffness": (1e3, 1e5), "position": (1e-3, 0.01), "side": (1, 1)},

@@ -29,6 +29,7 @@ from emps_design.control.plant.environment import Environment, attached, felt
 from emps_design.control.plant.linear_plant import POSITION, VELOCITY
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.sampled import SampledVelocityLoop, ip_law
+from emps_design.control.velocity.structure import IP
 from emps_design.errors import InputError
 from emps_design.notebook import table
 from emps_design.quantities import check_magnitude
@@ -295,6 +296,11 @@ def design_force_loop(
             raise InputError(f"{name}: found {value:g} {unit}, expected 0 or a positive number: an operator is passive")
         check_magnitude(name, value, unit)
     check_magnitude("k_e1", k_e1, "(m/s)/N", positive=True)
+    if velocity_loop.structure != IP or velocity_loop.filters:
+        filters = f" with {len(velocity_loop.filters)} filters" if velocity_loop.filters else ""
+        raise InputError(
+            f"force loop: found a {velocity_loop.structure.label} velocity loop{filters}, expected IP alone"
+        )
     if not 0 <= sensor_delay <= 1000:
         raise InputError(f"sensor delay: found {sensor_delay} samples, expected 0 to 1000")
     return ForceLoopDesign(velocity_loop, float(k_e1), float(hand), float(environment), sensor_delay, on_carriage)

@@ -16,6 +16,7 @@ from emps_design.axis import Axis
 from emps_design.control.loop import periodic
 from emps_design.control.loop.margins import Margins, loop_margins
 from emps_design.control.loop.sampled_loop import SampledLoop, close
+from emps_design.control.loop.transfer import transfer
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis
 from emps_design.laws import get_law, law_of, table_of
 from emps_design.laws.linear import LinearLaw, linear_law
@@ -74,15 +75,12 @@ def at_plant_input(plant: SampledPlant, form: LinearLaw) -> Margins:
     if form.cycle > 1:
         return periodic.margins(*loop.opened, plant.period, lambda delay: _radius_with(plant.delayed(delay), form))
 
-    def gain(w: np.ndarray) -> np.ndarray:
-        return loop.loop_gain(np.ravel(w)).reshape(np.shape(w))
-
     return loop_margins(
-        gain,
+        loop.loop_gain,
         plant.frequencies(),
         loop.stable,
         plant.period,
-        lambda w, delay: gain(w) * plant.delayed_response(w, delay) / plant.response(w),
+        lambda w, delay: loop.loop_gain(w) * plant.delayed_response(w, delay) / plant.response(w),
     )
 
 
@@ -99,7 +97,7 @@ def at_position_error(plant: SampledPlant, form: LinearLaw) -> Margins:
     period, stable = form.cycle * plant.period, close(plant, form).stable
     slow = replace(plant, period=period)
     return loop_margins(
-        lambda w: _gain(A, b, c, np.exp(1j * np.asarray(w) * period)), slow.frequencies(), stable, period
+        lambda w: transfer(A, b, c, 0.0, np.exp(1j * np.asarray(w) * period)), slow.frequencies(), stable, period
     )
 
 
@@ -119,9 +117,3 @@ def position_loop(plant: SampledPlant, form: LinearLaw) -> tuple[np.ndarray, np.
         return loop.A, loop.B[:, place], row
     A, b, _, _ = periodic.lifted(loop.A, loop.B[..., [place]], loop.C, loop.D[..., [place]])
     return A, b[:, 0], row
-
-
-def _gain(A: np.ndarray, b: np.ndarray, c: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """c (z I - A)^-1 b at ``z`` of any shape."""
-    matrices = z[..., None, None] * np.eye(len(A)) - A
-    return np.linalg.solve(matrices, np.broadcast_to(b[:, None], (*z.shape, len(b), 1)))[..., 0] @ c

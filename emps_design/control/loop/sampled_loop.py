@@ -20,6 +20,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.loop import periodic
+from emps_design.control.loop.transfer import transfer
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis
 from emps_design.control.plant.environment import Felt
 from emps_design.control.plant.linear_plant import POSITION, VELOCITY
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 
 MARGINAL = 1e-9  # a pole this close to the unit circle is on it: rounding decides no verdict
 SAME = 1e-9  # share of its own coefficients by which a state and its repetition may differ
-AT_ONCE = 100_000  # systems solved together for a frequency response
 OUTPUTS = ("velocity", "mean_velocity", "force", "voltage")
 _REFERENCE, _FORCE, _MORE = range(3)
 
@@ -83,21 +83,21 @@ class SampledLoop:
         """Frequency response from the input ``by`` to ``output`` at ``w`` (f,) [rad/s], shape (..., f)."""
         place, row, angle = self.inputs.index(by), OUTPUTS.index(output), np.asarray(w) * self.period
         one = self.A, self.B[..., place], self.C[..., row, :], self.D[..., row, place]
-        return _response(*one, angle) if self.cycle == 1 else periodic.response(*one, angle)
+        return transfer(*one, np.exp(1j * angle)) if self.cycle == 1 else periodic.response(*one, angle)
 
     def admittance(self, w: np.ndarray) -> np.ndarray:
         """Mean velocity over held force at ``w`` (f,) [rad/s], shape (..., f) [m/s/N]."""
         return self.response(w)
 
     def loop_gain(self, w: np.ndarray) -> np.ndarray:
-        """Open loop broken at the plant input, which has to be among the inputs, at ``w`` (f,) [rad/s], (..., f)."""
+        """Open loop broken at the plant input, which has to be among the inputs, at ``w`` [rad/s], (..., *w.shape)."""
         opened, column, row = self.opened
         if self.cycle > 1:
             raise InputError(
                 f"loop gain: found loops of different rates, the same again after {self.cycle} samples, expected one "
                 "rate; nested_loops has the margins of such a law"
             )
-        return -_response(opened, column, row, np.zeros(column.shape[:-1]), np.asarray(w) * self.period)
+        return -transfer(opened, column, row, np.zeros(column.shape[:-1]), np.exp(1j * np.asarray(w) * self.period))
 
     @property
     def opened(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -275,17 +275,6 @@ def _without_repetitions(rows: np.ndarray, out: np.ndarray, keep: list[int], cel
                 table[..., other] += table[..., cell]
             keep = [i for i in keep if i != cell]
     return keep
-
-
-def _response(A: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """c (z I - A)^-1 b + d at z = exp(j angle): (..., n, n), (..., n), (..., n), (...), (f,) -> (..., f)."""
-    if A.ndim > 2 and len(A) > 1 and len(A) * angle.size > AT_ONCE:  # in pieces that fit into memory
-        half = len(A) // 2
-        return np.concatenate([_response(A[i], b[i], c[i], d[i], angle) for i in (slice(half), slice(half, None))])
-    z = np.exp(1j * angle)
-    systems = z[:, None, None] * np.eye(A.shape[-1]) - A[..., None, :, :]
-    columns = np.broadcast_to(b[..., None, :, None], (*systems.shape[:-1], 1))
-    return np.sum(c[..., None, :] * np.linalg.solve(systems, columns)[..., 0], axis=-1) + np.asarray(d)[..., None]
 
 
 def sorted_poles(poles: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ encoder's position q as
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.control.plant.linear_plant import POSITION, VELOCITY, LinearPlant, linear_plant
 from emps_design.errors import InputError
+from emps_design.laws.library.cascade import Filter, transfer
 
 if TYPE_CHECKING:
     import control
@@ -33,6 +35,9 @@ class SampledPlant:
 
     ``delay`` is d, whole samples; G1 carries the fraction of a sample; ``f`` is a force on the carriage, held like u.
     ``linear`` is the continuous plant it came from. Arrays may have leading axes, for many plants at once.
+
+    ``filters`` are those of the law's output, as :mod:`emps_design.laws.library.cascade` has them. Responses and
+    polynomials hold them, for gains that are chosen around both; the states do not, as a loop is closed with the law's.
 
     >>> from emps_design.machines import machine
     >>> plant = sample_axis(machine("emps2019"))
@@ -49,6 +54,7 @@ class SampledPlant:
     period: float
     weights: tuple[float, float]
     linear: LinearPlant
+    filters: tuple[Filter, ...] = ()
 
     @cached_property
     def increment(self) -> tuple[np.ndarray, float, float]:
@@ -69,6 +75,15 @@ class SampledPlant:
     @cached_property
     def polynomials(self) -> tuple[np.ndarray, np.ndarray]:
         """Numerator and denominator in z, highest power first, of u -> velocity estimate, all delays included."""
+        numerator, denominator = self._own_polynomials
+        for one in self.filters:
+            b, a = transfer(one, self.period)
+            numerator, denominator = np.polymul(numerator, b), np.polymul(denominator, a)
+        return numerator, denominator
+
+    @cached_property
+    def _own_polynomials(self) -> tuple[np.ndarray, np.ndarray]:
+        """The polynomials of the plant alone."""
         row, d0, d1 = self.increment
         Phi = self.Phi[np.ix_(self.kept, self.kept)]
         row, G0, G1 = row[self.kept], self.G0[self.kept], self.G1[self.kept]
@@ -99,8 +114,12 @@ class SampledPlant:
     def response(self, w: np.ndarray) -> np.ndarray:
         """Frequency response from voltage to velocity estimate [(m/s)/V] at ``w`` [rad/s], below Nyquist."""
         z = np.exp(1j * np.asarray(w) * self.period)
-        numerator, denominator = self.polynomials
-        return np.polyval(numerator, z) / np.polyval(denominator, z)
+        numerator, denominator = self._own_polynomials
+        return self.filter_response(w) * np.polyval(numerator, z) / np.polyval(denominator, z)
+
+    def filter_response(self, w: np.ndarray) -> np.ndarray:
+        """Frequency response of the ``filters`` at ``w`` [rad/s]."""
+        return filter_response(self.filters, w, self.period)
 
     def to_ss(self) -> control.StateSpace:
         """The plant as a discrete ``control.StateSpace`` from voltage and held force to encoder and velocity.
@@ -127,12 +146,13 @@ class SampledPlant:
         """The transfer function in z from voltage to the velocity estimate, all delays included."""
         import control
 
-        return control.tf(*self.polynomials, self.period)
+        return control.tf(*self._own_polynomials, self.period)
 
     def delayed(self, delay: float) -> SampledPlant:
         """Return the plant whose voltage comes ``delay`` [s] later, any fraction of a sample."""
         later = replace(self.linear, delay=self.linear.delay + delay)
-        return replace(sample_plant(later, self.period, self._program_delay), weights=self.weights)
+        plant = sample_plant(later, self.period, self._program_delay)
+        return replace(plant, weights=self.weights, filters=self.filters)
 
     @property
     def _program_delay(self) -> int:
@@ -153,7 +173,7 @@ class SampledPlant:
         states = np.linalg.solve(matrices, (newer + older / z[..., None])[..., self.kept, None])[..., 0]
         increments = states @ row[self.kept] + newer @ self.C + (older @ self.C) / z
         estimate = (self.weights[0] + self.weights[1] / z) / self.period
-        return increments * estimate / z ** (self._program_delay + whole + 1.0)
+        return self.filter_response(w) * increments * estimate / z ** (self._program_delay + whole + 1.0)
 
     def state_response(self, w: np.ndarray) -> np.ndarray:
         """Frequency response from voltage to every state of ``linear`` at ``w`` [rad/s], shape (*w.shape, n_states)."""
@@ -204,17 +224,33 @@ def sample_plant(
     )
 
 
-def sample_axis(axis: Axis, velocity: float = 0.1) -> SampledPlant:
-    """Return the sampled plant of ``axis``, its effects linearised at ``velocity`` [m/s].
+def sample_axis(axis: Axis, velocity: float = 0.1, filters: tuple[Filter, ...] = ()) -> SampledPlant:
+    """Return the sampled plant of ``axis``, its effects linearised at ``velocity`` [m/s], behind ``filters``.
 
     >>> from emps_design.machines import machine
     >>> sample_axis(machine("emps2018")).linear.state
     ('position', 'velocity', 'motor_force')
     """
     sampling = axis.sampling
-    return sample_plant(
+    plant = sample_plant(
         linear_plant(axis, velocity), sampling.period, sampling.computation_delay, axis.controller.velocity_estimator
     )
+    return replace(plant, filters=filters) if filters else plant
+
+
+def filter_response(filters: Iterable[Filter], w: np.ndarray, period: float) -> np.ndarray:
+    """Frequency response of sampled ``filters`` in series at ``w`` [rad/s].
+
+    >>> notch = Filter(kind="notch", frequency=50.0, damping=0.5, depth=0.1)
+    >>> round(float(abs(filter_response([notch], np.array([314.16]), 1e-4)[0])), 3)
+    0.1
+    """
+    z = np.exp(1j * np.asarray(w) * period)
+    found = np.ones(z.shape, dtype=complex)
+    for one in filters:
+        b, a = transfer(one, period)
+        found = found * np.polyval(b, z) / np.polyval(a, z)
+    return found
 
 
 def expm(matrices: np.ndarray) -> np.ndarray:

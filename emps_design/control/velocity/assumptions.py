@@ -28,6 +28,21 @@ def room_in_words(loop: SampledVelocityLoop) -> list[str]:
     ]
 
 
+def law_in_words(loop: SampledVelocityLoop, by_closed_form: bool) -> list[str]:
+    """Say what structure and filters of ``loop`` mean for the numbers of a design and for the drive."""
+    notes = []
+    if loop.plant.filters and by_closed_form:
+        notes.append(
+            "the closed forms know no filters: what they cost is in the sampled loop; `retune` meets the request there"
+        )
+    if loop.structure.reference_filter:
+        notes.append(
+            f"the axis file has no reference filter: set 1/(1 + t_v s), {1e3 * loop.t_v:.4g} ms, in the drive, or "
+            'take form = "ip", which answers alike'
+        )
+    return notes
+
+
 def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> list[str]:
     """Say what the effects of ``axis`` change: (7) knows mass and viscous friction, the sampled ``loop`` all of them.
 
@@ -51,7 +66,7 @@ def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> 
             "N/(m/s), the sampled loop takes all"
         )
     if loop.stable:
-        back = replace(loop, plant=sample_axis(axis, -velocity))
+        back = replace(loop, plant=sample_axis(axis, -velocity, loop.plant.filters))
         here, there = loop.margins.phase_margin_deg, back.margins.phase_margin_deg
         if not back.stable:
             notes.append(f"the sampled loop is unstable at {-velocity:g} m/s")
@@ -70,7 +85,7 @@ def _where_it_is_steepest(axis: Axis, loop: SampledVelocityLoop) -> list[str]:
     for stiffness in (steepest, -steepest):
         linear = attached(loop.plant.linear, Environment(stiffness=stiffness))
         plant = sample_plant(linear, sampling.period, sampling.computation_delay, axis.controller.velocity_estimator)
-        slow = replace(loop, plant=plant)
+        slow = replace(loop, plant=replace(plant, filters=loop.plant.filters))
         where = f"in slow motion, where the force over position has its slope of {stiffness:.3g} N/m,"
         there = slow.margins.phase_margin_deg
         if not slow.stable:

@@ -18,28 +18,26 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from emps_design.axis import Axis
+from emps_design.axis import Axis, Controller
 from emps_design.control.loop.margins import Margins
-from emps_design.control.velocity.gains import (
-    crossover_of_bandwidth,
-    feasible_phase_margin,
-    positive_root,
-    second_order_bandwidth,
-    velocity_gains,
-)
+from emps_design.control.plant.discretisation import sample_axis
+from emps_design.control.velocity.gains import positive_root, second_order_form
+from emps_design.control.velocity.sampled import SampledVelocityLoop, velocity_table
 from emps_design.control.velocity.specification import (
+    Pairs,
     check_specification,
     infeasible,
     nearest_that_works,
     pairs_by_closed_form,
     proposal_in_words,
 )
+from emps_design.control.velocity.structure import IP, Structure, own_filters, own_structure
+from emps_design.laws.library import cascade
+from emps_design.laws.library.cascade import Filter
 from emps_design.notebook import table
 
 if TYPE_CHECKING:
     import control
-
-    from emps_design.control.velocity.sampled import SampledVelocityLoop
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,7 @@ class VelocityLoopDesign:
 
     ``k_v1`` [V/(m/s)], ``t_v`` [s]; ``requested`` holds the specification as given; ``retuned_at`` names the place
     at which the sampled loop meets it, "" for gains from (7); ``velocity`` [m/s] is where the effects of the axis are
-    linearised.
+    linearised. ``structure`` says what the gains act on, ``filters`` of the law's output are in the sampled loop alone.
 
     >>> from emps_design.machines import machine
     >>> design = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)
@@ -64,6 +62,8 @@ class VelocityLoopDesign:
     requested: dict[str, float]
     retuned_at: str = ""
     velocity: float = 0.1
+    structure: Structure = IP
+    filters: tuple[Filter, ...] = ()
 
     @property
     def gain(self) -> float:
@@ -78,21 +78,29 @@ class VelocityLoopDesign:
     @property
     def omega_0v(self) -> float:
         """Natural frequency of the closed loop [rad/s], of (9)."""
-        return math.sqrt(self.K_v / self.axis.mechanics.mass)
+        return self._second_order_form[0]
 
     @property
     def z_v(self) -> float:
         """Damping ratio of the closed loop [-], of (9)."""
-        return 0.5 * (self.t_v + self.axis.mechanics.viscous / self.K_v) * self.omega_0v
+        return self._second_order_form[1]
+
+    @property
+    def _second_order_form(self) -> tuple[float, float]:
+        mechanics = self.axis.mechanics
+        omega_0v, z_v = second_order_form(mechanics.mass, mechanics.viscous, self.gain, self.t_v)
+        return float(omega_0v), float(z_v)
 
     @property
     def bandwidth(self) -> float:
         """Frequency where T_vc has fallen to -3 dB [rad/s]."""
-        return float(second_order_bandwidth(self.omega_0v, self.z_v))
+        return float(self.structure.bandwidth(self.omega_0v, self.z_v, self.t_v))
 
     @cached_property
     def velocity_error(self) -> Margins:
         """Margins of T_vo, the loop broken at the velocity error: phi_v and w_v of (7), read back from the gains."""
+        if self.structure.form == "pi":
+            return self.plant_input
         mass, damping = self.axis.mechanics.mass, self.axis.mechanics.viscous + self.gain
         x = positive_root(mass**2, damping**2, -(self.K_v**2))
         return _continuous_margins(math.sqrt(x), math.atan2(damping, mass * math.sqrt(x)))
@@ -116,25 +124,25 @@ class VelocityLoopDesign:
 
     @property
     def feasible_phase_margin_deg(self) -> tuple[float, float]:
-        """Open interval of phase margins [deg] that (7) can give at the crossover asked for."""
-        mechanics = self.axis.mechanics
-        return feasible_phase_margin(mechanics.mass, mechanics.viscous, self.requested.get("crossover", self.crossover))
+        """Open interval of phase margins [deg] that gains can give at the crossover asked for, of (7) or the like."""
+        mechanics, crossover = self.axis.mechanics, self.requested.get("crossover", self.crossover)
+        low, high = self.structure.feasible_phase_margin(mechanics.mass, mechanics.viscous, crossover)
+        return float(low), float(high)
 
     @cached_property
     def sampled(self) -> SampledVelocityLoop:
         """The same gains in the loop as implemented: hold, delays, current loop, effects, velocity estimator."""
-        from emps_design.control.plant.discretisation import sample_axis
-        from emps_design.control.velocity.sampled import SampledVelocityLoop
-
-        return SampledVelocityLoop(sample_axis(self.axis, self.velocity), self.k_v1, self.t_v)
+        plant = sample_axis(self.axis, self.velocity, self.filters)
+        return SampledVelocityLoop(plant, self.k_v1, self.t_v, self.structure)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a reader of the numbers has to know, instability first."""
-        from emps_design.control.velocity.assumptions import effects_in_words, room_in_words
+        from emps_design.control.velocity.assumptions import effects_in_words, law_in_words, room_in_words
 
         warnings = [*self.sampled.warnings, *room_in_words(self.sampled)]
         warnings += effects_in_words(self.axis, self.sampled, self.velocity)
+        warnings += law_in_words(self.sampled, not self.retuned_at)
         if self.retuned_at:
             asked = ", ".join(
                 f"{key.removesuffix('_deg').replace('_', ' ')} {value:g} {'deg' if key.endswith('_deg') else 'rad/s'}"
@@ -153,8 +161,11 @@ class VelocityLoopDesign:
         return tuple(warnings)
 
     def velocity_error_loop(self) -> control.TransferFunction:
-        """T_vo(s) of (6)."""
+        """T_vo(s) of (6); of "pi" the loop at the plant input."""
         import control
+
+        if self.structure.form == "pi":
+            return self.plant_input_loop()
 
         mechanics = self.axis.mechanics
         return control.tf([self.K_v], [mechanics.mass, mechanics.viscous + self.gain, 0.0])
@@ -167,23 +178,30 @@ class VelocityLoopDesign:
         return control.tf([self.gain, self.K_v], [mechanics.mass, mechanics.viscous, 0.0])
 
     def closed_loop(self) -> control.TransferFunction:
-        """T_vc(s) of (8), from velocity reference to velocity."""
+        """T_vc(s) of (8), from velocity reference to velocity, with the zero of the structure."""
         import control
 
         mechanics = self.axis.mechanics
-        return control.tf([1.0], [mechanics.mass / self.K_v, self.t_v + mechanics.viscous / self.K_v, 1.0])
+        zero = self.structure.zero(self.t_v)
+        return control.tf(
+            [zero, 1.0] if zero else [1.0], [mechanics.mass / self.K_v, self.t_v + mechanics.viscous / self.K_v, 1.0]
+        )
 
     @cached_property
     def nearest_stable(self) -> dict[str, Any]:
         """The nearest specification whose sampled loop is stable; the request itself where that is."""
         if self.sampled.stable:
             return dict(self.requested)
-        return nearest_that_works(pairs_by_closed_form(self.axis, self.requested, self.velocity), self.requested)
+        return nearest_that_works(self._pairs, self.requested)
 
     @property
     def nearest_in_words(self) -> str:
         """:attr:`nearest_stable` for a message, with what it has as implemented."""
-        return proposal_in_words(self.nearest_stable, pairs_by_closed_form(self.axis, self.requested, self.velocity))
+        return proposal_in_words(self.nearest_stable, self._pairs)
+
+    @property
+    def _pairs(self) -> Pairs:
+        return pairs_by_closed_form(self.axis, self.requested, self.velocity, self.structure, self.filters)
 
     @property
     def reason(self) -> str:
@@ -196,13 +214,21 @@ class VelocityLoopDesign:
         )
 
     def controller_table(self) -> dict[str, Any]:
-        """The ``[controller]`` table of the axis file that runs this design."""
-        return {
-            "kind": "ip_velocity",
-            "k_v1": self.k_v1,
-            "t_v": self.t_v,
-            "velocity_estimator": self.axis.controller.velocity_estimator,
-        }
+        """The ``[controller]`` table of the axis file that runs this design; what is around it in a cascade stays."""
+        own = self.axis.controller
+        kind, table = velocity_table(
+            self.k_v1, self.t_v, self.structure, self.filters, own.velocity_estimator, own.kind == cascade.LAW.name
+        )
+        return {"kind": kind.name, **table.model_dump(exclude_none=True, exclude_unset=True)}
+
+    @property
+    def loop_axis(self) -> Axis:
+        """The axis with this velocity loop alone as its controller, whatever is around it in a cascade."""
+        kind, table = velocity_table(
+            self.k_v1, self.t_v, self.structure, self.filters, self.axis.controller.velocity_estimator
+        )
+        own = {"kind": kind.name, **table.model_dump(exclude_none=True)}
+        return self.axis.replace(controller=Controller.model_validate(own))
 
     def _implementation(self) -> dict[str, Any]:
         from emps_design.control.velocity.implementation import (
@@ -213,7 +239,9 @@ class VelocityLoopDesign:
 
         stable = self.sampled.stable
         return {
-            "difference_equation": difference_equation(self.axis, self.k_v1, self.t_v).to_dict(),
+            "difference_equation": difference_equation(
+                self.axis, self.k_v1, self.t_v, self.structure, self.filters
+            ).to_dict(),
             "largest_velocity_step": largest_velocity_step(self.axis, self.sampled) if stable else None,
             "encoder_voltage_noise": encoder_voltage_noise(self.axis, self.sampled) if stable else None,
         }
@@ -225,8 +253,15 @@ class VelocityLoopDesign:
             "requested": dict(self.requested),
             "retuned": bool(self.retuned_at),
             "retuned_at": self.retuned_at or None,
+            "structure": self.structure.form,
+            "reference_filter": self.structure.reference_filter,
+            "filters": [one.model_dump(exclude_none=True) for one in self.filters],
             "k_v1": self.k_v1,
             "t_v": self.t_v,
+            "drive_names": {
+                "kp": {"value": self.k_v1, "unit": self.axis.units.unit("V/(m/s)")},
+                "Tn": {"value": 1e3 * self.t_v, "unit": "ms"},
+            },
             "K_v": self.K_v,
             "omega_0v": self.omega_0v,
             "z_v": self.z_v,
@@ -263,11 +298,14 @@ def design_velocity_loop(
     bandwidth: float | None = None,
     phase_margin_deg: float = 60.0,
     velocity: float = 0.1,
+    structure: Structure | None = None,
+    filters: tuple[Filter, ...] | None = None,
 ) -> VelocityLoopDesign:
-    """Return the velocity loop of ``axis`` that meets a specification, by (7).
+    """Return the velocity loop of ``axis`` that meets a specification, by (7) or what is like it for "pi".
 
     Give ``crossover`` [rad/s] of T_vo or ``bandwidth`` [rad/s], the -3 dB of T_vc, not both; ``phase_margin_deg`` is
-    that of T_vo. ``velocity`` [m/s]: where the effects of the axis are linearised for the sampled loop.
+    that of T_vo. ``velocity`` [m/s]: where the effects of the axis are linearised for the sampled loop. ``structure``
+    and ``filters`` are those of the axis's controller where they are None.
     Raises :class:`InputError` for a specification that cannot be meant, :class:`SpecificationError` for one that no
     gains can meet, with the nearest pair that works.
 
@@ -277,16 +315,18 @@ def design_velocity_loop(
     100.0
     """
     requested = check_specification(crossover, bandwidth, phase_margin_deg)
-    mechanics = axis.mechanics
-    if not 0.0 < phase_margin_deg < 90.0:
-        raise infeasible(axis, requested, velocity)
-    if bandwidth is not None:
-        crossover = float(crossover_of_bandwidth(bandwidth, phase_margin_deg))
-    w = float(crossover or 0.0)
-    if phase_margin_deg <= feasible_phase_margin(mechanics.mass, mechanics.viscous, w)[0]:
-        raise infeasible(axis, requested, velocity)
-    k_v1, t_v = velocity_gains(mechanics.mass, mechanics.viscous, axis.drive.gain, w, phase_margin_deg)
-    return VelocityLoopDesign(axis, k_v1, t_v, requested, velocity=velocity)
+    structure, filters = own_structure(axis, structure), own_filters(axis, filters)
+    mass, viscous, w = axis.mechanics.mass, axis.mechanics.viscous, float(crossover or math.nan)
+    if bandwidth is not None and 0.0 < phase_margin_deg < (90.0 if structure.form == "ip" else 180.0):
+        w = float(structure.crossover_of_bandwidth(mass, viscous, bandwidth, phase_margin_deg))
+    low, high = structure.feasible_phase_margin(mass, viscous, w)
+    if not low < phase_margin_deg < high:
+        raise infeasible(axis, requested, velocity, structure, filters)
+    gain, t_v = structure.gains(mass, viscous, w, phase_margin_deg)
+    k_v1 = float(gain) / axis.drive.gain
+    return VelocityLoopDesign(
+        axis, k_v1, float(t_v), requested, velocity=velocity, structure=structure, filters=filters
+    )
 
 
 def _continuous_margins(crossover: float, phase: float) -> Margins:

@@ -5,7 +5,6 @@ Where nothing is refused, arrays (n,) in the place of numbers give as many answe
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -15,16 +14,16 @@ from emps_design.errors import SpecificationError
 MINUS_3_DB = 10.0 ** (-3.0 / 20.0)
 
 
-def feasible_phase_margin(mass: float, viscous: float, crossover: float) -> tuple[float, float]:
+def feasible_phase_margin(mass: float, viscous: float, crossover: Any) -> tuple[Any, float]:
     """Return the open interval of phase margins [deg] that (7) can give at ``crossover`` [rad/s].
 
     Below atan(F_v / (M w)) the gain k_v1 would be negative, at 90 deg infinite. ``mass`` [kg], ``viscous`` [N/(m/s)].
 
     >>> low, high = feasible_phase_margin(115.7315, 474.9727, 100.0)
-    >>> round(low, 3), high
+    >>> round(float(low), 3), high
     (2.35, 90.0)
     """
-    return math.degrees(math.atan2(viscous, mass * crossover)), 90.0
+    return np.degrees(np.arctan2(viscous, mass * crossover))[()], 90.0
 
 
 def velocity_gains(
@@ -73,14 +72,25 @@ def canonical_form(crossover: Any, phase_margin_deg: Any) -> tuple[Any, Any]:
     return crossover / root, np.sin(phase) / (2.0 * root)
 
 
-def second_order_bandwidth(omega_0v: Any, z_v: Any) -> Any:
-    """Return the frequency [rad/s] where (9) has fallen to -3 dB, the ratio 10^(-3/20).
+def second_order_form(mass: Any, viscous: Any, K: Any, t_v: Any) -> tuple[Any, Any]:
+    """Return omega_0v [rad/s] and z_v [-] of (9) from the gains, K = k_v1 G_tau [N/(m/s)] and t_v [s].
+
+    >>> [round(float(x), 4) for x in second_order_form(115.7315, 474.9727, 556.766 * 35.15, 8.45505e-3)]
+    [141.4214, 0.6124]
+    """
+    omega_0v = np.sqrt(K / t_v / mass)
+    return omega_0v, 0.5 * (t_v + viscous * t_v / K) * omega_0v
+
+
+def second_order_bandwidth(omega_0v: Any, z_v: Any, zero: Any = 0.0) -> Any:
+    """Return the frequency [rad/s] where (9), times 1 + ``zero`` s [s], has fallen to -3 dB, the ratio 10^(-3/20).
 
     >>> round(float(second_order_bandwidth(*canonical_form(100.0, 60.0))), 2)
     159.9
     """
-    # |T_vc| = 10^(-3/20): x^2 - 2 (1 - 2 z^2) x + 1 = 10^(3/10) with x = (w/w_0v)^2
-    return omega_0v * np.sqrt(positive_root(1.0, 4.0 * z_v**2 - 2.0, 1.0 - MINUS_3_DB**-2))
+    # |T_vc| = 10^(-3/20): x^2 - 2 (1 - 2 z^2) x + 1 = 10^(3/10) (1 + (zero w_0v)^2 x) with x = (w/w_0v)^2
+    slope = 4.0 * z_v**2 - 2.0 - (zero * omega_0v / MINUS_3_DB) ** 2
+    return omega_0v * np.sqrt(positive_root(1.0, slope, 1.0 - MINUS_3_DB**-2))
 
 
 def positive_root(a: Any, b: Any, c: Any) -> Any:

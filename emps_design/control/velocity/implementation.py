@@ -10,47 +10,53 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.plant.actuator import ActuatorMap
-from emps_design.control.velocity.sampled import SampledVelocityLoop
-from emps_design.laws.library import ip_velocity
+from emps_design.control.velocity.sampled import SampledVelocityLoop, velocity_table
+from emps_design.control.velocity.structure import IP, Structure
+from emps_design.laws import LawKind
+from emps_design.laws.library.cascade import Filter, transfer
 
 CONSTANT = 1e-9  # a pole nearer than this to the unit circle belongs to something that stays as it is
 
 
 @dataclass(frozen=True)
 class DifferenceEquation:
-    """The velocity law as it is computed at each sample: its ``table`` of parameters on ``axis``, ready to paste."""
+    """The velocity law as it is computed at each sample: its ``kind`` and ``table`` on ``axis``, ready to paste."""
 
     axis: Axis
-    table: ip_velocity.Table
+    kind: LawKind
+    table: Any
+    k_v1: float
+    t_v: float
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """One assignment a line; where the limit cuts u, the integral is set back so that it does not wind up."""
-        return ip_velocity.LAW.equations(self.table, self.axis, self.axis.sampling.period)
+        """One assignment a line; where the limit cuts u, the integral does not wind up."""
+        return self.kind.equations(self.table, self.axis, self.axis.sampling.period)
 
     def to_dict(self) -> dict[str, Any]:
         """The lines and the numbers in them; integral_gain is k_v1 T / t_v [V/(m/s)]."""
         period = self.axis.sampling.period
-        k_v1, integral_gain, *_ = ip_velocity.LAW.gains(self.table, self.axis, period)
         return {
             "lines": list(self.lines),
-            "k_v1": k_v1,
-            "integral_gain": integral_gain,
+            "k_v1": self.k_v1,
+            "integral_gain": self.k_v1 * period / self.t_v,
             "period": period,
             "velocity_estimator": self.table.velocity_estimator,
             "voltage_limit": self.axis.drive.command_limit,
         }
 
 
-def difference_equation(axis: Axis, k_v1: float, t_v: float) -> DifferenceEquation:
+def difference_equation(
+    axis: Axis, k_v1: float, t_v: float, structure: Structure = IP, filters: tuple[Filter, ...] = ()
+) -> DifferenceEquation:
     """Return the law of the loop with ``k_v1`` [V/(m/s)] and ``t_v`` [s] at the period of ``axis``.
 
     >>> from emps_design.machines import machine
     >>> print(difference_equation(machine("emps2018"), 556.766, 8.45505e-3).lines[1])
     i[k] = i[k-1] + 65.85011325 * (v_ref[k] - v[k])
     """
-    estimator = axis.controller.velocity_estimator
-    return DifferenceEquation(axis, ip_velocity.Table(k_v1=k_v1, t_v=t_v, velocity_estimator=estimator))
+    kind, table = velocity_table(k_v1, t_v, structure, filters, axis.controller.velocity_estimator)
+    return DifferenceEquation(axis, kind, table, k_v1, t_v)
 
 
 def largest_velocity_step(axis: Axis, loop: SampledVelocityLoop) -> dict[str, float]:
@@ -106,7 +112,9 @@ def encoder_voltage_noise(axis: Axis, loop: SampledVelocityLoop) -> dict[str, fl
     back = np.exp(-1j * w * plant.period)
     newer, older = plant.weights
     estimate = (newer + older * back) * (1.0 - back) / plant.period
-    transfer = loop.controller_response(w) * estimate / (1.0 + loop.plant_input_response(w))
-    rms = resolution / math.sqrt(12.0) * math.sqrt(float(np.mean(np.abs(transfer) ** 2)))
-    one_step = loop.k_v1 * (1.0 + plant.period / loop.t_v) * newer / plant.period * resolution
+    law = loop.controller_response(w) * plant.filter_response(w)
+    noise = law * estimate / (1.0 + loop.plant_input_response(w))
+    rms = resolution / math.sqrt(12.0) * math.sqrt(float(np.mean(np.abs(noise) ** 2)))
+    first = math.prod(transfer(one, plant.period)[0][0] for one in plant.filters)  # what passes at once
+    one_step = first * loop.k_v1 * (1.0 + plant.period / loop.t_v) * newer / plant.period * resolution
     return {"rms": rms, "one_step": one_step, "resolution": resolution}

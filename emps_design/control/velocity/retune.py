@@ -17,8 +17,10 @@ from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.gains import MINUS_3_DB
 from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.control.velocity.specification import Pairs, check_specification, nearest_that_works, proposal_in_words
+from emps_design.control.velocity.structure import IP, Structure, own_filters, own_structure
 from emps_design.control.velocity.sweeps import sweep_stability
 from emps_design.errors import InputError, SpecificationError
+from emps_design.laws.library.cascade import Filter
 
 PLACES = ("plant-input", "velocity-error")
 GRID = 240  # crossovers looked at for one bandwidth, evenly in their logarithm
@@ -63,6 +65,8 @@ def retune_velocity_loop(
     phase_margin_deg: float = 60.0,
     at: str = "plant-input",
     velocity: float = 0.1,
+    structure: Structure | None = None,
+    filters: tuple[Filter, ...] | None = None,
 ) -> VelocityLoopDesign:
     """Return the design whose *sampled* loop has the phase margin and the crossover, or the -3 dB bandwidth, asked for.
 
@@ -79,16 +83,19 @@ def retune_velocity_loop(
     if at not in PLACES:
         raise InputError(f"place of the margin: found {at!r}, expected one of {', '.join(PLACES)}")
     requested = check_specification(crossover, bandwidth, phase_margin_deg)
-    plant = sample_axis(axis, velocity)
-    pairs = retuned_pairs(plant, requested, at)
+    structure, filters = own_structure(axis, structure), own_filters(axis, filters)
+    plant = sample_axis(axis, velocity, filters)
+    pairs = retuned_pairs(plant, requested, at, structure)
     name, frequency = next(iter(requested.items()))
     loop = pairs.loop(frequency, phase_margin_deg) if 0.0 < phase_margin_deg < 180.0 else None
     if loop is not None and pairs.met(loop, frequency, phase_margin_deg):
-        return VelocityLoopDesign(axis, loop.k_v1, loop.t_v, requested, retuned_at=at, velocity=velocity)
+        return VelocityLoopDesign(
+            axis, loop.k_v1, loop.t_v, requested, at, velocity, structure=structure, filters=filters
+        )
     if loop is not None:
         reason = "the loop crosses 0 dB more than once, and another crossing has less phase margin"
     else:
-        reason = _limit(plant, requested, at)
+        reason = _limit(plant, requested, at, structure)
     nearest = nearest_that_works(pairs, requested)
     raise SpecificationError(
         f"retune: no gains give the sampled loop {phase_margin_deg:g} deg at a {name} of {frequency:g} rad/s; "
@@ -97,7 +104,7 @@ def retune_velocity_loop(
     )
 
 
-def retuned_pairs(plant: SampledPlant, requested: dict[str, float], at: str) -> Pairs:
+def retuned_pairs(plant: SampledPlant, requested: dict[str, float], at: str, structure: Structure = IP) -> Pairs:
     """Return the pairs like ``requested`` that the sampled loop of ``plant`` broken ``at`` can have.
 
     >>> from emps_design.machines import machine
@@ -106,20 +113,32 @@ def retuned_pairs(plant: SampledPlant, requested: dict[str, float], at: str) -> 
     >>> pairs.judge(np.array([50.0, 60.0]), np.array([60.0, 60.0])).tolist()
     [2, 0]
     """
+    place = "plant-input" if structure.form == "pi" else at  # there "pi" has one loop, wherever it is broken
     if "bandwidth" in requested:
-        return Pairs(plant, lambda w, phase: bandwidth_gains(plant, w, phase, at), lambda w, phase: w, at, True)
+        return Pairs(
+            plant,
+            lambda w, phase: bandwidth_gains(plant, w, phase, place, structure),
+            lambda w, phase: w,
+            at,
+            True,
+            structure,
+        )
 
     def passes(w: np.ndarray, phase: np.ndarray) -> np.ndarray:
-        if at == "velocity-error":
+        if at == "velocity-error" or structure.form == "pi":
             return w
         # An ideal plant has there t_v w = tan(phase), and its closed loop passes about 1/t_v.
         return w * np.clip(1.0 / np.tan(np.radians(phase)), 0.01, 1.0)
 
-    return Pairs(plant, lambda w, phase: retuned_gains(plant, w, phase, at), passes, at)
+    return Pairs(plant, lambda w, phase: retuned_gains(plant, w, phase, place), passes, at, structure=structure)
 
 
 def bandwidth_gains(
-    plant: SampledPlant, bandwidth: np.ndarray, phase_margin_deg: np.ndarray, at: str = "plant-input"
+    plant: SampledPlant,
+    bandwidth: np.ndarray,
+    phase_margin_deg: np.ndarray,
+    at: str = "plant-input",
+    structure: Structure = IP,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return k_v1 [V/(m/s)] and t_v [s] of the sampled loops with that -3 dB ``bandwidth`` [rad/s], NaN for none.
 
@@ -136,7 +155,7 @@ def bandwidth_gains(
 
     def over(w: np.ndarray, B: np.ndarray, phase: np.ndarray) -> np.ndarray:
         """By how much the closed loop with crossover ``w`` is above -3 dB at ``B``."""
-        loops = SampledVelocityLoop(plant, *retuned_gains(plant, w, phase, at))
+        loops = SampledVelocityLoop(plant, *retuned_gains(plant, w, phase, at), structure)
         with np.errstate(invalid="ignore"):
             return np.abs(loops.closed_loop_response(B)) - MINUS_3_DB
 
@@ -167,18 +186,19 @@ def bandwidth_gains(
     return k_found, t_found
 
 
-def _limit(plant: SampledPlant, requested: dict[str, float], at: str) -> str:
+def _limit(plant: SampledPlant, requested: dict[str, float], at: str, structure: Structure) -> str:
     """Which limit binds, from the plant's phase at the crossover."""
     if not 0.0 < requested["phase_margin_deg"] < 180.0:
         return "a phase margin lies between 0 and 180 deg"
     if "bandwidth" in requested:
-        most = _largest_bandwidth(plant, requested["phase_margin_deg"], at)
+        place = "plant-input" if structure.form == "pi" else at
+        most = _largest_bandwidth(plant, requested["phase_margin_deg"], place, structure)
         if requested["bandwidth"] > most > 0.0:
             return (
                 f"with that phase margin at the {at.replace('-', ' ')} the bandwidth reaches {most:.5g} rad/s at most"
             )
         return "the gains would not be positive, or the loop with them unstable"
-    if at != "plant-input":
+    if at != "plant-input" and structure.form == "ip":
         return "the gains would not be positive, or the loop with them unstable"
     w, phase = requested["crossover"], requested["phase_margin_deg"]
     if w >= math.pi / plant.period:
@@ -198,11 +218,12 @@ def _limit(plant: SampledPlant, requested: dict[str, float], at: str) -> str:
     return "the sampled loop with those gains is unstable"
 
 
-def _largest_bandwidth(plant: SampledPlant, phase_margin_deg: float, at: str) -> float:
+def _largest_bandwidth(plant: SampledPlant, phase_margin_deg: float, at: str, structure: Structure) -> float:
     """The largest -3 dB bandwidth [rad/s] of a stable sampled loop with that phase margin, 0 where there is none."""
 
     def works(bandwidth: np.ndarray) -> np.ndarray:
-        return np.isfinite(bandwidth_gains(plant, bandwidth, np.full(bandwidth.size, phase_margin_deg), at)[0])
+        phase = np.full(bandwidth.size, phase_margin_deg)
+        return np.isfinite(bandwidth_gains(plant, bandwidth, phase, at, structure)[0])
 
     grid = np.geomspace(1e-5, 0.99, 400) * math.pi / plant.period
     found = np.flatnonzero(works(grid))

@@ -14,8 +14,10 @@ import numpy as np
 from emps_design.control.loop.margins import Margins, loop_margins
 from emps_design.control.loop.sampled_loop import SampledLoop, close
 from emps_design.control.plant.discretisation import ESTIMATORS, SampledPlant
-from emps_design.laws import Law
-from emps_design.laws.library import ip_velocity
+from emps_design.control.velocity.structure import IP, Structure
+from emps_design.laws import Law, LawKind
+from emps_design.laws.law import TWO_TAP, LawTable
+from emps_design.laws.library import cascade, ip_velocity
 from emps_design.laws.linear import LinearLaw, linear_law
 
 if TYPE_CHECKING:
@@ -26,7 +28,8 @@ if TYPE_CHECKING:
 class SampledVelocityLoop:
     """Given gains in the loop as implemented: poles first, then margins at both places, then what they cost.
 
-    ``k_v1`` [V/(m/s)], ``t_v`` [s]; arrays of them give as many responses, and nothing else.
+    ``k_v1`` [V/(m/s)], ``t_v`` [s]; arrays of them give as many responses, and nothing else. The filters are those of
+    ``plant``.
 
     >>> from emps_design.control.plant.discretisation import sample_axis
     >>> from emps_design.machines import machine
@@ -39,11 +42,12 @@ class SampledVelocityLoop:
     plant: SampledPlant
     k_v1: Any
     t_v: Any
+    structure: Structure = IP
 
     @cached_property
     def loop(self) -> SampledLoop:
         """The closed loop from velocity reference to voltage and velocity."""
-        return close(self.plant, ip_law(self.plant, self.k_v1, self.t_v), plant_input=True)
+        return close(self.plant, velocity_law(self.plant, self.k_v1, self.t_v, self.structure), plant_input=True)
 
     @property
     def poles(self) -> np.ndarray:
@@ -64,18 +68,24 @@ class SampledVelocityLoop:
         return self.controller_response(w) * self.plant.delayed_response(w, delay)
 
     def controller_response(self, w: np.ndarray) -> np.ndarray:
-        """From minus the velocity estimate to the voltage at ``w`` [rad/s]."""
+        """From minus the velocity estimate to the voltage at ``w`` [rad/s], before the filters."""
         return self.k_v1 * (1.0 + self.plant.integrator(w) / self.t_v)
 
     def velocity_error_response(self, w: np.ndarray) -> np.ndarray:
         """Open loop broken at the velocity error at ``w`` [rad/s], the sampled T_vo."""
+        if self.structure.form == "pi":
+            return self.plant_input_response(w)
         inner = self.k_v1 * self.plant.response(w)
         return inner * self.plant.integrator(w) / self.t_v / (1.0 + inner)
 
     def closed_loop_response(self, w: np.ndarray) -> np.ndarray:
         """From velocity reference to the velocity estimate at ``w`` [rad/s], the sampled T_vc."""
         forward = self.velocity_error_response(w)
-        return forward / (1.0 + forward)
+        closed = forward / (1.0 + forward)
+        if self.structure.reference_filter:
+            integral = self.plant.integrator(w) / self.t_v
+            closed = closed * integral / (1.0 + integral)
+        return closed
 
     @cached_property
     def margins(self) -> Margins:
@@ -90,7 +100,12 @@ class SampledVelocityLoop:
 
     @cached_property
     def velocity_error(self) -> Margins:
-        """Margins of the loop broken at the velocity error; undefined while the inner proportional path is unstable."""
+        """Margins of the loop broken at the velocity error; undefined while the inner proportional path is unstable.
+
+        A "pi" has no inner path: there they are those at the plant input.
+        """
+        if self.structure.form == "pi":
+            return self.margins
         return loop_margins(self.velocity_error_response, self.plant.frequencies(), self.stable, self.plant.period)
 
     @cached_property
@@ -136,7 +151,8 @@ class SampledVelocityLoop:
         1.0
         """
         inputs = np.zeros((samples, len(self.loop.inputs)))
-        inputs[:, self.loop.inputs.index("reference")] = 1.0
+        late = self.t_v / (self.t_v + self.plant.period) if self.structure.reference_filter else 0.0
+        inputs[:, self.loop.inputs.index("reference")] = 1.0 - late ** np.arange(1, samples + 1)
         found = self.loop.simulate(inputs)
         return np.arange(samples) * self.plant.period, found[:, 0], found[:, 3]
 
@@ -161,9 +177,38 @@ class SampledVelocityLoop:
         }
 
 
+def velocity_law(plant: SampledPlant, k_v1: float, t_v: float, structure: Structure = IP) -> LinearLaw:
+    """The law of a velocity loop with the estimator and the filters of ``plant`` in its linear form."""
+    kind, table = velocity_table(k_v1, t_v, structure, plant.filters, estimator_of(plant))
+    return linear_law(kind.law(table, None, plant.period), plant.period)
+
+
+def velocity_table(
+    k_v1: float,
+    t_v: float,
+    structure: Structure = IP,
+    filters: tuple[cascade.Filter, ...] = (),
+    estimator: str = TWO_TAP,
+    in_a_cascade: bool = False,
+) -> tuple[LawKind, LawTable]:
+    """The kind of law that a velocity loop is, and its table: the paper's own where that has all of it, or a cascade.
+
+    ``in_a_cascade`` asks for the latter.
+    """
+    own: dict[str, Any] = {"velocity_estimator": estimator}
+    if structure.form == "ip" and not filters and not in_a_cascade:
+        return ip_velocity.LAW, ip_velocity.Table(k_v1=k_v1, t_v=t_v, **own)
+    loop = cascade.VelocityLoop.model_validate({"kp": k_v1, "ti": t_v, "form": structure.form})
+    return cascade.LAW, cascade.Table(velocity=loop, filters=filters, **own)
+
+
 def ip_law(plant: SampledPlant, k_v1: float, t_v: float, k_e1: float | np.ndarray = 0.0) -> LinearLaw:
-    """The velocity law with the estimator of ``plant`` in its linear form; ``k_e1`` [(m/s)/N] of a force loop."""
+    """The paper's law with the estimator of ``plant`` in its linear form; ``k_e1`` [(m/s)/N] of a force loop."""
     law, period = ip_velocity.LAW, plant.period
-    estimator = next(name for name, weights in ESTIMATORS.items() if weights == plant.weights)
-    gains = ip_velocity.gains_of(k_v1, t_v, k_e1, period, estimator)
+    gains = ip_velocity.gains_of(k_v1, t_v, k_e1, period, estimator_of(plant))
     return linear_law(Law(law.kernel, gains, ip_velocity.MEMORY, "velocity"), period)
+
+
+def estimator_of(plant: SampledPlant) -> str:
+    """The name of the velocity estimator whose weights ``plant`` has."""
+    return next(name for name, weights in ESTIMATORS.items() if weights == plant.weights)

@@ -10,7 +10,6 @@ from typing import Any
 from emps_design.axis import Axis
 from emps_design.control.plant.discretisation import sample_axis
 from emps_design.control.velocity.design import VelocityLoopDesign
-from emps_design.control.velocity.gains import feasible_phase_margin, velocity_gains
 from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.errors import InputError
 
@@ -87,13 +86,15 @@ def margins_under_mismatch(design: VelocityLoopDesign, errors: Mapping[str, floa
     for signs in itertools.product((-1.0, 1.0), repeat=len(errors)):
         shares = {name: sign * errors[name] for name, sign in zip(errors, signs, strict=True)}
         axis = _scaled(design.axis, shares)
-        loop = SampledVelocityLoop(sample_axis(axis, design.velocity), design.k_v1, design.t_v)
+        plant = sample_axis(axis, design.velocity, design.filters)
+        loop = SampledVelocityLoop(plant, design.k_v1, design.t_v, design.structure)
         corners.append({"parameters": shares, "bandwidth": loop.bandwidth, **loop.margins.to_dict()})
         mechanics = axis.mechanics
-        if phase > feasible_phase_margin(mechanics.mass, mechanics.viscous, crossover)[0]:
-            gains = velocity_gains(mechanics.mass, mechanics.viscous, axis.drive.gain, crossover, phase)
-            k_v1s.append(gains[0])
-            t_vs.append(gains[1])
+        low, high = design.structure.feasible_phase_margin(mechanics.mass, mechanics.viscous, crossover)
+        if low < phase < high:
+            gain, t_v = design.structure.gains(mechanics.mass, mechanics.viscous, crossover, phase)
+            k_v1s.append(float(gain) / axis.drive.gain)
+            t_vs.append(float(t_v))
     stable = [corner for corner in corners if corner["stable"]]
     worst = min(corners, key=lambda corner: (corner["stable"], corner["phase_margin_deg"] or 0.0))
 

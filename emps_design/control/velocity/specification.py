@@ -17,10 +17,12 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis
-from emps_design.control.velocity.gains import MINUS_3_DB, binding_limit, crossover_of_bandwidth
+from emps_design.control.velocity.gains import MINUS_3_DB
 from emps_design.control.velocity.sampled import SampledVelocityLoop
+from emps_design.control.velocity.structure import IP, Structure
 from emps_design.control.velocity.sweeps import sweep_sampled_margins, sweep_velocity_loop
 from emps_design.errors import InputError, SpecificationError
+from emps_design.laws.library.cascade import Filter
 from emps_design.quantities import check_magnitude
 
 ROOM = 1.0  # samples of delay margin
@@ -62,11 +64,12 @@ class Pairs:
     passes: Callable[[np.ndarray, np.ndarray], np.ndarray]
     at: str = ""
     bandwidth: bool = False
+    structure: Structure = IP
 
     def loop(self, frequency: float, phase: float) -> SampledVelocityLoop | None:
         """The sampled loop of one pair; None where there are no gains for it or the loop with them is unstable."""
         k_v1, t_v = (float(gain[0]) for gain in self.gains(np.array([frequency]), np.array([phase])))
-        loop = SampledVelocityLoop(self.plant, k_v1, t_v) if math.isfinite(k_v1) else None
+        loop = SampledVelocityLoop(self.plant, k_v1, t_v, self.structure) if math.isfinite(k_v1) else None
         return loop if loop is not None and loop.stable else None
 
     def met(self, loop: SampledVelocityLoop, frequency: float, phase: float) -> bool:
@@ -92,11 +95,20 @@ class Pairs:
         """Whether the closed loops have not fallen to -3 dB at ``PASSED`` of ``w`` [rad/s]."""
         w = np.minimum(PASSED * w, 0.5 * math.pi / self.plant.period)
         with np.errstate(invalid="ignore"):
-            return np.abs(SampledVelocityLoop(self.plant, k_v1, t_v).closed_loop_response(w)) >= MINUS_3_DB
+            loops = SampledVelocityLoop(self.plant, k_v1, t_v, self.structure)
+            return np.abs(loops.closed_loop_response(w)) >= MINUS_3_DB
 
 
-def pairs_by_closed_form(axis: Axis, requested: dict[str, float], velocity: float = 0.1) -> Pairs:
+def pairs_by_closed_form(
+    axis: Axis,
+    requested: dict[str, float],
+    velocity: float = 0.1,
+    structure: Structure = IP,
+    filters: tuple[Filter, ...] = (),
+) -> Pairs:
     """Return the pairs like ``requested`` with the gains of (7) on ``axis``, its effects linearised at ``velocity``.
+
+    Of another ``structure`` its own closed form; ``filters`` are in the sampled loops.
 
     >>> from emps_design.machines import machine
     >>> pairs = pairs_by_closed_form(machine("emps2018"), {"crossover": 100.0, "phase_margin_deg": 60.0})
@@ -105,14 +117,18 @@ def pairs_by_closed_form(axis: Axis, requested: dict[str, float], velocity: floa
     """
 
     def gains(frequency: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        inside = (phase > 0.0) & (phase < 90.0)
+        inside = (phase > 0.0) & (phase < (90.0 if structure.form == "ip" else 180.0))
         phase = np.where(inside, phase, 45.0)
         if "bandwidth" in requested:
-            frequency = crossover_of_bandwidth(frequency, phase)
-        sweep = sweep_velocity_loop(axis, frequency, phase)
+            mechanics = axis.mechanics
+            found = structure.crossover_of_bandwidth(mechanics.mass, mechanics.viscous, frequency, phase)
+            inside &= np.isfinite(found)
+            frequency = np.where(np.isfinite(found), found, frequency)
+        sweep = sweep_velocity_loop(axis, frequency, phase, structure)
         return np.where(inside, sweep.k_v1, np.nan), np.where(inside, sweep.t_v, np.nan)
 
-    return Pairs(sample_axis(axis, velocity), gains, lambda frequency, phase: frequency)
+    plant = sample_axis(axis, velocity, filters)
+    return Pairs(plant, gains, lambda frequency, phase: frequency, structure=structure)
 
 
 def nearest_that_works(pairs: Pairs, requested: dict[str, float]) -> dict[str, Any]:
@@ -208,13 +224,16 @@ def _round(value: float) -> float:
     return float(f"{value:.4g}")
 
 
-def infeasible(axis: Axis, requested: dict[str, float], velocity: float) -> SpecificationError:
+def infeasible(
+    axis: Axis, requested: dict[str, float], velocity: float, structure: Structure, filters: tuple[Filter, ...]
+) -> SpecificationError:
     """The error for a pair outside the feasible range: which limit binds, and the nearest pair that works."""
     name, phase = next(iter(requested)), requested["phase_margin_deg"]
-    pairs = pairs_by_closed_form(axis, requested, velocity)
+    pairs = pairs_by_closed_form(axis, requested, velocity, structure, filters)
     nearest = nearest_that_works(pairs, requested)
+    limit = structure.binding_limit(phase)
     return SpecificationError(
-        f"phase margin: found {phase:g} deg at a {name} of {requested[name]:g} rad/s; {binding_limit(phase)}; "
+        f"phase margin: found {phase:g} deg at a {name} of {requested[name]:g} rad/s; {limit}; "
         f"{proposal_in_words(nearest, pairs)}",
         nearest,
     )

@@ -66,8 +66,8 @@ def measure_step(t: np.ndarray, y: np.ndarray, final: float = 1.0) -> StepRespon
     )
 
 
-def second_order_step(omega_0: float, z: float, t: np.ndarray) -> np.ndarray:
-    """Unit step response of 1/(1 + 2 z s/omega_0 + s^2/omega_0^2) at ``t`` [s], for any damping ratio ``z`` > 0.
+def second_order_step(omega_0: float, z: float, t: np.ndarray, zero: float = 0.0) -> np.ndarray:
+    """Unit step response of (1 + zero s)/(1 + 2 z s/omega_0 + s^2/omega_0^2) at ``t`` [s], any damping ratio ``z`` > 0.
 
     >>> round(float(second_order_step(1.0, 1.0, np.array([1.0]))[0]), 6)  # 1 - 2/e
     0.264241
@@ -75,12 +75,13 @@ def second_order_step(omega_0: float, z: float, t: np.ndarray) -> np.ndarray:
     x = omega_0 * np.asarray(t, dtype=float)
     root = np.sqrt(complex(1.0 - z * z))
     if abs(root) < 1e-9:
-        return 1.0 - (1.0 + x) * np.exp(-x)
-    return 1.0 - (np.exp(-z * x) * (np.cos(root * x) + z / root * np.sin(root * x))).real
+        return 1.0 - (1.0 + x - zero * omega_0 * x) * np.exp(-x)
+    slope = (z - zero * omega_0) / root
+    return 1.0 - (np.exp(-z * x) * (np.cos(root * x) + slope * np.sin(root * x))).real
 
 
 def continuous_step(design: VelocityLoopDesign, points: int = 2001) -> StepResponse:
-    """Step response of the continuous closed loop (9), from velocity reference to velocity.
+    """Step response of the continuous closed loop (9) with its structure's zero, from velocity reference to velocity.
 
     >>> from emps_design.control.velocity.design import design_velocity_loop
     >>> from emps_design.machines import machine
@@ -89,7 +90,8 @@ def continuous_step(design: VelocityLoopDesign, points: int = 2001) -> StepRespo
     8.77
     """
     t = np.linspace(0.0, step_horizon(design), points)
-    return measure_step(t, second_order_step(design.omega_0v, design.z_v, t))
+    zero = design.structure.zero(design.t_v)
+    return measure_step(t, second_order_step(design.omega_0v, design.z_v, t, zero))
 
 
 def sampled_step(design: VelocityLoopDesign) -> StepResponse:

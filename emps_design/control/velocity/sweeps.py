@@ -11,23 +11,19 @@ from emps_design.axis import Axis
 from emps_design.control.loop.margins import KEYS, margin_arrays
 from emps_design.control.plant.discretisation import SampledPlant
 from emps_design.control.plant.linear_plant import POSITION
-from emps_design.control.velocity.gains import (
-    canonical_form,
-    plant_input_gain,
-    positive_root,
-    second_order_bandwidth,
-)
+from emps_design.control.velocity.gains import positive_root, second_order_form
 from emps_design.control.velocity.sampled import SampledVelocityLoop
+from emps_design.control.velocity.structure import IP, Structure
 from emps_design.errors import InputError
 
 
 @dataclass(frozen=True)
 class VelocityLoopSweep:
-    """Arrays of one shape, NaN where (7) has no gains; units as in the scalar design.
+    """Arrays of one shape, NaN where there are no gains; units as in the scalar design.
 
     ``k_v1`` [V/(m/s)], ``t_v`` [s], ``K_v`` [N/m], ``omega_0v`` [rad/s], ``z_v``, ``bandwidth`` [rad/s] of T_vc;
     ``plant_input_phase_margin_deg`` [deg], ``plant_input_crossover`` [rad/s] and ``delay_margin`` [s] of the continuous
-    loop broken at the plant input; ``feasible`` tells where (7) has gains.
+    loop broken at the plant input; ``feasible`` tells where there are gains.
     """
 
     crossover: np.ndarray
@@ -49,12 +45,12 @@ class VelocityLoopSweep:
 
 
 def sweep_velocity_loop(
-    axis: Axis, crossover: np.ndarray | float, phase_margin_deg: np.ndarray | float
+    axis: Axis, crossover: np.ndarray | float, phase_margin_deg: np.ndarray | float, structure: Structure = IP
 ) -> VelocityLoopSweep:
-    """Design (7) for every pair of ``crossover`` [rad/s] and ``phase_margin_deg`` [deg]; the two broadcast.
+    """Design (7), or the like for "pi", for pairs of ``crossover`` [rad/s] and ``phase_margin_deg`` [deg].
 
-    A pair that (7) cannot meet gives NaN and ``feasible`` False; :class:`InputError` for crossovers that are not
-    positive numbers.
+    The two broadcast. A pair that cannot be met gives NaN and ``feasible`` False; :class:`InputError` for crossovers
+    that are not positive numbers.
 
     >>> from emps_design.machines import machine
     >>> sweep = sweep_velocity_loop(machine("emps2018"), np.array([100.0, 100.0]), np.array([60.0, 1.0]))
@@ -65,15 +61,16 @@ def sweep_velocity_loop(
     if not np.all(np.isfinite(w) & (w > 0.0)):
         raise InputError("crossover: found a value that is not a positive number of rad/s")
     mass, viscous, gain = axis.mechanics.mass, axis.mechanics.viscous, axis.drive.gain
-    feasible = (phase > np.degrees(np.arctan2(viscous, mass * w))) & (phase < 90.0)
+    low, high = structure.feasible_phase_margin(mass, viscous, w)
+    feasible = (phase > low) & (phase < high)
     asked = np.where(feasible, phase, np.nan)
-    K, t_v = plant_input_gain(mass, viscous, w, asked)
-    K_v, (omega_0v, z_v) = K / t_v, canonical_form(w, asked)
+    K, t_v = structure.gains(mass, viscous, w, asked)
+    K_v, (omega_0v, z_v) = K / t_v, second_order_form(mass, viscous, K, t_v)
     # |L| = 1 at the plant input: M^2 x^2 + (F^2 - K^2) x - K_v^2 = 0 with x = w^2
     at_input = np.sqrt(positive_root(mass**2, viscous**2 - K**2, -(K_v**2)))
     lag = np.arctan(at_input * t_v) + np.arctan2(viscous, mass * at_input)
     return VelocityLoopSweep(
-        w, phase, feasible, K / gain, t_v, K_v, omega_0v, z_v, second_order_bandwidth(omega_0v, z_v),
+        w, phase, feasible, K / gain, t_v, K_v, omega_0v, z_v, structure.bandwidth(omega_0v, z_v, t_v),
         np.degrees(lag), at_input, lag / at_input,
     )  # fmt: skip
 

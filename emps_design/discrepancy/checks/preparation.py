@@ -16,6 +16,7 @@ from emps_design.discrepancy.model.partition import Split, split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.effects import Effect
+from emps_design.effects.sizes import sized, sizes
 from emps_design.errors import InputError
 from emps_design.records import Record
 from emps_design.simulation import Plant
@@ -68,14 +69,19 @@ def prepare(
     fit_time: Interval | None,
     confirm_time: Interval | None,
 ) -> Preparation:
-    """Check the records and the controller's law, and split what may be fitted; what confirms stays closed."""
-    dropped = [one.effect.name for one in axis.effects]
+    """Check the records and the controller's law, size the library to the axis, split what may be fitted.
+
+    What confirms stays closed.
+    """
+    dropped, first = [one.effect.name for one in axis.effects], records[0]
     axis = axis.replace(effects=[]).supplied_by(*records, *(() if holdout is None else (holdout,)))
+    factors = sizes(first.q, first.u, first.period, axis.drive.gain)
+    library = tuple(sized(effect, factors) for effect in library if effect.acts_on(axis.motion))
     warnings = check_records(records, axis)
     if dropped:
         warnings.append(f"the axis's own effects are left out and looked for again: {', '.join(dropped)}")
     for other in (*records[1:], *(() if holdout is None else (holdout,))):
-        check_same_drive(records[0], other)
+        check_same_drive(first, other, axis)
     for one, other in combinations(records, 2):
         if same_run(one, other):
             raise InputError(f"{other.name}: is the record {one.name} again; give each record once")
@@ -100,7 +106,7 @@ def prepare(
         held_out = HeldOut(Problem(axis, (record,), (split(record, inside),), Whitening.none()), window, law)
     # Kernels are compiled here: simulations run side by side later, and must not compile the same one twice.
     Plant(axis, [(effect, np.zeros(len(effect.parameters))) for effect in library])
-    start = Hypothesis(problem, _as_the_axis_says(axis, laws))
+    start = Hypothesis(problem, _as_the_axis_says(Candidate.of(axis, factors), laws))
     plant = tuple(effect for effect in library if effect.channel != "controller")
     return Preparation(start, plant, laws, held_out, tuple(warnings))
 
@@ -116,19 +122,21 @@ def _splits(records: tuple[Record, ...], fit_time: Interval | None, confirm_time
                 f"{rules.FEWEST_TO_CONFIRM}"
             )
         allowed[0] &= ~kept
-    splits = tuple(split(r, mask) for r, mask in zip(records, allowed, strict=True))
-    for record, made in zip(records, splits, strict=True):
-        if made.fit.sum() < rules.FEWEST_TO_FIT or made.select.sum() < rules.FEWEST_TO_SELECT:
-            raise InputError(
-                f"{record.name}: found {made.used.sum()} samples to fit, in {len(made.strokes)} strokes; expected at "
-                "least two strokes to fit and one to select from: record two reversals or more (identify needs none)"
-            )
-    return splits
+    splits: list[Split] = []
+    for record, mask in zip(records, allowed, strict=True):
+        splits.append(split(record, mask, sum(len(made.strokes) for made in splits)))
+    fits, selects, used = (int(sum(getattr(s, part).sum() for s in splits)) for part in ("fit", "select", "used"))
+    if fits < rules.FEWEST_TO_FIT or selects < rules.FEWEST_TO_SELECT:
+        raise InputError(
+            f"{', '.join(record.name for record in records)}: found {used} samples to fit, in "
+            f"{sum(len(made.strokes) for made in splits)} strokes; expected at least two strokes to fit and one to "
+            "select from: record two reversals or more (identify needs none)"
+        )
+    return tuple(splits)
 
 
-def _as_the_axis_says(axis: Axis, laws: tuple[LawCheck, ...]) -> Candidate:
+def _as_the_axis_says(start: Candidate, laws: tuple[LawCheck, ...]) -> Candidate:
     """The axis file's numbers, with the effect that explains what the controller adds to its law."""
-    start = Candidate(axis.mechanics.array())
     additions = [law.addition for law in laws]
     first = next((addition for addition in additions if addition is not None), None)
     if first is None:

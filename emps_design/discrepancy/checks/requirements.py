@@ -8,6 +8,7 @@ from emps_design.axis import Axis
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.missing_force import CUTOFF_HZ
 from emps_design.errors import RecordError
+from emps_design.laws import recorded_gains
 from emps_design.records import Record
 
 SLOWEST_PERIOD = 0.8 * 0.5 / CUTOFF_HZ  # s, for the filters of the missing force
@@ -54,14 +55,18 @@ def check_records(records: tuple[Record, ...], axis: Axis) -> list[str]:
     return gaps
 
 
-def check_same_drive(record: Record, other: Record) -> None:
-    """Refuse an ``other`` record that was not sampled like ``record``, or whose file names another drive."""
+def check_same_drive(record: Record, other: Record, axis: Axis) -> None:
+    """Refuse an ``other`` record that was not sampled like ``record``, or whose file names another drive.
+
+    Gains that the controller of ``axis`` takes from each record may differ.
+    """
     if abs(record.period / other.period - 1) > rules.PERIODS_ALIKE:
         raise RecordError(
             f"{other.name}: found a sampling period of {1e3 * other.period:g} ms, expected "
             f"{1e3 * record.period:g} ms of {record.name}; all records must come from one drive"
         )
-    for name in sorted(DRIVE & record.extra.keys() & other.extra.keys()):
+    own = {source["record"] for source in recorded_gains(axis).values()}
+    for name in sorted((DRIVE - own) & record.extra.keys() & other.extra.keys()):
         found, expected = (float(np.ravel(r.extra[name])[0]) for r in (other, record))
         if not np.isclose(found, expected, rtol=1e-6):
             raise RecordError(

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.effects import Effect
-from emps_design.effects.effect import COULOMB
+from emps_design.effects import Effect, Parameter
+from emps_design.effects.effect import COULOMB, OFFSET
+from emps_design.effects.sizes import sized_parameter
 from emps_design.quantities import Quantity
 
+# Of an ordinary axis; the scales are the least sizes by which a fit measures its steps.
 BASELINE = (
-    Quantity("mass", "M", "kg", lower=1e-6),
-    Quantity("viscous", "F_v", "N/(m/s)", lower=0.0),
-    Quantity("coulomb", "F_c", "N", lower=0.0),
-    Quantity("constant_force", "c", "N"),
+    Parameter("mass", "M", "kg", lower=1e-6, scale=1.0),
+    Parameter("viscous", "F_v", "N/(m/s)", lower=0.0, scale=10.0),
+    Parameter("coulomb", "F_c", "N", lower=0.0, scale=1.0),
+    Parameter("constant_force", "c", "N", scale=1.0),
 )
+LEAST_MASS = 0.01  # of the axis file's: with next to no mass the plant is all friction, and takes for ever to simulate
 
 
 @dataclass(frozen=True)
@@ -35,11 +39,22 @@ class Slot:
 
 @dataclass(frozen=True)
 class Candidate:
-    """Baseline (4,) and one array (n_records, n_parameters) per effect; rows differ in what belongs to one record."""
+    """Baseline (4,) and one array (n_records, n_parameters) per effect; rows differ in what belongs to one record.
+
+    ``sizes`` are the bounds and least sizes of the baseline's numbers.
+    """
 
     baseline: np.ndarray
     effects: tuple[Effect, ...] = ()
     values: tuple[np.ndarray, ...] = ()
+    sizes: tuple[Parameter, ...] = BASELINE
+
+    @classmethod
+    def of(cls, axis: Axis, factors: Mapping[str, float]) -> Candidate:
+        """The baseline of ``axis``, sized by its ``factors`` of :func:`~emps_design.effects.sizes.sizes`."""
+        _, *rest = (sized_parameter(parameter, factors) for parameter in BASELINE)
+        least = LEAST_MASS * axis.mechanics.mass
+        return cls(axis.mechanics.array(), sizes=(replace(BASELINE[0], lower=least, scale=least), *rest))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -63,9 +78,9 @@ class Candidate:
         slots = []
         if not frozen:
             # A constant force may have to grow to the size of the friction before a spring fits.
-            least = (1.0, 10.0, 1.0, max(1.0, self.baseline[COULOMB]))
-            sizes = np.maximum(np.abs(self.baseline), least)
-            slots += [Slot(-1, i, None, q, s) for i, (q, s) in enumerate(zip(BASELINE, sizes, strict=True))]
+            magnitudes = np.maximum(np.abs(self.baseline), [parameter.scale for parameter in self.sizes])
+            magnitudes[OFFSET] = max(magnitudes[OFFSET], self.baseline[COULOMB])
+            slots += [Slot(-1, i, None, q, s) for i, (q, s) in enumerate(zip(self.sizes, magnitudes, strict=True))]
         for index, (effect, values) in enumerate(zip(self.effects, self.values, strict=True)):
             for place, parameter in enumerate(effect.parameters):
                 if parameter.discrete or effect.channel == "controller" or (frozen and not parameter.per_record):

@@ -31,8 +31,11 @@ class Split:
         return self.fit | self.select
 
 
-def split(record: Record, fit_share: np.ndarray | None = None) -> Split:
-    """Split ``record`` by whole strokes; ``fit_share`` (n,) bool limits what may be used at all."""
+def split(record: Record, fit_share: np.ndarray | None = None, before: int = 0) -> Split:
+    """Split ``record`` by whole strokes; ``fit_share`` (n,) bool limits what may be used at all.
+
+    ``before`` is the number of strokes of the records before this one, so that single strokes take turns too.
+    """
     n = len(record)
     allowed = np.ones(n, bool) if fit_share is None else fit_share.copy()
     allowed[:START_UP] = False
@@ -44,7 +47,7 @@ def split(record: Record, fit_share: np.ndarray | None = None) -> Split:
         fit = (np.arange(n) // lap) % 2 == 0
     else:
         for index, (start, stop) in enumerate(strokes):
-            fit[start:stop] = index % 3 != 2
+            fit[start:stop] = (before + index) % 3 != 2
     return Split(strokes, lap, fit & allowed, ~fit & allowed)
 
 

@@ -77,10 +77,14 @@ class Judge:
     def _faint(self, model: Candidate) -> int | None:
         """The first effect whose amplitude is a force far below the noise, or a share that is next to none."""
         for index, (effect, values) in enumerate(zip(model.effects, model.values, strict=True)):
+            least = {"N": rules.AUDIBLE * self.floor.force, "": rules.LEAST_AMPLITUDE}
+            sizes: dict[str, list[float]] = {unit: [] for unit in least}
             for place, parameter in enumerate(effect.parameters):
-                least = {"N": rules.AUDIBLE * self.floor.force, "": rules.LEAST_AMPLITUDE * parameter.scale}
-                if parameter.linear and np.abs(values[:, place]).max() < least.get(parameter.unit, 0.0):
-                    return index
+                if parameter.linear and parameter.unit in sizes:
+                    unit = parameter.scale if parameter.unit == "" else 1.0
+                    sizes[parameter.unit].append(float(np.abs(values[:, place]).max()) / unit)
+            if any(found and max(found) < least[unit] for unit, found in sizes.items()):
+                return index
         return None
 
     def _whitened_away(self, fitted: Fit) -> bool:
@@ -135,12 +139,15 @@ def _bulk(fitted: Fit, part: str, burst: float = rules.BURST) -> float:
 
 
 def _seen_again(better: Fit, worse: Fit, burst: float) -> bool:
-    """Whether the selecting part gains what the fitting part of each record leads to expect."""
+    """Whether the selecting part gains what the fitting part of each record, or of all, leads to expect."""
     gained = expected = 0.0
-    for split, better_w, worse_w in zip(better.problem.splits, better.innovations, worse.innovations, strict=True):
-        change = np.minimum(worse_w**2, burst**2) - np.minimum(better_w**2, burst**2)
+    pairs = zip(better.innovations, worse.innovations, strict=True)
+    changes = tuple(np.minimum(worse**2, burst**2) - np.minimum(better**2, burst**2) for better, worse in pairs)
+    overall = better.problem.gather(changes, "fit")
+    for split, change in zip(better.problem.splits, changes, strict=True):
         gained += float(change[split.select].sum())
-        expected += float(change[split.fit].mean()) * int(split.select.sum())
+        fitted = change[split.fit] if split.fit.any() else overall
+        expected += float(fitted.mean()) * int(split.select.sum())
     return gained > rules.SEEN_AGAIN * expected
 
 

@@ -5,17 +5,13 @@ motion q_m = q + e the extra left-hand force is -(M d2e/dt2 + F_v de/dt); the co
 right while the amplitude is small against the period. It grows with speed squared, which a ripple does not.
 """
 
-from math import pi, sin
+from math import pi
 
 import numpy as np
 
 from emps_design.effects import guesses as search
 from emps_design.effects import harmonic
 from emps_design.effects.effect import MASS, VISCOUS, Effect, Motion, Parameter, Parameters
-
-
-def sensor(q, v, t, tau, x, p, b):
-    return p[0] * sin(2.0 * pi * q / p[2] + p[1])
 
 
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
@@ -56,7 +52,7 @@ EFFECT = Effect(
         harmonic.phase("the encoder's zero"),
         harmonic.period("the error"),
     ),
-    sensor=sensor,
+    sensor=harmonic.along_travel,
     regressor=regressor,
     propose=propose,
     to_linear=harmonic.to_linear,

@@ -4,16 +4,12 @@ Guides out of parallel, preload that varies, a dirty length of rail. Unlike a ri
 direction of travel. The total level never falls below zero.
 """
 
-from math import pi, sin
+from math import pi
 
 import numpy as np
 
 from emps_design.effects import harmonic
 from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
-
-
-def dry(q, v, t, tau, x, p, b):
-    return p[0] * sin(2.0 * pi * q / p[2] + p[1])
 
 
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
@@ -49,7 +45,7 @@ EFFECT = Effect(
             text="travel after which the level repeats",
         ),
     ),
-    dry=dry,
+    dry=harmonic.along_travel,
     regressor=regressor,
     to_linear=harmonic.to_linear,
     from_linear=harmonic.from_linear,

@@ -5,17 +5,13 @@ of the encoder, a pole pair). The force derives from a potential, so a round tri
 where the encoder's zero was when the record was taken.
 """
 
-from math import pi, sin
+from math import pi
 
 import numpy as np
 
 from emps_design.effects import guesses as search
 from emps_design.effects import harmonic
 from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
-
-
-def force(q, v, t, tau, x, p, b):
-    return p[0] * sin(2.0 * pi * q / p[2] + p[1])
 
 
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
@@ -46,7 +42,7 @@ EFFECT = Effect(
         harmonic.phase("the encoder's zero"),
         harmonic.period("the ripple"),
     ),
-    force=force,
+    force=harmonic.along_travel,
     regressor=regressor,
     propose=propose,
     to_linear=harmonic.to_linear,

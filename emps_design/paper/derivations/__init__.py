@@ -14,17 +14,18 @@ def derivation() -> dict[str, tuple[str, tuple[DerivationStep, ...]]]:
     """Title and steps of each part, by name.
 
     >>> list(derivation())
-    ['model', 'cascade', 'identification', 'impedance']
+    ['model', 'cascade', 'pi', 'identification', 'impedance']
     """
     from emps_design.paper.derivations.force_loop import derive_force_loop
     from emps_design.paper.derivations.impedance import derive_impedance
     from emps_design.paper.derivations.least_squares import derive_least_squares
     from emps_design.paper.derivations.model import derive_model
-    from emps_design.paper.derivations.velocity_loop import derive_velocity_loop
+    from emps_design.paper.derivations.velocity_loop import derive_pi_loop, derive_velocity_loop
 
     return {
         "model": ("Drive and carriage, (1) to (5)", derive_model()),
         "cascade": ("Velocity and force loop, (6) to (11)", (*derive_velocity_loop(), *derive_force_loop())),
+        "pi": ("The velocity loop of a servo drive, PI", derive_pi_loop()),
         "identification": ("Identification and observation, (12) to (23)", derive_least_squares()),
         "impedance": ("Impedance law, (24) to (30)", derive_impedance()),
     }

@@ -18,7 +18,10 @@ CURRENT_LOOP = "the current loop is a gain"
 CONTINUOUS = "continuous time"
 FEASIBLE = "atan(F_v/(M omega_v)) < phi_v < 90 deg"
 
+PHASES = "atan(F_v/(M omega_v)) < phi_v < 90 deg + atan(F_v/(M omega_v))"
+
 CORRECTION = sp.Eq(y.u, y.k_v1 * (y.e_v / (y.t_v * y.s) - y.qd_1))
+PI_CORRECTION = sp.Eq(y.u, y.k_v1 * (1 + 1 / (y.t_v * y.s)) * y.e_v)
 CARRIAGE = sp.Eq((y.M_1 * y.s + y.F_v1) * y.qd_1, y.G_tau * y.u)
 
 
@@ -64,6 +67,43 @@ def derive_velocity_loop(correction: sp.Eq = CORRECTION, carriage: sp.Eq = CARRI
         *_canonical(T_vc, rests_on, stiffness),
         *_from_the_specification(T_vc, k, t, (*rests_on, FEASIBLE)),
         *_elsewhere(correction, carriage, rests_on),
+    )  # fmt: skip
+
+
+def derive_pi_loop(correction: sp.Eq = PI_CORRECTION, carriage: sp.Eq = CARRIAGE) -> tuple[DerivationStep, ...]:
+    """Derive what (6) to (9) become with the proportional part on the velocity error, as servo drives have it.
+
+    >>> all(step.holds for step in derive_pi_loop())
+    True
+    """
+    rests_on = (LINEAR, FREE, CURRENT_LOOP, CONTINUOUS)
+    solved = sp.solve([correction, carriage], [y.qd_1, y.u], dict=True)[0]
+    T_vo = sp.factor(solved[y.qd_1] / y.e_v)
+    L = _elsewhere(CORRECTION, carriage, rests_on)[0].equation.rhs
+    parts = _crossover(T_vo.subs(y.k_v1, y.K_v * y.t_v / y.G_tau))
+    found = sp.solve(parts, [y.K_v, y.t_v], dict=True)[0]
+    k, t = sp.simplify(found[y.K_v] * found[y.t_v] / y.G_tau), sp.simplify(found[y.t_v])
+    T_vc, ip = closed_velocity_loop(correction, carriage), closed_velocity_loop(CORRECTION, carriage)
+    end = sp.pi / 2 + sp.atan(y.F_v1 / (y.M_1 * y.omega_v))
+    return (
+        DerivationStep("PI correction", "", Equation(*correction.args),
+                       "Proportional and integral of the velocity error.", (CONTINUOUS,)),
+        DerivationStep("Open loop at the velocity error, PI", "", Equation(y.T_vo, T_vo),
+                       "Nothing is closed inside.", rests_on,
+                       (("it is the loop of IP at the plant input", sp.simplify(T_vo - L) == 0),)),
+        DerivationStep("Gain, PI", "", Equation(y.k_v1, k), "T_vo(j omega_v) = exp(j (-pi + phi_v)).",
+                       (*rests_on, PHASES)),
+        DerivationStep("Integral time, PI", "", Equation(y.t_v, t),
+                       "The other half of that equation; at the upper end of the range the integral is gone.",
+                       (*rests_on, PHASES),
+                       (("1/t_v is 0 at the upper end", sp.simplify((1 / t).subs(y.phi_v, end)) == 0),)),
+        DerivationStep("Closed loop, PI", "", Equation(y.T_vc, sp.factor(T_vc)),
+                       "The poles of (8), and a zero at -1/t_v: for the same gains faster and with more overshoot.",
+                       rests_on,
+                       (("T_vc of PI is (8) times 1 + t_v s", sp.simplify(T_vc / ip - 1 - y.t_v * y.s) == 0),)),
+        DerivationStep("PI with a reference filter", "", Equation(y.T_vc, sp.factor(T_vc / (1 + y.t_v * y.s))),
+                       "A filter 1/(1 + t_v s) of the reference takes the zero away.", rests_on,
+                       (("what is left is (8)", sp.simplify(T_vc / (1 + y.t_v * y.s) - ip) == 0),)),
     )  # fmt: skip
 
 

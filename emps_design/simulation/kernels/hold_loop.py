@@ -68,12 +68,12 @@ def applied(j, u, plant):
 
 @cached()
 def run(
-    plant, y, law, gains, memory, reference, push, noise, motor_rows, signals, slots, floors, scratch, out, events,
+    arrays, y, law, gains, memory, reference, push, noise, motor_rows, signals, slots, floors, scratch, out, events,
     found,
 ):  # fmt: skip
     """Run the loop over ``reference.size`` samples; returns the status, the sample, and the time within its period [s].
 
-    ``plant`` = arrays (baseline, table of hooks, start of each row of the table, parameters, settings); ``law`` is the
+    ``arrays`` = (baseline, table of hooks, start of each row of the table, parameters, settings); ``law`` is the
     address of the controller, 0: the reference is the voltage; ``gains`` have one row, or one a sample. ``push`` [N]
     and ``noise`` [V] are empty or one value a sample, ``motor_rows`` empty or a row a sample of the motor's gain and
     what its back-EMF brakes; column i of ``signals`` is written to ``p[slots[i]]`` at every sample. ``floors`` are the
@@ -83,7 +83,9 @@ def run(
     """
     # Pointers from here on: arrays in tuples would be counted, at ten times the cost of the arithmetic.
     drive = pointer(scratch)  # gap between motor force and command, since when, and what a slide keeps
-    plant = (pointer(plant[0]), pointer(plant[1]), pointer(plant[2]), pointer(plant[3]), pointer(plant[4]), drive)
+    plant = (
+        pointer(arrays[0]), pointer(arrays[1]), pointer(arrays[2]), pointer(arrays[3]), pointer(arrays[4]), drive
+    )  # fmt: skip
     _, hooks, starts, p, settings, _ = plant
     n, size = reference.size, y.size
     y_, gains_, memory_, events_, found_ = pointer(y), pointer(gains), pointer(memory), pointer(events), pointer(found)
@@ -130,14 +132,14 @@ def run(
             p[slots[i]] = signals[k, i]
         if varies:
             settings[GAIN], settings[BRAKING] = motor_rows[k, 0], motor_rows[k, 1]
-        force = push[k] if push.size else 0.0
-        if holds:
-            force -= total(HELD, y_, t, tau, plant)
         position[k], velocity[k] = y[0], y[1]
         seen = y[0] + total(SENSOR, y_, t, tau, plant) if senses else y[0]
         if resolution > 0.0:
             seen = np.floor(seen / resolution + 0.5) * resolution
         encoder[k] = seen
+        force = push[k] if push.size else 0.0
+        if holds:
+            force -= total(HELD, y_, t, tau, plant)
         if weighed and not balance(y_, t, tau, force, plant)[2] > 0.0:
             return MASSLESS, k, 0.0
         felt = force

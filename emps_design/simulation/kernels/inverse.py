@@ -14,6 +14,7 @@ import numpy as np
 from emps_design.effects import Effect
 from emps_design.simulation.kernels.compile import address, cached, call_kernel, part, pointer
 
+HOOKS = ("force", "dry", "inertia")  # of the effects, in the order of the rows of the table
 FORCE, DRY, INERTIA = range(3)
 _call: Any = call_kernel
 _place: Any = pointer
@@ -54,7 +55,7 @@ def table(effects: Sequence[Effect]) -> tuple[np.ndarray, np.ndarray]:
     """Addresses of the hooks with the places of their parameters, and where each kind of hook begins."""
     places = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
     rows = []
-    for hook in ("force", "dry", "inertia"):
+    for hook in HOOKS:
         kernels = [(getattr(effect, hook), int(at)) for effect, at in zip(effects, places, strict=False)]
         rows.append([(address(kernel), at) for kernel, at in kernels if kernel is not None])
     hooks = np.array([number for row in rows for entry in row for number in entry] or [0], np.int64)

@@ -101,3 +101,14 @@ def test_tables_fit_80_columns(line, tmp_path, capsys, monkeypatch):
     rows = [row for row in capsys.readouterr().out.splitlines() if set(row) & set("│┃─━")]
     assert rows
     assert max(map(len, rows)) <= 80
+
+
+def test_a_scenario_prints_each_quantity_in_a_unit_of_the_axis(tmp_path, capsys):
+    """The rows of `simulate` say what their numbers are in: N on an axis that slides, N m on one that turns."""
+    turning = tmp_path / "turning.toml"
+    turning.write_text(machine("emps2019").replace(motion="rotary").to_toml())
+    for axis, unit in (("emps2019", "N"), (str(turning), "N m")):
+        assert run(["simulate", axis, "--scenario", "breakaway", "--rate", "20"]) == 0
+        rows = capsys.readouterr().out.splitlines()
+        (static,) = (row for row in rows if "static friction" in row)
+        assert static.rstrip().endswith(f" {unit}")

@@ -68,6 +68,8 @@ def statements(text, name, real):
             lines.append("    " * depth + made)
             depth -= 1
             continue
+        elif line == "EXIT;":
+            made = "break"
         elif line == "RETURN;":
             made = f"return {name}"
         else:

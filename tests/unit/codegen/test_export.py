@@ -9,7 +9,7 @@ import pytest
 
 from emps_design.cli import app
 from emps_design.codegen import export_controller
-from emps_design.codegen.export import block_name
+from emps_design.codegen.pages import block_name
 from emps_design.codegen.rounding import Roundings, largest, smallest
 from emps_design.errors import InputError
 from emps_design.machines import machine

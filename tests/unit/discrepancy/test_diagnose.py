@@ -9,7 +9,8 @@ import pytest
 
 from emps_design.cli.output import plain
 from emps_design.discrepancy import diagnose
-from emps_design.discrepancy.checks.requirements import check_records
+from emps_design.discrepancy.checks.preparation import prepare
+from emps_design.discrepancy.checks.requirements import check_records, check_same_drive
 from emps_design.effects import get_effect, known_effects
 from emps_design.errors import InputError, RecordError
 from emps_design.machines import machine
@@ -260,6 +261,23 @@ def test_a_holdout_of_another_drive_is_refused():
     one, other = (dataclasses.replace(record(), extra={"gtau": gain}) for gain in (35.15, 30.0))
     with pytest.raises(RecordError, match="found gtau = 30, expected 35.15"):
         diagnose(one, AXIS, holdout=other)
+
+
+def test_gains_that_the_law_takes_from_each_record_may_differ():
+    one, other = (dataclasses.replace(record(), extra={"kp": gain}) for gain in (100.0, 200.0))
+    with pytest.raises(RecordError, match="found kp = 200, expected 100"):
+        check_same_drive(one, other, AXIS)
+    own = {"kind": "p", "kp": {"record": "kp", "scale": 390.0}}
+    check_same_drive(one, other, AXIS.replace(controller=own))  # no refusal
+
+
+def test_records_of_one_stroke_each_fit_and_select_together():
+    stroke = np.interp(np.arange(2500), [200, 1200, 1500, 2300], [0.0, 0.05, 0.05, 0.2])
+    runs = tuple(record(q_ref=stroke, seed=seed, name=f"run {seed}") for seed in range(3))
+    problem = prepare(runs, AXIS, SHORT, None, None, None).start.problem
+    assert problem.samples("fit") == 2 * problem.samples("select")
+    with pytest.raises(InputError, match="run 0: found 2450 samples to fit, in 1 strokes; expected at least two"):
+        prepare(runs[:1], AXIS, SHORT, None, None, None)
 
 
 def test_a_stretch_of_the_record_confirms():

@@ -56,6 +56,16 @@ def test_bounds_hold_and_a_model_that_cannot_run_costs_a_lot():
     assert unstable.cost > 1e6 * problem().samples("used")
 
 
+def test_a_small_axis_is_measured_by_its_own_size_and_keeps_some_mass():
+    joint = machine("emps2019").replace(motion="rotary", mechanics={"mass": 6.7e-3, "viscous": 4e-3, "coulomb": 0.013})
+    model = Candidate.of(joint, {"m": 4.0, "m/s": 16.0, "N": 2e-3, "V": 0.1})
+    slots = model.slots()
+    assert [slot.magnitude for slot in slots] == pytest.approx([6.7e-3, 4e-3, 0.013, 3.1648])
+    assert model.with_vector(slots, np.zeros(4)).baseline[0] == pytest.approx(6.7e-5)
+    still = Candidate.of(joint.replace(mechanics={"viscous": 0.0, "offset": 0.0}), {"m/s": 16.0, "N": 2e-3}).slots()
+    assert [slot.magnitude for slot in still[1::2]] == pytest.approx([1.25e-3, 0.013])
+
+
 def test_a_descent_finds_the_foot_of_a_bowl():
     slots = Candidate(AXIS.mechanics.array()).slots()
     target = np.array([90.0, 210.0, 19.0, 1.0])

@@ -48,3 +48,10 @@ def test_what_is_not_allowed_is_not_used():
     q_ref = trapezoid_laps(1e-3, stroke=0.1, laps=3)
     allowed = np.arange(q_ref.size) < q_ref.size // 2
     assert not split(record(q_ref), allowed).used[~allowed].any()
+
+
+def test_single_strokes_of_several_records_take_turns():
+    stroke = record(np.linspace(0.0, 0.1, 400))
+    parts = [split(stroke, before=before) for before in range(3)]
+    assert [bool(part.fit.any()) for part in parts] == [True, True, False]
+    assert [bool(part.select.any()) for part in parts] == [False, False, True]

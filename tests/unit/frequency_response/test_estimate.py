@@ -9,6 +9,7 @@ from emps_design.errors import RecordError
 from emps_design.frequency_response import estimate_response
 from emps_design.frequency_response.response import BAND
 from emps_design.frequency_response.signals import signals_of
+from emps_design.frequency_response.steps import steps_of
 from emps_design.machines import machine
 from emps_design.records import Record
 from tests.unit.frequency_response.cases import exact, experiment, multi_sine, passes, run, two_mass
@@ -128,6 +129,7 @@ def test_coulomb_friction_off_or_on_is_a_constant_on_a_running_carriage():
         ({"high": 700.0}, "case: found a frequency of 700 Hz, expected at most the Nyquist frequency, 500 Hz"),
         ({"low": 700.0}, "case: found a frequency of 700 Hz, expected at most the Nyquist frequency, 500 Hz"),
         ({"instrument": "reference", "method": "periodic"}, "case: .*expected"),
+        ({"method": "stepped"}, "case: found 0 steps at different lines, expected at least 4"),
     ],
 )
 def test_refused(change, message):
@@ -183,3 +185,16 @@ def test_another_period_than_that_of_a_delay_in_samples_is_refused():
     axis = machine("emps2019").replace(sampling={"computation_delay": 1, "period": 5e-4})
     with pytest.raises(RecordError, match="its computation delay is in samples"):
         estimate_response(experiment(machine("emps2019"), count=2, periods=2), axis)
+
+
+def test_steps_of_a_drive_that_counts_no_blocks():
+    t, period = np.arange(80_000), 1e-3
+    frequency = np.repeat([2.3, 3.7, 9.1, 17.9, 41.3], 16_000)
+    phase = 2.0 * np.pi * np.cumsum(frequency) * period
+    excitation = np.where(t % 16_000 < 14_000, np.sin(phase), 0.0)
+    steps = steps_of(excitation)
+    found = [step.turns / step.samples / period for step in steps]
+    assert found == pytest.approx([2.3, 3.7, 9.1, 17.9, 41.3], rel=1e-3)
+    assert all(step.stop - step.start >= 2 * step.samples for step in steps)
+    assert steps_of(np.random.default_rng(1).standard_normal(100_000)) == ()
+    assert steps_of(np.zeros(1000)) == ()

@@ -69,6 +69,27 @@ def test_added_to_the_reference():
     assert np.mean(error <= BAND * estimate.response.std) >= 0.9
 
 
+@pytest.mark.parametrize("at", ["command", "reference"])
+@pytest.mark.parametrize("axis", [two_mass(), machine("emps2019").replace(**LIGHT)], ids=["two masses", "light"])
+def test_a_stepped_sine(axis, at):
+    newtons = 0.01 * axis.mechanics.mass
+    given = {"low": 3.0, "high": 150.0, "resolution": 1.0, "passes": 2, "noise": newtons, "at": at, "steps": 30}
+    found = design_experiment(axis, Limits(0.4, speed=0.2), 0.05, **given)
+    assert (found.signal, found.frequency.size) == ("stepped sine", 30)
+    assert np.allclose(found.frequency, np.geomspace(3.0, 150.0, 30), rtol=5e-3)
+    simulated = Plant.of(axis).closed_loop(found.q_ref, voltage_noise=found.excitation)
+    assert np.ptp(simulated.position) < 0.4
+    assert np.max(np.abs(simulated.v)) < 1.05 * found.peaks["velocity"] <= 0.2
+    estimate = estimate_response(noisy(axis, found, newtons), axis)
+    assert (estimate.method, estimate.reversals) == ("stepped", 0)
+    assert estimate.instrument == ("reference" if at == "reference" else "excitation")
+    assert estimate.passes == 60
+    assert np.allclose(estimate.response.frequency, found.frequency)
+    error = np.abs(estimate.response.response / exact(axis, estimate.response.frequency) - 1.0)
+    assert np.mean(error <= BAND * estimate.response.std) >= 0.9
+    assert 0.9 < np.median(estimate.response.std / found.std) < 1.6
+
+
 def test_a_jerk_limit_makes_it_smaller():
     axis = two_mass()
     free = design_experiment(axis, Limits(0.4), 0.05, high=100.0, resolution=1.0)
@@ -94,7 +115,7 @@ def test_the_command_falls_with_frequency_and_lines_are_odd():
     [
         (
             {"limits": Limits(0.05)},
-            "stroke: found 0.05 m, which a pass at 0.05003 m/s fills with .* expected at least 3",
+            "stroke: found 0.05 m, where a pass at 0.05003 m/s can be excited for .* expected at least",
         ),
         ({"high": 500.0}, "frequency: found 500 Hz, expected less than the Nyquist frequency, 500 Hz"),
         ({"low": 0.0}, "frequencies: found 0 to 400 Hz"),
@@ -103,6 +124,7 @@ def test_the_command_falls_with_frequency_and_lines_are_odd():
         ({"speed": 0.0}, "speed: found 0, expected a positive number"),
         ({"limits": Limits(0.5, speed=0.05)}, "speed: found passes at 0.05 m/s, expected less than the limit"),
         ({"limits": Limits(0.5, force=10.0)}, "force limit: steady motion at 0.05003 m/s leaves no room"),
+        ({"steps": 3}, "steps: found 3, expected at least 4 lines"),
         ({"at": "motor"}, "place of the excitation: found 'motor', expected command or reference"),
     ],
 )

@@ -42,7 +42,7 @@ def test_text(files, capsys):
     ("options", "message"),
     [
         (["--to", "600Hz"], "found a frequency of 600 Hz, expected at most the Nyquist frequency, 500 Hz"),
-        (["--method", "welsh"], "--method: found 'welsh', expected one of auto, periodic, local-polynomial, welch"),
+        (["--method", "welsh"], "--method: found 'welsh', expected one of auto, periodic, stepped, local-polynomial"),
         (["--instrument", "excite"], "--instrument: found 'excite', expected one of excitation, reference"),
         (["--out", "r.txt"], "--out: found 'r.txt', expected a name that ends in .csv or .mat"),
         (["--plot", "r.csv"], "--plot: found 'r.csv', expected a name that ends in .png or .svg or .pdf"),

@@ -7,6 +7,7 @@ import pytest
 
 from benchmarks.frequency_response import COMPARED, SPEED, exact_against_force, one_axis, random_axis, true_margins
 from emps_design.cli.app import run as command
+from emps_design.control.loop.nested import nested_loops
 from emps_design.control.loop.sampled_loop import axis_loop
 from emps_design.errors import InputError, SpecificationError
 from emps_design.frequency_response import (
@@ -17,10 +18,18 @@ from emps_design.frequency_response import (
     worst_of,
     write_response,
 )
+from emps_design.frequency_response.measured_plant import law_response
+from emps_design.laws import law_of
+from emps_design.laws.linear import linear_law
 from emps_design.machines import machine
 from tests.unit.frequency_response.cases import exact, experiment, two_mass
 
 F = np.arange(1.0, 400.0)
+CASCADE = {
+    "kind": "cascade",
+    "velocity": {"kp": 200.0, "ti": 0.05},
+    "filters": [{"kind": "lowpass", "frequency": 200.0}],
+}
 
 
 def measured(axis, std=0.0, f=F):
@@ -106,13 +115,34 @@ def test_what_the_data_do_not_reach_is_said():
     assert any("beyond the data, on their mass line" in warning for warning in words)
 
 
-def test_laws_of_several_rates_and_lines_beyond_nyquist_are_refused():
+@pytest.mark.parametrize(("every", "kp"), [(2, 900.0), (4, 200.0), (7, 400.0)])
+@pytest.mark.parametrize("base", [machine("emps2019"), two_mass()], ids=["rigid", "two masses"])
+def test_loops_of_several_rates_have_the_margins_of_the_periodic_loop(base, every, kp):
+    law = {**CASCADE, "velocity": {"kp": kp, "ti": 0.05}, "position": {"kp": 30.0, "every": every}}
+    axis = base.replace(controller=law, sampling={"computation_delay": 1})
+    found, true = measured_margins(measured(axis, 0.005), axis, draws=140), nested_loops(axis, SPEED)[-1].margins
+    assert found.stable == true.stable
+    if true.stable:
+        for name in ("phase_margin_deg", "delay_margin", "gain_margin"):
+            assert found.values[name] == pytest.approx(getattr(true, name), rel=1e-3), name
+            low, high = found.bands[name]
+            assert low < found.values[name] < high
+        w = np.linspace(0.1, np.pi / axis.sampling.period, 4000)
+        largest = np.max(np.abs(1.0 + axis_loop(axis, SPEED).response(w, "voltage", "voltage")))
+        peaks = [found.values[f"sensitivity_peak_{side}"] for side in ("below", "above")]
+        assert max(one for one in peaks if one is not None) == pytest.approx(largest, rel=5e-3)
+
+
+def test_rates_too_far_apart_and_lines_beyond_nyquist_are_refused():
     axis = machine("emps2019")
     with pytest.raises(InputError, match="found a line at 600 Hz, expected less than the Nyquist frequency"):
         measured_margins(measured(axis, f=np.arange(1.0, 601.0)), axis)
-    slow = {"kind": "cascade", "position": {"kp": 20.0, "every": 4}, "velocity": {"kp": 200.0, "ti": 0.02}}
-    with pytest.raises(InputError, match="loops of different rates"):
+    slow = {**CASCADE, "position": {"kp": 20.0, "every": 33}}
+    with pytest.raises(InputError, match="the same again after 33 samples, expected at most 32"):
         measured_margins(measured(axis), axis.replace(controller=slow))
+    law = linear_law(law_of(axis.replace(controller=slow), 1e-3), 1e-3)
+    with pytest.raises(InputError, match="loops of different rates"):
+        law_response(law, F, 1e-3)
 
 
 def test_gains_on_a_response(tmp_path, capsys):

@@ -1,0 +1,139 @@
+"""What the templates of exported code say: the law, the axis, units, and the page that goes with the code."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import inspect
+import math
+import re
+import textwrap
+from collections.abc import Mapping
+from functools import lru_cache
+from importlib import metadata
+from importlib.resources import files
+from typing import Any
+
+from emps_design.axis.tables import field_in
+from emps_design.codegen.ahead import Ahead
+from emps_design.codegen.block import Block
+from emps_design.codegen.c import KEYWORDS
+from emps_design.codegen.printer import safe_names
+from emps_design.codegen.vectors import MOTION, REST, Vectors
+from emps_design.laws import leaves, unit_of
+
+INPUTS = {"position": "m", "velocity": "m/s", "rest position": "m"}  # unit of what a law follows
+Files = Mapping[str, str | bytes]  # by name
+LONGEST_NAME = 40
+CHARACTERS = 120  # of a line of a comment
+
+
+def block_name(name: str) -> str:
+    """``name`` as an identifier that C and IEC 61131-3 take.
+
+    >>> block_name("emps2018-two-quadrant"), block_name("Achse 3 (Ü)"), block_name("double"), block_name("3")
+    ('emps2018_two_quadrant', 'Achse_3', 'double_2', 'x3')
+    """
+    plain = re.sub("[^0-9A-Za-z]+", "_", name)[:LONGEST_NAME].strip("_") or "axis"
+    return safe_names([plain], KEYWORDS | frozenset({"end_if", "program", "function", "var", "type"}))[plain]
+
+
+def hash_of(content: str | bytes) -> str:
+    """SHA-256 of what is written."""
+    return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()
+
+
+@lru_cache
+def template(name: str) -> Any:
+    """The template called ``name``."""
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(undefined=StrictUndefined, keep_trailing_newline=True, autoescape=False)
+    return environment.from_string((files("emps_design.codegen") / "templates" / name).read_text(encoding="utf-8"))
+
+
+def words_of(name: str, block: Block) -> dict[str, Any]:
+    """What every template may say."""
+    axis, law = block.axis, block.law
+    table = axis.controller.parameters
+    own = {key: table[key] for key in block.kind.table.model_fields if key in table}
+    said = block.kind.equations(block.kind.table(**own), axis, axis.sampling.period)
+    unit = axis.units.unit
+    parameters = [
+        f"{'.'.join(path)} = {value} {unit(unit_of(field_in(('controller', *path), block.kind.name)))}".rstrip()
+        for path, value in leaves(own)
+    ]
+    return {
+        "name": name,
+        "macro": name.upper(),
+        "axis": comment(axis.name),
+        "kind": block.kind.name,
+        "label": comment(block.kind.label),
+        "source": comment(block.kind.source),
+        "version": metadata.version("emps-design"),
+        "period": repr(axis.sampling.period),
+        "equations": [comment(line, 1000) for line in said],
+        "parameters": list(map(comment, parameters)),
+        "memory": max(1, law.memory),
+        "memories": law.memory,
+        "states": law.memory * (2 if block.ahead is not None and block.ahead.takes_off else 1),
+        "inputs": 6 if block.ahead is not None else 3,
+        "ahead": None,
+        "feedforward": None if block.ahead is None else said_of(block.ahead),
+        "velocity_unit": unit("m/s"),
+        "acceleration_unit": unit("m/s^2"),
+        "mass_unit": unit("kg"),
+        "limit": repr(block.limit),
+        "follows": f"a {law.follows}",
+        "reference_unit": unit(INPUTS[law.follows]),
+        "position_unit": unit("m"),
+        "force_unit": unit("N"),
+        "command_unit": unit("V"),
+    }
+
+
+def comment(text: object, longest: int = CHARACTERS) -> str:
+    """``text`` as part of a comment or a page: one line, ASCII, nothing that ends a comment."""
+    plain = " ".join(str(text).split()).encode("ascii", "replace").decode()
+    for mark in ("*/", "/*", "*)", "(*", "`", "??"):
+        plain = plain.replace(mark, " ")
+    return plain if len(plain) <= longest else f"{plain[: longest - 3]}..."
+
+
+def gain_names(block: Block) -> list[str]:
+    """What the kernel's own file calls each of its gains: the constants it uses as their places."""
+    kernel = block.law.kernel
+    space, array, named = vars(inspect.getmodule(kernel)), list(block.program.kernel.parameters)[5], {}
+    for node in ast.walk(ast.parse(textwrap.dedent(inspect.getsource(kernel)))):
+        if isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and node.value.id == array:
+            place = space.get(node.slice.id) if isinstance(node.slice, ast.Name) else None
+            if isinstance(place, int) and isinstance(node.slice, ast.Name):
+                named[place] = node.slice.id.lower().replace("_", " ")
+    return [comment(named.get(place, "")) for place in range(len(block.law.gains))]
+
+
+def with_page(name: str, block: Block, vectors: Vectors, made: Files, **more: Any) -> Files:
+    """``made`` with the axis, the vectors, and a page that says what is there; ``more`` is for its template."""
+    made = {**made, f"{name}.toml": block.axis.to_toml(comments=True), "vectors.csv": vectors.to_csv()}
+    bounds = [one for one in vectors.bound.tolist() if math.isfinite(one)]
+    left = vectors.q.size - len(bounds)
+    unit, moving = block.axis.units.unit("V"), vectors.bound[REST : REST + MOTION].max()
+    said = (
+        f"Here the largest is {moving:.3g} {unit} in motion within the limit and "
+        f"{max(bounds, default=0.0):.3g} {unit} in all"
+        + (f"; {left} rows have none, behind a comparison that rounding decides." if left else ".")
+    )
+    hashes = [(file, hash_of(text)) for file, text in made.items()]
+    words = {**words_of(name, block), **more, "files": list(made), "rows": vectors.q.size, "bound": said}
+    words["hashes"] = hashes
+    return {**made, "README.md": template("README.md").render(words)}
+
+
+def said_of(ahead: Ahead) -> dict[str, Any]:
+    """What a page says of a feed-forward."""
+    return {
+        "terms": [term.replace("_", " ") for term in ahead.feedforward.terms],
+        "wait": repr(ahead.feedforward.wait),
+        "reversal": repr(ahead.reversal) if ahead.reversal > 0.0 else "",
+        "takes_off": ahead.takes_off,
+    }

@@ -1,0 +1,53 @@
+"""What each structure makes of the same gains: IP, PI, and PI with a reference filter, side by side."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from emps_design.control.velocity.step_response import step_responses
+from emps_design.control.velocity.structure import STRUCTURES
+
+if TYPE_CHECKING:
+    from emps_design.control.velocity.design import VelocityLoopDesign
+
+
+def gains_document(design: VelocityLoopDesign) -> dict[str, Any]:
+    """What ``gains`` says about ``design``: its plain data, and its gains in each structure under ``structures``."""
+    return {**design.to_dict(), "structures": structures_side_by_side(design)}
+
+
+def structures_side_by_side(design: VelocityLoopDesign) -> list[dict[str, Any]]:
+    """Bandwidth [rad/s], overshoot [%] and margins that the gains of ``design`` have in each structure.
+
+    ``phase_margin_deg`` and ``crossover`` are those of T_vo, continuous; at the plant input all structures are one
+    loop. ``sampled`` is the loop as implemented, None where that is unstable.
+
+    >>> from emps_design.control.velocity.design import design_velocity_loop
+    >>> from emps_design.machines import machine
+    >>> design = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)
+    >>> for one in structures_side_by_side(design):
+    ...     print(one["label"], round(one["bandwidth"], 1), round(one["overshoot_percent"], 1))
+    IP 159.9 8.8
+    PI 269.3 23.5
+    PI with reference filter 159.9 8.8
+    """
+    found = []
+    for structure in STRUCTURES:
+        one = replace(design, structure=structure)
+        continuous, sampled = step_responses(one)
+        found.append(
+            {
+                "label": structure.label,
+                "structure": structure.form,
+                "reference_filter": structure.reference_filter,
+                "bandwidth": one.bandwidth,
+                "overshoot_percent": continuous.overshoot_percent,
+                "crossover": one.crossover,
+                "phase_margin_deg": one.phase_margin_deg,
+                "sampled": {"bandwidth": one.sampled.bandwidth, "overshoot_percent": sampled.overshoot_percent}
+                if sampled
+                else None,
+            }
+        )
+    return found

@@ -1,0 +1,147 @@
+"""The two structures of a velocity loop with a gain and an integral time, in closed form: IP as in the paper, and PI.
+
+IP has its proportional part on the measured velocity, u = k_v1 (e/(t_v s) - qd), (6) to (9). PI, which servo drives
+run, has it on the velocity error e, u = k_v1 (1 + 1/(t_v s)) e. Broken at the plant input the two are one loop, with
+the same poles and the same answer to a disturbance; the reference acts through a zero besides:
+
+    T_vc(s) = (1 + t_v s) / (1 + (t_v + F_v/K_v) s + M/K_v s^2)
+
+so the same gains answer a step faster and overshoot more. A reference filter 1/(1 + t_v s) in front takes the zero
+away, and what is left is (8). Broken at the velocity error PI is the loop at the plant input, so its gains for a
+crossover and a phase margin are others than those of (7). ``derive`` has the steps.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.control.velocity.gains import (
+    MINUS_3_DB,
+    binding_limit,
+    crossover_of_bandwidth,
+    feasible_phase_margin,
+    plant_input_gain,
+    second_order_bandwidth,
+)
+from emps_design.errors import InputError
+from emps_design.laws import table_of
+from emps_design.laws.library import cascade
+
+FORMS = ("ip", "pi")
+
+
+@dataclass(frozen=True)
+class Structure:
+    """One structure: its ``form``, "ip" or "pi", and whether a reference filter 1/(1 + t_v s) comes before a "pi".
+
+    Arrays in the place of numbers give as many answers.
+
+    >>> K, t_v = PI.gains(2.0, 1.0, 10.0, 45.0)
+    >>> round(float(abs(K * (1 + 1 / (t_v * 10j)) / (2.0 * 10j + 1.0))), 9)
+    1.0
+    """
+
+    form: str = "ip"
+    reference_filter: bool = False
+
+    def __post_init__(self) -> None:
+        if self.form not in FORMS:
+            raise InputError(f"structure: found {self.form!r}, expected {' or '.join(FORMS)}")
+        if self.form == "ip" and self.reference_filter:
+            raise InputError("reference filter: found one with structure 'ip', which has no zero to take away")
+
+    @property
+    def label(self) -> str:
+        """The structure in a word or two."""
+        return f"{self.form.upper()}{' with reference filter' if self.reference_filter else ''}"
+
+    def zero(self, t_v: Any) -> Any:
+        """Time constant [s] of the zero of the closed loop: 1 + zero s in its numerator."""
+        return t_v if self.form == "pi" and not self.reference_filter else 0.0
+
+    def feasible_phase_margin(self, mass: float, viscous: float, crossover: Any) -> tuple[Any, Any]:
+        """Open interval of phase margins [deg] that have gains at ``crossover`` [rad/s].
+
+        At the lower end k_v1 is 0; at the upper one k_v1 of "ip" is infinite and 1/t_v of "pi" is 0.
+
+        >>> [round(float(end), 2) for end in PI.feasible_phase_margin(115.7315, 474.9727, 100.0)]
+        [2.35, 92.35]
+        """
+        low, high = feasible_phase_margin(mass, viscous, crossover)
+        return low, high if self.form == "ip" else high + low
+
+    def binding_limit(self, phase_margin_deg: float) -> str:
+        """Say which end of the feasible range a phase margin [deg] outside it violates."""
+        if self.form == "pi" and phase_margin_deg >= 90.0:
+            return "the upper limit binds, at 90 deg and atan(F_v/(M w)) more the integral action is gone"
+        return binding_limit(phase_margin_deg)
+
+    def gains(self, mass: Any, viscous: Any, crossover: Any, phase_margin_deg: Any) -> tuple[Any, Any]:
+        """K = k_v1 G_tau [N/(m/s)] and t_v [s] for crossover [rad/s] and phase margin of T_vo; positive or not."""
+        if self.form == "ip":
+            return plant_input_gain(mass, viscous, crossover, phase_margin_deg)
+        phase = np.radians(phase_margin_deg)
+        gain = mass * crossover * np.sin(phase) - viscous * np.cos(phase)
+        return gain, gain / (crossover * (mass * crossover * np.cos(phase) + viscous * np.sin(phase)))
+
+    def bandwidth(self, omega_0v: Any, z_v: Any, t_v: Any) -> Any:
+        """Frequency [rad/s] where T_vc has fallen to -3 dB; ``omega_0v`` and ``z_v`` of (9)."""
+        return second_order_bandwidth(omega_0v, z_v, self.zero(t_v))
+
+    def crossover_of_bandwidth(self, mass: float, viscous: float, bandwidth: Any, phase_margin_deg: Any) -> Any:
+        """Crossover [rad/s] whose closed loop has that -3 dB ``bandwidth`` [rad/s]; NaN where no gains have it.
+
+        >>> w = PI.crossover_of_bandwidth(2.0, 1.0, 50.0, 60.0)
+        >>> K, t_v = PI.gains(2.0, 1.0, w, 60.0)
+        >>> L = K * (1 + 1 / (t_v * 50j)) / (2.0 * 50j + 1.0)
+        >>> round(float(abs(L / (1 + L))), 6)  # 10^(-3/20)
+        0.707946
+        """
+        if self.form == "ip":
+            return crossover_of_bandwidth(bandwidth, phase_margin_deg)
+        found = np.vectorize(self._crossover, otypes=[float])(viscous / mass / bandwidth, np.radians(phase_margin_deg))
+        return (found * bandwidth)[()]
+
+    def _crossover(self, f: float, phase: float) -> float:
+        """Crossover in units of the bandwidth; ``f`` is F_v/M in the same. The lowest where there are several."""
+        s, c = math.sin(phase), math.cos(phase)
+        power, ahead = MINUS_3_DB**-2, 0.0 if self.reference_filter else MINUS_3_DB**-2
+        # power K_v^2 + ahead K^2 = (K_v - 1)^2 + (f + K)^2, over M, with K = s w - f c and K_v = c w^2 + f s w
+        powers_of_w = (
+            (power - 1.0) * c * c,
+            2.0 * (power - 1.0) * c * f * s,
+            (power - 1.0) * f * f * s * s + 2.0 * c + (ahead - 1.0) * s * s,
+            2.0 * f * s * c * (1.0 - ahead),
+            -1.0 + ahead * f * f * c * c - f * f * (1.0 - c) ** 2,
+        )
+        roots = np.roots(powers_of_w)
+        real = np.sort(roots.real[np.abs(roots.imag) < 1e-9 * np.abs(roots)])
+        good = real[(real > 0.0) & (s * real > f * c) & (c * real > -f * s)]
+        return float(good[0]) if good.size else math.nan
+
+
+def own_structure(axis: Axis, structure: Structure | None = None) -> Structure:
+    """``structure``, or where that is None the one of the controller of ``axis``: IP, but for a cascade with PI."""
+    own = _cascade(axis) if structure is None else None
+    return structure or (Structure(own.velocity.form) if own else IP)
+
+
+def own_filters(axis: Axis, filters: tuple[cascade.Filter, ...] | None = None) -> tuple[cascade.Filter, ...]:
+    """``filters``, or where that is None those of the controller of ``axis``: none, but for a cascade."""
+    own = _cascade(axis) if filters is None else None
+    return filters or (own.filters if own else ())
+
+
+def _cascade(axis: Axis) -> cascade.Table | None:
+    """The cascade that ``axis`` has for a controller, None where it has none."""
+    table = table_of(axis) if axis.controller.kind == cascade.LAW.name else None
+    return table if isinstance(table, cascade.Table) else None
+
+
+IP, PI, PI_WITH_REFERENCE_FILTER = Structure(), Structure("pi"), Structure("pi", True)
+STRUCTURES = (IP, PI, PI_WITH_REFERENCE_FILTER)

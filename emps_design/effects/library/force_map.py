@@ -1,0 +1,47 @@
+"""Force map: a force that varies along the travel, the same in both directions, as a curve through few knots.
+
+Cable chains and hoses that bend, a counterweight, a screw that is not level, guides that pinch and push. The curve has
+seven equally spaced knots (:mod:`emps_design.effects.travel_map`); what a spring or one harmonic says as well is those.
+"""
+
+import numpy as np
+
+from emps_design.effects import travel_map
+from emps_design.effects.effect import Effect, Motion, Parameters
+
+
+def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
+    return np.column_stack([motion.smooth(column) for column in travel_map.columns(motion, shape).T])
+
+
+def expression(q, v, t, tau, p, b):
+    return travel_map.expression(q, p)
+
+
+RISE = {"start": 0.0, "end": 0.6, **dict(zip(travel_map.NAMES, (1.0, 3.0, 2.0, -1.0, 0.0, 4.0), strict=True))}
+
+EFFECT = Effect(
+    name="force_map",
+    label="Force over position",
+    channel="plant",
+    equation=r"F = h(q),\quad h \text{ a cubic spline through seven knots},\ h(q_0) = 0",
+    source="look-up table over position, as drives keep one; B. Armstrong-Helouvry et al., Automatica 30 (1994)",
+    parameters=travel_map.parameters("force"),
+    force=travel_map.height,
+    regressor=regressor,
+    propose=travel_map.propose,
+    plausible=travel_map.plausible(line=True),
+    expression=expression,
+    over="q",
+    where="slowly along the travel, with the same sign in both directions, at every speed alike",
+    confused_with=("elastic_force", "friction_map", "position_ripple"),
+    experiment="one slow constant-velocity stroke over the whole travel in each direction: half the sum is the map",
+    remedy="feed the map forward from position, or mend what pulls: chain, hose, alignment",
+    checks=(
+        (RISE, {"q": 0.15}, 2.125),
+        (RISE, {"q": 0.35, "v": -0.2}, 0.375),
+        (RISE, {"q": 0.7}, 4.0),
+    ),
+    passive=True,
+    parity="even",
+)

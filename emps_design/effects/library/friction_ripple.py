@@ -1,0 +1,62 @@
+"""Friction ripple: dry friction that repeats with travel, amplitude sin(2 pi q / period + phase) sign(v).
+
+A nut or a bearing off centre, a bent screw: it rubs harder once in a revolution, so the force changes sign with the
+direction of travel where a ``position_ripple`` does not. Both have the same period where one part makes both.
+"""
+
+from math import pi
+
+import numpy as np
+
+from emps_design.effects import guesses as search
+from emps_design.effects import harmonic
+from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+
+
+def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
+    sine, cosine = harmonic.columns(2 * pi * motion.q / shape["period"]).T
+    return np.column_stack([motion.smooth(sine), motion.smooth(cosine)]) * np.sign(motion.v)[:, None]
+
+
+def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
+    columns = harmonic.waves(motion.q, np.sign(motion.v))
+    found = search.periods(residual, motion.q, motion.v, motion.a, away, columns, shortest=5e-4)
+    return [{"period": period} for period in found]
+
+
+def expression(q, v, t, tau, p, b):
+    import sympy
+
+    return p["amplitude"] * sympy.sin(2 * sympy.pi * q / p["period"] + p["phase"]) * sympy.sign(v)
+
+
+EFFECT = Effect(
+    name="friction_ripple",
+    label="Friction ripple",
+    channel="plant",
+    equation=r"F = A \sin(2\pi q/\lambda + \varphi)\, \mathrm{sign}(\dot q)",
+    source="screw and nut off centre; one revolution of the encoder is 2.5 mm on the EMPS",
+    parameters=(
+        Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=2.0, text="amplitude of the ripple"),
+        harmonic.phase("the encoder's zero"),
+        harmonic.period("the friction"),
+    ),
+    dry=harmonic.along_travel,
+    regressor=regressor,
+    propose=propose,
+    to_linear=harmonic.to_linear,
+    from_linear=harmonic.from_linear,
+    plausible=harmonic.plausible,
+    expression=expression,
+    over="q",
+    repeats="period",
+    where="one line in the spectrum over position, with opposite sign in the two directions",
+    confused_with=("position_ripple", "position_dependent_friction", "encoder_error"),
+    experiment="slow constant-velocity strokes in both directions over one travel: half the difference has the line",
+    remedy="align screw and nut, or feed the ripple forward with the sign of the velocity",
+    checks=(
+        ({"amplitude": 3.0, "phase": 0.0, "period": 0.004}, {"q": 0.001, "v": 0.1}, 3.0),
+        ({"amplitude": 3.0, "phase": pi / 2, "period": 0.004}, {"q": 0.002, "v": -0.3}, 3.0),
+    ),
+    parity="odd",
+)

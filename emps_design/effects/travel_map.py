@@ -1,0 +1,104 @@
+"""What effects that are a map over the travel share: a smooth curve through few knots, and its start.
+
+The travel from ``start`` to ``end`` is cut into six equal pieces. The curve is zero at the start, where the constant
+force or the Coulomb level of the axis holds, ``height_1`` to ``height_6`` at the other knots, and level beyond both.
+Between knots it is the cubic whose slopes there are central differences (Catmull and Rom), at its two ends zero.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from emps_design.effects import guesses, harmonic
+from emps_design.effects.effect import Motion, Parameter, Parameters
+
+if TYPE_CHECKING:
+    import sympy
+
+PIECES = 6
+NAMES = tuple(f"height_{i + 1}" for i in range(PIECES))
+ALIKE = 0.97  # of a map's variance, from which on a simpler curve says the same
+LENGTHS = np.geomspace(0.4, 1.5, 12)  # of the harmonics that would, in spans of the map
+
+
+def height(q: float, v: float, t: float, tau: float, x: Any, p: Any, b: Any) -> float:
+    """The curve at ``q`` [m], a kernel: ``p`` = start, end [m], heights [N]."""
+    place = (q - p[0]) / (p[1] - p[0]) * PIECES
+    if place <= 0.0:
+        return 0.0
+    if place >= PIECES:
+        return p[1 + PIECES]
+    piece = int(place)
+    along = place - piece
+    left, right = p[1 + piece] if piece > 0 else 0.0, p[2 + piece]
+    before = p[piece] if piece > 1 else 0.0
+    begins = 0.5 * (right - before) if piece > 0 else 0.0
+    ends = 0.5 * (p[3 + piece] - left) if piece < PIECES - 1 else 0.0
+    rise = right - left
+    return left + along * (begins + along * (3.0 * rise - 2.0 * begins - ends + along * (begins + ends - 2.0 * rise)))
+
+
+def parameters(what: str) -> tuple[Parameter, ...]:
+    """Where the map begins and ends, and its heights: ``what`` of them there."""
+    return (
+        Parameter("start", "q_0", "m", -1e3, 1e3, starts=(0.0,), discrete=True, text="where the map begins"),
+        Parameter("end", "q_1", "m", -1e3, 1e3, starts=(0.25,), discrete=True, text="where the map ends"),
+        *(
+            Parameter(name, f"h_{i + 1}", "N", linear=True, scale=2.0, text=f"{what} after {i + 1} of {PIECES} pieces")
+            for i, name in enumerate(NAMES)
+        ),
+    )
+
+
+def columns(motion: Motion, shape: Parameters) -> np.ndarray:
+    """What one newton of each height adds to the curve, (n, ``PIECES``)."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    knots = np.linspace(shape["start"], shape["end"], PIECES + 1)
+    units = np.eye(PIECES + 1)[:, 1:]
+    slopes = np.gradient(units, knots, axis=0)
+    slopes[[0, -1]] = 0.0
+    return CubicHermiteSpline(knots, units, slopes)(np.clip(motion.q, knots[0], knots[-1]))
+
+
+def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
+    """The travel of the record, to a thousandth of it; the heights come from a regression."""
+    trusted = motion.q[guesses.thin(away)]
+    if trusted.size < 100 or np.ptp(trusted) == 0.0:
+        return []
+    digits = 3 - int(np.floor(np.log10(float(np.ptp(trusted)))))
+    return [{"start": round(float(trusted.min()), digits), "end": round(float(trusted.max()), digits)}]
+
+
+def plausible(line: bool) -> Callable[[Parameters, Motion], bool]:
+    """Return the test that no simpler curve says the same: a harmonic of the travel, or, where asked, a ``line``."""
+
+    def plausible(parameters: Parameters, motion: Motion) -> bool:
+        place = np.linspace(0.0, 1.0, PIECES + 1)
+        heights = np.array([0.0, *(parameters[name] for name in NAMES)])
+        simpler = [harmonic.columns(2 * np.pi * place / length) for length in LENGTHS]
+        simpler += [place[:, None]] * line
+        designs = [np.column_stack([np.ones_like(place), curve]) for curve in simpler]
+        left = min(float(np.sum((heights - d @ np.linalg.lstsq(d, heights)[0]) ** 2)) for d in designs)
+        return left > (1.0 - ALIKE) * float(np.sum((heights - heights.mean()) ** 2))
+
+    return plausible
+
+
+def expression(q: sympy.Symbol, p: Parameters) -> sympy.Expr:
+    """The curve in symbols."""
+    import sympy
+
+    heights = [sympy.Integer(0), *(p[name] for name in NAMES)]
+    middle = [(right - left) / 2 for left, right in zip(heights, heights[2:], strict=False)]
+    slopes, place = [0, *middle, 0], (q - p["start"]) / (p["end"] - p["start"]) * PIECES
+    pieces = [(sympy.Integer(0), place <= 0)]
+    for i, (left, right) in enumerate(itertools.pairwise(heights)):
+        along, begins, ends, rise = place - i, slopes[i], slopes[i + 1], right - left
+        bend = 3 * rise - 2 * begins - ends + along * (begins + ends - 2 * rise)
+        pieces.append((left + along * (begins + along * bend), place < i + 1))
+    return sympy.Piecewise(*pieces, (heights[-1], True))

@@ -1,0 +1,145 @@
+"""What a loop answers to its instrument, from records that repeat, that step from line to line, or neither."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from emps_design.errors import RecordError
+from emps_design.frequency_response.broadband import Answer, blocks, local_polynomial, welch
+from emps_design.frequency_response.distortion import Distortion, distortion_of
+from emps_design.frequency_response.periodic import Spectra, spectra, step_spectra
+from emps_design.frequency_response.signals import COMMAND, Signals
+
+BLOCK = 4.0  # s, of what does not repeat
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Extra:
+    """What else an estimate found: periods, scatter between the passes, distortion, and the ratio of spectra (m,)."""
+
+    passes: int
+    periods: int
+    averages: float
+    ratio: np.ndarray
+    scatter: float = 1.0
+    distortion: Distortion | None = None
+
+
+def periodic_answer(read: list[Signals], highest: float, tell: Progress) -> tuple[Answer, Extra]:
+    """The answer at the excited lines of whole periods up to ``highest`` [Hz], averaged over all stretches."""
+    for one in read:
+        if not one.repeats:
+            raise RecordError(f"{one.name}: the {one.kind} does not repeat, expected whole periods of it")
+    found: list[Spectra] = []
+    for i, one in enumerate(read):
+        tell("spectra", i / len(read))
+        found += spectra(one, highest)
+    if not found:
+        raise RecordError(
+            f"{read[0].name}: the {read[0].kind} repeats every {read[0].repeats * read[0].period:g} s, but nowhere "
+            "twice while the reference runs evenly; expected at least two whole periods on one pass"
+        )
+    excited = np.all([one.excited for one in found], axis=0)
+    if np.count_nonzero(excited) < 4:
+        raise RecordError(
+            f"{read[0].name}: found {np.count_nonzero(excited)} excited lines, expected at least 4; excite more of the "
+            "band, or more strongly"
+        )
+    line = found[0].line[excited]
+    frequency = line / (read[0].repeats * read[0].period)
+    answer, ratio, scatter = _mean([one.at(excited) for one in found], frequency)
+    distortion = distortion_of(found, excited, float(frequency[0] / line[0]), answer.z[:, 0] / answer.z[:, 1])
+    periods = sum(one.periods for one in found)
+    return answer, Extra(len(found), periods, periods, ratio, scatter, distortion)
+
+
+def stepped_answer(read: list[Signals], highest: float, tell: Progress) -> tuple[Answer, Extra]:
+    """The answer at the line of each step up to ``highest`` [Hz], averaged over the steps at the same line."""
+    lines: dict[float, list[Spectra]] = {}
+    for i, one in enumerate(read):
+        tell("steps", i / len(read))
+        for step in one.steps:
+            frequency = step.turns / (step.samples * one.period)
+            if frequency <= highest:
+                lines.setdefault(round(frequency, 9), []).append(step_spectra(one, step))
+    if len(lines) < 4:
+        raise RecordError(f"{read[0].name}: found {len(lines)} steps at different lines, expected at least 4")
+    means = [_mean(lines[f], np.array([f])) for f in sorted(lines)]
+    answers = [answer for answer, _, _ in means]
+    answer = Answer(
+        np.concatenate([one.frequency for one in answers]),
+        np.concatenate([one.z for one in answers]),
+        np.concatenate([one.noise for one in answers]),
+        float(np.mean([one.freedom for one in answers])),
+        np.concatenate([one.weight for one in answers]),
+    )
+    steps = sum(map(len, lines.values()))
+    blocks_of = float(np.mean([sum(one.periods for one in lines[f]) for f in lines]))
+    scatter = float(np.mean([scatter for _, _, scatter in means]))
+    return answer, Extra(steps, round(blocks_of), blocks_of, np.concatenate([ratio for _, ratio, _ in means]), scatter)
+
+
+def _mean(found: list[Spectra], frequency: np.ndarray) -> tuple[Answer, np.ndarray, float]:
+    """Several spectra at the same excited lines as one answer, each by its power; the ratio of spectra, and the scatter
+    between them over what their noise explains."""
+    weights = np.array([one.periods * np.abs(one.r) ** 2 for one in found])
+    share = weights / weights.sum(axis=0)
+    each = np.array([one.z / one.r[:, None] for one in found])
+    own = np.array([one.noise / np.abs(one.r[:, None, None]) ** 2 for one in found])
+    z = np.sum(share[..., None] * each, axis=0)
+    noise = np.sum(share[..., None, None] ** 2 * own, axis=0)
+    answer = Answer(frequency, z, noise, float(found[0].freedom * len(found)), weights.sum(axis=0))
+    g = z[:, 0] / z[:, 1]
+    scatter = 1.0
+    if len(found) > 1:
+        # What a pass differs by from the mean, as an output, against what its own noise predicts.
+        left = each[..., 0] - g * each[..., 1]
+        predicted = own[..., 0, 0].real + np.abs(g) ** 2 * own[..., 1, 1].real - 2.0 * (own[..., 0, 1] * g.conj()).real
+        scatter = float(np.mean(np.abs(left) ** 2 / predicted / (1.0 - share)))
+    ratio = np.sum([o.z[:, 0] * o.z[:, 1].conj() + o.noise[:, 0, 1] * o.periods for o in found], axis=0)
+    ratio /= np.sum([np.abs(o.z[:, 1]) ** 2 + o.noise[:, 1, 1].real * o.periods for o in found], axis=0)
+    return answer, ratio, scatter
+
+
+def broadband_answer(
+    read: list[Signals], method: str, low: float, highest: float, tell: Progress
+) -> tuple[Answer, Extra]:
+    """The answer of what does not repeat, by the ``method`` local-polynomial or welch."""
+    period = read[0].period
+    ratio_of = [replace(one, r=one.u, kind=COMMAND) for one in read]
+    samples = round(BLOCK / period)
+    if method == "welch":
+        answers = [welch(one, samples // 4, low, highest) for one in read]
+        ratios = [welch(one, samples // 4, low, highest) for one in ratio_of]
+    else:
+        parts = [(one, other, part) for one, other in zip(read, ratio_of, strict=True) for part in blocks(one, samples)]
+        shortest = min((part.stop - part.start for _, _, part in parts), default=0)
+        if shortest < 8 * 10:
+            raise RecordError(f"{read[0].name}: found stretches of {shortest} samples, expected at least 80")
+        # Blocks of one length have their lines at the same frequencies.
+        parts = [(a, b, slice(part.start, part.start + shortest)) for a, b, part in parts]
+        answers, ratios = [], []
+        for i, (one, other, part) in enumerate(parts):
+            tell("local polynomials", i / len(parts))
+            answers.append(local_polynomial(one, part, low, highest))
+            ratios.append(local_polynomial(other, part, low, highest))
+    answer, ratio = _averaged(answers), _averaged(ratios)
+    count = len(answers) if method != "welch" else max(1, round(answer.freedom))
+    return answer, Extra(len(answers), count, count, ratio.z[:, 0] / ratio.z[:, 1])
+
+
+def _averaged(answers: list[Answer]) -> Answer:
+    """Several answers at the same lines as one, each by the power of its instrument."""
+    if len({one.frequency.size for one in answers}) > 1 or not answers[0].frequency.size:
+        raise RecordError("found no lines between the lowest and the highest frequency, expected a wider band")
+    weights = np.array([one.weight for one in answers])
+    share = weights / weights.sum(axis=0)
+    z = np.sum(share[..., None] * np.array([one.z for one in answers]), axis=0)
+    noise = np.sum(share[..., None, None] ** 2 * np.array([one.noise for one in answers]), axis=0)
+    freedom = sum(one.freedom for one in answers)
+    return Answer(answers[0].frequency, z, noise, freedom, weights.sum(axis=0))

@@ -1,0 +1,185 @@
+"""What an experiment adds to the loop: all lines at once, a random-phase multi-sine, or one by one, a stepped sine.
+
+A multi-sine has odd lines alone, one of every four left out, so that noise, even and odd distortion show apart; lines
+lie no closer than a hundredth of their frequency. Of several draws of the phases the one with the smallest peak is
+taken. A stepped sine puts all of the amplitude into one line at a time, in steps of whole periods with a pause between
+them. Both swell and fade, and the first period, or block, is there for the loop to settle in.
+Source: R. Pintelon and J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapter 5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from emps_design.errors import InputError
+
+DRAWS = 100
+GROUP = 4  # one line of so many is left out
+CLOSEST = 0.01  # share of its frequency, the distance of a line to the next
+LEAST = 2  # periods of a multi-sine on a pass, besides the one in which the loop settles
+BLOCKS = 4  # of a step, besides the one in which the loop settles
+PAUSE = 32  # samples between two steps
+
+
+class Wave(Protocol):
+    """Lines and what becomes of complex amplitudes (m,) of them; ``label`` is what it is called."""
+
+    label: str
+
+    @property
+    def cycles(self) -> np.ndarray:
+        """The lines (m,) in periods by sample."""
+
+    @property
+    def shortest(self) -> int:
+        """Samples that a pass has to have."""
+
+    def phased(self, added: np.ndarray, command: np.ndarray) -> np.ndarray:
+        """``added`` (m,) with phases for which the peak of ``added * command`` is small."""
+
+    def peak(self, amplitudes: np.ndarray) -> float:
+        """The largest value that is reached."""
+
+    def trains(self, amplitudes: np.ndarray, flat: int, times: int) -> tuple[list[np.ndarray], np.ndarray | int]:
+        """The signal of each pass of up to ``flat`` samples, all of one length, and the samples measured of each line.
+
+        ``times`` is how many passes a multi-sine gets, and how often each step comes.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class MultiSine:
+    """``lines`` (m,) of a base period of ``samples``, which swells and fades over ``fade`` samples."""
+
+    lines: np.ndarray
+    samples: int
+    fade: int
+    random: np.random.Generator = field(repr=False)
+    label = "multi-sine"
+
+    @classmethod
+    def between(cls, low: float, high: float, samples: int, fade: int, random: np.random.Generator) -> MultiSine:
+        """Odd lines from ``low`` to ``high``, in periods by sample, one of every group left out by lot."""
+        chosen: list[int] = []
+        line = int(np.ceil(low * samples)) | 1
+        while line <= min(high * samples, samples / 2 - 1):
+            chosen.append(line)
+            line = max(line + 2, int(line * (1.0 + CLOSEST)) | 1)
+        groups = [chosen[i : i + GROUP] for i in range(0, len(chosen), GROUP)]
+        out = {group[int(random.integers(GROUP))] for group in groups if len(group) == GROUP}
+        kept = np.array([line for line in chosen if line not in out])
+        if kept.size < GROUP:
+            raise InputError(
+                f"resolution: found {kept.size} lines in the band, expected at least {GROUP}: take a finer one"
+            )
+        return cls(kept, samples, fade, random)
+
+    @property
+    def cycles(self) -> np.ndarray:
+        """The lines (m,) in periods by sample."""
+        return self.lines / self.samples
+
+    @property
+    def shortest(self) -> int:
+        """Samples that a pass has to have."""
+        return (LEAST + 1) * self.samples + self.fade
+
+    def phased(self, added: np.ndarray, command: np.ndarray) -> np.ndarray:
+        """As in :class:`Wave`."""
+        phases = np.exp(2j * np.pi * self.random.random((DRAWS, self.lines.size)))
+        crest = np.max(np.abs(self._period(phases * added * command)), axis=1)
+        return phases[int(np.argmin(crest))] * added
+
+    def peak(self, amplitudes: np.ndarray) -> float:
+        """As in :class:`Wave`."""
+        return float(np.max(np.abs(self._period(amplitudes))))
+
+    def trains(self, amplitudes: np.ndarray, flat: int, times: int) -> tuple[list[np.ndarray], np.ndarray | int]:
+        """As in :class:`Wave`."""
+        periods, one = self.periods(flat), self._period(amplitudes)
+        wave = np.concatenate([np.tile(one, periods + 1), one[: self.fade]])
+        return [_faded(wave, self.fade)] * times, periods * self.samples * times
+
+    def periods(self, flat: int) -> int:
+        """Periods measured on a pass of ``flat`` samples."""
+        return (flat - self.fade) // self.samples - 1
+
+    def _period(self, amplitudes: np.ndarray) -> np.ndarray:
+        """One period (..., samples) of sines with complex ``amplitudes`` (..., m) at the lines."""
+        spectrum = np.zeros((*amplitudes.shape[:-1], self.samples // 2 + 1), complex)
+        spectrum[..., self.lines] = 0.5 * self.samples * amplitudes
+        return np.fft.irfft(spectrum, self.samples, axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class SteppedSine:
+    """Steps of ``turns`` (m,) periods in blocks of ``samples`` (m,), whole numbers both."""
+
+    turns: np.ndarray
+    samples: np.ndarray
+    label = "stepped sine"
+
+    @classmethod
+    def between(cls, low: float, high: float, count: int, samples: int) -> SteppedSine:
+        """``count`` lines from ``low`` to ``high``, in periods by sample, evenly in their logarithm, each in steps of
+        about ``samples``, or longer where a block would have less than a period."""
+        wanted = np.geomspace(low, high, count)
+        turns = np.maximum(1, np.floor(wanted * samples / BLOCKS))
+        blocks = np.round(turns / wanted)
+        # Of two that fall on the same line one is left.
+        lines = np.unique(turns / blocks, return_index=True)[1]
+        return cls(turns[lines].astype(int), blocks[lines].astype(int))
+
+    @property
+    def cycles(self) -> np.ndarray:
+        """The lines (m,) in periods by sample."""
+        return self.turns / self.samples
+
+    @cached_property
+    def _lengths(self) -> np.ndarray:
+        """Samples of each step with pause, to swell and to fade over half a block each."""
+        return (BLOCKS + 1) * self.samples + 2 * (self.samples // 2) + PAUSE
+
+    @property
+    def shortest(self) -> int:
+        """Samples that a pass has to have."""
+        return int(np.max(self._lengths))
+
+    def phased(self, added: np.ndarray, command: np.ndarray) -> np.ndarray:
+        """As in :class:`Wave`."""
+        return added.astype(complex)
+
+    def peak(self, amplitudes: np.ndarray) -> float:
+        """As in :class:`Wave`."""
+        return float(np.max(np.abs(amplitudes)))
+
+    def trains(self, amplitudes: np.ndarray, flat: int, times: int) -> tuple[list[np.ndarray], np.ndarray | int]:
+        """As in :class:`Wave`."""
+        passes: list[list[np.ndarray]] = [[]]
+        filled = 0
+        for turn in range(times):  # every other time downwards, so that a line meets both directions
+            for i in range(self.turns.size) if turn % 2 == 0 else reversed(range(self.turns.size)):
+                length = int(self._lengths[i])
+                if filled + length > flat:
+                    passes.append([])
+                    filled = 0
+                k = np.arange(length - PAUSE)
+                sine = np.real(amplitudes[i] * np.exp(2j * np.pi * self.cycles[i] * k))
+                passes[-1] += [_faded(sine, int(self.samples[i]) // 2), np.zeros(PAUSE)]
+                filled += length
+        found = [np.concatenate(one) for one in passes]
+        longest = max(one.size for one in found)
+        return [np.pad(one, (0, longest - one.size)) for one in found], BLOCKS * self.samples * times
+
+
+def _faded(wave: np.ndarray, fade: int) -> np.ndarray:
+    """The ``wave`` (n,), which rises over the first ``fade`` samples and falls over as many at its end."""
+    rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(fade) + 0.5) / fade)
+    faded = wave.copy()
+    faded[:fade] *= rise
+    faded[wave.size - fade :] *= rise[::-1]
+    return faded

@@ -1,0 +1,100 @@
+"""What common drives call the gains of a cascade, and in which units: a row for each parameter, from its public manual.
+
+Families whose manual was not found, or gives a gain no unit, are left out. A drive that counts on its motor's side
+needs the gear between motor and axis, which an axis file does not have: numbers here are on the axis's own side.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+POSITION, PROPORTIONAL, INTEGRAL = "position.kp", "velocity.kp", "velocity.ti"
+BECKHOFF, YASKAWA = "https://infosys.beckhoff.com/content", "https://azmanual.top/manuals/802369"
+Value = Callable[[float, Any], float | None]  # of a gain and an axis
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A parameter of a drive ``family``: its ``name``, its ``unit``, the gain that it holds, and where that is said.
+
+    ``value`` makes a gain of the axis file, SI, a number of that unit, None where the axis has another command.
+    """
+
+    family: str
+    name: str
+    unit: str
+    gain: str
+    source: str
+    value: Value
+
+
+def _times(factor: float) -> Value:
+    return lambda gain, axis: factor * gain
+
+
+def _force(gain: float, axis: Any) -> float:
+    return float(gain * axis.drive.gain)
+
+
+def _current(gain: float, axis: Any) -> float | None:
+    return 1e4 * gain if axis.drive.command == "current" and axis.motion == "rotary" else None
+
+
+def _crossover(gain: float, axis: Any) -> float:
+    return float(gain * axis.drive.gain / axis.mechanics.mass / (2.0 * math.pi))
+
+
+SETTINGS = (
+    Setting("Beckhoff AX5000", "S-0-0100", "Nm/(rad/s) or N/(m/s), with P-0-0010 bit 15 set", PROPORTIONAL,
+            f"{BECKHOFF}/1031/ax5000_idn_description/1000502539.html", _force),
+    Setting("Beckhoff AX5000", "S-0-0101", "ms", INTEGRAL,
+            f"{BECKHOFF}/1031/ax5000_idn_description/1000532747.html", _times(1e3)),
+    Setting("Beckhoff AX8000", "3140:01", "Nm/(rad/s), by default", PROPORTIONAL,
+            f"{BECKHOFF}/1033/ax8xxx_object/18798255883.html", _force),
+    Setting("Beckhoff AX8000", "3140:02", "s", INTEGRAL,
+            f"{BECKHOFF}/1031/ax8xxx_object/18798159243.html", _times(1.0)),
+    Setting("Beckhoff EP7047", "8014:03", "0.1 mA/(rad/s)", PROPORTIONAL,
+            f"{BECKHOFF}/1031/ep7047-1032/9243797771.html", _current),
+    Setting("Beckhoff EP7047", "8014:04", "0.01 ms", INTEGRAL,
+            f"{BECKHOFF}/1031/ep7047-1032/9243797771.html", _times(1e5)),
+    Setting("Beckhoff AX2000-B750", "S-0-0104", "0.01 (m/min)/mm", POSITION,
+            f"{BECKHOFF}/1031/ax2000-b750/15064279307.html", _times(6.0)),
+    Setting("Beckhoff AX2000-B750", "S-0-0101", "0.1 ms", INTEGRAL,
+            f"{BECKHOFF}/1031/ax2000-b750/15064277259.html", _times(1e4)),
+    Setting("Yaskawa Sigma-II", "Pn102", "1/s", POSITION,
+            "https://manualarchiveguide.com/manuals/YASKAWA-SGMAH-User-Manual-4781235?page=268", _times(1.0)),
+    Setting("Yaskawa Sigma-II", "Pn100", "Hz, with Pn103 the inertia ratio", PROPORTIONAL,
+            f"{YASKAWA}/yaskawa-large-capacity-sigma-ii-series.html?page=214", _crossover),
+    Setting("Yaskawa Sigma-II", "Pn101", "0.01 ms", INTEGRAL,
+            f"{YASKAWA}/yaskawa-large-capacity-sigma-ii-series.html?page=189", _times(1e5)),
+)  # fmt: skip
+
+
+def drive_settings(axis: Any, gains: dict[str, float]) -> list[dict[str, Any]]:
+    """What each drive's parameters are for ``gains`` of a PI cascade on ``axis``: position.kp, velocity.kp, .ti, SI.
+
+    >>> from emps_design.machines import machine
+    >>> rows = drive_settings(machine("emps2019"), {"velocity.ti": 0.018})
+    >>> [(row["parameter"], round(row["value"], 9), row["unit"]) for row in rows if row["family"] == "Beckhoff AX5000"]
+    [('S-0-0101', 18.0, 'ms')]
+    """
+    found = []
+    for one in SETTINGS:
+        value = one.value(gains[one.gain], axis) if one.gain in gains else None
+        if value is not None:
+            found.append({"family": one.family, "parameter": one.name, "value": value, "unit": one.unit,
+                          "gain": one.gain, "source": one.source})  # fmt: skip
+    return found
+
+
+def gains_of(axis: Any) -> dict[str, float]:
+    """The gains of the axis's own controller that drives have names for; none where it is no PI cascade."""
+    table = axis.controller.parameters
+    velocity, position = table.get("velocity"), table.get("position")
+    if not isinstance(velocity, dict) or velocity.get("form", "pi") != "pi":
+        return {}
+    found = {POSITION: (position or {}).get("kp"), PROPORTIONAL: velocity.get("kp"), INTEGRAL: velocity.get("ti")}
+    return {name: float(value) for name, value in found.items() if isinstance(value, int | float)}
