@@ -132,7 +132,8 @@ def _show(document: dict[str, Any], out: Path | None) -> None:
     console.print(document["verdict"], style="bold", end="  ")
     console.print(document["sentence"], highlight=False)
     if document["findings"]:
-        table = Table("effect", "or", "where", "gap before [N]", "after [N]", "confirmed")
+        told = any(finding["confirmed"] for finding in document["findings"])
+        table = Table("effect", "or", "where", "gap before [N]", "after [N]", "confirmed" if told else "p")
         for finding in document["findings"]:
             table.add_row(
                 finding["label"],
@@ -140,7 +141,7 @@ def _show(document: dict[str, Any], out: Path | None) -> None:
                 finding["where"]["text"],
                 f"{finding['gap_before']:.3f}",
                 f"{finding['gap_after']:.3f}",
-                _share(finding["confirmed"]),
+                _share(finding["confirmed"]) if told else f"{finding['p_value']:.3f}",
             )
         console.print(table, width=min(80, console.width))
     if document.get("experiment"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from emps_design.discrepancy import rules
 from emps_design.discrepancy.checks.preparation import HeldOut
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import Fit, evaluate
@@ -30,8 +31,11 @@ def standing(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tuple[Asked,
 
     An effect that the confirming data do not exercise must stand on the training records. What the model leaves counts
     as noise here, so that an effect may stand beside something unknown. A refit after each withdrawal would bend the
-    rest to the unknown: all numbers stay until those that stand are fitted robustly, and asked for again.
+    rest to the unknown: all numbers stay until those that stand are fitted robustly, and asked for again. A curve
+    through knots has no shape of its own to be recognised by: beside something unknown it is part of that.
     """
+    for curve in [effect.name for effect in extended.model.effects if len(effect.linear) > rules.MOST_FREE]:
+        extended = evaluate(extended.with_model(extended.model.without(extended.model.names.index(curve))))
     withdrawn: list[Asked] = []
     refitted = False
     while _plant(extended):
