@@ -40,6 +40,10 @@ print(f"{100 * np.median(found.response.std):.2f} %")
 for one in found.resonances:
     print(f"{one.kind} at {one.frequency:.2f} Hz, 95 % within {2 * one.std:.2f} Hz")
 
+chain = found.comparison.chain  # masses behind springs, as many as the response asks for
+print(f"fitted: {chain.label}", {name: round(value, 3) for name, (value, _, _) in chain.parameters.items()})
+print(found.comparison.agreement.sentence)
+
 # 4. Gains from the model, judged on the measurement, and gains from the measurement.
 for label, design in (
     ("model", design_velocity_loop(model, crossover=40.0, phase_margin_deg=60.0)),
@@ -56,4 +60,4 @@ for label, design in (
 if len(sys.argv) > 1:
     from emps_design.report import response_figure
 
-    response_figure(found).savefig(sys.argv[1])
+    response_figure(found.comparison, found.spectral_ratio).savefig(sys.argv[1])

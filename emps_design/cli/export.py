@@ -10,6 +10,8 @@ import typer
 
 from emps_design.cli.design_options import AsJson, AxisArgument, Force
 from emps_design.cli.destinations import ARCHIVE, AXIS, CODE, JSON, TABLE, check_folder, make_folder
+from emps_design.cli.frequency import HERTZ
+from emps_design.cli.ignored import refuse_ignored
 from emps_design.cli.output import print_json, print_warnings, say
 
 MAX_BYTES = 1_000_000  # of a compensation
@@ -17,21 +19,31 @@ KINDS = {".toml": AXIS, ".csv": TABLE, ".json": JSON, ".fmu": ARCHIVE}  # what e
 
 
 def command(
+    context: typer.Context,
     axis: AxisArgument,
     target: Annotated[str, typer.Option("--to", help="c, st, fmu or json")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="folder for the code, made where there is none")],
     compensation: Annotated[
         Path | None, typer.Option(metavar="FILE", help="compensation.json of 'compensate --out': fed forward beside it")
     ] = None,
+    observer: Annotated[
+        float | None,
+        typer.Option(**HERTZ, help="the on-line force observer with this low-pass [Hz], in place of the controller"),
+    ] = None,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
     from emps_design.cli.wording import load_axis
-    from emps_design.codegen import export_controller
+    from emps_design.codegen import export_controller, export_observer
 
+    if observer is not None:
+        refuse_ignored(context, ["compensation"], "goes without --observer")
     check_folder(out, {}, (axis, compensation), force)
     found = None if compensation is None else _read(compensation)
-    exported = export_controller(load_axis(axis), target, found)
+    if observer is not None:
+        exported = export_observer(load_axis(axis), target, observer)
+    else:
+        exported = export_controller(load_axis(axis), target, found)
     kinds = {name: KINDS.get(Path(name).suffix, CODE) for name in exported.files}
     check_folder(out, kinds, (axis, compensation), force)
     make_folder(out)

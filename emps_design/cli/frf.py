@@ -76,7 +76,7 @@ def _draw(path: Path, found: Estimate) -> None:
     from emps_design.report.frequency_response import response_figure
 
     with write_aside(path) as aside:
-        response_figure(found).savefig(aside, format=path.suffix[1:])
+        response_figure(found.comparison, found.spectral_ratio).savefig(aside, format=path.suffix[1:])
 
 
 def _show(found: Estimate, unit: Callable[[str], str]) -> None:
@@ -116,6 +116,13 @@ def _show(found: Estimate, unit: Callable[[str], str]) -> None:
     console.print(table)
     for one in found.resonances:
         console.print(f"{one.kind} at {one.frequency:.2f} ± {2 * one.std:.2f} Hz, damping {one.damping:.3f}")
+    chain = found.comparison.chain
+    values = [
+        f"{name.replace('_', ' ')} {value:.5g} ± {2 * std:.2g} {unit(of)}".rstrip()
+        for name, (value, std, of) in chain.parameters.items()
+    ]
+    console.print(f"fitted, {chain.label}: {', '.join(values)} (residuals {chain.misfit:.2g} deviations)")
+    console.print(f"{found.axis.name}: {found.comparison.agreement.sentence}")
     if found.distortion is not None:
         levels = found.distortion.to_dict()
         words = [f"{name} {100 * level:.2g} %" for name, level in levels.items() if level is not None]

@@ -55,6 +55,7 @@ def command(
     mismatch: float = typer.Option(
         0.02, "--mismatch", callback=within(""), help="error of the impedance law's estimates"
     ),
+    frf: Path | None = typer.Option(None, "--frf", help="measured response of 'frf' to show beside the model"),
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
@@ -72,7 +73,7 @@ def command(
         refuse_ignored(context, ["filter", "mismatch"], "goes with the impedance law: --mass and --damping")
     if crossover is None and bandwidth is None:
         crossover = 100.0
-    check_out(out, PAGE, (axis, record), force)
+    check_out(out, PAGE, (axis, record, frf), force)
     with write_aside(out) as aside, progress_bar() as progress:
         report = assemble_report(
             axis,
@@ -91,6 +92,7 @@ def command(
             filter=filter,
             mismatch=mismatch,
             retune=retune,
+            frf=frf,
             progress=progress,
         )
         aside.write_text(report.page.html(), encoding="utf-8")

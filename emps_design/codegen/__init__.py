@@ -7,6 +7,10 @@ from typing import TYPE_CHECKING
 from emps_design.exports import on_first_use
 
 if TYPE_CHECKING:
-    from emps_design.codegen.export import Exported as Exported, export_controller as export_controller
+    from emps_design.codegen.export import (
+        Exported as Exported,
+        export_controller as export_controller,
+        export_observer as export_observer,
+    )
 else:
     __getattr__, __dir__, __all__ = on_first_use(__name__)

@@ -8,15 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from emps_design.codegen.observer import OBSERVER
 from emps_design.codegen.program import ARRAY, INT, REAL, Program
 from emps_design.codegen.reader import read_program
-from emps_design.errors import AxisError
+from emps_design.errors import AxisError, InputError
 from emps_design.laws import Law, LawKind, get_law, law_of
+from emps_design.observer.external_force import left_out
 
 if TYPE_CHECKING:
     from emps_design.axis import Axis
     from emps_design.codegen.ahead import Ahead
 
+NO_LIMIT = 1e30  # N, which single precision holds
 LAW_ARGUMENTS = (INT, REAL, REAL, REAL, REAL, ARRAY, ARRAY)  # of a law's kernel
 
 
@@ -28,6 +31,7 @@ class Block:
     kind: LawKind
     law: Law
     program: Program
+    parameters: dict[str, Any]
     ahead: Ahead | None = None
 
     @classmethod
@@ -44,12 +48,32 @@ class Block:
         gains = np.asarray(law.gains, dtype=float)
         if not np.isfinite(gains).all():
             raise AxisError(f"controller of {axis.name}: found gains that are not finite, expected numbers to export")
-        return cls(axis, get_law(axis.controller.kind), law, read_program(law.kernel, LAW_ARGUMENTS), ahead)
+        kind, table = get_law(axis.controller.kind), axis.controller.parameters
+        own = {key: table[key] for key in kind.table.model_fields if key in table}
+        return cls(axis, kind, law, read_program(law.kernel, LAW_ARGUMENTS), own, ahead)
+
+    @classmethod
+    def observer(cls, axis: Axis, cutoff_hz: float) -> Block:
+        """The on-line force observer of ``axis``; :class:`InputError` where effects have a part in it."""
+        kind, own = OBSERVER, {"cutoff": cutoff_hz}
+        used = [one.kind for one in axis.effects if one.kind not in left_out(axis)["online"]]
+        if used:
+            raise InputError(
+                f"observer of {axis.name}: found the effects {', '.join(used)}, which the exported observer does not "
+                "have; take them out of the axis file, or observe on the record"
+            )
+        law = kind.law(kind.table(**own), axis, axis.sampling.period)
+        return cls(axis, kind, law, read_program(law.kernel, LAW_ARGUMENTS), own)
+
+    @property
+    def observes(self) -> bool:
+        """Whether it is an observer: the command goes in, a force comes out, without a limit."""
+        return self.kind is OBSERVER
 
     @property
     def limit(self) -> float:
-        """The largest command [command units]."""
-        return float(self.axis.drive.command_limit)
+        """The largest output [command units, or N]."""
+        return NO_LIMIT if self.observes else float(self.axis.drive.command_limit)
 
     def run(
         self,

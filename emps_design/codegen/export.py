@@ -60,10 +60,27 @@ class Exported:
                 "single_precision_bound": max(bound, default=None),
                 "rows_without_bound": int(self.vectors.q.size - len(bound)),
             },
-            "units": {"single_precision_bound": self.block.axis.units.unit("V")},
+            "units": {"single_precision_bound": self.block.axis.units.unit("N" if self.block.observes else "V")},
             "binary": (binary_for() or None) if self.target == "fmu" else None,
             "warnings": [NO_COMPILER] if self.target == "fmu" and not binary_for() else [],
         }
+
+
+def export_observer(axis: Axis, target: str, cutoff_hz: float) -> Exported:
+    """Return the on-line force observer of ``axis``, low-passed at ``cutoff_hz``, as the files of a ``target``.
+
+    Any target but ``fmu``. Raises :class:`InputError` for that, another, and effects that have a part in the force.
+
+    >>> from emps_design.machines import machine
+    >>> list(export_observer(machine("emps2018"), "st", 20.0).files)
+    ['emps2018_observer.st', 'emps2018_observer.toml', 'vectors.csv', 'README.md']
+    """
+    possible = [name for name in TARGETS if name != "fmu"]
+    if target not in possible:
+        raise InputError(f"`target`: found {target!r} for an observer, expected one of {', '.join(possible)}")
+    block, name = Block.observer(axis, cutoff_hz), block_name(f"{axis.name} observer")
+    vectors = vectors_of(block)
+    return Exported(name, target, block, vectors, TARGETS[target](name, block, vectors))
 
 
 def export_controller(axis: Axis, target: str, compensation: Mapping[str, Any] | None = None) -> Exported:

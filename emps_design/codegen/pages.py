@@ -18,11 +18,12 @@ from emps_design.axis.tables import field_in
 from emps_design.codegen.ahead import Ahead
 from emps_design.codegen.block import Block
 from emps_design.codegen.c import KEYWORDS
+from emps_design.codegen.observer import COMMAND
 from emps_design.codegen.printer import safe_names
 from emps_design.codegen.vectors import MOTION, REST, Vectors
 from emps_design.laws import leaves, unit_of
 
-INPUTS = {"position": "m", "velocity": "m/s", "rest position": "m"}  # unit of what a law follows
+INPUTS = {"position": "m", "velocity": "m/s", "rest position": "m", COMMAND: "V"}  # unit of what a law follows
 Files = Mapping[str, str | bytes]  # by name
 LONGEST_NAME = 40
 CHARACTERS = 120  # of a line of a comment
@@ -55,13 +56,13 @@ def template(name: str) -> Any:
 def words_of(name: str, block: Block) -> dict[str, Any]:
     """What every template may say."""
     axis, law = block.axis, block.law
-    table = axis.controller.parameters
-    own = {key: table[key] for key in block.kind.table.model_fields if key in table}
+    own, fields = block.parameters, block.kind.table.model_fields
     said = block.kind.equations(block.kind.table(**own), axis, axis.sampling.period)
     unit = axis.units.unit
     parameters = [
-        f"{'.'.join(path)} = {value} {unit(unit_of(field_in(('controller', *path), block.kind.name)))}".rstrip()
+        f"{'.'.join(path)} = {value} {unit(unit_of(field))}".rstrip()
         for path, value in leaves(own)
+        for field in [field_in(("controller", *path), block.kind.name) or fields.get(path[0])]
     ]
     return {
         "name": name,
@@ -84,7 +85,12 @@ def words_of(name: str, block: Block) -> dict[str, Any]:
         "acceleration_unit": unit("m/s^2"),
         "mass_unit": unit("kg"),
         "limit": repr(block.limit),
-        "follows": f"a {law.follows}",
+        "what": "observer of the external force" if block.observes else "controller",
+        "bounded": "" if block.observes else f", command limited to {block.limit!r} {unit('V')}",
+        "answer": "external force" if block.observes else "command",
+        "either_way": "" if block.observes else f", at most {block.limit!r} either way",
+        "output_unit": unit("N" if block.observes else "V"),
+        "follows": "the command of the period that ends now" if block.observes else f"a {law.follows}",
         "reference_unit": unit(INPUTS[law.follows]),
         "position_unit": unit("m"),
         "force_unit": unit("N"),
@@ -117,7 +123,7 @@ def with_page(name: str, block: Block, vectors: Vectors, made: Files, **more: An
     made = {**made, f"{name}.toml": block.axis.to_toml(comments=True), "vectors.csv": vectors.to_csv()}
     bounds = [one for one in vectors.bound.tolist() if math.isfinite(one)]
     left = vectors.q.size - len(bounds)
-    unit, moving = block.axis.units.unit("V"), vectors.bound[REST : REST + MOTION].max()
+    unit, moving = block.axis.units.unit("N" if block.observes else "V"), vectors.bound[REST : REST + MOTION].max()
     said = (
         f"Here the largest is {moving:.3g} {unit} in motion within the limit and "
         f"{max(bounds, default=0.0):.3g} {unit} in all"

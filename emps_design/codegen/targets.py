@@ -98,10 +98,10 @@ def in_json(name: str, block: Block, vectors: Vectors) -> Files:
         "schema": "emps-design/controller/1",
         **{key: words[key] for key in ("name", "axis", "kind", "label", "source", "version")},
         "period": block.axis.sampling.period,
-        "limit": block.limit,
-        "units": {"period": "s", "limit": words["command_unit"], "u": words["command_unit"]},
+        "limit": None if block.observes else block.limit,
+        "units": {"period": "s", "limit": words["output_unit"], "u": words["output_unit"]},
         "follows": block.law.follows,
-        "parameters": block.axis.controller.model_dump(),
+        "parameters": block.parameters,
         "equations": words["equations"],
         "gains": [
             {"value": float(gain), "name": said} for gain, said in zip(block.law.gains, gain_names(block), strict=True)

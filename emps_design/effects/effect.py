@@ -147,6 +147,7 @@ class Effect:
     ``expression(q, v, t, tau, p, b)`` is the SymPy form of :meth:`contribution` (``tau`` stands for the voltage in a
     static actuator map); None where own states are needed.
     ``over``: the variable it is best seen over, "v", "q", "t", "tau", "u", a "loop" of position, or after a "step".
+    ``general``: a curve of any shape, which could stand in for other physics: looked for where nothing else is found.
     ``motion``: "rotary" of what only an axis that turns has, "" of the others.
     ``repeats``: the parameter [m] after which it repeats along the travel; its slope over position then averages out.
     ``passive``: over a motion that ends where it began, at rest, the effect never gives back more work than it took.
@@ -186,6 +187,7 @@ class Effect:
     expression: Callable[..., sympy.Expr] | None = None
     over: str = "v"
     motion: str = ""
+    general: bool = False
     repeats: str = ""
     where: str = ""
     confused_with: tuple[str, ...] = ()

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emps_design.effects import guesses, harmonic
+from emps_design.effects import harmonic
 from emps_design.effects.effect import Motion, Parameter, Parameters
 
 if TYPE_CHECKING:
@@ -67,11 +67,11 @@ def columns(motion: Motion, shape: Parameters) -> np.ndarray:
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
     """The travel of the record, to a thousandth of it; the heights come from a regression."""
-    trusted = motion.q[guesses.thin(away)]
-    if trusted.size < 100 or np.ptp(trusted) == 0.0:
+    span = float(np.ptp(motion.q))
+    if span == 0.0:
         return []
-    digits = 3 - int(np.floor(np.log10(float(np.ptp(trusted)))))
-    return [{"start": round(float(trusted.min()), digits), "end": round(float(trusted.max()), digits)}]
+    digits = 3 - int(np.floor(np.log10(span)))
+    return [{"start": round(float(motion.q.min()), digits), "end": round(float(motion.q.max()), digits)}]
 
 
 def plausible(line: bool) -> Callable[[Parameters, Motion], bool]:

@@ -17,3 +17,8 @@ def coupling(pair: str, starts: tuple[float, ...], damping: float, behind: str) 
         Parameter("damping", r"\zeta", "", lower=0.0, upper=1.0, starts=(damping,), text=ratio),
         Parameter("share", r"\mu", "", lower=0.01, upper=0.95, starts=(0.4,), text=f"share of the mass {behind}"),
     )
+
+
+def linear_coupling(frequency: float, damping: float, share: float) -> dict[str, float | str]:
+    """The ``[[effects]]`` table of a coupling without play: resonance [Hz], damping ratio, share of the mass behind."""
+    return {"kind": "flexible_coupling", "frequency": frequency, "damping": damping, "share": share}

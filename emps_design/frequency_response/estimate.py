@@ -13,7 +13,8 @@ Source: R. Pintelon and J. Schoukens, System Identification: A Frequency Domain 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from emps_design.frequency_response.answers import (
     stepped_answer,
 )
 from emps_design.frequency_response.broadband import Answer, blocks
+from emps_design.frequency_response.comparison import Comparison
 from emps_design.frequency_response.distortion import Distortion
 from emps_design.frequency_response.hold import continuous_from_increments, without_aliases
 from emps_design.frequency_response.resonances import Resonance, resonances
@@ -65,7 +67,13 @@ class Estimate:
     reversals: int
     rest_share: float
     left_out: int
+    axis: Axis = field(repr=False)
     warnings: tuple[str, ...] = ()
+
+    @cached_property
+    def comparison(self) -> Comparison:
+        """The response beside the model of the axis, and beside the masses that fit it."""
+        return Comparison(self.response, self.axis)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data: the table, the comparison, and what was assumed."""
@@ -78,6 +86,7 @@ class Estimate:
             "lines": len(self.response),
             **self.response.to_dict(),
             "resonances": [one.to_dict() for one in self.resonances],
+            **self.comparison.to_dict(),
             "distortion": None if self.distortion is None else self.distortion.to_dict(),
             "spectral_ratio": {
                 "magnitude": np.abs(ratio),
@@ -225,6 +234,7 @@ def _finished(
         reversals,
         rest,
         left_out,
+        axis,
         tuple(_words(extra, reversals, rest, seconds, left_out)),
     )
 

@@ -93,6 +93,13 @@ class FrequencyResponse:
                 f"{self.name}: found {np.count_nonzero(kept)} lines from {low:g} to {high:g} Hz, expected at least "
                 f"{FEWEST}; it has {len(self)} from {self.frequency[0]:.4g} to {self.frequency[-1]:.4g} Hz"
             )
+        return self._at(kept)
+
+    def every(self, step: int) -> FrequencyResponse:
+        """Every ``step``-th line."""
+        return self if step == 1 else self._at(np.arange(0, len(self), step))
+
+    def _at(self, kept: np.ndarray) -> FrequencyResponse:
         return replace(
             self,
             frequency=self.frequency[kept],

@@ -17,7 +17,8 @@ from emps_design.control.velocity.retune import PLACES, retuned_gains
 from emps_design.control.velocity.specification import check_specification
 from emps_design.control.velocity.structure import Structure, own_filters, own_structure
 from emps_design.errors import InputError, SpecificationError
-from emps_design.frequency_response.loop import MeasuredMargins, MeasuredPlant, measured_margins
+from emps_design.frequency_response.loop import MeasuredMargins, measured_margins
+from emps_design.frequency_response.measured_plant import MeasuredPlant
 from emps_design.frequency_response.response import FrequencyResponse
 from emps_design.laws.library.cascade import Filter
 

@@ -17,6 +17,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.effects import Motion
 from emps_design.errors import InputError
+from emps_design.observer import block
 
 DEFAULT_CUTOFF_HZ = 20.0
 BLOCK = 50_000  # samples of a record between two words of progress
@@ -117,15 +118,20 @@ class Resistance:
         """Viscous and dry friction, offset and effects [N]; ``tau`` [N] is the motor force of the moment."""
         _, viscous, level, offset = self._b
         sign = 0.0 if abs(v) <= rest_velocity else math.copysign(1.0, v)
-        force = viscous * v + offset
-        for effect, p in self._effects:
-            force += effect.force(q, v, t, tau, (), p, self._b) if effect.force else 0.0
-            level += effect.dry(q, v, t, tau, (), p, self._b) if effect.dry else 0.0
-        return force + max(level, 0.0) * sign
+        force, dry, _ = self.effects(q, v, t, tau)
+        return viscous * v + offset + force + max(level + dry, 0.0) * sign
 
-    def mass(self, q: float, v: float, t: float, tau: float) -> float:
-        """Mass and what effects add to it [kg]."""
-        return self._b[0] + sum(e.inertia(q, v, t, tau, (), p, self._b) for e, p in self._effects if e.inertia)
+    @property
+    def has_effects(self) -> bool:
+        """Whether there is more than mass, friction and offset."""
+        return bool(self._effects)
+
+    def effects(self, q: float, v: float, t: float, tau: float) -> tuple[float, float, float]:
+        """What the effects add: force [N], level of dry friction [N], mass [kg]."""
+        point, b = (q, v, t, tau, ()), self._b
+        force = sum(e.force(*point, p, b) for e, p in self._effects if e.force)
+        dry = sum(e.dry(*point, p, b) for e, p in self._effects if e.dry)
+        return force, dry, sum(e.inertia(*point, p, b) for e, p in self._effects if e.inertia)
 
 
 class ForceObserver:
@@ -165,26 +171,30 @@ class ForceObserver:
 
     def reset(self) -> None:
         """Forget the past: the next sample is taken as one of rest."""
-        self._samples, self._q, self._v, self._u, self._force = 0, 0.0, 0.0, 0.0, 0.0
+        self._samples, self._memory = 0, [0.0] * 4
 
     def step(self, q: float, u: float) -> float:
         """Take the position ``q`` [m] of this sample and the voltage ``u`` [V] of the period that ends with it.
 
         Returns the external force [N] as of ``delay`` ago.
         """
-        v = (q - self._q) / self._period if self._samples else 0.0
-        if self._samples < 2:
-            self._u = u
-        a = (v - self._v) / self._period if self._samples else 0.0
-        middle = 0.5 * (v + self._v) if self._samples else 0.0
-        t = max(self._samples - 1, 0) * self._period
-        before = self._q if self._samples else q
-        motor = self._gain * 0.5 * (u + self._u)
-        force = self._resistance.force(before, middle, t, motor, self.rest_velocity)
-        now = force + self._resistance.mass(before, middle, t, motor) * a - motor
-        self._force = now if self._samples == 0 else self._force + self._alpha * (now - self._force)
-        self._samples, self._q, self._v, self._u = self._samples + 1, q, v, u
-        return self._force
+        k, gains = self._samples, self.gains
+        if self._resistance.has_effects:
+            middle = block.middle_velocity(k, q, self._period, self._memory)
+            motor = block.middle_force(k, u, self._gain, self._memory)
+            before = self._memory[block.Q] if k else q
+            force, dry, mass = self._resistance.effects(before, middle, max(k - 1, 0) * self._period, motor)
+            gains = gains.copy()
+            gains[block.OFFSET] += force
+            gains[block.COULOMB] += dry
+            gains[block.MASS] += mass
+        self._samples += 1
+        return block.force_observer(k, u, q, 0.0, 0.0, gains, self._memory)
+
+    @property
+    def gains(self) -> list[float]:
+        """The numbers of the difference equation in :mod:`.block`, without what effects add."""
+        return [self._period, self._gain, self._alpha, *self.axis.mechanics.array().tolist(), self.rest_velocity]
 
 
 class OnlineObserver(Protocol):

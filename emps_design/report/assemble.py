@@ -87,6 +87,7 @@ def assemble_report(
     filter: float | None = None,
     mismatch: float = 0.02,
     retune: bool = False,
+    frf: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Report:
     """Design ``axis`` (or what ``record`` says about it) and return the page with its results.
@@ -94,7 +95,8 @@ def assemble_report(
     ``axis``: an :class:`Axis`, a TOML file or an embedded machine; ``record``: a :class:`Record` or its file.
     ``design_on``: "record" takes the mechanics that the record gives (the default where no axis is named), "axis"
     leaves them as they are; ``model`` of friction and filter ``chain`` are those of ``identify``. ``crossover`` or
-    ``bandwidth`` [rad/s], ``phase_margin_deg`` [deg]; ``retune`` meets the specification when sampled.
+    ``bandwidth`` [rad/s], ``phase_margin_deg`` [deg]; ``retune`` meets the specification when sampled. ``frf`` is the
+    file of a measured response, shown beside the model.
 
     The page has the sections that were asked for or that the axis has. Force loop: with ``k_e1`` [(m/s)/N], ``hand``
     [N/(m/s)] or ``environment`` [N/m], or a k_e1 in the axis's controller; what is left out is 0.01 (m/s)/N and a wall
@@ -124,6 +126,12 @@ def assemble_report(
 
     check_specification(crossover, bandwidth, phase_margin_deg)  # before the record: a wrong number is refused at once
     parts: list[Section] = []
+    response = None
+    if frf is not None:
+        from emps_design.frequency_response import read_response
+
+        response = read_response(frf)
+        inputs[Path(frf).name] = hashlib.sha256(Path(frf).read_bytes()).hexdigest()
     notes: list[str] = []
     found: tuple[Identification, ...] = ()
     if record is not None:
@@ -139,6 +147,11 @@ def assemble_report(
         velocity = retune_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg, **law)
     else:
         velocity = design_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg, **law)
+    if response is not None:
+        from emps_design.frequency_response.comparison import Comparison
+        from emps_design.report.frequency_response import response_section
+
+        parts.insert(0, response_section(Comparison(response, loaded)))
     assessed, stops = None, ()
     controller = loaded.controller
     if mass is None and has_impedance_law(loaded):

@@ -1,23 +1,36 @@
-"""The picture of a measured frequency response: Bode with its 95 % band, the ratio of spectra beside it."""
+"""A measured frequency response: Bode picture with its 95 % band, and what the model says about it beside it."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from emps_design.frequency_response.comparison import Comparison
+from emps_design.frequency_response.coupling import MassChain
+from emps_design.frequency_response.resonances import resonances
 from emps_design.frequency_response.response import BAND
+from emps_design.report.display import number
+from emps_design.report.page import Callout, Picture, Section, Table, Text
 from emps_design.report.style import BLUE, GREEN, GREY, RED, look, subplots
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from emps_design.frequency_response import Estimate
+
+COLOURS = (RED, GREEN)
 
 
-def response_figure(found: Estimate) -> Figure:
-    """Draw magnitude and phase with the 95 % band, resonances, and below them deviation and coherence."""
-    response = found.response
+def response_figure(compared: Comparison, ratio: np.ndarray | None = None) -> Figure:
+    """Draw magnitude and phase with the 95 % band, the models beside it, and below them deviation and coherence.
+
+    ``ratio`` (n,) is the ratio of the spectra.
+    """
+    response, chain = compared.response, compared.chain
+    models = {
+        f"model of {compared.axis.name}": compared.model,
+        f"fitted, {chain.label}": chain.response(response.w),
+    }
     f, std = response.frequency, response.std
     reach = BAND * std
     with look():
@@ -26,23 +39,29 @@ def response_figure(found: Estimate) -> Figure:
         )
         level = 20.0 * np.log10(response.magnitude)
         low, high = (20.0 * np.log10(np.maximum(1.0 + side * reach, 0.05)) for side in (-1.0, 1.0))
-        ratio = found.spectral_ratio
-        top.semilogx(f, 20.0 * np.log10(np.abs(ratio)), ".", color=GREY, markersize=2.5, label="ratio of spectra")
-        top.fill_between(f, level + low, level + high, color=BLUE, alpha=0.25, linewidth=0, label="95 % band")
-        top.semilogx(f, level, color=BLUE, linewidth=1.2, label=f"{found.method}, by the {found.instrument}")
         phase, turn = response.phase_deg, np.degrees(np.arcsin(np.minimum(reach, 1.0)))
-        middle.semilogx(f, phase + np.degrees(np.angle(ratio / response.response)), ".", color=GREY, markersize=2.5)
+        if ratio is not None:
+            top.semilogx(f, 20.0 * np.log10(np.abs(ratio)), ".", color=GREY, markersize=2.5, label="ratio of spectra")
+            middle.semilogx(f, phase + np.degrees(np.angle(ratio / response.response)), ".", color=GREY, markersize=2.5)
+        top.fill_between(f, level + low, level + high, color=BLUE, alpha=0.25, linewidth=0, label="95 % band")
+        top.semilogx(f, level, color=BLUE, linewidth=1.2, label="measured")
         middle.fill_between(f, phase - turn, phase + turn, color=BLUE, alpha=0.25, linewidth=0)
         middle.semilogx(f, phase, color=BLUE, linewidth=1.2)
-        for one in found.resonances:
-            color = GREEN if one.kind == "resonance" else RED
+        for (label, model), colour in zip(models.items(), COLOURS, strict=True):
+            top.semilogx(f, 20.0 * np.log10(np.abs(model)), "--", color=colour, linewidth=1.1, label=label)
+            apart = np.degrees(np.angle(model / response.response))
+            middle.semilogx(f, phase + apart, "--", color=colour, linewidth=1.1)
+        for one in resonances(response):
             for axes in (top, middle):
-                axes.axvline(one.frequency, color=color, linewidth=0.9, linestyle="--")
+                axes.axvline(one.frequency, color=GREY, linewidth=0.8, linestyle=":")
+            side = 1 if one.kind == "resonance" else -1
             top.annotate(
-                f"{one.frequency:.4g} Hz", (one.frequency, 0.02), xycoords=("data", "axes fraction"), xytext=(3, 0),
-                textcoords="offset points", fontsize=8, color=color,
+                f"{one.frequency:.4g} Hz", (one.frequency, 0.02), xycoords=("data", "axes fraction"),
+                xytext=(3 * side, 0), textcoords="offset points", ha="left" if side > 0 else "right",
+                fontsize=8, color=GREY,
             )  # fmt: skip
-        bottom.loglog(f, std, color=BLUE, linewidth=1.2, label="relative standard deviation")
+        if np.any(std > 0.0):
+            bottom.loglog(f, std, color=BLUE, linewidth=1.2, label="relative standard deviation")
         bottom.loglog(f, np.maximum(1.0 - response.coherence, 1e-12), color=GREEN, linewidth=1.0, label="1 − coherence")
         top.set_ylabel("magnitude [dB (m/s)/N]")
         middle.set_ylabel("phase [deg]")
@@ -51,3 +70,32 @@ def response_figure(found: Estimate) -> Figure:
         bottom.legend(loc="best")
         top.set_title(f"{response.name}: force to velocity", parse_math=False)
     return figure
+
+
+def response_blocks(compared: Comparison, ratio: np.ndarray | None = None) -> tuple[Any, ...]:
+    """Return the picture of a response with the model of its axis and the masses that fit it, and what they say."""
+    warnings = compared.response.warnings
+    return (
+        Picture(
+            response_figure(compared, ratio),
+            "Force to velocity of the plant, hold and delay of the drive taken out, with the 95 % band of the data.",
+            "Measured frequency response",
+        ),
+        Text(f"{compared.axis.name}: {compared.agreement.sentence}."),
+        _chain_table(compared.chain),
+        Callout("warning", "What the data do not say", items=warnings) if warnings else None,
+    )
+
+
+def response_section(compared: Comparison) -> Section:
+    """Return the section on a measured response."""
+    return Section(f"Measured response {compared.response.name}", *response_blocks(compared))
+
+
+def _chain_table(chain: MassChain) -> Table:
+    rows = [
+        [name.replace("_", " "), unit, number(value, 6), number(std, 3)]
+        for name, (value, std, unit) in chain.parameters.items()
+    ]
+    text = f"The response asks for {chain.label}; residuals are {number(chain.misfit, 2)} times the data's deviations."
+    return Table(["parameter", "unit", "value", "standard deviation"], rows, text)

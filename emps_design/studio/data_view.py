@@ -35,6 +35,8 @@ INTRODUCTION = """
 <table class="about">
 <tr><th><b>Identify</b></th><td>mass and friction of the axis with their standard deviations: seconds</td></tr>
 <tr><th><b>Observe</b></th><td>the external force on the carriage, and the smallest that shows: seconds</td></tr>
+<tr><th><b>Response</b></th><td>the frequency response from force to velocity with its band, beside the model, and the
+masses and the coupling that fit it, where the record was excited: seconds</td></tr>
 <tr><th><b>Diagnose</b></th><td>where simulation and record disagree, which effect explains it, and how much of the gap
 is gone with it: seconds to minutes, with a bar and a button to cancel</td></tr>
 <tr><th><b>Design on this model</b></th><td>take what was identified or diagnosed over into the design tab</td></tr>
@@ -307,6 +309,24 @@ def observe_work(record: Record, axis: Axis, options: Options, progress: Callabl
     }
 
 
+def response_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
+    """Estimate the frequency response of ``record``; return it beside the model, and the axis that fits it."""
+    from emps_design.frequency_response import estimate_response
+    from emps_design.report.frequency_response import response_blocks
+
+    found = estimate_response(record, axis, progress=lambda stage, fraction: progress(stage, 0.5 * fraction))
+    progress("fitting", 0.6)
+    compared = found.comparison
+    chain = compared.chain
+    progress("drawing", 0.8)
+    return {
+        "text": f"Response at {len(found.response)} lines by the {found.instrument}: {compared.agreement.sentence}.",
+        "html": _blocks(axis.units, *response_blocks(compared, found.spectral_ratio)),
+        "model": chain.on(axis).replace(name=f"{axis.name} with the response of {record.name}"),
+        "level": "warning" if found.warnings else "good",
+    }
+
+
 def diagnose_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
     """Find where ``record`` and ``axis`` disagree; return the page's summary and the extended model."""
     from emps_design.discrepancy.diagnose import diagnose
@@ -325,4 +345,4 @@ def diagnose_work(record: Record, axis: Axis, options: Options, progress: Callab
     }
 
 
-WORK = {"Identify": identify_work, "Observe": observe_work, "Diagnose": diagnose_work}
+WORK = {"Identify": identify_work, "Observe": observe_work, "Response": response_work, "Diagnose": diagnose_work}

@@ -10,14 +10,17 @@ import pytest
 
 import emps_design.laws as laws
 from emps_design.axis import Axis
-from emps_design.codegen import export_controller
+from emps_design.cli import app
+from emps_design.codegen import export_controller, export_observer
 from emps_design.compensation import compensate
 from emps_design.compensation.feedforward import motion_ahead
 from emps_design.errors import InputError
 from emps_design.laws import LAWS
 from emps_design.machines import machine
+from emps_design.observer import ForceObserver, observe_online
 from emps_design.simulation import Plant, trapezoid_laps
 from tests.contract.test_laws import GIVEN, OWN, OWN_TABLE, axis_with
+from tests.unit.codegen.structured_text import Blocks
 from tests.unit.compensation.test_compensation import EFFECTS_HERE
 
 CC = shutil.which("cc")
@@ -165,7 +168,7 @@ def test_one_changed_number_of_the_feed_forward_is_noticed(tmp_path):
     exported.write(tmp_path)
     path = tmp_path / f"{exported.name}.c"
     source = path.read_text(encoding="utf-8")
-    begin = source.index("_position_ripple_force(")
+    begin = source.index("_position_ripple_")
     for match in re.finditer(r"R\((\d+\.\d+)\)", source[begin : source.index("void ", begin)]):
         value, start = float(match[1]), begin + match.start(1)
         if value in (0.0, 1.0, 1e-4):
@@ -173,6 +176,40 @@ def test_one_changed_number_of_the_feed_forward_is_noticed(tmp_path):
         changed = f"{source[:start]}{value * (1.0 + 1e-6)!r}{source[begin + match.end(1) :]}"
         path.write_text(changed, encoding="utf-8")
         assert make_check(tmp_path).returncode != 0, match[0]
+
+
+@compiled
+@pytest.mark.parametrize("name", ["emps2018", "light"])
+def test_the_observer_is_the_one_that_runs_on_line(name, tmp_path):
+    axis = machine("emps2018")
+    if name == "light":  # fast, fine, turning
+        table = {"mass": 2e-3, "viscous": 1e-2, "coulomb": 0.05, "offset": 0.01}
+        axis = axis.replace(motion="rotary", mechanics=table, sampling={"period": 1.25e-4, "encoder_resolution": 1e-6})
+    exported = export_observer(axis, "c", 30.0)
+    exported.write(tmp_path)
+    done = make_check(tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert make_check(tmp_path, f"CFLAGS=-O1 -g {' '.join(SANITIZERS)}").returncode == 0
+    t = np.arange(20_000) * axis.sampling.period
+    q, u = 0.1 * np.sin(9.0 * t) * (t > 0.2), 2.0 * np.sin(9.1 * t)
+    force = observe_online(ForceObserver(axis, 30.0), q, u)
+    found = Compiled(tmp_path, exported).run(np.concatenate([u[:1], u[:-1]]), q, np.zeros(q.size))
+    np.testing.assert_array_equal(found.view(np.int64), force.view(np.int64))
+    blocks = Blocks(str(export_observer(axis, "st", 30.0).files[f"{exported.name}.st"]))
+    vectors = exported.vectors
+    text = blocks.run(exported.name, vectors.start, vectors.reference, vectors.q, vectors.f_ext)
+    np.testing.assert_array_equal(text.view(np.int64), vectors.u.view(np.int64))
+
+
+def test_an_observer_that_cannot_be_exported_is_refused(tmp_path, capsys):
+    with pytest.raises(InputError, match="found the effects position_ripple, which the exported observer does not"):
+        export_observer(machine("emps2018").replace(effects=EFFECTS_HERE[:1]), "c", 20.0)
+    line = ["export", "emps2018", "--observer", "20", "--out", str(tmp_path / "new"), "--to"]
+    assert app.run([*line, "fmu"]) == 2
+    assert "--to: found 'fmu' for an observer, expected one of c, st, json" in capsys.readouterr().err
+    assert app.run([*line, "c", "--compensation", "x.json"]) == 2
+    assert "--compensation: goes without --observer" in capsys.readouterr().err
+    assert app.run([*line, "json"]) == 0
 
 
 def test_a_compensation_of_another_axis_is_refused():

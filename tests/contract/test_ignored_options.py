@@ -12,6 +12,7 @@ from emps_design.simulation.synthetic import synthetic_record
 IGNORED = {
     "gains --crossover 100 --at velocity-error": "--at: goes with --retune",
     "gains --crossover 100 --reference-filter": "--reference-filter: goes with --structure pi",
+    "gains --crossover 100 --position-every 4": "--position-every: goes with --position-overshoot",
     "gains --crossover 100 --force": "--force: goes with a file to write",
     "force {designed} --k-e1 0.001 --phase-margin 70": "--phase-margin: goes with --crossover or --bandwidth",
     "force --k-e1 0.001 --force": "--force: goes with a file to write",
@@ -31,6 +32,7 @@ IGNORED = {
     "excite --stroke 0.5 --speed 0.05 --force": "--force: goes with a file to write",
     "excite --stroke 0.5 --speed 0.05 --steps 20 --seed 1": "--seed: goes without --steps",
     "diagnose {record} --force": "--force: goes with a file to write",
+    "export {designed} --to c --out {out} --observer 20 --compensation x": "--compensation: goes without --observer",
     "derive --latex --json": "--latex: goes without --json",
     "report --out {out} --model asymmetric": "--model: goes with --record",
     "report --out {out} --design-on axis": "--design-on: goes with --record",

@@ -15,7 +15,7 @@
 /* Parameters of the axis file:
 {% for line in parameters %} *     {{ line }}
 {% endfor %} */
-static const real LIMIT = R({{ limit }}); /* {{ command_unit }} */
+static const real LIMIT = R({{ limit }}); /* {{ output_unit }} */
 static const real GAINS[{{ gains | length }}] = {
 {% for value, comment in gains %}    R({{ value }}){{ "," if not loop.last else "" }}{{ " /* " ~ comment ~ " */" if comment else "" }}
 {% endfor %}};

@@ -2,7 +2,7 @@
 
 A beam search over sets of effects. Each round adds every effect to the best few models so far, refits everything, and
 keeps the best few sets: pairs in which neither effect stands out alone are found because a round starts from several
-first guesses.
+first guesses. An effect that is a curve of any shape could stand in for others, and waits until none of them is found.
 """
 
 from __future__ import annotations
@@ -37,11 +37,15 @@ def search(calibration: Calibration, progress: Progress) -> Outcome:
     path, beam = [baseline], [baseline]
     try:
         while len(path) <= MOST_EFFECTS:
-            sound, gains = _round(calibration, beam, len(path), progress)
-            alone = alone or gains
-            tried.update({key: f for key, f in sound.items() if key not in tried or f.cost < tried[key].cost})
-            ranked = [f for f in sorted(sound.values(), key=lambda f: f.cost) if accept(f, path[-1])]
-            ranked = ranked or _late(path[-1], sound, accept)
+            ranked: list[Fit] = []
+            for general in (False, True):
+                sound, gains = _round(calibration, beam, len(path), general, progress)
+                alone = alone or gains
+                tried.update({key: f for key, f in sound.items() if key not in tried or f.cost < tried[key].cost})
+                ranked = [f for f in sorted(sound.values(), key=lambda f: f.cost) if accept(f, path[-1])]
+                ranked = ranked or _late(path[-1], sound, accept)
+                if ranked:
+                    break
             if not ranked:
                 break
             gain = baseline.cost - ranked[0].cost
@@ -61,9 +65,9 @@ def search(calibration: Calibration, progress: Progress) -> Outcome:
 
 
 def _round(
-    calibration: Calibration, beam: list[Fit], number: int, progress: Progress
+    calibration: Calibration, beam: list[Fit], number: int, general: bool, progress: Progress
 ) -> tuple[FitsBySet, dict[str, float]]:
-    """The best admissible fit of each set that has one effect more than a set of ``beam``.
+    """The best admissible fit of each set that has one effect more, ``general`` or not, than a set of ``beam``.
 
     Also returns what each effect gained alone on top of the first of them [whitened cost].
     """
@@ -72,10 +76,14 @@ def _round(
     for i, member in enumerate(beam):
         names = " + ".join(member.model.names) or "the baseline"
         done = 1 - 0.75 ** (number - 1 + i / len(beam))
-        progress(f"round {number}: {names}, and what else", 0.1 + 0.9 * done)
-        absorbed, screened = tangent(member), calibration.screened
+        curves = ", as a curve" if general else ""
+        progress(f"round {number}: {names}, and what else{curves}", 0.1 + 0.9 * done)
+        library = tuple(effect for effect in calibration.preparation.library if effect.general is general)
+        absorbed = tangent(member)
         if member is not calibration.baseline:
-            screened = screen(member, calibration.preparation.library, absorbed)
+            screened = screen(member, library, absorbed)
+        else:
+            screened = [found for found in calibration.screened if found[0].model.effects[-1].general is general]
         fits, gains = extensions(member, screened, absorbed)
         alone = alone or gains
         for extended in fits:

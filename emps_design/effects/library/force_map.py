@@ -33,6 +33,7 @@ EFFECT = Effect(
     plausible=travel_map.plausible(line=True),
     expression=expression,
     over="q",
+    general=True,
     where="slowly along the travel, with the same sign in both directions, at every speed alike",
     confused_with=("elastic_force", "friction_map", "position_ripple"),
     experiment="one slow constant-velocity stroke over the whole travel in each direction: half the sum is the map",

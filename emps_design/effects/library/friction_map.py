@@ -39,6 +39,7 @@ EFFECT = Effect(
     plausible=travel_map.plausible(line=False),
     expression=expression,
     over="q",
+    general=True,
     where="slowly along the travel, with opposite sign in the two directions, at every speed alike",
     confused_with=("position_dependent_friction", "force_map", "friction_drift"),
     experiment="one slow constant-velocity stroke over the whole travel in each direction: half the difference is it",

@@ -118,3 +118,21 @@ def test_nothing_is_fitted_on_where_less_than_the_noise_is_left():
     quiet = replace(baseline, cost_fit=10.0, cost_select=5.0)
     assert _late(quiet, {}, lambda one, other: True) == []
     assert _late(quiet, {frozenset({"actuator_lag"}): baseline}, lambda one, other: True) == []
+
+
+HEIGHTS = {f"height_{i}": h for i, h in enumerate((4.0, -3.0, 6.0, 0.0, 5.0, -4.0), start=1)}
+
+
+@pytest.mark.parametrize(
+    "hidden",
+    [
+        {"kind": "elastic_force", "stiffness": 80.0, "rest_position": 0.05},
+        {"kind": "force_map", "start": 0.0, "end": 0.1, **HEIGHTS},
+    ],
+    ids=lambda hidden: hidden["kind"],
+)
+def test_a_curve_of_any_shape_is_named_where_nothing_else_is_found(hidden):
+    noisy = hypothesis(BASELINE, hidden)
+    library = [get_effect(kind) for kind in ("force_map", "friction_map", "elastic_force", "friction_ripple")]
+    found = diagnose(noisy.problem.records, AXIS, library=library)
+    assert [finding.effect for finding in found.findings] == [hidden["kind"]]

@@ -36,6 +36,18 @@ def test_text(files, capsys):
     text = capsys.readouterr().out
     assert "antiresonance at 46." in text
     assert "ratio of spectra" in text
+    assert "fitted, two masses: mass 95." in text
+    assert "the model is within the 95 % circle" in text
+
+
+def test_the_report_shows_the_response_beside_the_model(files, capsys):
+    record, out, page = (str(files / name) for name in ("record.npz", "seen.csv", "page.html"))
+    assert command(["frf", record, "--out", out]) == 0
+    assert command(["report", "emps2019", "--frf", out, "--crossover", "30", "--out", page]) == 0
+    text = (files / "page.html").read_text()
+    assert "Measured response seen" in text
+    assert "The response asks for two masses" in text
+    assert "emps2019: the model is within the 95 % circle" in text
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,105 @@
+"""What measured machines ask for: friction on the EMPS, and a pendulum on a servo in free run, judged on other data."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from emps_design.axis import Axis
+from emps_design.discrepancy.checks.preparation import prepare
+from emps_design.discrepancy.model.fit import fit
+from emps_design.discrepancy.model.missing_force import missing_force
+from emps_design.discrepancy.model.problem import Hypothesis
+from emps_design.discrepancy.search.noise_floor import floor_of_laps
+from emps_design.effects import get_effect
+from emps_design.importing import import_record
+from emps_design.machines import machine
+from emps_design.observer import motor_force
+from emps_design.records import read_record
+from emps_design.simulation import Plant
+from emps_design.simulation.driven import driven_by
+from tests.conftest import DATA
+
+# Where the fits start: kinds and rough numbers, the phases within a third of a turn.
+EMPS = {
+    "asymmetric_viscous_friction": (-40.0,),
+    "nonlinear_viscous_friction": (30.0, 0.5),
+    "position_ripple": (1.0, -0.2, 0.0025),
+    "actuator_delay": (2.5e-4,),
+    "presliding_friction": (1e6,),
+    "maxwell_slip_friction": (0.2, 3e-4),
+    "friction_ripple": (0.3, 4.0, 0.0025),
+    "force_map": (0.0, 0.2464, -0.9, 0.3, 0.6, 1.1, 1.6, 0.3),
+    "friction_map": (0.0, 0.2464, 0.0, -0.5, -0.6, -0.5, -0.6, -0.7),
+}
+LAP = 6240  # samples of DATA_EMPS
+
+
+@pytest.mark.slow
+def test_lap_4_of_the_emps_with_friction_that_remembers_and_maps_over_the_travel(emps_data):
+    """Fitted to laps 1 to 3. Without the last four effects 0.81 N and 1.94 % were left."""
+    axis, record = machine("emps2019"), read_record(emps_data / "DATA_EMPS.mat")
+    laps = [k * LAP * record.period for k in (0, 3, 4)]
+    ready = prepare((record,), axis, (), None, tuple(laps[:2]), tuple(laps[1:]))
+    rough = fit(ready.start, steps=20)
+    noise = floor_of_laps(rough.residuals(), rough.problem.splits, record.period).whitening
+
+    model = replace(rough.model, baseline=rough.model.baseline * [1.0, 0.05, 0.4, 0.1])
+    for kind, values in EMPS.items():
+        model = model.with_effect(get_effect(kind), np.array(values))
+    found = fit(Hypothesis(ready.start.problem.with_whitening(noise), model), part="used", steps=6)
+    last, used = Hypothesis(ready.held_out.problem, found.model), ready.held_out.problem.splits[0].used
+    left, force = last.residuals()[0][used], motor_force(axis, record)[used]
+    assert missing_force(last)[0].force[used].std() < 0.70  # N, low-passed at 60 Hz; laps differ by 0.3
+    assert 100 * np.linalg.norm(left) / np.linalg.norm(force) < 1.68  # % of the force, unfiltered; the aim is 1.6
+    numbers = {kind: values[0] for kind, values in zip(found.model.names, found.model.values, strict=True)}
+    assert 0.1 < numbers["maxwell_slip_friction"][0] < 0.4
+    assert numbers["friction_ripple"][2] == pytest.approx(2.5e-3, rel=2e-3)  # one revolution of the encoder
+
+
+@pytest.fixture(scope="module")
+def pendulum():
+    """The axis of the servo and its records by gain."""
+    folder = DATA / "real"
+    if not (folder / "xl330.toml").exists():
+        pytest.skip(f"the records of the servo are not in {folder}")
+    axis = Axis.load(folder / "xl330.toml")
+    paths = {kp: sorted(folder.glob(f"xl330/*_kp{kp}.npz")) for kp in (100, 200, 400)}
+    return axis, {kp: [import_record(path, axis) for path in found] for kp, found in paths.items()}
+
+
+def free_run(axis, kinds, x, records):
+    """Position errors [rad] of the records with baseline, back-EMF and effects ``x``, from their references alone."""
+    own = np.split(x[5:], np.cumsum([len(get_effect(kind).parameters) for kind in kinds])[:-1])
+    effects = [(get_effect(kind), values) for kind, values in zip(kinds, own, strict=True)]
+    errors = []
+    for record in records:
+        one = axis.replace(drive={"back_emf": float(x[4])}).supplied_by(record)
+        run = Plant(one, effects).closed_loop(**driven_by(one, record), baseline=x[:4], quantise=False, tolerance=1e4)
+        errors.append(record.q - run.q)
+    return errors
+
+
+def free_run_fit(axis, start, records):
+    """Least squares, robust, of baseline, back-EMF and the effects ``start`` on the positions."""
+    first = np.array([*axis.mechanics.array(), axis.drive.back_emf, *(x for values in start.values() for x in values)])
+    size = np.maximum(np.abs(first), 1e-2)
+    lower = np.where(np.arange(first.size) == 0, 1e-3 * first[0], 0.0)
+    lower[[3, 6]] = -np.inf  # a constant torque and an angle have a sign
+    found = least_squares(
+        lambda x: np.concatenate(free_run(axis, start, x * size, records)),
+        first / size, bounds=(lower / size, np.inf), loss="soft_l1", f_scale=0.05, max_nfev=40,
+    )  # fmt: skip
+    return found.x * size
+
+
+def test_a_pendulum_on_a_servo_needs_friction_that_grows_with_the_load(pendulum):
+    """Fitted at gains 100 and 400, judged at 200; published parameter sets leave 60 to 82 mrad."""
+    axis, records = pendulum
+    gravity, load = {"gravity": (0.48, 0.0)}, {"load_dependent_friction": (0.3,)}
+    left = {}
+    for name, kinds in (("gravity", gravity), ("both", gravity | load)):
+        x = free_run_fit(axis, kinds, records[100] + records[400])
+        left[name] = 1e3 * np.mean([np.abs(error).mean() for error in free_run(axis, kinds, x, records[200])])
+    assert left["both"] < 32 < 45 < left["gravity"]  # mrad
