@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.experiment.discrimination import Experiment, experiment
+from emps_design.discrepancy.experiment.discrimination import Experiment, experiment, what_to_record
 from emps_design.discrepancy.explain.detection_limits import least_visible, not_excluded
 from emps_design.discrepancy.explain.findings import deviation, findings
 from emps_design.discrepancy.explain.remarks import ASSUMPTIONS, calibration_in_words, warnings
@@ -17,7 +17,7 @@ from emps_design.discrepancy.explain.residual_views import (
     spectrum_over_time,
     views,
 )  # fmt: skip
-from emps_design.discrepancy.explain.unexplained import unexplained, what_to_record
+from emps_design.discrepancy.explain.unexplained import unexplained
 from emps_design.discrepancy.model.candidate import BASELINE
 from emps_design.discrepancy.model.missing_force import MissingForce, missing_force
 from emps_design.discrepancy.result import Diagnosis, Finding

@@ -8,8 +8,6 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.experiment.discrimination import Experiment
-from emps_design.discrepancy.experiment.excitation import Envelope, excitations, instruction
 from emps_design.discrepancy.explain.extent import EVERYWHERE, described, extent
 from emps_design.discrepancy.explain.residual_views import force_map
 from emps_design.discrepancy.model.missing_force import SLOWEST, MissingForce, missing_force
@@ -19,14 +17,6 @@ from emps_design.discrepancy.validation.verdict import Validation
 
 DEGREE = 8  # of the polynomials in one variable
 RIDGE = 1e-6  # of the mean square of a column
-EXPERIMENTS = {  # the excitation that varies one variable and little else
-    "position": "small_strokes",
-    "velocity": "speed_staircase",
-    "time": "identical_laps",
-    "load": "three_accelerations",
-    "frequency": "chirp_on_a_slow_run",
-    "time since a reversal": "stop_and_dwell",
-}
 SAID = 2  # variables in the sentence
 LOWEST_HZ = 2.0  # below, lines are those of the strokes
 WIDTH = 0.1  # of a frequency, within which its line counts
@@ -87,19 +77,6 @@ def predicted(validation: Validation) -> dict[str, float]:
         rest = wanted - others @ np.linalg.solve(square + ridge, design.T @ force)
         found[name] = max(0.0, 1.0 - float(rest @ rest) / max(float(wanted @ wanted), 1e-30))
     return found | {"frequency": _in_one_line(new, there)}
-
-
-def what_to_record(hypothesis: Hypothesis, over: list[str]) -> Experiment:
-    """The excitation that varies what the missing force depends on most, and little else."""
-    names = list(dict.fromkeys(EXPERIMENTS[name] for name in over)) or ["speed_staircase"]
-    records = hypothesis.problem.records
-    envelope = Envelope.of(records)
-    reference = excitations(envelope)[names[0]]
-    also = "".join(f"; then {instruction(name)}" for name in names[1:2])
-    why = f"because what is left depends on {' and '.join(over[:2])}" if over else "to see what the rest depends on"
-    duration = reference.size * envelope.period
-    text = f"{instruction(names[0])}, {duration:.0f} s, {why}{also}; diagnose the new record together with the old"
-    return Experiment(text, excitation=names[0], q_ref=reference, period=envelope.period)
 
 
 def _position(seen: MissingForce) -> np.ndarray:
