@@ -6,9 +6,9 @@ object ``sys`` holds, since the object itself is stored in a form that MATLAB al
 
     s = struct('ResponseData', sys.ResponseData, 'Frequency', sys.Frequency, 'FrequencyUnit', sys.FrequencyUnit);
 
-What is written has both, the structure as ``frd``. Back in MATLAB:
+What is written has both, the structure as ``response``. Back in MATLAB:
 
-    sys = frd(s.ResponseData, s.Frequency, s.Ts, 'FrequencyUnit', s.FrequencyUnit);
+    sys = frd(response.ResponseData, response.Frequency, 'FrequencyUnit', response.FrequencyUnit);
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def write_response(path: str | Path, response: FrequencyResponse) -> None:
 
             with aside.open("wb") as file:
                 arrays: dict[str, Any] = {name: np.asarray(values)[:, None] for name, values in columns.items()}
-                arrays["frd"] = {
+                arrays["response"] = {
                     "ResponseData": response.response[None, None],
                     "Frequency": response.frequency[:, None],
                     "FrequencyUnit": "Hz",

@@ -135,7 +135,7 @@ def test_what_is_written_for_matlab_has_the_fields_of_an_frd_object(tmp_path):
 
     path = tmp_path / "mass.mat"
     write_response(path, MASS)
-    written = loadmat(path)["frd"][0, 0]
+    written = loadmat(path)["response"][0, 0]
     assert written["ResponseData"].shape == (1, 1, F.size)
     assert np.allclose(written["ResponseData"][0, 0], MASS.response)
     assert (str(written["FrequencyUnit"][0]), float(written["Ts"][0, 0])) == ("Hz", 0.0)
