@@ -13,6 +13,7 @@ from emps_design.discrepancy.explain.extent import EVERYWHERE
 from emps_design.discrepancy.explain.residual_views import View
 from emps_design.discrepancy.search.noise_floor import Floor
 from emps_design.discrepancy.validation.gap import Gap, Prediction
+from emps_design.frequency_response.comparison import Comparison
 from emps_design.notebook import table
 from emps_design.quantities import display_unit
 
@@ -22,7 +23,10 @@ MOST_IN_FULL = 2  # findings with all their numbers in the sentence
 
 @dataclass(frozen=True)
 class Finding:
-    """One accepted effect: where it acts, its parameters, and the force gap before and after it was added [N]."""
+    """One accepted effect: where it acts, its parameters, and the force gap before and after it was added [N].
+
+    ``confirmed`` is the share of it that the held-out record asks for, with its deviation; None where that is not told.
+    """
 
     effect: str
     label: str
@@ -32,6 +36,7 @@ class Finding:
     p_value: float
     gap_before: float
     gap_after: float
+    confirmed: Mapping[str, float] | None = None
     equivalents: tuple[str, ...] = ()
     remedy: str = ""
     note: str = ""
@@ -42,6 +47,7 @@ class Finding:
             "equivalents": list(self.equivalents),
             "where": {"channel": self.channel, **self.where},
             "parameters": {name: dict(table) for name, table in self.parameters.items()},
+            "confirmed": None if self.confirmed is None else dict(self.confirmed),
         }
         names = ("effect", "label", *entry, "p_value", "gap_before", "gap_after", "note")
         return {name: entry.get(name, getattr(self, name)) for name in names}
@@ -86,7 +92,8 @@ def in_unit(value: float, std: float, unit: str) -> str:
 class Diagnosis:
     """The answer of :func:`emps_design.discrepancy.diagnose`.
 
-    ``trace`` is the force over time of the record that confirms, or of the training record.
+    ``trace`` is the force over time of the record that confirms, or of the training record; ``response`` what excited
+    records give as a frequency response, beside the extended model.
     """
 
     verdict: str
@@ -99,6 +106,7 @@ class Diagnosis:
     views: tuple[View, ...]
     details: Mapping[str, Any] = field(default_factory=dict)
     experiment: Experiment | None = None
+    response: Comparison | None = None
     model_file: str | None = None
 
     @property
@@ -111,17 +119,20 @@ class Diagnosis:
         """The answer in one sentence, as on the first screen of the report."""
         judged, where = (self.holdout, "held-out") if self.holdout else (self.train, "training")
         gap = f"{where} force error {judged.baseline:.2f} N -> {judged.extended:.2f} N, noise {self.floor:.2f} N"
-        if self.verdict in ("named", "ambiguous"):
+        if self.verdict in ("named", "ambiguous", "partly-named"):
             if len(self.findings) <= MOST_IN_FULL:
                 text = "; ".join(finding.in_words() for finding in self.findings)
             else:
                 text = f"{len(self.findings)} effects are missing: "
                 text += ", ".join(f"{f.label.lower()} (up to {f.where['force']['value']:.3g} N)" for f in self.findings)
-            return f"{text[0].upper()}{text[1:]}; {gap}."
+            rest = ""
+            if self.verdict == "partly-named":
+                rest = f" Something else is missing that no effect explains: {self.details['unexplained']['text']}."
+            return f"{text[0].upper()}{text[1:]}; {gap}.{rest}"
         if self.details.get("interrupted") and not self.findings:
             return f"Interrupted before anything was found; {gap}."
         if self.verdict == "unnamed":
-            place = self.details["unexplained"]["text"]
+            place = self.details["unexplained"]["place"]
             where = "" if place == EVERYWHERE else f", most of it {place}"
             known = "".join(f"{finding.in_words()}; " for finding in self.findings)  # from the controller's law
             text = f"{known}{'beside that ' if known else ''}the model misses {judged.extended:.2f} N"
@@ -144,12 +155,13 @@ class Diagnosis:
         | key | content |
         |---|---|
         | ``simulation`` | "closed loop", or "inverse model" where the controller is not known |
-        | ``unexplained`` | for ``unnamed``: {text, map: {position [m], velocity [m/s], force [N]}, ...} |
+        | ``unexplained`` | for ``unnamed`` and ``partly-named``: {rms [N], share, over, predicted, text, map, ...} |
         | ``spectrum_over_time`` | {time [s], frequency [Hz], force [N]}: what the baseline misses |
         | ``candidates`` | [{effect, label, gap [N], statistic, threshold, accepted: bool, note}], best first |
         | ``parameters`` | {name: {unit, axis, baseline: {value, std}, extended: {value, std}}} |
         | ``not_excluded`` | [{effect, label, size, unit, text}]: the smallest size that would have been seen |
         | ``experiment`` | :meth:`Experiment.to_dict`: what would separate what these data cannot, or None |
+        | ``response`` | of records with an excitation: {coupling, model}, as those of ``frf --json`` |
         | ``records`` | [{name, role, sha256}] with role "train" or "holdout" |
         | ``calibration`` | str, how the threshold was found |
         | ``assumptions``, ``warnings`` | [str] |
@@ -170,6 +182,7 @@ class Diagnosis:
             "model_file": self.model_file,
             "remedies": [f.remedy for f in self.findings if f.remedy],
             "experiment": None if self.experiment is None else self.experiment.to_dict(),
+            **({} if self.response is None else {"response": self.response.to_dict()}),
             **shown,
         }
 

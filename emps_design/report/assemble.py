@@ -144,7 +144,8 @@ def assemble_report(
         parts.append(section)
         notes.append(_basis(loaded, found[0], design_on))
     tell("designing the loops", 0.4)
-    law: dict[str, Any] = {} if k_e1 is None else {"structure": IP, "filters": ()}  # a force loop is around IP
+    around = _force_loop(loaded.controller.k_e1, k_e1, hand, environment)
+    law: dict[str, Any] = {} if around[0] is None else {"structure": IP, "filters": ()}  # a force loop is around IP
     if retune:
         from emps_design.control.velocity.retune import retune_velocity_loop
 
@@ -177,7 +178,7 @@ def assemble_report(
         parts.append(controller_section(loops))
     results = design_results(
         velocity,
-        *_force_loop(controller.k_e1, k_e1, hand, environment),
+        *around,
         inputs=inputs,
         parts=tuple(parts),
         notes=tuple(notes),
