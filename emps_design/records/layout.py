@@ -127,13 +127,14 @@ def _mapped(name: str, column: Column, titles: Sequence[str], layout: Layout, so
     stated = "" if stated in LETTERS and not sure else stated
     unit = spelled(column.unit) if column.unit is not None else ""
     own = factor_of(stated, name, layout.units) is not None
-    if unit and own and stated != unit and COUNTS not in (stated, unit):
+    foreign = sure and not own and column.scale is None and _is_other_quantity(stated, layout)
+    if unit and (own or foreign) and stated != unit and COUNTS not in (stated, unit):
         raise RecordError(
             f"{source}: column {title!r}: the title says {stated}, [record] {key} says {unit}; correct the axis file"
         )
     if not unit and own and column.scale is None:
         unit = stated
-    elif not unit and sure and not own and column.scale is None and _is_other_quantity(stated, layout):
+    elif not unit and foreign:
         raise RecordError(
             f"{source}: column {title!r}: found the unit {stated}, expected {expected} for {key}; is it the right "
             "column? Otherwise give its scale in [record]"

@@ -276,3 +276,9 @@ def test_a_part_may_be_taken_of_a_file_that_is_too_long_as_a_whole(monkeypatch):
     assert len(part) == 51
     with pytest.raises(RecordError, match="found 300 samples, expected at most 100; take a part of it"):
         record_from_bytes(text.encode(), "long.csv", layout=layout(units=PLAIN.units, window=(0.1, 1.0)))
+
+
+def test_a_title_in_a_unit_of_another_quantity_contradicts_the_mapping():
+    text = german().replace("Lageistwert [mm]", "Lageistwert [deg]").encode()
+    with pytest.raises(RecordError, match=r"the title says deg, \[record\] position says mm; correct the axis file"):
+        record_from_bytes(text, "trace.csv", layout=layout(GERMAN))
