@@ -3,6 +3,7 @@
 Drives and effects are drawn as in ``tests/hidden``, at its larger size; the simulator shares no code with the package.
 The feed-forward is that of the true numbers (``--diagnose``: of what ``diagnose`` names in the case's own record), and
 of numbers that are 2 % wrong with phases 10 degrees wrong. Writes ``benchmarks/compensation.json``.
+``--measured DATA_EMPS.mat`` takes the measured axis: what a model of laps 1 to 3 leaves to the feedback on lap 4.
 """
 
 from __future__ import annotations
@@ -11,13 +12,14 @@ import argparse
 import datetime
 import json
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.compensation import compensate
-from emps_design.compensation.feedforward import BASELINE, FeedForward
+from emps_design.compensation.feedforward import BASELINE, FeedForward, terms_of
 from emps_design.compensation.study import Trial, _changes
 from tests.hidden.drives import draw_drive, draw_effect
 from tests.hidden.generate import run
@@ -36,6 +38,7 @@ MACHINES = (
 )
 MISMATCH, PHASE_DEG = 0.02, 10.0
 SKIP = 50
+CUTOFF, REST = 60.0, 1e-3  # Hz and m/s, of the measured motion
 
 
 def axis_of(drive, effects) -> Axis:
@@ -103,6 +106,40 @@ def machine(name: str, seed: int, found: bool) -> dict[str, object]:
     }  # fmt: skip
 
 
+def measured(path: Path) -> dict[str, object]:
+    """Compensation from laps 1 to 3 of a measured record, and what it leaves to the feedback on lap 4.
+
+    The command of the model, rigid and with all effects found, along the motion that was measured on lap 4 (low-passed
+    at ``CUTOFF`` without a shift), against the command that was recorded there (low-passed alike).
+    """
+    from emps_design.discrepancy import diagnose
+    from emps_design.identification.filters import low_pass, motion
+    from emps_design.machines import machine as embedded
+    from emps_design.records import read_record
+
+    record = read_record(path)
+    start = 3 * len(record) // 4
+    found = diagnose([record.part(0, start)], embedded("emps2019"))
+    moved = motion(record, CUTOFF)
+    u = low_pass(record.u, CUTOFF, record.period)
+    part = slice(start, len(record) - SKIP)
+    rows = {"recorded": u[part]}
+    late = replace(FeedForward.of(found.axis, terms_of(found.axis)[0]), reversal=REST)
+    for name, terms in (("rigid", tuple(BASELINE)), ("with", late.terms)):
+        ahead = replace(late, terms=terms)
+        command = ahead.command(moved.q, moved.v, moved.a)
+        # A command acts for the period that follows it, and what is late behind it: it is due that much before.
+        due = np.interp(record.t + ahead.wait, record.t, command)
+        rows[name] = u[part] - due[part]
+    rms = {name: float(np.sqrt(np.mean(row**2))) for name, row in rows.items()}
+    return {
+        "date": datetime.date.today().isoformat(), "record": path.name, "laps": "1 to 3, judged on 4",
+        "findings": [finding["effect"] for finding in found.to_dict()["findings"]], "terms": list(late.terms),
+        "rms_V": rms, "rms_N": {name: found.axis.drive.force_gain * value for name, value in rms.items()},
+        "share_left": rms["with"] / rms["recorded"], "share_left_rigid": rms["rigid"] / rms["recorded"],
+    }  # fmt: skip
+
+
 def replace_effects(axis: Axis) -> Axis:
     """The axis without effects: what a rigid feed-forward knows."""
     return axis.replace(effects=[])
@@ -113,7 +150,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=2019)
     parser.add_argument("--diagnose", action="store_true")
+    parser.add_argument("--measured", type=Path, metavar="DATA_EMPS.mat", help="laps 1 to 3 of this record, and lap 4")
     options = parser.parse_args()
+    if options.measured:
+        document = measured(options.measured)
+        text = json.dumps(document, indent=1) + "\n"
+        (Path(__file__).parent / "compensation_measured.json").write_text(text, encoding="utf-8")
+        print(text)
+        return
     rows = []
     for name in MACHINES:
         rows.append(machine(name, options.seed, options.diagnose))

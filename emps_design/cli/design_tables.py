@@ -33,7 +33,7 @@ def print_gains(document: dict[str, Any]) -> None:
         soft_wrap=True,
     )
 
-    gains = _table("Velocity loop", "", "value", "unit", "requested")
+    gains = new_table("Velocity loop", "", "value", "unit", "requested")
     asked = {} if document["retuned"] else document["requested"]
     for label, key, unit in (
         ("k_v1, kp of a drive", "k_v1", "V/(m/s)"),
@@ -50,7 +50,11 @@ def print_gains(document: dict[str, Any]) -> None:
     console.print(gains)
 
     undefined = "undefined" if not sampled["stable"] else "unbounded"
-    margins = _table("Margins; sampled: at the plant input", "", "velocity error", "plant input", "sampled", "unit")
+    wanted = document["requested"] if document["retuned"] else {}
+    asks = ["asked"] if wanted else []
+    margins = new_table(
+        "Margins; sampled: at the plant input", "", "velocity error", "plant input", "sampled", *asks, "unit"
+    )
     places = (document["velocity_error"], document["plant_input"], sampled)
     words = {"gain_reduction_margin": "none"}
     for label, key, unit, scale in (
@@ -62,6 +66,7 @@ def print_gains(document: dict[str, Any]) -> None:
         ("gain margin", "gain_margin", "ratio", 1.0),
         ("", "gain_margin_db", "dB", 1.0),
         ("least stable gain", "gain_reduction_margin", "ratio", 1.0),
+        ("disk margin", "disk_margin", "", 1.0),
     ):
         cells = [
             ""
@@ -73,10 +78,13 @@ def print_gains(document: dict[str, Any]) -> None:
             for place in places
         ]
         if key != "gain_reduction_margin" or any(place[key] is not None for place in places):
-            margins.add_row(label, *cells, unit)
-    margins.add_row(
-        "bandwidth, -3 dB", number(document["bandwidth"]), "", number(sampled["bandwidth"], nothing=undefined), "rad/s"
-    )
+            asked_for = [number(scale * wanted[key]) if key in wanted else ""] if wanted else []
+            margins.add_row(label, *cells, *asked_for, unit)
+    for unit, scale in (("rad/s", 1.0), ("Hz", 0.5 / math.pi)):
+        bandwidth = sampled["bandwidth"]
+        cells = [number(scale * document["bandwidth"]), "", number(bandwidth and scale * bandwidth, nothing=undefined)]
+        cells += [number(scale * wanted["bandwidth"]) if "bandwidth" in wanted else ""] if wanted else []
+        margins.add_row("bandwidth, -3 dB" if unit == "rad/s" else "", *cells, unit)
     console.print(margins)
     _print_structures(console, document)
     low, high = document["feasible_phase_margin_deg"]
@@ -119,7 +127,7 @@ def loop_in_words(document: dict[str, Any]) -> str:
 
 def _print_structures(console: Console, document: dict[str, Any]) -> None:
     """What each structure makes of the same gains, the one of the design marked."""
-    table = _table("The same gains in each structure", "", "-3 dB", "overshoot", "sampled", "overshoot")
+    table = new_table("The same gains in each structure", "", "-3 dB", "overshoot", "sampled", "overshoot")
     for one in document["structures"]:
         own = (one["structure"], one["reference_filter"]) == (document["structure"], document["reference_filter"])
         sampled = one["sampled"]
@@ -139,7 +147,7 @@ def print_force(document: dict[str, Any]) -> None:
     console = new_console()
     console.print(_verdict(document["stable"], f"{document['axis']}: sampled force loop"))
     operator = document["operator"]
-    table = _table("Force loop", "", "value", "unit")
+    table = new_table("Force loop", "", "value", "unit")
     rows: list[tuple[str, float | None, str]] = [
         ("k_e1", document["k_e1"], "(m/s)/N"),
         ("k_c = 1/k_e1, felt at low frequency", document["k_c"], "N/(m/s)"),
@@ -151,7 +159,9 @@ def print_force(document: dict[str, Any]) -> None:
         table.add_row(label, number(value, 5), unit)
     console.print(table)
 
-    limits = _table("Largest k_e1 [(m/s)/N]", "operator's force on", "continuous, closed form", "sampled, by its poles")
+    limits = new_table(
+        "Largest k_e1 [(m/s)/N]", "operator's force on", "continuous, closed form", "sampled, by its poles"
+    )
     for label, key in (("the sensor only", "sensor_only"), ("sensor and carriage", "sensor_and_carriage")):
         limit = document["k_e1_max"][key]
         limits.add_row(label, number(limit["continuous"], 5), number(limit["sampled"], 5))
@@ -177,7 +187,7 @@ def print_force(document: dict[str, Any]) -> None:
 
 def _print_mismatch(console: Console, study: dict[str, Any]) -> None:
     errors = ", ".join(f"{name} +-{100 * share:.3g} %" for name, share in study["errors"].items())
-    table = _table(
+    table = new_table(
         f"Mismatch: {errors}; {study['corners']} corners", "sampled loop, same gains", "least", "most", "unit"
     )
     for label, key, unit, scale in (
@@ -201,7 +211,8 @@ def _verdict(stable: bool, what: str) -> Text:
     return Text(f"{one_line(what)} is {state}", f"bold {colour}")
 
 
-def _table(title: str, *columns: str) -> Table:
+def new_table(title: str, *columns: str) -> Table:
+    """A table whose columns hold numbers but for the first and the units."""
     table = Table(title=title, min_width=len(title), title_justify="left", title_style="bold", header_style="")
     for place, column in enumerate(columns):
         numeric = place > 0 and column not in ("unit",)

@@ -35,6 +35,7 @@ def command(
 ) -> None:
     from emps_design.cli.wording import load_axis
     from emps_design.codegen import export_controller, export_observer
+    from emps_design.codegen.pages import OPERATIONS
 
     if observer is not None:
         refuse_ignored(context, ["compensation"], "goes without --observer")
@@ -55,6 +56,9 @@ def command(
         say(f"{out}: {', '.join(exported.files)}")
         vectors = document["vectors"]
         say(f"{vectors['rows']} vectors of the law {document['law']}, axis {document['axis']}")
+        say("one step: " + ", ".join(f"{n} {OPERATIONS[kind]}" for kind, n in document["operations"].items()))
+        for row in document["drives"]:
+            say(f"{row['family']}: {row['parameter']} = {row['value']:.6g} {row['unit']} ({row['gain']})")
     print_warnings(document["warnings"])
 
 

@@ -34,14 +34,23 @@ from emps_design.cli.design_options import (
     write_axis,
 )
 from emps_design.cli.destinations import AXIS, check_out
-from emps_design.cli.filter_options import (
+from emps_design.cli.ignored import refuse_force, refuse_ignored
+from emps_design.cli.loop_options import (
+    ComplianceRange,
+    DelayRange,
     Filters,
+    InertiaRange,
+    PositionBandwidth,
+    PositionEvery,
+    PositionOvershoot,
+    PositionStiffness,
     ReferenceFilter,
     StructureOption,
     filters_asked_for,
+    load_range_asked_for,
+    position_loop_asked_for,
     structure_asked_for,
 )
-from emps_design.cli.ignored import refuse_force, refuse_ignored
 from emps_design.cli.output import print_json, tell
 from emps_design.errors import InputError
 from emps_design.files import read_bytes
@@ -64,6 +73,13 @@ def command(
     structure: StructureOption = None,
     reference_filter: ReferenceFilter = False,
     filters: Filters = None,
+    position_overshoot: PositionOvershoot = None,
+    position_bandwidth: PositionBandwidth = None,
+    position_stiffness: PositionStiffness = None,
+    position_every: PositionEvery = None,
+    inertia_range: InertiaRange = None,
+    compliance_range: ComplianceRange = None,
+    delay_range: DelayRange = None,
     mismatch: Annotated[
         float | None, typer.Option(callback=within(""), help="relative error of the parameters, such as 0.02")
     ] = None,
@@ -95,6 +111,11 @@ def command(
     refuse_force(context, out)
     if not retune:
         refuse_ignored(context, ["at"], "goes with --retune")
+    position = (position_overshoot, position_bandwidth, position_stiffness)
+    if all(value is None for value in position):
+        why = "goes with --position-overshoot, --position-bandwidth or --position-stiffness"
+        refuse_ignored(context, ["position_every"], why)
+    span = load_range_asked_for(inertia_range, compliance_range, delay_range)
     check_out(out, AXIS, (axis, sigma_from, *(frf or ())), force)
     check_specification(crossover, bandwidth, phase_margin)
     loaded = load_axis(axis)
@@ -135,6 +156,17 @@ def command(
     else:
         design = design_velocity_loop(machine, **specification)
     document = gains_document(design)
+    around = position_loop_asked_for(design, *position, position_every) if design.sampled.stable else None
+    if around is not None:
+        document["position_loop"] = around.to_dict()
+    if retune and not responses:
+        from emps_design.control.velocity.limits import suggest_filter
+
+        document["suggestion"] = suggest_filter(machine, phase_margin, design.structure, design.filters, velocity)
+    if span is not None:
+        from emps_design.control.velocity.load_range import margins_over_range
+
+        document["load_range"] = margins_over_range(design, span)
     if errors is not None:
         from emps_design.control.velocity.sensitivity import margins_under_mismatch
 
@@ -150,10 +182,18 @@ def command(
 
         found = [measured_margins(response, design.loop_axis) for response in responses]
         document["measured"] = measured_document(found)
+        if around is not None:
+            whole = [measured_margins(response, around.axis()) for response in responses]
+            document["measured"]["whole_loop"] = measured_document(whole)
         document["warnings"] += [warning for one in found for warning in one.warnings]
-    on_data = "measured" not in document or document["measured"]["stable"]
+    measured = document.get("measured", {})
+    on_data = measured.get("stable", True) and measured.get("whole_loop", {}).get("stable", True)
     if stable and on_data and out is not None:
-        document["out"] = write_axis(out, machine.replace(controller=design.controller_table()))
+        table = design.controller_table()
+        if around is not None:
+            table = {**around.axis().controller.model_dump(), **table, "kind": around.axis().controller.kind}
+            table["position"] = {"kp": around.kp, "every": around.every}
+        document["out"] = write_axis(out, machine.replace(controller=table))
     if not stable:
         document["nearest"], document["reason"] = design.nearest_stable, design.reason
     elif not on_data:
@@ -162,12 +202,16 @@ def command(
         print_json(document)
     else:
         from emps_design.cli.design_tables import print_gains
+        from emps_design.cli.loop_tables import print_around
 
         print_gains(document)
+        print_around(document)
         if responses:
             from emps_design.cli.measured_table import print_measured
 
             print_measured(document["measured"])
+            if "whole_loop" in document["measured"]:
+                print_measured(document["measured"]["whole_loop"], "whole loop")
     if "reason" in document:
         tell(document["reason"])
     return 0 if stable and on_data else 4

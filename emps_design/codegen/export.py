@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from emps_design.codegen.ahead import Ahead
 from emps_design.codegen.block import Block
 from emps_design.codegen.fmu import binary_for, in_fmu
+from emps_design.codegen.operations import operations_of
 from emps_design.codegen.pages import Files, block_name, hash_of
 from emps_design.codegen.targets import in_c, in_json, in_st
 from emps_design.codegen.vectors import Vectors, vectors_of
@@ -17,6 +18,7 @@ from emps_design.compensation.feedforward import FeedForward, terms_of
 from emps_design.errors import InputError
 from emps_design.files import write_text, write_together
 from emps_design.laws import law_of
+from emps_design.laws.drives import drive_settings, gains_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -60,6 +62,8 @@ class Exported:
                 "single_precision_bound": max(bound, default=None),
                 "rows_without_bound": int(self.vectors.q.size - len(bound)),
             },
+            "operations": operations_of(self.block),
+            "drives": drive_settings(self.block.axis, {} if self.block.observes else gains_of(self.block.axis)),
             "units": {"single_precision_bound": self.block.axis.units.unit("N" if self.block.observes else "V")},
             "binary": (binary_for() or None) if self.target == "fmu" else None,
             "warnings": [NO_COMPILER] if self.target == "fmu" and not binary_for() else [],

@@ -19,11 +19,15 @@ from emps_design.codegen.ahead import Ahead
 from emps_design.codegen.block import Block
 from emps_design.codegen.c import KEYWORDS
 from emps_design.codegen.observer import COMMAND
+from emps_design.codegen.operations import operations_of
 from emps_design.codegen.printer import safe_names
 from emps_design.codegen.vectors import MOTION, REST, Vectors
 from emps_design.laws import leaves, unit_of
+from emps_design.laws.drives import drive_settings, gains_of
 
 INPUTS = {"position": "m", "velocity": "m/s", "rest position": "m", COMMAND: "V"}  # unit of what a law follows
+OPERATIONS = {"multiply": "products", "add": "sums and differences", "divide": "quotients", "compare": "comparisons",
+              "call": "calls of math.h"}  # fmt: skip
 Files = Mapping[str, str | bytes]  # by name
 LONGEST_NAME = 40
 CHARACTERS = 120  # of a line of a comment
@@ -132,6 +136,8 @@ def with_page(name: str, block: Block, vectors: Vectors, made: Files, **more: An
     hashes = [(file, hash_of(text)) for file, text in made.items()]
     words = {**words_of(name, block), **more, "files": list(made), "rows": vectors.q.size, "bound": said}
     words["hashes"] = hashes
+    words["operations"] = ", ".join(f"{n} {OPERATIONS[kind]}" for kind, n in operations_of(block).items())
+    words["drives"] = drive_settings(block.axis, {} if block.observes else gains_of(block.axis))
     return {**made, "README.md": template("README.md").render(words)}
 
 

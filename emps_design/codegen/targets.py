@@ -10,10 +10,12 @@ from typing import Any
 from emps_design.codegen.ahead import Ahead
 from emps_design.codegen.block import Block
 from emps_design.codegen.c import functions_in_c
+from emps_design.codegen.operations import operations_of
 from emps_design.codegen.pages import Files, gain_names, said_of, template, with_page, words_of
 from emps_design.codegen.program import Program
 from emps_design.codegen.st import functions_in_st, st_number
 from emps_design.codegen.vectors import Vectors
+from emps_design.laws.drives import drive_settings, gains_of
 from emps_design.simulation.kernels.inverse import HOOKS
 
 Printed = Callable[[Program, str], tuple[list[str], str]]  # definitions, and what the kernel is called there
@@ -107,6 +109,8 @@ def in_json(name: str, block: Block, vectors: Vectors) -> Files:
             {"value": float(gain), "name": said} for gain, said in zip(block.law.gains, gain_names(block), strict=True)
         ],
         "memory": block.law.memory,
+        "operations": operations_of(block),
+        "drives": drive_settings(block.axis, {} if block.observes else gains_of(block.axis)),
         "feedforward": None if block.ahead is None else _numbers(block.ahead, repr),
         "vectors": vectors.to_dict(),
     }

@@ -13,6 +13,7 @@ from emps_design.discrepancy.explain.extent import EVERYWHERE
 from emps_design.discrepancy.explain.residual_views import View
 from emps_design.discrepancy.search.noise_floor import Floor
 from emps_design.discrepancy.validation.gap import Gap, Prediction
+from emps_design.frequency_response.comparison import Comparison
 from emps_design.notebook import table
 from emps_design.quantities import display_unit
 
@@ -86,7 +87,8 @@ def in_unit(value: float, std: float, unit: str) -> str:
 class Diagnosis:
     """The answer of :func:`emps_design.discrepancy.diagnose`.
 
-    ``trace`` is the force over time of the record that confirms, or of the training record.
+    ``trace`` is the force over time of the record that confirms, or of the training record; ``response`` what excited
+    records give as a frequency response, beside the extended model.
     """
 
     verdict: str
@@ -99,6 +101,7 @@ class Diagnosis:
     views: tuple[View, ...]
     details: Mapping[str, Any] = field(default_factory=dict)
     experiment: Experiment | None = None
+    response: Comparison | None = None
     model_file: str | None = None
 
     @property
@@ -150,6 +153,7 @@ class Diagnosis:
         | ``parameters`` | {name: {unit, axis, baseline: {value, std}, extended: {value, std}}} |
         | ``not_excluded`` | [{effect, label, size, unit, text}]: the smallest size that would have been seen |
         | ``experiment`` | :meth:`Experiment.to_dict`: what would separate what these data cannot, or None |
+        | ``response`` | of records with an excitation: {coupling, model}, as those of ``frf --json`` |
         | ``records`` | [{name, role, sha256}] with role "train" or "holdout" |
         | ``calibration`` | str, how the threshold was found |
         | ``assumptions``, ``warnings`` | [str] |
@@ -170,6 +174,7 @@ class Diagnosis:
             "model_file": self.model_file,
             "remedies": [f.remedy for f in self.findings if f.remedy],
             "experiment": None if self.experiment is None else self.experiment.to_dict(),
+            **({} if self.response is None else {"response": self.response.to_dict()}),
             **shown,
         }
 

@@ -14,6 +14,7 @@ are raised where the residuals are larger than those of the data explain.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -274,7 +275,7 @@ def _fitted(response: FrequencyResponse, starts: Sequence[tuple[Any, Any, Any]])
 def _criterion(chain: MassChain, lines: int) -> float:
     """The information criterion of Schwarz, the scale of the deviations unknown."""
     count, parameters = 2 * lines, chain._theta.size
-    return count * np.log(max(chain.misfit, 1e-3) ** 2 * (count - parameters) / count) + parameters * np.log(count)
+    return count * math.log(max(chain.misfit, 1e-3) ** 2 * (count - parameters) / count) + parameters * math.log(count)
 
 
 def _certain(chain: MassChain, response: FrequencyResponse) -> bool:

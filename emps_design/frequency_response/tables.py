@@ -1,18 +1,21 @@
 """Files of a frequency response: CSV, and MATLAB files with the same names.
 
 A CSV has the columns ``frequency_hz, magnitude, phase_deg, coherence, std``; the first three are needed. A MATLAB file
-(v5, that is ``save -v7`` or ``-v6``, and v7.3) has real arrays with these names; of an ``frd`` object ``sys`` they are
+(v5, that is ``save -v7`` or ``-v6``, and v7.3) has real arrays with these names, or a structure with what an ``frd``
+object ``sys`` holds, since the object itself is stored in a form that MATLAB alone reads:
 
-    [magnitude, phase_deg, w] = bode(sys); frequency_hz = w/(2*pi); magnitude = squeeze(magnitude); ...
+    s = struct('ResponseData', sys.ResponseData, 'Frequency', sys.Frequency, 'FrequencyUnit', sys.FrequencyUnit);
 
-since the object itself is stored in a form that MATLAB alone reads. Back: ``sys = frd(magnitude .* exp(1j*phase_deg
-*pi/180), frequency_hz, 'FrequencyUnit', 'Hz')``.
+What is written has both, the structure as ``response``. Back in MATLAB:
+
+    sys = frd(response.ResponseData, response.Frequency, 'FrequencyUnit', response.FrequencyUnit);
 """
 
 from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,6 +29,7 @@ from emps_design.records.tables import read_plain_table
 COLUMNS = ("frequency_hz", "magnitude", "phase_deg", "coherence", "std")
 NEEDED = COLUMNS[:3]
 MAX_BYTES = 50_000_000
+RADIANS = {"": 1.0, "rad/s": 1.0, "rad/TimeUnit": 1.0, "Hz": 2.0 * np.pi, "kHz": 2e3 * np.pi, "rpm": np.pi / 30.0}
 EXPECTED = "expected a frequency response, .csv or .mat"
 
 
@@ -48,7 +52,14 @@ def write_response(path: str | Path, response: FrequencyResponse) -> None:
             from scipy.io import savemat
 
             with aside.open("wb") as file:
-                savemat(file, {name: np.asarray(values)[:, None] for name, values in columns.items()})
+                arrays: dict[str, Any] = {name: np.asarray(values)[:, None] for name, values in columns.items()}
+                arrays["response"] = {
+                    "ResponseData": response.response[None, None],
+                    "Frequency": response.frequency[:, None],
+                    "FrequencyUnit": "Hz",
+                    "Ts": 0.0,
+                }
+                savemat(file, arrays)
         else:
             table = np.column_stack([columns[name] for name in COLUMNS])
             np.savetxt(aside, table, fmt="%.10g", delimiter=",", header=",".join(COLUMNS), comments="")
@@ -59,11 +70,13 @@ def read_response(path: str | Path) -> FrequencyResponse:
     path = Path(path)
     content = read_bytes(path, MAX_BYTES, EXPECTED)
     if is_v73(content[:4096]):
-        columns = read_v73(io.BytesIO(content), str(path), MAX_BYTES)
+        columns = read_v73(io.BytesIO(content), str(path), MAX_BYTES, structures=True)
     elif is_v5(content[:128]):
-        columns = read_v5(io.BytesIO(content), str(path), MAX_BYTES)
+        columns = read_v5(io.BytesIO(content), str(path), MAX_BYTES, structures=True)
     else:
         columns = read_plain_table(content, str(path), EXPECTED, NEEDED)
+    if not all(name in columns for name in NEEDED):
+        columns = _of_frd(columns, path) or columns
     columns = {name.lower(): np.ravel(values) for name, values in columns.items()}
     missing = [name for name in NEEDED if name not in columns]
     if missing:
@@ -85,3 +98,26 @@ def read_response(path: str | Path) -> FrequencyResponse:
         )
     except InputError as error:
         raise InputError(f"{path}: {str(error).partition(': ')[2]}") from error
+
+
+def _of_frd(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
+    """The columns of the first structure that has the fields of an ``frd`` object; none where there is none."""
+    name = next((name.removesuffix(".ResponseData") for name in columns if name.endswith(".ResponseData")), None)
+    if name is None or f"{name}.Frequency" not in columns:
+        return {}
+    data, frequency = columns[f"{name}.ResponseData"], np.ravel(columns[f"{name}.Frequency"]).astype(float)
+    if data.size != frequency.size:
+        raise InputError(
+            f"{path}: {name}: found {data.size} numbers in ResponseData, expected {frequency.size} as in Frequency: "
+            "one input and one output"
+        )
+    unit = "".join(map(chr, np.ravel(columns.get(f"{name}.FrequencyUnit", np.zeros(0, int))).astype(int)))
+    if unit not in RADIANS:
+        known = ", ".join(repr(one) for one in RADIANS if one)
+        raise InputError(f"{path}: {name}: found FrequencyUnit {unit!r}, expected one of {known}")
+    response = np.ravel(data)
+    return {
+        "frequency_hz": frequency * RADIANS[unit] / (2.0 * np.pi),
+        "magnitude": np.abs(response),
+        "phase_deg": np.degrees(np.angle(response)),
+    }

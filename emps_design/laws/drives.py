@@ -39,6 +39,10 @@ def _force(gain: float, axis: Any) -> float:
     return float(gain * axis.drive.gain)
 
 
+def _torque(gain: float, axis: Any) -> float | None:
+    return _force(gain, axis) if axis.motion == "rotary" else None
+
+
 def _current(gain: float, axis: Any) -> float | None:
     return 1e4 * gain if axis.drive.command == "current" and axis.motion == "rotary" else None
 
@@ -53,7 +57,7 @@ SETTINGS = (
     Setting("Beckhoff AX5000", "S-0-0101", "ms", INTEGRAL,
             f"{BECKHOFF}/1031/ax5000_idn_description/1000532747.html", _times(1e3)),
     Setting("Beckhoff AX8000", "3140:01", "Nm/(rad/s), by default", PROPORTIONAL,
-            f"{BECKHOFF}/1033/ax8xxx_object/18798255883.html", _force),
+            f"{BECKHOFF}/1033/ax8xxx_object/18798255883.html", _torque),
     Setting("Beckhoff AX8000", "3140:02", "s", INTEGRAL,
             f"{BECKHOFF}/1031/ax8xxx_object/18798159243.html", _times(1.0)),
     Setting("Beckhoff EP7047", "8014:03", "0.1 mA/(rad/s)", PROPORTIONAL,

@@ -1,4 +1,4 @@
-"""MATLAB v5 files (``save -v7``, ``save -v6``): real numeric arrays only.
+"""MATLAB v5 files (``save -v7``, ``save -v6``): real numeric arrays, and on demand structures of arrays.
 
 A reader of its own, in bounds-checked Python: scipy's compiled one ends the whole process on some damaged files.
 Format: MathWorks, "MAT-File Format", level 5: a 128-byte header, then elements of (type, size, data), each on a
@@ -19,7 +19,9 @@ from emps_design.errors import RecordError
 HEADER = 128
 ARRAY, COMPRESSED = 14, 15
 COMPLEX = 0x08
+STRUCTURE, TEXT = 2, 4
 NUMERIC_CLASSES = range(6, 16)  # double, single, int8 to uint64
+CHARACTERS = {16: "u1", 17: "u2"}
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 
 
@@ -28,8 +30,11 @@ def is_v5(content: bytes) -> bool:
     return len(content) >= HEADER and content[126:128] in (b"IM", b"MI")
 
 
-def read_v5(file: BinaryIO, source: str, max_bytes: int) -> dict[str, np.ndarray]:
-    """Return the real numeric arrays of a MATLAB v5 file by name; together they may take ``max_bytes`` unpacked."""
+def read_v5(file: BinaryIO, source: str, max_bytes: int, structures: bool = False) -> dict[str, np.ndarray]:
+    """Return the real numeric arrays of a MATLAB v5 file by name; together they may take ``max_bytes`` unpacked.
+
+    With ``structures`` complex arrays too, text as its character codes, and the fields of structures as ``name.field``.
+    """
     order = "<" if file.read(HEADER)[126:128] == b"IM" else ">"
     columns: dict[str, np.ndarray] = {}
     left = max_bytes
@@ -41,7 +46,7 @@ def read_v5(file: BinaryIO, source: str, max_bytes: int) -> dict[str, np.ndarray
         inside = _elements(memoryview(unpacked), order, source) if kind == COMPRESSED else [(kind, data)]
         for part, array in inside:
             if part == ARRAY:
-                columns.update(_array(array, order, source))
+                columns.update(_array(array, order, source, structures))
     return columns
 
 
@@ -94,25 +99,63 @@ def _unpacked(data: memoryview, source: str, left: int) -> bytes:
     return unpacked
 
 
-def _array(data: memoryview, order: str, source: str) -> dict[str, np.ndarray]:
-    """The array of one element by its name, or nothing for text, structures, cells and complex numbers."""
+def _array(data: memoryview, order: str, source: str, structures: bool, inside: bool = False) -> dict[str, np.ndarray]:
+    """The array of one element by its name, or nothing for what is not asked for, cells and objects."""
     parts = list(_elements(data, order, source))
     if not parts or len(parts[0][1]) < 4:
         raise _damaged(source, "a variable has no flags")
     flags = int(np.frombuffer(parts[0][1][:4], dtype=f"{order}u4")[0])
-    if flags & 0xFF not in NUMERIC_CLASSES or (flags >> 8) & COMPLEX:
+    if structures and flags & 0xFF == STRUCTURE and not inside:
+        return _structure(parts, order, source)
+    is_complex = bool((flags >> 8) & COMPLEX)
+    wanted = flags & 0xFF in NUMERIC_CLASSES or (structures and flags & 0xFF == TEXT)
+    if not wanted or (is_complex and not structures):
         return {}
-    if len(parts) < 4 or parts[3][0] not in NUMBERS:
+    shape = tuple(int(n) for n in np.frombuffer(parts[1][1], dtype=f"{order}i4")) if _whole(parts, 1) else (-1,)
+    values = _numbers(parts, 3, shape, order, source)
+    if is_complex:
+        values = values + 1j * _numbers(parts, 4, shape, order, source)
+    return {_text(parts[2][1]): values.reshape(shape, order="F")}
+
+
+def _whole(parts: list[tuple[int, memoryview]], place: int) -> bool:
+    return len(parts) > place and len(parts[place][1]) % 4 == 0
+
+
+def _numbers(
+    parts: list[tuple[int, memoryview]], place: int, shape: tuple[int, ...], order: str, source: str
+) -> np.ndarray:
+    kinds = NUMBERS | CHARACTERS
+    if len(parts) <= place or parts[place][0] not in kinds:
         raise _damaged(source, "an array has no values")
-    number = np.dtype(NUMBERS[parts[3][0]]).newbyteorder(cast(Any, order))
-    if len(parts[1][1]) % 4 or len(parts[3][1]) % number.itemsize:
+    number = np.dtype(kinds[parts[place][0]]).newbyteorder(cast(Any, order))
+    if not _whole(parts, 1) or len(parts[place][1]) % number.itemsize:
         raise _damaged(source, "an array is cut off")
-    values = np.frombuffer(parts[3][1], dtype=number)
-    shape = tuple(int(n) for n in np.frombuffer(parts[1][1], dtype=f"{order}i4"))
+    values = np.frombuffer(parts[place][1], dtype=number)
     if min(shape, default=0) < 0 or math.prod(shape) != values.size:
         raise _damaged(source, f"an array of shape {shape} has {values.size} values")
-    name = bytes(parts[2][1]).decode("ascii", "replace")
-    return {name: values.reshape(shape, order="F")}
+    return values
+
+
+def _structure(parts: list[tuple[int, memoryview]], order: str, source: str) -> dict[str, np.ndarray]:
+    """The arrays in the fields of one structure; nothing of an array of structures, nor of one inside another."""
+    if len(parts) < 5 or not _whole(parts, 3) or len(parts[3][1]) < 4:
+        raise _damaged(source, "a structure has no fields")
+    length = int(np.frombuffer(parts[3][1][:4], dtype=f"{order}i4")[0])
+    names, fields = bytes(parts[4][1]), parts[5:]
+    if length <= 0 or len(names) // length != len(fields):
+        return {}
+    found = {}
+    for i, (kind, data) in enumerate(fields):
+        if kind == ARRAY and len(data):
+            name = f"{_text(parts[2][1])}.{_text(names[i * length : (i + 1) * length])}"
+            for values in _array(data, order, source, True, inside=True).values():
+                found[name] = values
+    return found
+
+
+def _text(data: memoryview | bytes) -> str:
+    return bytes(data).partition(b"\0")[0].decode("ascii", "replace")
 
 
 def _damaged(source: str, what: str) -> RecordError:

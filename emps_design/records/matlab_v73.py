@@ -1,4 +1,4 @@
-"""MATLAB v7.3 files, which are HDF5: real numeric arrays only, no link is followed."""
+"""MATLAB v7.3 files, which are HDF5: real numeric arrays, on demand structures of arrays; no link is followed."""
 
 from __future__ import annotations
 
@@ -18,31 +18,42 @@ def is_v73(content: bytes) -> bool:
     return any(content[at : at + 8] == HDF5 for at in HDF5_OFFSETS)
 
 
-def read_v73(file: BinaryIO, source: str, max_bytes: int) -> dict[str, np.ndarray]:
-    """Return the numeric arrays of a MATLAB v7.3 file by name; together they may take ``max_bytes`` unpacked."""
+def read_v73(file: BinaryIO, source: str, max_bytes: int, structures: bool = False) -> dict[str, np.ndarray]:
+    """Return the numeric arrays of a MATLAB v7.3 file by name; together they may take ``max_bytes`` unpacked.
+
+    With ``structures`` complex arrays too, and the fields of structures as ``name.field``.
+    """
     import h5py
+
+    def arrays(group: h5py.Group, before: str, left: int) -> dict[str, np.ndarray]:
+        columns: dict[str, np.ndarray] = {}
+        for name in group:
+            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                continue  # a soft or external link may lead anywhere
+            data = group[name]
+            if isinstance(data, h5py.Group):
+                if structures and not before:
+                    inside = arrays(data, f"{name}.", left)
+                    left -= sum(values.nbytes for values in inside.values())
+                    columns.update(inside)
+                continue
+            pair = structures and data.dtype.names == ("real", "imag")
+            if not isinstance(data, h5py.Dataset) or not (data.dtype.kind in "buif" or pair):
+                continue
+            if data.external or data.is_virtual:
+                raise RecordError(f"{source}: column {name!r}: found data kept outside the file, expected it inside")
+            if data.attrs.get("MATLAB_empty", 0) or data.shape is None:
+                continue
+            left -= data.dtype.itemsize * math.prod(data.shape)
+            if left < 0:
+                raise RecordError(f"{source}: found more than {max_bytes} bytes of arrays, expected at most that")
+            values = data[()]
+            columns[before + name] = values["real"] + 1j * values["imag"] if pair else values
+        return columns
 
     try:
         with h5py.File(file, "r") as opened:
-            columns: dict[str, np.ndarray] = {}
-            unpacked = 0
-            for name in opened:
-                if not isinstance(opened.get(name, getlink=True), h5py.HardLink):
-                    continue  # a soft or external link may lead anywhere
-                data = opened[name]
-                if not isinstance(data, h5py.Dataset) or data.dtype.kind not in "buif":
-                    continue
-                if data.external or data.is_virtual:
-                    raise RecordError(
-                        f"{source}: column {name!r}: found data kept outside the file, expected it inside"
-                    )
-                if data.attrs.get("MATLAB_empty", 0) or data.shape is None:
-                    continue
-                unpacked += data.dtype.itemsize * math.prod(data.shape)
-                if unpacked > max_bytes:
-                    raise RecordError(f"{source}: found more than {max_bytes} bytes of arrays, expected at most that")
-                columns[name] = data[()]
-            return columns
+            return arrays(opened, "", max_bytes)
     except RecordError:
         raise
     except Exception as error:  # whatever a damaged file makes the reader raise, it is one thing to the user

@@ -22,6 +22,7 @@ from emps_design.report.diagnosis_sections import (
     views_section,
 )
 from emps_design.report.display import quantity, sentence_of
+from emps_design.report.frequency_response import response_section
 from emps_design.report.page import Callout, Facts, Page, Picture
 from emps_design.units import Units
 
@@ -63,6 +64,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
                 "Before and after",
             )
         )
+    response = getattr(diagnosis, "response", None)
     sections = [
         findings_section(findings),
         unexplained_section(document),
@@ -70,6 +72,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
         parameters_section(document),
         gap_section(document),
         views_section(diagnosis),
+        None if response is None else response_section(response),
         limits_section(document),
         remedy_section(document),
         experiment_section(document.get("experiment"), getattr(diagnosis, "experiment", None)),

@@ -12,6 +12,7 @@ from emps_design.simulation.synthetic import synthetic_record
 IGNORED = {
     "gains --crossover 100 --at velocity-error": "--at: goes with --retune",
     "gains --crossover 100 --reference-filter": "--reference-filter: goes with --structure pi",
+    "gains --crossover 100 --position-every 4": "--position-every: goes with --position-overshoot",
     "gains --crossover 100 --force": "--force: goes with a file to write",
     "force {designed} --k-e1 0.001 --phase-margin 70": "--phase-margin: goes with --crossover or --bandwidth",
     "force --k-e1 0.001 --force": "--force: goes with a file to write",

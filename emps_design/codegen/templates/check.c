@@ -5,6 +5,9 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <time.h>
+
+#define TIMED 1000000 /* steps */
 
 #define INPUTS {{ inputs }}
 #define COLUMNS (3 + INPUTS + {{ states }})
@@ -73,6 +76,15 @@ int main(int count, char **names)
         }
     }
     fclose(file);
+    clock_t begin = clock();
+    volatile {{ name }}_real kept = 0;
+
+    {{ name }}_init(&state);
+    for (long i = 0; i < TIMED; i++) {
+        kept = {{ name }}_step(&state{% for i in range(1, inputs + 1) %}, ({{ name }}_real)((double)(i % 100) * 1e-4){% endfor %});
+    }
+    (void)kept;
+    printf("%.1f ns for one step here\n", 1e9 * (double)(clock() - begin) / (double)CLOCKS_PER_SEC / TIMED);
 #ifdef {{ macro }}_SINGLE
     printf("single precision: %ld of %ld rows within their bound; largest difference %.3g, largest bound %.3g, %ld rows without\n",
            row - wrong, row, largest, bound, unbounded);

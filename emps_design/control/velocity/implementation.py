@@ -93,6 +93,16 @@ def largest_velocity_step(axis: Axis, loop: SampledVelocityLoop) -> dict[str, fl
     }
 
 
+def command_in_a_step(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> float:
+    """Largest command [V] in a step of the reference by ``velocity`` [m/s], with what dry friction takes.
+
+    It is sought in the first two periods of the crossover. ``loop`` has to be stable.
+    """
+    samples = int(np.clip(4.0 * math.pi / ((loop.margins.crossover or 1.0) * loop.plant.period), 20, 600))
+    dry = (axis.mechanics.coulomb + abs(axis.mechanics.offset)) / axis.drive.gain
+    return dry + velocity * float(np.max(np.abs(loop.step_response(samples)[2])))
+
+
 def encoder_voltage_noise(axis: Axis, loop: SampledVelocityLoop) -> dict[str, float]:
     """Return the voltage [V] that the encoder's quantisation makes: rms in closed loop, and for one step of it.
 

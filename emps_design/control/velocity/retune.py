@@ -94,6 +94,11 @@ def retune_velocity_loop(
         )
     if loop is not None:
         reason = "the loop crosses 0 dB more than once, and another crossing has less phase margin"
+        again = loop.margins.crossover or 0.0
+        resonance = plant.resonance_beside(again)
+        if resonance is not None:
+            hertz = 2.0 * math.pi
+            reason += f", at {again / hertz:.4g} Hz beside the resonance at {resonance / hertz:.4g} Hz, which binds"
     else:
         reason = _limit(plant, requested, at, structure)
     nearest = nearest_that_works(pairs, requested)

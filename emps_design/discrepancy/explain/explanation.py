@@ -9,6 +9,7 @@ from emps_design.discrepancy.experiment.discrimination import experiment
 from emps_design.discrepancy.explain.detection_limits import least_visible, not_excluded
 from emps_design.discrepancy.explain.extent import described, extent
 from emps_design.discrepancy.explain.findings import deviation, findings
+from emps_design.discrepancy.explain.measured_response import measured_response
 from emps_design.discrepancy.explain.remarks import ASSUMPTIONS, calibration_in_words, warnings
 from emps_design.discrepancy.explain.residual_views import (
     SPECTRAL,
@@ -39,10 +40,11 @@ def explain(validation: Validation) -> Diagnosis:
     before, after = (missing_force(fitted)[most] for fitted in (validation.baseline, validation.extended))
     floor, used = outcome.calibration.floor, problem.splits[most].used
     drawn = views(before, after, used, floor.force_60hz, problem.axis.drive.command_limit)
+    extended = judged.extended.to_axis(problem.axis)
     return Diagnosis(
         verdict=validation.verdict,
         findings=found,
-        axis=judged.extended.to_axis(problem.axis),
+        axis=extended,
         noise=floor,
         train=validation.train.gap,
         holdout=None if validation.held_out is None else validation.held_out.gap,
@@ -50,6 +52,7 @@ def explain(validation: Validation) -> Diagnosis:
         views=_marked(drawn, found),
         details=_details(validation, before),
         experiment=experiment(outcome, validation.extended.model.names, validation.equivalents),
+        response=measured_response(problem.records, extended),
     )
 
 

@@ -106,3 +106,56 @@ def test_aliases_are_taken_off():
     assert np.max(np.abs(raw / truth - 1.0)) > 0.2
     assert np.max(np.abs(found / truth - 1.0)) < 2e-3
     assert np.max(left) < 5e-3
+
+
+@pytest.mark.parametrize("unit", ["Hz", "rad/TimeUnit", "rad/s", ""])
+@pytest.mark.parametrize("version", ["v5", "v7.3"])
+def test_the_fields_of_an_frd_object(tmp_path, unit, version):
+    path = tmp_path / "sys.mat"
+    frequency = F if unit == "Hz" else 2.0 * np.pi * F
+    if version == "v5":
+        fields = {"ResponseData": MASS.response[None, None], "Frequency": frequency[:, None], "Ts": 0.0}
+        savemat(path, {"s": {**fields, **({"FrequencyUnit": unit} if unit else {})}})
+    else:
+        import h5py
+
+        pairs = np.array([(one.real, one.imag) for one in MASS.response], dtype=[("real", "f8"), ("imag", "f8")])
+        with h5py.File(path, "w", userblock_size=512) as file:
+            group = file.create_group("s")
+            group["ResponseData"], group["Frequency"] = pairs[:, None, None], frequency[None]
+            if unit:
+                group["FrequencyUnit"] = np.array([[ord(letter)] for letter in unit], dtype="u2")
+    found = read_response(path)
+    assert np.allclose(found.frequency, F)
+    assert np.allclose(found.response, MASS.response)
+
+
+def test_what_is_written_for_matlab_has_the_fields_of_an_frd_object(tmp_path):
+    from scipy.io import loadmat
+
+    path = tmp_path / "mass.mat"
+    write_response(path, MASS)
+    written = loadmat(path)["response"][0, 0]
+    assert written["ResponseData"].shape == (1, 1, F.size)
+    assert np.allclose(written["ResponseData"][0, 0], MASS.response)
+    assert (str(written["FrequencyUnit"][0]), float(written["Ts"][0, 0])) == ("Hz", 0.0)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        (
+            {"ResponseData": np.ones((2, 1, 5), complex), "Frequency": F},
+            "s: found 10 numbers in ResponseData, expected 5",
+        ),
+        (
+            {"ResponseData": np.ones((1, 1, 5), complex), "Frequency": F, "FrequencyUnit": "furlong"},
+            "found FrequencyUnit 'furlong', expected one of 'rad/s'",
+        ),
+        ({"Frequency": F}, "missing frequency_hz"),
+    ],
+)
+def test_a_structure_that_is_no_frd_object(tmp_path, fields, message):
+    savemat(tmp_path / "s.mat", {"s": fields})
+    with pytest.raises(InputError, match=message):
+        read_response(tmp_path / "s.mat")

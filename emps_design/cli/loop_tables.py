@@ -1,0 +1,94 @@
+"""Text output of what stands around a velocity loop: a filter that pays, a position loop, a range of loads."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from emps_design.cli.design_tables import loop_in_words, new_table, number
+from emps_design.cli.output import new_console
+
+HERTZ = 2.0 * math.pi
+
+
+def print_around(document: dict[str, Any]) -> None:
+    """Print what ``gains`` found around its velocity loop, where that was asked for."""
+    if "suggestion" in document:
+        _print_suggestion(document["suggestion"])
+    if "position_loop" in document:
+        _print_position_loop(document["position_loop"])
+    if "load_range" in document:
+        _print_load_range(document["load_range"])
+
+
+def _print_suggestion(found: dict[str, Any]) -> None:
+    console = new_console()
+    one, sides = found["filter"], [("without", found["without"])]
+    if one is not None:
+        words = loop_in_words({"structure": "", "reference_filter": False, "filters": [one]}).removeprefix(" with ")
+        sides.append((words, found["with"]))
+    title = f"Fastest loop with {number(found['phase_margin_deg'])} deg and a gain margin of 2"
+    table = new_table(title, "", *(name for name, _ in sides), "unit")
+    for label, key, unit, scale in (
+        ("crossover", "crossover", "Hz", 1.0 / HERTZ),
+        ("", "crossover", "rad/s", 1.0),
+        ("k_v1, kp of a drive", "k_v1", "V/(m/s)", 1.0),
+        ("t_v, Tn of a drive", "t_v", "s", 1.0),
+        ("bandwidth, -3 dB", "bandwidth", "rad/s", 1.0),
+        ("noise of the command, rms", "command_noise", "V", 1.0),
+    ):
+        table.add_row(label, *(_cell(side[key], scale) for _, side in sides), unit)
+    for label, key in (("gain margin", "gain_margin"), ("disk margin", "disk_margin")):
+        table.add_row(label, *(_cell(side["margins"] and side["margins"][key], 1.0) for _, side in sides), "ratio")
+    console.print(table)
+    for name, side in sides:
+        console.print(f"what binds first, {name}: {side['limits']['binding']}", highlight=False, soft_wrap=True)
+    if one is None:
+        console.print("no notch or low-pass makes it a tenth faster")
+
+
+def _print_position_loop(found: dict[str, Any]) -> None:
+    console = new_console()
+    ((wanted, value),) = found["requested"].items()
+    table = new_table(f"Position loop in every {found['every']}. sample", "", "value", "unit", "requested")
+    table.add_row("kp", number(found["kp"], 6), "1/s", "")
+    for label, key, name, unit in (
+        ("overshoot of a step", "overshoot_percent", "overshoot", "%"),
+        ("bandwidth, -3 dB", "bandwidth", "bandwidth", "rad/s"),
+        ("step of force over displacement", "stiffness", "stiffness", "N/m"),
+    ):
+        table.add_row(label, _cell(found[key], 1.0), unit, number(value) if name == wanted else "")
+    for one in found["loops"]:
+        table.add_row(f"{one['name']}: phase margin", _cell(one["phase_margin_deg"], 1.0), "deg", "")
+        table.add_row("    gain margin", _cell(one["gain_margin"], 1.0), "ratio", "")
+    console.print(table)
+    errors = new_table(
+        "Following error", "feed-forward", "along a velocity [s]", "an acceleration [s^2]", "a jerk [s^3]"
+    )
+    for name, one in found["following_error"].items():
+        errors.add_row(name, *(f"{one[key]:.3g}" for key in ("velocity", "acceleration", "jerk")))
+    console.print(errors)
+
+
+def _print_load_range(found: dict[str, Any]) -> None:
+    console = new_console()
+    table = new_table(
+        "Margins of these gains over the range", "inertia", "compliance", "delay", "phase", "gain", "crossover"
+    )
+    for one in found["points"]:
+        margins = [_cell(one[key], 1.0) for key in ("phase_margin_deg", "gain_margin", "crossover")]
+        delay = f"{1e3 * one['delay']:.3g} ms"
+        table.add_row(
+            number(one["inertia"]), number(one["compliance"]), delay, *(margins if one["stable"] else ["unstable"] * 3)
+        )
+    console.print(table)
+    gains = new_table("Gains that hold", "inertia", "k_v1, kp [V/(m/s)]", "t_v, Tn [s]", "slowest crossover [rad/s]")
+    for name, one in [("all", found["one"]), *((number(step["inertia"]), step["gains"]) for step in found["schedule"])]:
+        cells = [number(one[key], 5) for key in ("k_v1", "t_v", "slowest_crossover")] if one else ["none"] * 3
+        gains.add_row(name, *cells)
+    console.print(gains)
+    console.print(found["text"], highlight=False, soft_wrap=True)
+
+
+def _cell(value: float | None, scale: float) -> str:
+    return "-" if value is None else number(scale * value, 5)

@@ -1,0 +1,135 @@
+"""Operations of one step, counted in the translated code: the most that any way through it takes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from emps_design.codegen.ahead import Ahead
+from emps_design.codegen.block import Block
+from emps_design.codegen.printer import parts
+from emps_design.codegen.program import (
+    REAL,
+    Apply,
+    Assign,
+    Binary,
+    Call,
+    Cell,
+    For,
+    Function,
+    If,
+    Name,
+    Number,
+    Program,
+    Unary,
+)
+
+KINDS = {"+": "add", "-": "add", "*": "multiply", "/": "divide"}
+ORDER = ("multiply", "add", "divide", "compare", "call")
+Known = Mapping[str, Any]  # arrays by name, whole numbers by name
+
+
+def operations_of(block: Block) -> dict[str, int]:
+    """Operations of one step of ``block``: products, sums and differences, quotients, comparisons, calls of ``math``.
+
+    >>> from emps_design.machines import machine
+    >>> operations_of(Block.of(machine("emps2019")))
+    {'multiply': 4, 'add': 3, 'divide': 0, 'compare': 4, 'call': 0}
+    """
+    arrays = {5: block.law.gains.tolist()}
+    law = counted(block.program, arrays)
+    total = law + Counter(compare=2)  # the limit
+    if block.ahead is not None:
+        total += _ahead(block.ahead) + Counter(add=1)
+        total += law + Counter(add=1) if block.ahead.takes_off else Counter()
+    return {kind: total[kind] for kind in ORDER}
+
+
+def counted(program: Program, arrays: Mapping[int, Sequence[float]]) -> Counter[str]:
+    """Operations of ``program``; ``arrays`` are the numbers that arguments hold, by their place."""
+    functions = {function.name: function for function in program.functions}
+    names = list(program.kernel.parameters)
+    return _Count(functions).function(program.kernel, {names[place]: numbers for place, numbers in arrays.items()})
+
+
+def _ahead(ahead: Ahead) -> Counter[str]:
+    """Operations of a feed-forward, every repetition of one that depends on itself."""
+    once = sum((counted(part.program, {}) + Counter(add=1) for part in ahead.parts), Counter[str]())
+    once += Counter(multiply=3, add=6, compare=1)
+    once += Counter(add=1, compare=1, call=1) if ahead.repeats else Counter()
+    return Counter({kind: ahead.passes * n for kind, n in once.items()}) + Counter(divide=2, compare=2)
+
+
+class _Count:
+    """Counts the operations of functions by name."""
+
+    def __init__(self, functions: Mapping[str, Function]):
+        self.functions = functions
+
+    def function(self, function: Function, known: Known) -> Counter[str]:
+        return self.block(function.body, dict(known))
+
+    def block(self, steps: tuple[Any, ...], known: dict[str, Any]) -> Counter[str]:
+        total: Counter[str] = Counter()
+        for step in steps:
+            total += self.statement(step, known)
+        return total
+
+    def statement(self, step: Any, known: dict[str, Any]) -> Counter[str]:
+        if isinstance(step, Assign):
+            value = _value(step.value, known)
+            if isinstance(step.target, Name) and value is not None:
+                known[step.target.name] = value
+            return self.expression(step.value, known)
+        if isinstance(step, For):
+            start, stop = _value(step.start, known), _value(step.stop, known)
+            turns = max(0, -(-(stop - start) // step.step)) if start is not None and stop is not None else 1
+            body = self.block(step.body, dict(known))
+            return Counter({kind: int(turns) * n for kind, n in body.items()})
+        if isinstance(step, If):
+            blocks, tests = parts(step)
+            each = [self.block(one, dict(known)) for one in blocks]
+            return sum((self.expression(test, known) for test in tests), _most(each))
+        return self.expression(step.value, known)
+
+    def expression(self, one: Any, known: Known) -> Counter[str]:
+        if isinstance(one, Unary):
+            return self.expression(one.operand, known)
+        if isinstance(one, Binary):
+            own = KINDS.get(one.operator, "" if one.operator in ("and", "or") else "compare")
+            whole = one.type != REAL and own != "compare"
+            inside = self.expression(one.left, known) + self.expression(one.right, known)
+            return inside + (Counter() if whole or not own else Counter({own: 1}))
+        if isinstance(one, Call | Apply):
+            inside = sum((self.expression(argument, known) for argument in one.arguments), Counter[str]())
+            if isinstance(one, Call):
+                own = "compare" if one.function.startswith(("min", "max")) or one.function == "choose" else "call"
+                return inside + (Counter() if one.function in ("real", "int", "modulo") else Counter({own: 1}))
+            function = self.functions[one.function]
+            handed = {
+                name: known[argument.name]
+                for name, argument in zip(function.parameters, one.arguments, strict=True)
+                if isinstance(argument, Name) and argument.name in known
+            }
+            return inside + self.function(function, handed)
+        return Counter()
+
+
+def _most(each: Sequence[Counter[str]]) -> Counter[str]:
+    """The way with most operations."""
+    return max(each, key=lambda one: sum(one.values()), default=Counter())
+
+
+def _value(one: Any, known: Known) -> Any:
+    """The number that ``one`` is whatever goes in; None where it is not known."""
+    if isinstance(one, Number):
+        return one.value
+    if isinstance(one, Name):
+        return known.get(one.name) if not isinstance(known.get(one.name), list) else None
+    if isinstance(one, Cell) and isinstance(one.index, Number) and one.array in known:
+        return known[str(one.array)][int(one.index.value)]
+    if isinstance(one, Call) and one.function in ("int", "real"):
+        inside = _value(one.arguments[0], known)
+        return None if inside is None else int(inside) if one.function == "int" else float(inside)
+    return None

@@ -1,0 +1,209 @@
+"""The position loop around a velocity loop as it is: its gain for what is wanted of it, sampled, at its own rate.
+
+What is asked for is one of an overshoot of the answer to a step of the position reference, a -3 dB bandwidth, and a
+stiffness, a step of force over the largest displacement that it makes. All are read from the linear loop that
+:func:`~emps_design.control.loop.sampled_loop.close` closes, the position loop in every n-th sample, without
+feed-forward: that changes what follows the reference, not the loop. Its errors are told for each feed-forward apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis, Controller
+from emps_design.control.loop.nested import NestedLoop, nested_loops
+from emps_design.control.loop.sampled_loop import SampledLoop, axis_loop
+from emps_design.control.velocity.design import VelocityLoopDesign
+from emps_design.control.velocity.gains import MINUS_3_DB
+from emps_design.control.velocity.sampled import velocity_table
+from emps_design.errors import InputError, SpecificationError
+from emps_design.laws.library import cascade
+
+WANTED = {"overshoot": "%", "bandwidth": "rad/s", "stiffness": "N/m"}
+LOWEST = 1e-4  # of the velocity loop's crossover: the slowest position loop tried
+SAMPLES = 20_000  # of a step, at most
+
+
+@dataclass(frozen=True)
+class PositionLoopDesign:
+    """``kp`` [1/s] of a position loop in every ``every``-th sample around ``velocity_loop``, and what it has."""
+
+    velocity_loop: VelocityLoopDesign
+    kp: float
+    every: int
+    requested: dict[str, float]
+
+    def axis(self, **feedforward: float) -> Axis:
+        """The axis with this position loop as its controller, with that ``feedforward`` table."""
+        loop = self.velocity_loop
+        estimator = loop.axis.controller.velocity_estimator
+        _, table = velocity_table(loop.k_v1, loop.t_v, loop.structure, loop.filters, estimator, in_a_cascade=True)
+        own = {"position": {"kp": self.kp, "every": self.every}, "feedforward": feedforward}
+        whole = {"kind": cascade.LAW.name, **table.model_dump(exclude_none=True), **own}
+        return loop.axis.replace(controller=Controller.model_validate(whole))
+
+    @cached_property
+    def loop(self) -> SampledLoop:
+        """The closed loop without feed-forward."""
+        return axis_loop(self.axis(), self.velocity_loop.velocity)
+
+    @cached_property
+    def nested(self) -> tuple[NestedLoop, ...]:
+        """Velocity loop, position loop and whole, each with its margins."""
+        return nested_loops(self.axis(), self.velocity_loop.velocity)
+
+    @property
+    def stable(self) -> bool:
+        """Whether the whole sampled loop is stable."""
+        return bool(self.loop.stable)
+
+    def position_response(self, w: np.ndarray) -> np.ndarray:
+        """From position reference to position at ``w`` (f,) [rad/s]."""
+        return _position(self.loop, w, "reference")
+
+    @property
+    def overshoot_percent(self) -> float:
+        """Overshoot [%] of the answer to a step of the position reference."""
+        return float(max(0.0, 100.0 * (self._after_a_step_of("reference").max() - 1.0)))
+
+    def _after_a_step_of(self, name: str) -> np.ndarray:
+        """Positions at the ends of the samples after a unit step of an input."""
+        slowest = min(self.kp, self.velocity_loop.crossover)
+        samples = int(np.clip(8.0 / (slowest * self.loop.period), 50, SAMPLES))
+        inputs = np.zeros((samples, len(self.loop.inputs)))
+        inputs[:, self.loop.inputs.index(name)] = 1.0
+        return np.cumsum(self.loop.simulate(inputs)[:, 1]) * self.loop.period
+
+    @property
+    def bandwidth(self) -> float:
+        """First frequency [rad/s] at which the position has fallen to -3 dB of its reference."""
+        grid = np.geomspace(0.02 * self.kp, 0.99 * math.pi / self.loop.period, 300)
+        below = np.flatnonzero(np.abs(self.position_response(grid)) < MINUS_3_DB)
+        if not below.size or not below[0]:
+            return math.nan
+        fine = np.geomspace(grid[below[0] - 1], grid[below[0]], 50)
+        size = np.log(np.abs(self.position_response(fine)))
+        return float(np.exp(np.interp(-math.log(MINUS_3_DB), -size, np.log(fine))))
+
+    @property
+    def stiffness(self) -> float:
+        """A step of force over the largest displacement that it makes [N/m]."""
+        return float(1.0 / np.max(np.abs(self._after_a_step_of("force"))))
+
+    def following_errors(self) -> dict[str, dict[str, float]]:
+        """Errors along a velocity [m per m/s], an acceleration and a jerk [likewise], with each feed-forward.
+
+        The share of the velocity is 1; the acceleration is that of the inertia. Dry friction is left to its own.
+        """
+        loop = self.velocity_loop
+        inertia = loop.sampled.plant.linear.mass / loop.axis.drive.gain
+        tried = {
+            "none": {},
+            "velocity": {"velocity": 1.0},
+            "velocity and acceleration": {"velocity": 1.0, "acceleration": float(inertia)},
+        }
+        low = 0.02 * min(self.kp, 1.0 / loop.t_v)
+        w = np.array([low, 2.0 * low])
+        found = {}
+        for name, feedforward in tried.items():
+            error = (1.0 - _position(axis_loop(self.axis(**feedforward), loop.velocity), w, "reference")) / (1j * w)
+            jerk = (error[0].real - error[1].real) / (3.0 * low**2)  # of c1 + c2 jw + c3 (jw)^2
+            found[name] = {
+                "velocity": float(error[0].real + jerk * low**2),
+                "acceleration": float(error[0].imag / low),
+                "jerk": float(jerk),
+            }
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data: gain, what was asked, what is achieved, margins and following errors."""
+        achieved: dict[str, Any] = {name: None for name in ("overshoot_percent", "bandwidth", "stiffness")}
+        if self.stable:
+            achieved = {name: getattr(self, name) for name in achieved}
+        return {
+            "kp": self.kp,
+            "every": self.every,
+            "requested": dict(self.requested),
+            "stable": self.stable,
+            **achieved,
+            "loops": [one.to_dict() for one in self.nested],
+            "following_error": self.following_errors() if self.stable else None,
+        }
+
+
+def design_position_loop(
+    velocity_loop: VelocityLoopDesign, wanted: str, value: float, every: int = 1
+) -> PositionLoopDesign:
+    """Return the position loop around ``velocity_loop`` with the ``wanted`` "overshoot", "bandwidth" or "stiffness".
+
+    ``value`` in [%], [rad/s] or [N/m]; of an overshoot the fastest loop that keeps to it. ``every``: the position loop
+    runs in every n-th sample. :class:`SpecificationError` where no gain has it, with the one that comes nearest.
+
+    >>> from emps_design.control.velocity.design import design_velocity_loop
+    >>> from emps_design.machines import machine
+    >>> inner = design_velocity_loop(machine("emps2018"), crossover=100.0)
+    >>> found = design_position_loop(inner, "bandwidth", 20.0, every=4)
+    >>> round(found.bandwidth, 3), found.stable
+    (20.0, True)
+    """
+    if wanted not in WANTED:
+        raise InputError(f"position loop: found {wanted!r}, expected one of {', '.join(WANTED)}")
+    if not math.isfinite(value) or value < 0.0 or (value == 0.0 and wanted != "overshoot"):
+        raise InputError(f"position loop: found {wanted} {value:g} {WANTED[wanted]}, expected a positive number")
+    if not velocity_loop.sampled.stable:
+        raise SpecificationError("position loop: the velocity loop inside it is unstable", {})
+    asked = {wanted: float(value)}
+
+    def design(kp: float) -> PositionLoopDesign:
+        return PositionLoopDesign(velocity_loop, kp, every, asked)
+
+    def reached(kp: float) -> bool:
+        """Whether a position loop with ``kp`` is as fast as asked, or past what is allowed."""
+        one = design(kp)
+        if not one.stable:
+            return True
+        if wanted == "overshoot":
+            return one.overshoot_percent > value + 1e-3
+        return (one.bandwidth if wanted == "bandwidth" else one.stiffness) >= value
+
+    fastest = 4.0 * velocity_loop.crossover
+    grid = np.geomspace(LOWEST * fastest, fastest, 28)
+    first = next((place for place, kp in enumerate(grid) if reached(float(kp))), None)
+    if first is None or first == 0:
+        raise _not_had(design(float(grid[-1 if first is None else 0])), wanted, value)
+    kp = _bisect(reached, float(grid[first - 1]), float(grid[first]))
+    if wanted == "overshoot":
+        kp *= 1.0 - 1e-9
+    found = design(kp)
+    if not found.stable or (wanted != "overshoot" and not math.isclose(getattr(found, wanted), value, rel_tol=1e-2)):
+        raise _not_had(design(float(grid[first - 1])), wanted, value)
+    return found
+
+
+def _position(loop: SampledLoop, w: np.ndarray, by: str) -> np.ndarray:
+    """Position over the input ``by`` at ``w`` (f,) [rad/s], from the mean velocity of each period."""
+    z = np.exp(1j * np.asarray(w) * loop.period)
+    return loop.response(w, "mean_velocity", by) * loop.period / (z - 1.0)
+
+
+def _bisect(past: Callable[[float], bool], low: float, high: float) -> float:
+    for _ in range(24):
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if past(middle) else (middle, high)
+    return low
+
+
+def _not_had(nearest: PositionLoopDesign, wanted: str, value: float) -> SpecificationError:
+    name = "overshoot_percent" if wanted == "overshoot" else wanted
+    has = f"has {getattr(nearest, name):.4g} {WANTED[wanted]}" if nearest.stable else "is unstable"
+    return SpecificationError(
+        f"position loop: no gain has the {wanted} of {value:g} {WANTED[wanted]} around this velocity loop; nearest: "
+        f"kp {nearest.kp:.4g} 1/s, which {has}",
+        {"kp": nearest.kp},
+    )

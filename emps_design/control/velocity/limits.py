@@ -1,0 +1,181 @@
+"""How fast a velocity loop may be made, what ends that, and whether a filter of the command moves the end.
+
+The crossover is raised with the phase margin held, by the gains of :mod:`.retune`, until the sampled loop no longer has
+what :data:`GAIN_MARGIN` and :data:`~emps_design.control.velocity.specification.ROOM` ask for, or the command no longer
+stays within its limit. What ends it is a resonance where the loop comes to its limit beside one, and otherwise the lag
+of hold, delay, current loop, estimator and filters, in one word: delay.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.control.plant.discretisation import SampledPlant, sample_axis
+from emps_design.control.velocity.implementation import command_in_a_step, encoder_voltage_noise
+from emps_design.control.velocity.retune import retuned_gains
+from emps_design.control.velocity.sampled import SampledVelocityLoop
+from emps_design.control.velocity.specification import ROOM
+from emps_design.control.velocity.structure import IP, Structure
+from emps_design.control.velocity.sweeps import sweep_sampled_margins
+from emps_design.laws.library.cascade import Filter
+
+GAIN_MARGIN = 2.0
+INTEGRAL = 10.0  # crossover times integral time, at most: beyond, next to nothing holds against a constant force
+NOISE = 0.05  # of the command's limit: rms of what the encoder's steps make of the command
+DELAY = "delay: hold, delay, current loop, estimator and filters leave no more phase"
+PAYS = 1.1  # by how much a filter has to raise the crossover to be worth its place
+GRID = 160
+NOTCHES = ((0.3, 0.1), (0.7, 0.1), (0.7, 0.3))  # damping and depth
+LOWPASSES = (2.0, 4.0, 8.0)  # corners, in crossovers
+
+
+@dataclass(frozen=True)
+class Reach:
+    """The fastest loop with a phase margin: ``crossover`` [rad/s] (0: none), gains, and the ``limit`` that binds."""
+
+    crossover: float
+    k_v1: float
+    t_v: float
+    limit: str
+
+
+def reach(plant: SampledPlant, phase_margin_deg: float, structure: Structure = IP) -> Reach:
+    """The fastest sampled loop around ``plant`` with that phase margin at the plant input, its other margins kept too.
+
+    >>> from emps_design.machines import machine
+    >>> found = reach(sample_axis(machine("emps2018")), 60.0)
+    >>> round(found.crossover, -1), found.limit[:5]
+    (220.0, 'delay')
+    """
+    nyquist = math.pi / plant.period
+    best = Reach(0.0, math.nan, math.nan, DELAY)
+    low, high = 1e-4 * nyquist, 0.9 * nyquist
+    for _ in range(2):  # once along everything, once where it ends
+        w = np.geomspace(low, high, GRID)
+        k_v1, t_v = retuned_gains(plant, w, phase_margin_deg)
+        found = sweep_sampled_margins(plant, k_v1, t_v, 200)
+        good = found["stable"] & (np.abs(found["phase_margin_deg"] - phase_margin_deg) < 1e-6)
+        good &= ~(found["gain_margin"] < GAIN_MARGIN) & ~(found["delay_margin"] < ROOM * plant.period)
+        good &= t_v * w <= INTEGRAL
+        if not good.any():
+            break
+        last = int(np.flatnonzero(good)[-1])
+        after = min(last + 1, GRID - 1)
+        beyond = SampledVelocityLoop(plant, float(k_v1[after]), float(t_v[after]))
+        limit = _what_ends(plant, w[after], {key: values[after] for key, values in found.items()}, beyond)
+        best = Reach(float(w[last]), float(k_v1[last]), float(t_v[last]), limit)
+        low, high = w[last], w[after]
+    return best
+
+
+def _what_ends(plant: SampledPlant, w: float, found: dict[str, float], loop: SampledVelocityLoop) -> str:
+    """What the first ``loop`` that is too fast runs into: a resonance beside the place where it does, or delay."""
+    at = w
+    if found["stable"]:
+        if found["crossover"] > 1.05 * w:
+            at = found["crossover"]
+        elif found["gain_margin"] < GAIN_MARGIN:
+            at = found["gain_margin_frequency"]
+    elif math.isfinite(loop.k_v1):
+        grid = plant.frequencies()
+        at = float(grid[np.argmin(np.abs(1.0 + loop.plant_input_response(grid)))])
+    resonance = plant.resonance_beside(at)
+    return DELAY if resonance is None else f"resonance at {resonance / (2.0 * math.pi):.4g} Hz"
+
+
+def limits(
+    axis: Axis, plant: SampledPlant, found: Reach, phase_margin_deg: float, structure: Structure, velocity: float
+) -> dict[str, Any]:
+    """Crossovers [rad/s] up to which each limit lets the loop go, and the one that binds.
+
+    ``encoder_noise``: rms of the command at :data:`NOISE` of its limit; ``voltage``: a step of the reference by
+    ``velocity`` [m/s] reaches the limit. None where a limit does not bind below the first.
+    """
+    ends: dict[str, float | None] = {"encoder_noise": None, "voltage": None}
+    if not found.crossover:
+        return {"loop": 0.0, **ends, "binding": found.limit}
+    for w in np.geomspace(0.05 * found.crossover, found.crossover, 7):
+        k_v1, t_v = (float(gain) for gain in retuned_gains(plant, w, phase_margin_deg))
+        loop = SampledVelocityLoop(plant, k_v1, t_v, structure)
+        if not math.isfinite(k_v1) or not loop.stable:
+            continue
+        if (
+            ends["encoder_noise"] is None
+            and encoder_voltage_noise(axis, loop)["rms"] > NOISE * axis.drive.command_limit
+        ):
+            ends["encoder_noise"] = float(w)
+        if ends["voltage"] is None and command_in_a_step(axis, loop, abs(velocity)) > axis.drive.command_limit:
+            ends["voltage"] = float(w)
+    noise, voltage = ends["encoder_noise"], ends["voltage"]
+    named = {
+        f"encoder noise: more than {100.0 * NOISE:g} % of the limit of the command": noise,
+        f"voltage: a step of {abs(velocity):g} m/s takes more than the limit": voltage,
+        found.limit: found.crossover,
+    }
+    first = min((w, name) for name, w in named.items() if w is not None)
+    return {"loop": found.crossover, **ends, "binding": f"{first[1]}, from {first[0]:.4g} rad/s on"}
+
+
+def suggest_filter(
+    axis: Axis,
+    phase_margin_deg: float,
+    structure: Structure = IP,
+    filters: tuple[Filter, ...] = (),
+    velocity: float = 0.1,
+) -> dict[str, Any]:
+    """What limits the loop of ``axis`` at that phase margin, and the one more filter that raises the crossover most.
+
+    ``without`` and ``with`` have the largest crossover [rad/s], what binds and the noise of the command; ``filter`` is
+    None where none pays.
+
+    >>> from emps_design.machines import machine
+    >>> bent = [{"kind": "flexible_coupling", "frequency": 48.0, "damping": 0.02, "share": 0.7}]
+    >>> found = suggest_filter(machine("emps2018").replace(effects=bent), 50.0)
+    >>> found["filter"]["kind"], found["with"]["crossover"] > 1.5 * found["without"]["crossover"]
+    ('notch', True)
+    """
+
+    def judged(these: tuple[Filter, ...]) -> tuple[Reach, SampledPlant]:
+        plant = sample_axis(axis, velocity, these)
+        return reach(plant, phase_margin_deg, structure), plant
+
+    own, plant = judged(filters)
+    candidates = [(*judged((*filters, one)), one) for one in _candidates(plant, own.crossover)]
+    best = max(candidates, key=lambda one: one[0].crossover, default=None)
+
+    def document(found: Reach, plant: SampledPlant) -> dict[str, Any]:
+        loop = SampledVelocityLoop(plant, found.k_v1, found.t_v, structure) if found.crossover else None
+        return {
+            "crossover": found.crossover or None,
+            "limits": limits(axis, plant, found, phase_margin_deg, structure, velocity),
+            "k_v1": found.k_v1 if loop else None,
+            "t_v": found.t_v if loop else None,
+            "margins": loop.margins.to_dict() if loop else None,
+            "bandwidth": loop.bandwidth if loop else None,
+            "command_noise": encoder_voltage_noise(axis, loop)["rms"] if loop else None,
+        }
+
+    pays = best is not None and best[0].crossover > PAYS * own.crossover
+    return {
+        "phase_margin_deg": phase_margin_deg,
+        "gain_margin_at_least": GAIN_MARGIN,
+        "without": document(own, plant),
+        "filter": best[2].model_dump(exclude_none=True) if best and pays else None,
+        "with": document(*best[:2]) if best and pays else None,
+    }
+
+
+def _candidates(plant: SampledPlant, crossover: float) -> list[Filter]:
+    """Filters to try: notches at the resonances, where the discretisation puts them, and low-passes above."""
+    T, found = plant.period, []
+    for w, _ in plant.resonances:
+        if w * T < 0.9 * math.pi:
+            centre = math.tan(0.5 * w * T) / (math.pi * T)  # the bilinear transform brings it to w
+            found += [Filter(kind="notch", frequency=centre, damping=z, depth=depth) for z, depth in NOTCHES]
+    corners = [times * crossover / (2.0 * math.pi) for times in LOWPASSES]
+    return found + [Filter(kind="lowpass", frequency=f) for f in corners if 0.0 < f < 0.4 / T]

@@ -1,0 +1,98 @@
+"""How fast a loop may be made, what ends that, filters that move the end, and the disk margin beside the others."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from emps_design.cli.app import run
+from emps_design.control.loop.margins import disk_margin
+from emps_design.control.plant.discretisation import sample_axis
+from emps_design.control.velocity.design import design_velocity_loop
+from emps_design.control.velocity.limits import GAIN_MARGIN, reach, suggest_filter
+from emps_design.control.velocity.retune import retune_velocity_loop
+from emps_design.control.velocity.sampled import SampledVelocityLoop
+from emps_design.control.velocity.structure import PI
+from emps_design.errors import SpecificationError
+from emps_design.laws.library.cascade import Filter
+from emps_design.machines import machine
+
+RIGID = machine("emps2018")
+COUPLING = {"kind": "flexible_coupling", "frequency": 48.0, "damping": 0.02, "share": 0.7}
+BENT = RIGID.replace(effects=[COUPLING])
+
+
+def test_a_factor_on_the_rim_of_the_disk_makes_the_loop_unstable():
+    loop = design_velocity_loop(RIGID, crossover=100.0).sampled
+    a = loop.margins.disk_margin
+    grid = loop.plant.frequencies(4000)
+    S = 1.0 / (1.0 + loop.plant_input_response(grid))
+    assert a == pytest.approx(1.0 / np.abs(S - 0.5).max(), rel=1e-5)
+    at = grid[np.argmax(np.abs(S - 0.5))]
+    d = 1.0 / complex(1.0 / (1.0 + loop.plant_input_response(at)) - 0.5)
+    factor = (1.0 + 0.5 * d) / (1.0 - 0.5 * d)
+    assert abs(d) == pytest.approx(a, rel=1e-5)
+    assert abs(1.0 + factor * loop.plant_input_response(at)) < 1e-9
+    assert loop.margins.gain_margin >= (2.0 + a) / (2.0 - a)
+    assert math.radians(loop.margins.phase_margin_deg) >= 2.0 * math.atan(0.5 * a)
+    assert disk_margin(lambda w: 1.0 / (1j * w), np.geomspace(0.01, 100.0, 50)) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.7])
+@pytest.mark.parametrize("damping", [0.001, 0.05])
+def test_margins_beside_a_narrow_resonance_are_spent_exactly(share, damping):
+    """Each margin put into the loop leaves a pole on the unit circle; a grid that misses the peak is optimistic."""
+    axis = RIGID.replace(effects=[{**COUPLING, "share": share, "damping": damping}])
+    loop = SampledVelocityLoop(sample_axis(axis), 60.0, 0.1)
+    margins = loop.margins
+    assert loop.stable
+    gains = [60.0 * margins.gain_margin * by for by in (0.999, 1.001)]
+    assert [SampledVelocityLoop(loop.plant, gain, 0.1).stable for gain in gains] == [True, False]
+    for by, stable in ((0.999, True), (1.001, False)):
+        late = SampledVelocityLoop(loop.plant.delayed(by * margins.delay_margin), 60.0, 0.1)
+        assert late.stable is stable
+
+
+def test_a_notch_at_the_resonance_makes_a_faster_loop_at_equal_margins():
+    found = suggest_filter(BENT, 50.0, PI)
+    without, better = found["without"], found["with"]
+    assert found["filter"]["kind"] == "notch"
+    assert found["filter"]["frequency"] == pytest.approx(48.0, rel=0.02)
+    assert better["crossover"] > 1.5 * without["crossover"]
+    for side, filters in ((without, ()), (better, (Filter(**found["filter"]),))):
+        loop = SampledVelocityLoop(sample_axis(BENT, filters=filters), side["k_v1"], side["t_v"], PI)
+        assert loop.stable
+        assert loop.margins.phase_margin_deg == pytest.approx(50.0, abs=1e-5)
+        assert loop.margins.gain_margin >= GAIN_MARGIN
+    assert reach(sample_axis(BENT), 50.0).limit == "resonance at 47.99 Hz"
+
+
+def test_where_no_filter_pays_delay_binds():
+    found = suggest_filter(RIGID, 60.0)
+    assert (found["filter"], found["with"]) == (None, None)
+    assert reach(sample_axis(RIGID), 60.0).limit.startswith("delay")
+
+
+def test_a_coarse_encoder_and_a_low_limit_bind_first():
+    coarse = suggest_filter(RIGID.replace(sampling={"encoder_resolution": 1e-5}), 60.0, velocity=0.001)
+    assert coarse["without"]["limits"]["binding"].startswith("encoder noise")
+    assert coarse["without"]["limits"]["encoder_noise"] < coarse["without"]["crossover"]
+    low = suggest_filter(RIGID.replace(drive={"voltage_limit": 2.0}), 60.0, velocity=0.1)
+    assert low["without"]["limits"]["binding"].startswith("voltage")
+
+
+def test_retune_names_the_resonance_that_binds():
+    with pytest.raises(SpecificationError, match="beside the resonance at 47.99 Hz, which binds"):
+        retune_velocity_loop(BENT, crossover=80.0, phase_margin_deg=50.0)
+
+
+def test_the_command_suggests_with_retune_only(capsys, tmp_path):
+    (tmp_path / "axis.toml").write_text(BENT.to_toml())
+    line = f"gains {tmp_path}/axis.toml --crossover 40 --phase-margin 50 --structure pi"
+    assert run(f"{line} --retune --json".split()) == 0
+    assert json.loads(capsys.readouterr().out)["suggestion"]["filter"]["kind"] == "notch"
+    assert run(f"{line} --json".split()) == 0
+    assert "suggestion" not in json.loads(capsys.readouterr().out)
+    assert run(f"{line} --retune".split()) == 0
+    assert "Fastest loop with 50 deg" in capsys.readouterr().out
