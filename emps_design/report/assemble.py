@@ -140,7 +140,8 @@ def assemble_report(
         parts.append(section)
         notes.append(_basis(loaded, found[0], design_on))
     tell("designing the loops", 0.4)
-    law: dict[str, Any] = {} if k_e1 is None else {"structure": IP, "filters": ()}  # a force loop is around IP
+    around = _force_loop(loaded.controller.k_e1, k_e1, hand, environment)
+    law: dict[str, Any] = {} if around[0] is None else {"structure": IP, "filters": ()}  # a force loop is around IP
     if retune:
         from emps_design.control.velocity.retune import retune_velocity_loop
 
@@ -166,7 +167,7 @@ def assemble_report(
         stops = () if assessed.stable else (f"the impedance law is unstable: {assessed.reason}",)
     results = design_results(
         velocity,
-        *_force_loop(controller.k_e1, k_e1, hand, environment),
+        *around,
         inputs=inputs,
         parts=tuple(parts),
         notes=tuple(notes),

@@ -63,6 +63,32 @@ def bode_figure(loop: BrokenLoop, period: float) -> Figure:
     return figure
 
 
+def parts_figure(design: VelocityLoopDesign) -> Figure:
+    """Draw the Bode diagram of the sampled plant, of the controller with its filters, and of the loop of both."""
+    loop = design.sampled
+    nyquist = np.pi / loop.plant.period
+    w = loop.plant.frequencies(600)
+    w = w[(w > 0.02 * design.crossover) & (w < 0.998 * nyquist)]
+    whole = loop.plant_input_response(w)
+    controller = loop.controller_response(w) * loop.plant.filter_response(w)
+    names = f"controller, {design.structure.form.upper()}" + (" with filters" if loop.plant.filters else "")
+    parts = (("plant", GREEN, whole / controller), (names, GREY, controller), ("loop", RED, whole))
+    with look():
+        figure, (top, bottom) = subplots(2, 1, height=5.4, sharex=True)
+        for label, color, response in parts:
+            top.semilogx(w, 20.0 * np.log10(np.abs(response)), color=color, label=label)
+            bottom.semilogx(w, np.degrees(np.unwrap(np.angle(response))), color=color)
+        top.axhline(0.0, color=BLACK, linewidth=0.9, linestyle=(0, (6, 3)))
+        bottom.axhline(-180.0, color=BLACK, linewidth=0.9, linestyle=(0, (6, 3)))
+        for axes in (top, bottom):
+            axes.axvline(nyquist, color=GREEN, linewidth=1.1, linestyle="--")
+        top.set_ylabel("magnitude [dB]")
+        bottom.set(ylabel="phase [deg]", xlabel="frequency [rad/s]")
+        figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+        hertz_axis(top)
+    return figure
+
+
 def _locator(base: float) -> MultipleLocator:
     from matplotlib.ticker import MultipleLocator
 
@@ -217,7 +243,7 @@ def _step_label(name: str, step: StepResponse) -> str:
 
 
 def velocity_loop_figures(design: VelocityLoopDesign) -> dict[str, Figure]:
-    """Return the pictures of a design by name: bode_velocity_error, bode_plant_input, nyquist, poles, step."""
+    """Return a design's pictures: bode_velocity_error, bode_plant_input, bode_parts, nyquist, poles, step."""
     from emps_design.control.velocity.step_response import step_responses
 
     error, plant = broken_loops(design)
@@ -225,6 +251,7 @@ def velocity_loop_figures(design: VelocityLoopDesign) -> dict[str, Figure]:
     return {
         "bode_velocity_error": bode_figure(error, period),
         "bode_plant_input": bode_figure(plant, period),
+        "bode_parts": parts_figure(design),
         "nyquist": nyquist_figure((error, plant)),
         "poles": poles_figure(design),
         "step": step_figure(*step_responses(design)),

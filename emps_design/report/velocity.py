@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from emps_design.report.diagrams import velocity_and_force_loop_diagram
 from emps_design.report.display import angle, frequency, number, quantity, symbol
-from emps_design.report.loop_figures import bode_figure, nyquist_figure, poles_figure, step_figure
+from emps_design.report.loop_figures import bode_figure, nyquist_figure, parts_figure, poles_figure, step_figure
 from emps_design.report.loops import broken_loops
 from emps_design.report.page import Html, Picture, Section, Table, Text
 
@@ -37,12 +37,15 @@ def gains_section(velocity: VelocityLoopDesign) -> Section:
         ["encoder step", quantity(sampling.encoder_resolution, "m"), "on the load side"],
         *([effect.kind.replace("_", " "), "effect", _parameters(effect)] for effect in axis.effects),
     ]
+    equations = ("(7)", "(8)", "(9)") if velocity.structure.form == "ip" else ("PI", "as (8)", "as (9)")
     gains = [
-        [Html(symbol("k_v1")), quantity(velocity.k_v1, "V/(m/s)", 6), "(7)"],
-        [Html(symbol("t_v")), quantity(velocity.t_v, "s", 6), "(7)"],
-        [Html(symbol("K_v")), quantity(velocity.K_v, "N/m", 6), "(8)"],
-        [Html(symbol("omega_0v")), frequency(velocity.omega_0v, 6), "(9)"],
-        [Html(symbol("z_v")), number(velocity.z_v, 6), "(9)"],
+        [Html(symbol("k_v1")), quantity(velocity.k_v1, "V/(m/s)", 6), f"{equations[0]}; kp of a drive"],
+        [Html(symbol("t_v")), quantity(velocity.t_v, "s", 6), f"{equations[0]}; Tn of a drive"],
+        [Html(symbol("K_v")), quantity(velocity.K_v, "N/m", 6), equations[1]],
+        [Html(symbol("omega_0v")), frequency(velocity.omega_0v, 6), equations[2]],
+        [Html(symbol("z_v")), number(velocity.z_v, 6), equations[2]],
+        ["structure", velocity.structure.label, "of the velocity loop"],
+        *([one.kind, quantity(one.frequency, "Hz"), "filter of the command"] for one in velocity.filters),
     ]
     return Section(
         "Axis and gains",
@@ -55,7 +58,7 @@ def gains_section(velocity: VelocityLoopDesign) -> Section:
         Table(["quantity", "value", "meaning"], rows, f"The axis {axis.name} as designed on."),
         Table(["gain", "value", "equation"], gains, "Gains and canonical form of the velocity loop."),
         Text(
-            f"At this crossover (7) has an answer for phase margins between {angle(low_high[0])} and "
+            f"At this crossover there are gains for phase margins between {angle(low_high[0])} and "
             f"{angle(low_high[1])}."
         ),
     )
@@ -91,6 +94,13 @@ def velocity_section(velocity: VelocityLoopDesign) -> Section:
             "The loop that delay acts on. It crosses 0 dB at a higher frequency, where the same delay costs more "
             "phase; the distance between the two curves is what the implementation takes.",
             "Bode diagram, broken at the plant input",
+        ),
+        Picture(
+            parts_figure(velocity),
+            "The sampled loop at the plant input and what it is made of: the plant as the controller sees it, with "
+            "hold, delay and velocity estimator, and the controller with its filters. The loop is their product; plant "
+            "and controller count in SI and in units of the command.",
+            "Bode diagram: plant, controller and loop",
         ),
         Picture(
             nyquist_figure((error, plant)),

@@ -45,7 +45,7 @@ def test_the_page_has_every_picture_with_a_caption(page):
     titles = re.findall(r"<b>Figure \d+\. ([^<]*?)\.</b>", page)
     assert {"Nyquist diagrams", "Closed-loop poles", "Step response", "How large the force gain may be"} <= set(titles)
     assert {"Where the law is stable", "Apparent impedance", "Mismatch of ±2 %"} <= set(titles)
-    assert len(titles) == page.count("<svg ") == 14
+    assert len(titles) == page.count("<svg ") == 15
 
 
 def test_the_page_tells_what_the_printed_law_costs_and_where_print_and_derivation_differ(page):
@@ -85,7 +85,7 @@ def test_the_axis_brings_its_own_sections():
 def test_captions_name_no_colour_of_a_line(page):
     """The palette is for colour-blind readers; what one sees as red another sees as orange. Legends name the lines."""
     captions = [piece.partition("<h2>")[0].partition("<svg")[0] for piece in re.split(r"<b>Figure \d+\.", page)[1:]]
-    assert len(captions) == 14
+    assert len(captions) == 15
     named = [text for text in captions if re.search(r"\b(red|blue|orange|green|purple)\b", text, re.IGNORECASE)]
     assert named == []
 
@@ -123,7 +123,7 @@ def test_the_frequency_responses_are_those_of_the_margins():
 
 def test_figures_are_matplotlib_objects_by_name():
     figures = velocity_loop_figures(design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0))
-    assert sorted(figures) == ["bode_plant_input", "bode_velocity_error", "nyquist", "poles", "step"]
+    assert sorted(figures) == ["bode_parts", "bode_plant_input", "bode_velocity_error", "nyquist", "poles", "step"]
     assert all(figure.axes for figure in figures.values())
 
 
