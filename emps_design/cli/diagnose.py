@@ -120,6 +120,11 @@ def _table(path: Path, titles: Sequence[str], columns: Sequence[Any]) -> None:
         rows.writerows([f"{value:.9g}" for value in row] for row in zip(*columns, strict=True))
 
 
+def _share(confirmed: dict[str, float] | None) -> str:
+    """How much of an effect the held-out record asks for."""
+    return f"{confirmed['share']:.2f} +- {confirmed['std']:.2f}" if confirmed else "-"
+
+
 def _show(document: dict[str, Any], out: Path | None) -> None:
     from rich.table import Table
 
@@ -127,7 +132,8 @@ def _show(document: dict[str, Any], out: Path | None) -> None:
     console.print(document["verdict"], style="bold", end="  ")
     console.print(document["sentence"], highlight=False)
     if document["findings"]:
-        table = Table("effect", "or", "where", "gap before [N]", "after [N]", "p")
+        told = any(finding["confirmed"] for finding in document["findings"])
+        table = Table("effect", "or", "where", "gap before [N]", "after [N]", "confirmed" if told else "p")
         for finding in document["findings"]:
             table.add_row(
                 finding["label"],
@@ -135,7 +141,7 @@ def _show(document: dict[str, Any], out: Path | None) -> None:
                 finding["where"]["text"],
                 f"{finding['gap_before']:.3f}",
                 f"{finding['gap_after']:.3f}",
-                f"{finding['p_value']:.3f}",
+                _share(finding["confirmed"]) if told else f"{finding['p_value']:.3f}",
             )
         console.print(table, width=min(80, console.width))
     if document.get("experiment"):

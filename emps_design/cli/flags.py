@@ -20,6 +20,7 @@ FLAGS = {
     "record": "--record",
     "retune": "--retune",
     "target": "--to",
+    "window": "--time",
 }
 
 

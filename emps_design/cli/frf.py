@@ -74,9 +74,11 @@ def command(
 def _draw(path: Path, found: Estimate) -> None:
     from emps_design.files import write_aside
     from emps_design.report.frequency_response import response_figure
+    from emps_design.report.style import labelled
 
+    figure = labelled(response_figure(found.comparison, found.spectral_ratio), found.axis.units)
     with write_aside(path) as aside:
-        response_figure(found.comparison, found.spectral_ratio).savefig(aside, format=path.suffix[1:])
+        figure.savefig(aside, format=path.suffix[1:])
 
 
 def _show(found: Estimate, unit: Callable[[str], str]) -> None:

@@ -182,8 +182,12 @@ def command(
 
         found = [measured_margins(response, design.loop_axis) for response in responses]
         document["measured"] = measured_document(found)
+        if around is not None:
+            whole = [measured_margins(response, around.axis()) for response in responses]
+            document["measured"]["whole_loop"] = measured_document(whole)
         document["warnings"] += [warning for one in found for warning in one.warnings]
-    on_data = "measured" not in document or document["measured"]["stable"]
+    measured = document.get("measured", {})
+    on_data = measured.get("stable", True) and measured.get("whole_loop", {}).get("stable", True)
     if stable and on_data and out is not None:
         table = design.controller_table()
         if around is not None:
@@ -206,6 +210,8 @@ def command(
             from emps_design.cli.measured_table import print_measured
 
             print_measured(document["measured"])
+            if "whole_loop" in document["measured"]:
+                print_measured(document["measured"]["whole_loop"], "whole loop")
     if "reason" in document:
         tell(document["reason"])
     return 0 if stable and on_data else 4

@@ -17,13 +17,14 @@ ROWS = (
 )
 
 
-def print_measured(measured: dict[str, Any]) -> None:
-    """Print what ``gains`` found on measured responses, ``document["measured"]``."""
+def print_measured(measured: dict[str, Any], loop: str = "velocity loop") -> None:
+    """Print what ``gains`` found on measured responses, ``document["measured"]``, for this ``loop``."""
     from rich import box
     from rich.table import Table
 
     console = new_console()
-    table = Table(title="On the measured plant, loop broken at the plant input", title_justify="left", box=box.SIMPLE)
+    title = f"On the measured plant, {loop} at the plant input"
+    table = Table(title=title, title_justify="left", box=box.SIMPLE)
     table.add_column("")
     responses = measured["responses"]
     for one in responses:

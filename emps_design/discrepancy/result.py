@@ -23,7 +23,10 @@ MOST_IN_FULL = 2  # findings with all their numbers in the sentence
 
 @dataclass(frozen=True)
 class Finding:
-    """One accepted effect: where it acts, its parameters, and the force gap before and after it was added [N]."""
+    """One accepted effect: where it acts, its parameters, and the force gap before and after it was added [N].
+
+    ``confirmed`` is the share of it that the held-out record asks for, with its deviation; None where that is not told.
+    """
 
     effect: str
     label: str
@@ -33,6 +36,7 @@ class Finding:
     p_value: float
     gap_before: float
     gap_after: float
+    confirmed: Mapping[str, float] | None = None
     equivalents: tuple[str, ...] = ()
     remedy: str = ""
     note: str = ""
@@ -43,6 +47,7 @@ class Finding:
             "equivalents": list(self.equivalents),
             "where": {"channel": self.channel, **self.where},
             "parameters": {name: dict(table) for name, table in self.parameters.items()},
+            "confirmed": None if self.confirmed is None else dict(self.confirmed),
         }
         names = ("effect", "label", *entry, "p_value", "gap_before", "gap_after", "note")
         return {name: entry.get(name, getattr(self, name)) for name in names}
@@ -114,17 +119,20 @@ class Diagnosis:
         """The answer in one sentence, as on the first screen of the report."""
         judged, where = (self.holdout, "held-out") if self.holdout else (self.train, "training")
         gap = f"{where} force error {judged.baseline:.2f} N -> {judged.extended:.2f} N, noise {self.floor:.2f} N"
-        if self.verdict in ("named", "ambiguous"):
+        if self.verdict in ("named", "ambiguous", "partly-named"):
             if len(self.findings) <= MOST_IN_FULL:
                 text = "; ".join(finding.in_words() for finding in self.findings)
             else:
                 text = f"{len(self.findings)} effects are missing: "
                 text += ", ".join(f"{f.label.lower()} (up to {f.where['force']['value']:.3g} N)" for f in self.findings)
-            return f"{text[0].upper()}{text[1:]}; {gap}."
+            rest = ""
+            if self.verdict == "partly-named":
+                rest = f" Something else is missing that no effect explains: {self.details['unexplained']['text']}."
+            return f"{text[0].upper()}{text[1:]}; {gap}.{rest}"
         if self.details.get("interrupted") and not self.findings:
             return f"Interrupted before anything was found; {gap}."
         if self.verdict == "unnamed":
-            place = self.details["unexplained"]["text"]
+            place = self.details["unexplained"]["place"]
             where = "" if place == EVERYWHERE else f", most of it {place}"
             known = "".join(f"{finding.in_words()}; " for finding in self.findings)  # from the controller's law
             text = f"{known}{'beside that ' if known else ''}the model misses {judged.extended:.2f} N"
@@ -147,7 +155,7 @@ class Diagnosis:
         | key | content |
         |---|---|
         | ``simulation`` | "closed loop", or "inverse model" where the controller is not known |
-        | ``unexplained`` | for ``unnamed``: {text, map: {position [m], velocity [m/s], force [N]}, ...} |
+        | ``unexplained`` | for ``unnamed`` and ``partly-named``: {rms [N], share, over, predicted, text, map, ...} |
         | ``spectrum_over_time`` | {time [s], frequency [Hz], force [N]}: what the baseline misses |
         | ``candidates`` | [{effect, label, gap [N], statistic, threshold, accepted: bool, note}], best first |
         | ``parameters`` | {name: {unit, axis, baseline: {value, std}, extended: {value, std}}} |

@@ -54,6 +54,8 @@ AT_FLOOR = 1.2  # whitened cost per sample up to which a model leaves nothing bu
 
 # What the confirming record says
 ASKED_APART = 0.3  # from all of an effect, beyond which a record refutes it
+MOST_FREE = 3  # linear numbers, beyond which an effect is a curve that follows anything
+SHARE_KNOWN = 0.1  # deviation of the share asked for, beyond which an effect beside something unknown does not stand
 SURE = 3.0  # standard deviations
 EXERCISED = 0.05  # standard deviations of the noise that an effect must change in the mean to be seen at all
 BETTER_PROPOSAL = 0.98  # of the cost: a proposal for what belongs to a record must leave less than with the old numbers
@@ -61,10 +63,12 @@ BETTER_FIT = 0.995  # the same for the fit that follows
 
 # The verdict
 EXPLAINED = 0.8  # of the excess over the floor, in force, a model must explain to stand where it does not reach it
+COMPLETE = 0.97  # of the excess: a model that explains more leaves nothing to name, whatever its structure
 HELD = 0.8  # of the share explained on the training record must be explained on the confirming one
 LOST = 0.05  # of what the model explained; if refuted effects carried more, the rest is doubtful too
 MOST_EQUIVALENTS = 3
 EQUIVALENT = 0.03  # of what a finding gains: a rival this close is an equivalent where structure is left
+DEPENDS = 0.2  # of what is left, from which on a variable that predicts so much of it is named
 OFF = 0.005  # of a number's magnitude: an axis file that is further off, for sure, is wrong
 OFF_SURELY = 3.0  # standard deviations
 

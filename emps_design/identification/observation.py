@@ -23,7 +23,7 @@ from emps_design.observer import (
     KalmanForceObserver,
     OnlineObserver,
     SmallestForce,
-    acting_voltage,
+    as_driven,
     left_out,
     model_force,
     observe_offline,
@@ -129,8 +129,7 @@ def observe(
     >>> sorted(found.methods), found.methods["online"].smallest.bound
     (['kalman', 'offline', 'online'], 'break_away')
     """
-    voltage, axis = acting_voltage(axis.replace(sampling={"period": record.period}), record.u)
-    record = replace(record, u=voltage)
+    record, axis = as_driven(axis.supplied_by(record), record)
     warnings = list(record.warnings)
     for method, kinds in left_out(axis).items():
         if kinds:

@@ -8,14 +8,14 @@ from pathlib import Path
 from emps_design.axis import Axis
 from emps_design.importing.sanity import check_against
 from emps_design.laws import NONE
-from emps_design.records import MAX_BYTES, Record, read_record, record_from_bytes
+from emps_design.records import MAX_BYTES, MAX_BYTES_TO_CUT, Record, read_record, record_from_bytes
 from emps_design.records.layout import Layout
 
 
 def import_record(
     path: str | Path,
     axis: Axis,
-    max_bytes: int = MAX_BYTES,
+    max_bytes: int | None = None,
     resample: bool = False,
     window: tuple[float, float] | None = None,
 ) -> Record:
@@ -27,6 +27,8 @@ def import_record(
     is not certain, or where the numbers cannot be of this axis. ``window`` takes a part [s] of the file's time alone.
     """
     layout = replace(layout_of(axis), resample=resample, window=window)
+    if max_bytes is None:
+        max_bytes = MAX_BYTES if window is None else MAX_BYTES_TO_CUT
     return check_against(axis, read_record(path, max_bytes, layout), str(path))
 
 

@@ -9,6 +9,7 @@ from emps_design.exports import on_first_use
 if TYPE_CHECKING:
     from emps_design.observer.actuation import (
         acting_voltage as acting_voltage,
+        as_driven as as_driven,
         motor_force as motor_force,
         motor_share as motor_share,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,27 @@ def acting_voltage(axis: Axis, u: np.ndarray) -> tuple[np.ndarray, Axis]:
         "mechanics": {"viscous": axis.mechanics.viscous + axis.drive.braking},
     }
     return u, axis.replace(effects=kept, **used_up)
+
+
+def as_driven(axis: Axis, record: Record) -> tuple[Record, Axis]:
+    """The record with the voltage that acts, as :func:`acting_voltage` says, and the axis that goes with it.
+
+    The supply of a duty and where the motor was switched off are in that voltage. A winding that is open brakes
+    nothing: what the axis then has too much of viscous friction the voltage gives back.
+
+    >>> from emps_design.machines import machine
+    >>> from emps_design.machines import machine
+    >>> wave = 0.1 * np.sin(np.arange(60) / 9)
+    >>> off = Record.from_arrays(1e-2, wave, wave, np.ones(60) + wave, enable=np.arange(60) < 30)
+    >>> [int(np.count_nonzero(half)) for half in np.split(as_driven(machine("emps2019"), off)[0].u, 2)]
+    [30, 0]
+    """
+    voltage, driven = acting_voltage(axis.replace(sampling={"period": record.period}), record.u)
+    voltage = voltage * motor_share(axis, record)
+    if axis.drive.braking and record.enable is not None:
+        v = np.gradient(record.q, record.period)
+        voltage += np.where(record.enable != 0.0, 0.0, axis.drive.braking * v / axis.drive.gain)
+    return replace(record, u=voltage), driven
 
 
 def motor_share(axis: Axis, record: Record) -> Any:

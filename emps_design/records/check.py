@@ -10,11 +10,11 @@ import numpy as np
 from emps_design.errors import RecordError
 from emps_design.records.clock import Resampled, on_one_clock
 from emps_design.records.columns import OPTIONAL
-from emps_design.records.layout import NAMED, RECOGNISED, Assignment, Layout, assign
+from emps_design.records.layout import LONGEST, NAMED, RECOGNISED, Assignment, Layout, assign
 
 PLAIN = Layout()  # what a record is without an axis: metres and volts, by the names of the contract
 SHORTEST = 50  # samples; less than this says nothing about an axis
-LONGEST = 5_000_000  # samples; keeps what works on a record well under 1 GiB
+CUT = "take a part of it with import and its `window`, or split it"
 NOTED_SATURATION = 0.005  # share of samples
 LARGEST = 1e15  # of any column; beyond it the checks themselves would overflow
 # Beyond these a unit was mistaken: no single axis is longer, faster or stronger.
@@ -42,7 +42,7 @@ def checked(
     """
     assigned = assign(list(columns), layout, source) if assigned is None else assigned
     n = next(np.size(columns[one.title]) for one in assigned if one.name == "t")
-    _fits(n, source)
+    _fits(n, source, layout.longest)
     # One block for all signals: memory that is freed beside it goes back, however long the record.
     signals = iter(np.empty((len(assigned), n)))
     named: dict[str, np.ndarray] = {}
@@ -61,9 +61,9 @@ def checked(
     if layout.window is not None:
         part = _part(named["t"], layout.window, source)
         columns = {title: values[part] if np.size(values) == n else values for title, values in columns.items()}
-        named = {name: values[part] for name, values in named.items()}
+        named = {name: values[part].copy() for name, values in named.items()}  # the block is let go
         first_row, n = first_row + part.start, named["t"].size
-        _fits(n, source)
+        _fits(n, source, LONGEST)
     exported = layout.resample or any(one.how != NAMED for one in assigned)
     found, clock_notes, resampled = on_one_clock(named, layout.period if exported else None, source, first_row)
     notes += clock_notes
@@ -71,7 +71,7 @@ def checked(
         columns = {title: _held(values, named["t"], resampled) for title, values in columns.items()}
         named = resampled.signals
         n = named["t"].size
-        _fits(n, source)
+        _fits(n, source, LONGEST)
     period = period or found
     _moving(named, layout, source)
     _plausible(named, period, layout, source)
@@ -129,9 +129,9 @@ def _held(values: Any, t: np.ndarray, resampled: Resampled) -> Any:
     return np.ravel(values)[np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 1)]
 
 
-def _fits(n: int, source: str) -> None:
-    if n > LONGEST:
-        raise RecordError(f"{source}: found {n} samples, expected at most {LONGEST}; cut it")
+def _fits(n: int, source: str, most: int) -> None:
+    if n > most:
+        raise RecordError(f"{source}: found {n} samples, expected at most {most}; {CUT}")
     if n < SHORTEST:
         raise RecordError(f"{source}: found {n} sample{'' if n == 1 else 's'}, expected at least {SHORTEST}")
 

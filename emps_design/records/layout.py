@@ -26,6 +26,8 @@ from emps_design.records.recognise import meanings
 from emps_design.units import COUNTS, Units, spelled
 
 MAPPED, NAMED, RECOGNISED = "mapped", "named", "recognised"
+LONGEST = 5_000_000  # samples; keeps what works on a record well under 1 GiB
+LONGEST_TO_CUT = 15_000_000  # samples of a file of which a part is taken, an hour at 4 kHz: 1.8 GB, 115 bytes for each
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,11 @@ class Layout:
     resample: bool = False
     window: tuple[float, float] | None = None
     reference_needed: bool = True
+
+    @property
+    def longest(self) -> int:
+        """How many samples a file may have."""
+        return LONGEST if self.window is None else LONGEST_TO_CUT
 
     def unit(self, name: str) -> str:
         """The unit of a record's column called ``name``."""

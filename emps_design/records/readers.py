@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, cast
@@ -14,7 +14,7 @@ import numpy as np
 
 from emps_design.errors import InputError, RecordError, one_line
 from emps_design.records.archives import read_archive
-from emps_design.records.check import PLAIN, checked
+from emps_design.records.check import CUT, PLAIN, checked
 from emps_design.records.columns import RECORD
 from emps_design.records.layout import NAMED, Layout, assign
 from emps_design.records.matlab_v5 import is_v5, read_v5
@@ -23,6 +23,7 @@ from emps_design.records.record import MEASURED, Record
 from emps_design.records.tables import read_table, table_titles
 
 MAX_BYTES = 250_000_000  # of a file, and again of what it unpacks to: two hours at 1 kHz
+MAX_BYTES_TO_CUT = 3 * MAX_BYTES  # where a part is taken
 
 HEAD = 4096  # bytes that say what a file is
 
@@ -109,7 +110,7 @@ def _read(file: BinaryIO, name: str, source: str, max_bytes: int, layout: Layout
     columns: dict[str, np.ndarray]
     notes: tuple[str, ...]
     if found == ".csv":
-        table = read_table(file, source, lambda titles: [one.title for one in assign(titles, layout, source)])
+        table = read_table(file, source, lambda titles: _needed(titles, layout, source), layout.longest)
         columns, first_row, notes = table.columns, table.first_row, table.notes
     else:
         columns, first_row, notes = _arrays(file, found, head, source, max_bytes), 0, ()
@@ -123,6 +124,11 @@ def _read(file: BinaryIO, name: str, source: str, max_bytes: int, layout: Layout
     signals["assigned"] = tuple(assigned)
     signals["warnings"] = (*notes, *signals["warnings"])
     return Record(name=one_line(Path(name).stem), sha256=digest, **signals)
+
+
+def _needed(titles: Sequence[str], layout: Layout, source: str) -> list[str]:
+    """The ``titles`` of a text table that are to be read."""
+    return [one.title for one in assign(titles, layout, source)] + [title for title in titles if title == RECORD]
 
 
 def _recognised(file: BinaryIO, name: str, source: str) -> tuple[bytes, str]:
@@ -164,7 +170,4 @@ def _described(head: bytes, kind: str) -> str:
 
 def _refuse_large(size: int, source: str, max_bytes: int) -> None:
     if size > max_bytes:
-        raise RecordError(
-            f"{source}: found more than {max_bytes / 1e6:g} MB, expected at most that; "
-            "cut the record, or read it from Python with read_record(path, max_bytes=...)"
-        )
+        raise RecordError(f"{source}: found more than {max_bytes / 1e6:g} MB, expected at most that; {CUT}")

@@ -14,7 +14,7 @@ from emps_design.files import write_aside
 from emps_design.notebook import table
 from emps_design.records.check import PLAIN, checked
 from emps_design.records.columns import OPTIONAL, RECORD
-from emps_design.records.layout import Assignment, Layout
+from emps_design.records.layout import MAPPED, Assignment, Layout
 
 MEASURED = "measured."  # before the names, in an archive, of what was resampled, at its own times
 
@@ -128,11 +128,13 @@ class Record:
             if path.suffix == ".npz":
                 np.savez(file, **cast(Any, {**self.columns, **self._kept(), RECORD: 1}))
             else:
+                columns = self.columns
+                if any(one.how == MAPPED for one in self.assigned):  # not to be mapped once more, whatever the names
+                    columns[RECORD] = np.ones(len(self))
                 # 17 digits bring every number back as it was, 12 are the time's and do for reading.
-                formats = ["%.12g", *["%.17g"] * (len(self.columns) - 1)]
-                header = ",".join(self.columns)
-                table = np.column_stack(list(self.columns.values()))
-                np.savetxt(file, table, fmt=formats, delimiter=",", header=header, comments="")
+                formats = ["%.12g", *["%.17g"] * (len(columns) - 1)]
+                table = np.column_stack(list(columns.values()))
+                np.savetxt(file, table, fmt=formats, delimiter=",", header=",".join(columns), comments="")
 
     def _kept(self) -> dict[str, np.ndarray]:
         """What an archive keeps beside the columns: single numbers of the file, and what was resampled."""

@@ -13,8 +13,9 @@ from typing import BinaryIO, TextIO
 import numpy as np
 
 from emps_design.errors import RecordError, one_line
-from emps_design.records.check import LONGEST
+from emps_design.records.check import CUT
 from emps_design.records.header import COMMENT, LOOKED_AT, Choice, find_header, number, split
+from emps_design.records.layout import LONGEST
 from emps_design.records.scope import is_scope, read_scope, scope_titles
 
 LONGEST_LINE = 100_000  # characters
@@ -34,8 +35,8 @@ class Table:
     notes: tuple[str, ...] = ()
 
 
-def read_table(file: BinaryIO, source: str, known: Choice) -> Table:
-    """Return the columns of a text table in whose titles ``known`` finds a meaning.
+def read_table(file: BinaryIO, source: str, known: Choice, most: int = LONGEST) -> Table:
+    """Return the columns of a text table in whose titles ``known`` finds a meaning; it has at ``most`` so many samples.
 
     It is gone through twice, to count its rows and to read them block by block: its text is never whole in memory.
     """
@@ -43,7 +44,7 @@ def read_table(file: BinaryIO, source: str, known: Choice) -> Table:
     file.seek(0)
     text = io.TextIOWrapper(file, encoding=encoding)
     try:
-        rows = _rows(text, source)
+        rows = _rows(text, source, most)
         head = list(islice(text, LOOKED_AT))
         lines = chain(head, text)
         if is_scope(head):
@@ -111,7 +112,7 @@ def _encoding(head: bytes) -> str:
     return "cp1252"
 
 
-def _rows(text: TextIO, source: str) -> int:
+def _rows(text: TextIO, source: str, most: int) -> int:
     """How many rows there are at most; binary data and too many are refused."""
     rows, begun = 1, 0  # ``begun``: characters of the line that goes on in the next piece
     while piece := text.read(PIECE):
@@ -119,10 +120,8 @@ def _rows(text: TextIO, source: str) -> int:
             raise RecordError(f"{source}: found binary data, expected a text table")
         begun = _unfinished_line(piece, begun, source)
         rows += piece.count("\n")
-        if rows > LONGEST + 1:
-            raise RecordError(
-                f"{source}: found more than {LONGEST} rows, expected fewer; cut the record or save it as .npz"
-            )
+        if rows > most + 1:
+            raise RecordError(f"{source}: found more than {most} rows, expected fewer; {CUT}")
     text.seek(0)
     return rows
 

@@ -17,6 +17,7 @@ from emps_design.report.page import Page, Section
 
 if TYPE_CHECKING:
     from emps_design.comanipulation.assessment import ImpedanceAssessment
+    from emps_design.control.loop.nested import NestedLoop
     from emps_design.identification.identify import Identification
     from emps_design.records import Record
 
@@ -34,6 +35,7 @@ class Report:
     impedance: ImpedanceAssessment | None = None
     found: tuple[Identification, ...] = ()
     warnings: tuple[str, ...] = ()
+    loops: tuple[NestedLoop, ...] = ()
 
     @property
     def reason(self) -> str:
@@ -63,6 +65,8 @@ class Report:
             document["identification"] = {one.model: one.to_dict() for one in self.found}
         if self.impedance is not None:
             document["impedance"] = self.impedance.to_dict()
+        if self.loops:
+            document["controller_loops"] = [loop.to_dict() for loop in self.loops]
         if self.reason:
             document["reason"], document["nearest"] = self.reason, self.nearest
         document["inputs"] = dict(self.results.inputs)
@@ -165,6 +169,13 @@ def assemble_report(
         assessed = assess_impedance(loaded, mass, damping, mismatch, filter)
         parts.append(impedance_section(assessed))
         stops = () if assessed.stable else (f"the impedance law is unstable: {assessed.reason}",)
+    loops: tuple[NestedLoop, ...] = ()
+    if controller.kind != NONE and get_law(controller.kind).loops:
+        from emps_design.control.loop.nested import nested_loops
+        from emps_design.report.controller import controller_section
+
+        loops = nested_loops(loaded)
+        parts.append(controller_section(loops))
     results = design_results(
         velocity,
         *around,
@@ -179,7 +190,7 @@ def assemble_report(
     warnings += [*velocity.warnings, *(results.force.warnings if results.force else ())]
     warnings += assessed.to_dict()["warnings"] if assessed else []
     tell("writing", 0.95)
-    return Report(page, results, assessed, tuple(found), tuple(dict.fromkeys(warnings)))
+    return Report(page, results, assessed, tuple(found), tuple(dict.fromkeys(warnings)), loops)
 
 
 def has_impedance_law(axis: Axis) -> bool:

@@ -1,4 +1,4 @@
-"""The page of ``diagnose``: one sentence, where, before and after, what lost, what may be there unseen, what to do."""
+"""The page of ``diagnose``: the answer in plain words, then where, before and after, what was tried, what to do."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from emps_design.report import diagnosis_figures as figures
 from emps_design.report.diagnosis_design import design_section
 from emps_design.report.diagnosis_experiment import experiment_section
 from emps_design.report.diagnosis_sections import (
+    answer_points,
     candidates_section,
     findings_section,
     gap_section,
+    in_plain_words,
     limits_section,
     method_section,
     parameters_section,
@@ -23,7 +25,7 @@ from emps_design.report.diagnosis_sections import (
 )
 from emps_design.report.display import quantity, sentence_of
 from emps_design.report.frequency_response import response_section
-from emps_design.report.page import Callout, Facts, Page, Picture
+from emps_design.report.page import Callout, Facts, Page, Picture, Text
 from emps_design.units import Units
 
 if TYPE_CHECKING:
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
 VERDICTS = {
     "named": ("warning", "What is missing from the model has a name"),
     "parameters-only": ("note", "Nothing is missing: only the numbers of the axis file are off"),
+    "partly-named": ("warning", "Part of what is missing has a name, and something is left that has none"),
     "nothing-missing": ("good", "Nothing is missing from the model"),
     "ambiguous": ("warning", "Something is missing, and these data cannot tell which of several effects it is"),
     "unnamed": ("warning", "Something is missing that no effect of the library explains"),
@@ -49,9 +52,8 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     document = diagnosis.to_dict()
     findings = document["findings"]
     level, verdict = VERDICTS[document["verdict"]]
-    summary: list[Any] = [
-        Callout(level, typeset(document.get("sentence") or verdict), verdict if "sentence" in document else "")
-    ]
+    answer = (Text(typeset(document["sentence"])),) if "sentence" in document else ()
+    summary: list[Any] = [Callout(level, in_plain_words(document), verdict), answer_points(document), *answer]
     simulated = document.get("simulation", "closed loop")
     summary.append(_gap_facts(document["gap"], simulated))
     if diagnosis.views:
@@ -68,14 +70,14 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     sections = [
         findings_section(findings),
         unexplained_section(document),
-        candidates_section(diagnosis, document.get("candidates", ())),
+        experiment_section(document.get("experiment"), getattr(diagnosis, "experiment", None)),
+        remedy_section(document),
         parameters_section(document),
         gap_section(document),
         views_section(diagnosis),
         None if response is None else response_section(response),
+        candidates_section(diagnosis, document.get("candidates", ())),
         limits_section(document),
-        remedy_section(document),
-        experiment_section(document.get("experiment"), getattr(diagnosis, "experiment", None)),
         design_section(diagnosis, document),
         method_section(document),
     ]

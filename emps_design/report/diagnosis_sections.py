@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from emps_design.discrepancy.search.acceptance import explained
 from emps_design.report import diagnosis_figures as figures
 from emps_design.report.display import NOTHING, interval, probability, quantity, sentence_of, with_std, words
 from emps_design.report.footer import inputs_table, versions
@@ -18,12 +19,75 @@ def _label(finding: Mapping[str, Any]) -> str:
     return finding.get("label") or words(finding["effect"])
 
 
+def in_plain_words(document: Mapping[str, Any]) -> str:
+    """The answer for a reader who does not know control loops: what was found, and how much it explains."""
+    findings, left = document["findings"], document.get("unexplained")
+    gap = document["gap"].get("holdout") or document["gap"]["train"]
+    before, after, floor = gap.get("baseline"), gap.get("extended"), document["gap"].get("floor")
+    if document["verdict"] in ("nothing-missing", "parameters-only"):
+        return "The machine does what its model says, but for noise; nothing has to be added to the model."
+    if not findings:
+        return (
+            "The machine does not do what its model says, and none of the causes that were tried explains it. "
+            "More measuring is needed before anything is changed."
+        )
+    names = [_label(finding).lower() for finding in findings]
+    listed = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    closed = ""
+    if None not in (before, after, floor) and before > max(floor, after):
+        closed = f" Together they explain {100 * explained(before, after, floor):.0f} % of the difference."
+        closed = closed.replace("Together they explain", "It explains") if len(names) == 1 else closed
+    cause = "one cause has" if len(names) == 1 else f"{len(names)} causes have"
+    rest = " Something is left that nothing known explains; it needs another measurement." if left else ""
+    sure = " A second record that played no part in finding them agrees." if _agrees(findings) else ""
+    return f"The machine does not quite do what its model says, and {cause} been found: {listed}.{closed}{sure}{rest}"
+
+
+def _agrees(findings: Sequence[Mapping[str, Any]]) -> bool:
+    return all(finding.get("confirmed") for finding in findings)
+
+
+def how_sure(finding: Mapping[str, Any]) -> str:
+    """What the held-out record says of a finding."""
+    confirmed = finding.get("confirmed")
+    if not confirmed:
+        return "not seen on a held-out record"
+    return f"the held-out record asks for {_share(confirmed)} of it"
+
+
+def _share(confirmed: Mapping[str, float] | None) -> str:
+    return f"{confirmed['share']:.2f} ± {confirmed['std']:.2f}" if confirmed else NOTHING
+
+
+def answer_points(document: Mapping[str, Any]) -> Points:
+    """What was found and how sure, what is left, and what to record next, one line each."""
+    lines = [
+        f"Found: {_label(f).lower()}, up to {quantity(f['where']['force']['value'], 'N', 3)}; {how_sure(f)}."
+        for f in document["findings"]
+        if f.get("where", {}).get("force")
+    ]
+    if document.get("unexplained"):
+        lines.append(f"Left: {document['unexplained']['text']}.")
+    if document.get("experiment"):
+        lines.append(f"Record next: {document['experiment']['text']}.")
+    return Points(lines or ["Nothing has to be recorded."])
+
+
 def findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
     """The effects found, with what each is good for, and their numbers."""
     if not findings:
         return None
     alike = any(finding.get("equivalents") for finding in findings)
-    headers = ["effect", "p-value", "gap without it [N]", "gap with it [N]", "acts in the", "where", "force up to [N]"]
+    headers = [
+        "effect",
+        "p-value",
+        "confirmed: share asked for",
+        "gap without it [N]",
+        "gap with it [N]",
+        "acts in the",
+        "where",
+        "force up to [N]",
+    ]
     headers.append("remark")
     blocks: list[Any] = [
         Table(
@@ -32,6 +96,7 @@ def findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
                 [
                     html("<b>{}</b>", _label(f)),
                     probability(f.get("p_value")),
+                    _share(f.get("confirmed")),
                     f.get("gap_before"),
                     f.get("gap_after"),
                     f.get("where", {}).get("channel", "plant"),

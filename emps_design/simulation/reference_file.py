@@ -10,8 +10,8 @@ import numpy as np
 from emps_design.errors import InputError, RecordError
 from emps_design.files import read_bytes
 from emps_design.records.archives import read_archive
-from emps_design.records.check import LONGEST
 from emps_design.records.columns import PLAIN, read_title
+from emps_design.records.layout import LONGEST
 from emps_design.records.tables import read_plain_table
 from emps_design.units import Units
 

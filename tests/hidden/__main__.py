@@ -7,11 +7,14 @@ import json
 import os
 import sys
 import tempfile
+from datetime import date
 from pathlib import Path
 
 from tests.hidden import generate
 from tests.hidden.score import rows, score_all, summary, table
 
+# Sets and seeds that were looked at while a rule was chosen.
+STEERED = {("all", 0), ("quick", 0), ("several", 100), ("beside", 100), ("unknown", 100), ("beside", 9001)}
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGES, TABLES = REPOSITORY / "docs", REPOSITORY / "benchmarks"
 
@@ -19,8 +22,8 @@ PAGES, TABLES = REPOSITORY / "docs", REPOSITORY / "benchmarks"
 def main(arguments: list[str] | None = None) -> int:
     """Score a set of cases; the counts go to standard output as JSON."""
     parser = argparse.ArgumentParser(prog="python -m tests.hidden", description=__doc__)
-    parser.add_argument("--cases", choices=("quick", "all", "healthy"), default="all")
-    parser.add_argument("--count", type=int, default=8, help="healthy drives")
+    parser.add_argument("--cases", choices=generate.SETS, default="all")
+    parser.add_argument("--count", type=int, default=8, help="cases of a set that goes on, healthy drives of `all`")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", help="cases whose name contains this")
     parser.add_argument("--no-laps", action="store_true", help="training programs in which nothing repeats")
@@ -29,7 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--table", type=Path, help="default: benchmarks/hidden.json, with _no_laps where they are none")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     options = parser.parse_args(arguments)
-    kind = "_no_laps" if options.no_laps else ""
+    kind = f"_{options.cases}" * (options.cases not in ("quick", "all")) + "_no_laps" * options.no_laps
     page = options.page or PAGES / f"hidden_effects{kind}.md"
     numbers = options.table or TABLES / f"hidden{kind}.json"
     with tempfile.TemporaryDirectory() as scratch:
@@ -49,8 +52,16 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"no case whose name contains {options.only!r}", file=sys.stderr)
         return 2
     count = {key: None if value != value else value for key, value in summary(scores).items()}
-    page.write_text(table(scores, options.seed, not options.no_laps), encoding="utf-8")
-    document = {"seed": options.seed, "summary": count, "rows": rows(scores)}
+    steered = (options.cases, options.seed) in STEERED
+    text = table(scores, options.seed, options.cases, not options.no_laps, steered)
+    page.write_text(text, encoding="utf-8")
+    document = {
+        "seed": options.seed,
+        "date": f"{date.today()}",
+        "steered": steered,
+        "summary": count,
+        "rows": rows(scores),
+    }
     numbers.write_text(json.dumps(document, indent=1), encoding="utf-8")
     print(json.dumps(count))
     return 0

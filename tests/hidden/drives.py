@@ -192,7 +192,23 @@ def draw_effect(
         return {"cross": sign * drive.viscous * (6.0, 9.0)[big], "middle": 0.5 * drive.travel}, {}
     if name == "unknown_wake":
         return {"wake": drive.coulomb * (0.4, 0.7)[big]}, {}
+    if name == "unknown_crank":
+        return {"crank": sign * (0.3, 0.45)[big], "crank_length": 0.8 * drive.travel, "middle": 0.45 * drive.travel}, {}
+    if name == "unknown_magnet":
+        width, middle = 0.15 * drive.travel, drive.travel * _between(rng, 0.35, 0.65)
+        return {"magnet": drive.viscous * (2.0, 3.5)[big], "magnet_width": width, "middle": middle}, {}
+    if name == "unknown_thixotropy":
+        return {"thixotropy": drive.coulomb * (0.6, 1.0)[big]}, {}
     raise KeyError(f"no effect called {name}")
+
+
+def draw_several(rng: np.random.Generator, count: int, among: tuple[str, ...]) -> tuple[str, ...]:
+    """``count`` effects of ``among`` in any order, no two of which are one and the same physics."""
+    chosen: list[str] = []
+    for name in map(str, rng.permutation(among)):
+        if not any({name, other} <= alike for other in chosen for alike in ALIKE):
+            chosen.append(name)
+    return tuple(chosen[:count])
 
 
 EFFECTS = (
@@ -220,7 +236,29 @@ EFFECTS = (
 )
 TURNING = ("gravity",)  # of an axis that turns: compared between the simulators, in no generated case
 FURTHER = ("maxwell_slip_friction", "friction_ripple", "force_map", "friction_map")  # compared only, as yet
-UNKNOWN = ("unknown_ageing", "unknown_cross", "unknown_wake")
+UNKNOWN = (
+    "unknown_ageing",
+    "unknown_cross",
+    "unknown_wake",
+    "unknown_crank",
+    "unknown_magnet",
+    "unknown_thixotropy",
+)
+ALIKE = ({"flexible_coupling", "backlash"}, {"actuator_delay", "actuator_lag"})
+AMPLITUDES = {  # effects with an amplitude: the plant's name of it, and the package's
+    "asymmetric_viscous_friction": ("asymmetric", "viscous_difference"),
+    "nonlinear_viscous_friction": ("quadratic", "amount"),
+    "stribeck_friction": ("stribeck_excess", "excess"),
+    "load_dependent_friction": ("load_share", "share"),
+    "position_dependent_friction": ("travel_amplitude", "amplitude"),
+    "friction_drift": ("drift_change", "change"),
+    "position_ripple": ("ripple_amplitude", "amplitude"),
+    "elastic_force": ("spring", "stiffness"),
+    "mass_change": ("mass_change", "change"),
+    "external_force": ("pulse_force", "amplitude"),
+    "periodic_disturbance": ("hum_amplitude", "amplitude"),
+    "actuator_deadzone": ("dead", "width"),
+}
 PAIRS = (
     ("asymmetric_viscous_friction", "position_ripple"),
     ("stribeck_friction", "actuator_delay"),

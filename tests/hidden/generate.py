@@ -1,4 +1,4 @@
-"""Write a folder of hidden-effect cases: ``python -m tests.hidden.generate FOLDER --seed S --cases quick|all|healthy``.
+"""Write a folder of hidden-effect cases: ``python -m tests.hidden.generate FOLDER --seed S --cases SET``.
 
 Every case is a folder with axis.toml, train.npz, holdout.npz and truth.json; see README.md.
 """
@@ -14,7 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.hidden.drives import EFFECTS, PAIRS, UNKNOWN, Drive, draw_drive, draw_effect
+from tests.hidden.drives import (
+    AMPLITUDES,
+    EFFECTS,
+    PAIRS,
+    UNKNOWN,
+    Drive,
+    draw_drive,
+    draw_effect,
+    draw_several,
+)  # fmt: skip
 from tests.hidden.plant import numbers, simulate
 from tests.hidden.programs import laps, multi_sine, wander
 
@@ -22,6 +31,9 @@ VOLTAGE_NOISE = 4e-3  # V
 FORCE_NOISE = 0.35  # N for a 95 kg axis
 NOISE_BAND = 40.0  # Hz
 MOST_DRAWS = 500  # of a drive that is stable with what is hidden in it
+SEEN = 0.75  # of the floor, from which on an effect's own share of the gap can be asked for
+SETS = ("quick", "all", "several", "beside", "unknown", "small", "healthy")
+SMALL = (0.05, 0.1, 0.2, 0.35, 0.6, 1.0)  # of size 1
 SKIP = 50  # samples at the start that no error counts
 QUICK = (
     ("stribeck_friction",),
@@ -39,11 +51,12 @@ QUICK = (
 
 @dataclass(frozen=True)
 class Case:
-    """Effects by name, and which of the two sizes."""
+    """Effects by name, which of the two sizes (0: drawn for each), and the ``share`` of that size."""
 
     effects: tuple[str, ...]
     size: int
     number: int
+    share: float = 1.0
 
     @property
     def name(self) -> str:
@@ -51,15 +64,29 @@ class Case:
         return f"{'+'.join(self.effects) or 'none'}-{self.number}"
 
 
-def cases(which: str, count: int = 8) -> list[Case]:
-    """The cases of a set: ``quick`` 10, ``all`` 64, ``healthy`` ``count`` drives with nothing hidden."""
+def cases(which: str, count: int = 8, seed: int = 0) -> list[Case]:
+    """The cases of a set of ``SETS``: ``quick`` 10, ``all`` 70, of the others ``count``, drawn by ``seed``."""
     if which == "quick":
         return [Case(effects, 2 - index % 2, index) for index, effects in enumerate(QUICK)]
-    healthy = [Case((), 1, number) for number in range(count)]
-    if which == "healthy":
-        return healthy
-    single = [Case((name,), size, size) for name in (*EFFECTS, *UNKNOWN) for size in (1, 2)]
-    return [*single, *(Case(pair, 1, 1) for pair in PAIRS), *healthy]
+    if which == "all":
+        single = [Case((name,), size, size) for name in (*EFFECTS, *UNKNOWN) for size in (1, 2)]
+        return [*single, *(Case(pair, 1, 1) for pair in PAIRS), *cases("healthy", count)]
+    return [_drawn(which, number, np.random.default_rng([seed, number])) for number in range(count)]
+
+
+def _drawn(which: str, number: int, rng: np.random.Generator) -> Case:
+    """Case ``number`` of a set that goes on: three or four effects, one beside unknown physics, a small one ..."""
+    plain = tuple(name for name in EFFECTS if name != "controller_disturbance")  # that one is seen in the law alone
+    strange = UNKNOWN[number % len(UNKNOWN)]
+    if which == "several":
+        return Case(draw_several(rng, 3 + number % 2, plain), 0, number)
+    if which == "beside":
+        return Case((*draw_several(rng, 1, plain), strange), 0, number)
+    if which == "unknown":
+        return Case((strange,), 0, number)
+    if which == "small":
+        return Case(draw_several(rng, 1, tuple(AMPLITUDES)), 1, number, SMALL[number % len(SMALL)])
+    return Case((), 1, number)
 
 
 def force_noise(rng: np.random.Generator, length: int, drive: Drive) -> np.ndarray:
@@ -112,6 +139,26 @@ def refit(drive: Drive, q_ref: np.ndarray, u: np.ndarray) -> Drive:
     return replace(drive, **dict(zip(names, np.maximum(x, lowest), strict=True)))
 
 
+def own_gap(drive: Drive, q_ref: np.ndarray, u: np.ndarray, hidden: dict[str, float], own: dict[str, float]) -> float:
+    """Rms force [N] that the plant without the effect of numbers ``own`` misses, the baseline adjusted to first order.
+
+    ``u`` [V] is the voltage of the plant with all of ``hidden``, without noise.
+    """
+    rest = numbers(**{name: value for name, value in hidden.items() if name not in own})
+    without = run(drive, q_ref, rest)[1]
+    columns = [
+        (run(replace(drive, **{name: value + 0.02 * size}), q_ref, rest)[1] - without)[SKIP:]
+        for name, value, size in (
+            ("mass", drive.mass, drive.mass),
+            ("viscous", drive.viscous, drive.viscous),
+            ("coulomb", drive.coulomb, drive.coulomb),
+            ("offset", drive.offset, drive.coulomb),
+        )
+    ]
+    design, missed = np.column_stack(columns), (u - without)[SKIP:]
+    return float(drive.gain * np.std(missed - design @ np.linalg.lstsq(design, missed, rcond=None)[0]))
+
+
 def misfit(drive: Drive, u: np.ndarray, other: np.ndarray) -> float:
     """Rms difference of two voltages as a force [N]."""
     return float(drive.gain * np.std((u - other)[SKIP:]))
@@ -157,11 +204,17 @@ def make(case: Case, seed: int, repeats: bool = True) -> dict[str, object]:
             hold_ref = multi_sine(rng, drive.travel, 0.5 * drive.acceleration, 20000, drive.period)
         healthy = numbers()
         clean = [run(drive, ref, healthy)[1] for ref in (train_ref, hold_ref)]
-        hidden, truth = {}, {}
+        hidden, truth, own = {}, {}, {}
         for name in case.effects:
-            values, words = draw_effect(name, rng, drive, case.size, float(np.abs(clean[0][SKIP:]).max()))
+            size = case.size or int(rng.integers(1, 3))
+            values, words = draw_effect(name, rng, drive, size, float(np.abs(clean[0][SKIP:]).max()))
+            if name in AMPLITUDES:
+                inside, outside = AMPLITUDES[name]
+                values[inside] *= case.share
+                words[name][outside] *= case.share
             hidden.update(values)
             truth.update(words)
+            own[name] = values
         plant = numbers(**hidden)
         records = [run(drive, ref, plant, rng) for ref in (train_ref, hold_ref)]
         limited = max(float(np.mean(np.abs(u) > 0.99 * drive.limit)) for _, u in records)
@@ -177,13 +230,17 @@ def make(case: Case, seed: int, repeats: bool = True) -> dict[str, object]:
         for (_, u), ref in zip(records, (train_ref, hold_ref), strict=True)
     ]
     sizes = [misfit(drive, with_it, without) for with_it, without in zip(perfect, clean, strict=True)]
-    unknown = any(name in UNKNOWN for name in case.effects)
+    gaps = {name: own_gap(drive, train_ref, perfect[0], hidden, values) for name, values in own.items()}
+    known = [name for name in case.effects if name not in UNKNOWN]
     return {
         "axis.toml": axis_file(rng, drive),
         "train.npz": (train_ref, *records[0]),
         "holdout.npz": (hold_ref, *records[1]),
         "truth.json": {
-            "effects": ["unknown"] if unknown else list(case.effects) or ["none"],
+            "effects": known + ["unknown"] * (len(known) < len(case.effects)) or ["none"],
+            "share": case.share,
+            "own_gap": gaps,
+            "seen": [name for name in known if gaps[name] > SEEN * floors[0]],
             "parameters": truth or hidden,
             "baseline": {name: getattr(drive, name) for name in ("mass", "viscous", "coulomb", "offset")},
             "floor_closed_loop": floors[1],
@@ -210,12 +267,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.hidden.generate", description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--cases", choices=("quick", "all", "healthy"), default="quick")
-    parser.add_argument("--count", type=int, default=8, help="healthy drives")
+    parser.add_argument("--cases", choices=SETS, default="quick")
+    parser.add_argument("--count", type=int, default=8, help="cases of a set that goes on, healthy drives of `all`")
     parser.add_argument("--only", default="", help="cases whose name contains this")
     parser.add_argument("--no-laps", action="store_true", help="training programs in which nothing repeats")
     options = parser.parse_args(arguments)
-    chosen = [case for case in cases(options.cases, options.count) if options.only in case.name]
+    chosen = [case for case in cases(options.cases, options.count, options.seed) if options.only in case.name]
     for case in chosen:
         contents = make(case, options.seed, not options.no_laps)
         write(options.folder / case.name, contents)

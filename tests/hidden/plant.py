@@ -74,6 +74,12 @@ NAMES = (
     "map_end",  # m
     *(f"pull_{i}" for i in range(1, 7)),  # N, against +q
     *(f"wear_{i}" for i in range(1, 7)),  # N, of the dry friction
+    # more physics that no library has
+    "crank",  # share of the mass that comes and goes along the travel
+    "crank_length",  # m
+    "magnet",  # N/(m/s), a brake in one zone of the travel, moving forwards
+    "magnet_width",  # m
+    "thixotropy",  # N, dry friction that a speed held for a while takes away
 )
 PLACE = {name: index for index, name in enumerate(NAMES)}
 
@@ -125,13 +131,14 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
     kp, kv = law[0], law[1]
     n, tau_2 = len(q_ref), 2.0 * math.pi
     pull, wear = p[56:62], p[62:68]
+    crank, crank_length, magnet, magnet_width, thixotropy = p[68], p[69], p[70], p[71], p[72]
     mapped, slipped = map_end > map_start, 0.0
     steps = round(period / STEP)
     h = period / steps
     late = round(delay / h)
     whole, rest = late // steps, late % steps
     q_out, u_out, forces = np.zeros(n), np.zeros(n), np.zeros(n)
-    q, v, q2, v2, z, acting, old, aged = q_ref[0], 0.0, q_ref[0], 0.0, 0.0, 0.0, 0.0, 0.0
+    q, v, q2, v2, z, acting, old, aged, thin = q_ref[0], 0.0, q_ref[0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     before, filtered_before = 0.0, 0.0
     for k in range(n):
         seen = q
@@ -165,6 +172,9 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
             m = mass
             if mass_change != 0.0 and t > mass_t:
                 m = mass * (1.0 + mass_change)
+            if crank != 0.0:  # the force of a mass that depends on position: m a + m' v^2 / 2
+                turn = tau_2 * (q - middle) / crank_length
+                m *= 1.0 + crank * math.sin(turn)
             warm = 1.0
             if drift != 0.0:
                 warm = 1.0 + drift * (1.0 - math.exp(-t / drift_t))
@@ -189,6 +199,10 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
             if hum_a != 0.0:
                 f += hum_a * math.sin(tau_2 * hum_f * t + hum_p)
             f -= cross * (q - middle) * v
+            if crank != 0.0:
+                f -= 0.5 * mass * crank * tau_2 / crank_length * math.cos(turn) * v * v
+            if magnet != 0.0 and v > 0.0:
+                f -= magnet * v * math.exp(-(((q - middle) / magnet_width) ** 2))
             if wake != 0.0:
                 old += (math.tanh(v / 0.02) - old) * h / 0.3
                 f += wake * old
@@ -206,6 +220,9 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
             if ageing != 0.0:
                 aged += ((0.0 if abs(v) > 1e-4 else 1.0) - aged) * h / (0.6 if abs(v) > 1e-4 else 0.05)
                 level += ageing * aged
+            if thixotropy != 0.0:
+                thin += (abs(v) / (abs(v) + 0.05) - thin) * h / 0.4
+                level += thixotropy * (1.0 - thin)
             level = max(0.0, level)
             own = m
             if part > 0.0:

@@ -11,14 +11,24 @@ import time
 import tomllib
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tests.hidden.generate import SKIP
 
 MOST_EQUIVALENTS = 3  # more is no name
+TITLES = {
+    "quick": "a quick share",
+    "all": "what was hidden, what was named",
+    "several": "three and four at once",
+    "beside": "a known one beside unknown physics",
+    "unknown": "physics that no library has",
+    "small": "small ones",
+    "healthy": "nothing hidden",
+}
 
 
 @dataclass(frozen=True)
@@ -35,13 +45,23 @@ class Score:
     closed: float
     seconds: float
     note: str = ""
+    seen: tuple[str, ...] = ()  # of the hidden effects, those whose own share of the gap stands out of the noise
+    share: float = 1.0  # of the ordinary size at which the effect was hidden
+
+    claimed: tuple[str, ...] = ()  # of the hidden effects, those that a finding claims, by name or as an equivalent
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """What was hidden and has a name."""
+        return tuple(name for name in self.truth if name not in ("none", "unknown"))
 
 
 def judge(answer: dict, truth: dict) -> tuple[str, bool, tuple[str, ...]]:
     """Result, exact, and the names that are false.
 
     Right: every hidden effect has a finding of its own that claims it, by name or among at most three equivalents,
-    and no finding claims none; nothing found on a healthy drive; ``unnamed`` and nothing found for unknown physics.
+    and no finding claims none; nothing found on a healthy drive; ``unnamed`` and nothing found for unknown physics;
+    ``partly-named`` where a known effect has unknown physics beside it, and only there.
 
     >>> found = [{"effect": "actuator_lag", "equivalents": ["actuator_delay"]}]
     >>> judge({"verdict": "named", "findings": found}, {"effects": ["actuator_delay"]})
@@ -68,6 +88,8 @@ def judge(answer: dict, truth: dict) -> tuple[str, bool, tuple[str, ...]]:
         return "wrong", False, tuple(false)
     if left:
         return ("abstained" if truth.get("detectable", True) else "too small"), False, ()
+    if (answer["verdict"] == "partly-named") != ("unknown" in truth["effects"]):
+        return "abstained", False, ()  # what is left was not said, or was said where nothing is
     return "right", sorted(name for name, _ in claims) == sorted(hidden), ()
 
 
@@ -107,7 +129,10 @@ def score(case: Path, timeout: float = 600.0) -> Score:
             said = (getattr(error, "stderr", None) or str(error)).strip().splitlines()[-1:]
             return Score(case.name, hidden, (), "", "wrong", False, (), math.nan, time.monotonic() - started, *said)
     named = tuple(f["effect"] for f in answer["findings"])
-    return Score(case.name, hidden, named, answer["verdict"], result, exact, false, closed, seconds)
+    said = Score(case.name, hidden, named, answer["verdict"], result, exact, false, closed, seconds)
+    claims = {name for f in answer["findings"] for name in (f["effect"], *f["equivalents"][:MOST_EQUIVALENTS])}
+    said = replace(said, claimed=tuple(name for name in said.known if name in claims))
+    return replace(said, seen=tuple(truth.get("seen", said.known)), share=truth.get("share", 1.0))
 
 
 def score_all(folder: Path, only: str = "", jobs: int = 1) -> Iterator[Score]:
@@ -117,12 +142,17 @@ def score_all(folder: Path, only: str = "", jobs: int = 1) -> Iterator[Score]:
         yield from pool.map(score, chosen)
 
 
-def summary(scores: list[Score]) -> dict[str, float]:
-    """Counts over effects, healthy drives and unknown physics, and the median gap closed."""
+def summary(scores: list[Score]) -> dict[str, Any]:
+    """Counts over cases with effects, healthy drives and unknown physics, over effects, and the median gap closed.
+
+    Effects are asked for where they are ``seen``; those named although they are not count as named, not as asked for.
+    """
     healthy = [s for s in scores if s.truth == ("none",)]
     unknown = [s for s in scores if s.truth == ("unknown",)]
-    real = [s for s in scores if s.truth not in (("none",), ("unknown",))]
+    real = [s for s in scores if s.known]
     closed = [s.closed for s in real if math.isfinite(s.closed)]
+    named, false = sum(len(s.named) for s in scores), sum(len(s.false) for s in scores)
+    asked = [(name in s.claimed) for s in real for name in s.seen]
     return {
         "effects": len(real),
         "right": sum(s.result == "right" for s in real),
@@ -134,30 +164,68 @@ def summary(scores: list[Score]) -> dict[str, float]:
         "false_alarms": sum(s.result == "wrong" for s in healthy),
         "unknown": len(unknown),
         "unknown_right": sum(s.result == "right" for s in unknown),
+        "asked_for": {"count": sum(asked), "of": len(asked), "interval": wilson(sum(asked), len(asked))},
+        "false_names": {"count": false, "of": named, "interval": wilson(false, named)},
         "median_gap_closed": float(np.median(closed)) if closed else math.nan,
         "median_seconds": float(np.median([s.seconds for s in scores])) if scores else math.nan,
     }
 
 
-def table(scores: list[Score], seed: int, repeats: bool = True) -> str:
-    """The confusion table as a Markdown page; ``repeats``: the training records have laps."""
+def wilson(count: int, of: int) -> list[float]:
+    """The interval that holds a share with 95 %, seen ``count`` times ``of`` (Wilson, 1927).
+
+    >>> [round(end, 3) for end in wilson(9, 10)]
+    [0.596, 0.982]
+    """
+    if not of:
+        return [0.0, 1.0]
+    z, share = 1.96, count / of
+    middle, half = share + z**2 / (2 * of), z * math.sqrt(share * (1 - share) / of + z**2 / (4 * of**2))
+    return [(middle - half) / (1 + z**2 / of), (middle + half) / (1 + z**2 / of)]
+
+
+def share_found(scores: list[Score]) -> list[tuple[float, int, int]]:
+    """Over the size at which effects were hidden: the share of the ordinary size, how many were named, of how many."""
+    sizes = sorted({s.share for s in scores if s.known})
+    asked = [(size, [name in s.claimed for s in scores if s.share == size for name in s.known]) for size in sizes]
+    return [(size, sum(found), len(found)) for size, found in asked]
+
+
+def table(scores: list[Score], seed: int, which: str = "all", repeats: bool = True, steered: bool = False) -> str:
+    """The page of a set ``which`` of cases, in Markdown; ``repeats``: the training records have laps.
+
+    ``steered``: rules were chosen with these cases in sight, and nothing here proves them.
+    """
     count = summary(scores)
-    title = "what was hidden, what was named" if repeats else "where nothing repeats"
-    records = "Each training record repeats its laps." if repeats else "No training record repeats anything."
+    laps = "Each training record repeats its laps." if repeats else "No training record repeats anything."
+    asked, false = count["asked_for"], count["false_names"]
     lines = [
         *("---", "orphan: true", "---", ""),
-        f"# Hidden effects: {title}",
+        f"# Hidden effects: {TITLES[which]}{'' if repeats else ', where nothing repeats'}",
         "",
         f"Written by `make hidden` (seed {seed}): cases of `tests/hidden`, made by a simulator of their own, each",
         "diagnosed by `emps-design diagnose`. A name counts as right where the finding or one of its equivalents",
-        f"(three at most) is what was hidden and no finding is false. {records}",
+        f"(three at most) is what was hidden and no finding is false. {laps}",
+        "Rules were chosen with these cases in sight." if steered else "No rule was chosen with these cases in sight.",
         "",
-        f"Effects: {count['right']} right ({count['exact']} by the first name), {count['wrong']} wrong, "
+        f"Cases: {count['right']} right ({count['exact']} by the first name), {count['wrong']} wrong, "
         f"{count['abstained']} abstained, {count['too_small']} too small, of {count['effects']}. "
         f"Healthy: {count['false_alarms']} false alarms of {count['healthy']}. "
-        f"Unknown physics: {count['unknown_right']} of {count['unknown']} called unnamed. "
+        f"Unknown physics alone: {count['unknown_right']} of {count['unknown']} called unnamed. "
         f"Median gap closed {count['median_gap_closed']:.2f}, median time {count['median_seconds']:.0f} s.",
         "",
+        f"Effects that stand out of the noise: {_counted(asked)} named. Names: {_counted(false)} false "
+        "(in brackets 95 %, Wilson).",
+        "",
+    ]
+    sizes = share_found(scores)
+    if len(sizes) > 1:
+        lines += ["| share of the ordinary size | named | of | 95 % |", "|---|---|---|---|"]
+        for size, found, of in sizes:
+            low, high = wilson(found, of)
+            lines.append(f"| {size:g} | {found} | {of} | {100 * low:.0f} to {100 * high:.0f} % |")
+        lines.append("")
+    lines += [
         "| hidden | cases | right | abstained | wrong | said |",
         "|---|---|---|---|---|---|",
     ]
@@ -167,6 +235,12 @@ def table(scores: list[Score], seed: int, repeats: bool = True) -> str:
         results = [sum(s.result in kind for s in own) for kind in (("right",), ("abstained", "too small"), ("wrong",))]
         lines.append(f"| {' + '.join(truth)} | {len(own)} | {results[0]} | {results[1]} | {results[2]} | {said} |")
     return "\n".join(lines) + "\n"
+
+
+def _counted(part: dict[str, Any]) -> str:
+    """``9 of 10 (60 to 98 %)``."""
+    low, high = part["interval"]
+    return f"{part['count']} of {part['of']} ({100 * low:.0f} to {100 * high:.0f} %)"
 
 
 def rows(scores: list[Score]) -> list[dict[str, object]]:
@@ -179,6 +253,10 @@ def rows(scores: list[Score]) -> list[dict[str, object]]:
             "verdict": s.verdict or s.note,
             "right": s.result == "right",
             "result": s.result,
+            "seen": list(s.seen),
+            "claimed": list(s.claimed),
+            "false": list(s.false),
+            "share": s.share,
             "gap_closed": s.closed if math.isfinite(s.closed) else None,
             "seconds": round(s.seconds, 1),
         }

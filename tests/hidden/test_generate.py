@@ -2,22 +2,43 @@
 
 import json
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.hidden.drives import EFFECTS, FURTHER, TURNING, UNKNOWN
-from tests.hidden.generate import cases, main, make
+from tests.hidden.generate import SMALL, Case, cases, main, make
 from tests.hidden.plant import NAMES, numbers
 
 
 def test_sets_are_complete():
     whole = cases("all")
-    assert len(whole) == len({case.name for case in whole}) == 64
+    assert len(whole) == len({case.name for case in whole}) == 70
     singles = [case.effects[0] for case in whole if len(case.effects) == 1]
     assert all(singles.count(name) == 2 for name in (*EFFECTS, *UNKNOWN))
     assert sum(not case.effects for case in whole) == 8
     assert sum(len(case.effects) == 2 for case in whole) == 8
+
+
+@pytest.mark.parametrize(
+    ("which", "effects", "unknown"), [("several", (3, 4), 0), ("beside", (2,), 1), ("unknown", (1,), 1)]
+)
+def test_sets_that_go_on(which, effects, unknown):
+    drawn = cases(which, 12, seed=3)
+    assert len({case.name for case in drawn}) == 12
+    assert {len(case.effects) for case in drawn} == set(effects)
+    assert all(sum(name in UNKNOWN for name in case.effects) == unknown for case in drawn)
+    assert cases(which, 5, seed=3) == drawn[:5]
+
+
+def test_a_small_effect_is_a_share_of_an_ordinary_one():
+    assert {case.share for case in cases("small", 6)} == set(SMALL)
+    case = Case(("elastic_force",), 1, 0)
+    whole, tenth = (make(one, seed=2)["truth.json"] for one in (case, replace(case, share=0.1)))
+    stiffness = [truth["parameters"]["elastic_force"]["stiffness"] for truth in (whole, tenth)]
+    assert stiffness[1] == pytest.approx(0.1 * stiffness[0])
+    assert tenth["own_gap"]["elastic_force"] == pytest.approx(0.1 * whole["own_gap"]["elastic_force"], rel=0.25)
 
 
 def test_effects_are_those_of_the_package():

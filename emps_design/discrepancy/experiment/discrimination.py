@@ -29,6 +29,14 @@ from emps_design.errors import SimulationError
 from emps_design.simulation import Run
 
 FILE = "experiment.csv"
+EXPERIMENTS = {  # the excitation that varies one quantity and little else
+    "position": "small_strokes",
+    "velocity": "speed_staircase",
+    "time": "identical_laps",
+    "load": "three_accelerations",
+    "frequency": "chirp_on_a_slow_run",
+    "time since a reversal": "stop_and_dwell",
+}
 PULSE = 1e-6  # m, small enough for no voltage limit
 REFITTED = 2  # excitations at most that are looked at with the rivals fitted to convergence
 STEPS = 3
@@ -90,12 +98,13 @@ def experiment(outcome: Outcome, named: tuple[str, ...], equivalents: dict[str, 
     where nothing is asked.
     """
     best = outcome.best
-    rivals = [
-        outcome.tried[frozenset((*best.model.names, other)) - {name}]
+    sets = [
+        frozenset((*best.model.names, other)) - {name}
         for name, others in equivalents.items()
         for other in others
         if name in named or len(others) > rules.MOST_EQUIVALENTS
     ]
+    rivals = [outcome.tried[key] for key in sets if key in outcome.tried]
     if rivals and best.problem.axis.controller.kind != "none":
         left = best.cost / best.problem.samples("used")  # structure that nothing explains blurs like noise
         threshold = outcome.calibration.healthy.threshold
@@ -103,6 +112,20 @@ def experiment(outcome: Outcome, named: tuple[str, ...], equivalents: dict[str, 
         if chosen is not None:
             return chosen
     return Experiment(get_effect(named[0]).experiment) if named else None
+
+
+def what_to_record(hypothesis: Hypothesis, over: list[str]) -> Experiment:
+    """The excitation that shows most of what a model leaves: the one that varies ``over``, what that depends on."""
+    name = EXPERIMENTS[over[0]] if over else "speed_staircase"
+    why = f"because what is left depends on {' and '.join(over[:2])}" if over else "to see what the rest depends on"
+    text = f"{instruction(name)}, {why}; diagnose the new record together with the old"
+    if hypothesis.problem.axis.controller.kind == "none":
+        return Experiment(text)
+    envelope = Envelope.of(hypothesis.problem.records)
+    reference = excitations(envelope)[name]
+    if not _safe(hypothesis, reference, _extremes(*hypothesis.runs())):
+        return Experiment(text)
+    return Experiment(text, excitation=name, q_ref=reference, period=envelope.period)
 
 
 def choose(rivals: tuple[Fit, ...], threshold: float, noise: float = 1.0) -> Experiment | None:

@@ -5,20 +5,20 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from emps_design.discrepancy.experiment.discrimination import experiment
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.experiment.discrimination import Experiment, experiment, what_to_record
 from emps_design.discrepancy.explain.detection_limits import least_visible, not_excluded
-from emps_design.discrepancy.explain.extent import described, extent
 from emps_design.discrepancy.explain.findings import deviation, findings
 from emps_design.discrepancy.explain.measured_response import measured_response
 from emps_design.discrepancy.explain.remarks import ASSUMPTIONS, calibration_in_words, warnings
 from emps_design.discrepancy.explain.residual_views import (
     SPECTRAL,
     View,
-    force_map,
     shown,
     spectrum_over_time,
     views,
 )  # fmt: skip
+from emps_design.discrepancy.explain.unexplained import unexplained
 from emps_design.discrepancy.model.candidate import BASELINE
 from emps_design.discrepancy.model.missing_force import MissingForce, missing_force
 from emps_design.discrepancy.result import Diagnosis, Finding
@@ -39,6 +39,7 @@ def explain(validation: Validation) -> Diagnosis:
     most = most_missed(validation.baseline)
     before, after = (missing_force(fitted)[most] for fitted in (validation.baseline, validation.extended))
     floor, used = outcome.calibration.floor, problem.splits[most].used
+    details = _details(validation, before)
     drawn = views(before, after, used, floor.force_60hz, problem.axis.drive.command_limit)
     extended = judged.extended.to_axis(problem.axis)
     return Diagnosis(
@@ -50,10 +51,19 @@ def explain(validation: Validation) -> Diagnosis:
         holdout=None if validation.held_out is None else validation.held_out.gap,
         trace=replace(judged.prediction, window=None if held_out is None else held_out.window),
         views=_marked(drawn, found),
-        details=_details(validation, before),
-        experiment=experiment(outcome, validation.extended.model.names, validation.equivalents),
+        details=details,
+        experiment=_experiment(validation, details.get("unexplained")),
         response=measured_response(problem.records, extended),
     )
+
+
+def _experiment(validation: Validation, left: dict[str, Any] | None) -> Experiment | None:
+    """What to record next: what shows more of the unexplained, or tells equivalents apart where these are too many."""
+    outcome, extended = validation.outcome, validation.extended
+    asked = any(len(others) > rules.MOST_EQUIVALENTS for others in validation.equivalents.values())
+    if left is not None and not asked and not outcome.interrupted:
+        return what_to_record(extended, left["over"])
+    return experiment(outcome, extended.model.names, validation.equivalents)
 
 
 def _marked(drawn: list[View], found: tuple[Finding, ...]) -> tuple[View, ...]:
@@ -97,11 +107,8 @@ def _details(validation: Validation, missed: MissingForce) -> dict[str, Any]:
         )
     shown["spectrum_over_time"] = spectrum_over_time(missed)
     shown["interrupted"] = outcome.interrupted
-    if validation.verdict == "unnamed":
-        most = most_missed(extended)
-        record, used = extended.problem.records[most], extended.problem.splits[most].used
-        where = extent(record, extended.residuals()[most], used, calibration.floor.force)
-        shown["unexplained"] = {**described(where), "map": force_map(missing_force(extended)[most])}
+    if validation.verdict in ("unnamed", "partly-named"):
+        shown["unexplained"] = unexplained(validation)
     return shown
 
 

@@ -49,6 +49,7 @@ def _finding(validation: Validation, index: int) -> Finding:
         p_value=outcome.calibration.healthy.p_value(without.cost - extended.cost),
         gap_before=force_rms(without),
         gap_after=force_rms(extended),
+        confirmed=validation.confirmed.get(effect.name),
         equivalents=tuple(validation.equivalents.get(effect.name, ())),
         remedy=effect.remedy,
         note=_note(outcome.calibration.preparation, effect.channel, record),

@@ -63,6 +63,11 @@ class Judge:
             cost = _bulk(fitted, "fit") + _bulk(fitted, "select")
         return cost > rules.STRUCTURED * fitted.problem.samples("used") or self._whitened_away(fitted)
 
+    def leaves_unexplained(self, fitted: Fit) -> bool:
+        """Whether ``fitted`` leaves more than noise could be even where bursts count little, as of play."""
+        used = _bulk(fitted, "fit") + _bulk(fitted, "select")
+        return used > rules.STRUCTURED * fitted.problem.samples("used") or self._whitened_away(fitted)
+
     def _demands(self, worse: Fit) -> tuple[float, float]:
         """Deviations at which a sample's cost is cut, and the share of the cost that a finding must be worth."""
         if self.at_floor(worse):

@@ -112,12 +112,30 @@ def _pruned(best: Fit, known: tuple[str, ...], accept: Accept) -> list[Fit]:
     while len(best.model.effects) > len(known) + 1:
         smaller = [best.model.without(i) for i, name in enumerate(best.model.names) if name not in known]
         rests = side_by_side(fit, [(best.with_model(model),) for model in smaller])
-        idle = [rest for rest in rests if admissible(rest) and not accept(best, rest)]
+        sound = [rest for rest in rests if admissible(rest)]
+        idle = [rest for rest in sound if not accept(best, rest)]
+        if not idle and sound:
+            cheapest = _reshaped(best, min(sound, key=lambda f: f.cost))
+            idle = [] if accept(best, cheapest) else [cheapest]
         if not idle:
             break
         best = converged(min(idle, key=lambda f: f.cost))
         path.append(best)
     return path
+
+
+def _reshaped(best: Fit, rest: Fit) -> Fit:
+    """``rest`` with what is easily confused with the effect of ``best`` it lacks fitted anew, other shapes tried.
+
+    Beside that effect it had only a part to play, and its shape may be that of the part.
+    """
+    dropped = next(effect for effect in best.model.effects if effect.name not in rest.model.names)
+    for effect, values in zip(rest.model.effects, rest.model.values, strict=True):
+        if effect.name in dropped.confused_with or dropped.name in effect.confused_with:
+            last = rest.model.without(rest.model.names.index(effect.name)).with_effect(effect, values)
+            again = converged(fit(rest.with_model(last)))
+            rest = min((rest, again), key=lambda f: f.cost) if admissible(again) else rest
+    return rest
 
 
 def _rivals(path: list[Fit], tried: FitsBySet) -> FitsBySet:

@@ -1,42 +1,16 @@
-"""Whether the confirming record wants the effects that were found, in the amount that was found."""
+"""Which effects the confirming data withdraw, and which stand on their own evidence beside something unknown."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import numpy as np
-
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.checks.preparation import HeldOut
-from emps_design.discrepancy.model.candidate import BASELINE
-from emps_design.discrepancy.model.fit import Fit, evaluate, sensitivities
+from emps_design.discrepancy.model.candidate import Candidate
+from emps_design.discrepancy.model.fit import Fit, evaluate
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.search.acceptance import Judge
+from emps_design.discrepancy.validation.evidence import Asked, asked_for
 from emps_design.discrepancy.validation.holdout import adapted
-from emps_design.errors import SimulationError
-from emps_design.observer import motor_force
-
-
-@dataclass(frozen=True)
-class Asked:
-    """How much of an effect a record asks for: ``share`` 1 is all of it, 0 none; ``std`` its standard deviation.
-
-    ``repeats`` is the share that the effect asks of itself when the carriage is disturbed by noise: below 1 where play
-    bounces, and no two laps are alike. ``exercised`` False: the record does not bring the effect out, and says nothing
-    of it.
-    """
-
-    name: str
-    share: float
-    std: float
-    repeats: float
-    exercised: bool
-
-    @property
-    def refuted(self) -> bool:
-        """Whether the record clearly wants another amount of it than the effect itself, or all of it."""
-        apart = max(self.repeats - self.share, self.share - 1.0)
-        return self.exercised and apart - rules.SURE * self.std > rules.ASKED_APART
+from emps_design.discrepancy.validation.robust import robust
 
 
 def confirm(judge: Judge, held_out: HeldOut, extended: Fit) -> tuple[Fit, tuple[Asked, ...]]:
@@ -45,56 +19,61 @@ def confirm(judge: Judge, held_out: HeldOut, extended: Fit) -> tuple[Fit, tuple[
     Also returns what was withdrawn. An effect of the controller has its evidence in the law, and is not asked for.
     """
     refuted: list[Asked] = []
-    while True:
-        model = extended.model
-        asked = asked_for(Hypothesis(held_out.problem, adapted(held_out, model, model)))
-        claims = [effect.name for effect in model.effects if effect.channel != "controller"]
-        doubtful = [a for a in asked if a.refuted and a.name in claims]
-        if not doubtful:
-            return extended, tuple(refuted)
+    while doubtful := [a for a in claims_on(held_out, extended) if a.refuted]:
         worst = max(doubtful, key=lambda a: abs(a.share - 1) / a.std)
         refuted.append(worst)
-        extended = judge.refitted(extended.with_model(model.without(model.names.index(worst.name))))
+        extended = judge.refitted(extended.with_model(_without(extended, worst)))
+    return extended, tuple(refuted)
 
 
-def asked_for(hypothesis: Hypothesis) -> tuple[Asked, ...]:
-    """How much of each effect of a model the first record asks for, all of them at once.
+def standing(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tuple[Asked, ...]]:
+    """The robust fit of those effects of ``extended`` that stand on their own evidence, and what was withdrawn.
 
-    What every effect changes in the whitened residual, and what the four baseline numbers do, are regressed onto that
-    residual. A stand-in for unknown physics fits one motion; on another one it is wanted in another amount.
+    An effect that the confirming data do not exercise must stand on the training records. What the model leaves counts
+    as noise here, so that an effect may stand beside something unknown. A refit after each withdrawal would bend the
+    rest to the unknown: all numbers stay until those that stand are fitted robustly, and asked for again. A curve
+    through knots has no shape of its own to be recognised by: beside something unknown it is part of that.
     """
-    problem, model = hypothesis.problem, hypothesis.model
-    noise = problem.whitening.undo(np.random.default_rng(0).standard_normal(len(problem.records[0])))
-    whole, disturbed = _left(hypothesis), _left(hypothesis, noise)
-    changes, again = [], []
-    for index in range(len(model.effects)):
-        rest = hypothesis.with_model(model.without(index))
-        changes.append(_left(rest) - whole)
-        again.append(_left(rest, noise) - disturbed)
-    baseline = sensitivities(evaluate(hypothesis), model.slots()[: len(BASELINE)], "used")
-    design = np.column_stack([*changes, baseline])
-    size = np.linalg.norm(design, axis=0)
-    least = np.where(np.arange(size.size) < len(changes), rules.EXERCISED * np.sqrt(whole.size), 1e-12)
-    exercised = size > least
-    unit = design[:, exercised] / size[exercised]
-    inverse = np.linalg.pinv(unit.T @ unit, hermitian=True)
-    change, std = np.zeros(size.size), np.zeros(size.size)
-    change[exercised] = inverse @ (unit.T @ whole) / size[exercised]
-    wider = np.sqrt(max(1.0, float(whole @ whole) / whole.size))
-    std[exercised] = wider * np.sqrt(np.diag(inverse)) / size[exercised]
-    repeats = [min(1.0, float(c @ a) / max(float(a @ a), 1e-30)) for c, a in zip(changes, again, strict=True)]
-    return tuple(
-        Asked(name, 1.0 + float(change[i]), float(std[i]), repeats[i], bool(exercised[i]))
-        for i, name in enumerate(model.names)
-    )
+    for curve in [effect.name for effect in extended.model.effects if len(effect.linear) > rules.MOST_FREE]:
+        extended = evaluate(extended.with_model(extended.model.without(extended.model.names.index(curve))))
+    withdrawn: list[Asked] = []
+    refitted = False
+    while _plant(extended):
+        doubtful = [a for a in _judged(held_out, extended) if not a.stands]
+        if doubtful:
+            worst = max(doubtful, key=lambda a: a.astray)
+            withdrawn.append(worst)
+            extended, refitted = evaluate(extended.with_model(_without(extended, worst))), False
+        elif refitted:
+            break
+        else:
+            extended, refitted = robust(extended), True
+    return extended, tuple(withdrawn)
 
 
-def _left(hypothesis: Hypothesis, disturbance: np.ndarray | None = None) -> np.ndarray:
-    """Whitened residual of the first record on the used samples; a model that cannot run leaves nothing to compare."""
-    problem = hypothesis.problem
-    record, used = problem.records[0], problem.splits[0].used
-    try:
-        run = hypothesis.run(0, disturbance)
-    except SimulationError:
-        return np.zeros(int(used.sum()))
-    return problem.whitening.apply(motor_force(problem.axis, record) - run.force)[used]
+def _judged(held_out: HeldOut | None, extended: Fit) -> list[Asked]:
+    """How much of each effect is asked for by the confirming data, by the training records where they tell nothing."""
+    asked = [] if held_out is None else claims_on(held_out, extended)
+    if asked and all(one.exercised for one in asked):
+        return asked
+    trained = {one.name: one for one in _claims(asked_for(extended), extended)}
+    return [one if one.exercised else trained[one.name] for one in asked or trained.values()]
+
+
+def claims_on(held_out: HeldOut, extended: Fit) -> list[Asked]:
+    """How much of each effect of the plant the confirming data ask for."""
+    model = extended.model
+    return _claims(asked_for(Hypothesis(held_out.problem, adapted(held_out, model, model))), extended)
+
+
+def _claims(asked: tuple[Asked, ...], fitted: Fit) -> list[Asked]:
+    """Those of ``asked`` that act on the plant: what the controller does is known from its law."""
+    return [one for one in asked if one.name in _plant(fitted)]
+
+
+def _plant(fitted: Fit) -> list[str]:
+    return [effect.name for effect in fitted.model.effects if effect.channel != "controller"]
+
+
+def _without(extended: Fit, one: Asked) -> Candidate:
+    return extended.model.without(extended.model.names.index(one.name))

@@ -9,9 +9,11 @@ from emps_design.discrepancy.model.candidate import BASELINE
 from emps_design.discrepancy.model.fit import Fit, evaluate, fit
 from emps_design.discrepancy.search.acceptance import Judge, explained, force_rms
 from emps_design.discrepancy.search.outcome import Outcome
-from emps_design.discrepancy.validation.confirmation import Asked, confirm
+from emps_design.discrepancy.validation.confirmation import claims_on, confirm, standing
+from emps_design.discrepancy.validation.evidence import Asked
 from emps_design.discrepancy.validation.gap import Comparison, compare
 from emps_design.discrepancy.validation.holdout import compare_on
+from emps_design.discrepancy.validation.rivals import alike_in_company, equivalents
 from emps_design.discrepancy.validation.robust import robust
 
 
@@ -20,8 +22,9 @@ class Validation:
     """The verdict on an ``outcome`` and the models it speaks of, both fitted to all that may be used.
 
     Where structure is left that has no name, both are the robust estimate of the baseline.
-    ``equivalents`` of each finding are effects that could stand in its place; ``refuted`` is what the held-out data
-    withdrew; ``given_up`` are the effects of a model that explained ``share`` of the gap and did not stand.
+    ``confirmed`` is how much of each finding the confirming data ask for; ``equivalents`` of each finding are effects
+    that could stand in its place; ``refuted`` is what the held-out data withdrew; ``given_up`` are the effects of a
+    model that explained ``share`` of the gap and did not stand.
     """
 
     outcome: Outcome
@@ -31,6 +34,7 @@ class Validation:
     equivalents: dict[str, list[str]]
     train: Comparison
     held_out: Comparison | None
+    confirmed: dict[str, dict[str, float] | None]
     refuted: tuple[Asked, ...]
     given_up: tuple[str, ...]
     share: float
@@ -41,8 +45,8 @@ def validate(outcome: Outcome) -> Validation:
     calibration = outcome.calibration
     judge, preparation, problem = calibration.judge, calibration.preparation, calibration.baseline.problem
     start = fit(calibration.baseline, part="used")
-    extended = judge.refitted(outcome.best) if len(outcome.path) > 1 else start
-    data, lost = preparation.held_out, 0.0
+    searched = judge.refitted(outcome.best) if len(outcome.path) > 1 else start
+    extended, data, lost = searched, preparation.held_out, 0.0
     refuted: tuple[Asked, ...] = ()
     if data is not None:
         data = replace(data, problem=data.problem.with_whitening(problem.whitening))
@@ -51,7 +55,7 @@ def validate(outcome: Outcome) -> Validation:
         lost = 1 - (start.cost - extended.cost) / learnt if refuted else 0.0
 
     # What the plant's effects explain, beside a disturbance of the controller that is known from its law.
-    floor, searched = calibration.floor.force, extended.model.names != start.model.names
+    floor, named = calibration.floor.force, extended.model.names != start.model.names
     shares = [explained(force_rms(start), force_rms(extended), floor)]
     held_out = None if data is None else compare_on(data, start.model, extended.model)
     if held_out is not None:
@@ -59,17 +63,33 @@ def validate(outcome: Outcome) -> Validation:
     found = {n: others for n, others in equivalents(outcome).items() if n in extended.model.names}
     verdict = _verdict(judge, extended, start, found, shares[-1])
     # A gap closed on its own record only was not understood; nor was one of which a good part was refuted.
-    forgotten = searched and shares[-1] < rules.HELD * shares[0]
+    forgotten = named and shares[-1] < rules.HELD * shares[0]
     doubtful = lost > rules.LOST and not judge.at_floor(extended)
     nothing_yet = outcome.interrupted and not extended.model.names
-    if preparation.unexplained_law or forgotten or doubtful or nothing_yet:
+    law_open = preparation.unexplained_law or nothing_yet
+    if law_open or forgotten or doubtful:
         verdict = "unnamed"
-    given_up = extended.model.names if verdict == "unnamed" and searched else ()
+    given_up = extended.model.names if verdict == "unnamed" and named else ()
+    failed = verdict == "unnamed" and not judge.at_floor(extended)
+    open_gap = judge.leaves_unexplained(extended) and min(shares) < rules.COMPLETE
+    left_over = failed or forgotten or open_gap
+    if searched is not start and left_over and not law_open:
+        # All or nothing is the wrong question where structure is left: each effect stands on its own evidence.
+        stands, withdrawn = standing(data, searched)
+        found = alike_in_company(outcome, stands)
+        many = any(len(others) > rules.MOST_EQUIVALENTS for others in found.values())
+        if len(stands.model.names) > len(start.model.names) and not many:
+            verdict, extended, refuted, start = "partly-named", stands, withdrawn, robust(start)
+            given_up = ()
+        else:
+            verdict = "unnamed"
+            given_up = given_up or extended.model.names
     if verdict == "unnamed":
         extended = start = robust(start)
     baseline = _alone(start)
-    if data is not None and (verdict == "unnamed" or baseline is not start):
+    if data is not None and (verdict in ("unnamed", "partly-named") or baseline is not start):
         held_out = compare_on(data, baseline.model, extended.model)
+    asked = () if data is None else claims_on(data, extended)
     return Validation(
         outcome=outcome,
         verdict=verdict,
@@ -78,6 +98,7 @@ def validate(outcome: Outcome) -> Validation:
         equivalents=found,
         train=compare(problem, baseline.model, extended.model),
         held_out=held_out,
+        confirmed={one.name: one.confirmed for one in asked},
         refuted=refuted,
         given_up=given_up,
         share=shares[-1],
@@ -117,23 +138,3 @@ def wrong_numbers(fitted: Fit) -> list[int]:
         if abs(off[slot.place]) > rules.OFF_SURELY * fitted.std(-1, slot.place)
         and abs(off[slot.place]) > rules.OFF * slot.magnitude
     ]
-
-
-def equivalents(outcome: Outcome) -> dict[str, list[str]]:
-    """For each accepted effect, those that could stand in its place as far as these records tell."""
-    best, judge = outcome.best, outcome.calibration.judge
-    threshold, found = judge.healthy.threshold, {}
-    for name in best.model.names:
-        others = frozenset(best.model.names) - {name}
-        without = outcome.tried.get(others, outcome.path[0]).cost
-        # At the floor chance is the only excuse; above it, what is missing may favour either by a few percent.
-        margin = threshold
-        if not judge.at_floor(best):
-            margin = max(threshold, rules.EQUIVALENT * (without - best.cost))
-        rivals = [
-            (rival.cost, next(iter(key - others)))
-            for key, rival in outcome.tried.items()
-            if len(key) == len(others) + 1 and others < key and name not in key and rival.cost <= best.cost + margin
-        ]
-        found[name] = [rival for _, rival in sorted(rivals)]
-    return found

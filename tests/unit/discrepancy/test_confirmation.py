@@ -8,7 +8,7 @@ from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.search.noise_floor import floor_of_laps, floor_of_residual
-from emps_design.discrepancy.validation.confirmation import asked_for
+from emps_design.discrepancy.validation.evidence import Asked, asked_for
 from emps_design.effects import get_effect
 from emps_design.effects.guesses import pulses
 from emps_design.machines import machine
@@ -55,6 +55,28 @@ def test_an_effect_that_the_record_does_not_bring_out_is_not_refuted():
     asked = asked_for(Hypothesis(problem(60.0), model(elastic_force=SPRING, end_stop=far)))
     assert [a.exercised for a in asked] == [True, False]
     assert not any(a.refuted for a in asked)
+
+
+def test_an_effect_stands_beside_something_unknown_and_what_stands_in_for_it_does_not():
+    noise, unknown = np.random.default_rng(5), {"kind": "position_dependent_friction"}
+    unknown |= {"amplitude": 4.0, "length": 0.08, "phase": 0.3}
+    spring = {"kind": "elastic_force", **SPRING}
+    axis = AXIS.replace(effects=[{**spring, "stiffness": 150.0}, unknown])
+    run = Plant.of(axis).closed_loop(Q_REF, voltage_noise=4e-3 * noise.standard_normal(Q_REF.size))
+    record = Record(t=run.t, q_ref=Q_REF, q=run.q, u=run.u, period=1e-3, name="run")
+    seen = Problem(AXIS, (record,), (split(record),), problem(0.0).whitening)
+    there, stand_in = {**SPRING, "stiffness": 150.0}, {"amplitude": 3.0, "period": 0.04, "phase": 0.0}
+    asked = asked_for(Hypothesis(seen, model(elastic_force=there, position_ripple=stand_in)))
+    assert [a.stands for a in asked] == [True, False]
+    assert asked[0].confirmed["share"] == pytest.approx(1.0, abs=0.1)
+
+
+def test_what_a_record_does_not_tell_is_not_confirmed():
+    assert Asked("end_stop", 1.0, 0.1, 1.0, exercised=False).confirmed is None
+    assert Asked("end_stop", 0.9, 0.01, 0.9, exercised=True).confirmed == {
+        "share": 1.0,
+        "std": pytest.approx(0.011, abs=1e-3),
+    }
 
 
 def test_a_drift_between_laps_is_no_noise():

@@ -167,6 +167,21 @@ def test_gains_on_a_response(tmp_path, capsys):
     assert retuned["phase_margin_deg"] == pytest.approx(60.0, rel=1e-3)
 
 
+def test_the_position_loop_around_is_judged_on_the_response_too(tmp_path, capsys):
+    axis, path = two_mass().replace(controller={**CASCADE, "position": {"kp": 10.0, "every": 4}}), tmp_path / "two.csv"
+    (tmp_path / "axis.toml").write_text(axis.to_toml())
+    write_response(path, measured(axis, 0.01))
+    line = ["gains", str(tmp_path / "axis.toml"), "--crossover", "40", "--frf", str(path), "--position-overshoot", "5"]
+    assert command([*line, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["measured"]
+    assert found["stable"]
+    assert found["whole_loop"]["stable"]
+    assert 10.0 < found["whole_loop"]["phase_margin_deg"] < found["phase_margin_deg"]
+    assert found["whole_loop"]["bands"]["delay_margin"][0] < found["whole_loop"]["delay_margin"]
+    assert command(line) == 0
+    assert "whole loop at the plant input" in capsys.readouterr().out
+
+
 def test_gains_that_the_measured_plant_does_not_bear(tmp_path, capsys):
     path = tmp_path / "late.csv"
     late = exact(machine("emps2019"), F) * np.exp(-2j * np.pi * F * 0.02)

@@ -1,5 +1,7 @@
 """Observers against forces that are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -256,3 +258,21 @@ def test_long_work_says_how_far_it_is(pushed):
     fractions = [fraction for _, fraction in heard]
     assert fractions == sorted(fractions)
     assert fractions[-1] == pytest.approx(1.0)
+
+
+def test_a_motor_that_is_switched_off_gives_no_force_and_brakes_nothing():
+    """The carriage is pushed through 2 s in which the drive asks for force and gives none."""
+    axis = machine("emps2019").replace(drive={"back_emf": 8.0}, sampling={"encoder_resolution": 1e-8})
+    t = np.arange(8000) * axis.sampling.period
+    enable = np.where((t > 3.0) & (t < 5.0), 0.0, 1.0)
+    push = np.where(enable > 0.0, 0.0, 60.0 * np.sin(2.0 * np.pi * 0.5 * (t - 3.0)))
+    run = Plant.of(axis).closed_loop(0.05 * np.sin(2.0 * t), disturbance=push, enable=enable)
+    record = Record.from_arrays(axis.sampling.period, run.q_ref, run.q, run.u, f_ext=push, enable=enable)
+    found = observe(record, axis)
+    off = (t > 3.2) & (t < 4.8) & (np.abs(run.v) > 0.01)
+    assert off.sum() > 500
+    for method, most in (("offline", 1.0), ("online", 8.0), ("kalman", 8.0)):
+        error = found.methods[method].force[off] - push[off]
+        assert float(np.sqrt(np.mean(error**2))) < most, method
+    wrong = observe(replace(record, enable=None), axis).methods["offline"].force[off] - push[off]
+    assert float(np.sqrt(np.mean(wrong**2))) > 30.0

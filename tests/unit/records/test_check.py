@@ -60,7 +60,7 @@ def test_quantised_time_gives_the_nominal_period():
         ({"q": Q / 1000}, r"columns q_ref and q: found ranges of 0\.\d+ and 0\.000\d+ m, expected the same unit"),
         ({"u": 2000 * U}, r"column u: found .* V, expected at most 1000 V; .*'u \[mV\]'"),
         ({"f_ext": 1e9 * U}, r"column f_ext: found .* N, expected at most 1e\+06 N"),
-        ({"t": np.zeros(5_000_001, dtype=np.int8)}, "found 5000001 samples, expected at most 5000000; cut it"),
+        ({"t": np.zeros(5_000_001, dtype=np.int8)}, "found 5000001 samples, expected at most 5000000; take a part"),
         ({"q": Q + 0j}, "column 'q': found complex128 values"),
         ({"t": changed(T, N - 1, 5e157)}, r"column t, row \d+: found 5e\+157 s, expected a magnitude below 1e\+15"),
         ({"t": 1e160 * T}, r"column t, row \d+: found .*e\+159 s, expected a magnitude below 1e\+15"),

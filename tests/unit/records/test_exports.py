@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from emps_design.errors import RecordError
+from emps_design.importing import import_bytes, import_record
+from emps_design.machines import machine
 from emps_design.records import record_from_bytes
+from emps_design.records.check import PLAIN
 from emps_design.records.layout import Layout
 from emps_design.records.mapping import ColumnMap
 from emps_design.units import Units
@@ -235,3 +238,41 @@ def test_refused(text, columns, message):
         read(text, columns)
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith("trace.csv: ")
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".csv"])
+@pytest.mark.parametrize("names", [("t", "q", "q_ref", "u"), ("Zeit", "Lage", "Soll", "Moment")])
+def test_an_imported_record_is_read_back_as_it_is(tmp_path, suffix, names):
+    """Its columns are SI and mapped no more, even where [record] maps columns of the same names."""
+    keys, units = ("time", "position", "reference", "command"), ("ms", "mm", "mm", "")
+    mapping = {
+        key: {"column": name, **({"unit": unit} if unit else {"scale": 2.0})}
+        for key, name, unit in zip(keys, names, units, strict=True)
+    }
+    axis = machine("emps2019").replace(record=mapping)
+    k = np.arange(400)
+    table = np.column_stack([k, 50.0 * np.sin(k / 50), 50.0 * np.sin(k / 49), 10.0 * np.cos(k / 50)])
+    rows = "\n".join(";".join(f"{x:.5f}" for x in row) for row in table)
+    first = import_bytes(f"{';'.join(names)}\n{rows}".encode(), "trace.csv", axis)
+    path = tmp_path / f"record{suffix}"
+    first.save(path)
+    again = import_record(path, axis)
+    assert again.period == pytest.approx(1e-3)
+    assert np.ptp(again.u) == pytest.approx(40.0, rel=1e-3)
+    for name, values in first.columns.items():
+        assert np.allclose(again.columns[name], values, rtol=1e-11, atol=0.0), name
+    assert {one.how for one in again.assigned} == {"named"}
+
+
+def test_a_part_may_be_taken_of_a_file_that_is_too_long_as_a_whole(monkeypatch):
+    for module in ("layout", "check"):
+        monkeypatch.setattr(f"emps_design.records.{module}.LONGEST", 100)
+    text = "t,q_ref,q,u\n" + "\n".join(f"{k / 1000:.3f},{k / 100:.2f},{k / 100:.2f},{k % 7}" for k in range(400))
+    with pytest.raises(
+        RecordError, match=r"found more than 100 rows, expected fewer; take a part of it with import and its `window`"
+    ):
+        record_from_bytes(text.encode(), "long.csv")
+    part = record_from_bytes(text.encode(), "long.csv", layout=layout(units=PLAIN.units, window=(0.1, 0.15)))
+    assert len(part) == 51
+    with pytest.raises(RecordError, match="found 300 samples, expected at most 100; take a part of it"):
+        record_from_bytes(text.encode(), "long.csv", layout=layout(units=PLAIN.units, window=(0.1, 1.0)))

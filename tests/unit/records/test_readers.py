@@ -269,7 +269,7 @@ def test_unreadable(tmp_path):
 
 
 def test_too_many_rows(monkeypatch):
-    monkeypatch.setattr("emps_design.records.tables.LONGEST", 100)
+    monkeypatch.setattr("emps_design.records.layout.LONGEST", 100)
     with pytest.raises(RecordError, match="found more than 100 rows"):
         record_from_bytes(table(), "a.csv")
 

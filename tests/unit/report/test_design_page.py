@@ -235,3 +235,20 @@ def test_retuned_gains_meet_the_specification_on_the_drive(undrawn):
     velocity = assemble_report("emps2018", crossover=150.0, phase_margin_deg=50.0, retune=True).results.velocity
     assert velocity.sampled.margins.phase_margin_deg == pytest.approx(50.0, abs=1e-6)
     assert velocity.sampled.margins.crossover == pytest.approx(150.0, abs=1e-6)
+
+
+def test_a_cascade_shows_the_margins_of_its_own_loops():
+    cascade = {"kind": "cascade", "position": {"kp": 30.0, "every": 2}, "velocity": {"kp": 300.0, "ti": 0.05}}
+    axis = machine("emps2019").replace(controller=cascade)
+    report = assemble_report(axis, crossover=100.0)
+    loops = report.to_dict()["controller_loops"]
+    assert [(loop["name"], round(loop["phase_margin_deg"])) for loop in loops] == [
+        ("velocity loop", 71), ("position loop", 77), ("whole loop", 57),
+    ]  # fmt: skip
+    page = report.page.html()
+    assert "Controller of the axis" in page
+    assert re.search(r"position loop(<[^>]*>|\s)+position error(<[^>]*>|\s)+stable", page)
+    hot = assemble_report(axis.replace(controller={"velocity": {"kp": 30000.0}}), crossover=100.0)
+    assert re.search(r"the controller.{1,5}s loop is unstable", hot.page.html())
+    assert not hot.loops[-1].margins.stable
+    assert "controller_loops" not in assemble_report("emps2018", crossover=100.0).to_dict()

@@ -10,6 +10,7 @@ import pytest
 from emps_design.machines import machine
 from emps_design.report.diagnosis import VERDICTS, diagnosis_page
 from emps_design.report.diagnosis_design import axis_before, design_change
+from emps_design.report.diagnosis_sections import answer_points, in_plain_words
 
 
 @dataclass
@@ -176,6 +177,34 @@ def test_every_verdict_has_a_page_even_with_the_contract_alone(verdict):
     bare["gap"] = {"unit": "N", "floor": None, "train": {"baseline": 1.0, "extended": None}}
     html = diagnosis_page(Diagnosis(bare)).html()
     assert VERDICTS[verdict][1] in html
+
+
+def test_the_first_screen_says_what_was_found_how_sure_what_is_left_and_what_to_record():
+    diagnosis = invented("partly-named")
+    finding = diagnosis.document["findings"][0]
+    finding["confirmed"] = {"share": 0.97, "std": 0.04}
+    finding["where"]["force"] = {"value": 7.4, "unit": "N", "sense": "more"}
+    left = {"rms": 2.3, "share": 0.18, "over": ["position"], "text": "2.3 N rms over the noise; it follows position"}
+    diagnosis.document["unexplained"] = left | {"map": diagnosis.document.get("unexplained", {}).get("map")}
+    plain = in_plain_words(diagnosis.document)
+    assert "one cause has been found: stribeck friction" in plain
+    assert "played no part in finding them agrees" in plain
+    assert "Something is left that nothing known explains" in plain
+    points = [str(line) for line in answer_points(diagnosis.document).items]
+    assert "asks for 0.97 ± 0.04 of it" in points[0]
+    assert points[1].startswith("Left: 2.3 N rms")
+    assert points[2].startswith("Record next: ")
+
+
+def test_what_lost_does_not_come_before_the_answer():
+    html = diagnosis_page(invented()).html()
+    order = [html.index(f">{title}<") for title in ("What is missing", "What to record next", "Candidates")]
+    assert order == sorted(order)
+
+
+def test_a_healthy_machine_needs_nothing():
+    document = {"verdict": "nothing-missing", "findings": [], "gap": {"train": {}}}
+    assert "nothing has to be added" in in_plain_words(document)
 
 
 def test_same_diagnosis_same_bytes_and_small():

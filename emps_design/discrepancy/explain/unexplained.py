@@ -1,0 +1,146 @@
+"""What no effect explains: how much is left, over which variables it repeats on data not seen, what to record next."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander
+
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.explain.extent import EVERYWHERE, described, extent
+from emps_design.discrepancy.explain.residual_views import force_map
+from emps_design.discrepancy.model.missing_force import SLOWEST, MissingForce, missing_force
+from emps_design.discrepancy.model.problem import Hypothesis
+from emps_design.discrepancy.validation.gap import most_missed
+from emps_design.discrepancy.validation.verdict import Validation
+
+DEGREE = 8  # of the polynomials in one variable
+RIDGE = 1e-6  # of the mean square of a column
+SAID = 2  # variables in the sentence
+LOWEST_HZ = 2.0  # below, lines are those of the strokes
+WIDTH = 0.1  # of a frequency, within which its line counts
+
+
+def unexplained(validation: Validation) -> dict[str, Any]:
+    """The contract's ``unexplained`` of a validation in which structure is left.
+
+    ``rms`` [N] is what the model leaves over the noise, ``share`` of the gap's mean square; ``over`` the variables that
+    predict it on data not fitted to, the best first, and ``predicted`` the share of it that each does.
+    """
+    judged, floor = validation.held_out or validation.train, validation.outcome.calibration.floor.force
+    extended, most = validation.extended, most_missed(validation.extended)
+    left = float(np.sqrt(max(judged.gap.extended**2 - floor**2, 0.0)))
+    share = left**2 / max(judged.gap.baseline**2 - floor**2, left**2, 1e-30)
+    shares = predicted(validation)
+    over = [name for name in sorted(shares, key=lambda name: -shares[name]) if shares[name] > rules.DEPENDS]
+    problem = extended.problem
+    where = described(extent(problem.records[most], extended.residuals()[most], problem.splits[most].used, floor))
+    place = "" if where["text"] == EVERYWHERE else f", most of it {where['text']}"
+    depends = "it depends on none of position, velocity, time and load alone"
+    if over:
+        parts = [f"{name} ({100 * shares[name]:.0f} %)" for name in over[:SAID]]
+        depends = f"it follows {' and '.join(parts)} on data that it was not fitted to"
+    text = f"{left:.2g} N rms over the noise{place}, {100 * share:.0f} % of the gap; {depends}"
+    return {
+        "rms": left,
+        "share": share,
+        "over": over,
+        "predicted": shares,
+        **where,
+        "text": text,
+        "place": where["text"],
+        "map": force_map(missing_force(extended)[most]),
+    }
+
+
+def predicted(validation: Validation) -> dict[str, float]:
+    """Share of the missing force's mean square that each variable predicts on samples it was not fitted to.
+
+    Fitted to the training records and judged on the confirming one; where there is none, on the selecting strokes.
+    """
+    extended, data = validation.extended, validation.outcome.calibration.preparation.held_out
+    seen = missing_force(extended)
+    used, judged = (extended.problem.masks(part) for part in ("fit", "select"))
+    known, new, there = seen, seen, judged
+    if data is not None and validation.held_out is not None:
+        used = extended.problem.masks("used")
+        new = missing_force(Hypothesis(data.problem, validation.held_out.extended))
+        there = data.problem.masks("used")
+    ranges = {name: _range(known, name) for name in VARIABLES}
+    found = {}
+    for name in VARIABLES:
+        design, force = _design(known, used, name, ranges[name])
+        others, wanted = _design(new, there, name, ranges[name])
+        square = design.T @ design
+        ridge = RIDGE * np.trace(square) / len(square) * np.eye(len(square))
+        rest = wanted - others @ np.linalg.solve(square + ridge, design.T @ force)
+        found[name] = max(0.0, 1.0 - float(rest @ rest) / max(float(wanted @ wanted), 1e-30))
+    return found | {"frequency": _in_one_line(new, there)}
+
+
+def _position(seen: MissingForce) -> np.ndarray:
+    return seen.motion.q
+
+
+def _speed(seen: MissingForce) -> np.ndarray:
+    return np.abs(seen.motion.v)
+
+
+def _time(seen: MissingForce) -> np.ndarray:
+    return seen.motion.t - seen.motion.t[0]
+
+
+def _load(seen: MissingForce) -> np.ndarray:
+    return np.abs(seen.motion.tau)
+
+
+def _since_reversal(seen: MissingForce) -> np.ndarray:
+    """Time [s] since the last reversal, its logarithm: what memory of standing still fades with."""
+    direction = np.sign(seen.motion.v)
+    turns = np.concatenate(([True], np.diff(direction) != 0))
+    index = np.arange(direction.size)
+    since = index - np.maximum.accumulate(np.where(turns, index, 0))
+    return np.log1p(since)
+
+
+VARIABLES = {
+    "position": _position,
+    "velocity": _speed,
+    "time": _time,
+    "load": _load,
+    "time since a reversal": _since_reversal,
+}
+
+
+def _range(seen: tuple[MissingForce, ...], name: str) -> tuple[float, float]:
+    values = np.concatenate([VARIABLES[name](one) for one in seen])
+    return float(values.min()), float(np.ptp(values)) or 1.0
+
+
+def _design(
+    seen: tuple[MissingForce, ...], masks: tuple[np.ndarray, ...], name: str, scale: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Polynomials of one variable for each direction of motion (n, k), and the missing force (n,) [N] beside them."""
+    rows, force = [], []
+    for one, mask in zip(seen, masks, strict=True):
+        x = np.clip(2 * (VARIABLES[name](one) - scale[0]) / scale[1] - 1, -1, 1)
+        columns, direction = chebvander(x, DEGREE), np.tanh(one.motion.v / SLOWEST)
+        rows.append(np.column_stack([columns, columns * direction[:, None]])[mask])
+        force.append((one.force - np.mean(one.force[mask]))[mask])
+    return np.concatenate(rows), np.concatenate(force)
+
+
+def _in_one_line(seen: tuple[MissingForce, ...], masks: tuple[np.ndarray, ...]) -> float:
+    """Share of the missing force's mean square within a tenth of its strongest frequency that strokes do not have."""
+    from scipy.signal import periodogram
+
+    shares = []
+    for one, mask in zip(seen, masks, strict=True):
+        frequency, power = periodogram(np.where(mask, one.force, 0.0), 1 / one.motion.period)
+        power[frequency < LOWEST_HZ] = 0.0
+        top = frequency[np.argmax(power)]
+        near = np.abs(frequency - top) < WIDTH * top
+        whole = max(float(np.var(one.force[mask])) / max(frequency[1], 1e-12), 1e-30)
+        shares.append(min(1.0, float(power[near].sum()) / whole))
+    return float(np.mean(shares))

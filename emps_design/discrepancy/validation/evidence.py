@@ -1,0 +1,179 @@
+"""How much of each effect a record asks for, while something may act on it that no effect explains.
+
+Every effect's own evidence: what it changes in the residual, regressed onto that residual beside all others. What the
+model leaves is part of the noise, once by its spectrum and once as a smooth function of the state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.model.candidate import BASELINE
+from emps_design.discrepancy.model.fit import STEP
+from emps_design.discrepancy.model.problem import Hypothesis, Problem
+from emps_design.discrepancy.search.cross_validated_noise import smooth_of_state
+from emps_design.discrepancy.search.noise_floor import LEFT, floor_of_residual
+from emps_design.errors import SimulationError
+from emps_design.observer import motor_force
+
+Forces = tuple[np.ndarray, ...]  # one array (n,) [N] per record
+RANK = 1e-6  # of the largest singular value of the functions of the state, below which a combination is none
+
+
+@dataclass(frozen=True)
+class Asked:
+    """How much of an effect a record asks for: ``share`` 1 is all of it, 0 none; ``std`` its standard deviation.
+
+    ``repeats`` is the share that the effect asks of itself when the carriage is disturbed by noise: below 1 where play
+    bounces, and no two laps are alike. ``exercised`` False: the record does not bring the effect out, and says nothing
+    of it. ``weighed`` are the shares where what the model leaves is itself noise, once by its spectrum and once as a
+    smooth function of the state, each with its deviation.
+    """
+
+    name: str
+    share: float
+    std: float
+    repeats: float
+    exercised: bool
+    weighed: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def refuted(self) -> bool:
+        """Whether the record clearly wants another amount of it than the effect itself, or all of it."""
+        return self.exercised and self._apart(self.share) - rules.SURE * self.std > rules.ASKED_APART
+
+    @property
+    def stands(self) -> bool:
+        """Whether the record clearly wants about all of it, however what the model leaves is weighed.
+
+        What stands in for something unknown shares its force with it, and is wanted in another amount as soon as the
+        unknown may be a function of the state too.
+        """
+        confirmed = self.confirmed
+        if confirmed is None:  # play that hardly ever bounces alike
+            return self.exercised and self.astray <= rules.ASKED_APART
+        return self.astray <= rules.ASKED_APART and confirmed["std"] <= rules.SHARE_KNOWN
+
+    @property
+    def astray(self) -> float:
+        """How far from all of it the record's share is, in the least favourable weighing."""
+        return max(self._apart(share) for share, _ in self._all())
+
+    @property
+    def confirmed(self) -> dict[str, float] | None:
+        """The contract's share, of what the effect asks of itself, and its deviation; None where nothing is told."""
+        if not self.exercised or self.repeats < rules.ASKED_APART:
+            return None
+        shares = np.array(self._all()) / self.repeats
+        return {"share": float(shares[:, 0].mean()), "std": float(max(shares[:, 1].max(), np.ptp(shares[:, 0]) / 2))}
+
+    def _all(self) -> list[tuple[float, float]]:
+        return [(self.share, self.std), *self.weighed]
+
+    def _apart(self, share: float) -> float:
+        return max(self.repeats - share, share - 1.0)
+
+
+def asked_for(hypothesis: Hypothesis) -> tuple[Asked, ...]:
+    """How much of each effect of a model its records ask for, all of them at once.
+
+    What every effect changes in the whitened residual, and what the four baseline numbers do, are regressed onto that
+    residual. A stand-in for unknown physics fits one motion; on another one it is wanted in another amount. The
+    regression is done again with what the model leaves as noise: whitened by its own spectrum, and as a sum of smooth
+    functions of the simulated state, with random coefficients of a size read from it (empirical Bayes).
+    """
+    problem, model = hypothesis.problem, hypothesis.model
+    if not model.effects:
+        return ()
+    random = np.random.default_rng(0)
+    noise = tuple(problem.whitening.undo(random.standard_normal(len(record))) for record in problem.records)
+    quiet = tuple(np.zeros(len(record)) for record in problem.records)
+    whole, disturbed = _left(hypothesis, quiet), _left(hypothesis, noise)
+    if whole is None:  # what cannot run tells nothing
+        return tuple(Asked(name, 0.0, 0.0, 1.0, exercised=False) for name in model.names)
+    rests = [hypothesis.with_model(model.without(index)) for index in range(len(model.effects))]
+    changes = [_change(_left(rest, quiet), whole) for rest in rests]
+    again = [_change(_left(rest, noise), disturbed) for rest in rests]
+    states = tuple(smooth_of_state(run.q, problem.period) for run in hypothesis.runs())
+    columns, shares = [*changes, *_of_baseline(hypothesis, whole)], []
+    spectrum = floor_of_residual(problem.pick(whole, "used"), problem.period, LEFT).whitening
+    for weighed in (problem, problem.with_whitening(spectrum)):
+        left, design = _gathered(weighed, whole), np.column_stack([_gathered(weighed, c) for c in columns])
+        unknown = _orthonormal(_gathered(weighed, states))
+        shares += [_shares(design, left), _shares(design, left, unknown)]
+    found = []
+    for i, (change, other) in enumerate(zip(changes, again, strict=True)):
+        here, there = _gathered(problem, change), _gathered(problem, other)
+        repeats = min(1.0, float(here @ there) / max(float(there @ there), 1e-30))
+        exercised = float(np.linalg.norm(here)) > rules.EXERCISED * np.sqrt(here.size)
+        found.append(Asked(model.names[i], *shares[0][i], repeats, exercised, tuple(rows[i] for rows in shares[1:])))
+    return tuple(found)
+
+
+def _shares(design: np.ndarray, left: np.ndarray, unknown: np.ndarray | None = None) -> list[tuple[float, float]]:
+    """Share of each column of ``design`` (n, k) that ``left`` (n,) asks for, and its deviation, in whitened numbers.
+
+    Along ``unknown`` (n, m), orthonormal, what is left may be structure and counts as noise of its own variance.
+    """
+    size = np.linalg.norm(design, axis=0)
+    size[size == 0] = np.inf  # what changes nothing is not asked for
+    unit = design / size
+    noise, structure, basis = max(1.0, float(left @ left) / left.size), 0.0, np.zeros((left.size, 0))
+    if unknown is not None:
+        basis = unknown
+        both = np.column_stack([unit, basis])
+        rest = left - both @ np.linalg.lstsq(both, left, rcond=1e-10)[0]
+        noise = max(1.0, float(rest @ rest) / (left.size - both.shape[1]))
+        beside = left - unit @ np.linalg.lstsq(unit, left, rcond=1e-10)[0]
+        structure = max(0.0, float(np.mean((basis.T @ beside) ** 2)) - noise)
+    quietened = structure / (noise + structure)
+
+    def weighed(x: np.ndarray) -> np.ndarray:
+        return (x - quietened * basis @ (basis.T @ x)) / noise
+
+    inverse = np.linalg.pinv(unit.T @ weighed(unit), hermitian=True)
+    shares = 1.0 + inverse @ (unit.T @ weighed(left)) / size
+    stds = np.sqrt(np.maximum(np.diag(inverse), 0.0)) / size
+    return [(float(share), float(std)) for share, std in zip(shares, stds, strict=True)]
+
+
+def _orthonormal(columns: np.ndarray) -> np.ndarray:
+    """An orthonormal basis (n, k) of ``columns``."""
+    size = np.linalg.norm(columns, axis=0)
+    basis, singular, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
+    return basis[:, singular > RANK * singular[0]]
+
+
+def _gathered(problem: Problem, signals: Forces) -> np.ndarray:
+    """Whitened ``signals``, (n,) or (n, k) per record, on the used samples of all records."""
+    return problem.gather(tuple(problem.whitening.apply(signal.T).T for signal in signals), "used")
+
+
+def _left(hypothesis: Hypothesis, disturbance: Forces) -> Forces | None:
+    """Measured minus simulated force with ``disturbance`` on the carriage; None where the model cannot run."""
+    problem = hypothesis.problem
+    try:
+        runs = [hypothesis.run(i, force) for i, force in enumerate(disturbance)]
+    except SimulationError:
+        return None
+    return tuple(motor_force(problem.axis, r) - run.force for r, run in zip(problem.records, runs, strict=True))
+
+
+def _change(left: Forces | None, whole: Forces | None) -> Forces:
+    """What ``left`` has more than ``whole``; a model that cannot run tells nothing."""
+    if left is None or whole is None:
+        return tuple(np.zeros_like(force) for force in left or whole or ())
+    return tuple(one - other for one, other in zip(left, whole, strict=True))
+
+
+def _of_baseline(hypothesis: Hypothesis, whole: Forces) -> list[Forces]:
+    """What a small step of each baseline number changes in the force."""
+    model, quiet = hypothesis.model, tuple(np.zeros_like(force) for force in whole)
+    slots = model.slots()[: len(BASELINE)]
+    numbers = model.vector(slots)
+    steps = np.diag([STEP * slot.magnitude for slot in slots])
+    moved = [hypothesis.with_model(model.with_vector(slots, numbers + step)) for step in steps]
+    return [_change(_left(one, quiet), whole) for one in moved]
