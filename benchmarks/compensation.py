@@ -109,35 +109,39 @@ def machine(name: str, seed: int, found: bool) -> dict[str, object]:
 def measured(path: Path) -> dict[str, object]:
     """Compensation from laps 1 to 3 of a measured record, and what it leaves to the feedback on lap 4.
 
-    The command of the model, rigid and with all effects found, along the motion that was measured on lap 4 (low-passed
-    at ``CUTOFF`` without a shift), against the command that was recorded there (low-passed alike).
+    The command of the model, rigid (``identify``) and with all effects found (``diagnose``), along the motion that was
+    measured on lap 4 (low-passed at ``CUTOFF`` without a shift), against the command recorded there (low-passed alike).
     """
     from emps_design.discrepancy import diagnose
-    from emps_design.identification.filters import low_pass, motion
+    from emps_design.identification import identify
     from emps_design.machines import machine as embedded
     from emps_design.records import read_record
 
     record = read_record(path)
     start = 3 * len(record) // 4
-    found = diagnose([record.part(0, start)], embedded("emps2019"))
-    moved = motion(record, CUTOFF)
-    u = low_pass(record.u, CUTOFF, record.period)
-    part = slice(start, len(record) - SKIP)
-    rows = {"recorded": u[part]}
-    late = replace(FeedForward.of(found.axis, terms_of(found.axis)[0]), reversal=REST)
-    for name, terms in (("rigid", tuple(BASELINE)), ("with", late.terms)):
-        ahead = replace(late, terms=terms)
-        command = ahead.command(moved.q, moved.v, moved.a)
-        # A command acts for the period that follows it, and what is late behind it: it is due that much before.
-        due = np.interp(record.t + ahead.wait, record.t, command)
-        rows[name] = u[part] - due[part]
-    rms = {name: float(np.sqrt(np.mean(row**2))) for name, row in rows.items()}
+    before = record.part(0, start)
+    found = diagnose([before], embedded("emps2019"))
+    recorded, kept = left_over(record, start, found.axis)
+    _, rigid = left_over(record, start, identify(before).to_axis())
     return {
         "date": datetime.date.today().isoformat(), "record": path.name, "laps": "1 to 3, judged on 4",
-        "findings": [finding["effect"] for finding in found.to_dict()["findings"]], "terms": list(late.terms),
-        "rms_V": rms, "rms_N": {name: found.axis.drive.force_gain * value for name, value in rms.items()},
-        "share_left": rms["with"] / rms["recorded"], "share_left_rigid": rms["rigid"] / rms["recorded"],
+        "findings": [finding["effect"] for finding in found.to_dict()["findings"]],
+        "terms": list(terms_of(found.axis)[0]), "rms_V": {"recorded": recorded, "rigid": rigid, "with": kept},
+        "share_left": kept / recorded, "share_left_rigid": rigid / recorded,
     }  # fmt: skip
+
+
+def left_over(record, start: int, axis: Axis) -> tuple[float, float]:
+    """Rms from sample ``start`` on of the recorded command, and of what all terms of ``axis`` leave of it [V]."""
+    from emps_design.identification.filters import low_pass, motion
+
+    moved, u = motion(record, CUTOFF), low_pass(record.u, CUTOFF, record.period)
+    ahead = replace(FeedForward.of(axis, terms_of(axis)[0]), reversal=REST)
+    # A command acts for the period that follows it, and what is late behind it: it is due that much before.
+    due = np.interp(record.t + ahead.wait, record.t, ahead.command(moved.q, moved.v, moved.a))
+    part = slice(start, len(record) - SKIP)
+    recorded, rest = (float(np.sqrt(np.mean(row[part] ** 2))) for row in (u, u - due))
+    return recorded, rest
 
 
 def replace_effects(axis: Axis) -> Axis:

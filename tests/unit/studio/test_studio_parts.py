@@ -468,3 +468,15 @@ def test_labels_and_tables_are_in_the_units_of_the_axis():
     assert design.knobs["mass"].field.label == "Apparent mass M_a [kg]"
     assert session.simulation.fields["push"].field.label == "Push [N]"
     assert "k_v1 [V/(m/s)]" in design.numbers.object
+
+
+def test_an_excited_record_gives_its_response_and_the_axis_that_fits_it():
+    from emps_design.studio.data_view import response_work
+    from tests.unit.frequency_response.cases import experiment, two_mass
+
+    stages = []
+    found = response_work(experiment(two_mass(), 3, count=2), machine("emps2019"), {}, lambda *at: stages.append(at))
+    assert "the model is within the 95 % circle" in found["text"]
+    assert "The response asks for two masses" in found["html"]
+    assert found["model"].effects[0].kind == two_mass().effects[0].kind
+    assert stages[-1] == ("drawing", 0.8)
