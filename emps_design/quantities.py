@@ -115,6 +115,24 @@ def read_frequency(text: str | float, unit: str = "rad/s") -> float:
     return float(match[1]) * _FREQUENCIES[given] / _FREQUENCIES[unit.lower()]
 
 
+def read_ratio(text: str | float) -> float:
+    """Return a positive ratio as someone writes it: a bare number, or decibels such as 6dB.
+
+    Raises :class:`InputError` for anything else.
+
+    >>> read_ratio("2"), round(read_ratio("6dB"), 4)
+    (2.0, 1.9953)
+    """
+    written = str(text).strip()
+    match = re.fullmatch(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(db)?", written, re.IGNORECASE)
+    value = float(match[1]) if match else 0.0
+    if match and match[2]:
+        value = 10.0 ** (min(value, 200.0) / 20.0)
+    if value <= 0.0:
+        raise InputError(f"ratio: found {written!r}, expected a positive number, or such as 6dB")
+    return check_magnitude("ratio", value, "")
+
+
 # unit of the library -> (below this size, display unit, factor), smallest first
 _SMALL = {
     "s": ((1e-4, "µs", 1e6), (1.0, "ms", 1e3)),

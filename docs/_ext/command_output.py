@@ -3,6 +3,7 @@
 Every page has a folder of its own, filled by ``emps-design init``, in which its commands run one after another.
 """
 
+import os
 from pathlib import Path
 
 from docutils import nodes
@@ -13,11 +14,17 @@ LONGEST = 60  # lines shown
 
 
 class Run(Directive):
-    """``{run} emps-design gains --crossover 100``; ``:status:`` is the exit status the page expects."""
+    """``{run} emps-design gains --crossover 100``; ``:status:`` is the exit status the page expects,
+    ``:picture:`` a file that the command draws and what it shows, such as ``out.png A response``: it stands below."""
 
     required_arguments = 1
     final_argument_whitespace = True
-    option_spec = {"status": directives.nonnegative_int, "lines": directives.positive_int, "stderr": directives.flag}  # noqa: RUF012
+    option_spec = {  # noqa: RUF012
+        "status": directives.nonnegative_int,
+        "lines": directives.positive_int,
+        "stderr": directives.flag,
+        "picture": directives.unchanged_required,
+    }
 
     def run(self):
         environment = self.state.document.settings.env
@@ -35,7 +42,12 @@ class Run(Directive):
         shown = "\n".join([f"$ {command}", *lines])
         block = nodes.literal_block(shown, shown)
         block["language"] = "text"
-        return [block]
+        if "picture" not in self.options:
+            return [block]
+        name, _, shows = self.options["picture"].partition(" ")
+        if not (folder / name).is_file():
+            raise self.error(f"{command}: drew no {name}")
+        return [block, nodes.image(uri=f"/{os.path.relpath(folder / name, environment.srcdir)}", alt=shows)]
 
 
 def working_folder(environment) -> Path:

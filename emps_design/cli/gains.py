@@ -45,6 +45,8 @@ from emps_design.cli.loop_options import (
     PositionOvershoot,
     PositionStiffness,
     ReferenceFilter,
+    SensitivityPeakAbove,
+    SensitivityPeakBelow,
     StructureOption,
     filters_asked_for,
     load_range_asked_for,
@@ -88,6 +90,8 @@ def command(
         list[Path] | None,
         typer.Option(help="measured response of 'frf', .csv or .mat; again for others: margins on each, retune on one"),
     ] = None,
+    sensitivity_peak_below: SensitivityPeakBelow = None,
+    sensitivity_peak_above: SensitivityPeakAbove = None,
     out: Out = None,
     force: Force = False,
     velocity: Velocity = 0.1,
@@ -111,6 +115,8 @@ def command(
     refuse_force(context, out)
     if not retune:
         refuse_ignored(context, ["at"], "goes with --retune")
+    if not frf:
+        refuse_ignored(context, ["sensitivity_peak_below", "sensitivity_peak_above"], "goes with --frf")
     position = (position_overshoot, position_bandwidth, position_stiffness)
     if all(value is None for value in position):
         why = "goes with --position-overshoot, --position-bandwidth or --position-stiffness"
@@ -147,8 +153,10 @@ def command(
         "filters": filters_asked_for(filters),
     }
     responses = _responses(frf or [])
+    peaks = {"sensitivity_peak_below": sensitivity_peak_below, "sensitivity_peak_above": sensitivity_peak_above}
+    limits = {name: limit for name, limit in peaks.items() if limit is not None}
     if retune and responses:
-        design = _retuned(responses, machine, at, specification)
+        design = _retuned(responses, machine, at, specification, limits)
     elif retune:
         from emps_design.control.velocity.retune import retune_velocity_loop
 
@@ -178,14 +186,19 @@ def command(
 
     stable = design.sampled.stable
     if responses:
-        from emps_design.frequency_response.loop import measured_document, measured_margins
+        from emps_design.frequency_response.loop import measured_document, measured_margins, over_limits
 
         found = [measured_margins(response, design.loop_axis) for response in responses]
-        document["measured"] = measured_document(found)
+        document["measured"] = measured_document(found, limits)
         if around is not None:
             whole = [measured_margins(response, around.axis()) for response in responses]
-            document["measured"]["whole_loop"] = measured_document(whole)
+            document["measured"]["whole_loop"] = measured_document(whole, limits)
         document["warnings"] += [warning for one in found for warning in one.warnings]
+        for loop, said in (("velocity", document["measured"]), ("whole", document["measured"].get("whole_loop"))):
+            broken = over_limits(said, limits) if said is not None else []
+            document["warnings"] += [f"{loop} loop on the measured plant: {words}" for words in broken]
+        if sensitivity_peak_above is not None and not any(one.antiresonance for one in found):
+            document["warnings"].append("--sensitivity-peak-above: the data have no antiresonance; all lies below")
     measured = document.get("measured", {})
     on_data = measured.get("stable", True) and measured.get("whole_loop", {}).get("stable", True)
     if stable and on_data and out is not None:
@@ -227,7 +240,7 @@ def _responses(paths: list[Path]) -> list[FrequencyResponse]:
 
 
 def _retuned(
-    responses: list[FrequencyResponse], machine: Axis, at: str, specification: dict[str, Any]
+    responses: list[FrequencyResponse], machine: Axis, at: str, specification: dict[str, Any], limits: dict[str, float]
 ) -> VelocityLoopDesign:
     """The design that meets the specification on the one response given."""
     from emps_design.frequency_response.retune import retune_on_response
@@ -245,6 +258,7 @@ def _retuned(
         specification["velocity"],
         specification["structure"],
         specification["filters"],
+        limits,
     )
 
 

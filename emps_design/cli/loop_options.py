@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from emps_design.cli.design_options import within
-from emps_design.cli.frequency import RAD_S
+from emps_design.cli.frequency import RAD_S, RATIO
 from emps_design.errors import InputError
 from emps_design.quantities import read_frequency
 
@@ -28,6 +28,13 @@ ReferenceFilter = Annotated[bool, typer.Option("--reference-filter", help="with 
 Filters = Annotated[
     list[str] | None,
     typer.Option("--filter", metavar="FILTER", help=f"instead of the axis's, again for more: {EXPECTED}"),
+]
+SensitivityPeakBelow = Annotated[
+    float | None,
+    typer.Option(**RATIO, help="with --frf: limit of max|S| below the first antiresonance [ratio, or such as 6dB]"),
+]
+SensitivityPeakAbove = Annotated[
+    float | None, typer.Option(**RATIO, help="and its limit above [ratio, or such as 6dB]")
 ]
 
 

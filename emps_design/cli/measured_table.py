@@ -32,12 +32,16 @@ def print_measured(measured: dict[str, Any], loop: str = "velocity loop") -> Non
     if len(responses) > 1:
         table.add_column("worst", justify="right")
     table.add_column("unit")
+    limits = measured.get("requested", {})
+    if limits:
+        table.add_column("asked for", justify="right")
     for label, key, unit, scale in ROWS:
-        if all(one[key] is None for one in responses):
+        if key not in limits and all(one[key] is None for one in responses):
             continue
         cells = [_cell(one[key], one["bands"][key], scale) for one in responses]
         worst = [_cell(measured[key], None, scale)] if len(responses) > 1 else []
-        table.add_row(label, *cells, *worst, unit)
+        asked = [f"at most {limits[key]:.4g}" if key in limits else ""] if limits else []
+        table.add_row(label, *cells, *worst, unit, *asked)
     console.print(table)
     console.print("in brackets: 95 % band from the data's deviations; below, above: the first antiresonance")
 

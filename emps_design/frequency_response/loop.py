@@ -19,7 +19,7 @@ the lines' lower bounds and the largest of their upper ones.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -171,11 +171,26 @@ def worst_of(margins: Sequence[MeasuredMargins]) -> dict[str, float | None]:
     return worst
 
 
-def measured_document(margins: Sequence[MeasuredMargins]) -> dict[str, Any]:
-    """What ``gains`` says about the loop on the measured plants: the worst, and each."""
+def over_limits(values: Mapping[str, Any], limits: Mapping[str, float]) -> list[str]:
+    """Return, in words, which sensitivity peaks of ``values`` exceed their ``limits``, both ratios by their names.
+
+    >>> over_limits({"sensitivity_peak_below": 2.31, "sensitivity_peak_above": 1.2}, {"sensitivity_peak_below": 2.0})
+    ['the largest sensitivity below the first antiresonance is 2.31, asked for at most 2']
+    """
+    return [
+        f"the largest sensitivity {name.rpartition('_')[2]} the first antiresonance is {values[name]:.4g}, "
+        f"asked for at most {limit:.4g}"
+        for name, limit in limits.items()
+        if values[name] is not None and values[name] > limit
+    ]
+
+
+def measured_document(margins: Sequence[MeasuredMargins], limits: Mapping[str, float]) -> dict[str, Any]:
+    """What ``gains`` says about the loop on the measured plants: the worst beside the ``limits``, and each."""
     one = margins[0] if len(margins) == 1 else None
     return {
         "stable": all(found.stable for found in margins),
+        **({"requested": dict(limits)} if limits else {}),
         **worst_of(margins),
         "bands": one.to_dict()["bands"] if one else None,
         "responses": [found.to_dict() for found in margins],

@@ -5,6 +5,7 @@ The same two equations as for the model, :mod:`emps_design.control.velocity.retu
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +18,7 @@ from emps_design.control.velocity.retune import PLACES, retuned_gains
 from emps_design.control.velocity.specification import check_specification
 from emps_design.control.velocity.structure import Structure, own_filters, own_structure
 from emps_design.errors import InputError, SpecificationError
-from emps_design.frequency_response.loop import MeasuredMargins, measured_margins
+from emps_design.frequency_response.loop import measured_margins, over_limits
 from emps_design.frequency_response.measured_plant import MeasuredPlant
 from emps_design.frequency_response.response import FrequencyResponse
 from emps_design.laws.library.cascade import Filter
@@ -57,11 +58,14 @@ def retune_on_response(
     velocity: float = 0.1,
     structure: Structure | None = None,
     filters: tuple[Filter, ...] | None = None,
+    limits: Mapping[str, float] | None = None,
 ) -> VelocityLoopDesign:
     """Return the design whose loop on the measured plant has ``crossover`` [rad/s] and ``phase_margin_deg`` [deg].
 
-    ``at`` says where that loop is broken. :class:`SpecificationError` where no positive gains do it, or another
-    crossing has less phase, or the loop is unstable, with the nearest slower crossover that works.
+    ``at`` says where that loop is broken; ``limits`` are ratios that ``sensitivity_peak_below`` and
+    ``sensitivity_peak_above`` of the first antiresonance may have. :class:`SpecificationError` where no positive gains
+    do it, another crossing has less phase, the loop is unstable or a limit binds, with the nearest slower crossover
+    that works.
 
     >>> from emps_design.machines import machine
     >>> f = np.geomspace(1.0, 300.0, 200)
@@ -85,35 +89,30 @@ def retune_on_response(
     plant: Any = _Estimated(MeasuredPlant.of(response, axis), weights, filters)
     place = PLACES[0] if structure.form == "pi" else at
 
-    def design_of(w: float) -> tuple[VelocityLoopDesign | None, MeasuredMargins | None]:
+    def design_of(w: float) -> tuple[VelocityLoopDesign | None, str]:
+        """The design for a crossover ``w`` and what it lacks, in words."""
         k_v1, t_v = (float(gain) for gain in retuned_gains(plant, w, phase_margin_deg, place))
         if not np.isfinite(k_v1):
-            return None, None
+            return None, "the gains would not be positive"
         design = VelocityLoopDesign(
             axis, k_v1, t_v, requested, retuned_at=at, velocity=velocity, structure=structure, filters=filters
         )
-        return design, measured_margins(response, design.loop_axis, draws=0)
+        found = measured_margins(response, design.loop_axis, draws=0)
+        if not found.stable:
+            return design, "the loop would be unstable"
+        lacks, phase = over_limits(found.values, limits or {}), found.values["phase_margin_deg"]
+        if place == PLACES[0] and (phase is None or abs(phase / phase_margin_deg - 1.0) >= MET):
+            lacks.append("another crossing has less phase margin")
+        return design, " and ".join(lacks)
 
-    def met(w: float, found: MeasuredMargins | None) -> bool:
-        if found is None or not found.stable:
-            return False
-        if place != PLACES[0]:
-            return True
-        phase = found.values["phase_margin_deg"]
-        return phase is not None and abs(phase / phase_margin_deg - 1.0) < MET
-
-    design, found = design_of(crossover)
-    if design is not None and met(crossover, found):
+    design, lacks = design_of(crossover)
+    if design is not None and not lacks:
         return design
     slower = np.geomspace(crossover, low, NEAREST)[1:]
-    nearest = next((float(w) for w in slower if met(float(w), design_of(float(w))[1])), None)
-    if found is None:
-        reason = "the gains would not be positive"
-    else:
-        reason = "another crossing has less phase margin" if found.stable else "the loop would be unstable"
+    nearest = next((float(w) for w in slower if not design_of(float(w))[1]), None)
     words = "nothing slower within the data works" if nearest is None else f"{nearest:.4g} rad/s works"
     raise SpecificationError(
         f"retune on {response.name}: no gains give {phase_margin_deg:g} deg at a crossover of {crossover:g} rad/s; "
-        f"{reason}; {words}",
-        {} if nearest is None else {"crossover": nearest, "phase_margin_deg": phase_margin_deg},
+        f"{lacks}; {words}",
+        {} if nearest is None else {"crossover": nearest, "phase_margin_deg": phase_margin_deg, **(limits or {})},
     )

@@ -100,7 +100,7 @@ def assemble_report(
     ``design_on``: "record" takes the mechanics that the record gives (the default where no axis is named), "axis"
     leaves them as they are; ``model`` of friction and filter ``chain`` are those of ``identify``. ``crossover`` or
     ``bandwidth`` [rad/s], ``phase_margin_deg`` [deg]; ``retune`` meets the specification when sampled. ``frf`` is the
-    file of a measured response, shown beside the model.
+    file of a measured response, shown beside the model as the first picture.
 
     The page has the sections that were asked for or that the axis has. Force loop: with ``k_e1`` [(m/s)/N], ``hand``
     [N/(m/s)] or ``environment`` [N/m], or a k_e1 in the axis's controller; what is left out is 0.01 (m/s)/N and a wall
@@ -152,11 +152,12 @@ def assemble_report(
         velocity = retune_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg, **law)
     else:
         velocity = design_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg, **law)
+    measured = None
     if response is not None:
         from emps_design.frequency_response.comparison import Comparison
         from emps_design.report.frequency_response import response_section
 
-        parts.insert(0, response_section(Comparison(response, loaded)))
+        measured = response_section(Comparison(response, loaded))
     assessed, stops = None, ()
     controller = loaded.controller
     if mass is None and has_impedance_law(loaded):
@@ -181,6 +182,7 @@ def assemble_report(
         *around,
         inputs=inputs,
         parts=tuple(parts),
+        measured=measured,
         notes=tuple(notes),
         stops=stops,
     )

@@ -36,13 +36,15 @@ class DesignResults:
 
     ``force``: the force loop around it, None where nobody asked for one; ``inputs``: SHA-256 of every input by name,
     None for what is built in; ``parts``: more sections (a record, an impedance law), each already a :class:`Section`;
-    ``notes``: statements for the summary; ``stops``: what else is unstable.
+    ``measured``: the section on a measured response, which comes first; ``notes``: statements for the summary;
+    ``stops``: what else is unstable.
     """
 
     velocity: VelocityLoopDesign
     force: ForceLoopDesign | None = None
     inputs: Mapping[str, str | None] = field(default_factory=dict)
     parts: tuple[Section, ...] = ()
+    measured: Section | None = None
     notes: tuple[str, ...] = ()
     stops: tuple[str, ...] = ()
 
@@ -76,6 +78,7 @@ def design_page(results: DesignResults) -> Page:
         asked,
         _summary(results),
         (
+            *([] if results.measured is None else [results.measured]),
             gains_section(velocity),
             velocity_section(velocity),
             drive_section(velocity),

@@ -14,6 +14,8 @@ IGNORED = {
     "gains --crossover 100 --reference-filter": "--reference-filter: goes with --structure pi",
     "gains --crossover 100 --position-every 4": "--position-every: goes with --position-overshoot",
     "gains --crossover 100 --force": "--force: goes with a file to write",
+    "gains --crossover 100 --sensitivity-peak-below 6dB": "--sensitivity-peak-below: goes with --frf",
+    "gains --crossover 100 --sensitivity-peak-above 2": "--sensitivity-peak-above: goes with --frf",
     "force {designed} --k-e1 0.001 --phase-margin 70": "--phase-margin: goes with --crossover or --bandwidth",
     "force --k-e1 0.001 --force": "--force: goes with a file to write",
     "impedance --mass 50 --damping 100 --plants 50": "--plants: goes with --mismatch",

@@ -20,7 +20,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.control.plant.linear_plant import POSITION, VELOCITY, LinearPlant, linear_plant
 from emps_design.errors import InputError
-from emps_design.laws.library.cascade import Filter, transfer
+from emps_design.laws.library.cascade import Filter, filter_polynomials
 
 if TYPE_CHECKING:
     import control
@@ -77,7 +77,7 @@ class SampledPlant:
         """Numerator and denominator in z, highest power first, of u -> velocity estimate, all delays included."""
         numerator, denominator = self._own_polynomials
         for one in self.filters:
-            b, a = transfer(one, self.period)
+            b, a = filter_polynomials(one, self.period)
             numerator, denominator = np.polymul(numerator, b), np.polymul(denominator, a)
         return numerator, denominator
 
@@ -282,7 +282,7 @@ def filter_response(filters: Iterable[Filter], w: np.ndarray, period: float) -> 
     z = np.exp(1j * np.asarray(w) * period)
     found = np.ones(z.shape, dtype=complex)
     for one in filters:
-        b, a = transfer(one, period)
+        b, a = filter_polynomials(one, period)
         found = found * np.polyval(b, z) / np.polyval(a, z)
     return found
 

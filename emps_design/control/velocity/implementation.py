@@ -13,7 +13,7 @@ from emps_design.control.plant.actuator import ActuatorMap
 from emps_design.control.velocity.sampled import SampledVelocityLoop, velocity_table
 from emps_design.control.velocity.structure import IP, Structure
 from emps_design.laws import LawKind
-from emps_design.laws.library.cascade import Filter, transfer
+from emps_design.laws.library.cascade import Filter, filter_polynomials
 
 CONSTANT = 1e-9  # a pole nearer than this to the unit circle belongs to something that stays as it is
 
@@ -125,6 +125,6 @@ def encoder_voltage_noise(axis: Axis, loop: SampledVelocityLoop) -> dict[str, fl
     law = loop.controller_response(w) * plant.filter_response(w)
     noise = law * estimate / (1.0 + loop.plant_input_response(w))
     rms = resolution / math.sqrt(12.0) * math.sqrt(float(np.mean(np.abs(noise) ** 2)))
-    first = math.prod(transfer(one, plant.period)[0][0] for one in plant.filters)  # what passes at once
+    first = math.prod(filter_polynomials(one, plant.period)[0][0] for one in plant.filters)  # what passes at once
     one_step = first * loop.k_v1 * (1.0 + plant.period / loop.t_v) * newer / plant.period * resolution
     return {"rms": rms, "one_step": one_step, "resolution": resolution}

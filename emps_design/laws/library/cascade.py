@@ -157,11 +157,12 @@ def coefficients(one, period):
     )  # fmt: skip
 
 
-def transfer(one, period):
+def filter_polynomials(one, period):
     """Numerator and denominator in z, highest power first, of a filter at a sampling ``period`` [s].
 
-    >>> [[round(value, 4) for value in part] for part in transfer(Filter(kind="lowpass", frequency=350.0), 0.25e-3)]
-    [[0.2156, 0.2156], [1.0, -0.5688]]
+    >>> numerator, denominator = filter_polynomials(Filter(kind="lowpass", frequency=350.0), 0.25e-3)
+    >>> [round(value, 4) for value in numerator], [round(value, 4) for value in denominator]
+    ([0.2156, 0.2156], [1.0, -0.5688])
     """
     b0, b1, b2, a1, a2 = coefficients(one, period)
     return ([b0, b1], [1.0, a1]) if one.kind == "lowpass" else ([b0, b1, b2], [1.0, a1, a2])

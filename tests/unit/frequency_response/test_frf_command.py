@@ -1,6 +1,7 @@
 """The command `frf`: its table, picture and JSON, and what it refuses."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -46,6 +47,7 @@ def test_the_report_shows_the_response_beside_the_model(files, capsys):
     assert command(["report", "emps2019", "--frf", out, "--crossover", "30", "--out", page]) == 0
     text = (files / "page.html").read_text()
     assert "Measured response seen" in text
+    assert re.search(r"<b>Figure 1\. ([^<]*?)\.</b>", text)[1] == "Measured frequency response"
     assert "The response asks for two masses" in text
     assert "emps2019: the model is within the 95 % circle" in text
 

@@ -167,6 +167,58 @@ def test_gains_on_a_response(tmp_path, capsys):
     assert retuned["phase_margin_deg"] == pytest.approx(60.0, rel=1e-3)
 
 
+def test_limits_of_the_sensitivity_below_and_above_the_antiresonance(tmp_path, capsys):
+    axis, path, out = two_mass(), tmp_path / "two.csv", tmp_path / "out.toml"
+    (tmp_path / "axis.toml").write_text(axis.to_toml())
+    write_response(path, measured(axis))
+    line = ["gains", str(tmp_path / "axis.toml"), "--frf", str(path), "--json", "--crossover"]
+    below, above = (f"--sensitivity-peak-{side}" for side in ("below", "above"))
+
+    def answer(*options, status=0):
+        assert command([*line, *options]) == status
+        said = capsys.readouterr()
+        return json.loads(said.out)["measured"] if status == 0 else said.err
+
+    assert "requested" not in answer("60")
+    assert command([*line, "60", below, "6dB", above, "1.2"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    found = document["measured"]
+    assert found["requested"] == {
+        "sensitivity_peak_below": pytest.approx(10.0**0.3),
+        "sensitivity_peak_above": 1.2,
+    }
+    words = f"sensitivity above the first antiresonance is {found['sensitivity_peak_above']:.4g}, asked for at most 1.2"
+    assert found["sensitivity_peak_above"] > 1.2
+    assert [words in warning for warning in document["warnings"]].count(True) == 1
+    assert not any("sensitivity below" in warning for warning in document["warnings"])
+
+    free = answer("80", "--retune")
+    limits = {side: free[f"sensitivity_peak_{side}"] for side in ("below", "above")}
+    assert answer("80", "--retune", below, str(1.01 * limits["below"]), above, str(1.01 * limits["above"])) == {
+        **free, "requested": {f"sensitivity_peak_{side}": pytest.approx(1.01 * limits[side]) for side in limits}
+    }  # fmt: skip
+    for side, other in (("below", "above"), ("above", "below")):
+        binding = (f"--sensitivity-peak-{side}", str(0.98 * limits[side]))
+        refused = answer("80", "--retune", *binding, "--out", str(out), status=3)
+        assert f"the largest sensitivity {side} the first antiresonance is {limits[side]:.4g}, asked for" in refused
+        assert f"sensitivity {other}" not in refused
+        assert not out.exists()
+        slower = refused.partition("; ")[2].rpartition(" rad/s works")[0].split()[-1]
+        assert answer(slower, "--retune", *binding)[f"sensitivity_peak_{side}"] <= 0.98 * limits[side]
+
+
+def test_without_an_antiresonance_all_lies_below_and_the_limit_above_says_so(tmp_path, capsys):
+    path = tmp_path / "rigid.csv"
+    write_response(path, measured(machine("emps2019")))
+    line = ["gains", "emps2019", "--crossover", "40", "--frf", str(path), "--sensitivity-peak-above", "6dB"]
+    assert command([*line, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["measured"]["sensitivity_peak_above"] is None
+    assert any("the data have no antiresonance" in warning for warning in document["warnings"])
+    assert command(line) == 0
+    assert "at most 1.995" in capsys.readouterr().out
+
+
 def test_the_position_loop_around_is_judged_on_the_response_too(tmp_path, capsys):
     axis, path = two_mass().replace(controller={**CASCADE, "position": {"kp": 10.0, "every": 4}}), tmp_path / "two.csv"
     (tmp_path / "axis.toml").write_text(axis.to_toml())
@@ -201,6 +253,8 @@ def test_gains_that_the_measured_plant_does_not_bear(tmp_path, capsys):
         (["--bandwidth", "50", "--retune"], "--retune with --frf: found a bandwidth, expected --crossover"),
         (["--crossover", "50", "--retune", "--frf", "{path}"], "found 2 responses to retune on, expected one"),
         (["--crossover", "50", "--frf", "none.csv"], "none.csv: No such file"),
+        (["--crossover", "50", "--sensitivity-peak-below", "0"], "found '0', expected a positive number, or such as"),
+        (["--crossover", "50", "--sensitivity-peak-above", "1e9dB"], "ratio: found 1e+10, expected a magnitude of at"),
     ],
 )
 def test_bad_options(tmp_path, capsys, options, message):
