@@ -117,6 +117,8 @@ def test_what_has_nothing_to_follow_is_refused():
         compensate(machine("emps2018"), PROGRAM)
     with pytest.raises(UnstableError, match="unstable without any feed-forward"):
         compensate(with_effects(controller={"kp": 900.0, "kv": 4000.0}), PROGRAM)
+    with pytest.raises(InputError, match="found the term 'position_ripple', expected one of inertia, viscous"):
+        compensate(with_effects(), PROGRAM, terms=("inertia", "position_ripple"))
     with pytest.raises(InputError, match="mismatch`: found -1"):
         compensate(with_effects(), PROGRAM, mismatch=-1.0)
 
