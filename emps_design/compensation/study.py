@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from emps_design.compensation.feedback import feedback_cures
 from emps_design.compensation.feedforward import (
     BASELINE,
     LEAD,
@@ -64,6 +65,7 @@ class Compensation:
     limited: float
     takes_off: bool
     unit: str
+    feedback: tuple[dict[str, Any], ...] = ()
     warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
@@ -78,6 +80,7 @@ class Compensation:
             },
             "terms": [vars(term) for term in self.terms],
             "not_compensated": self.not_compensated,
+            "feedback": list(self.feedback),
             "kept": list(self.feedforward.terms),
             "reversal": self.feedforward.reversal,
             "lead": self.feedforward.wait,
@@ -210,7 +213,7 @@ def compensate(
     )
     return Compensation(
         axis, ahead, q_ref, without, baseline, achieved, worst, terms, left, mismatch, phase_deg, limited,
-        trial.braking is not None, trial.unit, tuple(warnings),
+        trial.braking is not None, trial.unit, tuple(feedback_cures(axis)), tuple(warnings),
     )  # fmt: skip
 
 
