@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any, get_type_hints
 from emps_design.cli import interrupts
 from emps_design.cli.interrupts import STATUS as INTERRUPTED
 from emps_design.cli.output import print_json, tell
-from emps_design.cli.wording import speak
+from emps_design.cli.wording import begin
 from emps_design.errors import EmpsError, InputError, SimulationError, SpecificationError, UnstableError
-from emps_design.units import Units
 
 if TYPE_CHECKING:
     import typer
@@ -43,6 +42,7 @@ COMMANDS = (
     "import",
 )
 BEYOND = "numbers too far apart to compute with; check the units in the axis, the record and the options"
+TURNING = "Units are those of a linear axis. For one that turns read kg m^2 for kg, N m for N and rad for m."
 
 
 def run(arguments: list[str]) -> int:
@@ -50,7 +50,7 @@ def run(arguments: list[str]) -> int:
     debug = "--debug" in arguments
     as_json = "--json" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
-    speak(Units())  # until the command knows its axis
+    begin()
     try:
         result = _result(arguments)
         sys.stdout.flush()
@@ -134,7 +134,9 @@ def _application(arguments: list[str]) -> typer.Typer:
     wanted = arguments[0] if arguments else ""
     for name in (wanted,) if wanted in COMMANDS else COMMANDS:
         module = importlib.import_module(f"emps_design.cli.{name}")
-        app.command(name, help=module.__doc__)(_with_debug(module.command))
+        about_an_axis = "axis" in inspect.signature(module.command).parameters
+        described = app.command(name, help=module.__doc__, epilog=TURNING if about_an_axis else None)
+        described(_with_debug(module.command))
     return app
 
 

@@ -10,8 +10,8 @@ import typer
 from emps_design.axis import Axis
 from emps_design.cli.destinations import OVERWRITE
 from emps_design.cli.frequency import RAD_S
+from emps_design.cli.wording import check_option
 from emps_design.files import write_text
-from emps_design.quantities import check_magnitude
 
 
 def within(unit: str) -> Any:
@@ -19,7 +19,7 @@ def within(unit: str) -> Any:
 
     def check(option: typer.CallbackParam, value: float | None) -> float | None:
         name = f"--{(option.name or '').replace('_', '-')}"
-        return value if value is None else check_magnitude(name, value, unit, positive=True)
+        return value if value is None else check_option(name, value, unit)
 
     return check
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -183,9 +184,9 @@ def _show_one(found: Identification) -> None:
     console.print(f"filter {found.chain}: {found.filter_text}")
     if found.extra.get("held_out"):
         judged = found.extra["held_out"]
-        console.print(
-            f"held out, {judged['on']}: {judged['rms_error']:.4f} N rms, {judged['relative_error_percent']:.4f} %"
-        )
+        share = judged["relative_error_percent"]
+        compared = f"{share:.4f} %" if math.isfinite(share) else "where there is no force to compare it with"
+        console.print(f"held out, {judged['on']}: {judged['rms_error']:.4f} N rms, {compared}")
     if "cutoff_from_data" in found.extra:
         chosen = found.extra["cutoff_from_data"]["cutoff_hz"]
         if found.chain != "hold":

@@ -61,12 +61,15 @@ def command(
 ) -> None:
     """The whole design as one self-contained page: specification against achieved, loops, force loop, record."""
     from emps_design.cli.output import print_json, progress_bar, say, tell
-    from emps_design.cli.wording import load_axis
+    from emps_design.cli.wording import load_axis, speak
     from emps_design.errors import UnstableError
     from emps_design.files import write_aside
     from emps_design.report.assemble import assemble_report, has_impedance_law
+    from emps_design.units import Units
 
     given = None if axis is None else load_axis(axis)
+    if given is None:
+        speak(Units())
     if record is None:
         refuse_ignored(context, ["design_on", "model", "record_filter"], "goes with --record")
     if mass is None and damping is None and not (given is not None and has_impedance_law(given)):

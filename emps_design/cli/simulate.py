@@ -163,9 +163,12 @@ def _comanipulation(
 
 def _bench(seed: int, tau_ref: float | None) -> Any:
     from emps_design.cli.output import progress_bar
+    from emps_design.cli.wording import speak
     from emps_design.paper import reproduce_section_3
     from emps_design.paper.bench_numbers import numbers
+    from emps_design.units import Units
 
+    speak(Units())
     with progress_bar() as progress:
         given = numbers() if tau_ref is None else numbers(tau_ref=tau_ref)
         return reproduce_section_3(seed, given, progress)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from emps_design.axis import Axis
 
 _at_hand = [Units()]
+_asked: list[tuple[str, float, str]] = []  # numbers of the command line, until the axis says their units
 
 
 def load_axis(name_or_path: str | Path) -> Axis:
@@ -27,9 +28,25 @@ def load_axis(name_or_path: str | Path) -> Axis:
     return axis
 
 
+def begin() -> None:
+    """Forget the axis and the numbers of the command before."""
+    _at_hand[0] = Units()
+    _asked.clear()
+
+
 def speak(units: Units) -> None:
-    """Print in ``units`` from here on."""
+    """Print in ``units`` from here on; :class:`InputError` for an option, met before, that no machine has in them."""
     _at_hand[0] = units
+    while _asked:
+        units.check(*_asked.pop(0), positive=True)
+
+
+def check_option(name: str, value: float, base: str) -> float:
+    """Check ``value`` [``base``] of the option ``name``: now, or once the axis is known that says what ``base`` is."""
+    if Units("rotary").unit(base) == base:
+        return Units().check(name, value, base, positive=True)
+    _asked.append((name, value, base))
+    return value
 
 
 def in_words(text: str) -> str:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from emps_design.compensation.feedback import feedback_cures
 from emps_design.compensation.feedforward import (
     BASELINE,
     LEAD,
@@ -64,7 +65,14 @@ class Compensation:
     limited: float
     takes_off: bool
     unit: str
+    feedback: tuple[dict[str, Any], ...] = ()
     warnings: tuple[str, ...] = ()
+
+    def errors(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Time [s] and tracking error (n,), without feed-forward and with what is kept."""
+        trial = Trial(self.axis, self.q_ref)
+        found = {"without": trial.error(None)[0], "with": trial.error(trial.ahead(self.feedforward))[0]}
+        return self.axis.sampling.period * np.arange(self.q_ref.size), found
 
     def to_dict(self) -> dict[str, Any]:
         """The contract's keys, and what was assumed."""
@@ -78,6 +86,7 @@ class Compensation:
             },
             "terms": [vars(term) for term in self.terms],
             "not_compensated": self.not_compensated,
+            "feedback": list(self.feedback),
             "kept": list(self.feedforward.terms),
             "reversal": self.feedforward.reversal,
             "lead": self.feedforward.wait,
@@ -126,20 +135,23 @@ class Trial:
         """Unit of the tracking error."""
         return self.axis.units.unit("m/s" if self._follows_velocity else "m")
 
-    def run(self, ahead: np.ndarray | None) -> tuple[float, float]:
-        """Rms of the tracking error with ``ahead`` (n,) added to the command, and the share of samples at the limit.
+    def error(self, ahead: np.ndarray | None) -> tuple[np.ndarray, float]:
+        """Tracking error (n,) with ``ahead`` (n,) added to the command, and the share of samples at the limit.
 
-        Infinite where the loop is unstable.
+        Raises :class:`SimulationError` where the loop is unstable.
         """
         velocity = self._follows_velocity
+        run = self._plant.closed_loop(self.q_ref, voltage_noise=ahead)
+        wanted = np.gradient(self.q_ref, self.axis.sampling.period) if velocity else self.q_ref
+        limited = float(np.mean(np.abs(run.u) >= self.axis.drive.command_limit))
+        return wanted - (run.v if velocity else run.position), limited
+
+    def run(self, ahead: np.ndarray | None) -> tuple[float, float]:
+        """Rms of :meth:`error`, infinite where the loop is unstable, and the share of samples at the limit."""
         try:
-            run = self._plant.closed_loop(self.q_ref, voltage_noise=ahead)
+            error, limited = self.error(ahead)
         except SimulationError:
             return math.inf, 1.0
-        period = self.axis.sampling.period
-        wanted = np.gradient(self.q_ref, period) if velocity else self.q_ref
-        error = wanted - (run.v if velocity else run.position)
-        limited = float(np.mean(np.abs(run.u) >= self.axis.drive.command_limit))
         return float(np.sqrt(np.mean(error**2))), limited
 
     @cached_property
@@ -147,9 +159,13 @@ class Trial:
         """What the law answers (n,) on the reference; None where its limit cuts that."""
         return answered(self.axis, self.q_ref)
 
+    def ahead(self, feedforward: FeedForward) -> np.ndarray | None:
+        """What ``feedforward`` adds to the command (n,); None for nothing."""
+        return feedforward.beside(self.q_ref, self.braking) if feedforward.terms else None
+
     def with_ahead(self, feedforward: FeedForward) -> tuple[float, float]:
         """:meth:`run` with ``feedforward``."""
-        return self.run(feedforward.beside(self.q_ref, self.braking) if feedforward.terms else None)
+        return self.run(self.ahead(feedforward))
 
     def rms(self, feedforward: FeedForward) -> float:
         """Rms of the tracking error with ``feedforward``."""
@@ -157,13 +173,17 @@ class Trial:
 
 
 def compensate(
-    axis: Axis, q_ref: np.ndarray | None = None, mismatch: float = MISMATCH, phase_deg: float = PHASE_DEG
+    axis: Axis,
+    q_ref: np.ndarray | None = None,
+    mismatch: float = MISMATCH,
+    phase_deg: float = PHASE_DEG,
+    terms: Sequence[str] | None = None,
 ) -> Compensation:
     """Find the feed-forward of ``axis`` that lowers the tracking error along ``q_ref`` (n,) [m], and try it.
 
     ``q_ref`` by default one lap of trapezoids of velocity; ``mismatch`` is the relative error of the parameters,
-    ``phase_deg`` that of phases. Raises :class:`InputError` for a law that follows nothing, :class:`UnstableError`
-    where the loop is unstable without any feed-forward.
+    ``phase_deg`` that of phases; ``terms`` the only ones to take, by default all. Raises :class:`InputError` for a law
+    that follows nothing and for another term, :class:`UnstableError` where the loop is unstable without feed-forward.
 
     >>> from emps_design.machines import machine
     >>> found = compensate(machine("emps2019")).to_dict()["tracking_rms"]
@@ -177,17 +197,22 @@ def compensate(
         from emps_design.simulation import trapezoid_laps
 
         q_ref = trapezoid_laps(axis.sampling.period, laps=1)
+    possible, left = terms_of(axis)
+    unknown = [name for name in terms or () if name not in possible]
+    if unknown:
+        raise InputError(f"compensation: found the term {unknown[0]!r}, expected one of {', '.join(possible)}")
     trial = Trial(axis, q_ref)
     without, _ = trial.run(None)
     if not math.isfinite(without):
         raise UnstableError(f"axis {axis.name}: the loop is unstable without any feed-forward; design it first")
-    possible, left = terms_of(axis)
+    possible = tuple(name for name in possible if terms is None or name in terms)
+    rigid = tuple(name for name in BASELINE if name in possible)
     baseline = trial.rms(FeedForward.of(axis, tuple(BASELINE)))
     alone = {name: trial.rms(FeedForward.of(axis, (name,))) for name in possible}
     kept, notes, trials = _selected(trial, possible, mismatch, phase_deg)
-    if trial.rms(FeedForward.of(axis, kept)) > baseline:
+    if trial.rms(FeedForward.of(axis, kept)) > trial.rms(FeedForward.of(axis, rigid)):
         notes |= {name: "together with the others it does harm" for name in kept if name not in BASELINE}
-        kept = tuple(BASELINE)
+        kept = rigid
     if trial.rms(FeedForward.of(axis, kept)) > without:
         notes |= dict.fromkeys(kept, "no feed-forward lowers the error")
         kept = ()
@@ -205,12 +230,12 @@ def compensate(
         )
     if limited > 0.0:
         warnings.append(f"the command is at its limit {100 * limited:.2g} % of the time")
-    terms = tuple(
+    tried = tuple(
         Term(name, name in kept, alone[name], *trials[name], notes.get(name, _home(axis, name))) for name in possible
     )
     return Compensation(
-        axis, ahead, q_ref, without, baseline, achieved, worst, terms, left, mismatch, phase_deg, limited,
-        trial.braking is not None, trial.unit, tuple(warnings),
+        axis, ahead, q_ref, without, baseline, achieved, worst, tried, left, mismatch, phase_deg, limited,
+        trial.braking is not None, trial.unit, tuple(feedback_cures(axis)), tuple(warnings),
     )  # fmt: skip
 
 

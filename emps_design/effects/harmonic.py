@@ -12,6 +12,9 @@ from typing import Any
 import numpy as np
 
 from emps_design.effects.effect import Motion, Parameter, Parameters
+from emps_design.effects.sizes import stroke_size
+
+SHORTEST = 5e-4  # m of an ordinary stroke, below which no period of travel is sought
 
 
 def along_travel(q: float, v: float, t: float, tau: float, x: Any, p: Any, b: Any) -> float:
@@ -54,6 +57,11 @@ def period(what: str) -> Parameter:
     starts = (0.001, 0.002, 0.0025, 0.004, 0.005, 0.01, 0.02)
     text = f"travel after which {what} repeats"
     return Parameter("period", r"\lambda", "m", lower=1e-4, upper=0.1, starts=starts, text=text)
+
+
+def shortest(motion: Motion) -> float:
+    """The shortest travel that a search for a period tries on this ``motion``, in proportion to its stroke."""
+    return SHORTEST * stroke_size(motion.q)
 
 
 def plausible(parameters: Parameters, motion: Motion) -> bool:

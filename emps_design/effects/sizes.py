@@ -18,6 +18,7 @@ from emps_design.effects.effect import Effect, Parameter
 # The axis that the library's numbers are written for, by unit: stroke, top speed, largest motor force and command.
 ORDINARY = {"m": 0.25, "m/s": 0.15, "N": 200.0, "V": 5.0}
 ALIKE = 3.0  # up to this many times more or less, an axis is an ordinary one
+TURN = 2.0 * np.pi  # rad (or m), beyond which no stroke is longer: what a shaft meets in one turn it meets in the next
 
 
 def sizes(q: np.ndarray, u: np.ndarray, period: float, force_gain: float) -> dict[str, float]:
@@ -31,13 +32,25 @@ def sizes(q: np.ndarray, u: np.ndarray, period: float, force_gain: float) -> dic
     """
     span = max(1, q.size // 100)
     found = {
-        "m": float(np.ptp(q)),
         "m/s": float(np.abs(q[span:] - q[:-span]).max(initial=0.0)) / (span * period),
         "N": float(np.abs(u).max(initial=0.0)) * force_gain,
         "V": float(np.abs(u).max(initial=0.0)),
     }
-    ratios = {unit: size / ORDINARY[unit] for unit, size in found.items()}
-    return {unit: ratio if ratio > 0.0 and not 1 / ALIKE <= ratio <= ALIKE else 1.0 for unit, ratio in ratios.items()}
+    return {"m": stroke_size(q), **{unit: _against_ordinary(size, unit) for unit, size in found.items()}}
+
+
+def stroke_size(q: np.ndarray) -> float:
+    """How much longer than the ordinary stroke that of ``q`` (n,) [m or rad] is, 1 where it is alike.
+
+    >>> stroke_size(np.array([0.0, 0.24])), stroke_size(np.array([-1.0, 1.0])), stroke_size(np.array([0.0, 200.0]))
+    (1.0, 8.0, 25.132741228718345)
+    """
+    return _against_ordinary(min(float(np.ptp(q)), TURN), "m")
+
+
+def _against_ordinary(size: float, unit: str) -> float:
+    ratio = size / ORDINARY[unit]
+    return ratio if ratio > 0.0 and not 1 / ALIKE <= ratio <= ALIKE else 1.0
 
 
 def sized(effect: Effect, factors: Mapping[str, float]) -> Effect:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from emps_design.effects.effect import Parameter
+from emps_design.effects.effect import Effect, Parameter
 from emps_design.quantities import Quantity
 
 STATES = (Quantity("twist", "d", "m"), Quantity("load_velocity", r"\dot q_l", "m/s"))
+LOWEST = 5.0  # Hz, of the resonance
 NO_REGRESSOR = "the load is a state that no measured signal gives"
 
 
@@ -13,10 +14,25 @@ def coupling(pair: str, starts: tuple[float, ...], damping: float, behind: str) 
     """Resonance [Hz] of the free ``pair`` of masses, its damping ratio, and the share of the mass ``behind`` it."""
     resonance, ratio = f"resonance of the two masses{pair}, free", "damping ratio of that resonance"
     return (
-        Parameter("frequency", "f_n", "Hz", lower=5.0, upper=400.0, starts=starts, text=resonance),
+        Parameter("frequency", "f_n", "Hz", lower=LOWEST, upper=400.0, starts=starts, text=resonance),
         Parameter("damping", r"\zeta", "", lower=0.0, upper=1.0, starts=(damping,), text=ratio),
         Parameter("share", r"\mu", "", lower=0.01, upper=0.95, starts=(0.4,), text=f"share of the mass {behind}"),
     )
+
+
+def is_coupling(effect: Effect) -> bool:
+    """Whether ``effect`` puts part of the mass behind a coupling, with play or without."""
+    return effect.states == STATES
+
+
+def has_play(effect: Effect) -> bool:
+    """Whether ``effect`` is a coupling that transmits nothing within a gap.
+
+    >>> from emps_design.effects import get_effect
+    >>> has_play(get_effect("backlash")), has_play(get_effect("flexible_coupling"))
+    (True, False)
+    """
+    return is_coupling(effect) and effect.guard is not None
 
 
 def linear_coupling(frequency: float, damping: float, share: float) -> dict[str, float | str]:

@@ -35,6 +35,7 @@ MODELS: dict[str, tuple[Quantity, ...]] = {
 
 # Columns of unit length whose smallest singular value is below this share of the largest cannot be told apart.
 RANK_TOLERANCE = 1e-7
+NO_FORCE = 1e-6  # of the residual: what a filter lets ring on of a motor that was switched off
 
 
 def parameters_of(model: str) -> tuple[Quantity, ...]:
@@ -184,9 +185,13 @@ def _triangle(W: np.ndarray, Y: np.ndarray) -> np.ndarray:
 
 
 def relative_error(residual: np.ndarray, force: np.ndarray) -> float:
-    """100 ||residual|| / ||force|| [%]."""
-    norm = float(np.linalg.norm(force))
-    return 100.0 * float(np.linalg.norm(residual)) / norm if norm > 0 else float("nan")
+    """100 ||residual|| / ||force|| [%]; NaN where the force is nothing beside the residual, as of a motor at rest.
+
+    >>> relative_error(np.ones(4), np.full(4, 2.0)), relative_error(np.ones(4), np.full(4, 1e-60))
+    (50.0, nan)
+    """
+    error, norm = float(np.linalg.norm(residual)), float(np.linalg.norm(force))
+    return 100.0 * error / norm if norm > NO_FORCE * error else float("nan")
 
 
 def check_rank(W: np.ndarray, names: tuple[str, ...]) -> None:

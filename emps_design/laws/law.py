@@ -123,6 +123,7 @@ class LawKind:
     without feed-forward. One that follows a velocity is broken at the plant input, one that follows a position at the
     position error. ``state_feedback`` says that the kernel is ``u = gains[0] (reference - q) - gains[1] v`` and no
     more, with 1/period and whether v is the two-tap estimate behind them: fused runs compute it in its place.
+    ``gain`` is the parameter (dotted where it is in a table of its own) that scales all the law answers to the motion.
     ``apparent`` says that the law gives the carriage the apparent ``mass`` and ``damping`` of its table.
     ``propose(reference, q, u, p, period)`` gives parameters by name with which the law makes a recorded voltage ``u``
     best (nan: not to be fitted), or None.
@@ -142,6 +143,7 @@ class LawKind:
     cycle: int | Callable[[Any], int] = 1
     loops: Callable[[Any], tuple[tuple[str, LawTable], ...]] | None = None
     state_feedback: bool = False
+    gain: str = ""
     apparent: bool = False
     propose: Callable[..., dict[str, float] | None] | None = None
 

@@ -238,7 +238,7 @@ def _plain(gains: Any) -> list[Any]:
 
 def _somewhere(matrix: np.ndarray, axes: int) -> np.ndarray:
     """Where a matrix is not 0 in any of the laws of its leading axes."""
-    return np.any(matrix.reshape(-1, *matrix.shape[matrix.ndim - axes :]) != 0.0, axis=0)
+    return np.any(matrix != 0.0, axis=tuple(range(matrix.ndim - axes)))
 
 
 def _linear(number: Any) -> Linear:

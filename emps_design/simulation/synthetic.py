@@ -1,7 +1,8 @@
 """A record to practise on: an axis under its own controller, with the noise that a real one carries.
 
 Laps of trapezoids of velocity, two strokes at each of three speeds, like those of the EMPS data set; 4 mV of voltage
-noise and 0.35 N rms of force noise below 40 Hz, which is what DATA_EMPS shows from lap to lap.
+noise and 0.35 N rms of force noise below 40 Hz, which is what DATA_EMPS shows from lap to lap; on an axis much weaker
+or stronger as much less or more.
 """
 
 from __future__ import annotations
@@ -9,14 +10,15 @@ from __future__ import annotations
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.effects.sizes import sizes
 from emps_design.errors import InputError
 from emps_design.laws import NONE, known_laws, law_of
 from emps_design.records import Record
 from emps_design.records.clock import SHORTEST_PERIOD
 from emps_design.simulation.plant import Plant
 
-VOLTAGE_NOISE = 0.004  # V
-FORCE_NOISE, FORCE_BAND = 0.35, 40.0  # N rms, Hz
+VOLTAGE_NOISE = 0.004  # V, of an ordinary axis
+FORCE_NOISE, FORCE_BAND = 0.35, 40.0  # N rms, likewise, and Hz
 SPEEDS = (1.0, 0.5, 0.25)  # of the highest speed
 
 
@@ -74,11 +76,13 @@ def synthetic_record(
             "laps need a controller that follows a position"
         )
     q_ref = trapezoid_laps(period, stroke, speed, laps=laps) if q_ref is None else q_ref
-    random = np.random.default_rng(seed)
-    run = Plant.of(axis).closed_loop(
+    random, plant = np.random.default_rng(seed), Plant.of(axis)
+    quiet = plant.closed_loop(q_ref)
+    size = sizes(quiet.q, quiet.u, period, axis.drive.gain)
+    run = plant.closed_loop(
         q_ref,
-        disturbance=_force_noise(random, q_ref.size, period),
-        voltage_noise=VOLTAGE_NOISE * random.standard_normal(q_ref.size),
+        disturbance=size["N"] * _force_noise(random, q_ref.size, period),
+        voltage_noise=size["V"] * VOLTAGE_NOISE * random.standard_normal(q_ref.size),
     )
     return Record.from_arrays(period, run.q_ref, run.q, run.u, name=f"synthetic-{axis.name}")
 
@@ -104,7 +108,7 @@ def point_to_point(period: float, stroke: float, speed: float, acceleration: flo
 
 
 def _force_noise(random: np.random.Generator, n: int, period: float) -> np.ndarray:
-    """First-order noise (n,) [N] of the level and band that the module names."""
+    """First-order noise (n,) [N] of the level and band that the module names for an ordinary axis."""
     from scipy.signal import lfilter
 
     decay = float(np.exp(-2.0 * np.pi * FORCE_BAND * period))

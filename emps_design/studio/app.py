@@ -18,13 +18,14 @@ from emps_design.studio.state import State
 
 RECORD_AXIS = "emps2019"  # the machine that records are taken for where no axis of their own is named
 HOST = "127.0.0.1"
-TABS = ("Design", "Simulation", "Data", "Files")
+TABS = ("Design", "Simulation", "Data", "Compensation", "Files")
 
 
 class Session:
     """The views of one browser window and the state they share."""
 
     def __init__(self, axis: Axis, record: Record | None = None):
+        from emps_design.studio.compensation_view import CompensationView
         from emps_design.studio.data_view import DataView
         from emps_design.studio.files_view import FilesView
         from emps_design.studio.simulation_view import SimulationView
@@ -38,11 +39,13 @@ class Session:
         self.data = DataView(
             lambda: self.design.machines, own, lambda: self.state, self.design.turn, self.design.add_axis, record
         )
+        self.compensation = CompensationView(lambda: self.state)
         self.files = FilesView(lambda: self.state, lambda: self.data.record, self._loaded)
         self.tab = pn.widgets.RadioButtonGroup(
             label="Tab", options=list(TABS), value=TABS[0], color="primary", margin=6
         )
-        self.views = dict(zip(TABS, (self.design, self.simulation, self.data, self.files), strict=True))
+        views = (self.design, self.simulation, self.data, self.compensation, self.files)
+        self.views = dict(zip(TABS, views, strict=True))
         for name, view in self.views.items():
             view.view.visible = name == TABS[0]
         self.tab.param.watch(self._turn_to, "value")
@@ -57,6 +60,7 @@ class Session:
     def _changed(self, state: State) -> None:
         self.state = state
         self.simulation.show(state)
+        self.compensation.show(state)
 
     def _loaded(self, state: State) -> None:
         if state.pinned is not None:

@@ -103,7 +103,7 @@ class DataView:
             max_file_size=f"{LIMIT_MB}MB",
             multiple=False,
             height=76,
-            width=400,
+            width=430,
             layout="compact",
             margin=(4, 6),
         )

@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import zipfile
 from io import BytesIO
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from emps_design.studio.state import State
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from emps_design.axis import Axis
+    from emps_design.compensation import Compensation
     from emps_design.control.velocity.design import VelocityLoopDesign
     from emps_design.records import Record
 
@@ -77,12 +79,42 @@ def figures_zip(state: State, kind: str) -> bytes:
     """All pictures in one archive; ``kind`` is "svg" or "png"."""
     from emps_design.report import style
 
+    drawn = figures(state).items()
+    made = {name: style.svg(one, name).encode() if kind == "svg" else style.png(one) for name, one in drawn}
+    return _zipped({f"{name}.{kind}": data for name, data in made.items()})
+
+
+def _zipped(files: dict[str, bytes]) -> bytes:
+    """The ``files`` by name in one archive, the same bytes for the same files."""
     out = BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, figure in figures(state).items():
-            data = style.svg(figure, name).encode() if kind == "svg" else style.png(figure)
-            archive.writestr(zipfile.ZipInfo(f"{name}.{kind}", _EPOCH), data)
+        for name, data in files.items():
+            archive.writestr(zipfile.ZipInfo(name, _EPOCH), data)
     return out.getvalue()
+
+
+def controlled(axis: Axis, state: State) -> Axis:
+    """``axis`` with its controller where that follows a reference, else with the one of the design of ``state``."""
+    from emps_design.laws import law_of
+
+    if axis.controller.kind != "none" and law_of(axis, axis.sampling.period).follows != "rest position":
+        return axis
+    return axis.replace(controller=velocity_design(state).controller_table())
+
+
+def drive_zip(found: Compensation) -> bytes:
+    """The folder for the drive: axis, compensation and controller in C99 with its vectors, in one archive."""
+    from emps_design.codegen import export_controller
+
+    exported = export_controller(found.axis, "c", found.to_dict())
+    # What is infinite, the error of an unstable loop, is null.
+    document = json.loads(json.dumps(found.to_dict(), default=float), parse_constant=lambda name: None)
+    files = {
+        "axis.toml": found.axis.to_toml(comments=True),
+        "compensation.json": _json_text(document),
+        **{f"code/{name}": content for name, content in exported.files.items()},
+    }
+    return _zipped({name: text.encode() if isinstance(text, str) else text for name, text in files.items()})
 
 
 def gains_json(state: State) -> str:
@@ -90,6 +122,10 @@ def gains_json(state: State) -> str:
     from emps_design.control.velocity.comparison import gains_document
 
     document = gains_document(velocity_design(state))
+    return _json_text(document)
+
+
+def _json_text(document: Any) -> str:
     return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False, default=float) + "\n"
 
 

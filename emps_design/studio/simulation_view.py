@@ -15,12 +15,12 @@ from emps_design.studio.panes import html
 from emps_design.studio.simulated import Simulated, simulate
 from emps_design.studio.state import State
 
-TASKS = {"Hand guides the carriage": "guided", "Pushes to and fro (Fig. 12)": "pushed"}
+TASKS = {"Hand guides the axis": "guided", "Pushes to and fro (Fig. 12)": "pushed"}
 WIDTHS = {
     "push": 80,
-    "hand_stiffness": 130,
-    "hand_damping": 150,
-    "wall": 90,
+    "hand_stiffness": 155,
+    "hand_damping": 175,
+    "wall": 110,
     "mismatch_percent": 90,
     "plants": 105,
     "seed": 70,

@@ -52,7 +52,7 @@ def type_into(page, label: str, value: str) -> None:
 def test_every_tab_fits_the_screen(page, picture, width, height):
     assert sampled_margin(page) == "39.2°"
     page.set_viewport_size({"width": width, "height": height})
-    for tab in ("Design", "Simulation", "Data", "Files"):
+    for tab in ("Design", "Simulation", "Data", "Compensation", "Files"):
         turn_to(page, tab)
         page.wait_for_timeout(800)
         page.screenshot(path=picture(f"studio-{tab.lower()}-{width}x{height}"))
@@ -136,7 +136,7 @@ def test_a_pinned_design_stays_beside_the_new_one(page, picture):
 def test_every_control_has_a_name_and_the_tabs_answer_the_keyboard(page):
     page.wait_for_timeout(1500)
     assert page.evaluate(NAMELESS) == []
-    for tab in ("Simulation", "Data", "Files", "Design"):
+    for tab in ("Simulation", "Data", "Compensation", "Files", "Design"):
         page.get_by_role("button", name=tab, exact=True).focus()
         page.keyboard.press("Enter")
         page.wait_for_timeout(400)
@@ -298,3 +298,16 @@ def test_a_record_is_diagnosed_and_the_work_can_be_cancelled(page, rippled, pict
 
     expect(page.get_by_label("Axis", exact=True)).to_have_value(re.compile("diagnosed on rippled"), timeout=20_000)
     assert sampled_margin(page).endswith("°")
+
+
+def test_the_folder_for_the_drive_is_handed_out(page, picture):
+    page.get_by_label("Axis", exact=True).first.select_option("emps2019")
+    turn_to(page, "Compensation")
+    page.get_by_role("button", name="Try them").click()
+    page.get_by_text("Tracking error rms").wait_for(timeout=120_000)
+    page.wait_for_timeout(500)
+    page.screenshot(path=picture("studio-compensation-tried"))
+    with page.expect_download() as download:
+        page.get_by_text("Download the folder", exact=True).click()
+    with zipfile.ZipFile(download.value.path()) as folder:
+        assert {"axis.toml", "compensation.json", "code/Makefile", "code/vectors.csv"} <= {*folder.namelist()}

@@ -13,7 +13,7 @@ from emps_design.codegen.st import KEYWORDS, functions_in_st
 from emps_design.compensation import compensate
 from emps_design.laws import LAWS
 from emps_design.machines import machine
-from tests.contract.test_exported_laws import COMPENSATED, PROGRAM
+from tests.contract.test_exported_laws import COMPENSATED, PROGRAM, laps
 from tests.contract.test_laws import axis_with
 from tests.unit.codegen.structured_text import Blocks
 
@@ -32,6 +32,18 @@ def test_the_text_gives_the_bits_of_the_vectors(kind, estimator):
         single = blocks.run(f"{exported.name}_single", *inputs)
     assert single.dtype == np.float32
     assert np.all(np.abs(single - vectors.u) <= vectors.bound)
+
+
+@EVERY
+def test_100000_samples_have_the_simulations_bits(kind):
+    axis = axis_with(kind).replace(drive={"current_time_constant": 5e-4})
+    exported = export_controller(axis, "st")
+    reference, run = laps(axis, exported.block.law)
+    assert np.ptp(run.position) > 0.01
+    blocks, start = Blocks(exported.files[f"{exported.name}.st"]), np.arange(run.q.size) == 0
+    found = blocks.run(exported.name, start, reference, run.q, run.f_ext)
+    assert found.size == 100_000
+    np.testing.assert_array_equal(found.view(np.int64), run.u.view(np.int64))
 
 
 @pytest.mark.parametrize("name", COMPENSATED)

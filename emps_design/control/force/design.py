@@ -297,7 +297,8 @@ def design_force_loop(
         check_magnitude(name, value, unit)
     check_magnitude("k_e1", k_e1, "(m/s)/N", positive=True)
     if velocity_loop.structure != IP or velocity_loop.filters:
-        filters = f" with {len(velocity_loop.filters)} filters" if velocity_loop.filters else ""
+        count = len(velocity_loop.filters)
+        filters = f" with {count} filter{'s' * (count > 1)}" if count else ""
         raise InputError(
             f"force loop: found a {velocity_loop.structure.label} velocity loop{filters}, expected IP alone"
         )

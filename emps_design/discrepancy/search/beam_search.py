@@ -18,7 +18,7 @@ from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.search.starts import screen, tangent
 
 BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
-MOST_EFFECTS = 10
+MOST_EFFECTS = 7
 UNFINISHED = "interrupted: the search was not finished, what follows is what was known by then"
 
 Accept = Callable[[Fit, Fit], bool]

@@ -31,15 +31,19 @@ def standing(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tuple[Asked,
 
     An effect that the confirming data do not exercise must stand on the training records. What the model leaves counts
     as noise here, so that an effect may stand beside something unknown. A refit after each withdrawal would bend the
-    rest to the unknown: all numbers stay until those that stand are fitted robustly, and asked for again. A curve
-    through knots has no shape of its own to be recognised by: beside something unknown it is part of that.
+    rest to the unknown: all numbers stay until those that stand are fitted robustly, and asked for again. A size that
+    then depends on how the rest is weighed was lent by the rest, however alike two records are in that. A curve through
+    knots has no shape of its own to be recognised by: beside something unknown it is part of that.
     """
     for curve in [effect.name for effect in extended.model.effects if len(effect.linear) > rules.MOST_FREE]:
         extended = evaluate(extended.with_model(extended.model.without(extended.model.names.index(curve))))
     withdrawn: list[Asked] = []
     refitted = False
     while _plant(extended):
-        doubtful = [a for a in _judged(held_out, extended) if not a.stands]
+        judged = _judged(held_out, extended)
+        doubtful = [a for a in judged if not a.stands]
+        if refitted and not doubtful:
+            doubtful = [a for a in judged if not _size_known(extended, a.name)]
         if doubtful:
             worst = max(doubtful, key=lambda a: a.astray)
             withdrawn.append(worst)
@@ -49,6 +53,18 @@ def standing(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tuple[Asked,
         else:
             extended, refitted = robust(extended), True
     return extended, tuple(withdrawn)
+
+
+def _size_known(fitted: Fit, name: str) -> bool:
+    """Whether a size of the effect is known as well as the share of it has to be; a shape alone has none."""
+    index = fitted.model.names.index(name)
+    effect, values = fitted.model.effects[index], fitted.model.values[index]
+    known = [
+        fitted.std(index, place) / max(abs(float(values[0, place])), 1e-30)
+        for place, parameter in enumerate(effect.parameters)
+        if parameter.linear and parameter.unit != "rad"
+    ]
+    return not known or min(known) <= rules.SHARE_KNOWN
 
 
 def _judged(held_out: HeldOut | None, extended: Fit) -> list[Asked]:

@@ -31,7 +31,7 @@ def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarra
         sine, cosine = np.sin(angle), np.cos(angle)
         return speed * sine - turn * cosine, speed * cosine + turn * sine
 
-    found = search.periods(residual, motion.q, motion.v, motion.a, away, columns, shortest=5e-4)
+    found = search.periods(residual, motion.q, motion.v, motion.a, away, columns, harmonic.shortest(motion))
     return [{"period": period} for period in found]
 
 

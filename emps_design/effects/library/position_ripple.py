@@ -21,7 +21,7 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
     columns = harmonic.waves(motion.q)
-    found = search.periods(residual, motion.q, motion.v, motion.a, away, columns, shortest=5e-4)
+    found = search.periods(residual, motion.q, motion.v, motion.a, away, columns, harmonic.shortest(motion))
     return [{"period": period} for period in found]
 
 

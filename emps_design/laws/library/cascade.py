@@ -239,4 +239,5 @@ LAW = LawKind(
     follows=lambda p: "velocity" if p.position is None else "position",
     cycle=lambda p: 1 if p.position is None else p.position.every,
     loops=loops,
+    gain="velocity.kp",
 )

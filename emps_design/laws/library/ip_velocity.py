@@ -70,4 +70,5 @@ LAW = LawKind(
     memory=MEMORY,
     equations=equations,
     follows="velocity",
+    gain="k_v1",
 )

@@ -38,4 +38,5 @@ LAW = LawKind(
     gains=gains,
     memory=0,
     equations=equations,
+    gain="kp",
 )

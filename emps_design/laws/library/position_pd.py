@@ -61,5 +61,6 @@ LAW = LawKind(
     memory=2,
     equations=equations,
     state_feedback=True,
+    gain="kv",
     propose=propose,
 )

@@ -78,6 +78,43 @@ def test_help_knows_debug_and_fits(name, capsys, monkeypatch):
     assert max(map(len, text.splitlines())) <= 80
 
 
+@pytest.mark.parametrize("name", ["gains", "impedance", "simulate", "report"])
+def test_help_says_what_its_units_are_on_an_axis_that_turns(name, capsys):
+    assert run([name, "--help"]) == 0
+    assert "read kg m^2 for kg, N m for N and rad for m" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ("line", "linear", "turning"),
+    [
+        ("gains {axis} --crossover 60 --position-stiffness 1e20", "1e+12 N/m;", "1e+12 N m/rad;"),
+        ("force {axis} --crossover 60 --k-e1 0.01 --environment 1e20", "1e+12 N/m;", "1e+12 N m/rad;"),
+        ("impedance {axis} --mass 1e20 --damping 1", "1e+07 kg;", "1e+07 kg m^2;"),
+        ("simulate {axis} --scenario breakaway --rate 1e20", "1e+09 N/s;", "1e+15 N m/s;"),
+        ("report {axis} --mass 1e20 --damping 1 --out {out}", "1e+07 kg;", "1e+07 kg m^2;"),
+    ],
+)
+def test_a_number_that_no_machine_has_is_refused_in_the_units_of_the_axis(line, linear, turning, tmp_path, capsys):
+    joint = tmp_path / "joint.toml"
+    joint.write_text(machine("emps2019").replace(motion="rotary").to_toml())
+    for axis, limit in (("emps2019", linear), (joint, turning)):
+        assert run(line.format(axis=axis, out=tmp_path / "page.html").split()) == 2
+        error = " ".join(capsys.readouterr().err.split())
+        assert error.startswith("emps-design: --")
+        assert f"expected a magnitude of at most {limit}" in error
+    assert not (tmp_path / "page.html").exists()
+
+
+def test_a_number_is_refused_without_an_axis_too(tmp_path, capsys):
+    for line in (
+        f"report --mass 1e20 --damping 1 --out {tmp_path / 'page.html'}",
+        "simulate --scenario bench --tau-ref 1e20",
+    ):
+        assert run(line.split()) == 2
+        assert "expected a magnitude of at most" in " ".join(capsys.readouterr().err.split())
+    assert run(["gains", "emps2019", "--crossover", "60", "--json"]) == 0  # nothing is left over of the one before
+
+
 @pytest.mark.parametrize(
     "line",
     [

@@ -8,12 +8,16 @@ import pytest
 
 from emps_design.cli import app
 from emps_design.compensation import FeedForward, compensate
+from emps_design.compensation.feedback import feedback_cures, largest_factor
 from emps_design.compensation.feedforward import BASELINE, motion_ahead, terms_of
+from emps_design.control.loop.nested import nested_loops
+from emps_design.control.loop.sampled_loop import axis_loop
 from emps_design.effects import EFFECTS
-from emps_design.errors import InputError, UnstableError
+from emps_design.errors import InputError, SimulationError, UnstableError
+from emps_design.laws import get_law
 from emps_design.machines import machine
 from emps_design.model import plant_force
-from emps_design.simulation import trapezoid_laps
+from emps_design.simulation import Plant, trapezoid_laps
 
 PROGRAM = trapezoid_laps(1e-3, 0.05, 0.15, 1.0, laps=1)
 EFFECTS_HERE = [
@@ -113,6 +117,8 @@ def test_what_has_nothing_to_follow_is_refused():
         compensate(machine("emps2018"), PROGRAM)
     with pytest.raises(UnstableError, match="unstable without any feed-forward"):
         compensate(with_effects(controller={"kp": 900.0, "kv": 4000.0}), PROGRAM)
+    with pytest.raises(InputError, match="found the term 'position_ripple', expected one of inertia, viscous"):
+        compensate(with_effects(), PROGRAM, terms=("inertia", "position_ripple"))
     with pytest.raises(InputError, match="mismatch`: found -1"):
         compensate(with_effects(), PROGRAM, mismatch=-1.0)
 
@@ -136,3 +142,96 @@ def test_the_command_prints_and_writes(tmp_path, capsys):
     assert "expected --reference FILE" in capsys.readouterr().err
     assert app.run(["compensate", "emps2019", "--scenario", "half-ramp", "--stroke", "0.1"]) == 2
     assert "--stroke: goes with another scenario than half-ramp" in capsys.readouterr().err
+
+
+# Plays of unlike axes: heavy with late loops, a cascade with a position loop, light and fast.
+PLAYS = {
+    "late": ("emps2019", {"sampling": {"computation_delay": 2}}, {"gap": 2e-4, "frequency": 20.0, "share": 0.7}),
+    "later": ("emps2019", {"sampling": {"computation_delay": 3}}, {"gap": 1e-3, "frequency": 12.0, "share": 0.5}),
+    "integral": (
+        "emps2018",
+        {
+            "sampling": {"computation_delay": 2},
+            "controller": {"kind": "cascade", "position": {"kp": 10.0}, "velocity": {"kp": 300.0, "ti": 0.05}},
+        },
+        {"gap": 2e-4, "frequency": 25.0, "share": 0.6},
+    ),
+    "light": (
+        "emps2019",
+        {
+            "mechanics": {"mass": 0.3, "viscous": 1.0},
+            "drive": {"force_gain": 0.5},
+            "sampling": {"period": 2.5e-4, "computation_delay": 2},
+            "controller": {"kp": 90.0, "kv": 90.0},
+        },
+        {"gap": 2e-4, "frequency": 80.0, "share": 0.7},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PLAYS)
+def test_around_the_limit_of_the_gain_a_play_comes_to_rest_and_does_not(name):
+    """On the nonlinear machine without dry friction, pushed once: at rest below the limit, swinging beyond it."""
+    base, changes, play = PLAYS[name]
+    axis = machine(base).replace(**changes).replace(mechanics={"coulomb": 0.0, "offset": 0.0})
+    axis = axis.replace(effects=[{"kind": "backlash", "damping": 0.02, **play}])
+    factor = largest_factor(axis, 0)
+    assert 0.01 < factor < 100.0
+    t = axis.sampling.period * np.arange(6000)
+    q_ref = 0.01 * np.clip((t / t[-1] - 0.02) / 0.02, 0.0, 1.0)
+    push = np.where(np.abs(t / t[-1] - 0.1) < 0.01, 0.2 * axis.mechanics.mass, 0.0)
+
+    def swing(times):
+        drive = {"force_gain": axis.drive.force_gain * factor * times}
+        try:
+            run = Plant.of(axis.replace(drive=drive)).closed_loop(q_ref, disturbance=push)
+        except SimulationError:  # it swings from limit to limit
+            return np.inf
+        return np.ptp(run.position[-1500:])
+
+    assert swing(0.85) < 0.2 * play["gap"]
+    assert swing(1.3) > 2.0 * swing(0.85)
+
+
+@pytest.mark.parametrize("kind", [*GAINS, "position_pd"])
+def test_the_gain_that_is_named_scales_the_loop(kind):
+    axis = machine("emps2019").replace(controller={"kind": kind, **GAINS[kind]} if kind in GAINS else {})
+    name, table = get_law(kind).gain.split("."), axis.to_dict()["controller"]
+    inner = table
+    for part in name[:-1]:
+        inner = inner[part]
+    inner[name[-1]] *= 0.5
+    halved = axis.replace(controller=table)
+    weaker = axis.replace(drive={"force_gain": 0.5 * axis.drive.force_gain})
+    np.testing.assert_allclose(axis_loop(halved).poles, axis_loop(weaker).poles, atol=1e-6)
+
+
+def test_a_coupling_gets_a_filter_that_the_loop_can_be_run_with():
+    """The advised gains behave as advised in the loop of an axis that has them, and not without the filter."""
+    coupling = {"kind": "flexible_coupling", "frequency": 48.0, "damping": 0.02, "share": 0.7}
+    loop = {"kind": "cascade", "velocity": {"kp": 100.0, "ti": 0.03}}
+    axis = machine("emps2018").replace(effects=[coupling, EFFECTS_HERE[0]], controller=loop)
+    (found,) = feedback_cures(axis)
+    assert found["filter"]["kind"] == "notch"
+    assert abs(found["filter"]["frequency"] - 48.0) < 2.0
+    assert found["with"]["crossover"] > 1.3 * found["without"]["crossover"]
+    law = {"kind": "cascade", "velocity": {"kp": found["with"]["k_v1"], "ti": found["with"]["t_v"], "form": "pi"}}
+    margins = {
+        name: nested_loops(axis.replace(controller={**law, "filters": filters}))[0].margins
+        for name, filters in (("with", [found["filter"]]), ("without", []))
+    }
+    assert margins["with"].phase_margin_deg == pytest.approx(60.0, abs=1e-3)
+    assert not margins["without"].stable or margins["without"].phase_margin_deg < 50.0
+
+
+def test_the_advice_is_in_document_and_text(tmp_path, capsys):
+    axis = with_effects({"kind": "backlash", "gap": 1e-4, "frequency": 60.0, "damping": 0.15, "share": 0.4})
+    (tmp_path / "axis.toml").write_text(axis.to_toml(), encoding="utf-8")
+    line = ["compensate", str(tmp_path / "axis.toml"), "--stroke", "0.05"]
+    assert app.run([*line, "--json"]) == 0
+    (cure,) = json.loads(capsys.readouterr().out)["feedback"]
+    assert (cure["gain"], cure["now"]) == ("kv", 243.45)
+    assert cure["limit"] == pytest.approx(cure["factor"] * 243.45)
+    assert app.run(line) == 0
+    assert f"keep kv below {cure['limit']:.4g}" in " ".join(capsys.readouterr().out.split())
+    assert compensate(with_effects(), PROGRAM).feedback == ()

@@ -1,5 +1,7 @@
 """What a confirming record asks of a model, and what counts as noise between laps."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.search.noise_floor import floor_of_laps, floor_of_residual
+from emps_design.discrepancy.validation.confirmation import _size_known
 from emps_design.discrepancy.validation.evidence import Asked, asked_for
 from emps_design.effects import get_effect
 from emps_design.effects.guesses import pulses
@@ -112,3 +115,12 @@ def test_a_hum_out_of_step_with_the_laps_is_no_noise():
     noise = 0.5 * np.random.default_rng(0).standard_normal(Q_REF.size)
     hum = 8.0 * np.sin(2 * np.pi * 3.66 * 1e-3 * np.arange(Q_REF.size))
     assert floor_of_laps((noise + hum,), (lap,), 1e-3).force == pytest.approx(0.5, rel=0.1)
+
+
+@pytest.mark.parametrize(("std", "known"), [(5.0, True), (18.0, False)])
+def test_beside_something_unknown_an_effect_needs_a_size_of_its_own(std, known):
+    """A spring of 74 +- 18 N/m, whose stiffness moves with how the rest is weighed, was lent by the rest."""
+    spring = get_effect("elastic_force")
+    model = SimpleNamespace(names=("elastic_force",), effects=(spring,), values=(np.array([[74.0]]),))
+    fitted = SimpleNamespace(model=model, std=lambda effect, place: std)
+    assert _size_known(fitted, "elastic_force") is known

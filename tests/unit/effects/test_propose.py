@@ -1,5 +1,7 @@
 """Starting points that effects propose from what a model leaves."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -49,3 +51,25 @@ def test_proposals_are_parameters_within_bounds(effect):
             missing = [name for name, p in known.items() if name not in table and not p.linear]
             assert not missing
             assert all(np.isfinite(value) for value in table.values())
+
+
+@pytest.mark.parametrize("name", ["position_ripple", "friction_ripple", "encoder_error"])
+def test_periods_are_sought_in_proportion_to_the_stroke(name):
+    """The same motion ten times as far: the same periods, ten times as long."""
+    effect, small = get_effect(name), still(4000)
+    large = dataclasses.replace(small, q=12 * small.q, v=12 * small.v, a=12 * small.a)
+    small = dataclasses.replace(small, q=1.2 * small.q, v=1.2 * small.v, a=1.2 * small.a)
+    force = np.random.default_rng(3).standard_normal(small.t.size)
+    near, far = ([p["period"] for p in effect.propose(m, force, B, np.abs(small.v) > 1e-3)] for m in (small, large))
+    assert far == pytest.approx([10 * period for period in near], rel=0.1)
+
+
+def test_the_cogging_of_a_shaft_that_turns_on_and_on():
+    """8 turns, 72 poles: searched down to a share of a turn, neither of half a millimetre nor of the whole way."""
+    t = np.arange(24000) * 1e-3
+    v = 2.0 + np.sin(0.7 * t)
+    q = np.cumsum(v) * 1e-3
+    turning = Motion(t, q, v, np.gradient(v, 1e-3), v, 1e-3, v)
+    force = np.sin(72 * q) + 0.3 * np.random.default_rng(4).standard_normal(t.size)
+    found = get_effect("position_ripple").propose(turning, force, B, np.ones(t.size, bool))
+    assert found[0]["period"] == pytest.approx(2 * np.pi / 72, rel=5e-3)

@@ -8,6 +8,7 @@ import pytest
 from emps_design.axis import Axis
 from emps_design.cli.app import run
 from emps_design.machines import machine
+from emps_design.records import Record
 from emps_design.simulation import Plant
 from emps_design.simulation.synthetic import synthetic_record
 
@@ -36,6 +37,19 @@ def test_identify_shows_values_and_what_they_are_worth(folder, capsys):
     text = capsys.readouterr().out
     for word in ("viscous_positive", "coulomb_negative", "95 %", "kg", "independent", "Hz"):
         assert word in text
+
+
+def test_no_share_of_a_force_that_is_nothing(folder, tmp_path, capsys):
+    """A motor switched off in the last third: the filter rings on there, and an error in % of that says nothing."""
+    day = synthetic_record(machine("emps2019"), laps=1)
+    off = np.where(np.arange(len(day)) < len(day) // 2, day.u, 0.0)
+    path = tmp_path / "off.npz"
+    Record.from_arrays(day.period, day.q_ref, day.q, off).save(path)
+    assert run(["identify", str(path)]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "N rms, where there is no force to compare it with" in text
+    assert run(["identify", str(path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["held_out"]["relative_error_percent"] is None
 
 
 def test_identify_several_records(folder, capsys):

@@ -480,3 +480,40 @@ def test_an_excited_record_gives_its_response_and_the_axis_that_fits_it():
     assert "The response asks for two masses" in found["html"]
     assert found["model"].effects[0].kind == two_mass().effects[0].kind
     assert stages[-1] == ("drawing", 0.8)
+
+
+def test_what_is_fed_forward_is_chosen_tried_and_handed_out(monkeypatch, tmp_path):
+    ripple = {"kind": "position_ripple", "amplitude": 6.0, "phase": 0.7, "period": 0.005}
+    gap = {"kind": "backlash", "gap": 1e-4, "frequency": 60.0, "damping": 0.1, "share": 0.4}
+    session = Session(machine("emps2019").replace(name="own", effects=[ripple, gap]))
+    view = session.compensation
+    assert view.terms.value == ["inertia", "viscous", "coulomb", "constant", "position_ripple"]
+    assert "backlash is not compensated" in view.left.object
+    assert view.download.disabled
+    monkeypatch.setattr(jobs.Job, "start", lambda job, work, done, failed: done(work(lambda stage, share: None)))
+    view._start()
+    found, best = view.found, view.found.achieved
+    assert "position_ripple" in found.feedforward.terms
+    assert f"{found.without:.3g} m without, {best:.3g} with" in view.message.object
+    assert "keep kv below" in view.message.object
+    assert "<svg" in view.picture.object
+    with zipfile.ZipFile(view._folder()) as folder:
+        folder.extractall(tmp_path)
+    document = json.loads((tmp_path / "compensation.json").read_text())
+    assert document["tracking_rms"]["with"] == best
+    line = ["export", str(tmp_path / "axis.toml"), "--compensation", str(tmp_path / "compensation.json"), "--to", "c"]
+    assert run([*line, "--out", str(tmp_path / "again")]) == 0
+    made = {path.name: path.read_bytes() for path in (tmp_path / "again").iterdir()}
+    assert made == {path.name: path.read_bytes() for path in (tmp_path / "code").iterdir()}
+    view.terms.value = ["inertia", "viscous", "coulomb", "constant"]
+    assert view.found is None
+    assert view.download.disabled
+    view._start()
+    assert best < view.found.achieved < view.found.without
+    session.design.machine.value = "emps2018"  # has no controller: the design's is taken
+    assert view.found is None
+    assert "position_ripple" not in view.terms.value
+    view._start()
+    assert view.found.axis.controller.kind == "ip_velocity"
+    session.design.turn("frequency", 80.0)
+    assert view.found is None

@@ -52,6 +52,20 @@ def test_the_noise_has_the_level_it_names():
     assert np.sqrt(np.mean(difference**2)) == pytest.approx(expected, rel=0.33)
 
 
+@pytest.mark.parametrize("scale", [0.01, 100.0])
+def test_the_noise_is_of_the_size_of_the_axis(scale):
+    """The same motion of an axis with other forces: its records differ by as much of its own force."""
+    axis = machine("emps2019")
+    mechanics = {key: scale * value for key, value in axis.to_dict()["mechanics"].items()}
+    drive = {"force_gain": scale * axis.drive.force_gain}
+    records = [
+        [synthetic_record(one, seed=seed, laps=1).u for seed in (1, 2)]
+        for one in (axis, axis.replace(mechanics=mechanics, drive=drive))
+    ]
+    own, other = (float(np.std(a - b)) for a, b in records)
+    assert other == pytest.approx(own, rel=0.5)
+
+
 def test_an_axis_that_follows_no_position():
     with pytest.raises(InputError, match="axis emps2018: found controller 'none', expected 'position_pd'"):
         synthetic_record(machine("emps2018"))
