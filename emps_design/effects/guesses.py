@@ -43,6 +43,10 @@ def squares_explained(target: np.ndarray, basis: np.ndarray, sine: np.ndarray, c
     return np.where(safe, power, 0.0)
 
 
+# Both phases (k, m) of some samples (k,) and angular wave numbers (m,).
+Waves = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
 def strongest(power: np.ndarray, count: int) -> list[int]:
     """Indices of the ``count`` highest local maxima of ``power``, highest first."""
     inner = np.nonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:]))[0] + 1
@@ -56,7 +60,7 @@ def periods(
     v: np.ndarray,
     a: np.ndarray,
     away: np.ndarray,
-    columns: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
+    columns: Waves,
     shortest: float,
     count: int = 3,
 ) -> list[float]:

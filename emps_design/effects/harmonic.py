@@ -6,13 +6,16 @@ Amplitude and phase are not linear; the coefficients of sine and cosine of the a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from emps_design.effects import guesses
 from emps_design.effects.effect import Motion, Parameter, Parameters
 from emps_design.effects.sizes import stroke_size
+
+if TYPE_CHECKING:
+    import sympy
 
 SHORTEST = 5e-4  # m of an ordinary stroke, below which no period of travel is sought
 
@@ -59,9 +62,21 @@ def period(what: str) -> Parameter:
     return Parameter("period", r"\lambda", "m", lower=1e-4, upper=0.1, starts=starts, text=text)
 
 
-def shortest(motion: Motion) -> float:
-    """The shortest travel that a search for a period tries on this ``motion``, in proportion to its stroke."""
-    return SHORTEST * stroke_size(motion.q)
+def in_symbols(q: sympy.Symbol, p: Parameters, repeats: str = "period") -> sympy.Expr:
+    """:func:`along_travel` in symbols; ``repeats`` is the parameter after which it does."""
+    import sympy
+
+    return p["amplitude"] * sympy.sin(2 * sympy.pi * q / p[repeats] + p["phase"])
+
+
+def periods(motion: Motion, residual: np.ndarray, away: np.ndarray, columns: guesses.Waves) -> list[dict[str, float]]:
+    """Starts for a ``period``: where ``columns`` explain most of ``residual`` (n,) [N] on the samples ``away``.
+
+    The shortest that is tried is in proportion to the stroke.
+    """
+    shortest = SHORTEST * stroke_size(motion.q)
+    found = guesses.periods(residual, motion.q, motion.v, motion.a, away, columns, shortest)
+    return [{"period": period} for period in found]
 
 
 def plausible(parameters: Parameters, motion: Motion) -> bool:
@@ -69,9 +84,7 @@ def plausible(parameters: Parameters, motion: Motion) -> bool:
     return parameters["period"] < float(np.ptp(motion.q)) / 3
 
 
-def waves(
-    coordinate: np.ndarray, size: np.ndarray | float = 1.0
-) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+def waves(coordinate: np.ndarray, size: np.ndarray | float = 1.0) -> guesses.Waves:
     """Both phases of ``coordinate`` (n,) at some of its samples and angular wave numbers, as a search asks for them.
 
     ``size`` (n,) is what the waves are multiplied by, sample by sample.

@@ -9,7 +9,6 @@ from math import pi
 
 import numpy as np
 
-from emps_design.effects import guesses as search
 from emps_design.effects import harmonic
 from emps_design.effects.effect import MASS, VISCOUS, Effect, Motion, Parameter, Parameters
 
@@ -31,14 +30,11 @@ def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarra
         sine, cosine = np.sin(angle), np.cos(angle)
         return speed * sine - turn * cosine, speed * cosine + turn * sine
 
-    found = search.periods(residual, motion.q, motion.v, motion.a, away, columns, harmonic.shortest(motion))
-    return [{"period": period} for period in found]
+    return harmonic.periods(motion, residual, away, columns)
 
 
 def expression(q, v, t, tau, p, b):
-    import sympy
-
-    return p["amplitude"] * sympy.sin(2 * sympy.pi * q / p["period"] + p["phase"])
+    return harmonic.in_symbols(q, p)
 
 
 EFFECT = Effect(

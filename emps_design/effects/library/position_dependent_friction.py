@@ -23,7 +23,7 @@ def plausible(parameters: Parameters, motion: Motion) -> bool:
 def expression(q, v, t, tau, p, b):
     import sympy
 
-    return p["amplitude"] * sympy.sin(2 * sympy.pi * q / p["length"] + p["phase"]) * sympy.sign(v)
+    return harmonic.in_symbols(q, p, "length") * sympy.sign(v)
 
 
 EFFECT = Effect(

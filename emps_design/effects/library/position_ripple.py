@@ -9,7 +9,6 @@ from math import pi
 
 import numpy as np
 
-from emps_design.effects import guesses as search
 from emps_design.effects import harmonic
 from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
 
@@ -20,15 +19,11 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
 
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
-    columns = harmonic.waves(motion.q)
-    found = search.periods(residual, motion.q, motion.v, motion.a, away, columns, harmonic.shortest(motion))
-    return [{"period": period} for period in found]
+    return harmonic.periods(motion, residual, away, harmonic.waves(motion.q))
 
 
 def expression(q, v, t, tau, p, b):
-    import sympy
-
-    return p["amplitude"] * sympy.sin(2 * sympy.pi * q / p["period"] + p["phase"])
+    return harmonic.in_symbols(q, p)
 
 
 EFFECT = Effect(
