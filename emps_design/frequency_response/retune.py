@@ -14,9 +14,9 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.control.plant.discretisation import ESTIMATORS, filter_response
 from emps_design.control.velocity.design import VelocityLoopDesign
-from emps_design.control.velocity.retune import PLACES, retuned_gains
+from emps_design.control.velocity.retune import retuned_gains
 from emps_design.control.velocity.specification import check_specification
-from emps_design.control.velocity.structure import Structure, own_filters, own_structure
+from emps_design.control.velocity.structure import PLACES, Structure, own_filters, own_structure
 from emps_design.errors import InputError, SpecificationError
 from emps_design.frequency_response.loop import measured_margins, over_limits
 from emps_design.frequency_response.measured_plant import MeasuredPlant
@@ -87,7 +87,7 @@ def retune_on_response(
     structure, filters = own_structure(axis, structure), own_filters(axis, filters)
     weights = ESTIMATORS[axis.controller.velocity_estimator]
     plant: Any = _Estimated(MeasuredPlant.of(response, axis), weights, filters)
-    place = PLACES[0] if structure.form == "pi" else at
+    place = structure.place(at)
 
     def design_of(w: float) -> tuple[VelocityLoopDesign | None, str]:
         """The design for a crossover ``w`` and what it lacks, in words."""

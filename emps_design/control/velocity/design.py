@@ -317,7 +317,7 @@ def design_velocity_loop(
     requested = check_specification(crossover, bandwidth, phase_margin_deg)
     structure, filters = own_structure(axis, structure), own_filters(axis, filters)
     mass, viscous, w = axis.mechanics.mass, axis.mechanics.viscous, float(crossover or math.nan)
-    if bandwidth is not None and 0.0 < phase_margin_deg < (90.0 if structure.form == "ip" else 180.0):
+    if bandwidth is not None and 0.0 < phase_margin_deg < structure.largest_phase_margin:
         w = float(structure.crossover_of_bandwidth(mass, viscous, bandwidth, phase_margin_deg))
     low, high = structure.feasible_phase_margin(mass, viscous, w)
     if not low < phase_margin_deg < high:

@@ -44,7 +44,7 @@ class Reach:
     limit: str
 
 
-def reach(plant: SampledPlant, phase_margin_deg: float, structure: Structure = IP) -> Reach:
+def reach(plant: SampledPlant, phase_margin_deg: float) -> Reach:
     """The fastest sampled loop around ``plant`` with that phase margin at the plant input, its other margins kept too.
 
     >>> from emps_design.machines import machine
@@ -142,7 +142,7 @@ def suggest_filter(
 
     def judged(these: tuple[Filter, ...]) -> tuple[Reach, SampledPlant]:
         plant = sample_axis(axis, velocity, these)
-        return reach(plant, phase_margin_deg, structure), plant
+        return reach(plant, phase_margin_deg), plant
 
     own, plant = judged(filters)
     candidates = [(*judged((*filters, one)), one) for one in _candidates(plant, own.crossover)]

@@ -17,12 +17,11 @@ from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.gains import MINUS_3_DB
 from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.control.velocity.specification import Pairs, check_specification, nearest_that_works, proposal_in_words
-from emps_design.control.velocity.structure import IP, Structure, own_filters, own_structure
+from emps_design.control.velocity.structure import IP, PLACES, Structure, own_filters, own_structure
 from emps_design.control.velocity.sweeps import sweep_stability
 from emps_design.errors import InputError, SpecificationError
 from emps_design.laws.library.cascade import Filter
 
-PLACES = ("plant-input", "velocity-error")
 GRID = 240  # crossovers looked at for one bandwidth, evenly in their logarithm
 
 
@@ -118,7 +117,7 @@ def retuned_pairs(plant: SampledPlant, requested: dict[str, float], at: str, str
     >>> pairs.judge(np.array([50.0, 60.0]), np.array([60.0, 60.0])).tolist()
     [2, 0]
     """
-    place = "plant-input" if structure.form == "pi" else at  # there "pi" has one loop, wherever it is broken
+    place = structure.place(at)
     if "bandwidth" in requested:
         return Pairs(
             plant,
@@ -195,15 +194,15 @@ def _limit(plant: SampledPlant, requested: dict[str, float], at: str, structure:
     """Which limit binds, from the plant's phase at the crossover."""
     if not 0.0 < requested["phase_margin_deg"] < 180.0:
         return "a phase margin lies between 0 and 180 deg"
+    place = structure.place(at)
     if "bandwidth" in requested:
-        place = "plant-input" if structure.form == "pi" else at
         most = _largest_bandwidth(plant, requested["phase_margin_deg"], place, structure)
         if requested["bandwidth"] > most > 0.0:
             return (
                 f"with that phase margin at the {at.replace('-', ' ')} the bandwidth reaches {most:.5g} rad/s at most"
             )
         return "the gains would not be positive, or the loop with them unstable"
-    if at != "plant-input" and structure.form == "ip":
+    if place != "plant-input":
         return "the gains would not be positive, or the loop with them unstable"
     w, phase = requested["crossover"], requested["phase_margin_deg"]
     if w >= math.pi / plant.period:

@@ -117,7 +117,7 @@ def pairs_by_closed_form(
     """
 
     def gains(frequency: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        inside = (phase > 0.0) & (phase < (90.0 if structure.form == "ip" else 180.0))
+        inside = (phase > 0.0) & (phase < structure.largest_phase_margin)
         phase = np.where(inside, phase, 45.0)
         if "bandwidth" in requested:
             mechanics = axis.mechanics

@@ -33,6 +33,7 @@ from emps_design.laws import table_of
 from emps_design.laws.library import cascade
 
 FORMS = ("ip", "pi")
+PLACES = ("plant-input", "velocity-error")  # where the loop may be broken
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,15 @@ class Structure:
     def label(self) -> str:
         """The structure in a word or two."""
         return f"{self.form.upper()}{' with reference filter' if self.reference_filter else ''}"
+
+    @property
+    def largest_phase_margin(self) -> float:
+        """The phase margin [deg] from which on no plant has gains, at any crossover."""
+        return 90.0 if self.form == "ip" else 180.0
+
+    def place(self, at: str) -> str:
+        """The place, one of ``PLACES``, having the loop broken ``at``: with "pi" both have that of the plant input."""
+        return PLACES[0] if self.form == "pi" else at
 
     def zero(self, t_v: Any) -> Any:
         """Time constant [s] of the zero of the closed loop: 1 + zero s in its numerator."""
