@@ -31,7 +31,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -81,6 +81,15 @@ class Parameter(Quantity):
         reach = REACH**sized  # a weak axis with a long stroke: N/m differ by both
         lower = self.lower / reach if self.lower > 0.0 else self.lower * reach
         return Quantity(self.name, self.symbol, self.unit, lower, self.upper * reach).check(value)
+
+
+def kind_of(name: str) -> str:
+    """The effect that ``name`` is a line of, itself where it is no numbered one.
+
+    >>> kind_of("position_ripple 2"), kind_of("backlash")
+    ('position_ripple', 'backlash')
+    """
+    return name.partition(" ")[0]
 
 
 @dataclass(frozen=True)
@@ -149,6 +158,7 @@ class Effect:
     ``over``: the variable it is best seen over, "v", "q", "t", "tau", "u", a "loop" of position, or after a "step".
     ``general``: a curve of any shape, which could stand in for other physics: looked for where nothing else is found.
     ``motion``: "rotary" of what only an axis that turns has, "" of the others.
+    ``lines``: how many of it, each of another shape, one machine may have; ``after`` is the name of the one before.
     ``repeats``: the parameter [m] after which it repeats along the travel; its slope over position then averages out.
     ``passive``: over a motion that ends where it began, at rest, the effect never gives back more work than it took.
     ``identified_by``: for each model of ``identify`` that has the effect among its parameters, the function that takes
@@ -188,6 +198,8 @@ class Effect:
     over: str = "v"
     motion: str = ""
     general: bool = False
+    lines: int = 1
+    after: str = ""
     repeats: str = ""
     where: str = ""
     confused_with: tuple[str, ...] = ()
@@ -211,6 +223,19 @@ class Effect:
     def acts_on(self, motion: str) -> bool:
         """Whether an axis of this ``motion``, "linear" or "rotary", can have the effect."""
         return self.motion in ("", motion)
+
+    def several(self) -> tuple[Effect, ...]:
+        """Return the effect and its further ``lines``, numbered.
+
+        >>> from emps_design.effects import get_effect
+        >>> [line.name for line in get_effect("position_ripple").several()][:2]
+        ['position_ripple', 'position_ripple 2']
+        """
+        found = [self]
+        for number in range(2, self.lines + 1):
+            name, label = f"{self.name} {number}", f"{self.label}, line {number}"
+            found.append(replace(self, name=name, label=label, after=found[-1].name))
+        return tuple(found)
 
     @property
     def linear(self) -> tuple[str, ...]:

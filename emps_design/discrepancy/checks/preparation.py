@@ -76,7 +76,8 @@ def prepare(
     dropped, first = [one.effect.name for one in axis.effects], records[0]
     axis = axis.replace(effects=[]).supplied_by(*records, *(() if holdout is None else (holdout,)))
     factors = sizes(first.q, first.u, first.period, axis.drive.gain)
-    library = tuple(sized(effect, factors) for effect in library if effect.acts_on(axis.motion))
+    lines = (line for effect in library if effect.acts_on(axis.motion) for line in effect.several())
+    library = tuple(sized(line, factors) for line in lines)
     warnings = check_records(records, axis)
     if dropped:
         warnings.append(f"the axis's own effects are left out and looked for again: {', '.join(dropped)}")

@@ -24,7 +24,7 @@ from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.partition import START_UP
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.search.outcome import Outcome
-from emps_design.effects import Effect, get_effect
+from emps_design.effects import Effect, get_effect, kind_of
 from emps_design.errors import SimulationError
 from emps_design.simulation import Run
 
@@ -111,7 +111,7 @@ def experiment(outcome: Outcome, named: tuple[str, ...], equivalents: dict[str, 
         chosen = choose((best, *rivals[: rules.MOST_EQUIVALENTS]), threshold, np.sqrt(max(1.0, left)))
         if chosen is not None:
             return chosen
-    return Experiment(get_effect(named[0]).experiment) if named else None
+    return Experiment(get_effect(kind_of(named[0])).experiment) if named else None
 
 
 def what_to_record(hypothesis: Hypothesis, over: list[str]) -> Experiment:

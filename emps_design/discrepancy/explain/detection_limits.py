@@ -30,7 +30,7 @@ def not_excluded(calibration: Calibration, found: Sequence[str]) -> list[dict[st
     absorbed, screened = tangent(baseline), {s[0].model.names[-1]: s for s in calibration.screened}
     rows = []
     for effect in calibration.preparation.library:
-        if effect.name in found:
+        if effect.name in found or effect.after:
             continue
         starts, side = screened.get(effect.name, ()), "or more"
         if not starts:

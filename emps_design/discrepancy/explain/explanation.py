@@ -25,7 +25,7 @@ from emps_design.discrepancy.result import Diagnosis, Finding
 from emps_design.discrepancy.search.acceptance import force_rms
 from emps_design.discrepancy.validation.gap import most_missed
 from emps_design.discrepancy.validation.verdict import Validation, wrong_numbers
-from emps_design.effects import get_effect
+from emps_design.effects import get_effect, kind_of
 
 SHOWN_CANDIDATES = 10
 
@@ -132,7 +132,7 @@ def _candidates(validation: Validation) -> list[dict[str, Any]]:
         rows.append(
             {
                 "effect": name,
-                "label": get_effect(name).label,
+                "label": get_effect(kind_of(name)).label,
                 "gap": None if full is None else force_rms(full),
                 "statistic": gain if full is None else base.cost_fit - full.cost_fit,
                 "threshold": to_beat,

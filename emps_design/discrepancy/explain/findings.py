@@ -14,7 +14,7 @@ from emps_design.discrepancy.model.fit import Fit, fit
 from emps_design.discrepancy.result import Finding
 from emps_design.discrepancy.search.acceptance import force_rms
 from emps_design.discrepancy.validation.verdict import Validation
-from emps_design.effects import Parameter
+from emps_design.effects import Parameter, kind_of
 from emps_design.errors import SimulationError
 
 
@@ -41,7 +41,7 @@ def _finding(validation: Validation, index: int) -> Finding:
         for place, p in enumerate(effect.parameters)
     }
     return Finding(
-        effect=effect.name,
+        effect=kind_of(effect.name),
         label=effect.label,
         channel=effect.channel,
         where=_where(extended, index, record),
@@ -50,7 +50,7 @@ def _finding(validation: Validation, index: int) -> Finding:
         gap_before=force_rms(without),
         gap_after=force_rms(extended),
         confirmed=validation.confirmed.get(effect.name),
-        equivalents=tuple(validation.equivalents.get(effect.name, ())),
+        equivalents=tuple(dict.fromkeys(map(kind_of, validation.equivalents.get(effect.name, ())))),
         remedy=effect.remedy,
         note=_note(outcome.calibration.preparation, effect.channel, record),
     )

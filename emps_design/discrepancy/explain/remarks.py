@@ -7,7 +7,7 @@ from emps_design.discrepancy.checks.preparation import HeldOut
 from emps_design.discrepancy.search.acceptance import force_rms
 from emps_design.discrepancy.search.calibration import Calibration
 from emps_design.discrepancy.validation.verdict import Validation
-from emps_design.effects import get_effect
+from emps_design.effects import get_effect, kind_of
 
 ASSUMPTIONS = (
     "the force gain of the drive is known: an error of it scales every mechanical parameter and shows nowhere else",
@@ -41,7 +41,7 @@ def warnings(validation: Validation) -> list[str]:
     if preparation.held_out is not None:
         remarks += _of_holdout(validation, preparation.held_out)
     if validation.given_up:
-        labels = ", ".join(get_effect(name).label.lower() for name in validation.given_up)
+        labels = ", ".join(get_effect(kind_of(name)).label.lower() for name in validation.given_up)
         remarks.append(
             f"a model with {labels} explains {100 * validation.share:.0f} % of the gap, and does not stand: too little "
             "of it, not on both records, or too many others would do"
@@ -76,8 +76,8 @@ def _limits(validation: Validation) -> list[str]:
 
 def _of_holdout(validation: Validation, held_out: HeldOut) -> list[str]:
     remarks = [
-        f"{get_effect(a.name).label.lower()} fitted the training record and is withdrawn: the confirming record asks "
-        f"for {a.share:.2f} +- {a.std:.2f} of it"
+        f"{get_effect(kind_of(a.name)).label.lower()} fitted the training record and is withdrawn: the confirming "
+        f"record asks for {a.share:.2f} +- {a.std:.2f} of it"
         for a in validation.refuted
     ]
     if held_out.added not in ("", *validation.extended.model.names):

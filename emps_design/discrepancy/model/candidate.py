@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.effects import Effect, Parameter
+from emps_design.effects import Effect, Parameter, kind_of
 from emps_design.effects.effect import COULOMB, OFFSET
 from emps_design.effects.sizes import sized_parameter
 from emps_design.quantities import Quantity
@@ -128,7 +128,7 @@ class Candidate:
         """``axis`` with this baseline and these effects as seen by ``record``."""
         mass, viscous, coulomb, offset = map(float, self.baseline)
         effects = [
-            {"kind": e.name, **{p.name: float(x) for p, x in zip(e.parameters, row, strict=True)}}
+            {"kind": kind_of(e.name), **{p.name: float(x) for p, x in zip(e.parameters, row, strict=True)}}
             for e, row in zip(self.effects, self.parameters(record), strict=True)
         ]
         return axis.replace(

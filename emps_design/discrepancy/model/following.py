@@ -16,18 +16,36 @@ from emps_design.laws.library import position_pd
 from emps_design.records import Record
 from emps_design.simulation.driven import driven_by
 
+IN_BAND = 0.9  # of the power of a command
 BANDWIDTH_HZ = 25.0  # of the velocity loop that follows; the encoder's noise, differentiated, sets the upper end
 LEAST_SAMPLES = 40  # per period of that bandwidth: with fewer the two-tap velocity loses too much phase
+FAST_SAMPLES = 12  # the same where the command itself is that fast
 POSITION_SHARE = 0.25  # of the velocity loop's bandwidth, for the position loop around it
 
 
-def drive(axis: Axis, record: Record) -> dict[str, Any]:
-    """Keywords of :meth:`Plant.closed_loop` that make the simulation of ``record`` start and move as it did."""
+def band(record: Record) -> float:
+    """The frequency [Hz] below which nine tenths of what the command changes lie.
+
+    >>> t = np.arange(4000) * 1e-3
+    >>> round(band(Record(t, t, t, np.sin(2 * np.pi * 72 * t), 1e-3)))
+    72
+    """
+    power = np.cumsum(np.abs(np.fft.rfft(record.u - record.u.mean())) ** 2)
+    return float(np.searchsorted(power, IN_BAND * power[-1])) / (len(record) * record.period)
+
+
+def drive(axis: Axis, record: Record, mass: float) -> dict[str, Any]:
+    """Keywords of :meth:`Plant.closed_loop` that make the simulation of ``record`` start and move as it did.
+
+    ``mass`` [kg] is the model's: a heavier one would else be followed less, and leave less of the force.
+    """
     start = driven_by(axis, record)
     if "law" in start:
         return start
-    rate = 2 * np.pi * min(BANDWIDTH_HZ, 1 / (LEAST_SAMPLES * record.period))  # rad/s
-    kp, kv = POSITION_SHARE * rate, axis.mechanics.mass * rate / axis.drive.gain
+    usual = min(BANDWIDTH_HZ, 1 / (LEAST_SAMPLES * record.period))
+    rate = 2 * np.pi * max(usual, min(band(record), 1 / (FAST_SAMPLES * record.period)))  # rad/s
+    moved = np.hypot(mass, axis.mechanics.mass) / np.sqrt(2.0)
+    kp, kv = POSITION_SHARE * rate, moved * rate / axis.drive.gain
     law = position_pd.LAW.law(position_pd.Table(kp=kp, kv=kv), axis, record.period)
     past = np.concatenate((np.full(2, record.q[0]), record.q[:-2]))
     # The law brakes its own velocity: leading the reference by v/kp makes it act on the difference of velocities.

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from emps_design.discrepancy.model.following import band
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.effects import Motion
 from emps_design.effects.effect import MASS, VISCOUS
@@ -20,6 +21,7 @@ from emps_design.identification.filters import held_force, motion
 from emps_design.observer import motor_share
 
 CUTOFF_HZ = 60.0
+FASTEST = 0.4  # of the sampling rate, to which a fast command raises the cut-off
 REVERSAL_MARGIN = 0.06  # s on both sides of a reversal, where a zero-phase filter mixes the two directions
 SLOWEST = 2e-3  # m/s, below which the direction of motion is not certain
 
@@ -33,19 +35,25 @@ class MissingForce:
     away: np.ndarray
 
 
-def missing_force(hypothesis: Hypothesis, cutoff_hz: float = CUTOFF_HZ) -> tuple[MissingForce, ...]:
-    """Return the missing force of a model, one per record, low-passed at ``cutoff_hz`` [Hz] without phase."""
+def missing_force(hypothesis: Hypothesis, cutoff_hz: float | None = None) -> tuple[MissingForce, ...]:
+    """Return the missing force of a model, one per record, low-passed at ``cutoff_hz`` [Hz] without phase.
+
+    By default at ``CUTOFF_HZ``, or at twice the band of the command where that is faster.
+    """
     problem, baseline = hypothesis.problem, hypothesis.model.baseline
     gain, result = problem.axis.drive.gain, []
     for record, run, split in zip(problem.records, hypothesis.runs(), problem.splits, strict=True):
+        cut = cutoff_hz or max(CUTOFF_HZ, min(2.0 * band(record), FASTEST / record.period))
         share = motor_share(problem.axis, record)
         acting, played = replace(record, u=share * record.u), replace(record, q=run.q, u=share * run.u)
-        measured, simulated = motion(record, cutoff_hz), motion(played, cutoff_hz)
-        predicted = held_force(played, gain, cutoff_hz)
+        measured, simulated = motion(record, cut), motion(played, cut)
+        predicted = held_force(played, gain, cut)
         inertia = baseline[MASS] * (measured.a - simulated.a)
         viscous = baseline[VISCOUS] * (measured.v - simulated.v)
-        force = held_force(acting, gain, cutoff_hz) - predicted - inertia - viscous
+        force = held_force(acting, gain, cut) - predicted - inertia - viscous
         away = away_from_reversals(measured.v, record.period) & split.used
+        if not away.any():  # what reverses all the time is seen at reversals or never
+            away = away_from_reversals(measured.v, record.period, 0.0) & split.used
         result.append(MissingForce(replace(measured, tau=predicted, voltage=record.u, force_gain=gain), force, away))
     return tuple(result)
 

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from emps_design.effects.sizes import TURN
 from emps_design.records import Record
 
 START_UP = 50  # samples left out at the start of a record: the loop's own transient, as in the published figures
+MOST_TURNS = 12  # of a shaft that turns on and on: pieces that are whole strokes to it
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,11 @@ def find_lap(q_ref: np.ndarray) -> int:
 
 
 def find_strokes(q_ref: np.ndarray, period: float) -> tuple[tuple[int, int], ...]:
-    """Cut where the reference (n,) [m] changes direction; standstill belongs to the stroke before it."""
+    """Cut where the reference (n,) [m] changes direction; standstill belongs to the stroke before it.
+
+    A shaft that turns on and on the same way never does: there every piece of at least a turn, which meets the same
+    places again, is a stroke.
+    """
     velocity = np.gradient(q_ref, period)
     direction = np.sign(velocity) * (np.abs(velocity) > 1e-3 * np.abs(velocity).max())
     moving = np.nonzero(direction)[0]
@@ -80,4 +86,7 @@ def find_strokes(q_ref: np.ndarray, period: float) -> tuple[tuple[int, int], ...
         return ((0, q_ref.size),)
     turns = moving[1:][np.diff(direction[moving]) != 0]
     edges = [0, *(int(turn) for turn in turns), q_ref.size]
+    if len(edges) == 2:
+        count = min(max(1, int(np.ptp(q_ref) / TURN)), MOST_TURNS)
+        edges = np.linspace(0, q_ref.size, count + 1).astype(int).tolist()
     return tuple((a, b) for a, b in itertools.pairwise(edges) if b - a > 20)

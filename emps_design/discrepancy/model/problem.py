@@ -13,6 +13,8 @@ from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.following import drive
 from emps_design.discrepancy.model.partition import Split
 from emps_design.discrepancy.model.whitening import Whitening
+from emps_design.effects.effect import MASS
+from emps_design.laws import NONE, law_of
 from emps_design.observer import motor_force
 from emps_design.records import Record
 from emps_design.simulation import Plant, Run
@@ -89,9 +91,15 @@ class Hypothesis:
         return Hypothesis(self.problem.only(record), self.model.only(record))
 
     def simulate(self, record: int, **drive: Any) -> Run:
-        """Closed-loop simulation with the numbers of ``record``, driven as :meth:`Plant.closed_loop` says."""
+        """Closed-loop simulation with the numbers of ``record``, driven as :meth:`Plant.closed_loop` says.
+
+        The law, where none is given, has the gains of the record.
+        """
+        axis, measured = self.problem.axis, self.problem.records[record]
         parameters = self.model.parameters(record)
-        plant = Plant(self.problem.axis, list(zip(self.model.effects, parameters, strict=True)))
+        if "law" not in drive:
+            drive["law"] = law_of(axis, measured.period, measured.extra)
+        plant = Plant(axis, list(zip(self.model.effects, parameters, strict=True)))
         return plant.closed_loop(**drive, baseline=self.model.baseline, quantise=False, tolerance=LOOSE)
 
     def run(self, record: int, disturbance: np.ndarray | None = None) -> Run:
@@ -99,7 +107,7 @@ class Hypothesis:
 
         ``disturbance`` (n,) [N] acts on the carriage besides what was measured.
         """
-        how = drive(self.problem.axis, self.problem.records[record])
+        how = drive(self.problem.axis, self.problem.records[record], self.model.baseline[MASS])
         if disturbance is not None:
             how["disturbance"] = disturbance + (0.0 if how["disturbance"] is None else how["disturbance"])
         return self.simulate(record, **how)
@@ -109,9 +117,15 @@ class Hypothesis:
         return tuple(self.run(record) for record in range(len(self.problem.records)))
 
     def residuals(self) -> tuple[np.ndarray, ...]:
-        """Measured minus simulated motor force [N], one array (n,) per record."""
+        """Measured minus simulated motor force [N], one array (n,) per record.
+
+        A motor that is switched off has no force to compare: there it is what the law would ask for.
+        """
         axis = self.problem.axis
-        return tuple(motor_force(axis, r) - run.force for r, run in zip(self.problem.records, self.runs(), strict=True))
+        return tuple(
+            motor_force(axis, record) - run.force + _asked_while_off(axis, record, run)
+            for record, run in zip(self.problem.records, self.runs(), strict=True)
+        )
 
     def whitened(self) -> tuple[np.ndarray, ...]:
         """Innovations of :meth:`residuals` in units of the noise."""
@@ -124,3 +138,14 @@ class Hypothesis:
     def left(self) -> list[np.ndarray]:
         """What the model leaves of the force [N] on the used samples, one array (n_used,) per record."""
         return self.problem.pick(self.residuals(), "used")
+
+
+def _asked_while_off(axis: Axis, record: Record, run: Run) -> np.ndarray | float:
+    """What the law of ``axis`` would ask for along ``record``, less that along ``run`` (n,) [N]; 0 while it is on."""
+    if record.enable is None or axis.controller.kind == NONE:
+        return 0.0
+    law = law_of(axis, record.period, record.extra)
+    followed = law.followed(record)
+    measured, simulated = (law.commands(followed, q, np.inf, record.f_ext) for q in (record.q, run.q))
+    asked = motor_force(axis, replace(record, u=measured - simulated, enable=None))
+    return np.where(record.enable == 0.0, asked, 0.0)

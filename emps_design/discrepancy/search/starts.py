@@ -66,9 +66,10 @@ def tangent(current: Fit, part: str = "fit") -> Tangent:
 def screen(current: Fit, library: tuple[Effect, ...], absorbed: Tangent) -> list[list[Start]]:
     """Starts of each effect of ``library`` that ``current`` does not have, the most promising of each first."""
     missing = missing_force(current)
-    absent = [effect for effect in library if effect.name not in current.model.names]
+    found = current.model.names
+    absent = [effect for effect in library if effect.name not in found and effect.after in ("", *found)]
     tried = side_by_side(starts, [(current, effect, missing, absorbed) for effect in absent])
-    return [found for found in tried if found]
+    return [some for some in tried if some]
 
 
 def starts(current: Fit, effect: Effect, missing: tuple[MissingForce, ...], absorbed: Tangent) -> list[Start]:

@@ -10,8 +10,9 @@ import numpy as np
 from emps_design.discrepancy.model.bootstrap import rms_interval
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.following import drive
-from emps_design.discrepancy.model.missing_force import missing_force
+from emps_design.discrepancy.model.missing_force import CUTOFF_HZ, missing_force
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
+from emps_design.effects.effect import MASS
 from emps_design.observer import motor_force
 from emps_design.records import Record
 from emps_design.simulation import Plant
@@ -85,7 +86,7 @@ def compare(problem: Problem, baseline: Candidate, extended: Candidate, refitted
     pairs = zip(*(prediction.errors() for prediction in predictions), strict=True)
     errors = {name: np.concatenate(parts) for name, parts in zip(("baseline", "extended"), pairs, strict=True)}
     for name, model in zip(("baseline_60hz", "extended_60hz"), models, strict=True):
-        missing = problem.pick(tuple(m.force for m in missing_force(model)), "used")
+        missing = problem.pick(tuple(m.force for m in missing_force(model, CUTOFF_HZ)), "used")
         errors[name] = np.concatenate([force - force.mean() for force in missing])
     gap = Gap(
         **{name: float(np.std(error)) for name, error in errors.items()},
@@ -104,6 +105,8 @@ def _predict(baseline: Hypothesis, extended: Hypothesis) -> Prediction:
     """Simulate the first record from its reference alone with both models, encoder quantised as it is."""
     problem = baseline.problem
     axis, record = problem.axis, problem.records[0]
-    plants = (Plant.of(hypothesis.model.to_axis(axis)) for hypothesis in (baseline, extended))
-    before, after = (plant.closed_loop(**drive(axis, record)).force for plant in plants)
+    before, after = (
+        Plant.of(model.to_axis(axis)).closed_loop(**drive(axis, record, model.baseline[MASS])).force
+        for model in (baseline.model, extended.model)
+    )
     return Prediction(record, motor_force(axis, record), before, after, problem.splits[0].used)

@@ -2,7 +2,8 @@
 
 Cogging of the motor, a bent or eccentric screw, a belt's teeth: the period names the part (a revolution of the screw,
 of the encoder, a pole pair). The force derives from a potential, so a round trip costs nothing. The phase depends on
-where the encoder's zero was when the record was taken.
+where the encoder's zero was when the record was taken. Cogging has several such lines, harmonics or not: each is
+found and listed by itself.
 """
 
 from math import pi
@@ -45,6 +46,7 @@ EFFECT = Effect(
     plausible=harmonic.plausible,
     expression=expression,
     over="q",
+    lines=4,
     repeats="period",
     where="one line in the spectrum over position, at every speed with the same amplitude",
     confused_with=("encoder_error", "position_dependent_friction", "periodic_disturbance"),

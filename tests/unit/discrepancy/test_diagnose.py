@@ -11,8 +11,14 @@ from emps_design.cli.output import plain
 from emps_design.discrepancy import diagnose
 from emps_design.discrepancy.checks.preparation import prepare
 from emps_design.discrepancy.checks.requirements import check_records, check_same_drive
+from emps_design.discrepancy.model.candidate import Candidate
+from emps_design.discrepancy.model.partition import split
+from emps_design.discrepancy.model.problem import Hypothesis, Problem
+from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.effects import get_effect, known_effects
+from emps_design.effects.sizes import sizes
 from emps_design.errors import InputError, RecordError
+from emps_design.laws import law_of
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
@@ -122,6 +128,23 @@ def test_a_controller_of_another_kind_is_named():
         InputError, match=r"law nowhere .* position_pd with kp = 160\.\d+, kv = 243\.\d+.* correct the axis"
     ):
         diagnose(record(), axis, library=SHORT)
+
+
+def test_a_ripple_with_two_lines_is_listed_line_by_line():
+    lines = {0.0025: 3.0, 0.004: 2.0}  # m, N
+    effects = [
+        {"kind": "position_ripple", "amplitude": amplitude, "phase": 0.5, "period": period}
+        for period, amplitude in lines.items()
+    ]
+    answer = diagnose(record(*effects), AXIS, library=(get_effect("position_ripple"), *SHORT))
+    assert answer.verdict == "named"
+    assert [finding.effect for finding in answer.findings] == ["position_ripple"] * 2
+    numbers = [finding.parameters for finding in answer.findings]
+    found = {round(number["period"]["value"], 5): number["amplitude"] for number in numbers}
+    assert set(found) == set(lines)
+    for period, amplitude in found.items():
+        assert amplitude["value"] == pytest.approx(lines[period], abs=4 * amplitude["std"])
+    assert [one.kind for one in answer.axis.effects] == ["position_ripple"] * 2
 
 
 def test_records_that_cannot_be_judged_say_what_to_record():
@@ -269,6 +292,27 @@ def test_gains_that_the_law_takes_from_each_record_may_differ():
         check_same_drive(one, other, AXIS)
     own = {"kind": "p", "kp": {"record": "kp", "scale": 390.0}}
     check_same_drive(one, other, AXIS.replace(controller=own))  # no refusal
+
+
+def test_a_motor_that_is_switched_off_tells_by_its_motion():
+    axis = AXIS.replace(controller={"kind": "p", "kp": {"record": "gain", "scale": 2.0}})
+    t = np.arange(4000) * 1e-3
+    reference = 0.05 * np.sin(2 * np.pi * 0.5 * t)
+    off = (t < 2.2).astype(float)
+    law = law_of(axis, 1e-3, {"gain": 1000.0})
+    run = Plant.of(axis).closed_loop(reference, law=law, enable=off)
+    seen = Record(t=t, q_ref=reference, q=run.q, u=run.u, period=1e-3, enable=off, extra={"gain": 1000.0})
+    problem = Problem(axis, (seen,), (split(seen),), Whitening.none())
+    right = Candidate.of(axis, sizes(seen.q, seen.u, 1e-3, axis.drive.gain))
+    rough = dataclasses.replace(right, baseline=right.baseline * [1.0, 1.0, 2.0, 1.0])
+    (left,), (more,) = Hypothesis(problem, right).residuals(), Hypothesis(problem, rough).residuals()
+    assert np.abs(left).max() < 0.05  # N
+    rolls = slice(2300, 4000)  # the same law that had the motor would ask for this
+    asked = 2000.0 * axis.drive.gain * (Hypothesis(problem, rough).run(0).q - seen.q)[rolls]
+    assert more[rolls] == pytest.approx(asked)
+    assert np.abs(asked).max() > 5.0
+    # Another motion of the same machine has the gain of the record too.
+    assert np.ptp(Hypothesis(problem, right).simulate(0, q_ref=0.5 * reference).force) > 1.0
 
 
 def test_records_of_one_stroke_each_fit_and_select_together():

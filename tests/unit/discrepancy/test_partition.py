@@ -44,6 +44,13 @@ def test_every_allowed_sample_fits_or_selects_and_none_does_both(laps):
     assert made.fit.sum() > made.select.sum() > 0
 
 
+def test_a_shaft_that_turns_on_and_on_is_cut_into_pieces_of_at_least_a_turn():
+    strokes = find_strokes(np.linspace(0.0, 5.5 * 2 * np.pi, 5000), 1e-3)
+    assert [stop - start for start, stop in strokes] == [1000] * 5
+    assert len(find_strokes(np.linspace(0.0, 400.0, 20000), 1e-3)) == 12
+    assert len(find_strokes(np.linspace(0.0, 6.0, 5000), 1e-3)) == 1  # less than a turn
+
+
 def test_what_is_not_allowed_is_not_used():
     q_ref = trapezoid_laps(1e-3, stroke=0.1, laps=3)
     allowed = np.arange(q_ref.size) < q_ref.size // 2
