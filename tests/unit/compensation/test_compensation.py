@@ -10,6 +10,7 @@ from emps_design.cli import app
 from emps_design.compensation import FeedForward, compensate
 from emps_design.compensation.feedback import feedback_cures, largest_factor
 from emps_design.compensation.feedforward import BASELINE, motion_ahead, terms_of
+from emps_design.compensation.study import Trial
 from emps_design.control.loop.nested import nested_loops
 from emps_design.control.loop.sampled_loop import axis_loop
 from emps_design.effects import EFFECTS
@@ -48,6 +49,15 @@ def test_every_effect_is_compensated(effect):
     assert rms["with"] < rms["baseline"] / 3.0 < rms["without"] / 9.0
     assert rms["with"] <= rms["worst"] < rms["baseline"]
     assert {*BASELINE} < {*found["kept"]}
+
+
+def test_each_set_of_terms_is_run_once(monkeypatch):
+    runs, run = [], Trial.run
+    monkeypatch.setattr(Trial, "run", lambda trial, ahead: runs.append(ahead) or run(trial, ahead))
+    found = compensate(with_effects(EFFECTS_HERE[1]), PROGRAM, terms=("viscous", "asymmetric_viscous_friction"))
+    for terms in ((), ("viscous",), found.feedforward.terms):
+        ahead = FeedForward.of(found.axis, terms).along(PROGRAM) if terms else None
+        assert sum(ahead is one if ahead is None else np.array_equal(ahead, one) for one in runs) == 1
 
 
 def test_the_formula_is_the_models():
