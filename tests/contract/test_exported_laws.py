@@ -15,7 +15,7 @@ from emps_design.codegen import export_controller, export_observer
 from emps_design.compensation import compensate
 from emps_design.compensation.feedforward import motion_ahead
 from emps_design.errors import InputError
-from emps_design.laws import LAWS
+from emps_design.laws import LAWS, get_law
 from emps_design.machines import machine
 from emps_design.observer import ForceObserver, observe_online
 from emps_design.simulation import Plant, trapezoid_laps
@@ -79,8 +79,7 @@ def test_the_folder_proves_itself(kind, estimator, tmp_path):
     rows = exported.vectors.q.size
     assert f"double precision: {rows} of {rows} rows with the same bits" in done.stdout
     assert f"single precision: {rows} of {rows} rows within their bound" in done.stdout
-    if estimator == "two_tap":
-        assert make_check(tmp_path, f"CFLAGS=-O1 -g {' '.join(SANITIZERS)}").returncode == 0
+    assert make_check(tmp_path, f"CFLAGS=-O1 -g {' '.join(SANITIZERS)}").returncode == 0
 
 
 def laps(axis, law, samples=100_000):
@@ -164,6 +163,33 @@ def test_a_compensated_law_has_the_simulations_bits(name, tmp_path):
     answers = Compiled(tmp_path, exported).run(*inputs)
     assert answers.size == 100_000
     np.testing.assert_array_equal(answers.view(np.int64), u.view(np.int64))
+
+
+def block_called(name):
+    """A block in C: of a law, of a compensated law, of an observer."""
+    if name == "observer":
+        return export_observer(machine("emps2018"), "c", 30.0)
+    if name in COMPENSATED:
+        axis = machine("emps2019").replace(effects=COMPENSATED[name])
+        return export_controller(axis, "c", compensate(axis, PROGRAM).to_dict())
+    return export_controller(axis_with(get_law(name)), "c")
+
+
+@pytest.mark.skipif(shutil.which("cppcheck") is None, reason="needs cppcheck")
+@pytest.mark.parametrize("name", [*GIVEN, *COMPENSATED, "observer"])
+def test_a_static_checker_has_nothing_to_say(name, tmp_path):
+    exported = block_called(name)
+    exported.write(tmp_path)
+    looks = [
+        "--enable=warning,style,performance,portability",
+        "--inconclusive",
+        "--std=c99",
+        "--quiet",
+        "--error-exitcode=1",
+    ]
+    for macro in ([], [f"-D{exported.name.upper()}_SINGLE"]):
+        done = subprocess.run(["cppcheck", *looks, *macro, tmp_path], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout + done.stderr) == (0, "")
 
 
 @compiled
