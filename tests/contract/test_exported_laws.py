@@ -20,7 +20,7 @@ from emps_design.machines import machine
 from emps_design.observer import ForceObserver, observe_online
 from emps_design.simulation import Plant, trapezoid_laps
 from tests.contract.test_laws import GIVEN, OWN, OWN_TABLE, axis_with
-from tests.unit.compensation.test_compensation import EFFECTS_HERE
+from tests.unit.compensation.test_compensation import DUTY, EFFECTS_HERE
 
 CC = shutil.which("cc")
 EVERY = pytest.mark.parametrize("kind", LAWS, ids=lambda kind: kind.name)
@@ -135,16 +135,17 @@ def test_one_changed_coefficient_is_noticed(kind, tmp_path):
 PROGRAM = trapezoid_laps(1e-3, 0.05, 0.15, 1.0, laps=1)
 LONG = trapezoid_laps(1e-3, 0.05, 0.15, 1.0, laps=100)[:100_000]
 COMPENSATED = {
-    "rigid": [],
-    "several": EFFECTS_HERE[:4],
-    "itself": [EFFECTS_HERE[4]],
-    "late": [EFFECTS_HERE[5], EFFECTS_HERE[7]],
+    "rigid": {},
+    "several": {"effects": EFFECTS_HERE[:4]},
+    "itself": {"effects": [EFFECTS_HERE[4]]},
+    "late": {"effects": [EFFECTS_HERE[5], EFFECTS_HERE[7]]},
+    "back-EMF": {"effects": [EFFECTS_HERE[4]], **DUTY},
 }
 
 
 def compensated(name, target):
     """A compensated block, what goes into it in a closed loop of 100,000 samples, and the command of the simulation."""
-    axis = machine("emps2019").replace(effects=COMPENSATED[name])
+    axis = machine("emps2019").replace(**COMPENSATED[name])
     found = compensate(axis, PROGRAM)
     run = Plant.of(axis).closed_loop(LONG, voltage_noise=found.feedforward.along(LONG), method="general")
     inputs = LONG, run.q, run.f_ext, *motion_ahead(LONG, 1e-3, found.feedforward.wait)
@@ -170,7 +171,7 @@ def block_called(name):
     if name == "observer":
         return export_observer(machine("emps2018"), "c", 30.0)
     if name in COMPENSATED:
-        axis = machine("emps2019").replace(effects=COMPENSATED[name])
+        axis = machine("emps2019").replace(**COMPENSATED[name])
         return export_controller(axis, "c", compensate(axis, PROGRAM).to_dict())
     return export_controller(axis_with(get_law(name)), "c")
 
@@ -194,7 +195,7 @@ def test_a_static_checker_has_nothing_to_say(name, tmp_path):
 
 @compiled
 def test_one_changed_number_of_the_feed_forward_is_noticed(tmp_path):
-    axis = machine("emps2019").replace(effects=COMPENSATED["several"])
+    axis = machine("emps2019").replace(**COMPENSATED["several"])
     exported = export_controller(axis, "c", compensate(axis, PROGRAM).to_dict())
     exported.write(tmp_path)
     path = tmp_path / f"{exported.name}.c"

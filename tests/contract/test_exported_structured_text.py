@@ -73,7 +73,7 @@ def test_the_text_of_the_observer_gives_the_bits_of_100000_samples_and_of_the_ve
 
 @pytest.mark.parametrize("name", COMPENSATED)
 def test_the_text_of_a_compensated_law_gives_the_bits_of_the_vectors(name):
-    axis = machine("emps2019").replace(effects=COMPENSATED[name])
+    axis = machine("emps2019").replace(**COMPENSATED[name])
     exported = export_controller(axis, "st", compensate(axis, PROGRAM).to_dict())
     vectors, blocks = exported.vectors, Blocks(exported.files[f"{exported.name}.st"])
     inputs = vectors.start, vectors.reference, vectors.q, vectors.f_ext, *vectors.motion
