@@ -20,7 +20,9 @@ pytest.importorskip("panel", reason="the extra 'studio' is not installed")
 from emps_design.axis import Axis
 from emps_design.cli.app import run
 from emps_design.control.velocity.design import design_velocity_loop
+from emps_design.control.velocity.structure import PI_WITH_REFERENCE_FILTER
 from emps_design.errors import InputError, RecordError, SpecificationError
+from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine, machine_names
 from emps_design.simulation.synthetic import synthetic_record
 from emps_design.studio import exports, jobs
@@ -35,6 +37,9 @@ from emps_design.studio.state import CHOICES, SPECIFICATIONS, TASKS, State
 from tests.browser.conftest import Studio
 from tests.unit.report.test_colours import SEEN_BY, lab
 
+LOW = [{"kind": "lowpass", "frequency": 150.0}]
+NOTCH = {"kind": "notch", "frequency": 48.0, "damping": 0.5, "depth": 0.1}
+
 
 def state(**values) -> State:
     return State.of(machine("emps2018")).changed(**values)
@@ -42,6 +47,7 @@ def state(**values) -> State:
 
 def test_a_state_goes_to_a_file_and_comes_back():
     saved = state(phase_margin_deg=47.5, computation_delay=2, current_ms=0.75, specification="bandwidth")
+    saved = saved.changed(structure="PI", filters=[*LOW, {**NOTCH, "frequency": "48Hz"}])
     saved = replace(saved.changed(task="pushed", push=60.0, plants=0, friction="asymmetric"), pinned=state(hand=5.0))
     back = State.from_toml(saved.to_toml())
     assert back == saved
@@ -60,6 +66,10 @@ def test_a_state_goes_to_a_file_and_comes_back():
         ("[studio]\nplants = 2.5\n", "plants: found 2.5, expected a whole number, 0 to 10000"),
         ('[studio]\nfilter = "30 V"\n', "filter: frequency: found '30 V', expected a number of rad/s, or such as 30Hz"),
         ('[studio]\nmass = "30"\n', "mass: found '30', expected 1 to 200"),
+        ('[studio]\nstructure = "pid"\n', "structure: found 'pid', expected IP or PI or PI with reference filter"),
+        ('[studio]\nfilters = [{kind = "notch", frequency = 50}]\n', "filters.0: .*damping: found None"),
+        ('[studio]\nfilters = [{kind = "lowpass", frequency = "5 V"}]\n', "filters.0: frequency: found '5 V'"),
+        ("[studio]\nfilters = 3\n", "filters: found 3, expected up to 8 tables"),
         ('[studio]\nspecification = "speed"\n', "specification: found 'speed', expected crossover or bandwidth"),
     ],
 )
@@ -95,13 +105,15 @@ def test_where_nothing_can_be_reached_the_reason_is_said():
     assert found.nearest(60.0) is None
 
 
+@pytest.mark.parametrize(("structure", "filters"), [("IP", []), ("PI", LOW), ("PI with reference filter", [])])
 @pytest.mark.parametrize("specification", SPECIFICATIONS)
-def test_the_plane_agrees_with_single_designs(specification):
+def test_the_plane_agrees_with_single_designs(specification, structure, filters):
     axis = machine("emps2018")
-    found = plane(axis, specification, 30.0, columns=6, rows=6)
+    now = State.of(axis).changed(specification=specification, structure=structure, filters=filters)
+    found = plane(now, columns=6, rows=6)
     for (row, column), place in np.ndenumerate(found.kind):
-        asked = {specification: float(found.x[column]), "phase_margin_deg": float(found.y[row])}
-        if KINDS[place] == "no gains by (7)":
+        asked = {**now.requested, specification: float(found.x[column]), "phase_margin_deg": float(found.y[row])}
+        if KINDS[place] == "no positive gains":
             with pytest.raises(Exception, match="phase margin"):
                 design_velocity_loop(axis, **asked)
             continue
@@ -113,7 +125,7 @@ def test_the_plane_agrees_with_single_designs(specification):
 @pytest.mark.parametrize("specification", SPECIFICATIONS)
 def test_beyond_the_reachable_frequencies_every_phase_margin_is_unstable(specification):
     axis = machine("emps2018")
-    _, highest = reachable_frequencies(axis, specification)
+    _, highest = reachable_frequencies(State.of(axis).changed(specification=specification))
     stable = [
         [
             design_velocity_loop(axis, **{specification: frequency, "phase_margin_deg": float(phase)}).sampled.stable
@@ -128,7 +140,7 @@ def test_beyond_the_reachable_frequencies_every_phase_margin_is_unstable(specifi
 def test_a_frequency_out_of_reach_moves_to_the_nearest_and_the_page_says_so():
     view = DesignView(state(), {name: machine(name) for name in machine_names()}, lambda state: None)
     view.turn("frequency", 600.0)
-    assert view.state.frequency == reachable_frequencies(machine("emps2018"), "crossover")[1]
+    assert view.state.frequency == reachable_frequencies(state())[1]
     assert "unstable with every phase margin" in view.message.object
     assert f"moved from 600 to {view.state.frequency:g} rad/s" in view.message.object
     assert view.knobs["frequency"].slider.end == view.state.frequency
@@ -173,6 +185,38 @@ def test_every_frequency_is_understood_with_its_unit_and_the_page_says_what_it_t
         assert "the design stays as it was" in view.message.object
     document = state().to_toml().replace(f"\n{name} = {getattr(state(), name)}", f'\n{name} = "30Hz"')
     assert getattr(State.from_toml(document), name) == pytest.approx(60 * np.pi)
+
+
+def test_structure_and_filters_are_those_of_the_axis_until_others_are_chosen():
+    drive = {"kind": "cascade", "velocity": {"kp": 300.0, "ti": 0.03}, "filters": LOW}
+    axes = {"drive": machine("emps2018").replace(name="drive", controller=drive), "emps2018": machine("emps2018")}
+    view = DesignView(State.of(axes["drive"]), axes, lambda state: None)
+    assert (view.state.structure, view.words["structure"].value, len(view.filters.fields)) == ("PI", "PI", 1)
+    assert "PI, 1 filter" in view.numbers.object
+    assert "largest [(m/s)/N]" in view.laws.object  # the force loop goes around PI with its filters too
+    view.machine.value = "emps2018"
+    assert (view.words["structure"].value, view.filters.fields) == ("IP", [])
+    view.words["structure"].value = "PI with reference filter"
+    view.filters._add("notch")
+    view.filters.fields[0]["frequency"].value = " 70 Hz"
+    assert view.filters.fields[0]["frequency"].value == "70"
+    view.filters.fields[0]["depth"].value = "0.2"
+    notch = Filter(kind="notch", frequency=70.0, damping=0.3, depth=0.2)
+    assert view.design.filters == view.state.filters == (notch,)
+    asked = {"crossover": 100.0, "phase_margin_deg": 60.0}
+    design = design_velocity_loop(axes["emps2018"], **asked, structure=PI_WITH_REFERENCE_FILTER, filters=(notch,))
+    assert view.design.k_v1 == design.k_v1
+    assert f"{design.sampled.margins.phase_margin_deg:.1f}°" in view.numbers.object
+    assert json.loads(exports.gains_json(view.state))["filters"] == [notch.model_dump(exclude_none=True)]
+    assert Axis.from_toml(exports.model_toml(view.state)).controller.filters[0]["frequency"] == 70.0
+    for name, wrong in (("frequency", "70 V"), ("depth", "2"), ("damping", ""), ("frequency", "-3")):
+        before = view.filters.fields[0][name].value
+        view.filters.fields[0][name].value = wrong
+        assert "the design stays as it was" in view.message.object, wrong
+        assert view.filters.fields[0][name].value == before
+        assert view.state.filters == (notch,)
+    view.filters._take_away(0)
+    assert view.state.filters == view.design.filters == ()
 
 
 def test_a_refused_upload_takes_the_record_before_it_away():
