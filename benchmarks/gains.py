@@ -163,11 +163,15 @@ def gantry(folder):
 
 
 def notch():
-    """A load behind 48 Hz, with the notch that is suggested and without, at equal margins."""
+    """A load behind 48 Hz, with the notch that is suggested and without: at equal margins, and within equal limits."""
     coupling = {"kind": "flexible_coupling", "frequency": 48.0, "damping": 0.02, "share": 0.7}
     found = suggest_filter(machine("emps2018").replace(effects=[coupling]), 50.0, PI)
-    sides = {name: {key: found[name][key] for key in ("crossover", "margins")} for name in ("without", "with")}
-    return {"filter": found["filter"], **sides}
+    sides = {name: found[name] for name in ("without", "with_equal_margins", "with")}
+    gained = {
+        name: sides[name]["crossover"] / sides["without"]["crossover"] - 1.0 for name in ("with_equal_margins", "with")
+    }
+    shown = {name: {key: side[key] for key in ("crossover", "margins")} for name, side in sides.items()}
+    return {"filter": found["filter"], "gained": gained, **shown}
 
 
 def load_range():

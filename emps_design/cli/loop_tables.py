@@ -26,8 +26,9 @@ def _print_suggestion(found: dict[str, Any]) -> None:
     one, sides = found["filter"], [("without", found["without"])]
     if one is not None:
         words = loop_in_words({"structure": "", "reference_filter": False, "filters": [one]}).removeprefix(" with ")
-        sides.append((words, found["with"]))
-    title = f"Fastest loop with {number(found['phase_margin_deg'])} deg and a gain margin of 2"
+        sides += [(f"{words}, equal margins", found["with_equal_margins"]), (words, found["with"])]
+    least = number(found["gain_margin_at_least"])
+    title = f"Fastest loop with {number(found['phase_margin_deg'])} deg and a gain margin of {least} or more"
     table = new_table(title, "", *(name for name, _ in sides), "unit")
     for label, key, unit, scale in (
         ("crossover", "crossover", "Hz", 1.0 / HERTZ),

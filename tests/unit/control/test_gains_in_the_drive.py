@@ -20,8 +20,11 @@ def test_random_axes_against_brute_force():
 def test_a_notch_at_48_hz_gains_crossover_at_equal_margins():
     found = gains.notch()
     assert found["filter"]["kind"] == "notch"
-    assert found["with"]["crossover"] > 1.5 * found["without"]["crossover"]
-    for side in ("without", "with"):
+    assert found["gained"]["with_equal_margins"] > 0.15
+    assert found["gained"]["with"] > 0.5
+    for name in ("phase_margin_deg", "gain_margin", "disk_margin"):
+        assert found["with_equal_margins"]["margins"][name] >= (1.0 - 1e-6) * found["without"]["margins"][name], name
+    for side in ("without", "with_equal_margins", "with"):
         assert found[side]["margins"]["phase_margin_deg"] == pytest.approx(50.0, abs=1e-5)
         assert found[side]["margins"]["gain_margin"] >= 2.0
 
