@@ -41,11 +41,25 @@ def _print_suggestion(found: dict[str, Any]) -> None:
         table.add_row(label, *(_cell(side[key], scale) for _, side in sides), unit)
     for label, key in (("gain margin", "gain_margin"), ("disk margin", "disk_margin")):
         table.add_row(label, *(_cell(side["margins"] and side["margins"][key], 1.0) for _, side in sides), "ratio")
+    if "model" in found:
+        for label, key, unit in (
+            ("on the data: phase margin", "phase_margin_deg", "deg"),
+            ("gain margin", "gain_margin", "ratio"),
+            ("disk margin", "disk_margin", "ratio"),
+        ):
+            table.add_row(label, *(_on_data(side, key) for _, side in sides), unit)
     console.print(table)
+    if "model" in found:
+        console.print(f"found on {found['model']}, then tried on the data", highlight=False, soft_wrap=True)
     for name, side in sides:
         console.print(f"what binds first, {name}: {side['limits']['binding']}", highlight=False, soft_wrap=True)
     if one is None:
         console.print("no notch or low-pass makes it a tenth faster")
+
+
+def _on_data(side: dict[str, Any], key: str) -> str:
+    measured = side.get("measured")
+    return "-" if measured is None else _cell(measured[key], 1.0) if measured["stable"] else "UNSTABLE"
 
 
 def _print_position_loop(found: dict[str, Any]) -> None:
