@@ -47,6 +47,11 @@ CHOICES: dict[str, Choice] = {
     "push": Choice("Push [N]", 1.0, 500.0, 5.0),
     "hand_stiffness": Choice("Hand stiffness [N/m]", 0.0, 20000.0, 100.0),
     "hand_damping": Choice("Hand damping [N/(m/s)]", 0.0, 2000.0, 10.0),
+    "stroke": Choice("Stroke [m]", 1e-6, 1000.0, 0.01),
+    "speed": Choice("Speed [m/s]", 1e-6, 1000.0, 0.01),
+    "acceleration": Choice("Acceleration [m/s^2]", 1e-6, 1e6, 0.1),
+    "pause": Choice("Pause [s]", 0.0, 100.0, 0.1),
+    "position_kp": Choice("Position gain kp [1/s]", 0.01, 10000.0, 1.0),
     "plants": Choice("Random plants", 0, 10000, 100),
     "seed": Choice("Seed", 0, 10**6, 1),
 }
@@ -54,6 +59,8 @@ MOST_FILTERS = 8
 SPECIFICATIONS = ("crossover", "bandwidth")
 LABELS = {one.label: one for one in STRUCTURES}
 PLACES = ("plant input", "velocity error")
+MOTIONS = ("there and back", "file", "record")
+FEEDFORWARDS = ("of the axis", "none", "velocity", "velocity and acceleration")
 TASKS = ("guided", "pushed")
 FRICTIONS = ("symmetric", "asymmetric")
 WORDS = {
@@ -62,6 +69,8 @@ WORDS = {
     "place": PLACES,
     "task": TASKS,
     "friction": FRICTIONS,
+    "motion": MOTIONS,
+    "feedforward": FEEDFORWARDS,
 }
 
 
@@ -102,6 +111,13 @@ class State:
     push: float = 40.0
     hand_stiffness: float = 1000.0
     hand_damping: float = 100.0
+    motion: str = "there and back"
+    stroke: float = 0.24
+    speed: float = 0.2
+    acceleration: float = 1.0
+    pause: float = 0.1
+    position_kp: float = 20.0
+    feedforward: str = "of the axis"
     plants: int = 200
     seed: int = 0
     friction: str = "symmetric"
@@ -114,7 +130,8 @@ class State:
     def with_axis(self, axis: Axis) -> State:
         """The same specification on another ``axis``."""
         structure, filters = own_structure(axis).label, own_filters(axis)
-        return replace(self, axis=axis, structure=structure, filters=filters, **_clock(axis))
+        kp = (axis.controller.position or {}).get("kp", self.position_kp)
+        return replace(self, axis=axis, structure=structure, filters=filters, position_kp=kp, **_clock(axis))
 
     def changed(self, **values: Any) -> State:
         """The state with some numbers changed, each within the range of its control, and the axis kept in step."""

@@ -30,7 +30,6 @@ from emps_design.control.plant.environment import Environment, attached, felt
 from emps_design.control.plant.linear_plant import POSITION, VELOCITY
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.sampled import SampledVelocityLoop, velocity_law
-from emps_design.control.velocity.structure import IP, Structure
 from emps_design.errors import InputError
 from emps_design.notebook import table
 from emps_design.quantities import check_magnitude
@@ -115,14 +114,8 @@ class ForceLoopDesign:
         An array (m,) gives m loops.
         """
         loop, gain = self.velocity_loop, self.k_e1 if k_e1 is None else k_e1
-        law = velocity_law(self._plant, loop.k_v1, loop.t_v, self._structure, gain)
+        law = velocity_law(self._plant, loop.k_v1, loop.t_v, loop.structure.as_computed, gain)
         return close(self._plant, law, felt(self._plant.linear, self._operator), self.sensor_delay)
-
-    @property
-    def _structure(self) -> Structure:
-        """The structure of the sampled law: PI behind the reference filter computes what IP does."""
-        structure = self.velocity_loop.structure
-        return IP if structure.reference_filter else structure
 
     @property
     def poles(self) -> np.ndarray:
@@ -187,7 +180,7 @@ class ForceLoopDesign:
         """Sampled force loop, broken at the velocity reference, at ``w`` [rad/s]."""
         plant, loop = self._plant, self.velocity_loop
         inner = SampledVelocityLoop(plant, loop.k_v1, loop.t_v)
-        ahead = 1.0 if self._structure.form == "pi" else 0.0
+        ahead = 1.0 if loop.structure.as_computed.form == "pi" else 0.0
         by_reference = loop.k_v1 * (ahead + plant.integrator(w) / loop.t_v) * plant.filter_response(w)
         voltage = by_reference / (1.0 + inner.plant_input_response(w))
         states = plant.state_response(w)

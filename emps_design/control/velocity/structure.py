@@ -65,6 +65,11 @@ class Structure:
         """The phase margin [deg] from which on no plant has gains, at any crossover."""
         return 90.0 if self.form == "ip" else 180.0
 
+    @property
+    def as_computed(self) -> Structure:
+        """The structure whose law computes the same, sample by sample: PI behind its reference filter is IP."""
+        return IP if self.reference_filter else self
+
     def place(self, at: str) -> str:
         """The place, one of ``PLACES``, having the loop broken ``at``: with "pi" both have that of the plant input."""
         return PLACES[0] if self.form == "pi" else at

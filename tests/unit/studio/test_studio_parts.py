@@ -19,12 +19,14 @@ pytest.importorskip("panel", reason="the extra 'studio' is not installed")
 
 from emps_design.axis import Axis
 from emps_design.cli.app import run
+from emps_design.control.position import PositionLoopDesign
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.control.velocity.structure import PI_WITH_REFERENCE_FILTER
-from emps_design.errors import InputError, RecordError, SpecificationError
+from emps_design.errors import EmpsError, InputError, RecordError, SpecificationError
 from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine, machine_names
-from emps_design.simulation.synthetic import synthetic_record
+from emps_design.simulation.scenarios import follow
+from emps_design.simulation.synthetic import synthetic_record, there_and_back
 from emps_design.studio import exports, jobs
 from emps_design.studio.app import Session
 from emps_design.studio.data_view import LIMIT_MB, DataView, read_upload
@@ -526,7 +528,91 @@ def test_an_excited_record_gives_its_response_and_the_axis_that_fits_it():
     assert stages[-1] == ("drawing", 0.8)
 
 
-def test_what_is_fed_forward_is_chosen_tried_and_handed_out(monkeypatch, tmp_path):
+@pytest.fixture
+def at_once(monkeypatch):
+    """Work of a tab done where it is started; what went wrong is raised."""
+
+    def start(job, work, done, failed):
+        try:
+            found = work(lambda stage, share: None)
+        except EmpsError as error:
+            failed(str(error))
+        else:
+            done(found)
+
+    monkeypatch.setattr(jobs.Job, "start", start)
+
+
+def test_a_motion_of_ones_own_is_simulated_under_the_design_and_under_the_drive(at_once):
+    drive = {"kind": "cascade", "position": {"kp": 12.0, "every": 2}, "velocity": {"kp": 300.0, "ti": 0.05}}
+    session = Session(machine("emps2018").replace(name="own", controller={**drive, "filters": LOW}))
+    view, turn = session.motion, session.design.turn
+    turn("frequency", 60.0)
+    turn("stroke", 0.05)
+    view._start()
+    loop = PositionLoopDesign(session.design.design, 12.0, 2, {})
+    program = np.concatenate([np.zeros(100), there_and_back(1e-3, 0.05, 0.2, 1.0, 0.1)])
+    for name, axis in (("this design", loop.axis()), ("the axis's own controller", session.state.axis)):
+        expected = follow(axis, program).to_dict()["tracking_error"]
+        assert view.found.runs[name].to_dict()["tracking_error"] == expected
+    assert "kp 12 1/s in every 2. sample" in view.message.object
+    assert "<svg" in view.picture.object
+    turn("required_phase_deg", 20.0)  # nothing that a motion depends on
+    assert "<svg" in view.picture.object
+    for name, value in (("position_kp", 8.0), ("filters", []), ("structure", "IP"), ("feedforward", "velocity")):
+        turn(name, value)
+        assert view.found is None, name
+        assert view.picture.object == view.message.object == ""
+        view._start()
+    assert view.found.loop.axis(velocity=1.0).controller == view.found.runs["this design"].axis.controller
+    assert view.found.runs["this design"].axis.controller.velocity["form"] == "ip"
+    session.design.machine.value = "emps2018"  # has no controller
+    assert view.found is None
+    view._start()
+    assert list(view.found.runs) == ["this design"]
+    assert "which follows no position" in view.message.object
+
+
+def test_a_motion_from_a_file_or_the_records_reference(at_once):
+    axis = machine("emps2019")
+    session = Session(axis, synthetic_record(axis, laps=1))
+    view = session.motion
+    session.design.turn("motion", "file")
+    view._start()
+    assert "found no file" in view.message.object
+    view.file.filename, view.file.value = "C:\\way.csv", b"t,q_ref [mm]\n0,0\n1,50\n2,50\n"
+    view._start()
+    run = view.found.runs["this design"].run
+    assert run.q_ref[[0, 500, 1000, 2000]] == pytest.approx([0.0, 0.025, 0.05, 0.05])
+    assert "way.csv, straight between its rows" in view.message.object
+    view.file.value = b"t,q_ref\n0,0\n0,1\n"
+    assert view.found is None
+    view._start()
+    assert "way.csv: column t: sample 1 is not later than the one before" in view.message.object
+    session.design.turn("motion", "record")
+    view._start()
+    np.testing.assert_allclose(view.found.runs["this design"].run.q_ref, session.data.record.q_ref, atol=1e-12)
+    assert not view.file.visible
+    session.design.turn("motion", "there and back")
+    session.design.turn("speed", 1e-5)
+    view._start()
+    assert "take a shorter stroke or pause" in view.message.object
+    assert view.picture.object == ""
+
+
+def test_a_simulation_of_other_numbers_is_taken_away(at_once):
+    session = Session(machine("emps2018"))
+    view = session.simulation
+    session.design.turn("plants", 0)
+    view._start()
+    assert "<svg" in view.pictures["task"].object
+    session.design.turn("frequency", 80.0)  # of the velocity loop: the impedance law has none
+    assert "<svg" in view.pictures["task"].object
+    session.design.turn("mass", 60.0)
+    assert view.message.object == view.pictures["task"].object == ""
+
+
+def test_what_is_fed_forward_is_chosen_tried_and_handed_out(at_once, tmp_path):
     ripple = {"kind": "position_ripple", "amplitude": 6.0, "phase": 0.7, "period": 0.005}
     gap = {"kind": "backlash", "gap": 1e-4, "frequency": 60.0, "damping": 0.1, "share": 0.4}
     session = Session(machine("emps2019").replace(name="own", effects=[ripple, gap]))
@@ -534,7 +620,6 @@ def test_what_is_fed_forward_is_chosen_tried_and_handed_out(monkeypatch, tmp_pat
     assert view.terms.value == ["inertia", "viscous", "coulomb", "constant", "position_ripple"]
     assert "backlash is not compensated" in view.left.object
     assert view.download.disabled
-    monkeypatch.setattr(jobs.Job, "start", lambda job, work, done, failed: done(work(lambda stage, share: None)))
     view._start()
     found, best = view.found, view.found.achieved
     assert "position_ripple" in found.feedforward.terms
