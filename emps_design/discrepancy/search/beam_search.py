@@ -13,6 +13,7 @@ from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.fit import Fit, admissible, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.search.calibration import Calibration, Progress
+from emps_design.discrepancy.search.exchange import exchanges
 from emps_design.discrepancy.search.extension import converged, extensions
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.search.starts import screen, tangent
@@ -30,38 +31,76 @@ def search(calibration: Calibration, progress: Progress) -> Outcome:
 
     An interrupt from the keyboard ends the search where it is.
     """
-    baseline, accept = calibration.baseline, calibration.judge.accepts
-    noise = baseline.problem.samples("used")
-    tried: FitsBySet = {frozenset(baseline.model.names): baseline}
+    baseline, judge = calibration.baseline, calibration.judge
+    known = baseline.model.names
+    tried: FitsBySet = {frozenset(known): baseline}
     alone: dict[str, float] = {}
-    path, beam = [baseline], [baseline]
+    path, warnings, interrupted = [baseline], calibration.warnings, False
     try:
-        while len(path) <= MOST_EFFECTS:
-            ranked: list[Fit] = []
-            for general in (False, True):
-                sound, gains = _round(calibration, beam, len(path), general, progress)
-                alone = alone or gains
-                tried.update({key: f for key, f in sound.items() if key not in tried or f.cost < tried[key].cost})
-                ranked = [f for f in sorted(sound.values(), key=lambda f: f.cost) if accept(f, path[-1])]
-                ranked = ranked or _late(path[-1], sound, accept)
-                if ranked:
-                    break
-            if not ranked:
-                break
-            gain = baseline.cost - ranked[0].cost
-            leading = ranked[: BEAM[min(len(path), len(BEAM)) - 1]]
-            leading = [f for f in leading if baseline.cost - f.cost >= rules.RIVAL * gain]
-            beam = sorted((converged(f) for f in leading), key=lambda f: f.cost)
-            path.append(beam[0])
-            explained = baseline.cost - path[-1].cost
-            if len(path) > rules.ENOUGH_ROUNDS and explained < rules.LEAST_EXPLAINED * (baseline.cost - noise):
-                break
-        path += _pruned(path[-1], baseline.model.names, accept)
+        _extend(calibration, path, tried, alone, progress)
+        path += _pruned(path[-1], known, judge.accepts)
+        while (better := _exchanged(calibration, path[-1], tried, progress)) is not None:
+            path.append(better)
+            _extend(calibration, path, tried, alone, progress)
+            path += _pruned(path[-1], known, judge.accepts)
         tried |= _rivals(path, tried)
     except KeyboardInterrupt:
-        warnings = (*calibration.warnings, UNFINISHED)
-        return Outcome(calibration, tuple(path), tried, alone, interrupted=True, warnings=warnings)
-    return Outcome(calibration, tuple(path), tried, alone, warnings=calibration.warnings)
+        warnings, interrupted = (*warnings, UNFINISHED), True
+    return Outcome(calibration, tuple(path), tried, alone, interrupted, warnings)
+
+
+def _extend(
+    calibration: Calibration, path: list[Fit], tried: FitsBySet, alone: dict[str, float], progress: Progress
+) -> None:
+    """Add effects to the last model of ``path`` while one is accepted, and to ``tried`` what was fitted on the way.
+
+    ``alone`` takes what each effect gained in the very first round.
+    """
+    baseline, accept, beam = calibration.baseline, calibration.judge.accepts, path[-1:]
+    noise = baseline.problem.samples("used")
+    while (found := len(path[-1].model.effects) - len(baseline.model.effects)) < MOST_EFFECTS:
+        ranked: list[Fit] = []
+        for general in (False, True):
+            sound, gains = _round(calibration, beam, found + 1, general, progress)
+            alone |= {} if alone else gains
+            _remember(tried, sound)
+            ranked = [f for f in sorted(sound.values(), key=lambda f: f.cost) if accept(f, path[-1])]
+            ranked = ranked or _late(path[-1], sound, accept)
+            if ranked:
+                break
+        if not ranked:
+            break
+        gain = baseline.cost - ranked[0].cost
+        leading = ranked[: BEAM[min(found + 1, len(BEAM)) - 1]]
+        leading = [f for f in leading if baseline.cost - f.cost >= rules.RIVAL * gain]
+        beam = sorted((converged(f) for f in leading), key=lambda f: f.cost)
+        path.append(beam[0])
+        explained = baseline.cost - path[-1].cost
+        if found + 1 >= rules.ENOUGH_ROUNDS and explained < rules.LEAST_EXPLAINED * (baseline.cost - noise):
+            break
+
+
+def _exchanged(calibration: Calibration, best: Fit, tried: FitsBySet, progress: Progress) -> Fit | None:
+    """``best`` with another effect, or another shape, in the place of one, where that leaves clearly less.
+
+    Looked for in company only, where what was found first was fitted while the rest was missing; of two effects only
+    where structure is left.
+    """
+    known, judge = calibration.baseline.model.names, calibration.judge
+    found = len(best.model.effects) - len(known)
+    if found < 2 or (found == 2 and judge.at_floor(best)):
+        return None
+    progress("each effect anew beside the others", 0.95)
+    others = exchanges(best, known, calibration.preparation.library)
+    _remember(tried, {frozenset(f.model.names): f for f in sorted(others, key=lambda f: -f.cost)})
+    least = min(others, key=lambda f: f.cost, default=best)
+    pays = best.cost - least.cost > max(judge.healthy.threshold, rules.STILL_PAYS * best.cost)
+    return converged(least) if pays else None
+
+
+def _remember(tried: FitsBySet, fits: FitsBySet) -> None:
+    """Keep in ``tried`` the better fit of each set."""
+    tried.update({key: f for key, f in fits.items() if key not in tried or f.cost < tried[key].cost})
 
 
 def _round(
