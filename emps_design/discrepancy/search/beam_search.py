@@ -14,7 +14,7 @@ from emps_design.discrepancy.model.fit import Fit, admissible, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.search.calibration import Calibration, Progress
 from emps_design.discrepancy.search.exchange import exchanges
-from emps_design.discrepancy.search.extension import converged, extensions
+from emps_design.discrepancy.search.extension import converged, extensions, freed
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.search.starts import screen, tangent
 
@@ -37,12 +37,14 @@ def search(calibration: Calibration, progress: Progress) -> Outcome:
     alone: dict[str, float] = {}
     path, warnings, interrupted = [baseline], calibration.warnings, False
     try:
-        _extend(calibration, path, tried, alone, progress)
-        path += _pruned(path[-1], known, judge.accepts)
-        while (better := _exchanged(calibration, path[-1], tried, progress)) is not None:
-            path.append(better)
+        for _ in range(MOST_EFFECTS):
             _extend(calibration, path, tried, alone, progress)
             path += _pruned(path[-1], known, judge.accepts)
+            better = _exchanged(calibration, path[-1], tried, progress) or _curve(calibration, path, tried, progress)
+            if better is None:
+                break
+            path.append(better)
+        path[-1] = freed(path[-1])
         tried |= _rivals(path, tried)
     except KeyboardInterrupt:
         warnings, interrupted = (*warnings, UNFINISHED), True
@@ -58,26 +60,37 @@ def _extend(
     """
     baseline, accept, beam = calibration.baseline, calibration.judge.accepts, path[-1:]
     noise = baseline.problem.samples("used")
-    while (found := len(path[-1].model.effects) - len(baseline.model.effects)) < MOST_EFFECTS:
-        ranked: list[Fit] = []
-        for general in (False, True):
-            sound, gains = _round(calibration, beam, found + 1, general, progress)
-            alone |= {} if alone else gains
-            _remember(tried, sound)
-            ranked = [f for f in sorted(sound.values(), key=lambda f: f.cost) if accept(f, path[-1])]
-            ranked = ranked or _late(path[-1], sound, accept)
-            if ranked:
-                break
+    while (number := 1 + _found(calibration, path[-1])) <= MOST_EFFECTS:
+        sound, gains = _round(calibration, beam, number, False, progress)
+        alone |= {} if alone else gains
+        _remember(tried, sound)
+        ranked = _ranked(path[-1], sound, accept)
         if not ranked:
             break
         gain = baseline.cost - ranked[0].cost
-        leading = ranked[: BEAM[min(found + 1, len(BEAM)) - 1]]
+        leading = ranked[: BEAM[min(number, len(BEAM)) - 1]]
         leading = [f for f in leading if baseline.cost - f.cost >= rules.RIVAL * gain]
         beam = sorted((converged(f) for f in leading), key=lambda f: f.cost)
         path.append(beam[0])
         explained = baseline.cost - path[-1].cost
-        if found + 1 >= rules.ENOUGH_ROUNDS and explained < rules.LEAST_EXPLAINED * (baseline.cost - noise):
+        if number >= rules.ENOUGH_ROUNDS and explained < rules.LEAST_EXPLAINED * (baseline.cost - noise):
             break
+
+
+def _curve(calibration: Calibration, path: list[Fit], tried: FitsBySet, progress: Progress) -> Fit | None:
+    """The last model of ``path`` with a curve of any shape, where that is accepted."""
+    accept, number = calibration.judge.accepts, 1 + _found(calibration, path[-1])
+    if number > MOST_EFFECTS:
+        return None
+    sound, _ = _round(calibration, path[-1:], number, True, progress)
+    _remember(tried, sound)
+    ranked = _ranked(path[-1], sound, accept)
+    return converged(ranked[0]) if ranked else None
+
+
+def _found(calibration: Calibration, fitted: Fit) -> int:
+    """How many effects ``fitted`` has beside what is known from the controller's law."""
+    return len(fitted.model.effects) - len(calibration.baseline.model.effects)
 
 
 def _exchanged(calibration: Calibration, best: Fit, tried: FitsBySet, progress: Progress) -> Fit | None:
@@ -86,8 +99,7 @@ def _exchanged(calibration: Calibration, best: Fit, tried: FitsBySet, progress: 
     Looked for in company only, where what was found first was fitted while the rest was missing; of two effects only
     where structure is left.
     """
-    known, judge = calibration.baseline.model.names, calibration.judge
-    found = len(best.model.effects) - len(known)
+    known, judge, found = calibration.baseline.model.names, calibration.judge, _found(calibration, best)
     if found < 2 or (found == 2 and judge.at_floor(best)):
         return None
     progress("each effect anew beside the others", 0.95)
@@ -130,6 +142,12 @@ def _round(
             if key not in pool or extended.cost < pool[key].cost:
                 pool[key] = extended
     return {key: fitted for key, fitted in pool.items() if admissible(fitted)}, alone
+
+
+def _ranked(current: Fit, sound: FitsBySet, accept: Accept) -> list[Fit]:
+    """Those of ``sound`` that are accepted, best first."""
+    ranked = [f for f in sorted(sound.values(), key=lambda f: f.cost) if accept(f, current)]
+    return ranked or _late(current, sound, accept)
 
 
 def _late(current: Fit, sound: FitsBySet, accept: Accept) -> list[Fit]:
