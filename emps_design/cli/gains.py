@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -140,16 +139,13 @@ def command(
         },
         controller={"velocity_estimator": velocity_estimator},
     )
-    form = structure_asked_for(machine, structure)
-    if form.form == "ip":
-        refuse_ignored(context, ["reference_filter"], "goes with --structure pi; ip has no zero to take away")
     errors = _errors(machine, mismatch, sigma_from)
     specification: dict[str, Any] = {
         "crossover": crossover,
         "bandwidth": bandwidth,
         "phase_margin_deg": phase_margin,
         "velocity": velocity,
-        "structure": replace(form, reference_filter=reference_filter),
+        "structure": structure_asked_for(context, machine, structure, reference_filter),
         "filters": filters_asked_for(filters),
     }
     responses = _responses(frf or [])

@@ -226,8 +226,6 @@ def compensate(
     worst = _worst(trial, kept, mismatch, phase_deg)
     warnings = [f"{name} is not compensated: {reason}" for name, reason in left.items()]
     warnings += [f"{name} is left out: {note}" for name, note in notes.items()]
-    if axis.drive.back_emf > 0.0:
-        warnings.append("the back-EMF of the motor is not fed forward")
     if trial.braking is None:
         warnings.append(
             "what the law answers on its own reference goes beyond the limit and is not taken off; in a cascade, give "
@@ -290,6 +288,8 @@ def _changes(ahead: FeedForward, mismatch: float, phase_deg: float, only: str | 
     for name, at in BASELINE.items():
         if name in wanted:
             found.append(lambda side, given, at=at: _with_baseline(given, at, 1.0 + side * mismatch))
+    if ahead.back_emf and "viscous" in wanted:
+        found.append(lambda side, given: replace(given, back_emf=given.back_emf * (1.0 + side * mismatch)))
     for place, (name, one) in enumerate(zip(names_of_effects(ahead.axis), ahead.axis.effects, strict=True)):
         for at, parameter in enumerate(one.effect.parameters if name in wanted else ()):
             if parameter.discrete or parameter.name == one.effect.repeats:

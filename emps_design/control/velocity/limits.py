@@ -170,6 +170,24 @@ def suggest_filter(
     }
 
 
+def first_try(axis: Axis, crossover: float, kind: str) -> Filter:
+    """A filter to start from: a "notch" at the lowest resonance of ``axis``, a "lowpass" above ``crossover`` [rad/s].
+
+    Of a rigid axis the notch is above the crossover too.
+
+    >>> from emps_design.machines import machine
+    >>> bent = [{"kind": "flexible_coupling", "frequency": 48.0, "damping": 0.02, "share": 0.7}]
+    >>> round(first_try(machine("emps2018").replace(effects=bent), 60.0, "notch").frequency, 1)
+    48.4
+    """
+    corner = LOWPASSES[-1] * crossover / (2.0 * math.pi)
+    if kind == "lowpass":
+        return Filter(kind=kind, frequency=corner)
+    at_resonances = [one for one in _candidates(sample_axis(axis), crossover) if one.kind == kind]
+    damping, depth = NOTCHES[0]
+    return (*at_resonances, Filter(kind=kind, frequency=corner, damping=damping, depth=depth))[0]
+
+
 def _candidates(plant: SampledPlant, crossover: float) -> list[Filter]:
     """Filters to try: notches at the resonances, where the discretisation puts them, and low-passes above."""
     T, found = plant.period, []

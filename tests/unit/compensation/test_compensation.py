@@ -17,7 +17,7 @@ from emps_design.effects import EFFECTS
 from emps_design.errors import InputError, SimulationError, UnstableError
 from emps_design.laws import get_law
 from emps_design.machines import machine
-from emps_design.model import plant_force
+from emps_design.model import inverse_force, plant_force
 from emps_design.simulation import Plant, trapezoid_laps
 
 PROGRAM = trapezoid_laps(1e-3, 0.05, 0.15, 1.0, laps=1)
@@ -35,6 +35,13 @@ GAINS = {
     "ip_velocity": {"k_v1": 400.0, "t_v": 0.02},
     "cascade": {"position": {"kp": 40.0}, "velocity": {"kp": 400.0, "ti": 0.03}, "feedforward": {"velocity": 1.0}},
     "p": {"kp": 4000.0},
+}
+
+
+# A motor without a current loop whose command is a share of 24 V.
+DUTY = {
+    "drive": {"command": "duty", "command_unit": "", "command_limit": 1.0, "supply": 24.0, "back_emf": 15.0},
+    "controller": {"kp": 160.0, "kv": 10.0},
 }
 
 
@@ -70,6 +77,17 @@ def test_the_formula_is_the_models():
     given = replace(FeedForward.of(axis, terms), reversal=1e-3)
     force = axis.drive.force_gain * given.command(q, v, a)
     model = plant_force(axis, q, v, a, np.zeros(q.size))
+    np.testing.assert_allclose(force[moving], model[moving], rtol=1e-9, atol=1e-7)
+
+
+def test_the_back_emf_and_the_supply_are_in_the_command():
+    """Against the inverse model of the axis, and on the nonlinear machine."""
+    axis = with_effects(EFFECTS_HERE[4], **DUTY)
+    found = compensate(axis, PROGRAM)
+    assert found.achieved < found.baseline / 3.0 < found.without / 9.0
+    q, v, a = motion_ahead(PROGRAM, 1e-3, 5e-4)
+    moving, t = np.abs(v) > 0.01, np.zeros(q.size)
+    force, model = axis.drive.gain * found.feedforward.command(q, v, a), inverse_force(axis, q, v, a, t)
     np.testing.assert_allclose(force[moving], model[moving], rtol=1e-9, atol=1e-7)
 
 
