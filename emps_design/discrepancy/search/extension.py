@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.model.fit import Fit, admissible, bounds_met, evaluate, fit, on_bound, plausible
+from emps_design.discrepancy.model.fit import Fit, admissible, bounds_met, evaluate, fit, plausible
 from emps_design.discrepancy.model.least_squares import Descent, descend
 from emps_design.discrepancy.model.missing_force import missing_force
 from emps_design.discrepancy.model.parallel import side_by_side
@@ -49,8 +49,7 @@ def extensions(current: Fit, screened: list[list[Start]], absorbed: Tangent) -> 
         leaders = sorted(screened, key=lambda found: -found[0].gain)[:BENT_EFFECTS]
         more = [start.hypothesis for found in leaders for start in found[:BENT_STARTS]]
         begins += [hypothesis for hypothesis in more if plausible(hypothesis)]
-    fits = side_by_side(fit, [(begin,) for begin in begins])
-    fits += side_by_side(_held, [pair for pair in zip(begins, fits, strict=True) if on_bound(pair[1])])
+    fits = side_by_side(_fitted, [(begin,) for begin in begins])
     return sorted(fits, key=lambda f: f.cost), gains
 
 
@@ -78,15 +77,17 @@ def _short_fit(start: Start, absorbed: Tangent) -> Descent:
     return descend(start.model, own, lambda m: free(start.hypothesis.with_model(m).residual("fit")), SHORT_STEPS)
 
 
-def _held(begin: Hypothesis, ended: Fit) -> Fit:
-    """Fit ``begin`` again, the numbers that ``ended`` on a bound held as they are.
+def _fitted(begin: Hypothesis) -> Fit:
+    """Fit ``begin``; where structure is left, numbers that end on a bound are held as they were, and the rest fitted.
 
     While something else is missing, a number may make up for it: a resonance loses all its damping to a delay that is
     not known yet. The physics need not end there; :func:`freed` sees to it at the end.
     """
+    ended = fit(begin)
     met = {(slot.effect, slot.place, slot.record) for slot in bounds_met(ended)}
-    kept = tuple(slot for slot in begin.model.slots() if (slot.effect, slot.place, slot.record) not in met)
-    return fit(begin, slots=kept)
+    if not met or ended.cost <= rules.STRUCTURED * ended.problem.samples("used"):
+        return ended
+    return fit(begin, slots=tuple(s for s in begin.model.slots() if (s.effect, s.place, s.record) not in met))
 
 
 def _settled(fitted: Fit) -> Fit:

@@ -150,7 +150,7 @@ def _complete(effect: Effect, shape: dict[str, float], seen: MissingForce, model
         shape = {**shape, **effect.from_coefficients(solution[: columns.shape[1]], shape)}
     elif absent:
         return None
-    values, strongest = [], seen.motion.force_gain * float(np.abs(seen.motion.voltage).max())
+    values, strongest = [], float(np.abs(seen.motion.tau).max())
     for p in effect.parameters:
         value = min(max(shape[p.name], p.lower), p.upper)
         if p.linear and p.unit == "N":  # a column that is next to nothing where it was looked at asks for any amount

@@ -15,7 +15,7 @@ from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.discrepancy.search.beam_search import _late, _pruned, _rivals
 from emps_design.discrepancy.search.exchange import exchanges
-from emps_design.discrepancy.search.extension import _held, freed
+from emps_design.discrepancy.search.extension import _fitted, freed
 from emps_design.effects import get_effect
 from emps_design.machines import machine
 from emps_design.records import Record
@@ -80,11 +80,11 @@ def test_a_number_held_on_its_way_is_free_again_at_the_end(hidden, left):
     assert freed(last) is last
 
 
-def test_a_fit_that_ends_on_a_bound_is_tried_with_that_number_held():
+def test_a_number_that_ends_on_a_bound_is_held_where_structure_is_left(monkeypatch):
     begin = hypothesis(BASELINE.with_effect(LAG, np.array([[1e-4]])))
-    ended = fit(begin)
-    assert on_bound(ended)
-    held = _held(begin, ended)
+    assert on_bound(_fitted(begin))
+    monkeypatch.setattr(rules, "STRUCTURED", 0.0)
+    held = _fitted(begin)
     assert not on_bound(held)
     assert held.model.values[0][0, 0] == 1e-4
 
