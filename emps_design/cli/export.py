@@ -35,6 +35,7 @@ def command(
 ) -> None:
     from emps_design.cli.wording import load_axis
     from emps_design.codegen import export_controller, export_observer
+    from emps_design.codegen.origin import origin_of
     from emps_design.codegen.pages import OPERATIONS
 
     if observer is not None:
@@ -42,9 +43,9 @@ def command(
     check_folder(out, {}, (axis, compensation), force)
     found = None if compensation is None else _read(compensation)
     if observer is not None:
-        exported = export_observer(load_axis(axis), target, observer)
+        exported = export_observer(load_axis(axis), target, observer, origin_of(axis))
     else:
-        exported = export_controller(load_axis(axis), target, found)
+        exported = export_controller(load_axis(axis), target, found, origin_of(axis))
     kinds = {name: KINDS.get(Path(name).suffix, CODE) for name in exported.files}
     check_folder(out, kinds, (axis, compensation), force)
     make_folder(out)

@@ -163,10 +163,16 @@ def command(
     around = position_loop_asked_for(design, *position, position_every) if design.sampled.stable else None
     if around is not None:
         document["position_loop"] = around.to_dict()
-    if retune and not responses:
-        from emps_design.control.velocity.limits import suggest_filter
+    if retune:
+        suggested = (machine, phase_margin, design.structure, design.filters, velocity)
+        if responses:
+            from emps_design.frequency_response.suggestion import suggest_filter_on_response
 
-        document["suggestion"] = suggest_filter(machine, phase_margin, design.structure, design.filters, velocity)
+            document["suggestion"] = suggest_filter_on_response(responses[0], *suggested)
+        else:
+            from emps_design.control.velocity.limits import suggest_filter
+
+            document["suggestion"] = suggest_filter(*suggested)
     if span is not None:
         from emps_design.control.velocity.load_range import margins_over_range
 
