@@ -20,6 +20,7 @@ from emps_design.discrepancy.search.starts import screen, tangent
 
 BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
 MOST_EFFECTS = 7
+PASSES = 3  # times the search goes on, from an exchange or a curve
 UNFINISHED = "interrupted: the search was not finished, what follows is what was known by then"
 
 Accept = Callable[[Fit, Fit], bool]
@@ -37,13 +38,15 @@ def search(calibration: Calibration, progress: Progress) -> Outcome:
     alone: dict[str, float] = {}
     path, warnings, interrupted = [baseline], calibration.warnings, False
     try:
-        for _ in range(MOST_EFFECTS):
+        for _ in range(PASSES):
             _extend(calibration, path, tried, alone, progress)
             path += _pruned(path[-1], known, judge.accepts)
             better = _exchanged(calibration, path[-1], tried, progress) or _curve(calibration, path, tried, progress)
             if better is None:
                 break
             path.append(better)
+        else:
+            path += _pruned(path[-1], known, judge.accepts)
         path[-1] = freed(path[-1])
         tried |= _rivals(path, tried)
     except KeyboardInterrupt:
@@ -97,10 +100,10 @@ def _exchanged(calibration: Calibration, best: Fit, tried: FitsBySet, progress: 
     """``best`` with another effect, or another shape, in the place of one, where that leaves clearly less.
 
     Looked for in company only, where what was found first was fitted while the rest was missing; of two effects only
-    where structure is left.
+    where structure is left. A model that is full stands in for something else.
     """
     known, judge, found = calibration.baseline.model.names, calibration.judge, _found(calibration, best)
-    if found < 2 or (found == 2 and judge.at_floor(best)):
+    if not 2 <= found < MOST_EFFECTS or (found == 2 and judge.at_floor(best)):
         return None
     progress("each effect anew beside the others", 0.95)
     others = exchanges(best, known, calibration.preparation.library)
