@@ -96,12 +96,14 @@ def controlled(axis: Axis, state: State) -> Axis:
 def drive_zip(found: Compensation) -> bytes:
     """The folder for the drive: axis, compensation and controller in C99 with its vectors, in one archive."""
     from emps_design.codegen import export_controller
+    from emps_design.codegen.origin import origin_of
 
-    exported = export_controller(found.axis, "c", found.to_dict())
+    axis = found.axis.to_toml(comments=True)
+    exported = export_controller(found.axis, "c", found.to_dict(), origin_of("axis.toml", axis.encode()))
     # What is infinite, the error of an unstable loop, is null.
     document = json.loads(json.dumps(found.to_dict(), default=float), parse_constant=lambda name: None)
     files = {
-        "axis.toml": found.axis.to_toml(comments=True),
+        "axis.toml": axis,
         "compensation.json": _json_text(document),
         **{f"code/{name}": content for name, content in exported.files.items()},
     }
