@@ -20,6 +20,7 @@ from emps_design.discrepancy.search.starts import screen, tangent
 
 BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
 MOST_EFFECTS = 7
+MOST_EXCHANGED = 5  # effects of a model in which one is exchanged; more of them stand in for something unknown
 PASSES = 3  # times the search goes on, from an exchange or a curve
 UNFINISHED = "interrupted: the search was not finished, what follows is what was known by then"
 
@@ -100,10 +101,10 @@ def _exchanged(calibration: Calibration, best: Fit, tried: FitsBySet, progress: 
     """``best`` with another effect, or another shape, in the place of one, where that leaves clearly less.
 
     Looked for in company only, where what was found first was fitted while the rest was missing; of two effects only
-    where structure is left. A model that is full stands in for something else.
+    where structure is left.
     """
     known, judge, found = calibration.baseline.model.names, calibration.judge, _found(calibration, best)
-    if not 2 <= found < MOST_EFFECTS or (found == 2 and judge.at_floor(best)):
+    if not 2 <= found <= MOST_EXCHANGED or (found == 2 and judge.at_floor(best)):
         return None
     progress("each effect anew beside the others", 0.95)
     others = exchanges(best, known, calibration.preparation.library)
