@@ -1,9 +1,11 @@
 """Gains against brute force and the simulated drive: `python -m benchmarks.gains [../shared/data/servo]`.
 
 Axes drawn at random, of 0.05 kg to 20 t, sampled at 100 Hz to 8 kHz, rigid or of two masses, with up to two samples of
-delay, filtered or not, IP or PI. Brute force puts gain, phase or delay into the loop until a pole leaves the unit
-circle, and knows nothing of frequency responses; the simulated drive is nonlinear, quantised and limited. Written to
-benchmarks/gains.json, with the date. The seed is for this alone: nothing was chosen with it.
+delay, filtered or not, IP or PI. Brute force puts gain, phase, delay or gain and phase at once (the disk margin) into
+the loop until a pole leaves the unit circle, and knows nothing of frequency responses; where `retune` cannot reach what
+was asked, every pair nearer than the one it names is tried, on a grid over the whole plane. The simulated drive is
+nonlinear, quantised and limited. Written to benchmarks/gains.json, with the date. The seed is for this alone: nothing
+was chosen with it.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ from emps_design.simulation import Plant
 
 AXES, SEED = 100, 60218
 STEPS = 60  # of brute force, up to a fifth beyond what is stated
+PLANE, STEP = 101, 0.012  # pairs each way that are tried for a nearer one, and the search's own step
 SPEED = 0.1  # m/s, so that dry friction is a constant
 
 
@@ -84,7 +87,35 @@ def brute_force(loop):
                 break
             low = high
         found[name] = low / stated
+    if margins.disk_margin is not None:
+        found["disk_margin"] = least_change(opened, np.outer(column, row), margins.disk_margin) / margins.disk_margin
     return found
+
+
+def least_change(opened, fed_back, stated):
+    """The least |d| of all complex d for which a factor (1 + d/2)/(1 - d/2) at the plant input brings a pole out.
+
+    Along rays of the complex plane, up to a fifth beyond what is ``stated``, and along more of them beside the best.
+    """
+
+    def first(angles, radii):
+        d = radii * np.exp(1j * angles)[:, None]
+        factors = (1.0 + 0.5 * d) / (1.0 - 0.5 * d)
+        poles = np.abs(np.linalg.eigvals(opened + factors[..., None, None] * fed_back)).max(axis=-1)
+        out = poles > 1.0 + 1e-9
+        return np.where(out.any(axis=1), out.argmax(axis=1), radii.shape[1] - 1)
+
+    angles, best = np.linspace(0.0, np.pi, 91), np.inf
+    for _ in range(3):
+        rows = np.arange(angles.size)
+        low, high = np.zeros(angles.size), np.full(angles.size, min(1.2 * stated, 1.999))
+        for _ in range(7):  # each time to the first of 12 places that is out
+            radii = low[:, None] + (high - low)[:, None] * np.arange(1, 13) / 12.0
+            place = first(angles, radii)
+            low, high = np.where(place > 0, radii[rows, place - 1], low), radii[rows, place]
+        here, best = angles[np.argmin(high)], min(best, float(high.min()))
+        angles = np.linspace(here - np.ptp(angles) / 45.0, here + np.ptp(angles) / 45.0, 21)
+    return best
 
 
 def random_loops(count, seed=SEED):
@@ -107,7 +138,7 @@ def random_loops(count, seed=SEED):
 
 
 def retuned(axis, crossover, phase, structure, filters):
-    """Whether the loop reached what was asked, or the nearest is one, and nothing nearer on its line is."""
+    """Whether the loop reached what was asked, or the nearest is one, and nothing nearer in the whole plane is."""
     try:
         design = retune_velocity_loop(axis, crossover, phase_margin_deg=phase, structure=structure, filters=filters)
     except SpecificationError as error:
@@ -117,16 +148,21 @@ def retuned(axis, crossover, phase, structure, filters):
         met = design.sampled.stable and abs(margins.phase_margin_deg - phase) < 1e-5
         return {"retune": "reached" if met else "WRONG"}
     pairs = retuned_pairs(sample_axis(axis, filters=filters), {"crossover": crossover}, "plant-input", structure)
-    asked, found = np.array([crossover, phase]), np.array([nearest["crossover"], nearest["phase_margin_deg"]])
-    works = pairs.judge(*found[:, None])[0] == 2
-    # where one of the two was moved, nothing works on the way there, a step of the search (1 %, 0.5 deg) before it
-    steps = np.abs([np.log(found[0] / asked[0]) / 0.01, (found[1] - asked[1]) / 0.5])
-    nearer = False
-    if min(steps) < 0.1 and max(steps) > 1.0:
-        shares = np.linspace(0.0, 1.0 - 1.0 / max(steps), 40)
-        nearer = bool((pairs.judge(*(asked[:, None] * (found / asked)[:, None] ** shares)) == 2).any())
+    found = np.array([nearest["crossover"]]), np.array([nearest["phase_margin_deg"]])
+    works = pairs.judge(*found)[0] == 2
+
+    def apart(w, angle):
+        return np.abs(np.log(w / crossover)) + np.abs(angle - phase) / 45.0
+
+    # every pair nearer than the one found by more than a step of the search (1 %, 0.5 deg)
+    far = float(apart(*found)[0])
+    spread = np.linspace(-far, far, PLANE)
+    w, angle = (axis.ravel() for axis in np.meshgrid(crossover * np.exp(spread), phase + 45.0 * spread))
+    inside = (apart(w, angle) < far - STEP) & (angle > 0.0) & (angle < 180.0)
+    nearer = int(np.count_nonzero(pairs.judge(w[inside], angle[inside]) == 2)) if inside.any() else 0
     named = any(word in words for word in ("binds", "at most", "unstable", "crosses 0 dB"))
-    return {"retune": "nearest" if works and named and not nearer else "WRONG", "message": words}
+    done = "nearest" if works and named and not nearer else "WRONG"
+    return {"retune": done, "message": words, "tried": int(np.count_nonzero(inside)), "nearer": nearer}
 
 
 def measured_step(design, top=0.02):
@@ -163,11 +199,15 @@ def gantry(folder):
 
 
 def notch():
-    """A load behind 48 Hz, with the notch that is suggested and without, at equal margins."""
+    """A load behind 48 Hz, with the notch that is suggested and without: at equal margins, and within equal limits."""
     coupling = {"kind": "flexible_coupling", "frequency": 48.0, "damping": 0.02, "share": 0.7}
     found = suggest_filter(machine("emps2018").replace(effects=[coupling]), 50.0, PI)
-    sides = {name: {key: found[name][key] for key in ("crossover", "margins")} for name in ("without", "with")}
-    return {"filter": found["filter"], **sides}
+    sides = {name: found[name] for name in ("without", "with_equal_margins", "with")}
+    gained = {
+        name: sides[name]["crossover"] / sides["without"]["crossover"] - 1.0 for name in ("with_equal_margins", "with")
+    }
+    shown = {name: {key: side[key] for key in ("crossover", "margins")} for name, side in sides.items()}
+    return {"filter": found["filter"], "gained": gained, **shown}
 
 
 def load_range():
@@ -208,7 +248,12 @@ def summary(rows):
         "margins": int(shares.size),
         "largest_error": float(np.abs(shares - 1.0).max()),
         "most_optimistic": float(max(0.0, (1.0 - shares).max())),
+        "by_name": {
+            name: float(max(abs(row["brute"][name] - 1.0) for row in rows if name in row["brute"]))
+            for name in sorted({name for row in rows for name in row["brute"]})
+        },
         "retune": {word: done.count(word) for word in sorted(set(done))},
+        "nearer_pairs": {key: sum(row.get(key, 0) for row in rows) for key in ("tried", "nearer")},
     }
 
 

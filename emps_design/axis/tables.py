@@ -118,8 +118,8 @@ class Drive(Table):
             return self.force_gain
         if self.supply is None:
             raise AxisError(
-                "drive.supply: missing, expected the supply voltage [V] of a duty, or a record in which a column is "
-                "mapped to it"
+                "drive.supply: missing, expected the supply that the duty is a share of, or a record in which a column "
+                "is mapped to it"
             )
         return self.force_gain * self.supply
 

@@ -147,7 +147,7 @@ def print_force(document: dict[str, Any]) -> None:
     console = new_console()
     console.print(_verdict(document["stable"], f"{document['axis']}: sampled force loop"))
     operator = document["operator"]
-    table = new_table("Force loop", "", "value", "unit")
+    table = new_table(f"Force loop around {loop_in_words(document)}", "", "value", "unit")
     rows: list[tuple[str, float | None, str]] = [
         ("k_e1", document["k_e1"], "(m/s)/N"),
         ("k_c = 1/k_e1, felt at low frequency", document["k_c"], "N/(m/s)"),

@@ -35,16 +35,19 @@ def command(
 ) -> None:
     from emps_design.cli.wording import load_axis
     from emps_design.codegen import export_controller, export_observer
+    from emps_design.codegen.origin import origin_of
     from emps_design.codegen.pages import OPERATIONS
 
     if observer is not None:
         refuse_ignored(context, ["compensation"], "goes without --observer")
     check_folder(out, {}, (axis, compensation), force)
     found = None if compensation is None else _read(compensation)
+    machine = load_axis(axis)
+    origin = origin_of(Path(axis).name, Path(axis).read_bytes()) if Path(axis).is_file() else ""
     if observer is not None:
-        exported = export_observer(load_axis(axis), target, observer)
+        exported = export_observer(machine, target, observer, origin)
     else:
-        exported = export_controller(load_axis(axis), target, found)
+        exported = export_controller(machine, target, found, origin)
     kinds = {name: KINDS.get(Path(name).suffix, CODE) for name in exported.files}
     check_folder(out, kinds, (axis, compensation), force)
     make_folder(out)

@@ -28,6 +28,13 @@ from emps_design.cli.design_options import (
 )
 from emps_design.cli.destinations import AXIS, check_out
 from emps_design.cli.ignored import refuse_force, refuse_ignored
+from emps_design.cli.loop_options import (
+    Filters,
+    ReferenceFilter,
+    StructureOption,
+    filters_asked_for,
+    structure_asked_for,
+)
 from emps_design.cli.output import print_json, tell
 from emps_design.errors import InputError
 
@@ -51,6 +58,9 @@ def command(
     crossover: Crossover = None,
     bandwidth: Bandwidth = None,
     phase_margin: PhaseMargin = 60.0,
+    structure: StructureOption = None,
+    reference_filter: ReferenceFilter = False,
+    filters: Filters = None,
     out: Out = None,
     force: Force = False,
     velocity: Velocity = 0.1,
@@ -66,7 +76,7 @@ def command(
     from emps_design.cli.wording import load_axis
     from emps_design.control.force.design import design_force_loop
     from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
-    from emps_design.control.velocity.structure import IP
+    from emps_design.control.velocity.structure import IP, own_filters, own_gains, own_structure
     from emps_design.laws.library import ip_velocity
 
     refuse_force(context, out)
@@ -88,18 +98,29 @@ def command(
         hand = 1.0 / k_e1 if k_e1 > 0.0 else 0.0
         notes.append(f"no operator given: taken as a viscous hand of k_c = 1/k_e1 = {hand:g} N/(m/s)")
 
-    if crossover is None and bandwidth is None and controller.k_v1 is not None and controller.t_v is not None:
-        why = "goes with --crossover or --bandwidth; without them the velocity loop is k_v1 and t_v of the axis file"
-        refuse_ignored(context, ["phase_margin"], why)
-        loop = VelocityLoopDesign(machine, controller.k_v1, controller.t_v, {}, velocity=velocity)
-        notes.append("velocity loop: k_v1 and t_v of the axis file")
+    asked = structure_asked_for(context, machine, structure, reference_filter)
+    own = own_gains(machine)
+    if crossover is None and bandwidth is None and own is not None:
+        why = "goes with --crossover or --bandwidth; without them the velocity loop is that of the axis file"
+        refuse_ignored(context, ["phase_margin", "structure", "reference_filter", "filters"], why)
+        loop = VelocityLoopDesign(
+            machine, *own, {}, velocity=velocity, structure=own_structure(machine), filters=own_filters(machine)
+        )
+        notes.append("velocity loop: gains, structure and filters of the axis file")
     else:
         if crossover is None and bandwidth is None:
             crossover = 100.0
             notes.append(f"velocity loop: designed for the paper's 100 rad/s crossover and {phase_margin:g} deg")
-        loop = design_velocity_loop(machine, crossover, bandwidth, phase_margin, velocity, IP, filters=())
+        loop = design_velocity_loop(
+            machine, crossover, bandwidth, phase_margin, velocity, asked, filters_asked_for(filters)
+        )
     design = design_force_loop(loop, k_e1, hand or 0.0, environment or 0.0, sensor_delay, not sensor_only)
 
+    if out is not None and (loop.structure != IP or loop.filters):
+        raise InputError(
+            f"--out: found a {loop.structure.label} velocity loop{' with filters' * bool(loop.filters)}, expected IP "
+            "alone: no [controller] has k_e1 around another; make the drive's velocity reference k_e1 times the force"
+        )
     document: dict[str, Any] = design.to_dict()
     document["warnings"] += notes
     if design.stable and out is not None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -140,16 +139,13 @@ def command(
         },
         controller={"velocity_estimator": velocity_estimator},
     )
-    form = structure_asked_for(machine, structure)
-    if form.form == "ip":
-        refuse_ignored(context, ["reference_filter"], "goes with --structure pi; ip has no zero to take away")
     errors = _errors(machine, mismatch, sigma_from)
     specification: dict[str, Any] = {
         "crossover": crossover,
         "bandwidth": bandwidth,
         "phase_margin_deg": phase_margin,
         "velocity": velocity,
-        "structure": replace(form, reference_filter=reference_filter),
+        "structure": structure_asked_for(context, machine, structure, reference_filter),
         "filters": filters_asked_for(filters),
     }
     responses = _responses(frf or [])
@@ -167,10 +163,16 @@ def command(
     around = position_loop_asked_for(design, *position, position_every) if design.sampled.stable else None
     if around is not None:
         document["position_loop"] = around.to_dict()
-    if retune and not responses:
-        from emps_design.control.velocity.limits import suggest_filter
+    if retune:
+        suggested = (machine, phase_margin, design.structure, design.filters, velocity)
+        if responses:
+            from emps_design.frequency_response.suggestion import suggest_filter_on_response
 
-        document["suggestion"] = suggest_filter(machine, phase_margin, design.structure, design.filters, velocity)
+            document["suggestion"] = suggest_filter_on_response(responses[0], *suggested)
+        else:
+            from emps_design.control.velocity.limits import suggest_filter
+
+            document["suggestion"] = suggest_filter(*suggested)
     if span is not None:
         from emps_design.control.velocity.load_range import margins_over_range
 

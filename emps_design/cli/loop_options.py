@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from emps_design.cli.design_options import within
 from emps_design.cli.frequency import RAD_S, RATIO
+from emps_design.cli.ignored import refuse_ignored
 from emps_design.errors import InputError
 from emps_design.quantities import read_frequency
 
@@ -96,11 +98,14 @@ def _ends(name: str, text: str) -> tuple[float, float]:
     return low, high
 
 
-def structure_asked_for(axis: Axis, form: str | None) -> Structure:
+def structure_asked_for(context: typer.Context, axis: Axis, form: str | None, reference_filter: bool) -> Structure:
     """The structure that the command line asks for, or the one of the controller of ``axis``."""
     from emps_design.control.velocity.structure import Structure, own_structure
 
-    return own_structure(axis, None if form is None else Structure(form))
+    found = own_structure(axis, None if form is None else Structure(form))
+    if found.form == "ip":
+        refuse_ignored(context, ["reference_filter"], "goes with --structure pi; ip has no zero to take away")
+    return replace(found, reference_filter=reference_filter)
 
 
 def filters_asked_for(texts: list[str] | None) -> tuple[Any, ...] | None:

@@ -26,8 +26,9 @@ def _print_suggestion(found: dict[str, Any]) -> None:
     one, sides = found["filter"], [("without", found["without"])]
     if one is not None:
         words = loop_in_words({"structure": "", "reference_filter": False, "filters": [one]}).removeprefix(" with ")
-        sides.append((words, found["with"]))
-    title = f"Fastest loop with {number(found['phase_margin_deg'])} deg and a gain margin of 2"
+        sides += [(f"{words}, equal margins", found["with_equal_margins"]), (words, found["with"])]
+    least = number(found["gain_margin_at_least"])
+    title = f"Fastest loop with {number(found['phase_margin_deg'])} deg and a gain margin of {least} or more"
     table = new_table(title, "", *(name for name, _ in sides), "unit")
     for label, key, unit, scale in (
         ("crossover", "crossover", "Hz", 1.0 / HERTZ),
@@ -40,11 +41,25 @@ def _print_suggestion(found: dict[str, Any]) -> None:
         table.add_row(label, *(_cell(side[key], scale) for _, side in sides), unit)
     for label, key in (("gain margin", "gain_margin"), ("disk margin", "disk_margin")):
         table.add_row(label, *(_cell(side["margins"] and side["margins"][key], 1.0) for _, side in sides), "ratio")
+    if "model" in found:
+        for label, key, unit in (
+            ("on the data: phase margin", "phase_margin_deg", "deg"),
+            ("gain margin", "gain_margin", "ratio"),
+            ("disk margin", "disk_margin", "ratio"),
+        ):
+            table.add_row(label, *(_on_data(side, key) for _, side in sides), unit)
     console.print(table)
+    if "model" in found:
+        console.print(f"found on {found['model']}, then tried on the data", highlight=False, soft_wrap=True)
     for name, side in sides:
         console.print(f"what binds first, {name}: {side['limits']['binding']}", highlight=False, soft_wrap=True)
     if one is None:
         console.print("no notch or low-pass makes it a tenth faster")
+
+
+def _on_data(side: dict[str, Any], key: str) -> str:
+    measured = side.get("measured")
+    return "-" if measured is None else _cell(measured[key], 1.0) if measured["stable"] else "UNSTABLE"
 
 
 def _print_position_loop(found: dict[str, Any]) -> None:

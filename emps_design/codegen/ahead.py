@@ -106,7 +106,9 @@ class Ahead:
                 break
         if self.repeats:
             now.open = True  # single precision settles elsewhere
-        return tau / self.feedforward.axis.drive.force_gain
+        if self.feedforward.back_emf:
+            tau = tau + now.constant(self.feedforward.back_emf) * v
+        return tau / self.feedforward.axis.drive.gain
 
 
 def _with_numbers(program: Program, p: np.ndarray, b: np.ndarray) -> Program:

@@ -33,6 +33,7 @@ class Block:
     program: Program
     parameters: dict[str, Any]
     ahead: Ahead | None = None
+    origin: str = ""  # of the axis
 
     @classmethod
     def of(cls, axis: Axis, ahead: Ahead | None = None) -> Block:

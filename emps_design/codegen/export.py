@@ -70,10 +70,11 @@ class Exported:
         }
 
 
-def export_observer(axis: Axis, target: str, cutoff_hz: float) -> Exported:
+def export_observer(axis: Axis, target: str, cutoff_hz: float, origin: str = "") -> Exported:
     """Return the on-line force observer of ``axis``, low-passed at ``cutoff_hz``, as the files of a ``target``.
 
-    Any target but ``fmu``. Raises :class:`InputError` for that, another, and effects that have a part in the force.
+    Any target but ``fmu``; the page says the ``origin`` of the axis. Raises :class:`InputError` for that target, for
+    another, and for effects that have a part in the force.
 
     >>> from emps_design.machines import machine
     >>> list(export_observer(machine("emps2018"), "st", 20.0).files)
@@ -82,17 +83,19 @@ def export_observer(axis: Axis, target: str, cutoff_hz: float) -> Exported:
     possible = [name for name in TARGETS if name != "fmu"]
     if target not in possible:
         raise InputError(f"`target`: found {target!r} for an observer, expected one of {', '.join(possible)}")
-    block, name = Block.observer(axis, cutoff_hz), block_name(f"{axis.name} observer")
+    block, name = replace(Block.observer(axis, cutoff_hz), origin=origin), block_name(f"{axis.name} observer")
     vectors = vectors_of(block)
     return Exported(name, target, block, vectors, TARGETS[target](name, block, vectors))
 
 
-def export_controller(axis: Axis, target: str, compensation: Mapping[str, Any] | None = None) -> Exported:
+def export_controller(
+    axis: Axis, target: str, compensation: Mapping[str, Any] | None = None, origin: str = ""
+) -> Exported:
     """Return the controller of ``axis`` as the files of a ``target``: one of ``TARGETS``.
 
-    ``compensation`` is what :func:`~emps_design.compensation.compensate` found, as plain data. The
-    same axis gives the same bytes. Raises :class:`InputError` for another target, for an axis without a controller, for
-    a law that has no translation and for a compensation of another axis.
+    ``compensation`` is what :func:`~emps_design.compensation.compensate` found, as plain data; the page says the
+    ``origin`` of the axis. The same axis gives the same bytes. Raises :class:`InputError` for another target, for an
+    axis without a controller, for a law that has no translation and for a compensation of another axis.
 
     >>> from emps_design.machines import machine
     >>> list(export_controller(machine("emps2019"), "c").files)
@@ -100,7 +103,7 @@ def export_controller(axis: Axis, target: str, compensation: Mapping[str, Any] |
     """
     if target not in TARGETS:
         raise InputError(f"`target`: found {target!r}, expected one of {', '.join(TARGETS)}")
-    block = Block.of(axis, None if compensation is None else _ahead(axis, compensation))
+    block = replace(Block.of(axis, None if compensation is None else _ahead(axis, compensation)), origin=origin)
     name, vectors = block_name(axis.name), vectors_of(block)
     return Exported(name, target, block, vectors, TARGETS[target](name, block, vectors))
 

@@ -58,7 +58,8 @@ def _ahead(ahead: Ahead) -> Counter[str]:
     once = sum((counted(part.program, {}) + Counter(add=1) for part in ahead.parts), Counter[str]())
     once += Counter(multiply=3, add=6, compare=1)
     once += Counter(add=1, compare=1, call=1) if ahead.repeats else Counter()
-    return Counter({kind: ahead.passes * n for kind, n in once.items()}) + Counter(divide=2, compare=2)
+    after = Counter(divide=2, compare=2) + (Counter(multiply=1, add=1) if ahead.feedforward.back_emf else Counter())
+    return Counter({kind: ahead.passes * n for kind, n in once.items()}) + after
 
 
 class _Count:

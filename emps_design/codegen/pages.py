@@ -20,6 +20,7 @@ from emps_design.codegen.block import Block
 from emps_design.codegen.c import KEYWORDS
 from emps_design.codegen.observer import COMMAND
 from emps_design.codegen.operations import operations_of
+from emps_design.codegen.origin import commit
 from emps_design.codegen.printer import safe_names
 from emps_design.codegen.vectors import MOTION, REST, Vectors
 from emps_design.laws import leaves, unit_of
@@ -76,6 +77,8 @@ def words_of(name: str, block: Block) -> dict[str, Any]:
         "label": comment(block.kind.label),
         "source": comment(block.kind.source),
         "version": metadata.version("emps-design"),
+        "commit": commit(),
+        "origin": comment(block.origin, 1000),
         "period": repr(axis.sampling.period),
         "equations": [comment(line, 1000) for line in said],
         "parameters": list(map(comment, parameters)),

@@ -38,7 +38,8 @@ def _numbers(ahead: Ahead, number: Callable[[float], str]) -> dict[str, Any]:
         "own": list(map(number, ahead.own)),
         "repeats": ahead.repeats,
         "passes": ahead.passes,
-        "gain": number(float(ahead.feedforward.axis.drive.force_gain)),
+        "back_emf": number(ahead.feedforward.back_emf) if ahead.feedforward.back_emf else "",
+        "gain": number(float(ahead.feedforward.axis.drive.gain)),
         "reversal": number(ahead.reversal) if ahead.reversal > 0.0 else "",
     }
 

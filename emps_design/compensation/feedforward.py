@@ -35,6 +35,7 @@ class FeedForward:
     terms: tuple[str, ...]
     baseline: np.ndarray = field(repr=False)
     parameters: tuple[np.ndarray, ...] = field(repr=False)
+    back_emf: float = 0.0  # N/(m/s), what that of a motor without a current loop brakes: part of the viscous term
     late: float = 0.0  # s, between command and force besides the hold and the computation
     reversal: float = 0.0  # m/s, below which friction is fed forward in proportion; 0: a share of the highest speed
 
@@ -42,7 +43,8 @@ class FeedForward:
     def of(cls, axis: Axis, terms: Sequence[str]) -> FeedForward:
         """The feed-forward of ``terms`` with the numbers of ``axis``."""
         parameters = tuple(one.effect.values(one.parameters) for one in axis.effects)
-        return cls(axis, tuple(terms), axis.mechanics.array(), parameters, lateness(axis))
+        braked = axis.drive.braking if "viscous" in terms else 0.0
+        return cls(axis, tuple(terms), axis.mechanics.array(), parameters, braked, lateness(axis))
 
     def along(self, q_ref: np.ndarray) -> np.ndarray:
         """Command to add (n,) along ``q_ref`` (n,) [m]; what the law answers there is taken off.
@@ -78,7 +80,7 @@ class FeedForward:
         hooks, starts = table([effect for _, effect, _ in chosen])
         p, force = np.concatenate([np.zeros(0), *(values for _, _, values in chosen)]), np.empty(q.size)
         force_along(q, v, a, direction, self.own(), self.baseline, hooks, starts, p, np.zeros(1), force)
-        return force / self.axis.drive.force_gain
+        return (force + self.back_emf * v if self.back_emf else force) / self.axis.drive.gain
 
     def own(self) -> np.ndarray:
         """The baseline that counts (4,)."""

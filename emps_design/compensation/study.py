@@ -8,9 +8,9 @@ left out.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -171,6 +171,11 @@ class Trial:
         """Rms of the tracking error with ``feedforward``."""
         return self.with_ahead(feedforward)[0]
 
+    @cached_property
+    def with_terms(self) -> Callable[[tuple[str, ...]], tuple[float, float]]:
+        """:meth:`with_ahead` of terms with the axis's own numbers; each set of terms is run once."""
+        return cache(lambda terms: self.with_ahead(FeedForward.of(self.axis, terms)))
+
 
 def compensate(
     axis: Axis,
@@ -202,27 +207,25 @@ def compensate(
     if unknown:
         raise InputError(f"compensation: found the term {unknown[0]!r}, expected one of {', '.join(possible)}")
     trial = Trial(axis, q_ref)
-    without, _ = trial.run(None)
+    without, _ = trial.with_terms(())
     if not math.isfinite(without):
         raise UnstableError(f"axis {axis.name}: the loop is unstable without any feed-forward; design it first")
     possible = tuple(name for name in possible if terms is None or name in terms)
     rigid = tuple(name for name in BASELINE if name in possible)
-    baseline = trial.rms(FeedForward.of(axis, tuple(BASELINE)))
-    alone = {name: trial.rms(FeedForward.of(axis, (name,))) for name in possible}
+    baseline, _ = trial.with_terms(tuple(BASELINE))
+    alone = {name: trial.with_terms((name,))[0] for name in possible}
     kept, notes, trials = _selected(trial, possible, mismatch, phase_deg)
-    if trial.rms(FeedForward.of(axis, kept)) > trial.rms(FeedForward.of(axis, rigid)):
+    if trial.with_terms(kept)[0] > trial.with_terms(rigid)[0]:
         notes |= {name: "together with the others it does harm" for name in kept if name not in BASELINE}
         kept = rigid
-    if trial.rms(FeedForward.of(axis, kept)) > without:
+    if trial.with_terms(kept)[0] > without:
         notes |= dict.fromkeys(kept, "no feed-forward lowers the error")
         kept = ()
     ahead = replace(FeedForward.of(axis, kept), reversal=reversal_of(q_ref, axis.sampling.period))
-    achieved, limited = trial.with_ahead(ahead)
-    worst = _worst(trial, ahead, mismatch, phase_deg)
+    achieved, limited = trial.with_terms(kept)
+    worst = _worst(trial, kept, mismatch, phase_deg)
     warnings = [f"{name} is not compensated: {reason}" for name, reason in left.items()]
     warnings += [f"{name} is left out: {note}" for name, note in notes.items()]
-    if axis.drive.back_emf > 0.0:
-        warnings.append("the back-EMF of the motor is not fed forward")
     if trial.braking is None:
         warnings.append(
             "what the law answers on its own reference goes beyond the limit and is not taken off; in a cascade, give "
@@ -249,8 +252,8 @@ def _selected(
         harm: dict[str, float] = {}
         for name in kept:
             others = tuple(one for one in kept if one != name)
-            lacking = trial.rms(FeedForward.of(trial.axis, others))
-            worst = _worst(trial, FeedForward.of(trial.axis, tuple(kept)), mismatch, phase_deg, only=name)
+            lacking, _ = trial.with_terms(others)
+            worst = _worst(trial, tuple(kept), mismatch, phase_deg, only=name)
             trials[name] = (lacking, worst)
             if worst > lacking:
                 harm[name] = worst / lacking
@@ -268,14 +271,14 @@ def _home(axis: Axis, name: str) -> str:
     return ""
 
 
-def _worst(trial: Trial, ahead: FeedForward, mismatch: float, phase_deg: float, only: str | None = None) -> float:
-    """Tracking error with every parameter of ``ahead`` (of one term) wrong, each the way that alone does more harm."""
-    wrong = ahead
+def _worst(trial: Trial, terms: tuple[str, ...], mismatch: float, phase_deg: float, only: str | None = None) -> float:
+    """Tracking error with every parameter of ``terms`` (of ``only``) wrong, each the way that alone does more harm."""
+    wrong = ahead = FeedForward.of(trial.axis, terms)
     for change in _changes(ahead, mismatch, phase_deg, only):
         sides = [change(side, ahead) for side in (1.0, -1.0)]
         errors = [trial.rms(side) for side in sides]
         wrong = change(1.0 if errors[0] >= errors[1] else -1.0, wrong)
-    return max(trial.rms(wrong), trial.rms(ahead))
+    return max(trial.rms(wrong), trial.with_terms(terms)[0])
 
 
 def _changes(ahead: FeedForward, mismatch: float, phase_deg: float, only: str | None) -> list[Any]:
@@ -285,6 +288,8 @@ def _changes(ahead: FeedForward, mismatch: float, phase_deg: float, only: str | 
     for name, at in BASELINE.items():
         if name in wanted:
             found.append(lambda side, given, at=at: _with_baseline(given, at, 1.0 + side * mismatch))
+    if ahead.back_emf and "viscous" in wanted:
+        found.append(lambda side, given: replace(given, back_emf=given.back_emf * (1.0 + side * mismatch)))
     for place, (name, one) in enumerate(zip(names_of_effects(ahead.axis), ahead.axis.effects, strict=True)):
         for at, parameter in enumerate(one.effect.parameters if name in wanted else ()):
             if parameter.discrete or parameter.name == one.effect.repeats:

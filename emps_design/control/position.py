@@ -45,6 +45,8 @@ class PositionLoopDesign:
         estimator = loop.axis.controller.velocity_estimator
         _, table = velocity_table(loop.k_v1, loop.t_v, loop.structure, loop.filters, estimator, in_a_cascade=True)
         own = {"position": {"kp": self.kp, "every": self.every}, "feedforward": feedforward}
+        if loop.axis.controller.anti_windup is not None:
+            own["anti_windup"] = loop.axis.controller.anti_windup
         whole = {"kind": cascade.LAW.name, **table.model_dump(exclude_none=True), **own}
         return loop.axis.replace(controller=Controller.model_validate(whole))
 
@@ -96,22 +98,27 @@ class PositionLoopDesign:
         """A step of force over the largest displacement that it makes [N/m]."""
         return float(1.0 / np.max(np.abs(self._after_a_step_of("force"))))
 
+    @property
+    def feedforwards(self) -> dict[str, dict[str, float]]:
+        """Tables of feed-forward by what they feed; the acceleration is that of the inertia."""
+        loop = self.velocity_loop
+        inertia = float(loop.sampled.plant.linear.mass / loop.axis.drive.gain)
+        return {
+            "none": {},
+            "velocity": {"velocity": 1.0},
+            "velocity and acceleration": {"velocity": 1.0, "acceleration": inertia},
+        }
+
     def following_errors(self) -> dict[str, dict[str, float]]:
         """Errors along a velocity [m per m/s], an acceleration and a jerk [likewise], with each feed-forward.
 
         The share of the velocity is 1; the acceleration is that of the inertia. Dry friction is left to its own.
         """
         loop = self.velocity_loop
-        inertia = loop.sampled.plant.linear.mass / loop.axis.drive.gain
-        tried = {
-            "none": {},
-            "velocity": {"velocity": 1.0},
-            "velocity and acceleration": {"velocity": 1.0, "acceleration": float(inertia)},
-        }
         low = 0.02 * min(self.kp, 1.0 / loop.t_v)
         w = np.array([low, 2.0 * low])
         found = {}
-        for name, feedforward in tried.items():
+        for name, feedforward in self.feedforwards.items():
             error = (1.0 - _position(axis_loop(self.axis(**feedforward), loop.velocity), w, "reference")) / (1j * w)
             jerk = (error[0].real - error[1].real) / (3.0 * low**2)  # of c1 + c2 jw + c3 (jw)^2
             found[name] = {

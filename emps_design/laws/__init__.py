@@ -59,10 +59,7 @@ def law_of(axis: Any, period: float, columns: Mapping[str, Any] | None = None) -
     kind = axis.controller.kind
     if kind == NONE:
         *most, last = known_laws()
-        raise AxisError(
-            f"controller.kind: found {kind!r}, expected {', '.join(most)} or {last} to close a loop; "
-            "give closed_loop(law=...) or simulate open_loop"
-        )
+        raise AxisError(f"controller.kind: found {kind!r}, expected {', '.join(most)} or {last} to close a loop")
     law, own, recorded = get_law(kind), _own(axis), recorded_gains(axis)
     if not recorded:
         return law.law(law.table(**own), axis, period)

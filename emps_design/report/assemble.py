@@ -18,7 +18,9 @@ from emps_design.report.page import Page, Section
 if TYPE_CHECKING:
     from emps_design.comanipulation.assessment import ImpedanceAssessment
     from emps_design.control.loop.nested import NestedLoop
+    from emps_design.control.velocity.structure import Structure
     from emps_design.identification.identify import Identification
+    from emps_design.laws.library.cascade import Filter
     from emps_design.records import Record
 
 Progress = Callable[[str, float], None]
@@ -92,6 +94,8 @@ def assemble_report(
     mismatch: float = 0.02,
     retune: bool = False,
     frf: str | Path | None = None,
+    structure: Structure | None = None,
+    filters: tuple[Filter, ...] | None = None,
     progress: Progress | None = None,
 ) -> Report:
     """Design ``axis`` (or what ``record`` says about it) and return the page with its results.
@@ -99,8 +103,9 @@ def assemble_report(
     ``axis``: an :class:`Axis`, a TOML file or an embedded machine; ``record``: a :class:`Record` or its file.
     ``design_on``: "record" takes the mechanics that the record gives (the default where no axis is named), "axis"
     leaves them as they are; ``model`` of friction and filter ``chain`` are those of ``identify``. ``crossover`` or
-    ``bandwidth`` [rad/s], ``phase_margin_deg`` [deg]; ``retune`` meets the specification when sampled. ``frf`` is the
-    file of a measured response, shown beside the model as the first picture.
+    ``bandwidth`` [rad/s], ``phase_margin_deg`` [deg]; ``retune`` meets the specification when sampled; ``structure``
+    and ``filters`` are those of the axis's controller where they are None. ``frf`` is the file of a measured response,
+    shown beside the model as the first picture.
 
     The page has the sections that were asked for or that the axis has. Force loop: with ``k_e1`` [(m/s)/N], ``hand``
     [N/(m/s)] or ``environment`` [N/m], or a k_e1 in the axis's controller; what is left out is 0.01 (m/s)/N and a wall
@@ -126,7 +131,6 @@ def assemble_report(
     inputs: dict[str, str | None] = {_input_name(given): _digest(given)}
 
     from emps_design.control.velocity.design import check_specification, design_velocity_loop
-    from emps_design.control.velocity.structure import IP
 
     check_specification(crossover, bandwidth, phase_margin_deg)  # before the record: a wrong number is refused at once
     parts: list[Section] = []
@@ -145,7 +149,7 @@ def assemble_report(
         notes.append(_basis(loaded, found[0], design_on))
     tell("designing the loops", 0.4)
     around = _force_loop(loaded.controller.k_e1, k_e1, hand, environment)
-    law: dict[str, Any] = {} if around[0] is None else {"structure": IP, "filters": ()}  # a force loop is around IP
+    law: dict[str, Any] = {"structure": structure, "filters": filters}
     if retune:
         from emps_design.control.velocity.retune import retune_velocity_loop
 

@@ -28,36 +28,48 @@ def read_reference(
     ``units`` are those of the axis.
     Raises :class:`RecordError` in one line for a file that has no such columns, is not finite, or runs back in time.
     """
-    path = Path(path)
     try:
-        content = read_bytes(path, MAX_BYTES, "expected a .csv or .npz reference")
+        content = read_bytes(Path(path), MAX_BYTES, "expected a .csv or .npz reference")
     except InputError as error:
         raise RecordError(str(error)) from error
+    return reference_from_bytes(content, str(path), period, units)
+
+
+def reference_from_bytes(
+    content: bytes, name: str, period: float, units: Units = PLAIN
+) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+    r"""Return what :func:`read_reference` does, from the ``content`` of a file called ``name``.
+
+    >>> reference_from_bytes(b"t,q_ref [mm]\n0,0\n0.2,4\n", "way.csv", 0.1)[0].tolist()
+    [0.0, 0.002, 0.004]
+    """
     if content[:2] == b"PK":
-        columns = read_archive(io.BytesIO(content), str(path), MAX_BYTES)
+        columns = read_archive(io.BytesIO(content), name, MAX_BYTES)
     else:
-        columns = read_plain_table(content, str(path), "expected columns t, q_ref (.csv or .npz)")
+        columns = read_plain_table(content, name, "expected columns t, q_ref (.csv or .npz)")
     named = {}
     for text, values in columns.items():
-        title = read_title(text, str(path), units)
+        title = read_title(text, name, units)
         if title.name in ("t", "q_ref", "f_ext", "excitation"):
             named[title.name] = np.ravel(np.asarray(values)).astype(float) * title.factor
-    missing = [name for name in ("t", "q_ref") if name not in named]
+    missing = [column for column in ("t", "q_ref") if column not in named]
     if missing:
-        raise RecordError(f"{path}: missing column {', '.join(missing)}; found {', '.join(columns)}; expected t, q_ref")
+        raise RecordError(f"{name}: missing column {', '.join(missing)}; found {', '.join(columns)}; expected t, q_ref")
     t = named["t"]
-    for name, values in named.items():
+    for column, values in named.items():
         if values.size != t.size or t.size < 2:
-            raise RecordError(f"{path}: column {name}: found {values.size} samples, expected {max(2, t.size)} as in t")
+            raise RecordError(
+                f"{name}: column {column}: found {values.size} samples, expected {max(2, t.size)} as in t"
+            )
         if not np.isfinite(values).all():
-            raise RecordError(f"{path}: column {name}: sample {int(np.argmin(np.isfinite(values)))} is not finite")
+            raise RecordError(f"{name}: column {column}: sample {int(np.argmin(np.isfinite(values)))} is not finite")
     if not (np.diff(t) > 0).all():
         raise RecordError(
-            f"{path}: column t: sample {int(np.argmin(np.diff(t) > 0)) + 1} is not later than the one before"
+            f"{name}: column t: sample {int(np.argmin(np.diff(t) > 0)) + 1} is not later than the one before"
         )
     n = int(np.floor((t[-1] - t[0]) / period * (1 + 1e-12))) + 1
     if not 2 <= n <= MAX_SAMPLES:
-        raise RecordError(f"{path}: {t[-1] - t[0]:g} s at {period:g} s are {n} samples, expected 2 to {MAX_SAMPLES}")
+        raise RecordError(f"{name}: {t[-1] - t[0]:g} s at {period:g} s are {n} samples, expected 2 to {MAX_SAMPLES}")
     grid = t[0] + np.arange(n) * period
     force = np.interp(grid, t, named["f_ext"]) if "f_ext" in named else None
     held = np.searchsorted(t, grid + 1e-6 * period, side="right") - 1

@@ -14,6 +14,7 @@ from emps_design.effects.sizes import sizes
 from emps_design.errors import InputError
 from emps_design.laws import NONE, known_laws, law_of
 from emps_design.records import Record
+from emps_design.records.check import LONGEST
 from emps_design.records.clock import SHORTEST_PERIOD
 from emps_design.simulation.plant import Plant
 
@@ -39,12 +40,28 @@ def trapezoid_laps(
             raise InputError(f"{name}: found {value:g}, expected a positive number")
     if period < SHORTEST_PERIOD:
         raise InputError(f"period: found {period:g} s, expected at least {SHORTEST_PERIOD:g} s, or a record has no end")
-    pause = np.zeros(round(0.1 / period))
-    lap = [pause]
-    for share in SPEEDS:
-        there = point_to_point(period, stroke, share * speed, acceleration)
-        lap += [there, np.full(pause.size, stroke), stroke - there, pause]
-    return np.tile(np.concatenate(lap), int(laps))
+    pause = 0.1
+    lap = [there_and_back(period, stroke, share * speed, acceleration, pause) for share in SPEEDS]
+    return np.tile(np.concatenate([np.zeros(round(pause / period)), *lap]), int(laps))
+
+
+def there_and_back(period: float, stroke: float, speed: float, acceleration: float, pause: float) -> np.ndarray:
+    """Return positions (n,) [m] from 0 to ``stroke`` [m] and back by :func:`point_to_point`, ``pause`` [s] after each.
+
+    Raises :class:`InputError` for a motion longer than a record may be.
+
+    >>> there_and_back(0.5, 1.0, 1.0, 2.0, 0.5).tolist()
+    [0.0, 0.25, 0.75, 1.0, 1.0, 1.0, 0.75, 0.25, 0.0, 0.0]
+    """
+    reached = min(speed, np.sqrt(stroke * acceleration))
+    samples = 2.0 * (stroke / reached + reached / acceleration + pause) / period
+    if not samples < LONGEST:
+        raise InputError(
+            f"motion: found {samples * period:.4g} s at {period:g} s, {samples:.3g} samples, expected at most "
+            f"{LONGEST}: take a shorter stroke or pause, or more speed or acceleration"
+        )
+    there, still = point_to_point(period, stroke, speed, acceleration), round(pause / period)
+    return np.concatenate([there, np.full(still, stroke), stroke - there, np.zeros(still)])
 
 
 def synthetic_record(

@@ -18,7 +18,7 @@ from emps_design.studio.state import State
 
 RECORD_AXIS = "emps2019"  # the machine that records are taken for where no axis of their own is named
 HOST = "127.0.0.1"
-TABS = ("Design", "Simulation", "Data", "Compensation", "Files")
+TABS = ("Design", "Motion", "Simulation", "Data", "Compensation", "Files")
 
 
 class Session:
@@ -28,12 +28,14 @@ class Session:
         from emps_design.studio.compensation_view import CompensationView
         from emps_design.studio.data_view import DataView
         from emps_design.studio.files_view import FilesView
+        from emps_design.studio.motion_view import MotionView
         from emps_design.studio.simulation_view import SimulationView
 
         machines = {name: machine(name) for name in machine_names()}
         machines[axis.name] = axis
         self.state = State.of(axis)
         self.design = DesignView(self.state, machines, self._changed)
+        self.motion = MotionView(lambda: self.state, self.design.turn, lambda: self.data.record)
         self.simulation = SimulationView(lambda: self.state, self.design.turn)
         own = axis.name if axis.name not in machine_names() else RECORD_AXIS
         self.data = DataView(
@@ -44,7 +46,7 @@ class Session:
         self.tab = pn.widgets.RadioButtonGroup(
             label="Tab", options=list(TABS), value=TABS[0], color="primary", margin=6
         )
-        views = (self.design, self.simulation, self.data, self.compensation, self.files)
+        views = (self.design, self.motion, self.simulation, self.data, self.compensation, self.files)
         self.views = dict(zip(TABS, views, strict=True))
         for name, view in self.views.items():
             view.view.visible = name == TABS[0]
@@ -59,6 +61,7 @@ class Session:
 
     def _changed(self, state: State) -> None:
         self.state = state
+        self.motion.show(state)
         self.simulation.show(state)
         self.compensation.show(state)
 

@@ -91,12 +91,14 @@ class CompensationView:
     def _done(self, found: Compensation) -> None:
         self.found, self.download.disabled = found, False
         ratio = found.without / found.achieved if found.achieved > 0.0 else float("inf")
+        said_above = tuple(f"{name} is not compensated" for name in found.not_compensated)
+        more = [line for line in found.warnings if not line.startswith(said_above)]
         self._say(
             f"Tracking error rms {found.without:.3g} {found.unit} without, {found.achieved:.3g} with what is kept "
             f"({ratio:,.0f} times less), {found.worst:.3g} with every parameter wrong; controller "
             f"{found.axis.controller.kind.replace('_', ' ')}.",
             "good" if found.worst < found.without else "warning",
-            "".join(f"<br>{inline(line)}" for line in (*found.warnings, *(one["advice"] for one in found.feedback))),
+            "".join(f"<br>{inline(line)}" for line in (*more, *(one["advice"] for one in found.feedback))),
         )
         heads = ("term", f"alone [{found.unit}]", "all but it", "all, it wrong", "")
         rows = [

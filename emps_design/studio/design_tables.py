@@ -22,7 +22,9 @@ def numbers_table(state: State, design: VelocityLoopDesign, pinned: VelocityLoop
 
     def row(name: str, shown: VelocityLoopDesign) -> str:
         sampled, m = shown.sampled, shown.sampled.margins
+        filters = len(shown.filters)
         cells = [
+            shown.structure.label + (f", {filters} filter{'s' * (filters > 1)}" if filters else ""),
             f"<b>{number(shown.k_v1)}</b>",
             f"<b>{number(shown.t_v * 1e3)}</b>",
             angle(shown.phase_margin_deg),
@@ -35,6 +37,7 @@ def numbers_table(state: State, design: VelocityLoopDesign, pinned: VelocityLoop
         return f"<tr><th>{name}</th>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
 
     heads = (
+        "structure",
         "k_v1 [V/(m/s)]",
         "t_v [ms]",
         "phase, asked at velocity error",

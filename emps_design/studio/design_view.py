@@ -13,12 +13,14 @@ from emps_design.report.page import inline
 from emps_design.studio.controls import Knob
 from emps_design.studio.design_tables import laws_table, numbers_table
 from emps_design.studio.feasible import feasible, plane
+from emps_design.studio.filter_rows import FilterRows
 from emps_design.studio.panes import html
 from emps_design.studio.plots import LoopPlots, PlanePlot
-from emps_design.studio.state import PLACES, SPECIFICATIONS, State, taken_for
+from emps_design.studio.state import LABELS, PLACES, SPECIFICATIONS, State, taken_for
 
 if TYPE_CHECKING:
     from emps_design.control.velocity.design import VelocityLoopDesign
+    from emps_design.laws.library.cascade import Filter
 
 GROUPS = (
     ("Velocity loop", ("frequency", "phase_margin_deg")),
@@ -37,7 +39,7 @@ class DesignView:
         self.design: VelocityLoopDesign | None = None
         self.pinned: VelocityLoopDesign | None = None
         self.plots, self.plane = LoopPlots(), PlanePlot()
-        self._plane_of: Any = None
+        self._plane: Any = None
         self.machine = pn.widgets.Select(
             label="Axis", options=list(machines), value=state.axis.name, width=306, margin=(4, 6)
         )
@@ -50,6 +52,9 @@ class DesignView:
                 width=306,
                 margin=(2, 6),
             ),
+            "structure": pn.widgets.Select(
+                label="Structure", options=list(LABELS), value=state.structure, width=306, margin=(2, 6)
+            ),
             "place": pn.widgets.RadioButtonGroup(
                 label="Loop broken at", options=list(PLACES), value=state.place, margin=(2, 8)
             ),
@@ -59,6 +64,7 @@ class DesignView:
         self.pin = pn.widgets.Toggle(label="Pin this design to compare", width=210, margin=(2, 8))
         self.pin.param.watch(self._pinned, "value")
         self.knobs = {name: Knob(name, getattr(state, name), self.turn) for _, names in GROUPS for name in names}
+        self.filters = FilterRows(lambda tables: self.turn("filters", tables), self._another)
         self.message, self.numbers, self.laws = html(), html(), html()
         self.titles: dict[str, pn.pane.HTML] = {}
         self._quiet = False
@@ -72,6 +78,7 @@ class DesignView:
             groups.append(self.titles[title])
             groups += [self.words["specification"]] if title == "Velocity loop" else []
             groups += [self.knobs[name].view for name in names]
+            groups += [self.words["structure"], self.filters.view] if title == "Velocity loop" else []
         left = pn.Column(self.machine, *groups, width=330, margin=(0, 8, 0, 0))
         p = self.plots
         columns = ((p.magnitude, p.phase), (p.nyquist, self.plane.plot), (p.step, p.z_plane))
@@ -91,6 +98,11 @@ class DesignView:
         right = pn.Column(self.message, self.numbers, bar, pictures, self.laws, sizing_mode="stretch_width", margin=0)
         right.styles = {"position": "sticky", "top": "0", "align-self": "flex-start"}  # in sight of the lowest knob
         return pn.Row(left, right, sizing_mode="stretch_width")
+
+    def _another(self, kind: str) -> Filter:
+        from emps_design.control.velocity.limits import first_try
+
+        return first_try(self.state.axis, self.state.frequency, kind)
 
     def _machine_chosen(self, event) -> None:
         self.set_state(self.state.with_axis(self.machines[event.new]))
@@ -112,7 +124,7 @@ class DesignView:
                 self.knobs[name].set(getattr(self.state, name))
             if name == "place":
                 self._show_pinned()
-            elif name in self.knobs or name in self.words:
+            elif name in self.knobs or name in self.words or name == "filters":
                 self._design(taken_for(name, value))
         except EmpsError as error:
             self.state = before
@@ -167,6 +179,7 @@ class DesignView:
                 knob.set(getattr(state, name))
             for name, group in self.words.items():
                 group.value = getattr(state, name)
+            self.filters.set(state.filters)
             self.pin.value = state.pinned is not None
         finally:
             self._quiet = False
@@ -212,10 +225,10 @@ class DesignView:
         state = self.state
         self.plots.update(self.design, state.place)
         self.plots.require(state.required_phase_deg, state.required_overshoot_percent)
-        key = (state.axis, state.specification, state.required_phase_deg)
-        if key != self._plane_of:
-            self.plane.color(plane(*key))
-            self._plane_of = key
+        found = plane(state)
+        if found is not self._plane:
+            self.plane.color(found)
+            self._plane = found
         self.plane.show(state.specification, self.design, self.pinned)
         self._show_numbers()
         self.laws.object = self._own(laws_table(state, self.design))

@@ -27,24 +27,17 @@ def velocity_design(state: State) -> VelocityLoopDesign:
     return design_velocity_loop(state.axis, **state.requested)
 
 
-def _around_ip(state: State) -> bool:
-    """Whether the velocity loop is one that a force loop goes around: the paper's, without filters."""
-    from emps_design.control.velocity.structure import IP, own_filters, own_structure
-
-    return own_structure(state.axis) == IP and not own_filters(state.axis)
-
-
 def report_html(state: State, record: Record | None = None) -> str:
     """The page of ``report`` for ``state``, with the section on ``record`` where one is loaded."""
     from emps_design.report.assemble import assemble_report
 
-    wall = state.wall * 1e3
-    force = {"k_e1": state.k_e1, "hand": state.hand, "environment": wall} if _around_ip(state) else {}
     report = assemble_report(
         state.axis,
         record,
         design_on="axis",
-        **force,
+        k_e1=state.k_e1,
+        hand=state.hand,
+        environment=state.wall * 1e3,
         mass=state.mass,
         damping=state.damping,
         filter=state.filter,
@@ -63,14 +56,12 @@ def figures(state: State) -> dict[str, Figure]:
     from emps_design.studio.simulated import simulate
 
     design = velocity_design(state)
-    around = {}
-    if _around_ip(state):
-        force = design_force_loop(design, state.k_e1, hand=state.hand, environment=state.wall * 1e3)
-        around = {"force_limit": force_limit_figure(force), "force_loop": force_loop_figure(force)}
+    force = design_force_loop(design, state.k_e1, hand=state.hand, environment=state.wall * 1e3)
     return {
         "block_diagram": velocity_and_force_loop_diagram(),
         **velocity_loop_figures(design),
-        **around,
+        "force_limit": force_limit_figure(force),
+        "force_loop": force_loop_figure(force),
         **{f"simulation_{name}": figure for name, figure in simulate(state).figures().items()},
     }
 
@@ -105,12 +96,14 @@ def controlled(axis: Axis, state: State) -> Axis:
 def drive_zip(found: Compensation) -> bytes:
     """The folder for the drive: axis, compensation and controller in C99 with its vectors, in one archive."""
     from emps_design.codegen import export_controller
+    from emps_design.codegen.origin import origin_of
 
-    exported = export_controller(found.axis, "c", found.to_dict())
+    axis = found.axis.to_toml(comments=True)
+    exported = export_controller(found.axis, "c", found.to_dict(), origin_of("axis.toml", axis.encode()))
     # What is infinite, the error of an unstable loop, is null.
     document = json.loads(json.dumps(found.to_dict(), default=float), parse_constant=lambda name: None)
     files = {
-        "axis.toml": found.axis.to_toml(comments=True),
+        "axis.toml": axis,
         "compensation.json": _json_text(document),
         **{f"code/{name}": content for name, content in exported.files.items()},
     }

@@ -11,14 +11,13 @@ import numpy as np
 from emps_design.studio.state import CHOICES, State
 
 if TYPE_CHECKING:
-    from emps_design.axis import Axis
-    from emps_design.control.velocity.sweeps import VelocityLoopSweep
+    from emps_design.control.velocity.specification import Pairs
 
 STEP = 0.5  # deg
-UNSTABLE, NO_GAIN = "the sampled loop is unstable", "(7) has no positive gain"
+UNSTABLE, NO_GAIN = "the sampled loop is unstable", "no gains are positive"
 
 
-KINDS = ("no gains by (7)", "sampled loop unstable", "below the required margin", "meets it")
+KINDS = ("no positive gains", "sampled loop unstable", "below the required margin", "meets it")
 
 
 @dataclass(frozen=True)
@@ -67,29 +66,26 @@ class Feasible:
         return frequency if self.frequencies is None else float(np.clip(frequency, *self.frequencies))
 
 
-def crossover_of(specification: str, frequency: np.ndarray, phase_margin_deg: np.ndarray) -> np.ndarray:
-    """The crossover [rad/s] that ``frequency`` means: itself, or that of a -3 dB bandwidth at the phase margin."""
-    from emps_design.control.velocity.gains import crossover_of_bandwidth
+def _pairs(state: State) -> Pairs:
+    """What pairs of a frequency and a phase margin mean on the axis of ``state``, with its structure and filters."""
+    from emps_design.control.velocity.specification import pairs_by_closed_form
 
-    if specification == "crossover":
-        return np.broadcast_to(frequency, np.broadcast_shapes(np.shape(frequency), np.shape(phase_margin_deg)))
-    return crossover_of_bandwidth(frequency, phase_margin_deg)
+    asked = state.requested
+    return pairs_by_closed_form(state.axis, asked, structure=asked["structure"], filters=asked["filters"])
 
 
-def _designs(
-    axis: Axis, specification: str, frequency: np.ndarray, phases: np.ndarray
-) -> tuple[VelocityLoopSweep, np.ndarray]:
-    """Gains of every specification, and whether they give a stable sampled loop."""
-    from emps_design.control.plant.discretisation import sample_axis
-    from emps_design.control.velocity.sweeps import sweep_stability, sweep_velocity_loop
+def _designs(state: State, frequency: np.ndarray, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Whether each specification has gains, and whether they give a stable sampled loop; arrays of one shape."""
+    from emps_design.control.velocity.sweeps import sweep_stability
 
-    sweep = sweep_velocity_loop(axis, crossover_of(specification, frequency, phases), phases)
-    stable = sweep_stability(sample_axis(axis), sweep.k_v1.ravel(), sweep.t_v.ravel())
-    return sweep, stable.reshape(phases.shape)
+    pairs = _pairs(state)
+    k_v1, t_v = pairs.gains(frequency.ravel(), phases.ravel())
+    stable = sweep_stability(pairs.plant, k_v1, t_v)
+    return np.isfinite(k_v1).reshape(phases.shape), stable.reshape(phases.shape)
 
 
 def feasible(state: State) -> Feasible:
-    """Return what gains by (7) with a stable sampled loop can reach around the state's specification.
+    """Return what positive gains with a stable sampled loop can reach around the state's specification.
 
     Of several intervals of the phase margin it is the one nearest to the state's.
 
@@ -100,11 +96,11 @@ def feasible(state: State) -> Feasible:
     """
     choice = CHOICES["phase_margin_deg"]
     phases = np.arange(choice.lower, choice.upper + STEP / 2, STEP)
-    sweep, good = _designs(state.axis, state.specification, np.full(phases.size, state.frequency), phases)
-    frequencies = reachable_frequencies(state.axis, state.specification)
+    gains, good = _designs(state, np.full(phases.size, state.frequency), phases)
+    frequencies = reachable_frequencies(state)
     where = f"at {state.specification} {state.frequency:g} rad/s"
     if not good.any():
-        reason = f"{UNSTABLE} with every phase margin" if sweep.feasible.any() else NO_GAIN
+        reason = f"{UNSTABLE} with every phase margin" if gains.any() else NO_GAIN
         return Feasible(frequencies, None, None, f"Nothing can be reached {where}: {reason}.")
     edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(int), [0]])))
     runs = edges.reshape(-1, 2)
@@ -113,8 +109,8 @@ def feasible(state: State) -> Feasible:
         ((a, b - 1) for a, b in runs), key=lambda run: max(phases[run[0]] - middle, middle - phases[run[1]], 0.0)
     )
     low, high = float(phases[first]), float(phases[last])
-    below = None if first == 0 else UNSTABLE if sweep.feasible[first - 1] else NO_GAIN
-    above = None if last == phases.size - 1 else UNSTABLE
+    below = None if first == 0 else UNSTABLE if gains[first - 1] else NO_GAIN
+    above = None if last == phases.size - 1 else UNSTABLE if gains[last + 1] else NO_GAIN
     if below and below == above:
         text = f"outside {low:g}° to {high:g}° {UNSTABLE}"
     else:
@@ -125,33 +121,42 @@ def feasible(state: State) -> Feasible:
 
 
 @lru_cache(maxsize=16)
-def _reachable(table: str, specification: str) -> tuple[float, float] | None:
-    from emps_design.axis import Axis
-
+def _reachable(table: str) -> tuple[float, float] | None:
     choice, phase = CHOICES["frequency"], CHOICES["phase_margin_deg"]
     frequencies = np.arange(choice.lower, choice.upper + choice.step / 2, choice.step)
     X, Y = np.meshgrid(frequencies, np.arange(phase.lower, phase.upper + STEP, 2 * STEP))
-    good = _designs(Axis.from_toml(table), specification, X, Y)[1].any(axis=0)
+    good = _designs(State.from_toml(table), X, Y)[1].any(axis=0)
     return (float(frequencies[good][0]), float(frequencies[good][-1])) if good.any() else None
 
 
-def reachable_frequencies(axis: Axis, specification: str) -> tuple[float, float] | None:
+def reachable_frequencies(state: State) -> tuple[float, float] | None:
     """Lowest and highest frequency [rad/s] of the control at which any phase margin can be reached; None for none."""
-    return _reachable(axis.to_toml(), specification)
+    return _reachable(_question(state).to_toml())
 
 
-def plane(axis: Axis, specification: str, required_phase_deg: float, columns: int = 90, rows: int = 60) -> Plane:
-    """Return what happens at frequencies, as ``specification`` means them, and phase margins."""
-    from emps_design.control.plant.discretisation import sample_axis
-    from emps_design.control.velocity.sweeps import sweep_sampled_margins, sweep_velocity_loop
+def _question(state: State, **kept: float) -> State:
+    """``state`` with what its velocity loop is made of alone, so that equal questions are equal."""
+    law = {"specification": state.specification, "structure": state.structure, "filters": state.filters}
+    return State.of(state.axis).changed(**law, **kept)
 
-    frequency = CHOICES["frequency"]
+
+@lru_cache(maxsize=16)
+def _plane(table: str, columns: int, rows: int) -> Plane:
+    from emps_design.control.velocity.sweeps import sweep_sampled_margins
+
+    state, frequency = State.from_toml(table), CHOICES["frequency"]
     edges = np.geomspace(frequency.lower, frequency.upper, columns + 1)
     x = np.sqrt(edges[1:] * edges[:-1])
     y = (np.arange(rows) + 0.5) * 90.0 / rows
     X, Y = np.meshgrid(x, y)
-    sweep = sweep_velocity_loop(axis, crossover_of(specification, X, Y), Y)
-    margins = sweep_sampled_margins(sample_axis(axis), sweep.k_v1, sweep.t_v, 60)
+    pairs = _pairs(state)
+    k_v1, t_v = (gain.reshape(X.shape) for gain in pairs.gains(X.ravel(), Y.ravel()))
+    margins = sweep_sampled_margins(pairs.plant, k_v1, t_v, 60)
     phase = np.nan_to_num(margins["phase_margin_deg"], nan=180.0)
-    kind = np.select([~sweep.feasible, ~margins["stable"], phase < required_phase_deg], [0, 1, 2], 3)
+    kind = np.select([np.isnan(k_v1), ~margins["stable"], phase < state.required_phase_deg], [0, 1, 2], 3)
     return Plane(x, y, kind.astype(np.uint8))
+
+
+def plane(state: State, columns: int = 90, rows: int = 60) -> Plane:
+    """Return what happens at frequencies, as the specification of ``state`` means them, and phase margins."""
+    return _plane(_question(state, required_phase_deg=state.required_phase_deg).to_toml(), columns, rows)

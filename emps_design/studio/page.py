@@ -1,4 +1,4 @@
-"""The studio's page: its frame and style, and the three tabs with the files tab beside them."""
+"""The studio's page: its frame and its style, around the tabs."""
 
 from __future__ import annotations
 

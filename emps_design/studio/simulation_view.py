@@ -45,6 +45,7 @@ class SimulationView:
         self.fields = {name: Field(name, getattr(now, name), turn, width) for name, width in WIDTHS.items()}
         self.run = pn.widgets.Button(label="Simulate", color="primary", width=100, margin=(22, 6, 2, 6))
         self.run.on_click(lambda event: after_this_event(self._start))  # a number typed just before comes first
+        self._of: State | None = None  # what the result shown, or at work, is of
         self.job = Job()
         self.message, self.table = html(), html(INTRODUCTION)
         self.pictures = {name: html() for name in PICTURES}
@@ -68,10 +69,21 @@ class SimulationView:
         for name, field in self.fields.items():
             field.speak(state.axis.units)
             field.set(getattr(state, name))
+        if self._of is not None and _read(state) != _read(self._of):
+            self._withdraw()
+
+    def _withdraw(self) -> None:
+        """Show no result: the one before was of other numbers."""
+        self.job.stop()
+        self._of = None
+        self.message.object, self.table.object = "", INTRODUCTION
+        for picture in self.pictures.values():
+            picture.object = ""
 
     def _start(self) -> None:
         state = self._state()
-        self.message.object = ""
+        self._withdraw()
+        self._of = state
         self.job.start(lambda progress: simulate(state, progress), self._done, self._failed)
 
     def _failed(self, message: str) -> None:
@@ -79,6 +91,8 @@ class SimulationView:
         self.message.object = f'<div class="message stop" role="alert">{text}</div>'
 
     def _done(self, found: Simulated) -> None:
+        if found.state is not self._of:
+            return
         level, text = found.verdict()
         units = found.state.axis.units
         text = units.text(inline(text))
@@ -91,3 +105,8 @@ class SimulationView:
         for name, figure in found.figures().items():
             caption = units.text(inline(captions[name]))
             self.pictures[name].object = f'{svg(labelled(figure, units), name)}<p class="caption">{caption}</p>'
+
+
+def _read(state: State) -> tuple[Any, ...]:
+    """What of ``state`` a simulation depends on."""
+    return state.axis, state.task, state.mass, state.damping, state.filter, *(getattr(state, name) for name in WIDTHS)

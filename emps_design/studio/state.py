@@ -6,8 +6,12 @@ import tomllib
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+from pydantic import ValidationError
+
 from emps_design.axis import Axis
+from emps_design.control.velocity.structure import STRUCTURES, own_filters, own_structure
 from emps_design.errors import InputError, nearest_name
+from emps_design.laws.library.cascade import Filter
 from emps_design.quantities import read_frequency
 
 
@@ -43,21 +47,39 @@ CHOICES: dict[str, Choice] = {
     "push": Choice("Push [N]", 1.0, 500.0, 5.0),
     "hand_stiffness": Choice("Hand stiffness [N/m]", 0.0, 20000.0, 100.0),
     "hand_damping": Choice("Hand damping [N/(m/s)]", 0.0, 2000.0, 10.0),
+    "stroke": Choice("Stroke [m]", 1e-6, 1000.0, 0.01),
+    "speed": Choice("Speed [m/s]", 1e-6, 1000.0, 0.01),
+    "acceleration": Choice("Acceleration [m/s^2]", 1e-6, 1e6, 0.1),
+    "pause": Choice("Pause [s]", 0.0, 100.0, 0.1),
+    "position_kp": Choice("Position gain kp [1/s]", 0.01, 10000.0, 1.0),
     "plants": Choice("Random plants", 0, 10000, 100),
     "seed": Choice("Seed", 0, 10**6, 1),
 }
+MOST_FILTERS = 8
 SPECIFICATIONS = ("crossover", "bandwidth")
+LABELS = {one.label: one for one in STRUCTURES}
 PLACES = ("plant input", "velocity error")
+MOTIONS = ("there and back", "file", "record")
+FEEDFORWARDS = ("of the axis", "none", "velocity", "velocity and acceleration")
 TASKS = ("guided", "pushed")
 FRICTIONS = ("symmetric", "asymmetric")
-WORDS = {"specification": SPECIFICATIONS, "place": PLACES, "task": TASKS, "friction": FRICTIONS}
+WORDS = {
+    "specification": SPECIFICATIONS,
+    "structure": tuple(LABELS),
+    "place": PLACES,
+    "task": TASKS,
+    "friction": FRICTIONS,
+    "motion": MOTIONS,
+    "feedforward": FEEDFORWARDS,
+}
 
 
 @dataclass(frozen=True)
 class State:
     """Everything the controls of all tabs hold, and the design that is pinned.
 
-    ``axis`` has the sampling and the current loop of the controls.
+    ``axis`` has the sampling and the current loop of the controls; structure and ``filters`` of the velocity loop are
+    those of its controller until others are chosen.
 
     >>> from emps_design.machines import machine
     >>> state = State.of(machine("emps2018"))
@@ -70,6 +92,8 @@ class State:
     specification: str = "crossover"
     frequency: float = 100.0
     phase_margin_deg: float = 60.0
+    structure: str = "IP"
+    filters: tuple[Filter, ...] = ()
     required_phase_deg: float = 30.0
     required_overshoot_percent: float = 20.0
     period_ms: float = 1.0
@@ -87,6 +111,13 @@ class State:
     push: float = 40.0
     hand_stiffness: float = 1000.0
     hand_damping: float = 100.0
+    motion: str = "there and back"
+    stroke: float = 0.24
+    speed: float = 0.2
+    acceleration: float = 1.0
+    pause: float = 0.1
+    position_kp: float = 20.0
+    feedforward: str = "of the axis"
     plants: int = 200
     seed: int = 0
     friction: str = "symmetric"
@@ -94,12 +125,13 @@ class State:
     @classmethod
     def of(cls, axis: Axis) -> State:
         """The controls as they stand for ``axis``."""
-        state = cls(axis)
-        return replace(state, **_clock(axis))
+        return cls(axis).with_axis(axis)
 
     def with_axis(self, axis: Axis) -> State:
         """The same specification on another ``axis``."""
-        return replace(self, axis=axis, **_clock(axis))
+        structure, filters = own_structure(axis).label, own_filters(axis)
+        kp = (axis.controller.position or {}).get("kp", self.position_kp)
+        return replace(self, axis=axis, structure=structure, filters=filters, position_kp=kp, **_clock(axis))
 
     def changed(self, **values: Any) -> State:
         """The state with some numbers changed, each within the range of its control, and the axis kept in step."""
@@ -113,9 +145,10 @@ class State:
         return replace(state, axis=axis)
 
     @property
-    def requested(self) -> dict[str, float]:
+    def requested(self) -> dict[str, Any]:
         """Arguments of the velocity-loop design."""
-        return {self.specification: self.frequency, "phase_margin_deg": self.phase_margin_deg}
+        law = {"structure": LABELS[self.structure], "filters": self.filters}
+        return {self.specification: self.frequency, "phase_margin_deg": self.phase_margin_deg, **law}
 
     def to_toml(self) -> str:
         """The state as a TOML document: tables [studio] and [axis], and both in [pinned] where a design is pinned."""
@@ -125,6 +158,7 @@ class State:
 
     def _tables(self) -> dict[str, Any]:
         values = {one.name: getattr(self, one.name) for one in fields(self) if one.name not in ("axis", "pinned")}
+        values["filters"] = [one.model_dump(exclude_none=True) for one in self.filters]
         pinned = {} if self.pinned is None else {"pinned": self.pinned._tables()}
         return {"studio": values, "axis": self.axis.to_dict(), **pinned}
 
@@ -164,8 +198,10 @@ def checked(name: str, value: Any, source: str = "studio") -> Any:
         if value not in WORDS[name]:
             raise InputError(f"{source}: {name}: found {value!r}, expected {' or '.join(WORDS[name])}")
         return value
+    if name == "filters":
+        return _filters(value, source)
     if name not in CHOICES:
-        raise InputError(f"{source}: unknown key {name!r}{nearest_name(name, [*CHOICES, *WORDS])}")
+        raise InputError(f"{source}: unknown key {name!r}{nearest_name(name, [*CHOICES, *WORDS, 'filters'])}")
     choice = CHOICES[name]
     if choice.frequency and isinstance(value, str):
         try:
@@ -176,6 +212,26 @@ def checked(name: str, value: Any, source: str = "studio") -> Any:
     if isinstance(value, bool) or not isinstance(value, kind) or not choice.lower <= value <= choice.upper:
         raise InputError(f"{source}: {name}: found {value!r}, expected {what}{choice.lower:g} to {choice.upper:g}")
     return value
+
+
+def _filters(tables: Any, source: str) -> tuple[Filter, ...]:
+    """Filters from tables like those of an axis file; a frequency may have its unit, Hz where it has none."""
+    if not isinstance(tables, list | tuple) or len(tables) > MOST_FILTERS:
+        raise InputError(f"{source}: filters: found {tables!r}, expected up to {MOST_FILTERS} tables")
+    found = []
+    for place, table in enumerate(tables):
+        given = dict(table) if isinstance(table, dict | Filter) else {}
+        try:
+            if isinstance(given.get("frequency"), str):
+                given["frequency"] = read_frequency(given["frequency"], "Hz")
+            found.append(Filter.model_validate(given))
+        except ValidationError as error:
+            problem = error.errors(include_url=False)[0]
+            where = ".".join(("filters", str(place), *map(str, problem["loc"])))
+            raise InputError(f"{source}: {where}: {problem['msg']}") from error
+        except InputError as error:
+            raise InputError(f"{source}: filters.{place}: {error}") from error
+    return tuple(found)
 
 
 def taken_for(name: str, value: Any) -> str:

@@ -52,7 +52,7 @@ def type_into(page, label: str, value: str) -> None:
 def test_every_tab_fits_the_screen(page, picture, width, height):
     assert sampled_margin(page) == "39.2°"
     page.set_viewport_size({"width": width, "height": height})
-    for tab in ("Design", "Simulation", "Data", "Compensation", "Files"):
+    for tab in ("Design", "Motion", "Simulation", "Data", "Compensation", "Files"):
         turn_to(page, tab)
         page.wait_for_timeout(800)
         page.screenshot(path=picture(f"studio-{tab.lower()}-{width}x{height}"))
@@ -136,7 +136,7 @@ def test_a_pinned_design_stays_beside_the_new_one(page, picture):
 def test_every_control_has_a_name_and_the_tabs_answer_the_keyboard(page):
     page.wait_for_timeout(1500)
     assert page.evaluate(NAMELESS) == []
-    for tab in ("Simulation", "Data", "Compensation", "Files", "Design"):
+    for tab in ("Motion", "Simulation", "Data", "Compensation", "Files", "Design"):
         page.get_by_role("button", name=tab, exact=True).focus()
         page.keyboard.press("Enter")
         page.wait_for_timeout(400)
@@ -222,6 +222,33 @@ def test_figure_twelve_is_simulated_and_a_long_study_cancelled(page, picture):
     page.wait_for_timeout(300)
     cancel.click()
     page.get_by_text("Cancelled; nothing was changed.").wait_for(timeout=60_000)
+
+
+def test_structure_filters_and_a_motion_of_ones_own(page, tmp_path, picture):
+    before = sampled_margin(page)
+    page.get_by_label("Structure", exact=True).select_option("PI")
+    wait_for_change(page, before)
+    page.get_by_role("button", name="Add a notch").click()
+    page.get_by_text("PI, 1 filter").wait_for()
+    type_into(page, "Notch [Hz]", "90 V")
+    page.get_by_role("status").filter(has_text="the design stays as it was").first.wait_for()
+    page.wait_for_timeout(400)
+    assert page.get_by_label("Notch [Hz]", exact=True).input_value() == "127.324"
+    type_into(page, "Notch [Hz]", "90Hz")
+    page.wait_for_timeout(800)
+    assert page.get_by_label("Notch [Hz]", exact=True).input_value() == "90"
+    page.screenshot(path=picture("studio-filters"), full_page=True)
+    turn_to(page, "Motion")
+    page.get_by_label("Motion", exact=True).select_option("A file of mine")
+    (tmp_path / "way.csv").write_text("t [s],q_ref [mm]\n0,0\n0.5,40\n1,40\n")
+    page.locator("input[type=file]").locator("visible=true").last.set_input_files(str(tmp_path / "way.csv"))
+    page.wait_for_timeout(600)
+    page.get_by_role("button", name="Move", exact=True).click()
+    page.get_by_text(re.compile("way.csv, straight between its rows, kp 20 1/s")).wait_for(timeout=60_000)
+    page.wait_for_timeout(500)
+    page.screenshot(path=picture("studio-motion"), full_page=True)
+    type_into(page, "Position gain kp [1/s]", "10")
+    page.get_by_text("straight between its rows, kp 20").wait_for(state="hidden")
 
 
 def test_files_are_handed_out_and_a_state_comes_back(page, tmp_path, picture):

@@ -69,6 +69,24 @@ def replayed(unit, folder, signals, outputs, period, **start):
     return [found[name] for name in outputs]
 
 
+def instances(unit, folder, count, said=None):
+    """So many running instances of a unit."""
+    path = folder / "unit.fmu"
+    path.write_bytes(unit)
+    description, said = fmpy.read_model_description(str(path)), [] if said is None else said
+    assert description.coSimulation.canGetAndSetFMUstate
+    made = [
+        fmpy.instantiate_fmu(
+            fmpy.extract(str(path), str(folder / f"unit_{i}")), description, "CoSimulation",
+            logger=lambda environment, status, category, message: said.append(message.decode()),
+        ) for i in range(count)
+    ]  # fmt: skip
+    for one in made:
+        one.enterInitializationMode(startTime=0.0)
+        one.exitInitializationMode()
+    return made
+
+
 def with_every_effect():
     """Axes that have every effect between them: each of these alone, the others together."""
     tables = {one.name: {"kind": one.name, **one.checks[0][0]} for one in EFFECTS}
@@ -94,6 +112,36 @@ def test_the_machine_moves_as_in_our_simulation(name, axis, tmp_path):
     np.testing.assert_array_equal(q, run.q)
     np.testing.assert_allclose(position, run.position, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(v, run.v, rtol=0.0, atol=1e-9)
+
+
+def stepped(made, commands, first, period):
+    """What a machine shows (n, 3) after each sample from number ``first`` on, given these commands."""
+    rows = []
+    for k, u in enumerate(commands, start=first):
+        made.setFloat64([1], [u])
+        made.doStep(k * period, period)
+        rows.append(made.getFloat64([3, 4, 5]))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize(("name", "axis"), list(with_every_effect()), ids=ALONE)
+def test_a_master_steps_back_and_the_machine_moves_the_same_again(name, axis, tmp_path):
+    """Whatever was done in between, and as often as it likes; the state of one instance is for no other."""
+    made, other = instances(machine_unit("m", axis), tmp_path, 2)
+    u, period = 3.0 * np.sin(0.03 * np.arange(600)), axis.sampling.period
+    stepped(made, u[:300], 0, period)
+    state = made.getFMUState()
+    first = stepped(made, u[300:], 300, period)
+    assert np.ptp(first, axis=0).min() > 0.0
+    for between in (-u[:200], u[:0]):
+        stepped(made, between, 600, period)
+        made.setFMUState(state)
+        np.testing.assert_array_equal(stepped(made, u[300:], 300, period), first)
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        other.setFMUState(state)
+    made.freeFMUState(state)
+    stepped(other, u[:300], 0, period)
+    np.testing.assert_array_equal(stepped(other, u[300:], 300, period), first)
 
 
 def test_a_users_effect_and_a_real_current_loop_are_in_the_machine(tmp_path):
@@ -156,13 +204,8 @@ def test_the_same_axis_gives_the_same_bytes():
 
 def test_what_a_unit_refuses(tmp_path):
     """A step that is no whole number of samples, an output that is set, a value that is not finite."""
-    path = tmp_path / "unit.fmu"
-    path.write_bytes(machine_unit("m", machine("emps2019")))
-    description, said = fmpy.read_model_description(str(path)), []
-    made = fmpy.instantiate_fmu(
-        fmpy.extract(str(path), str(tmp_path / "unit")), description, "CoSimulation",
-        logger=lambda environment, status, category, message: said.append(message.decode()),
-    )  # fmt: skip
+    said = []
+    (made,) = instances(machine_unit("m", machine("emps2019")), tmp_path, 1, said)
     for refused in (
         lambda: made.setFloat64([3], [1.0]),
         lambda: made.setFloat64([1], [float("nan")]),
@@ -170,8 +213,6 @@ def test_what_a_unit_refuses(tmp_path):
     ):
         with pytest.raises(fmpy.fmi1.FMICallException):
             refused()
-    made.enterInitializationMode(startTime=0.0)
-    made.exitInitializationMode()
     made.doStep(0.0, 2e-3)
     with pytest.raises(fmpy.fmi1.FMICallException):
         made.doStep(2e-3, 5e-4)

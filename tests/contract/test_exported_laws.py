@@ -15,16 +15,16 @@ from emps_design.codegen import export_controller, export_observer
 from emps_design.compensation import compensate
 from emps_design.compensation.feedforward import motion_ahead
 from emps_design.errors import InputError
-from emps_design.laws import LAWS
+from emps_design.laws import LAWS, get_law
 from emps_design.machines import machine
 from emps_design.observer import ForceObserver, observe_online
 from emps_design.simulation import Plant, trapezoid_laps
 from tests.contract.test_laws import GIVEN, OWN, OWN_TABLE, axis_with
-from tests.unit.codegen.structured_text import Blocks
-from tests.unit.compensation.test_compensation import EFFECTS_HERE
+from tests.unit.compensation.test_compensation import DUTY, EFFECTS_HERE
 
 CC = shutil.which("cc")
 EVERY = pytest.mark.parametrize("kind", LAWS, ids=lambda kind: kind.name)
+OBSERVED = pytest.mark.parametrize("name", ["emps2018", "light"])
 ESTIMATORS = pytest.mark.parametrize("estimator", ["two_tap", "backward"])
 compiled = pytest.mark.skipif(CC is None, reason="needs a C compiler")
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wconversion", "-O2", "-ffp-contract=off"]
@@ -79,8 +79,7 @@ def test_the_folder_proves_itself(kind, estimator, tmp_path):
     rows = exported.vectors.q.size
     assert f"double precision: {rows} of {rows} rows with the same bits" in done.stdout
     assert f"single precision: {rows} of {rows} rows within their bound" in done.stdout
-    if estimator == "two_tap":
-        assert make_check(tmp_path, f"CFLAGS=-O1 -g {' '.join(SANITIZERS)}").returncode == 0
+    assert make_check(tmp_path, f"CFLAGS=-O1 -g {' '.join(SANITIZERS)}").returncode == 0
 
 
 def laps(axis, law, samples=100_000):
@@ -134,36 +133,69 @@ def test_one_changed_coefficient_is_noticed(kind, tmp_path):
 
 
 PROGRAM = trapezoid_laps(1e-3, 0.05, 0.15, 1.0, laps=1)
+LONG = trapezoid_laps(1e-3, 0.05, 0.15, 1.0, laps=100)[:100_000]
 COMPENSATED = {
-    "rigid": [],
-    "several": EFFECTS_HERE[:4],
-    "itself": [EFFECTS_HERE[4]],
-    "late": [EFFECTS_HERE[5], EFFECTS_HERE[7]],
+    "rigid": {},
+    "several": {"effects": EFFECTS_HERE[:4]},
+    "itself": {"effects": [EFFECTS_HERE[4]]},
+    "late": {"effects": [EFFECTS_HERE[5], EFFECTS_HERE[7]]},
+    "back-EMF": {"effects": [EFFECTS_HERE[4]], **DUTY},
 }
+
+
+def compensated(name, target):
+    """A compensated block, what goes into it in a closed loop of 100,000 samples, and the command of the simulation."""
+    axis = machine("emps2019").replace(**COMPENSATED[name])
+    found = compensate(axis, PROGRAM)
+    run = Plant.of(axis).closed_loop(LONG, voltage_noise=found.feedforward.along(LONG), method="general")
+    inputs = LONG, run.q, run.f_ext, *motion_ahead(LONG, 1e-3, found.feedforward.wait)
+    return export_controller(axis, target, found.to_dict()), inputs, run.u
 
 
 @compiled
 @pytest.mark.parametrize("name", COMPENSATED)
 def test_a_compensated_law_has_the_simulations_bits(name, tmp_path):
-    """``make check`` with the feed-forward inside, and a closed loop with it, sample for sample."""
-    axis = machine("emps2019").replace(effects=COMPENSATED[name])
-    found = compensate(axis, PROGRAM)
-    exported = export_controller(axis, "c", found.to_dict())
+    """``make check`` with the feed-forward inside, and 100,000 samples of a closed loop with it."""
+    exported, inputs, u = compensated(name, "c")
     exported.write(tmp_path)
     done = make_check(tmp_path)
     assert done.returncode == 0, done.stderr
     assert make_check(tmp_path, f"CFLAGS=-O1 -g {' '.join(SANITIZERS)}").returncode == 0
-    added = found.feedforward.along(PROGRAM)
-    run = Plant.of(axis).closed_loop(PROGRAM, voltage_noise=added, method="general")
-    motion = motion_ahead(PROGRAM, 1e-3, found.feedforward.wait)
-    block = Compiled(tmp_path, exported)
-    answers = block.run(PROGRAM, run.q, run.f_ext, *motion)
-    np.testing.assert_array_equal(answers.view(np.int64), run.u.view(np.int64))
+    answers = Compiled(tmp_path, exported).run(*inputs)
+    assert answers.size == 100_000
+    np.testing.assert_array_equal(answers.view(np.int64), u.view(np.int64))
+
+
+def block_called(name):
+    """A block in C: of a law, of a compensated law, of an observer."""
+    if name == "observer":
+        return export_observer(machine("emps2018"), "c", 30.0)
+    if name in COMPENSATED:
+        axis = machine("emps2019").replace(**COMPENSATED[name])
+        return export_controller(axis, "c", compensate(axis, PROGRAM).to_dict())
+    return export_controller(axis_with(get_law(name)), "c")
+
+
+@pytest.mark.skipif(shutil.which("cppcheck") is None, reason="needs cppcheck")
+@pytest.mark.parametrize("name", [*GIVEN, *COMPENSATED, "observer"])
+def test_a_static_checker_has_nothing_to_say(name, tmp_path):
+    exported = block_called(name)
+    exported.write(tmp_path)
+    looks = [
+        "--enable=warning,style,performance,portability",
+        "--inconclusive",
+        "--std=c99",
+        "--quiet",
+        "--error-exitcode=1",
+    ]
+    for macro in ([], [f"-D{exported.name.upper()}_SINGLE"]):
+        done = subprocess.run(["cppcheck", *looks, *macro, tmp_path], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout + done.stderr) == (0, "")
 
 
 @compiled
 def test_one_changed_number_of_the_feed_forward_is_noticed(tmp_path):
-    axis = machine("emps2019").replace(effects=COMPENSATED["several"])
+    axis = machine("emps2019").replace(**COMPENSATED["several"])
     exported = export_controller(axis, "c", compensate(axis, PROGRAM).to_dict())
     exported.write(tmp_path)
     path = tmp_path / f"{exported.name}.c"
@@ -178,27 +210,28 @@ def test_one_changed_number_of_the_feed_forward_is_noticed(tmp_path):
         assert make_check(tmp_path).returncode != 0, match[0]
 
 
-@compiled
-@pytest.mark.parametrize("name", ["emps2018", "light"])
-def test_the_observer_is_the_one_that_runs_on_line(name, tmp_path):
+def observed(name, target):
+    """An observer, what goes into it in 100,000 samples, and the force that is seen on line."""
     axis = machine("emps2018")
     if name == "light":  # fast, fine, turning
         table = {"mass": 2e-3, "viscous": 1e-2, "coulomb": 0.05, "offset": 0.01}
         axis = axis.replace(motion="rotary", mechanics=table, sampling={"period": 1.25e-4, "encoder_resolution": 1e-6})
-    exported = export_observer(axis, "c", 30.0)
+    t = np.arange(100_000) * axis.sampling.period
+    q, u = 0.1 * np.sin(9.0 * t) * (t > 0.2), 2.0 * np.sin(9.1 * t)
+    inputs = np.concatenate([u[:1], u[:-1]]), q, np.zeros(q.size)
+    return export_observer(axis, target, 30.0), inputs, observe_online(ForceObserver(axis, 30.0), q, u)
+
+
+@compiled
+@OBSERVED
+def test_the_observer_is_the_one_that_runs_on_line(name, tmp_path):
+    exported, inputs, force = observed(name, "c")
     exported.write(tmp_path)
     done = make_check(tmp_path)
     assert done.returncode == 0, done.stderr
     assert make_check(tmp_path, f"CFLAGS=-O1 -g {' '.join(SANITIZERS)}").returncode == 0
-    t = np.arange(20_000) * axis.sampling.period
-    q, u = 0.1 * np.sin(9.0 * t) * (t > 0.2), 2.0 * np.sin(9.1 * t)
-    force = observe_online(ForceObserver(axis, 30.0), q, u)
-    found = Compiled(tmp_path, exported).run(np.concatenate([u[:1], u[:-1]]), q, np.zeros(q.size))
+    found = Compiled(tmp_path, exported).run(*inputs)
     np.testing.assert_array_equal(found.view(np.int64), force.view(np.int64))
-    blocks = Blocks(str(export_observer(axis, "st", 30.0).files[f"{exported.name}.st"]))
-    vectors = exported.vectors
-    text = blocks.run(exported.name, vectors.start, vectors.reference, vectors.q, vectors.f_ext)
-    np.testing.assert_array_equal(text.view(np.int64), vectors.u.view(np.int64))
 
 
 def test_an_observer_that_cannot_be_exported_is_refused(tmp_path, capsys):

@@ -13,7 +13,7 @@ from emps_design.codegen.st import KEYWORDS, functions_in_st
 from emps_design.compensation import compensate
 from emps_design.laws import LAWS
 from emps_design.machines import machine
-from tests.contract.test_exported_laws import COMPENSATED, PROGRAM, laps
+from tests.contract.test_exported_laws import COMPENSATED, OBSERVED, PROGRAM, compensated, laps, observed
 from tests.contract.test_laws import axis_with
 from tests.unit.codegen.structured_text import Blocks
 
@@ -47,8 +47,33 @@ def test_100000_samples_have_the_simulations_bits(kind):
 
 
 @pytest.mark.parametrize("name", COMPENSATED)
+def test_100000_samples_of_a_compensated_law_have_the_simulations_bits(name):
+    exported, inputs, u = compensated(name, "st")
+    blocks = Blocks(exported.files[f"{exported.name}.st"])
+    found = blocks.run(exported.name, np.arange(u.size) == 0, *inputs)
+    assert found.size == 100_000
+    np.testing.assert_array_equal(found.view(np.int64), u.view(np.int64))
+
+
+@OBSERVED
+def test_the_text_of_the_observer_gives_the_bits_of_100000_samples_and_of_the_vectors(name):
+    exported, inputs, force = observed(name, "st")
+    vectors, blocks = exported.vectors, Blocks(exported.files[f"{exported.name}.st"])
+    found = blocks.run(exported.name, np.arange(force.size) == 0, *inputs)
+    assert found.size == 100_000
+    np.testing.assert_array_equal(found.view(np.int64), force.view(np.int64))
+    inputs = vectors.start, vectors.reference, vectors.q, vectors.f_ext
+    found = blocks.run(exported.name, *inputs)
+    np.testing.assert_array_equal(found.view(np.int64), vectors.u.view(np.int64))
+    with np.errstate(all="ignore"):
+        single = blocks.run(f"{exported.name}_single", *inputs)
+    assert single.dtype == np.float32
+    assert np.all(np.abs(single - vectors.u) <= vectors.bound)
+
+
+@pytest.mark.parametrize("name", COMPENSATED)
 def test_the_text_of_a_compensated_law_gives_the_bits_of_the_vectors(name):
-    axis = machine("emps2019").replace(effects=COMPENSATED[name])
+    axis = machine("emps2019").replace(**COMPENSATED[name])
     exported = export_controller(axis, "st", compensate(axis, PROGRAM).to_dict())
     vectors, blocks = exported.vectors, Blocks(exported.files[f"{exported.name}.st"])
     inputs = vectors.start, vectors.reference, vectors.q, vectors.f_ext, *vectors.motion

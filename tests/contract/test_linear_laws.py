@@ -11,7 +11,7 @@ from emps_design.cli import app
 from emps_design.control.impedance.law import ImpedanceLaw, law_for
 from emps_design.control.loop.sampled_loop import axis_loop, close
 from emps_design.control.plant.discretisation import sample_axis
-from emps_design.control.velocity.sampled import ip_law
+from emps_design.control.velocity.sampled import velocity_law
 from emps_design.errors import AxisError
 from emps_design.laws import LAWS, Law, law_of
 from emps_design.laws.friction_model import FrictionModel
@@ -102,7 +102,7 @@ def test_the_pure_algebra_is_the_derived_law():
 def test_velocity_law_is_the_block_diagram(estimator):
     """Fig. 4 in z: u = k_v1 (T z/(z-1)/t_v (r + k_e1 f - v) - v), v the estimate."""
     axis = machine("emps2018").replace(controller={"velocity_estimator": estimator})
-    form = ip_law(sample_axis(axis), 400.0, 0.02, 0.002)
+    form = velocity_law(sample_axis(axis), 400.0, 0.02, k_e1=0.002)
     z = np.exp(1j * np.array([3.0, 50.0, 700.0]) * T)
     memory = np.linalg.solve(z[:, None, None] * np.eye(3) - form.A, np.broadcast_to(form.B, (3, 3, 3)))
     by_reference, by_q, by_force = np.moveaxis(form.C @ memory + form.D, -1, 0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ class Drive:
     speeds: tuple[float, ...]
     acceleration: float
     period: float = 1e-3
+    radius: float = 1.0  # m of travel for each rad, of an axis that turns
 
     @property
     def size(self) -> float:
@@ -53,6 +54,17 @@ def draw_drive(rng: np.random.Generator) -> Drive:
         speeds=(fastest * rng.uniform(0.27, 0.36), fastest * rng.uniform(0.55, 0.7), fastest),
         acceleration=rng.uniform(0.7, 0.95),
     )
+
+
+def turning(drive: Drive, radius: float) -> Drive:
+    """``drive`` seen from a pinion of ``radius`` [m] that moves it: an inertia, torques, angles."""
+    powers = {
+        **dict.fromkeys(("mass", "viscous"), 2),
+        **dict.fromkeys(("coulomb", "offset", "gain", "kv"), 1),
+        **dict.fromkeys(("resolution", "travel", "acceleration"), -1),
+    }
+    numbers = {name: getattr(drive, name) * radius**power for name, power in powers.items()}
+    return replace(drive, **numbers, speeds=tuple(speed / radius for speed in drive.speeds), radius=radius)
 
 
 def _between(rng: np.random.Generator, low: float, high: float) -> float:

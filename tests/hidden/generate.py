@@ -90,11 +90,11 @@ def _drawn(which: str, number: int, rng: np.random.Generator) -> Case:
 
 
 def force_noise(rng: np.random.Generator, length: int, drive: Drive) -> np.ndarray:
-    """Gaussian force below ``NOISE_BAND`` [N], rms in proportion to the mass."""
+    """Gaussian force below ``NOISE_BAND`` [N, or N m], rms in proportion to the mass."""
     spectrum = np.fft.rfft(rng.standard_normal(length))
     spectrum[np.fft.rfftfreq(length, drive.period) > NOISE_BAND] = 0.0
     noise = np.fft.irfft(spectrum, length)
-    return noise / noise.std() * FORCE_NOISE * drive.mass / 95.0
+    return noise / noise.std() * FORCE_NOISE * drive.mass / 95.0 / drive.radius
 
 
 def run(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from emps_design.axis import Axis
-from tests.hidden.drives import EFFECTS, FURTHER, TURNING, draw_drive, draw_effect
+from tests.hidden.drives import EFFECTS, FURTHER, TURNING, draw_drive, draw_effect, turning
 from tests.hidden.generate import SKIP, axis_file, misfit, run
 from tests.hidden.plant import numbers
 from tests.hidden.programs import laps
@@ -17,7 +17,7 @@ def test_same_force_along_a_lap(name):
     from emps_design.simulation import Plant
 
     rng = np.random.default_rng(7)
-    drive = draw_drive(rng)
+    drive = turning(draw_drive(rng), 0.1) if name in TURNING else draw_drive(rng)
     q_ref = laps(rng, drive.travel, list(drive.speeds), drive.acceleration, 1, drive.period)
     _, healthy = run(drive, q_ref, numbers())
     values, truth = ({}, {}) if name == "none" else draw_effect(name, rng, drive, 2, np.abs(healthy).max())

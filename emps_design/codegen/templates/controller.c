@@ -44,7 +44,7 @@ static real {{ name }}_feedforward(real q, real v, real a)
         break;
     }
     }
-{% endif %}    return tau / R({{ ahead.gain }});
+{% endif %}    return {% if ahead.back_emf %}(tau + R({{ ahead.back_emf }}) * v){% else %}tau{% endif %} / R({{ ahead.gain }});
 }
 
 {% endif %}void {{ name }}_init({{ name }}_state *state)

@@ -161,6 +161,46 @@ FMI status fmi3DoStep(void *given, double now, double step, bool no_return, bool
     return OK;
 }
 
+/* What an instance was at one time, for a master that steps back. It points into its owner, so it is for no other. */
+typedef struct {
+    instance *owner;
+    instance content;
+} saved;
+
+FMI status fmi3GetFMUState(void *given, void **state)
+{
+    saved *copy = *state != NULL ? *state : malloc(sizeof *copy);
+
+    if (copy == NULL) {
+        return failed(given, "found no memory for a state");
+    }
+    copy->owner = given;
+    copy->content = *copy->owner;
+    *state = copy;
+    return OK;
+}
+
+FMI status fmi3SetFMUState(void *given, void *state)
+{
+    const saved *copy = state;
+
+    if (copy == NULL || copy->owner != given) {
+        return failed(given, "found a state of another instance, expected one of this instance");
+    }
+    *copy->owner = copy->content;
+    return OK;
+}
+
+FMI status fmi3FreeFMUState(void *given, void **state)
+{
+    (void)given;
+    if (state != NULL) {
+        free(*state);
+        *state = NULL;
+    }
+    return OK;
+}
+
 FMI status fmi3SetDebugLogging(void *given, bool on, size_t count, const char *const categories[])
 {
     (void)given; (void)on; (void)count; (void)categories;
@@ -185,9 +225,6 @@ FMI status fmi3GetClock(void *given, const reference *a, size_t b, bool *c) { (v
 FMI status fmi3SetClock(void *given, const reference *a, size_t b, const bool *c) { (void)a; (void)b; (void)c; return missing(given); }
 FMI status fmi3GetNumberOfVariableDependencies(void *given, reference a, size_t *b) { (void)a; (void)b; return missing(given); }
 FMI status fmi3GetVariableDependencies(void *given, reference a, size_t *b, reference *c, size_t *d, int *e, size_t f) { (void)a; (void)b; (void)c; (void)d; (void)e; (void)f; return missing(given); }
-FMI status fmi3GetFMUState(void *given, void **a) { (void)a; return missing(given); }
-FMI status fmi3SetFMUState(void *given, void *a) { (void)a; return missing(given); }
-FMI status fmi3FreeFMUState(void *given, void **a) { (void)a; return missing(given); }
 FMI status fmi3SerializedFMUStateSize(void *given, void *a, size_t *b) { (void)a; (void)b; return missing(given); }
 FMI status fmi3SerializeFMUState(void *given, void *a, uint8_t *b, size_t c) { (void)a; (void)b; (void)c; return missing(given); }
 FMI status fmi3DeserializeFMUState(void *given, const uint8_t *a, size_t b, void **c) { (void)a; (void)b; (void)c; return missing(given); }

@@ -6,7 +6,8 @@ The measured force sets the velocity: r = k_e1 (tau_ref + tau_e). The operator's
 
 positive when it pushes towards +q, so a passive operator makes negative feedback. The loop gain is
 k_e1 (k_h + K_env/s) T_v(s) with T_v from velocity reference to velocity. The same force also acts on the carriage,
-where the velocity loop resists it: qd = T_vc (r + s tau_e / K_v). The paper neglects that (``on_carriage=False``).
+where the velocity loop resists it: qd = T_vc r + T_IP s tau_e / K_v with T_IP the T_vc of (8), whatever the structure:
+that of PI has its zero in the first alone. The paper neglects the second (``on_carriage=False``).
 
 The paper's own reading takes tau_e = +k_c qd with k_c = 1/k_e1 as reference and result at once; then T_eo = T_vc and
 the closed loop T/(1 - T) is positive feedback with a pole at s = 0: neither stable nor a statement about an operator.
@@ -28,8 +29,7 @@ from emps_design.control.plant.discretisation import SampledPlant, sample_axis, 
 from emps_design.control.plant.environment import Environment, attached, felt
 from emps_design.control.plant.linear_plant import POSITION, VELOCITY
 from emps_design.control.velocity.design import VelocityLoopDesign
-from emps_design.control.velocity.sampled import SampledVelocityLoop, ip_law
-from emps_design.control.velocity.structure import IP
+from emps_design.control.velocity.sampled import SampledVelocityLoop, velocity_law
 from emps_design.errors import InputError
 from emps_design.notebook import table
 from emps_design.quantities import check_magnitude
@@ -70,14 +70,24 @@ class ForceLoopDesign:
 
     @property
     def apparent_mass(self) -> float:
-        """Apparent mass of the low-frequency match of k_e1 T_vc with 1/(M_a s + B): 2 z_v/(w_0v k_e1) [kg]."""
-        return 2.0 * self.velocity_loop.z_v / (self.velocity_loop.omega_0v * self.k_e1)
+        """Apparent mass [kg] of the low-frequency match of k_e1 T_vc with 1/(M_a s + B): 2 z_v/(w_0v k_e1) of IP.
+
+        The zero of PI takes k_c t_v off it.
+        """
+        return (2.0 * self.velocity_loop.z_v / self.velocity_loop.omega_0v - self._zero) / self.k_e1
+
+    @property
+    def _zero(self) -> float:
+        """Time constant [s] of the zero of T_vc."""
+        return float(self.velocity_loop.structure.zero(self.velocity_loop.t_v))
 
     @property
     def k_e1_max_continuous(self) -> float | None:
         """Largest k_e1 of the continuous loop [(m/s)/N], closed form; None where there is no limit."""
         loop = self.velocity_loop
-        return largest_force_gain(loop.omega_0v, loop.z_v, loop.K_v, self.hand, self.environment, self.on_carriage)
+        return largest_force_gain(
+            loop.omega_0v, loop.z_v, loop.K_v, self.hand, self.environment, self.on_carriage, self._zero
+        )
 
     @property
     def _operator(self) -> Environment:
@@ -85,16 +95,18 @@ class ForceLoopDesign:
 
     @cached_property
     def _plant(self) -> SampledPlant:
-        plant = sample_axis(self.velocity_loop.axis, self.velocity_loop.velocity)
+        loop = self.velocity_loop
+        plant = sample_axis(loop.axis, loop.velocity, loop.filters)
         if not self.on_carriage:
             return plant
-        sampling, controller = self.velocity_loop.axis.sampling, self.velocity_loop.axis.controller
-        return sample_plant(
+        sampling, controller = loop.axis.sampling, loop.axis.controller
+        touched = sample_plant(
             attached(plant.linear, self._operator),
             sampling.period,
             sampling.computation_delay,
             controller.velocity_estimator,
         )
+        return replace(touched, filters=loop.filters)
 
     def sampled_loop(self, k_e1: float | np.ndarray | None = None) -> SampledLoop:
         """The sampled closed loop at ``k_e1`` [(m/s)/N], this design's by default; its reference is a velocity.
@@ -102,7 +114,7 @@ class ForceLoopDesign:
         An array (m,) gives m loops.
         """
         loop, gain = self.velocity_loop, self.k_e1 if k_e1 is None else k_e1
-        law = ip_law(self._plant, loop.k_v1, loop.t_v, gain)
+        law = velocity_law(self._plant, loop.k_v1, loop.t_v, loop.structure.as_computed, gain)
         return close(self._plant, law, felt(self._plant.linear, self._operator), self.sensor_delay)
 
     @property
@@ -114,10 +126,11 @@ class ForceLoopDesign:
     def continuous_poles(self) -> np.ndarray:
         """Poles of the continuous closed loop [rad/s], without the free position's own at 0."""
         loop, share = self.velocity_loop, 1.0 / self.velocity_loop.K_v if self.on_carriage else 0.0
+        ahead = self.k_e1 * self._zero + share  # of the operator's force, by its rate of change
         cubic = [
             1.0 / loop.omega_0v**2,
-            2.0 * loop.z_v / loop.omega_0v + self.hand * share,
-            1.0 + self.k_e1 * self.hand + self.environment * share,
+            2.0 * loop.z_v / loop.omega_0v + self.hand * ahead,
+            1.0 + self.k_e1 * self.hand + self.environment * ahead,
             self.k_e1 * self.environment,
         ]
         poles = np.roots(cubic if self.environment > 0.0 else cubic[:3])
@@ -167,7 +180,9 @@ class ForceLoopDesign:
         """Sampled force loop, broken at the velocity reference, at ``w`` [rad/s]."""
         plant, loop = self._plant, self.velocity_loop
         inner = SampledVelocityLoop(plant, loop.k_v1, loop.t_v)
-        voltage = loop.k_v1 / loop.t_v * plant.integrator(w) / (1.0 + inner.plant_input_response(w))
+        ahead = 1.0 if loop.structure.as_computed.form == "pi" else 0.0
+        by_reference = loop.k_v1 * (ahead + plant.integrator(w) / loop.t_v) * plant.filter_response(w)
+        voltage = by_reference / (1.0 + inner.plant_input_response(w))
         states = plant.state_response(w)
         force = self.environment * states[..., POSITION] + self.hand * states[..., VELOCITY]
         return self.k_e1 * force * voltage * np.exp(-1j * w * plant.period * self.sensor_delay)
@@ -187,7 +202,7 @@ class ForceLoopDesign:
         return {
             "loop": "T_eo/(1 - T_eo) with T_eo = k_e1 k_c T_vc = T_vc, (11)",
             "static_gain": self.k_e1 * self.k_c,
-            "poles": [[0.0, 0.0], [-2.0 * loop.z_v * loop.omega_0v, 0.0]],
+            "poles": [[0.0, 0.0], [-(2.0 * loop.z_v - self._zero * loop.omega_0v) * loop.omega_0v, 0.0]],
             "text": "tau_e = +k_c qd counts the operator's force as reference and result at once: positive feedback, "
             "a pole at s = 0; it says nothing about stability in contact",
         }
@@ -227,6 +242,9 @@ class ForceLoopDesign:
             "axis": self.velocity_loop.axis.name,
             "k_e1": self.k_e1,
             "k_c": self.k_c,
+            "structure": self.velocity_loop.structure.form,
+            "reference_filter": self.velocity_loop.structure.reference_filter,
+            "filters": [one.model_dump(exclude_none=True) for one in self.velocity_loop.filters],
             "k_v1": self.velocity_loop.k_v1,
             "t_v": self.velocity_loop.t_v,
             "operator": {
@@ -296,12 +314,6 @@ def design_force_loop(
             raise InputError(f"{name}: found {value:g} {unit}, expected 0 or a positive number: an operator is passive")
         check_magnitude(name, value, unit)
     check_magnitude("k_e1", k_e1, "(m/s)/N", positive=True)
-    if velocity_loop.structure != IP or velocity_loop.filters:
-        count = len(velocity_loop.filters)
-        filters = f" with {count} filter{'s' * (count > 1)}" if count else ""
-        raise InputError(
-            f"force loop: found a {velocity_loop.structure.label} velocity loop{filters}, expected IP alone"
-        )
     if not 0 <= sensor_delay <= 1000:
         raise InputError(f"sensor delay: found {sensor_delay} samples, expected 0 to 1000")
     return ForceLoopDesign(velocity_loop, float(k_e1), float(hand), float(environment), sensor_delay, on_carriage)

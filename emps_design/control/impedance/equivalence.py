@@ -25,7 +25,7 @@ from emps_design.control.impedance.law import FrictionModel, default_filter
 from emps_design.control.loop.sampled_loop import MARGINAL, close
 from emps_design.control.plant.discretisation import sample_axis
 from emps_design.control.velocity.gains import canonical_form, velocity_gains
-from emps_design.control.velocity.sampled import ip_law
+from emps_design.control.velocity.sampled import velocity_law
 from emps_design.errors import InputError, SpecificationError
 
 LOW_FREQUENCY, LEAST_SQUARES = "low_frequency", "least_squares"
@@ -186,7 +186,7 @@ def _loop(
     pole = None
     if gains[0] is not None and gains[1] is not None:
         sampled = sample_axis(axis)
-        pole = close(sampled, ip_law(sampled, gains[0], gains[1])).radius
+        pole = close(sampled, velocity_law(sampled, gains[0], gains[1])).radius
         if pole > 1.0 + MARGINAL:
             at_input = gains[0] * axis.drive.gain / plant.mass
             words.append(

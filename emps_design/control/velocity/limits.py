@@ -44,8 +44,12 @@ class Reach:
     limit: str
 
 
-def reach(plant: SampledPlant, phase_margin_deg: float) -> Reach:
+def reach(
+    plant: SampledPlant, phase_margin_deg: float, gain_margin: float = GAIN_MARGIN, disk_margin: float = 0.0
+) -> Reach:
     """The fastest sampled loop around ``plant`` with that phase margin at the plant input, its other margins kept too.
+
+    ``gain_margin`` [ratio] and ``disk_margin`` are the least that it may have.
 
     >>> from emps_design.machines import machine
     >>> found = reach(sample_axis(machine("emps2018")), 60.0)
@@ -60,26 +64,36 @@ def reach(plant: SampledPlant, phase_margin_deg: float) -> Reach:
         k_v1, t_v = retuned_gains(plant, w, phase_margin_deg)
         found = sweep_sampled_margins(plant, k_v1, t_v, 200)
         good = found["stable"] & (np.abs(found["phase_margin_deg"] - phase_margin_deg) < 1e-6)
-        good &= ~(found["gain_margin"] < GAIN_MARGIN) & ~(found["delay_margin"] < ROOM * plant.period)
+        good &= ~(found["gain_margin"] < gain_margin) & ~(found["delay_margin"] < ROOM * plant.period)
         good &= t_v * w <= INTEGRAL
+        if disk_margin > 0.0:
+            good[good] &= _disk_margins(plant, k_v1[good], t_v[good]) >= disk_margin
         if not good.any():
             break
         last = int(np.flatnonzero(good)[-1])
         after = min(last + 1, GRID - 1)
         beyond = SampledVelocityLoop(plant, float(k_v1[after]), float(t_v[after]))
-        limit = _what_ends(plant, w[after], {key: values[after] for key, values in found.items()}, beyond)
+        limit = _what_ends(plant, gain_margin, w[after], {key: values[after] for key, values in found.items()}, beyond)
         best = Reach(float(w[last]), float(k_v1[last]), float(t_v[last]), limit)
         low, high = w[last], w[after]
     return best
 
 
-def _what_ends(plant: SampledPlant, w: float, found: dict[str, float], loop: SampledVelocityLoop) -> str:
+def _disk_margins(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> np.ndarray:
+    """Disk margins (n,) of stable loops, on a grid that is fine where the plant resonates."""
+    loops = SampledVelocityLoop(plant, k_v1[:, None], t_v[:, None])
+    return 1.0 / np.abs(1.0 / (1.0 + loops.plant_input_response(plant.frequencies(1000))) - 0.5).max(axis=1)
+
+
+def _what_ends(
+    plant: SampledPlant, gain_margin: float, w: float, found: dict[str, float], loop: SampledVelocityLoop
+) -> str:
     """What the first ``loop`` that is too fast runs into: a resonance beside the place where it does, or delay."""
     at = w
     if found["stable"]:
         if found["crossover"] > 1.05 * w:
             at = found["crossover"]
-        elif found["gain_margin"] < GAIN_MARGIN:
+        elif found["gain_margin"] < gain_margin:
             at = found["gain_margin_frequency"]
     elif math.isfinite(loop.k_v1):
         grid = plant.frequencies()
@@ -130,8 +144,10 @@ def suggest_filter(
 ) -> dict[str, Any]:
     """What limits the loop of ``axis`` at that phase margin, and the one more filter that raises the crossover most.
 
-    ``without`` and ``with`` have the largest crossover [rad/s], what binds and the noise of the command; ``filter`` is
-    None where none pays.
+    ``without`` and ``with`` have the largest crossover [rad/s] within the same limits of the margins, what binds and
+    the noise of the command. ``with_equal_margins`` has that of the filter with gain and disk margin no less than
+    ``without`` has, which may be far above the limits. ``filter`` is None where none pays: of those that raise the
+    crossover within the limits by :data:`PAYS`, it is the one that raises it most at equal margins.
 
     >>> from emps_design.machines import machine
     >>> bent = [{"kind": "flexible_coupling", "frequency": 48.0, "damping": 0.02, "share": 0.7}]
@@ -140,13 +156,20 @@ def suggest_filter(
     ('notch', True)
     """
 
-    def judged(these: tuple[Filter, ...]) -> tuple[Reach, SampledPlant]:
-        plant = sample_axis(axis, velocity, these)
-        return reach(plant, phase_margin_deg), plant
-
-    own, plant = judged(filters)
-    candidates = [(*judged((*filters, one)), one) for one in _candidates(plant, own.crossover)]
-    best = max(candidates, key=lambda one: one[0].crossover, default=None)
+    plant = sample_axis(axis, velocity, filters)
+    own = reach(plant, phase_margin_deg)
+    kept = SampledVelocityLoop(plant, own.k_v1, own.t_v).margins if own.crossover else None
+    equal = {"gain_margin": GAIN_MARGIN, "disk_margin": 0.0}
+    if kept is not None:
+        equal = {"gain_margin": kept.gain_margin or GAIN_MARGIN, "disk_margin": kept.disk_margin or 0.0}
+    best: tuple[Filter, SampledPlant, Reach, Reach] | None = None
+    for one in _candidates(plant, own.crossover):
+        filtered = sample_axis(axis, velocity, (*filters, one))
+        within = reach(filtered, phase_margin_deg)
+        if within.crossover > PAYS * own.crossover:
+            alike = reach(filtered, phase_margin_deg, **equal)
+            if best is None or alike.crossover > best[3].crossover:
+                best = one, filtered, within, alike
 
     def document(found: Reach, plant: SampledPlant) -> dict[str, Any]:
         loop = SampledVelocityLoop(plant, found.k_v1, found.t_v, structure) if found.crossover else None
@@ -160,14 +183,32 @@ def suggest_filter(
             "command_noise": encoder_voltage_noise(axis, loop)["rms"] if loop else None,
         }
 
-    pays = best is not None and best[0].crossover > PAYS * own.crossover
     return {
         "phase_margin_deg": phase_margin_deg,
         "gain_margin_at_least": GAIN_MARGIN,
         "without": document(own, plant),
-        "filter": best[2].model_dump(exclude_none=True) if best and pays else None,
-        "with": document(*best[:2]) if best and pays else None,
+        "filter": best[0].model_dump(exclude_none=True) if best else None,
+        "with_equal_margins": document(best[3], best[1]) if best else None,
+        "with": document(best[2], best[1]) if best else None,
     }
+
+
+def first_try(axis: Axis, crossover: float, kind: str) -> Filter:
+    """A filter to start from: a "notch" at the lowest resonance of ``axis``, a "lowpass" above ``crossover`` [rad/s].
+
+    Of a rigid axis the notch is above the crossover too.
+
+    >>> from emps_design.machines import machine
+    >>> bent = [{"kind": "flexible_coupling", "frequency": 48.0, "damping": 0.02, "share": 0.7}]
+    >>> round(first_try(machine("emps2018").replace(effects=bent), 60.0, "notch").frequency, 1)
+    48.4
+    """
+    corner = LOWPASSES[-1] * crossover / (2.0 * math.pi)
+    if kind == "lowpass":
+        return Filter(kind=kind, frequency=corner)
+    at_resonances = [one for one in _candidates(sample_axis(axis), crossover) if one.kind == kind]
+    damping, depth = NOTCHES[0]
+    return (*at_resonances, Filter(kind=kind, frequency=corner, damping=damping, depth=depth))[0]
 
 
 def _candidates(plant: SampledPlant, crossover: float) -> list[Filter]:

@@ -5,7 +5,7 @@ Stability is read from the closed-loop poles first; an unstable loop has no marg
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from emps_design.control.loop.margins import Margins, loop_margins
 from emps_design.control.loop.sampled_loop import SampledLoop, close
 from emps_design.control.plant.discretisation import ESTIMATORS, SampledPlant
 from emps_design.control.velocity.structure import IP, Structure
-from emps_design.laws import Law, LawKind
+from emps_design.laws import LawKind
 from emps_design.laws.law import TWO_TAP, LawTable
 from emps_design.laws.library import cascade, ip_velocity
 from emps_design.laws.linear import LinearLaw, linear_law
@@ -177,10 +177,20 @@ class SampledVelocityLoop:
         }
 
 
-def velocity_law(plant: SampledPlant, k_v1: float, t_v: float, structure: Structure = IP) -> LinearLaw:
-    """The law of a velocity loop with the estimator and the filters of ``plant`` in its linear form."""
+def velocity_law(
+    plant: SampledPlant, k_v1: float, t_v: float, structure: Structure = IP, k_e1: float | np.ndarray = 0.0
+) -> LinearLaw:
+    """The law of a velocity loop with the estimator and the filters of ``plant`` in its linear form.
+
+    ``k_e1`` [(m/s)/N]: the measured force adds to the velocity reference; an array (m,) makes m laws.
+    """
     kind, table = velocity_table(k_v1, t_v, structure, plant.filters, estimator_of(plant))
-    return linear_law(kind.law(table, None, plant.period), plant.period)
+    law = linear_law(kind.law(table, None, plant.period), plant.period)
+    reference, force = law.inputs.index("reference"), law.inputs.index("f_ext")
+    A, B, C, D = (np.broadcast_to(x, (*np.shape(k_e1), *x.shape)).copy() for x in (law.A, law.B, law.C, law.D))
+    B[..., force] += np.multiply.outer(k_e1, law.B[..., reference])
+    D[..., force] += np.multiply.outer(k_e1, law.D[..., reference])
+    return replace(law, A=A, B=B, C=C, D=D)
 
 
 def velocity_table(
@@ -200,13 +210,6 @@ def velocity_table(
         return ip_velocity.LAW, ip_velocity.Table(k_v1=k_v1, t_v=t_v, **own)
     loop = cascade.VelocityLoop.model_validate({"kp": k_v1, "ti": t_v, "form": structure.form})
     return cascade.LAW, cascade.Table(velocity=loop, filters=filters, **own)
-
-
-def ip_law(plant: SampledPlant, k_v1: float, t_v: float, k_e1: float | np.ndarray = 0.0) -> LinearLaw:
-    """The paper's law with the estimator of ``plant`` in its linear form; ``k_e1`` [(m/s)/N] of a force loop."""
-    law, period = ip_velocity.LAW, plant.period
-    gains = ip_velocity.gains_of(k_v1, t_v, k_e1, period, estimator_of(plant))
-    return linear_law(Law(law.kernel, gains, ip_velocity.MEMORY, "velocity"), period)
 
 
 def estimator_of(plant: SampledPlant) -> str:

@@ -13,7 +13,6 @@ crossover and a phase margin are others than those of (7). ``derive`` has the st
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -66,6 +65,11 @@ class Structure:
         """The phase margin [deg] from which on no plant has gains, at any crossover."""
         return 90.0 if self.form == "ip" else 180.0
 
+    @property
+    def as_computed(self) -> Structure:
+        """The structure whose law computes the same, sample by sample: PI behind its reference filter is IP."""
+        return IP if self.reference_filter else self
+
     def place(self, at: str) -> str:
         """The place, one of ``PLACES``, having the loop broken ``at``: with "pi" both have that of the plant input."""
         return PLACES[0] if self.form == "pi" else at
@@ -114,12 +118,13 @@ class Structure:
         """
         if self.form == "ip":
             return crossover_of_bandwidth(bandwidth, phase_margin_deg)
-        found = np.vectorize(self._crossover, otypes=[float])(viscous / mass / bandwidth, np.radians(phase_margin_deg))
+        f, phase = np.broadcast_arrays(viscous / mass / np.asarray(bandwidth, float), np.radians(phase_margin_deg))
+        found = self._crossover(f.ravel(), phase.ravel()).reshape(f.shape)
         return (found * bandwidth)[()]
 
-    def _crossover(self, f: float, phase: float) -> float:
-        """Crossover in units of the bandwidth; ``f`` is F_v/M in the same. The lowest where there are several."""
-        s, c = math.sin(phase), math.cos(phase)
+    def _crossover(self, f: np.ndarray, phase: np.ndarray) -> np.ndarray:
+        """Crossovers (n,) in units of the bandwidth; ``f`` is F_v/M in the same. The lowest where there are several."""
+        s, c = np.sin(phase), np.cos(phase)
         power, ahead = MINUS_3_DB**-2, 0.0 if self.reference_filter else MINUS_3_DB**-2
         # power K_v^2 + ahead K^2 = (K_v - 1)^2 + (f + K)^2, over M, with K = s w - f c and K_v = c w^2 + f s w
         powers_of_w = (
@@ -129,10 +134,13 @@ class Structure:
             2.0 * f * s * c * (1.0 - ahead),
             -1.0 + ahead * f * f * c * c - f * f * (1.0 - c) ** 2,
         )
-        roots = np.roots(powers_of_w)
-        real = np.sort(roots.real[np.abs(roots.imag) < 1e-9 * np.abs(roots)])
-        good = real[(real > 0.0) & (s * real > f * c) & (c * real > -f * s)]
-        return float(good[0]) if good.size else math.nan
+        companion = np.tile(np.eye(4, k=-1), (f.size, 1, 1))
+        companion[:, 0] = -np.stack(powers_of_w[1:], axis=-1) / powers_of_w[0][:, None]
+        roots, f, s, c = np.linalg.eigvals(companion), f[:, None], s[:, None], c[:, None]
+        real = roots.real
+        good = (np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (real > 0.0) & (s * real > f * c) & (c * real > -f * s)
+        found = np.min(np.where(good, real, np.inf), axis=-1)
+        return np.where(np.isfinite(found), found, np.nan)
 
 
 def own_structure(axis: Axis, structure: Structure | None = None) -> Structure:
@@ -145,6 +153,13 @@ def own_filters(axis: Axis, filters: tuple[cascade.Filter, ...] | None = None) -
     """``filters``, or where that is None those of the controller of ``axis``: none, but for a cascade."""
     own = _cascade(axis) if filters is None else None
     return filters or (own.filters if own else ())
+
+
+def own_gains(axis: Axis) -> tuple[float, float] | None:
+    """k_v1 [V/(m/s)] and t_v [s] of the velocity loop that the controller of ``axis`` has; None where it has none."""
+    own = _cascade(axis)
+    k_v1, t_v = (own.velocity.kp, own.velocity.ti) if own else (axis.controller.k_v1, axis.controller.t_v)
+    return None if k_v1 is None or t_v is None else (k_v1, t_v)
 
 
 def _cascade(axis: Axis) -> cascade.Table | None:

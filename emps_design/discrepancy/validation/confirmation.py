@@ -13,17 +13,20 @@ from emps_design.discrepancy.validation.holdout import adapted
 from emps_design.discrepancy.validation.robust import robust
 
 
-def confirm(judge: Judge, held_out: HeldOut, extended: Fit) -> tuple[Fit, tuple[Asked, ...]]:
+def confirm(judge: Judge, held_out: HeldOut, extended: Fit) -> tuple[Fit, list[Asked], tuple[Asked, ...]]:
     """Withdraw from ``extended`` what the confirming data refute, one after the other, and refit the rest.
 
-    Also returns what was withdrawn. An effect of the controller has its evidence in the law, and is not asked for.
+    Also returns how much of the rest they ask for, and what was withdrawn. An effect of the controller has its evidence
+    in the law, and is not asked for.
     """
     refuted: list[Asked] = []
-    while doubtful := [a for a in claims_on(held_out, extended) if a.refuted]:
+    asked = claims_on(held_out, extended)
+    while doubtful := [a for a in asked if a.refuted]:
         worst = max(doubtful, key=lambda a: abs(a.share - 1) / a.std)
         refuted.append(worst)
         extended = judge.refitted(extended.with_model(_without(extended, worst)))
-    return extended, tuple(refuted)
+        asked = claims_on(held_out, extended)
+    return extended, asked, tuple(refuted)
 
 
 def standing(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tuple[Asked, ...]]:

@@ -47,11 +47,12 @@ def validate(outcome: Outcome) -> Validation:
     start = fit(calibration.baseline, part="used")
     searched = judge.refitted(outcome.best) if len(outcome.path) > 1 else start
     extended, data, lost = searched, preparation.held_out, 0.0
+    asked: list[Asked] = []
     refuted: tuple[Asked, ...] = ()
     if data is not None:
         data = replace(data, problem=data.problem.with_whitening(problem.whitening))
         learnt = start.cost - extended.cost
-        extended, refuted = confirm(judge, data, extended)
+        extended, asked, refuted = confirm(judge, data, extended)
         lost = 1 - (start.cost - extended.cost) / learnt if refuted else 0.0
 
     # What the plant's effects explain, beside a disturbance of the controller that is known from its law.
@@ -80,16 +81,16 @@ def validate(outcome: Outcome) -> Validation:
         many = any(len(others) > rules.MOST_EQUIVALENTS for others in found.values())
         if len(stands.model.names) > len(start.model.names) and not many:
             verdict, extended, refuted, start = "partly-named", stands, withdrawn, robust(start)
-            given_up = ()
+            asked, given_up = claims_on(data, extended) if data is not None else [], ()
         else:
             verdict = "unnamed"
             given_up = given_up or extended.model.names
     if verdict == "unnamed":
-        extended = start = robust(start)
+        extended, asked = robust(start), []
+        start = extended
     baseline = _alone(start)
     if data is not None and (verdict in ("unnamed", "partly-named") or baseline is not start):
         held_out = compare_on(data, baseline.model, extended.model)
-    asked = () if data is None else claims_on(data, extended)
     return Validation(
         outcome=outcome,
         verdict=verdict,

@@ -3,12 +3,14 @@
 import hashlib
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from emps_design.cli import app
 from emps_design.codegen import export_controller
+from emps_design.codegen.origin import commit
 from emps_design.codegen.pages import block_name
 from emps_design.codegen.rounding import Roundings, largest, smallest
 from emps_design.errors import InputError
@@ -80,6 +82,17 @@ def test_bad_input_is_one_line(line, message, tmp_path, capsys):
     assert app.run(line.format(out=tmp_path / "out").split()) == 2
     assert message in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_page_says_from_which_axis_record_and_commit(tmp_path, capsys):
+    axis = tmp_path / "model.toml"
+    axis.write_text("# mine.toml, extended; phases are those of *) puzzle\n" + machine("emps2019").to_toml())
+    assert app.run(["export", str(axis), "--to", "st", "--out", str(tmp_path / "code")]) == 0
+    page = (tmp_path / "code" / "README.md").read_text(encoding="utf-8")
+    file_hash = hashlib.sha256(axis.read_bytes()).hexdigest()
+    assert f"read from model.toml, SHA-256 {file_hash}: mine.toml, extended; phases are those of   puzzle." in page
+    assert (f"(commit {commit()})" in page) == bool(commit())
+    assert bool(commit()) == (Path(__file__).parents[3] / ".git").exists()
 
 
 def test_no_number_is_exported_from_a_record():

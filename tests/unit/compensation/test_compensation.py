@@ -10,13 +10,14 @@ from emps_design.cli import app
 from emps_design.compensation import FeedForward, compensate
 from emps_design.compensation.feedback import feedback_cures, largest_factor
 from emps_design.compensation.feedforward import BASELINE, motion_ahead, terms_of
+from emps_design.compensation.study import Trial
 from emps_design.control.loop.nested import nested_loops
 from emps_design.control.loop.sampled_loop import axis_loop
 from emps_design.effects import EFFECTS
 from emps_design.errors import InputError, SimulationError, UnstableError
 from emps_design.laws import get_law
 from emps_design.machines import machine
-from emps_design.model import plant_force
+from emps_design.model import inverse_force, plant_force
 from emps_design.simulation import Plant, trapezoid_laps
 
 PROGRAM = trapezoid_laps(1e-3, 0.05, 0.15, 1.0, laps=1)
@@ -37,6 +38,13 @@ GAINS = {
 }
 
 
+# A motor without a current loop whose command is a share of 24 V.
+DUTY = {
+    "drive": {"command": "duty", "command_unit": "", "command_limit": 1.0, "supply": 24.0, "back_emf": 15.0},
+    "controller": {"kp": 160.0, "kv": 10.0},
+}
+
+
 def with_effects(*effects, **more):
     return machine("emps2019").replace(effects=list(effects), **more)
 
@@ -50,6 +58,15 @@ def test_every_effect_is_compensated(effect):
     assert {*BASELINE} < {*found["kept"]}
 
 
+def test_each_set_of_terms_is_run_once(monkeypatch):
+    runs, run = [], Trial.run
+    monkeypatch.setattr(Trial, "run", lambda trial, ahead: runs.append(ahead) or run(trial, ahead))
+    found = compensate(with_effects(EFFECTS_HERE[1]), PROGRAM, terms=("viscous", "asymmetric_viscous_friction"))
+    for terms in ((), ("viscous",), found.feedforward.terms):
+        ahead = FeedForward.of(found.axis, terms).along(PROGRAM) if terms else None
+        assert sum(ahead is one if ahead is None else np.array_equal(ahead, one) for one in runs) == 1
+
+
 def test_the_formula_is_the_models():
     """Along a motion the feed-forward is the inverse dynamic model, whose kernels are the effects' own."""
     axis = with_effects(*EFFECTS_HERE[:6])
@@ -60,6 +77,17 @@ def test_the_formula_is_the_models():
     given = replace(FeedForward.of(axis, terms), reversal=1e-3)
     force = axis.drive.force_gain * given.command(q, v, a)
     model = plant_force(axis, q, v, a, np.zeros(q.size))
+    np.testing.assert_allclose(force[moving], model[moving], rtol=1e-9, atol=1e-7)
+
+
+def test_the_back_emf_and_the_supply_are_in_the_command():
+    """Against the inverse model of the axis, and on the nonlinear machine."""
+    axis = with_effects(EFFECTS_HERE[4], **DUTY)
+    found = compensate(axis, PROGRAM)
+    assert found.achieved < found.baseline / 3.0 < found.without / 9.0
+    q, v, a = motion_ahead(PROGRAM, 1e-3, 5e-4)
+    moving, t = np.abs(v) > 0.01, np.zeros(q.size)
+    force, model = axis.drive.gain * found.feedforward.command(q, v, a), inverse_force(axis, q, v, a, t)
     np.testing.assert_allclose(force[moving], model[moving], rtol=1e-9, atol=1e-7)
 
 

@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from emps_design.cli.app import run
+from emps_design.machines import machine
 
 
 def document(capsys, *arguments, status=0):
@@ -147,6 +148,20 @@ def test_force_uses_the_gains_of_the_axis(capsys, tmp_path):
     found = document(capsys, "force", str(tmp_path / "axis.toml"))
     assert (found["k_v1"], found["t_v"], found["k_e1"]) == (500.0, 0.01, 0.004)
     assert found["operator"]["hand"] == pytest.approx(250.0)
+
+
+def test_force_goes_around_the_loop_that_the_drive_runs(capsys, tmp_path):
+    controller = {"kind": "cascade", "position": {"kp": 20.0}, "velocity": {"kp": 300.0, "ti": 0.03}}
+    low = [{"kind": "lowpass", "frequency": 200.0}]
+    path = tmp_path / "drive.toml"
+    path.write_text(machine("emps2018").replace(controller={**controller, "filters": low}).to_toml())
+    found = document(capsys, "force", str(path), "--k-e1", "0.004", "--environment", "1e4")
+    assert (found["structure"], found["k_v1"], found["t_v"], found["filters"]) == ("pi", 300.0, 0.03, low)
+    line = ("force", "--k-e1", "0.004", "--environment", "1e4", "--crossover", "60", "--structure", "pi")
+    assert document(capsys, *line)["structure"] == "pi"
+    assert run([*line, "--out", str(tmp_path / "force.toml")]) == 2
+    assert "found a PI velocity loop, expected IP alone" in capsys.readouterr().err
+    assert not (tmp_path / "force.toml").exists()
 
 
 def test_designs_become_axis_files(capsys, tmp_path):

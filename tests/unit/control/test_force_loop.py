@@ -1,5 +1,6 @@
 """The force loop: closed-form limits, sampled limits, the sign, and the paper's own reading."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +11,9 @@ from hypothesis import strategies as st
 from emps_design.control.force.design import design_force_loop
 from emps_design.control.force.limits import largest_force_gain
 from emps_design.control.velocity.design import design_velocity_loop
+from emps_design.control.velocity.structure import IP, PI, PI_WITH_REFERENCE_FILTER
 from emps_design.errors import InputError
+from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine
 from emps_design.paper import symbols as y
 from emps_design.paper.derivations.force_loop import derive_force_loop
@@ -48,11 +51,14 @@ def test_viscous_hand_has_a_limit_in_the_sampled_loop_only():
     wall=st.sampled_from([0.0, 3e3, 2e5]),
     on_carriage=st.booleans(),
     sensor_delay=st.integers(0, 3),
+    structure=st.sampled_from([IP, PI, PI_WITH_REFERENCE_FILTER]),
+    filters=st.sampled_from([(), (Filter(kind="lowpass", frequency=150.0),)]),
 )
-def test_limits_are_where_the_poles_cross(hand, wall, on_carriage, sensor_delay):
+def test_limits_are_where_the_poles_cross(hand, wall, on_carriage, sensor_delay, structure, filters):
     if hand + wall == 0.0:
         return
-    design = design_force_loop(LOOP, 1e-3, hand, wall, sensor_delay, on_carriage)
+    around = replace(LOOP, structure=structure, filters=filters)
+    design = design_force_loop(around, 1e-3, hand, wall, sensor_delay, on_carriage)
     limit = design.k_e1_max_sampled
     assert np.abs(design.sampled_loop(limit).poles[0]) == pytest.approx(1.0, abs=1e-9)
     assert not design.sampled_loop(1.0001 * limit).stable
@@ -60,9 +66,33 @@ def test_limits_are_where_the_poles_cross(hand, wall, on_carriage, sensor_delay)
         assert 1e-3 * design.margins.gain_margin == pytest.approx(limit, rel=1e-6)
     continuous = design.k_e1_max_continuous
     if continuous is not None:
-        inside = design_force_loop(LOOP, 0.999 * continuous, hand, wall, 0, on_carriage)
-        outside = design_force_loop(LOOP, 1.001 * continuous, hand, wall, 0, on_carriage)
+        inside = design_force_loop(around, 0.999 * continuous, hand, wall, 0, on_carriage)
+        outside = design_force_loop(around, 1.001 * continuous, hand, wall, 0, on_carriage)
         assert inside.continuous_poles.real.max() < 0.0 < outside.continuous_poles.real.max()
+
+
+def test_the_zero_of_pi_moves_the_limit_as_the_cubic_says():
+    """Gains for a wall next to which a hand rests: the limit is where the cubic's roots reach the axis, or nowhere."""
+    for zero, hand, wall in ((0.0, 0.0, 1e5), (1e-4, 5.0, 1e5), (5e-3, 0.0, 1e5), (1e-3, 5.0, 1e6)):
+        limit = largest_force_gain(141.0, 0.1, 2e6, hand, wall, True, zero)
+        tried = np.geomspace(1e-7, 1e3, 4000) if limit is None else limit * np.array([0.5, 0.999, 1.001])
+        stable = []
+        for k in tried:
+            ahead = k * zero + 1.0 / 2e6
+            cubic = [141.0**-2, 0.2 / 141.0 + hand * ahead, 1.0 + k * hand + wall * ahead, k * wall]
+            stable.append(np.roots(cubic).real.max() < 0.0)
+        assert stable == ([True] * 4000 if limit is None else [True, True, False]), (zero, hand, wall)
+
+
+def test_pi_behind_its_filter_is_ip_to_the_operator():
+    ip, filtered = (
+        design_force_loop(replace(LOOP, structure=one), 0.01, environment=1e4) for one in (IP, PI_WITH_REFERENCE_FILTER)
+    )
+    assert filtered.poles == pytest.approx(ip.poles)
+    assert (filtered.k_e1_max_continuous, filtered.apparent_mass) == (ip.k_e1_max_continuous, ip.apparent_mass)
+    hurried = design_force_loop(replace(LOOP, structure=PI), 0.01, environment=1e4)
+    assert hurried.k_e1_max_continuous is None
+    assert hurried.k_e1_max_sampled > ip.k_e1_max_sampled
 
 
 def test_a_late_sensor_costs_gain():

@@ -11,7 +11,9 @@ SERVO = Path(__file__).resolve().parents[3].parent / "shared" / "data" / "servo"
 
 def test_random_axes_against_brute_force():
     found = gains.summary(gains.random_loops(6, seed=77))
-    assert found["margins"] >= 12
+    assert found["margins"] >= 18
+    assert set(found["by_name"]) == {"phase_margin_deg", "gain_margin", "delay_margin", "disk_margin"}
+    assert found["nearer_pairs"]["nearer"] == 0
     assert found["largest_error"] < 0.01
     assert found["most_optimistic"] < 1e-4
     assert set(found["retune"]) <= {"reached", "nearest"}
@@ -20,8 +22,11 @@ def test_random_axes_against_brute_force():
 def test_a_notch_at_48_hz_gains_crossover_at_equal_margins():
     found = gains.notch()
     assert found["filter"]["kind"] == "notch"
-    assert found["with"]["crossover"] > 1.5 * found["without"]["crossover"]
-    for side in ("without", "with"):
+    assert found["gained"]["with_equal_margins"] > 0.15
+    assert found["gained"]["with"] > 0.5
+    for name in ("phase_margin_deg", "gain_margin", "disk_margin"):
+        assert found["with_equal_margins"]["margins"][name] >= (1.0 - 1e-6) * found["without"]["margins"][name], name
+    for side in ("without", "with_equal_margins", "with"):
         assert found[side]["margins"]["phase_margin_deg"] == pytest.approx(50.0, abs=1e-5)
         assert found[side]["margins"]["gain_margin"] >= 2.0
 

@@ -59,8 +59,12 @@ def test_a_notch_at_the_resonance_makes_a_faster_loop_at_equal_margins():
     without, better = found["without"], found["with"]
     assert found["filter"]["kind"] == "notch"
     assert found["filter"]["frequency"] == pytest.approx(48.0, rel=0.02)
+    equal, notch = found["with_equal_margins"], (Filter(**found["filter"]),)
+    assert 1.15 * without["crossover"] < equal["crossover"] < better["crossover"]
     assert better["crossover"] > 1.5 * without["crossover"]
-    for side, filters in ((without, ()), (better, (Filter(**found["filter"]),))):
+    for name in ("gain_margin", "disk_margin"):
+        assert equal["margins"][name] >= (1.0 - 1e-6) * without["margins"][name]
+    for side, filters in ((without, ()), (equal, notch), (better, notch)):
         loop = SampledVelocityLoop(sample_axis(BENT, filters=filters), side["k_v1"], side["t_v"], PI)
         assert loop.stable
         assert loop.margins.phase_margin_deg == pytest.approx(50.0, abs=1e-5)
@@ -70,7 +74,7 @@ def test_a_notch_at_the_resonance_makes_a_faster_loop_at_equal_margins():
 
 def test_where_no_filter_pays_delay_binds():
     found = suggest_filter(RIGID, 60.0)
-    assert (found["filter"], found["with"]) == (None, None)
+    assert (found["filter"], found["with_equal_margins"], found["with"]) == (None, None, None)
     assert reach(sample_axis(RIGID), 60.0).limit.startswith("delay")
 
 

@@ -19,6 +19,7 @@ from emps_design.frequency_response import (
     write_response,
 )
 from emps_design.frequency_response.measured_plant import law_response
+from emps_design.frequency_response.suggestion import MARGINS, SIDES
 from emps_design.laws import law_of
 from emps_design.laws.linear import linear_law
 from emps_design.machines import machine
@@ -162,7 +163,16 @@ def test_gains_on_a_response(tmp_path, capsys):
     assert command(line) == 0
     assert "On the measured plant" in capsys.readouterr().out
     assert command([*line, "--retune", "--json"]) == 0
-    retuned = json.loads(capsys.readouterr().out)["measured"]
+    document = json.loads(capsys.readouterr().out)
+    retuned, suggested = document["measured"], document["suggestion"]
+    assert suggested["model"] == "the masses that fit two"
+    for name in SIDES if suggested["filter"] else SIDES[:1]:
+        side = suggested[name]
+        assert side["measured"]["stable"]
+        for margin in MARGINS:  # of the gains that were found on the masses, on the data
+            assert side["measured"][margin] == pytest.approx(side["margins"][margin], rel=0.05), (name, margin)
+    assert command([*line, "--retune"]) == 0
+    assert "found on the masses that fit two, then tried on the data" in capsys.readouterr().out
     assert retuned["crossover"] == pytest.approx(40.0, rel=1e-3)
     assert retuned["phase_margin_deg"] == pytest.approx(60.0, rel=1e-3)
 

@@ -142,7 +142,7 @@ def test_models_know_the_back_emf():
 
 def test_a_duty_without_a_supply_is_told():
     bare = arm(supply=None)
-    with pytest.raises(AxisError, match=r"drive\.supply: missing, expected the supply voltage \[V\] of a duty"):
+    with pytest.raises(AxisError, match=r"drive\.supply: missing, expected the supply that the duty is a share of"):
         Plant.of(bare).closed_loop(program(50))
     assert Axis.from_toml(arm().to_toml(comments=True)) == arm()
     with pytest.raises(AxisError, match=r"drive\.supply: found one where the command is a voltage"):

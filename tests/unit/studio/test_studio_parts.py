@@ -19,10 +19,14 @@ pytest.importorskip("panel", reason="the extra 'studio' is not installed")
 
 from emps_design.axis import Axis
 from emps_design.cli.app import run
+from emps_design.control.position import PositionLoopDesign
 from emps_design.control.velocity.design import design_velocity_loop
-from emps_design.errors import InputError, RecordError, SpecificationError
+from emps_design.control.velocity.structure import PI_WITH_REFERENCE_FILTER
+from emps_design.errors import EmpsError, InputError, RecordError, SpecificationError
+from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine, machine_names
-from emps_design.simulation.synthetic import synthetic_record
+from emps_design.simulation.scenarios import follow
+from emps_design.simulation.synthetic import synthetic_record, there_and_back
 from emps_design.studio import exports, jobs
 from emps_design.studio.app import Session
 from emps_design.studio.data_view import LIMIT_MB, DataView, read_upload
@@ -35,6 +39,9 @@ from emps_design.studio.state import CHOICES, SPECIFICATIONS, TASKS, State
 from tests.browser.conftest import Studio
 from tests.unit.report.test_colours import SEEN_BY, lab
 
+LOW = [{"kind": "lowpass", "frequency": 150.0}]
+NOTCH = {"kind": "notch", "frequency": 48.0, "damping": 0.5, "depth": 0.1}
+
 
 def state(**values) -> State:
     return State.of(machine("emps2018")).changed(**values)
@@ -42,6 +49,7 @@ def state(**values) -> State:
 
 def test_a_state_goes_to_a_file_and_comes_back():
     saved = state(phase_margin_deg=47.5, computation_delay=2, current_ms=0.75, specification="bandwidth")
+    saved = saved.changed(structure="PI", filters=[*LOW, {**NOTCH, "frequency": "48Hz"}])
     saved = replace(saved.changed(task="pushed", push=60.0, plants=0, friction="asymmetric"), pinned=state(hand=5.0))
     back = State.from_toml(saved.to_toml())
     assert back == saved
@@ -60,6 +68,10 @@ def test_a_state_goes_to_a_file_and_comes_back():
         ("[studio]\nplants = 2.5\n", "plants: found 2.5, expected a whole number, 0 to 10000"),
         ('[studio]\nfilter = "30 V"\n', "filter: frequency: found '30 V', expected a number of rad/s, or such as 30Hz"),
         ('[studio]\nmass = "30"\n', "mass: found '30', expected 1 to 200"),
+        ('[studio]\nstructure = "pid"\n', "structure: found 'pid', expected IP or PI or PI with reference filter"),
+        ('[studio]\nfilters = [{kind = "notch", frequency = 50}]\n', "filters.0: .*damping: found None"),
+        ('[studio]\nfilters = [{kind = "lowpass", frequency = "5 V"}]\n', "filters.0: frequency: found '5 V'"),
+        ("[studio]\nfilters = 3\n", "filters: found 3, expected up to 8 tables"),
         ('[studio]\nspecification = "speed"\n', "specification: found 'speed', expected crossover or bandwidth"),
     ],
 )
@@ -95,13 +107,15 @@ def test_where_nothing_can_be_reached_the_reason_is_said():
     assert found.nearest(60.0) is None
 
 
+@pytest.mark.parametrize(("structure", "filters"), [("IP", []), ("PI", LOW), ("PI with reference filter", [])])
 @pytest.mark.parametrize("specification", SPECIFICATIONS)
-def test_the_plane_agrees_with_single_designs(specification):
+def test_the_plane_agrees_with_single_designs(specification, structure, filters):
     axis = machine("emps2018")
-    found = plane(axis, specification, 30.0, columns=6, rows=6)
+    now = State.of(axis).changed(specification=specification, structure=structure, filters=filters)
+    found = plane(now, columns=6, rows=6)
     for (row, column), place in np.ndenumerate(found.kind):
-        asked = {specification: float(found.x[column]), "phase_margin_deg": float(found.y[row])}
-        if KINDS[place] == "no gains by (7)":
+        asked = {**now.requested, specification: float(found.x[column]), "phase_margin_deg": float(found.y[row])}
+        if KINDS[place] == "no positive gains":
             with pytest.raises(Exception, match="phase margin"):
                 design_velocity_loop(axis, **asked)
             continue
@@ -113,7 +127,7 @@ def test_the_plane_agrees_with_single_designs(specification):
 @pytest.mark.parametrize("specification", SPECIFICATIONS)
 def test_beyond_the_reachable_frequencies_every_phase_margin_is_unstable(specification):
     axis = machine("emps2018")
-    _, highest = reachable_frequencies(axis, specification)
+    _, highest = reachable_frequencies(State.of(axis).changed(specification=specification))
     stable = [
         [
             design_velocity_loop(axis, **{specification: frequency, "phase_margin_deg": float(phase)}).sampled.stable
@@ -128,7 +142,7 @@ def test_beyond_the_reachable_frequencies_every_phase_margin_is_unstable(specifi
 def test_a_frequency_out_of_reach_moves_to_the_nearest_and_the_page_says_so():
     view = DesignView(state(), {name: machine(name) for name in machine_names()}, lambda state: None)
     view.turn("frequency", 600.0)
-    assert view.state.frequency == reachable_frequencies(machine("emps2018"), "crossover")[1]
+    assert view.state.frequency == reachable_frequencies(state())[1]
     assert "unstable with every phase margin" in view.message.object
     assert f"moved from 600 to {view.state.frequency:g} rad/s" in view.message.object
     assert view.knobs["frequency"].slider.end == view.state.frequency
@@ -173,6 +187,38 @@ def test_every_frequency_is_understood_with_its_unit_and_the_page_says_what_it_t
         assert "the design stays as it was" in view.message.object
     document = state().to_toml().replace(f"\n{name} = {getattr(state(), name)}", f'\n{name} = "30Hz"')
     assert getattr(State.from_toml(document), name) == pytest.approx(60 * np.pi)
+
+
+def test_structure_and_filters_are_those_of_the_axis_until_others_are_chosen():
+    drive = {"kind": "cascade", "velocity": {"kp": 300.0, "ti": 0.03}, "filters": LOW}
+    axes = {"drive": machine("emps2018").replace(name="drive", controller=drive), "emps2018": machine("emps2018")}
+    view = DesignView(State.of(axes["drive"]), axes, lambda state: None)
+    assert (view.state.structure, view.words["structure"].value, len(view.filters.fields)) == ("PI", "PI", 1)
+    assert "PI, 1 filter" in view.numbers.object
+    assert "largest [(m/s)/N]" in view.laws.object  # the force loop goes around PI with its filters too
+    view.machine.value = "emps2018"
+    assert (view.words["structure"].value, view.filters.fields) == ("IP", [])
+    view.words["structure"].value = "PI with reference filter"
+    view.filters._add("notch")
+    view.filters.fields[0]["frequency"].value = " 70 Hz"
+    assert view.filters.fields[0]["frequency"].value == "70"
+    view.filters.fields[0]["depth"].value = "0.2"
+    notch = Filter(kind="notch", frequency=70.0, damping=0.3, depth=0.2)
+    assert view.design.filters == view.state.filters == (notch,)
+    asked = {"crossover": 100.0, "phase_margin_deg": 60.0}
+    design = design_velocity_loop(axes["emps2018"], **asked, structure=PI_WITH_REFERENCE_FILTER, filters=(notch,))
+    assert view.design.k_v1 == design.k_v1
+    assert f"{design.sampled.margins.phase_margin_deg:.1f}°" in view.numbers.object
+    assert json.loads(exports.gains_json(view.state))["filters"] == [notch.model_dump(exclude_none=True)]
+    assert Axis.from_toml(exports.model_toml(view.state)).controller.filters[0]["frequency"] == 70.0
+    for name, wrong in (("frequency", "70 V"), ("depth", "2"), ("damping", ""), ("frequency", "-3")):
+        before = view.filters.fields[0][name].value
+        view.filters.fields[0][name].value = wrong
+        assert "the design stays as it was" in view.message.object, wrong
+        assert view.filters.fields[0][name].value == before
+        assert view.state.filters == (notch,)
+    view.filters._take_away(0)
+    assert view.state.filters == view.design.filters == ()
 
 
 def test_a_refused_upload_takes_the_record_before_it_away():
@@ -482,7 +528,91 @@ def test_an_excited_record_gives_its_response_and_the_axis_that_fits_it():
     assert stages[-1] == ("drawing", 0.8)
 
 
-def test_what_is_fed_forward_is_chosen_tried_and_handed_out(monkeypatch, tmp_path):
+@pytest.fixture
+def at_once(monkeypatch):
+    """Work of a tab done where it is started; what went wrong is raised."""
+
+    def start(job, work, done, failed):
+        try:
+            found = work(lambda stage, share: None)
+        except EmpsError as error:
+            failed(str(error))
+        else:
+            done(found)
+
+    monkeypatch.setattr(jobs.Job, "start", start)
+
+
+def test_a_motion_of_ones_own_is_simulated_under_the_design_and_under_the_drive(at_once):
+    drive = {"kind": "cascade", "position": {"kp": 12.0, "every": 2}, "velocity": {"kp": 300.0, "ti": 0.05}}
+    session = Session(machine("emps2018").replace(name="own", controller={**drive, "filters": LOW}))
+    view, turn = session.motion, session.design.turn
+    turn("frequency", 60.0)
+    turn("stroke", 0.05)
+    view._start()
+    loop = PositionLoopDesign(session.design.design, 12.0, 2, {})
+    program = np.concatenate([np.zeros(100), there_and_back(1e-3, 0.05, 0.2, 1.0, 0.1)])
+    for name, axis in (("this design", loop.axis()), ("the axis's own controller", session.state.axis)):
+        expected = follow(axis, program).to_dict()["tracking_error"]
+        assert view.found.runs[name].to_dict()["tracking_error"] == expected
+    assert "kp 12 1/s in every 2. sample" in view.message.object
+    assert "<svg" in view.picture.object
+    turn("required_phase_deg", 20.0)  # nothing that a motion depends on
+    assert "<svg" in view.picture.object
+    for name, value in (("position_kp", 8.0), ("filters", []), ("structure", "IP"), ("feedforward", "velocity")):
+        turn(name, value)
+        assert view.found is None, name
+        assert view.picture.object == view.message.object == ""
+        view._start()
+    assert view.found.loop.axis(velocity=1.0).controller == view.found.runs["this design"].axis.controller
+    assert view.found.runs["this design"].axis.controller.velocity["form"] == "ip"
+    session.design.machine.value = "emps2018"  # has no controller
+    assert view.found is None
+    view._start()
+    assert list(view.found.runs) == ["this design"]
+    assert "which follows no position" in view.message.object
+
+
+def test_a_motion_from_a_file_or_the_records_reference(at_once):
+    axis = machine("emps2019")
+    session = Session(axis, synthetic_record(axis, laps=1))
+    view = session.motion
+    session.design.turn("motion", "file")
+    view._start()
+    assert "found no file" in view.message.object
+    view.file.filename, view.file.value = "C:\\way.csv", b"t,q_ref [mm]\n0,0\n1,50\n2,50\n"
+    view._start()
+    run = view.found.runs["this design"].run
+    assert run.q_ref[[0, 500, 1000, 2000]] == pytest.approx([0.0, 0.025, 0.05, 0.05])
+    assert "way.csv, straight between its rows" in view.message.object
+    view.file.value = b"t,q_ref\n0,0\n0,1\n"
+    assert view.found is None
+    view._start()
+    assert "way.csv: column t: sample 1 is not later than the one before" in view.message.object
+    session.design.turn("motion", "record")
+    view._start()
+    np.testing.assert_allclose(view.found.runs["this design"].run.q_ref, session.data.record.q_ref, atol=1e-12)
+    assert not view.file.visible
+    session.design.turn("motion", "there and back")
+    session.design.turn("speed", 1e-5)
+    view._start()
+    assert "take a shorter stroke or pause" in view.message.object
+    assert view.picture.object == ""
+
+
+def test_a_simulation_of_other_numbers_is_taken_away(at_once):
+    session = Session(machine("emps2018"))
+    view = session.simulation
+    session.design.turn("plants", 0)
+    view._start()
+    assert "<svg" in view.pictures["task"].object
+    session.design.turn("frequency", 80.0)  # of the velocity loop: the impedance law has none
+    assert "<svg" in view.pictures["task"].object
+    session.design.turn("mass", 60.0)
+    assert view.message.object == view.pictures["task"].object == ""
+
+
+def test_what_is_fed_forward_is_chosen_tried_and_handed_out(at_once, tmp_path):
     ripple = {"kind": "position_ripple", "amplitude": 6.0, "phase": 0.7, "period": 0.005}
     gap = {"kind": "backlash", "gap": 1e-4, "frequency": 60.0, "damping": 0.1, "share": 0.4}
     session = Session(machine("emps2019").replace(name="own", effects=[ripple, gap]))
@@ -490,7 +620,6 @@ def test_what_is_fed_forward_is_chosen_tried_and_handed_out(monkeypatch, tmp_pat
     assert view.terms.value == ["inertia", "viscous", "coulomb", "constant", "position_ripple"]
     assert "backlash is not compensated" in view.left.object
     assert view.download.disabled
-    monkeypatch.setattr(jobs.Job, "start", lambda job, work, done, failed: done(work(lambda stage, share: None)))
     view._start()
     found, best = view.found, view.found.achieved
     assert "position_ripple" in found.feedforward.terms

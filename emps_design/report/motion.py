@@ -1,0 +1,33 @@
+"""Picture of a motion in closed loop: reference and position, what is between them, and the command."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from emps_design.report.style import BLACK, BLUE, RED, look, subplots, thin
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from matplotlib.figure import Figure
+
+    from emps_design.simulation.scenarios import Followed
+
+
+def motion_figure(runs: Mapping[str, Followed]) -> Figure:
+    """Draw one or two ``runs`` along the same reference, by the names of their controllers."""
+    with look():
+        figure, (top, middle, below) = subplots(3, 1, height=6.4, sharex=True)
+        first = next(iter(runs.values())).run
+        top.plot(*thin(first.t, first.q_ref), color=BLACK, linestyle="--", linewidth=1.0, label="reference")
+        for (name, found), color in zip(runs.items(), (RED, BLUE), strict=False):
+            run = found.run
+            top.plot(*thin(run.t, run.position), color=color, linewidth=1.0, label=name)
+            middle.plot(*thin(run.t, run.q_ref - run.position), color=color, linewidth=1.0)
+            below.plot(*thin(run.t, run.u), color=color, linewidth=1.0)
+        top.set_ylabel("position [m]")
+        middle.set_ylabel("tracking error [m]")
+        below.set(xlabel="time [s]", ylabel="command [V]")
+        figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+        figure.align_ylabels((top, middle, below))
+    return figure
