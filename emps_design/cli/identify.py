@@ -202,9 +202,10 @@ def _show_one(found: Identification) -> None:
     if "hausman_test" in found.extra:
         test = found.extra["hausman_test"]
         verdict = "biased" if test["least_squares_biased"] else "not shown to be biased"
+        little = ", too little to matter" if test["least_squares_biased"] and not test["bias_matters"] else ""
         console.print(
             f"Durbin-Wu-Hausman: least squares is {verdict} (p = {test['p_value']:.2g}), by at most "
-            f"{test['shift_in_std']:.2f} standard deviations"
+            f"{test['shift_in_std']:.2f} standard deviations{little}"
         )
     if "closed_loop" in found.extra:
         loop = found.extra["closed_loop"]
