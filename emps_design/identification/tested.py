@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from emps_design.axis import Axis
 from emps_design.errors import EmpsError
 from emps_design.identification.chains import DEFAULT_CHAIN, LONG
@@ -63,7 +65,7 @@ def identify_tested(
 
     try:
         led = identify_with_instruments(record, axis, **given)
-    except EmpsError:  # no simulation with this controller or these parameters follows the record
+    except (EmpsError, np.linalg.LinAlgError):  # no simulation with this controller follows the record
         return plain
     weaker = any(one.determined and not led.parameters[name].determined for name, one in plain.parameters.items())
     if weaker or not led.extra["hausman_test"]["bias_matters"]:
