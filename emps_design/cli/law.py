@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -61,7 +61,7 @@ def _show(found: LawEstimate) -> None:
         table = Table(box=box.SIMPLE, pad_edge=False)
         for heading in ("number", "value", "std", "std [%]"):
             table.add_column(heading, justify="left" if heading == "number" else "right", no_wrap=True)
-        for name, value, std in _numbers(found.controller, found.std):
+        for name, value, std in found.numbers:
             percent = f"{abs(100 * std / value):.2g}" if value else ""
             table.add_row(name, f"{value:.7g}", f"{std:.2g}", percent)
         console.print(table)
@@ -79,14 +79,3 @@ def _show(found: LawEstimate) -> None:
         for one in found.tried:
             table.add_row(one["terms"], f"{one['residual_rms']:.4g}", f"{one['criterion']:+.1f}")
         console.print(table)
-
-
-def _numbers(table: Any, std: Any, name: str = "") -> list[tuple[str, float, float]]:
-    """The numbers of a table that have a deviation, by their place in it."""
-    if isinstance(std, dict):
-        pairs = [(f"{name}.{key}" if name else key, table[key], one) for key, one in std.items()]
-    elif isinstance(std, list):
-        pairs = [(f"{name}[{i}]", table[i], one) for i, one in enumerate(std)]
-    else:
-        return [(name, table, std)]
-    return [row for key, value, one in pairs for row in _numbers(value, one, key)]

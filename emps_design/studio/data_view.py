@@ -34,6 +34,8 @@ INTRODUCTION = """
 <h3>What a record tells</h3>
 <table class="about">
 <tr><th><b>Identify</b></th><td>mass and friction of the axis with their standard deviations: seconds</td></tr>
+<tr><th><b>Law</b></th><td>the controller that made the record, its structure and gains with their deviations, from
+reference, position and command alone: seconds</td></tr>
 <tr><th><b>Observe</b></th><td>the external force on the carriage, and the smallest that shows: seconds</td></tr>
 <tr><th><b>Response</b></th><td>the frequency response from force to velocity with its band, beside the model, and the
 masses and the coupling that fit it, where the record was excited: seconds</td></tr>
@@ -309,6 +311,23 @@ def observe_work(record: Record, axis: Axis, options: Options, progress: Callabl
     }
 
 
+def law_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
+    """Tell which controller made ``record``; return its table, and ``axis`` with it where it is told."""
+    from emps_design.identification.controller import identify_law
+    from emps_design.report.law import law_blocks
+
+    progress("trying structures", 0.2)
+    found = identify_law(record, axis.drive.command_unit)
+    progress("drawing", 0.9)
+    table, name = found.controller, f"{axis.name.split(' with the law')[0]} with the law of {record.name}"
+    return {
+        "text": f"Law {found.verdict}: {found.in_words or found.reason}.",
+        "html": _blocks(axis.units, *law_blocks(found)),
+        "model": None if table is None else Axis.from_dict({**axis.to_dict(), "controller": table, "name": name}, name),
+        "level": "good" if found.verdict == "told" else "warning",
+    }
+
+
 def response_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
     """Estimate the frequency response of ``record``; return it beside the model, and the axis that fits it."""
     from emps_design.frequency_response import estimate_response
@@ -345,4 +364,10 @@ def diagnose_work(record: Record, axis: Axis, options: Options, progress: Callab
     }
 
 
-WORK = {"Identify": identify_work, "Observe": observe_work, "Response": response_work, "Diagnose": diagnose_work}
+WORK = {
+    "Identify": identify_work,
+    "Law": law_work,
+    "Observe": observe_work,
+    "Response": response_work,
+    "Diagnose": diagnose_work,
+}

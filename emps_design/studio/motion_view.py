@@ -109,6 +109,7 @@ class MotionView:
 
     def _done(self, found: Motion) -> None:
         self.found, units = found, found.state.axis.units
+        drawn = svg(labelled(motion_figure(found.runs), units), "motion")  # before the words that stand over it
         level, text = found.verdict()
         self.message.object = units.text(message(text, level, "".join(f"<br>{inline(one)}" for one in found.notes)))
         heads, *rows = found.rows()
@@ -118,7 +119,7 @@ class MotionView:
             for name, *cells in rows
         )
         self.table.object = units.text(f'<table class="numbers"><tr>{head}</tr>{body}</table>')
-        self.picture.object = svg(labelled(motion_figure(found.runs), units), "motion")
+        self.picture.object = drawn
 
 
 def read_by_motion(state: State) -> tuple[Any, ...]:

@@ -10,7 +10,7 @@ from numpy.polynomial.chebyshev import chebvander
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.explain.extent import EVERYWHERE, described, extent
 from emps_design.discrepancy.explain.residual_views import force_map
-from emps_design.discrepancy.model.missing_force import SLOWEST, MissingForce, missing_force
+from emps_design.discrepancy.model.missing_force import SLOWEST, MissingForce, missing_force, since_reversal
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.validation.gap import most_missed
 from emps_design.discrepancy.validation.verdict import Validation
@@ -96,12 +96,8 @@ def _load(seen: MissingForce) -> np.ndarray:
 
 
 def _since_reversal(seen: MissingForce) -> np.ndarray:
-    """Time [s] since the last reversal, its logarithm: what memory of standing still fades with."""
-    direction = np.sign(seen.motion.v)
-    turns = np.concatenate(([True], np.diff(direction) != 0))
-    index = np.arange(direction.size)
-    since = index - np.maximum.accumulate(np.where(turns, index, 0))
-    return np.log1p(since)
+    """Logarithm of the samples since the last reversal: what memory of standing still fades with."""
+    return np.log1p(since_reversal(seen.motion.v))
 
 
 VARIABLES = {

@@ -63,3 +63,14 @@ def near_reversals(v: np.ndarray, period: float, margin: float) -> np.ndarray:
     for edge in np.nonzero(np.diff(np.sign(v)) != 0)[0]:
         near[max(0, edge - width) : edge + width + 1] = True
     return near
+
+
+def since_reversal(v: np.ndarray) -> np.ndarray:
+    """Samples (n,) since ``v`` (n,) last changed its sign.
+
+    >>> since_reversal(np.array([1.0, 2.0, -1.0, -1.0, -2.0])).tolist()
+    [0, 1, 0, 1, 2]
+    """
+    index = np.arange(v.size)
+    turns = np.concatenate(([True], np.diff(np.sign(v)) != 0))
+    return index - np.maximum.accumulate(np.where(turns, index, 0))

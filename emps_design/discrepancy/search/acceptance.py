@@ -57,16 +57,17 @@ class Judge:
 
     def leaves_structure(self, fitted: Fit) -> bool:
         """Whether ``fitted`` leaves more than noise could be."""
-        cost = fitted.cost
         if any(effect.channel == "controller" for effect in fitted.model.effects):
             # The edges of what the controller adds are known to a sample, and a sample missed is a burst.
-            cost = _bulk(fitted, "fit") + _bulk(fitted, "select")
-        return cost > rules.STRUCTURED * fitted.problem.samples("used") or self._whitened_away(fitted)
+            return self.leaves_unexplained(fitted)
+        return self._more_than_noise(fitted, fitted.cost)
 
     def leaves_unexplained(self, fitted: Fit) -> bool:
         """Whether ``fitted`` leaves more than noise could be even where bursts count little, as of play."""
-        used = _bulk(fitted, "fit") + _bulk(fitted, "select")
-        return used > rules.STRUCTURED * fitted.problem.samples("used") or self._whitened_away(fitted)
+        return self._more_than_noise(fitted, _bulk(fitted, "fit") + _bulk(fitted, "select"))
+
+    def _more_than_noise(self, fitted: Fit, cost: float) -> bool:
+        return cost > rules.STRUCTURED * fitted.problem.samples("used") or self._whitened_away(fitted)
 
     def _demands(self, worse: Fit) -> tuple[float, float]:
         """Deviations at which a sample's cost is cut, and the share of the cost that a finding must be worth."""

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from emps_design.discrepancy.model.fit import Fit
-from emps_design.discrepancy.model.missing_force import SLOWEST
+from emps_design.discrepancy.model.missing_force import SLOWEST, since_reversal
 from emps_design.discrepancy.search.starts import screen, tangent
 from emps_design.effects import Effect
 from emps_design.errors import SimulationError
@@ -72,10 +72,9 @@ def smooth_of_state(q: np.ndarray, period: float) -> np.ndarray:
         chebvander(2 * (q - q.min()) / np.ptp(q) - 1, DEGREE)[:, :, None] * chebvander(2 * speed - 1, DEGREE)[:, None]
     )
     surface = surface.reshape(q.size, -1)
-    turns = np.concatenate(([True], np.diff(np.sign(v)) != 0))
-    since = np.arange(q.size) - np.maximum.accumulate(np.where(turns, np.arange(q.size), 0))
+    since = since_reversal(v)
     way = np.cumsum(np.abs(v)) * period
-    way -= np.maximum.accumulate(np.where(turns, way, 0.0))
+    way -= way[np.arange(q.size) - since]
     fading = [np.exp(-since * period / time) * direction for time in FADING_TIMES]
     fading += [np.exp(-way / distance) * direction for distance in FADING_WAYS]
     for time in MEMORIES:

@@ -65,6 +65,16 @@ class LawEstimate:
         kind, *rest = self.controller.items()
         return f"{kind[1]} with {', '.join(f'{name} = {_inline(value, 5)}' for name, value in rest)}"
 
+    @property
+    def numbers(self) -> list[tuple[str, float, float]]:
+        """The numbers of the table that have a deviation: place in it, value and standard deviation.
+
+        >>> table, std = {"kind": "cascade", "velocity": {"kp": 2.0}}, {"velocity": {"kp": 0.1}}
+        >>> LawEstimate("r", TOLD, "", table, std, 0.0, 0.0, "V").numbers
+        [('velocity.kp', 2.0, 0.1)]
+        """
+        return [] if self.controller is None else _numbers(self.controller, self.std)
+
     def to_toml(self) -> str:
         """The ``[controller]`` table alone, ready to paste into an axis file; raises ``ValueError`` where none is told.
 
@@ -74,6 +84,17 @@ class LawEstimate:
         if self.controller is None:
             raise ValueError(f"{self.record}: {self.reason}")
         return "[controller]\n" + "".join(f"{name} = {_inline(value)}\n" for name, value in self.controller.items())
+
+
+def _numbers(table: Any, std: Any, name: str = "") -> list[tuple[str, float, float]]:
+    """The numbers of a ``table`` that have one in ``std``, by their place in it."""
+    if isinstance(std, dict):
+        pairs = [(f"{name}.{key}" if name else key, table[key], one) for key, one in std.items()]
+    elif isinstance(std, list):
+        pairs = [(f"{name}[{i}]", table[i], one) for i, one in enumerate(std)]
+    else:
+        return [(name, table, std)]
+    return [row for key, value, one in pairs for row in _numbers(value, one, key)]
 
 
 def _inline(value: Any, digits: int = 0) -> str:

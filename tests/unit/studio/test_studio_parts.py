@@ -528,6 +528,27 @@ def test_an_excited_record_gives_its_response_and_the_axis_that_fits_it():
     assert stages[-1] == ("drawing", 0.8)
 
 
+def test_the_law_of_a_record_is_shown_and_designed_on(monkeypatch):
+    from emps_design.identification import controller
+    from emps_design.studio.data_view import law_work
+
+    axis = machine("emps2019")
+    record = synthetic_record(axis, laps=1)
+    table = {"kind": "cascade", "position": {"kp": 12.0}, "velocity": {"kp": 300.0, "ti": 0.05}}
+    told = controller.LawEstimate("r", controller.TOLD, "", table, {"velocity": {"kp": 3.0}}, 0.01, 0.02, "V")
+    monkeypatch.setattr(controller, "identify_law", lambda record, unit: told)
+    found = law_work(record, axis, {}, lambda *at: None)
+    assert "position = { kp = 12.0 }" in found["html"]
+    assert "velocity.kp" in found["html"]
+    assert State.of(found["model"]).structure == "PI"
+    assert (found["model"].mechanics, State.of(found["model"]).position_kp) == (axis.mechanics, 12.0)
+    untold = replace(told, verdict="not told", reason="it never moves", controller=None, std={})
+    monkeypatch.setattr(controller, "identify_law", lambda record, unit: untold)
+    found = law_work(record, axis, {}, lambda *at: None)
+    assert found["model"] is None
+    assert "not told: it never moves" in found["html"]
+
+
 @pytest.fixture
 def at_once(monkeypatch):
     """Work of a tab done where it is started; what went wrong is raised."""
