@@ -45,9 +45,10 @@ def command(
         help="Low-pass [Hz, or such as 370rad/s] instead of the filter's own; what the data say is printed too.",
     ),
     estimator: str = typer.Option(
-        "ls",
+        "auto",
         "--estimator",
-        help="ls: least squares; iv: instruments, with a test whether ls is biased; oe: closed-loop output error.",
+        help="auto: ls, or iv where a test says that ls is biased; ls: least squares; iv: instruments; oe: closed-loop "
+        "output error.",
     ),
     external_force: str = typer.Option(
         "refuse", "--external-force", help="refuse a record with one, or known: let the measured force take part."
@@ -75,7 +76,7 @@ def command(
 
     if external_force not in ("refuse", "known"):
         raise InputError(f"--external-force: found {external_force!r}, expected refuse or known")
-    estimators = ("ls", "iv", "oe")
+    estimators = ("auto", "ls", "iv", "oe")
     if estimator not in estimators:
         raise InputError(
             f"--estimator: found {estimator!r}, expected {', '.join(estimators)}{nearest_name(estimator, estimators)}"
@@ -119,17 +120,22 @@ def _refuse_ignored(context: typer.Context, estimator: str, records: int) -> Non
     """Raise for an option that what was asked for would not read."""
     from emps_design.errors import InputError
 
-    if estimator != "ls" and records > 1:
+    if estimator in ("auto", "ls"):
+        if records > 1:
+            why = f"goes with one record, found {records}; several judge one another"
+            refuse_ignored(context, ["bootstrap", "holdout"], why)
+        return
+    if records > 1:
         raise InputError(f"--estimator: {estimator} takes one record, found {records}; use ls for several")
-    if estimator != "ls":
-        why = f"goes with --estimator ls, found {estimator}, which filters as hold does and has intervals of its own"
-        refuse_ignored(context, ["chain", "bootstrap", "holdout"], why)
-    elif records > 1:
-        why = f"goes with one record, found {records}; several judge one another"
-        refuse_ignored(context, ["bootstrap", "holdout"], why)
+    why = f"goes with --estimator ls, found {estimator}, which filters as hold does and has intervals of its own"
+    refuse_ignored(context, ["chain", "bootstrap", "holdout"], why)
 
 
 def _one(estimator: str, record: Record, axis: Axis, options: dict[str, Any]) -> Identification:
+    if estimator == "auto":
+        from emps_design.identification.tested import identify_tested
+
+        return identify_tested(record, axis, **options)
     if estimator == "ls":
         from emps_design.identification.identify import identify
 
@@ -196,9 +202,10 @@ def _show_one(found: Identification) -> None:
     if "hausman_test" in found.extra:
         test = found.extra["hausman_test"]
         verdict = "biased" if test["least_squares_biased"] else "not shown to be biased"
+        little = ", too little to matter" if test["least_squares_biased"] and not test["bias_matters"] else ""
         console.print(
             f"Durbin-Wu-Hausman: least squares is {verdict} (p = {test['p_value']:.2g}), by at most "
-            f"{test['shift_in_std']:.2f} standard deviations"
+            f"{test['shift_in_std']:.2f} standard deviations{little}"
         )
     if "closed_loop" in found.extra:
         loop = found.extra["closed_loop"]

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import typer
 
 from emps_design.cli.destinations import ANYTHING, ARCHIVE, AXIS, TABLE, check_folder, make_folder
 
-# What `puzzle.npz` has and `axis.toml` lacks.
-PUZZLE = ({"kind": "position_ripple", "amplitude": 2.0, "period": 0.0025, "phase": 0.5},)
+# What `puzzle.npz` has and `axis.toml` lacks: a ripple of so much force [N] on an ordinary axis, of such a period.
+AMPLITUDE, PERIOD = 2.0, {"linear": 0.0025, "rotary": 2.0 * math.pi / 500}
 
 STARTER = """# Start here
 
@@ -44,6 +45,7 @@ def command(
     """A folder to start from: a commented axis file, synthetic records, and what to do with them."""
     from emps_design.cli.output import print_json, say
     from emps_design.cli.wording import load_axis
+    from emps_design.effects.sizes import sizes
     from emps_design.errors import InputError
     from emps_design.files import write_text, write_together
     from emps_design.simulation.synthetic import synthetic_record
@@ -62,7 +64,9 @@ def command(
         raise InputError(f"{directory}: {', '.join(taken)} exist already; choose another folder, or give --force")
     axis = load_axis(machine)
     record = synthetic_record(axis, seed=seed)
-    puzzle = synthetic_record(axis.replace(effects=[*axis.effects, *PUZZLE]), seed=seed + 1)
+    amplitude = AMPLITUDE * sizes(record.q, record.u, record.period, axis.drive.gain)["N"]
+    ripple = {"kind": "position_ripple", "amplitude": amplitude, "period": PERIOD[axis.motion], "phase": 0.5}
+    puzzle = synthetic_record(axis.replace(effects=[*axis.effects, ripple]), seed=seed + 1)
     make_folder(directory, parents=True)
     with write_together(directory) as aside:
         write_text(aside / "axis.toml", axis.to_toml(comments=True))

@@ -23,5 +23,6 @@ if TYPE_CHECKING:
     from emps_design.identification.output_error import identify_by_output_error as identify_by_output_error
     from emps_design.identification.result import Estimate as Estimate, Identification as Identification
     from emps_design.identification.several import identify_several as identify_several
+    from emps_design.identification.tested import identify_tested as identify_tested
 else:
     __getattr__, __dir__, __all__ = on_first_use(__name__)

@@ -133,19 +133,32 @@ def _held_out(
 ) -> dict[str, Any] | None:
     """Force error on data that took no part: another record, or the last third; None where the rest cannot do alone."""
     if holdout is not None:
-        other = filter_record(force_free(holdout, axis, external_force_known), axis, filtered.chain, filtered.cutoff_hz)
-        W, Y = regression(other, model)
-        error, force, rows, on = Y - W @ fit.value, Y, int(other.used.sum()), holdout.name
-    else:
-        cut = 2 * len(W) // 3
-        try:
-            first = least_squares(W[:cut], Y[:cut], fit.names, filtered.used[:cut])
-        except (InputError, RankError):
-            return None
-        error, force = Y[cut:] - W[cut:] @ first.value, Y[cut:]
-        rows, on = int(filtered.used[cut:].sum()), "last third"
+        return held_out_on(holdout, axis, model, fit.value, filtered, external_force_known)
+    cut = 2 * len(W) // 3
+    try:
+        first = least_squares(W[:cut], Y[:cut], fit.names, filtered.used[:cut])
+    except (InputError, RankError):
+        return None
+    return _judged("last third", Y[cut:] - W[cut:] @ first.value, Y[cut:], filtered.used[cut:])
+
+
+def held_out_on(
+    holdout: Record,
+    axis: Axis,
+    model: str,
+    value: np.ndarray,
+    by: Filtered | Identification,
+    external_force_known: bool = False,
+) -> dict[str, Any]:
+    """Force error of the parameters ``value`` (p,) on ``holdout``, filtered as what they were found ``by``."""
+    other = filter_record(force_free(holdout, axis, external_force_known), axis, by.chain, by.cutoff_hz)
+    W, Y = regression(other, model)
+    return _judged(holdout.name, Y - W @ value, Y, other.used)
+
+
+def _judged(on: str, error: np.ndarray, force: np.ndarray, used: np.ndarray) -> dict[str, Any]:
     return {
         "on": on,
-        "rms_error": float(np.sqrt(error @ error / max(rows, 1))),
+        "rms_error": float(np.sqrt(error @ error / max(int(used.sum()), 1))),
         "relative_error_percent": relative_error(error, force),
     }

@@ -14,7 +14,7 @@ from emps_design.errors import RecordError
 from emps_design.files import write_aside
 from emps_design.notebook import table
 from emps_design.records import Record
-from emps_design.records.columns import PLAIN
+from emps_design.records.columns import PLAIN, RECORD
 from emps_design.units import Units
 
 # name: (label, unit) of every signal of a run
@@ -124,19 +124,23 @@ class Run:
                 file,
                 allow_pickle=False,
                 **{name: values for name, values in self.signals.items() if name in (*STORED, *OPTIONAL)},
+                t=self.t,
+                **{RECORD: np.asarray(1)},  # a record too, not to be mapped by an axis whose drive has other titles
                 events=self.events,
                 force_gain=np.asarray(self.force_gain),
                 run=np.frombuffer(json.dumps(plain).encode(), dtype=np.uint8),
             )
 
-    def to_csv(self, path: str | Path, units: Units = PLAIN) -> None:
+    def to_csv(self, path: str | Path, units: Units = PLAIN, mapped: bool = False) -> None:
         """Write every signal to ``path`` as a table whose titles carry the units; 17 digits, so nothing is lost.
 
-        ``units`` are those of the axis.
+        ``units`` are those of the axis; ``mapped`` says that it maps columns of other titles, which these are not.
         """
         titles = ",".join(f"{name} [{units.unit(DESCRIBED[name][1])}]" for name in self.signals)
+        columns = np.column_stack(list(self.signals.values()))
+        if mapped:
+            titles, columns = f"{titles},{RECORD}", np.column_stack([columns, np.ones(len(columns))])
         with write_aside(path) as aside:
-            columns = np.column_stack(list(self.signals.values()))
             np.savetxt(aside, columns, fmt="%.17g", delimiter=",", header=titles, comments="")
 
     @classmethod

@@ -61,7 +61,7 @@ def best_law(signals: Signals, only: Structure | None = None) -> Found:
         if not flat.any() or float(np.std(left[free.used])) < HOLDS * float(np.std(signals.command)):
             break
     fitted = simplify(free, fitted, worth, held)
-    whitening = whitening_filter(_left(free, fitted, held), free.used)
+    whitening = whitening_filter(_left(free, fitted, held), free.used) if signals.times is None else free.whitening
     white = replace(free, whitening=whitening, used=usable_behind(free.used, whitening))
     if only is None:
         fitted, rivals = choose(white, fitted, worth, held)

@@ -45,10 +45,13 @@ def simplify(signals: Signals, found: Fit, worth: float, limited: np.ndarray | N
 
 
 def rivals(signals: Signals, found: Fit, limited: np.ndarray | None) -> list[Fit]:
-    """The best other fit for each thing that could be otherwise: samples, estimator, delay, form, the best first."""
+    """The best other fit for each thing that could be otherwise (estimator, delay, form), the best first.
+
+    Of the position loop's samples the best few: more than one rate may explain a record as well.
+    """
     timing = found.timing
+    loops = [replace(found, timing=loop) for loop in _other_loops(found)]
     kinds: list[Iterable[Fit]] = [
-        [replace(found, timing=loop) for loop in _other_loops(found)],
         [replace(found, timing=replace(timing, delay=delay)) for delay in DELAYS if delay != timing.delay],
         [replace(found, structure=structure) for structure in _other_forms(found.structure)],
     ]  # fmt: skip
@@ -56,7 +59,8 @@ def rivals(signals: Signals, found: Fit, limited: np.ndarray | None) -> list[Fit
         names = [name for name in ESTIMATORS if name != timing.velocity_estimator]
         kinds.append([replace(found, timing=replace(timing, velocity_estimator=name)) for name in names])
     best = [next(_in_full(signals, kind, limited), None) for kind in kinds]
-    return sorted((one for one in best if one is not None), key=lambda f: f.criterion)
+    others = [*_in_full(signals, loops, limited), *(one for one in best if one is not None)]
+    return sorted(others, key=lambda f: f.criterion)
 
 
 def mirrored(signals: Signals, found: Fit, limited: np.ndarray | None) -> Fit | None:

@@ -10,7 +10,9 @@ import numpy as np
 
 from emps_design.identification.controller.filters import Filter, derivatives, filtered
 from emps_design.identification.controller.fit import Fit
+from emps_design.identification.controller.noise import resolution
 from emps_design.identification.controller.regressors import Signals, regressors
+from emps_design.identification.statistics import hac_covariance
 
 STEP = 1e-6  # of a sought number
 
@@ -18,7 +20,9 @@ STEP = 1e-6  # of a sought number
 def covariance(signals: Signals, found: Fit, limited: np.ndarray | None) -> np.ndarray:
     """Covariance of the linear coefficients, the integral rate where there is one, and the filters' numbers.
 
-    Of least squares behind the whitening filter, so for noise that is correlated as the residual is.
+    Of least squares behind the whitening filter, so for noise that is correlated as the residual is. Irregular
+    samples have none: the residual's own correlation takes its place, and a command in steps may be cut off instead of
+    rounded, half a step towards zero.
     """
     raw, period = regressors(signals, found.timing, limited), signals.period
     columns = raw @ found.structure.combination(found.wi)
@@ -31,6 +35,12 @@ def covariance(signals: Signals, found: Fit, limited: np.ndarray | None) -> np.n
     columns = signals.counted(columns)
     scale = np.linalg.norm(columns, axis=0)
     scale[scale == 0.0] = 1.0
+    if signals.times is not None:
+        left = signals.counted(signals.command - filtered(found.filters, raw @ found.beta, period))
+        lag = int(4 * (len(left) / 100) ** (2 / 9))  # Newey and West
+        cut = signals.counted(0.5 * resolution(signals.command) * np.sign(signals.command))
+        shift = np.linalg.lstsq(columns / scale, cut)[0]
+        return (hac_covariance(columns / scale, left, lag) + np.outer(shift, shift)) / np.outer(scale, scale)
     triangle = np.linalg.qr(columns / scale, mode="r")
     inverse = np.linalg.pinv(triangle) / scale[:, None]
     return found.cost / max(found.samples - found.size, 1) * inverse @ inverse.T

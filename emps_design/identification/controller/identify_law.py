@@ -47,14 +47,15 @@ def identify_law(record: Record, command_unit: str = "V") -> LawEstimate:
     >>> found.verdict, found.controller["kind"], round(found.controller["kp"], 1), round(found.controller["kv"], 1)
     ('told', 'position_pd', 50.0, 40.0)
     """
-    irregular, record = record.measured is not None, own_samples(record)
+    times, record = None if record.measured is None else record.measured["t"], own_samples(record)
     signals = signals_of(record)
     if isinstance(signals, str):
         return _not_told(record, command_unit, signals)
-    if irregular:
+    if times is not None:
         if signals.velocity_reference:
             return _not_told(record, command_unit, f"{IRREGULAR}, and that follows no velocity")
-        return _report(record, command_unit, best_law(signals, PROPORTIONAL), None, f"{IRREGULAR}: that ")
+        polled = best_law(replace(signals, times=times), replace(PROPORTIONAL, skew=True))
+        return _report(record, command_unit, polled, None, f"{IRREGULAR}: that ")
     found, steps = best_law(signals), None
     if found.share > HOLDS and (stepless := without_steps(signals)) is not None:
         again = best_law(stepless[0])

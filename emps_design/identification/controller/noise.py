@@ -32,6 +32,18 @@ def whitening_filter(residual: np.ndarray, used: np.ndarray) -> tuple[float, ...
     return found
 
 
+def resolution(x: np.ndarray) -> float:
+    """Step of which all values of ``x`` are multiples, 0 where there is none.
+
+    >>> resolution(np.array([0.5, -1.0, 2.5])), resolution(np.array([0.0, 1.0, 1.3]))
+    (0.5, 0.0)
+    """
+    values = np.unique(np.append(x, 0.0))
+    step = float(np.min(np.diff(values), initial=np.inf, where=np.diff(values) > 1e-9 * np.ptp(values)))
+    share = values / step
+    return step if np.all(np.abs(share - np.round(share)) < 0.01) else 0.0
+
+
 def usable_behind(used: np.ndarray, whitening: tuple[float, ...]) -> np.ndarray:
     """Samples (n,) for which the filter looks back on nothing that does not count."""
     return np.convolve(~used, np.ones(len(whitening)))[: used.size] < 0.5

@@ -45,7 +45,8 @@ class Signals:
     The reference is a position [m or rad], or a velocity where ``velocity_reference``; ``force`` (n,) [N or N m] is
     a measured external force; ``used`` (n,) says which samples count. ``whitening`` are the coefficients of the
     prediction error filter in z^-1 that makes the noise of the command white; ``used`` is about what leaves it.
-    ``levels`` (n,) numbers stretches in each of which the command may carry a constant of its own.
+    ``levels`` (n,) numbers stretches in each of which the command may carry a constant of its own. ``times`` (n,) [s]
+    are those of irregular samples, whose noise no filter makes white.
     """
 
     reference: np.ndarray
@@ -57,6 +58,7 @@ class Signals:
     force: np.ndarray | None = None
     whitening: tuple[float, ...] = (1.0,)
     levels: np.ndarray | None = None
+    times: np.ndarray | None = None
 
     def __len__(self) -> int:
         return self.position.size
@@ -101,6 +103,8 @@ def regressors(signals: Signals, timing: Timing, limited: np.ndarray | None = No
     n, period = len(signals), signals.period
     r, q = signals.reference, signals.position
     v = estimated_velocity(q, period, timing.velocity_estimator)
+    if signals.times is not None:
+        v = np.gradient(q, signals.times)
     if signals.velocity_reference:
         error, vr = np.zeros(n), r
     else:

@@ -25,7 +25,9 @@ class Structure:
 
     ``form`` "pi" or "ip", or "" without integral; ``position`` whether a position loop is there; ``share`` of the
     reference's velocity 0 or 1, or None where it is a number between; ``velocity`` whether velocity is fed back at
-    all; ``acceleration``, ``coulomb``, ``force``, ``offset`` whether these terms are there.
+    all; ``acceleration``, ``coulomb``, ``force``, ``offset`` whether these terms are there; ``skew`` whether the
+    position was recorded at another instant than the one that the command follows: next to a law without velocity it
+    shows.
     """
 
     form: str = "pi"
@@ -36,6 +38,7 @@ class Structure:
     coulomb: bool = True
     force: bool = False
     offset: bool = True
+    skew: bool = False
 
     @property
     def linear(self) -> tuple[str, ...]:
@@ -43,7 +46,7 @@ class Structure:
         names = ["position"] if self.position else []
         if self.velocity:
             names += {None: ["following", "damping"], 1: ["following"], 0: ["damping"]}[self.share]
-        names += [name for name in ("acceleration", "coulomb", "force", "offset") if getattr(self, name)]
+        names += [name for name in ("acceleration", "coulomb", "force", "offset", "skew") if getattr(self, name)]
         return tuple(names)
 
     @property
@@ -62,6 +65,7 @@ class Structure:
             "coulomb": {"sign": 1.0},
             "force": {"force_sum": wi},
             "offset": {"offset": 1.0},
+            "skew": {"velocity": 1.0},
         }
         table = np.zeros((len(COLUMNS), len(self.linear)))
         for column, name in enumerate(self.linear):
@@ -87,6 +91,8 @@ class Structure:
             found.append(replace(self, force=False))
         if self.offset:
             found.append(replace(self, offset=False))
+        if self.skew:
+            found.append(replace(self, skew=False))
         if self.form == "pi":
             found.append(replace(self, form=""))
         if self.velocity and self.share is None:

@@ -43,6 +43,12 @@ def notes_of(record: Record, unit: str, found: Found, steps: np.ndarray | None) 
     notes = []
     if timing.delay:
         notes.append(f"the command in the record is {timing.delay} samples behind the position it follows from")
+    if s.skew:
+        part = dict(zip(s.linear, found.fit.linear, strict=True))
+        ahead = -1e3 * float(part["skew"] / part["position"])
+        when = "before" if ahead > 0.0 else "after"
+        other = ", or the law damps velocity as much" if ahead > 0.0 else ""
+        notes.append(f"the position is recorded {abs(ahead):.2g} ms {when} the one that the command follows{other}")
     if timing.phase:
         notes.append(f"the position loop runs first at sample {timing.phase}: leave out as many at the start")
     if s.offset:

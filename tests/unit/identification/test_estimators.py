@@ -11,6 +11,7 @@ from emps_design.identification.cutoff import chosen_cutoff
 from emps_design.identification.instruments import identify_with_instruments
 from emps_design.identification.output_error import identify_by_output_error
 from emps_design.identification.several import identify_several
+from emps_design.identification.tested import identify_tested
 from emps_design.machines import machine
 from emps_design.records import Record
 from tests.unit.identification.slow_noise_records import slow_noise, trajectory
@@ -37,6 +38,27 @@ def test_least_squares_is_biased_by_fast_force_noise_and_instruments_are_not(sim
     assert np.mean(bias["ls"]) < -1.0
     assert abs(np.mean(bias["iv"])) < 0.3 * abs(np.mean(bias["ls"]))
     assert biased >= 5
+
+
+def test_instruments_are_taken_where_least_squares_is_biased_and_only_there(simulate, truth):
+    noisy, other = simulate(0, std=25.0, time=0.005), simulate(9)
+    led = identify_tested(noisy, AXIS, cutoff_hz=60.0, holdout=other)
+    assert led.estimator == "instrumental_variables"
+    low, high = led.parameters["mass"].interval_95
+    assert low < truth["mass"] < high
+    assert led.extra["held_out"]["on"] == other.name
+    assert led.extra["held_out"]["rms_error"] < identify(noisy, AXIS, cutoff_hz=60.0).rms_error
+    # Least squares stays where it is as good, where another chain or a bootstrap is asked for, and without a loop.
+    open_loop = AXIS.replace(controller={"kind": "none", "kp": 1.0, "kv": 1.0})
+    for record, axis, options in (
+        (simulate(1, std=1.0), AXIS, {}),
+        (noisy, AXIS, {"chain": "report"}),
+        (noisy, AXIS, {"bootstrap": 20}),
+        (noisy, open_loop, {}),
+        (replace(noisy, q_ref_recorded=False), AXIS, {}),
+        (noisy, AXIS.replace(controller={"kp": 4e3}), {}),  # no simulation with it follows the record
+    ):
+        assert identify_tested(record, axis, **options).estimator == "least_squares"
 
 
 def test_noise_of_the_measured_voltage_biases_nothing(simulate, truth):

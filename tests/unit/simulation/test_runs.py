@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from emps_design.errors import InputError, RecordError
+from emps_design.importing import import_record
 from emps_design.machines import machine
 from emps_design.records import read_record
 from emps_design.simulation import Hand, Plant, Run
@@ -24,6 +25,17 @@ def test_signals_have_one_length_and_units(run):
     assert {getattr(run, name).shape for name in SIGNALS} == {(3000,)}
     np.testing.assert_allclose(run.force, machine("emps2019").drive.force_gain * run.u)
     assert run.to_dict()["signals"]["f_ext"] == {"label": "external force", "unit": "N"}
+
+
+def test_an_axis_with_titles_of_its_own_reads_its_runs(run, tmp_path):
+    columns = {"time": {"column": "Zeit"}, "position": {"column": "Lageistwert", "unit": "mm"}}
+    axis = machine("emps2019").replace(record=columns)
+    run.save(tmp_path / "run.npz")
+    run.to_csv(tmp_path / "run.csv", axis.units, mapped=True)
+    for name in ("run.npz", "run.csv"):
+        record = import_record(tmp_path / name, axis)
+        np.testing.assert_array_equal(record.q, run.q)
+        np.testing.assert_allclose(record.t, run.t, atol=1e-12)
 
 
 def test_stick_intervals_are_where_velocity_is_zero(run):

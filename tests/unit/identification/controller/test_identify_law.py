@@ -161,6 +161,30 @@ def test_it_says_why_it_cannot_tell():
             found.to_toml()
 
 
+def test_of_rates_that_fit_alike_every_one_is_named():
+    """A position loop that hardly acts: the true rate is the one given, or among the equivalents."""
+    for seed, every in ((31, 1), (32, 2), (33, 3)):
+        loop = Loop(kp=3.0, every=every, kv=300.0, share=0.9, noise=0.3, samples=3000, seed=seed)
+        found = identify_law(record_of(loop))
+        tables = [found.controller, *found.equivalents]
+        assert every in {table.get("position", {}).get("every", 1) for table in tables}, found.reason
+
+
+def test_a_polled_position_that_is_older_than_the_command_tells_its_gain():
+    """Irregular samples of u = kp (r - q), the position read 2 ms before the command, both in the steps of a servo."""
+    rng = np.random.default_rng(7)
+    t = np.cumsum(rng.uniform(4.8e-3, 5.8e-3, 1200))
+    r, q, newer = 1.2 * np.sin(0.4 * t**2), *(1.15 * np.sin(0.4 * (t + at - 0.06) ** 2) for at in (0.0, 2e-3))
+    u = np.trunc(0.57 * (r - newer) * 885.0) / 885.0
+    record = Record.from_arrays(5e-3, r, np.round(q / 1.534e-3) * 1.534e-3, u)
+    columns = {"t": t, "q_ref": r, "q": record.q, "u": u}
+    found = identify_law(replace(record, measured=columns))
+    assert (found.verdict, found.controller["kind"]) == (TOLD, "p")
+    assert found.controller["kp"] == pytest.approx(0.57, rel=0.015)
+    assert abs(found.controller["kp"] - 0.57) < 3.0 * found.std["kp"]
+    assert "ms before the one that the command follows" in " ".join(found.notes)
+
+
 @pytest.mark.slow
 def test_an_open_loop_has_no_law():
     t = np.arange(4000) * 1e-3

@@ -1,0 +1,76 @@
+"""Least squares, or instruments where a test says that least squares is biased: what is done unless told otherwise.
+
+Noise of the force moves the carriage, the more the lighter it is and the faster its loop, and least squares then takes
+the mass too small. Instruments need the controller, so a record of one that is not known, or that has no reference,
+stays with least squares; so does a record of an hour, for its memory.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.errors import EmpsError
+from emps_design.identification.chains import DEFAULT_CHAIN, LONG
+from emps_design.identification.identify import held_out_on, identify
+from emps_design.identification.result import Identification
+from emps_design.records import Record
+
+
+def identify_tested(
+    record: Record,
+    axis: Axis | None = None,
+    model: str = "symmetric",
+    chain: str = DEFAULT_CHAIN,
+    cutoff_hz: float | None = None,
+    external_force_known: bool = False,
+    bootstrap: int = 0,
+    seed: int = 0,
+    holdout: Record | None = None,
+) -> Identification:
+    """Identify ``axis`` from ``record`` by least squares, or by instruments where least squares is biased.
+
+    Biased is what the Durbin-Wu-Hausman test says at 1 %, and by half a standard deviation or more. Arguments and
+    errors are those of :func:`~emps_design.identification.identify`; other chains than ``hold`` and a ``bootstrap`` are
+    least squares.
+
+    >>> from emps_design.machines import machine
+    >>> from emps_design.simulation.synthetic import synthetic_record
+    >>> axis = machine("emps2019")
+    >>> found = identify_tested(synthetic_record(axis, laps=1), axis)
+    >>> found.estimator, found.extra["hausman_test"]["bias_matters"]
+    ('least_squares', False)
+    """
+    if axis is None:
+        from emps_design.machines import machine
+
+        axis = machine("emps2019")
+    given: dict[str, Any] = {
+        "model": model,
+        "cutoff_hz": cutoff_hz,
+        "external_force_known": external_force_known,
+    }
+    plain = identify(record, axis, chain=chain, bootstrap=bootstrap, seed=seed, holdout=holdout, **given)
+    followed = record.q_ref_recorded or record.velocity_reference is not None
+    if chain != "hold" or bootstrap or axis.controller.kind == "none" or not followed:
+        return plain
+    if len(record) > LONG:
+        said = f"{LONG} samples are the most that least squares is tested on; a part of the record says if it is biased"
+        return replace(plain, warnings=(*plain.warnings, said))
+    # Imported here: beside a long record's regression the modules of a simulation are a tenth of its memory.
+    from emps_design.identification.instruments import identify_with_instruments
+
+    try:
+        led = identify_with_instruments(record, axis, **given)
+    except (EmpsError, np.linalg.LinAlgError):  # no simulation with this controller follows the record
+        return plain
+    weaker = any(one.determined and not led.parameters[name].determined for name, one in plain.parameters.items())
+    if weaker or not led.extra["hausman_test"]["bias_matters"]:
+        return replace(plain, extra=plain.extra | {"hausman_test": led.extra["hausman_test"]})
+    if holdout is None:
+        return led
+    judged = held_out_on(holdout, led.axis, model, led.values(), led, external_force_known)
+    return replace(led, extra=led.extra | {"held_out": judged})
