@@ -31,6 +31,7 @@ LEVEL = 0.01  # share of healthy records on which the threshold is reached, over
 # The search
 LEAST_AMPLITUDE = 0.05  # of a parameter's typical size, below which an effect is none
 BENT = 20.0  # whitened cost per sample beyond which a fitted baseline may have been bent by what is missing
+BENT_NUMBER = 0.5  # of the larger one: a mass or friction fitted this far from the axis file's may have been bent too
 SMALLEST_GAIN = 30.0  # in whitened cost; below the chance level of a search over hundreds of shapes
 WORTH_FITTING = 0.05  # of the largest first-order gain
 RIVAL = 0.5  # a set joins the beam, an effect the full fits, with this share of what the best one explains

@@ -274,7 +274,11 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     chosen = [case for case in cases(options.cases, options.count, options.seed) if options.only in case.name]
     for case in chosen:
-        contents = make(case, options.seed, not options.no_laps)
+        try:
+            contents = make(case, options.seed, not options.no_laps)
+        except RuntimeError as error:
+            print(f"left out: {error}", file=sys.stderr)  # a stop that the clipped motor cannot push into, say
+            continue
         write(options.folder / case.name, contents)
         truth = contents["truth.json"]
         print(

@@ -94,11 +94,17 @@ def plausible(hypothesis: Hypothesis) -> bool:
 
 def on_bound(fitted: Fit) -> bool:
     """Whether a free parameter of an effect ended on its bound, where the physics it stands for ends."""
+    return bool(bounds_met(fitted))
+
+
+def bounds_met(fitted: Fit) -> list[Slot]:
+    """The free parameters of the effects that ended on a bound."""
+    met = []
     for slot, value in zip(fitted.slots, fitted.model.vector(fitted.slots), strict=True):
         near = rules.ON_BOUND * slot.magnitude
         if slot.effect >= 0 and (value <= slot.quantity.lower + near or value >= slot.quantity.upper - near):
-            return True
-    return False
+            met.append(slot)
+    return met
 
 
 def refitted(hypothesis: Hypothesis) -> Fit:

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.candidate import Candidate, Slot
 from emps_design.errors import SimulationError
 
 NUDGE = 2e-4  # finite difference, in magnitudes of the number
+COARSE = 5e-3  # the same where the fine one finds no way down and structure is left: play that bounces is rough
 BOLDEST = 0.5  # largest step of a fit, in magnitudes of the number: a period must not jump over its neighbours
 TRIALS = 6  # of one step, with more and more damping
 CONVERGED = (1e-4, 0.1)  # gain of a step, as a share of the cost and absolute, below which a descent ends
@@ -51,10 +53,10 @@ def descend(
         return Descent(start, WORST, np.zeros((len(slots),) * 2))
     if not slots:
         return Descent(start, float(current @ current), np.zeros((0, 0)))
-    model, damping, jacobian = start, 1e-3, np.zeros((current.size, len(slots)))
+    model, damping, nudge, jacobian = start, 1e-3, NUDGE, np.zeros((current.size, len(slots)))
     for _ in range(steps):
         for k in range(len(slots)):
-            step = NUDGE if x[k] + NUDGE <= upper[k] else -NUDGE
+            step = nudge if x[k] + nudge <= upper[k] else -nudge
             moved = x.copy()
             moved[k] += step
             shifted = attempt(moved)
@@ -74,7 +76,9 @@ def descend(
                 damping = max(damping / 10, 1e-7)
                 break
             damping = min(damping * 10, 1e6)
-        if gain < CONVERGED[0] * cost + CONVERGED[1]:
+        if gain == 0.0 and nudge == NUDGE and cost > rules.STRUCTURED * current.size:
+            damping, nudge = 1e-3, COARSE
+        elif gain < CONVERGED[0] * cost + CONVERGED[1]:
             break
     return Descent(model, float(current @ current), _covariance(jacobian, current) * np.outer(magnitude, magnitude))
 

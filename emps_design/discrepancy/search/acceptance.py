@@ -33,7 +33,7 @@ class Judge:
             worse.cost_fit - better.cost_fit > self.healthy.threshold
             and gain_fit + gain_select > worth * sum(before)
             and _seen_again(better, worse, burst)
-            and share_of_strokes(better, worse) >= rules.STROKES
+            and share_of_strokes(better, worse, burst) >= rules.STROKES
             and self._faint(better.model) is None
         )
 
@@ -98,14 +98,15 @@ class Judge:
         return usual_rms(_force_left(fitted)) ** 2 > rules.STRUCTURED * self.floor.force**2
 
 
-def share_of_strokes(better: Fit, worse: Fit) -> float:
+def share_of_strokes(better: Fit, worse: Fit, burst: float) -> float:
     """Share of improvement in what the selecting strokes change: gains over gains and losses, stroke by stroke.
 
-    Weighted, because a record may have two selecting strokes only; a loss within chance is none.
+    Weighted, because a record may have two selecting strokes only; a loss within chance is none. No sample counts more
+    than ``burst`` deviations.
     """
     gains, losses = 0.0, 0.0
     for i, split in enumerate(better.problem.splits):
-        change = worse.innovations[i] ** 2 - better.innovations[i] ** 2
+        change = np.minimum(worse.innovations[i] ** 2, burst**2) - np.minimum(better.innovations[i] ** 2, burst**2)
         for start, stop in split.strokes:
             seen = split.select[start:stop]
             if seen.sum() > START_UP:

@@ -13,12 +13,15 @@ from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.fit import Fit, admissible, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.search.calibration import Calibration, Progress
-from emps_design.discrepancy.search.extension import converged, extensions
+from emps_design.discrepancy.search.exchange import exchanges
+from emps_design.discrepancy.search.extension import converged, extensions, freed
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.search.starts import screen, tangent
 
 BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
 MOST_EFFECTS = 7
+MOST_EXCHANGED = 5  # effects of a model in which one is exchanged; more of them stand in for something unknown
+PASSES = 3  # times the search goes on, from an exchange or a curve
 UNFINISHED = "interrupted: the search was not finished, what follows is what was known by then"
 
 Accept = Callable[[Fit, Fit], bool]
@@ -30,38 +33,90 @@ def search(calibration: Calibration, progress: Progress) -> Outcome:
 
     An interrupt from the keyboard ends the search where it is.
     """
-    baseline, accept = calibration.baseline, calibration.judge.accepts
-    noise = baseline.problem.samples("used")
-    tried: FitsBySet = {frozenset(baseline.model.names): baseline}
+    baseline, judge = calibration.baseline, calibration.judge
+    known = baseline.model.names
+    tried: FitsBySet = {frozenset(known): baseline}
     alone: dict[str, float] = {}
-    path, beam = [baseline], [baseline]
+    path, warnings, interrupted = [baseline], calibration.warnings, False
     try:
-        while len(path) <= MOST_EFFECTS:
-            ranked: list[Fit] = []
-            for general in (False, True):
-                sound, gains = _round(calibration, beam, len(path), general, progress)
-                alone = alone or gains
-                tried.update({key: f for key, f in sound.items() if key not in tried or f.cost < tried[key].cost})
-                ranked = [f for f in sorted(sound.values(), key=lambda f: f.cost) if accept(f, path[-1])]
-                ranked = ranked or _late(path[-1], sound, accept)
-                if ranked:
-                    break
-            if not ranked:
+        for _ in range(PASSES):
+            _extend(calibration, path, tried, alone, progress)
+            path += _pruned(path[-1], known, judge.accepts)
+            better = _exchanged(calibration, path[-1], tried, progress) or _curve(calibration, path, tried, progress)
+            if better is None:
                 break
-            gain = baseline.cost - ranked[0].cost
-            leading = ranked[: BEAM[min(len(path), len(BEAM)) - 1]]
-            leading = [f for f in leading if baseline.cost - f.cost >= rules.RIVAL * gain]
-            beam = sorted((converged(f) for f in leading), key=lambda f: f.cost)
-            path.append(beam[0])
-            explained = baseline.cost - path[-1].cost
-            if len(path) > rules.ENOUGH_ROUNDS and explained < rules.LEAST_EXPLAINED * (baseline.cost - noise):
-                break
-        path += _pruned(path[-1], baseline.model.names, accept)
+            path.append(better)
+        else:
+            path += _pruned(path[-1], known, judge.accepts)
+        path[-1] = freed(path[-1])
         tried |= _rivals(path, tried)
     except KeyboardInterrupt:
-        warnings = (*calibration.warnings, UNFINISHED)
-        return Outcome(calibration, tuple(path), tried, alone, interrupted=True, warnings=warnings)
-    return Outcome(calibration, tuple(path), tried, alone, warnings=calibration.warnings)
+        warnings, interrupted = (*warnings, UNFINISHED), True
+    return Outcome(calibration, tuple(path), tried, alone, interrupted, warnings)
+
+
+def _extend(
+    calibration: Calibration, path: list[Fit], tried: FitsBySet, alone: dict[str, float], progress: Progress
+) -> None:
+    """Add effects to the last model of ``path`` while one is accepted, and to ``tried`` what was fitted on the way.
+
+    ``alone`` takes what each effect gained in the very first round.
+    """
+    baseline, accept, beam = calibration.baseline, calibration.judge.accepts, path[-1:]
+    noise = baseline.problem.samples("used")
+    while (number := 1 + _found(calibration, path[-1])) <= MOST_EFFECTS:
+        sound, gains = _round(calibration, beam, number, False, progress)
+        alone |= {} if alone else gains
+        _remember(tried, sound)
+        ranked = _ranked(path[-1], sound, accept)
+        if not ranked:
+            break
+        gain = baseline.cost - ranked[0].cost
+        leading = ranked[: BEAM[min(number, len(BEAM)) - 1]]
+        leading = [f for f in leading if baseline.cost - f.cost >= rules.RIVAL * gain]
+        beam = sorted((converged(f) for f in leading), key=lambda f: f.cost)
+        path.append(beam[0])
+        explained = baseline.cost - path[-1].cost
+        if number >= rules.ENOUGH_ROUNDS and explained < rules.LEAST_EXPLAINED * (baseline.cost - noise):
+            break
+
+
+def _curve(calibration: Calibration, path: list[Fit], tried: FitsBySet, progress: Progress) -> Fit | None:
+    """The last model of ``path`` with a curve of any shape, where that is accepted."""
+    accept, number = calibration.judge.accepts, 1 + _found(calibration, path[-1])
+    if number > MOST_EFFECTS:
+        return None
+    sound, _ = _round(calibration, path[-1:], number, True, progress)
+    _remember(tried, sound)
+    ranked = _ranked(path[-1], sound, accept)
+    return converged(ranked[0]) if ranked else None
+
+
+def _found(calibration: Calibration, fitted: Fit) -> int:
+    """How many effects ``fitted`` has beside what is known from the controller's law."""
+    return len(fitted.model.effects) - len(calibration.baseline.model.effects)
+
+
+def _exchanged(calibration: Calibration, best: Fit, tried: FitsBySet, progress: Progress) -> Fit | None:
+    """``best`` with another effect, or another shape, in the place of one, where that leaves clearly less.
+
+    Looked for in company only, where what was found first was fitted while the rest was missing; of two effects only
+    where structure is left.
+    """
+    known, judge, found = calibration.baseline.model.names, calibration.judge, _found(calibration, best)
+    if not 2 <= found <= MOST_EXCHANGED or (found == 2 and judge.at_floor(best)):
+        return None
+    progress("each effect anew beside the others", 0.95)
+    others = exchanges(best, known, calibration.preparation.library)
+    _remember(tried, {frozenset(f.model.names): f for f in sorted(others, key=lambda f: -f.cost)})
+    least = min(others, key=lambda f: f.cost, default=best)
+    pays = best.cost - least.cost > max(judge.healthy.threshold, rules.STILL_PAYS * best.cost)
+    return converged(least) if pays else None
+
+
+def _remember(tried: FitsBySet, fits: FitsBySet) -> None:
+    """Keep in ``tried`` the better fit of each set."""
+    tried.update({key: f for key, f in fits.items() if key not in tried or f.cost < tried[key].cost})
 
 
 def _round(
@@ -91,6 +146,12 @@ def _round(
             if key not in pool or extended.cost < pool[key].cost:
                 pool[key] = extended
     return {key: fitted for key, fitted in pool.items() if admissible(fitted)}, alone
+
+
+def _ranked(current: Fit, sound: FitsBySet, accept: Accept) -> list[Fit]:
+    """Those of ``sound`` that are accepted, best first."""
+    ranked = [f for f in sorted(sound.values(), key=lambda f: f.cost) if accept(f, current)]
+    return ranked or _late(current, sound, accept)
 
 
 def _late(current: Fit, sound: FitsBySet, accept: Accept) -> list[Fit]:

@@ -9,10 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.model.fit import Fit, admissible, evaluate, fit, plausible
+from emps_design.discrepancy.model.fit import Fit, admissible, bounds_met, evaluate, fit, plausible
 from emps_design.discrepancy.model.least_squares import Descent, descend
 from emps_design.discrepancy.model.missing_force import missing_force
 from emps_design.discrepancy.model.parallel import side_by_side
+from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.search.starts import Start, Tangent, bent, starts, tangent
 
 REFINED = 2  # starts of each effect that are worth a short fit
@@ -48,7 +49,17 @@ def extensions(current: Fit, screened: list[list[Start]], absorbed: Tangent) -> 
         leaders = sorted(screened, key=lambda found: -found[0].gain)[:BENT_EFFECTS]
         more = [start.hypothesis for found in leaders for start in found[:BENT_STARTS]]
         begins += [hypothesis for hypothesis in more if plausible(hypothesis)]
-    return sorted(side_by_side(fit, [(begin,) for begin in begins]), key=lambda f: f.cost), gains
+    fits = side_by_side(_fitted, [(begin,) for begin in begins])
+    return sorted(fits, key=lambda f: f.cost), gains
+
+
+def freed(fitted: Fit) -> Fit:
+    """``fitted`` without the effects whose physics ends on a bound once the numbers that were held are free again."""
+    while len(fitted.slots) < len(fitted.model.slots()):
+        again = fit(fitted)
+        met = bounds_met(again)
+        fitted = fit(fitted.with_model(fitted.model.without(met[0].effect))) if met else again
+    return fitted
 
 
 def converged(fitted: Fit) -> Fit:
@@ -64,6 +75,19 @@ def _short_fit(start: Start, absorbed: Tangent) -> Descent:
     own = tuple(slot for slot in start.model.slots() if slot.effect == len(start.model.effects) - 1)
     free = absorbed.free if start.anchored else lambda residual: residual
     return descend(start.model, own, lambda m: free(start.hypothesis.with_model(m).residual("fit")), SHORT_STEPS)
+
+
+def _fitted(begin: Hypothesis) -> Fit:
+    """Fit ``begin``; where structure is left, numbers that end on a bound are held as they were, and the rest fitted.
+
+    While something else is missing, a number may make up for it: a resonance loses all its damping to a delay that is
+    not known yet. The physics need not end there; :func:`freed` sees to it at the end.
+    """
+    ended = fit(begin)
+    met = {(slot.effect, slot.place, slot.record) for slot in bounds_met(ended)}
+    if not met or ended.cost <= rules.STRUCTURED * ended.problem.samples("used"):
+        return ended
+    return fit(begin, slots=tuple(s for s in begin.model.slots() if (s.effect, s.place, s.record) not in met))
 
 
 def _settled(fitted: Fit) -> Fit:

@@ -150,9 +150,11 @@ def _complete(effect: Effect, shape: dict[str, float], seen: MissingForce, model
         shape = {**shape, **effect.from_coefficients(solution[: columns.shape[1]], shape)}
     elif absent:
         return None
-    values = []
+    values, strongest = [], float(np.abs(seen.motion.tau).max())
     for p in effect.parameters:
         value = min(max(shape[p.name], p.lower), p.upper)
+        if p.linear and p.unit == "N":  # a column that is next to nothing where it was looked at asks for any amount
+            value = min(max(value, -strongest), strongest)
         # A signature needs some of the effect, even where the regression wants none.
         least = rules.LEAST_AMPLITUDE * p.scale if p.linear and p.scale and not p.per_record else 0.0
         values.append(value if abs(value) >= least else float(np.copysign(least, value)))

@@ -2,13 +2,15 @@
 
 F = stiffness z, dz/dt = v - |v| stiffness z / L, with L the Coulomb level of the moment: a spring at small travel,
 Coulomb friction L sign(v) after about 3 L / stiffness of travel. It stands in for the set-valued friction, so the
-carriage has no true stick; a level that other effects drive to zero wipes the memory out over ``FORGET``.
+carriage has no true stick; a level that other effects drive to zero wipes the memory out over ``FORGET``. A contact
+that would bend by less than ``FINEST`` bends over that: no encoder sees it, and a simulation would take for ever.
 """
 
 from emps_design.effects.effect import Effect, Parameter
 from emps_design.quantities import Quantity
 
 FORGET = 1e-4  # m
+FINEST = 1e-6  # m
 
 
 def force(q, v, t, tau, x, p, b):
@@ -17,7 +19,8 @@ def force(q, v, t, tau, x, p, b):
 
 def rate(q, v, t, tau, x, p, b, level, dx):
     if level > 0.0:
-        dx[0] = v - abs(v) * p[0] * x[0] / level
+        bend = level / p[0]
+        dx[0] = (v * bend - abs(v) * x[0]) / max(bend, FINEST)
     else:
         dx[0] = -abs(v) * x[0] / FORGET
 

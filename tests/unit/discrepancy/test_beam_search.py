@@ -8,12 +8,14 @@ import pytest
 
 from emps_design.discrepancy import diagnose, rules
 from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.fit import fit
+from emps_design.discrepancy.model.fit import fit, on_bound
 from emps_design.discrepancy.model.least_squares import descend
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.discrepancy.search.beam_search import _late, _pruned, _rivals
+from emps_design.discrepancy.search.exchange import exchanges
+from emps_design.discrepancy.search.extension import _fitted, freed
 from emps_design.effects import get_effect
 from emps_design.machines import machine
 from emps_design.records import Record
@@ -35,6 +37,7 @@ def hypothesis(model, *effects) -> Hypothesis:
 
 BASELINE = Candidate(AXIS.mechanics.array())
 DELAYED = {"kind": "actuator_delay", "delay": 1.6e-3}
+LAGGING = {"kind": "actuator_lag", "time_constant": 1e-3}
 
 
 def test_a_stand_in_that_was_found_first_goes():
@@ -44,6 +47,46 @@ def test_a_stand_in_that_was_found_first_goes():
     path = _pruned(both, (), worth)
     assert path[-1].model.names == ("actuator_delay",)
     assert path[-1].model.values[0][0, 0] == pytest.approx(1.6e-3, rel=0.02)
+
+
+def test_a_stand_in_in_company_gives_way_to_what_it_stood_in_for():
+    spring = {"kind": "elastic_force", "stiffness": 80.0, "rest_position": 0.05}
+    start = BASELINE.with_effect(LAG, np.array([[1.5e-3]])).with_effect(SPRING, np.array([[80.0, 0.05]]))
+    stand_in = fit(hypothesis(start, DELAYED, spring))
+    others = exchanges(stand_in, (), (DELAY, LAG, SPRING))
+    best = min(others, key=lambda f: f.cost)
+    assert set(best.model.names) == {"actuator_delay", "elastic_force"}
+    assert best.cost < 0.9 * stand_in.cost
+    assert all("actuator_lag" in f.model.names for f in exchanges(stand_in, ("actuator_lag",), (DELAY, LAG, SPRING)))
+
+
+def test_a_baseline_that_a_stand_in_bent_is_tried_from_the_axis_file_too():
+    bend = {"kind": "nonlinear_viscous_friction", "amount": 30.0, "exponent": 2.0}
+    library = (get_effect("stribeck_friction"), get_effect("nonlinear_viscous_friction"))
+    bent = replace(BASELINE, baseline=np.array([95.0, 450.0, 0.0, -3.0]))
+    stand_in = fit(hypothesis(bent.with_effect(library[0], np.array([[12.0, 0.04, 2.0]])), bend))
+    best = min(exchanges(stand_in, (), library), key=lambda f: f.cost)
+    assert best.model.names == ("nonlinear_viscous_friction",)
+    assert best.model.values[0][0, 0] == pytest.approx(30.0, rel=0.1)
+
+
+@pytest.mark.parametrize(("hidden", "left"), [((), ()), ((LAGGING,), ("actuator_lag",))], ids=["bound", "inside"])
+def test_a_number_held_on_its_way_is_free_again_at_the_end(hidden, left):
+    begin = hypothesis(BASELINE.with_effect(LAG, np.array([[1e-4]])), *hidden)
+    held = fit(begin, slots=begin.model.slots()[:4])
+    last = freed(held)
+    assert last.model.names == left
+    assert len(last.slots) == len(last.model.slots())
+    assert freed(last) is last
+
+
+def test_a_number_that_ends_on_a_bound_is_held_where_structure_is_left(monkeypatch):
+    begin = hypothesis(BASELINE.with_effect(LAG, np.array([[1e-4]])))
+    assert on_bound(_fitted(begin))
+    monkeypatch.setattr(rules, "STRUCTURED", 0.0)
+    held = _fitted(begin)
+    assert not on_bound(held)
+    assert held.model.values[0][0, 0] == 1e-4
 
 
 def test_what_is_known_from_the_law_is_never_pruned():

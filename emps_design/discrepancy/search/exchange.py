@@ -1,0 +1,54 @@
+"""What adding one effect after the other cannot do: another effect, or another shape, in the place of one found.
+
+What was found first was fitted while the rest was missing, and may stand in for part of it: a lag for a delay, a
+resonance at the frequency that made up best for a friction not known yet. Beside the others its own residual is clear.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.model.candidate import Candidate
+from emps_design.discrepancy.model.fit import Fit, admissible, evaluate
+from emps_design.discrepancy.search.extension import extensions
+from emps_design.discrepancy.search.starts import screen, tangent
+from emps_design.effects import Effect
+from emps_design.effects.effect import COULOMB, MASS, VISCOUS
+
+
+def exchanges(best: Fit, known: tuple[str, ...], library: tuple[Effect, ...]) -> list[Fit]:
+    """Models with what is easily confused with an effect of ``best``, or that effect anew, in its place.
+
+    ``known`` effects stay. The others keep their numbers until everything is fitted; so does the baseline, but where a
+    stand-in may have bent it the axis file's numbers are tried as well.
+    """
+    found = []
+    for index, effect in enumerate(best.model.effects):
+        if effect.name in known:
+            continue
+        rest = best.model.without(index)
+        given = replace(rest, baseline=best.problem.axis.mechanics.array())
+        for model in (rest, given) if _bent(rest, given) else (rest,):
+            without = evaluate(best.with_model(model))
+            if without.innovations:
+                absorbed = tangent(without)
+                found += extensions(without, screen(without, _alike(effect, library), absorbed), absorbed)[0]
+    return [fitted for fitted in found if admissible(fitted)]
+
+
+def _bent(fitted: Candidate, given: Candidate) -> bool:
+    """Whether the mass or a friction that was fitted is far from the axis file's."""
+    numbers = np.array([fitted.baseline, given.baseline])[:, [MASS, VISCOUS, COULOMB]]
+    return bool(np.any(np.ptp(numbers, axis=0) > rules.BENT_NUMBER * numbers.max(axis=0)))
+
+
+def _alike(effect: Effect, library: tuple[Effect, ...]) -> tuple[Effect, ...]:
+    return tuple(
+        other
+        for other in library
+        if not other.general
+        if other is effect or other.name in effect.confused_with or effect.name in other.confused_with
+    )
