@@ -34,9 +34,11 @@ def standing(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tuple[Asked,
 
     An effect that the confirming data do not exercise must stand on the training records. What the model leaves counts
     as noise here, so that an effect may stand beside something unknown. A refit after each withdrawal would bend the
-    rest to the unknown: all numbers stay until those that stand are fitted robustly, and asked for again. A size that
-    then depends on how the rest is weighed was lent by the rest, however alike two records are in that. A curve through
-    knots has no shape of its own to be recognised by: beside something unknown it is part of that.
+    rest to the unknown: all numbers stay until what is left is wanted. An effect whose share is not known well takes
+    the unknown's part till then, lest the others take it; then those that stand are fitted robustly without it, and
+    asked for again. A size that now depends on how the rest is weighed was lent by the rest, however alike two records
+    are in that. A curve through knots has no shape of its own to be recognised by: beside something unknown it is part
+    of that.
     """
     for curve in [effect.name for effect in extended.model.effects if len(effect.linear) > rules.MOST_FREE]:
         extended = evaluate(extended.with_model(extended.model.without(extended.model.names.index(curve))))
@@ -44,17 +46,18 @@ def standing(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tuple[Asked,
     refitted = False
     while _plant(extended):
         judged = _judged(held_out, extended)
-        doubtful = [a for a in judged if not a.stands]
+        doubtful = [a for a in judged if not a.wanted]
         if refitted and not doubtful:
             doubtful = [a for a in judged if not _size_known(extended, a.name)]
-        if doubtful:
-            worst = max(doubtful, key=lambda a: a.astray)
-            withdrawn.append(worst)
-            extended, refitted = evaluate(extended.with_model(_without(extended, worst))), False
-        elif refitted:
-            break
-        else:
-            extended, refitted = robust(extended), True
+            if not doubtful:
+                break
+        gone = [max(doubtful, key=lambda a: a.astray)] if doubtful else [a for a in judged if not a.stands]
+        withdrawn += gone
+        for one in gone:
+            extended = evaluate(extended.with_model(_without(extended, one)))
+        refitted = refitted or not doubtful
+        if refitted and _plant(extended):
+            extended = robust(extended)
     return extended, tuple(withdrawn)
 
 

@@ -46,16 +46,21 @@ class Asked:
         return self.exercised and self._apart(self.share) - rules.SURE * self.std > rules.ASKED_APART
 
     @property
+    def wanted(self) -> bool:
+        """Whether the record wants about all of it, however what the model leaves is weighed."""
+        return self.exercised and self.astray <= rules.ASKED_APART
+
+    @property
     def stands(self) -> bool:
-        """Whether the record clearly wants about all of it, however what the model leaves is weighed.
+        """Whether the record clearly wants about all of it.
 
         What stands in for something unknown shares its force with it, and is wanted in another amount as soon as the
         unknown may be a function of the state too.
         """
         confirmed = self.confirmed
         if confirmed is None:  # play that hardly ever bounces alike
-            return self.exercised and self.astray <= rules.ASKED_APART
-        return self.astray <= rules.ASKED_APART and confirmed["std"] <= rules.SHARE_KNOWN
+            return self.wanted
+        return self.wanted and confirmed["std"] <= rules.SHARE_KNOWN
 
     @property
     def astray(self) -> float:
