@@ -40,6 +40,7 @@ MISMATCH, PHASE_DEG = 0.02, 10.0
 RADIUS = 0.1  # m of travel for each rad of the axis that turns
 SKIP = 50
 AT_REST = 1.0  # s after the program, of whose second half nothing may be left of the motion
+MODELS = ("symmetric", "asymmetric")  # of ``identify``, beside which the model of ``diagnose`` stands
 CUTOFF, REST = 60.0, 1e-3  # Hz and m/s, of the measured motion
 
 
@@ -116,8 +117,9 @@ def machine(name: str, seed: int, found: bool) -> dict[str, object]:
 def measured(path: Path) -> dict[str, object]:
     """Compensation from laps 1 to 3 of a measured record, and what it leaves to the feedback on lap 4.
 
-    The command of the model, rigid (``identify``) and with all effects found (``diagnose``), along the motion that was
-    measured on lap 4 (low-passed at ``CUTOFF`` without a shift), against the command recorded there (low-passed alike).
+    The command of the model, rigid and with friction by direction (``identify``), and with all effects found
+    (``diagnose``), along the motion that was measured on lap 4 (low-passed at ``CUTOFF`` without a shift), against the
+    command recorded there (low-passed alike).
     """
     from emps_design.discrepancy import diagnose
     from emps_design.identification import identify
@@ -129,11 +131,13 @@ def measured(path: Path) -> dict[str, object]:
     before = record.part(0, start)
     found = diagnose([before], embedded("emps2019"))
     recorded, kept = left_over(record, start, found.axis)
-    _, rigid = left_over(record, start, identify(before).to_axis())
+    rigid, asymmetric = (left_over(record, start, identify(before, model=model).to_axis())[1] for model in MODELS)
     return {
         "date": datetime.date.today().isoformat(), "record": path.name, "laps": "1 to 3, judged on 4",
+        "verdict": found.to_dict()["verdict"],
         "findings": [finding["effect"] for finding in found.to_dict()["findings"]],
-        "terms": list(terms_of(found.axis)[0]), "rms_V": {"recorded": recorded, "rigid": rigid, "with": kept},
+        "terms": list(terms_of(found.axis)[0]),
+        "rms_V": {"recorded": recorded, "rigid": rigid, "asymmetric": asymmetric, "with": kept},
         "share_left": kept / recorded, "share_left_rigid": rigid / recorded,
     }  # fmt: skip
 
