@@ -57,10 +57,9 @@ class Asked:
         What stands in for something unknown shares its force with it, and is wanted in another amount as soon as the
         unknown may be a function of the state too.
         """
-        confirmed = self.confirmed
-        if confirmed is None:  # play that hardly ever bounces alike
+        if self.repeats < rules.ASKED_APART:  # play that hardly ever bounces alike
             return self.wanted
-        return self.wanted and confirmed["std"] <= rules.SHARE_KNOWN
+        return self.wanted and max(std for _, std in self._all()) <= rules.SHARE_KNOWN * self.repeats
 
     @property
     def astray(self) -> float:
