@@ -70,7 +70,7 @@ def _reference(axis: Any, scenario: str, path: Path | None, stroke: float, speed
     if path is not None:
         from emps_design.simulation.reference_file import read_reference
 
-        return read_reference(path, period)[0]
+        return read_reference(path, period, axis.units)[0]
     if scenario == "half-ramp":
         return trajectories.half_ramp_program(period, (speed, 0.5 * speed, 0.25 * speed))
     if scenario == "multi-sine":

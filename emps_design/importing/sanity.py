@@ -22,6 +22,7 @@ FOLLOWS = (0.5, 2.0)
 ROUGHER = 3.0  # times: a position is never rougher than the force that it is two integrals of
 OPPOSED = -0.8  # correlation of the motor's force with what the motion needs
 IMPOSSIBLE_FORCE = 300.0  # times what the motion needs, or as little: a scale is wrong by 1000
+INERTIAL = 0.1  # of the command, from which on its part that follows the acceleration says how large the mass is
 ODD_FORCE = 10.0
 ON_GRID, OFF_GRID = 0.03, 0.08  # of an encoder step, that increments are off it on average; 0.25 where there is no grid
 EXPLAINS = 1.05  # times better: the position explains the command, the reference does not
@@ -151,6 +152,13 @@ def _force(axis: Axis, record: Record, source: str) -> list[str]:
         raise RecordError(
             f"{source}: columns u and q: {words}, expected about as much; correct unit or scale in [record]"
         )
+    # Friction may hide a wrong scale in the sum.
+    inertial, expected = float(np.std(drive.gain * _parts(record, record.q)[0][:, 0])), m.mass * float(np.std(a))
+    if inertial > max(INERTIAL * np.std(force), IMPOSSIBLE_FORCE * expected):
+        raise RecordError(
+            f"{source}: columns q and q_ref: found a motion that {inertial / expected:.3g} times the mass of the axis "
+            "would make under this command, expected about that mass; correct unit or scale of both in [record]"
+        )
     known = f" ({_named(ratio)}?)" if _named(ratio) else ""
     return [] if 1.0 / ODD_FORCE < ratio < ODD_FORCE else [f"u and q: {words}{known}; check their units"]
 
@@ -167,12 +175,17 @@ def _motion(record: Record, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
 
 def _unexplained(record: Record, q: np.ndarray) -> float:
     """Share of the command that acceleration, velocity and direction of ``q`` leave unexplained."""
+    parts, u = _parts(record, q)
+    return float(np.std(u - parts.sum(axis=1)) / np.std(u)) if np.std(u) else 1.0
+
+
+def _parts(record: Record, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Parts (n, 4) of the command: of acceleration, velocity and direction of ``q``, a constant; and that command."""
     a, v, u = _motion(record, q)
     columns = np.column_stack([a, v, np.tanh(v / (0.01 * np.max(np.abs(v)) or 1.0)), np.ones_like(a)])
     scale = np.max(np.abs(columns), axis=0)
     columns /= np.where(scale > 0, scale, 1.0)
-    left = u - columns @ np.linalg.lstsq(columns, u, rcond=None)[0]
-    return float(np.std(left) / np.std(u)) if np.std(u) else 1.0
+    return columns * np.linalg.lstsq(columns, u, rcond=None)[0], u
 
 
 def _off_grid(values: np.ndarray, step: float) -> float | None:

@@ -59,6 +59,10 @@ def test_a_good_export_passes_without_a_word(axis, columns):
         ),
         (lambda c: {"q_ref": 1e-3 * c["q_ref"]}, r"a position that is 1000 times the reference \(mm for m"),
         (lambda c: {"q": 57.2958 * c["q"]}, r"times the reference \(deg for rad\?\)"),
+        (
+            lambda c: {"q": 1e-3 * c["q"], "q_ref": 1e-3 * c["q_ref"]},
+            r"motion that (9|1)\S* times the mass of the axis would make under this command",
+        ),
         (lambda c: {"q": -c["q"]}, "motion against the reference, expected along it; one of them needs sign = -1"),
         (lambda c: {"q": c["q_ref"], "q_ref": c["q"]}, "columns q and q_ref: .*; are they exchanged in .record.?"),
         (lambda c: {"q": c["u"], "u": c["q"]}, "q and u: found a position that is rougher than the command"),
