@@ -98,6 +98,7 @@ class DataView:
         self.record: Record | None = None
         self.model: Axis | None = None
         self._dropped_last: tuple[str, bytes | str] | None = None
+        self._work = ""  # whose result is shown, or at work
         self._table: ColumnMap | None = None
         self.columns = ColumnsView(self._read_columns)
         self.drop = pn.widgets.FileDropper(
@@ -113,6 +114,7 @@ class DataView:
         self.machine = pn.widgets.Select(
             label="Axis of the record", options=list(machines()), value=axis_name, width=230, margin=(4, 6)
         )
+        self.machine.param.watch(self._of_another, "value")
         self.friction = pn.widgets.RadioButtonGroup(
             label="Friction", options=list(FRICTIONS), value=state().friction, margin=(22, 6, 4, 6)
         )
@@ -120,6 +122,8 @@ class DataView:
         self.filter = pn.widgets.Select(
             label="Filter of Identify", options=list(CHAINS), value=DEFAULT_CHAIN, width=110, margin=(4, 6)
         )
+        for choice in (self.friction, self.filter):
+            choice.param.watch(self._of_others, "value")
         self.buttons = {
             name: pn.widgets.Button(label=name, disabled=True, width=110, margin=(24, 6, 4, 6)) for name in WORK
         }
@@ -194,6 +198,19 @@ class DataView:
         elif table is None:
             self.columns.show(titles, assigned, axis.units)
 
+    def _of_another(self, event: Any) -> None:
+        """Read the record anew for another axis: what was found, and the columns, were those of the one before."""
+        self._table = None
+        if self._dropped_last is not None:
+            self._read_columns(None)
+        else:
+            self._of_others(event)
+
+    def _of_others(self, event: Any) -> None:
+        """Show no result of other choices than those that stand above it; only Identify reads friction and filter."""
+        if self.record is not None and (self._work == "Identify" or event.obj is self.machine):
+            self._show(self.record)
+
     @property
     def _axis(self) -> Axis:
         """The axis that is chosen, with the columns that were chosen for the record."""
@@ -249,6 +266,7 @@ class DataView:
 
         outcome = of_this_record(self._done), of_this_record(self._failed)
         if self.job.start(lambda progress: work(record, axis, options, progress), *outcome):
+            self._work = name
             self._say(f"{name} is at work on {record.name}", "note")
 
     def _failed(self, message: str) -> None:

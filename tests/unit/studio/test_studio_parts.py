@@ -237,6 +237,26 @@ def test_a_refused_upload_takes_the_record_before_it_away():
     assert 'role="alert"' in view.message.object
 
 
+def test_a_result_goes_when_a_choice_that_it_read_is_another():
+    axis, other = machine("emps2019"), machine("emps2018")
+    record = synthetic_record(axis, laps=1)
+    machines = {one.name: one for one in (axis, other)}
+    view = DataView(lambda: machines, axis.name, state, lambda *turn: None, lambda axis: None, record)
+
+    def found(work):
+        view._work = work
+        view._done({"text": "found", "html": "<p>result</p>", "model": axis})
+
+    found("Identify")
+    view.filter.value = "paper"
+    assert (view.result.object, view.model, view.record) == ("", None, record)
+    found("Observe")
+    view.filter.value = view.filter.options[0]
+    assert "result" in view.result.object  # the observer has no filter to choose
+    view.machine.value = other.name
+    assert (view.result.object, view.model, view.record) == ("", None, record)
+
+
 def test_the_columns_of_an_export_are_chosen_and_read():
     axis = machine("emps2019")
     made = synthetic_record(axis, laps=1)
