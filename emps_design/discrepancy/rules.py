@@ -55,7 +55,6 @@ AT_FLOOR = 1.2  # whitened cost per sample up to which a model leaves nothing bu
 
 # What the confirming record says
 ASKED_APART = 0.3  # from all of an effect, beyond which a record refutes it
-MOST_FREE = 3  # linear numbers, beyond which an effect is a curve that follows anything
 SHARE_KNOWN = 0.1  # deviation of the share asked for, beyond which an effect beside something unknown does not stand
 SURE = 3.0  # standard deviations
 EXERCISED = 0.05  # standard deviations of the noise that an effect must change in the mean to be seen at all

@@ -157,6 +157,7 @@ class Effect:
     static actuator map); None where own states are needed.
     ``over``: the variable it is best seen over, "v", "q", "t", "tau", "u", a "loop" of position, or after a "step".
     ``general``: a curve of any shape, which could stand in for other physics: looked for where nothing else is found.
+    ``element``: one of several whose sum has any shape; beside something unknown it may be a part of that.
     ``motion``: "rotary" of what only an axis that turns has, "" of the others.
     ``lines``: how many of it, each of another shape, one machine may have; ``after`` is the name of the one before.
     ``repeats``: the parameter [m] after which it repeats along the travel; its slope over position then averages out.
@@ -198,6 +199,7 @@ class Effect:
     over: str = "v"
     motion: str = ""
     general: bool = False
+    element: bool = False
     lines: int = 1
     after: str = ""
     repeats: str = ""

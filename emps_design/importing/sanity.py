@@ -154,7 +154,7 @@ def _force(axis: Axis, record: Record, source: str) -> list[str]:
         )
     # Friction may hide a wrong scale in the sum.
     inertial, expected = float(np.std(drive.gain * _parts(record, record.q)[0][:, 0])), m.mass * float(np.std(a))
-    if inertial > max(INERTIAL * np.std(force), IMPOSSIBLE_FORCE * expected):
+    if inertial > max(INERTIAL * float(np.std(force)), IMPOSSIBLE_FORCE * expected):
         raise RecordError(
             f"{source}: columns q and q_ref: found a motion that {inertial / expected:.3g} times the mass of the axis "
             "would make under this command, expected about that mass; correct unit or scale of both in [record]"

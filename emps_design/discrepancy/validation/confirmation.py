@@ -37,11 +37,11 @@ def standing(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tuple[Asked,
     rest to the unknown: all numbers stay until what is left is wanted. An effect whose share is not known well takes
     the unknown's part till then, lest the others take it; then those that stand are fitted robustly without it, and
     asked for again. A size that now depends on how the rest is weighed was lent by the rest, however alike two records
-    are in that. A curve through knots has no shape of its own to be recognised by: beside something unknown it is part
-    of that.
+    are in that. A curve through knots, or one element of a hysteresis, has no shape of its own to be recognised by:
+    beside something unknown it is part of that.
     """
-    for curve in [effect.name for effect in extended.model.effects if len(effect.linear) > rules.MOST_FREE]:
-        extended = evaluate(extended.with_model(extended.model.without(extended.model.names.index(curve))))
+    for name in [effect.name for effect in extended.model.effects if effect.general or effect.element]:
+        extended = evaluate(extended.with_model(extended.model.without(extended.model.names.index(name))))
     withdrawn: list[Asked] = []
     refitted = False
     while _plant(extended):

@@ -53,6 +53,7 @@ EFFECT = Effect(
     states=(Quantity("memory", "w", ""),),
     no_regressor="the force of the element is a state that remembers the path",
     over="loop",
+    element=True,
     where="0.1 to a few millimetres after every reversal: friction rises more slowly than a contact bends",
     confused_with=("presliding_friction", "stribeck_friction", "backlash"),
     experiment="reversals at several accelerations: the rise is the same over travel, not over time",
