@@ -39,8 +39,9 @@ class Session:
         self.simulation = SimulationView(lambda: self.state, self.design.turn)
         own = axis.name if axis.name not in machine_names() else RECORD_AXIS
         self.data = DataView(
-            lambda: self.design.machines, own, lambda: self.state, self.design.turn, self.design.add_axis, record
-        )
+            lambda: self.design.machines, own, lambda: self.state, self.design.turn, self.design.add_axis, record,
+            another=lambda: self.motion.show(self.state),
+        )  # fmt: skip
         self.compensation = CompensationView(lambda: self.state)
         self.files = FilesView(lambda: self.state, lambda: self.data.record, self._loaded)
         self.tab = pn.widgets.RadioButtonGroup(

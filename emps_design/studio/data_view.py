@@ -83,7 +83,10 @@ def _upload(name: str, content: bytes | str) -> tuple[str, bytes]:
 
 
 class DataView:
-    """The record, what can be done with it, and what came out; ``take(axis)`` hands a model to the design tab."""
+    """The record, what can be done with it, and what came out.
+
+    ``take(axis)`` hands a model to the design tab; ``another()`` hears of every record that is read, or taken away.
+    """
 
     def __init__(
         self,
@@ -93,8 +96,9 @@ class DataView:
         turn: Callable[[str, Any], None],
         take: Callable[[Axis], None],
         record: Record | None = None,
+        another: Callable[[], None] = lambda: None,
     ):
-        self._machines, self._take = machines, take
+        self._machines, self._take, self._another = machines, take, another
         self.record: Record | None = None
         self.model: Axis | None = None
         self._dropped_last: tuple[str, bytes | str] | None = None
@@ -226,6 +230,7 @@ class DataView:
             button.disabled = True
         self.drop.stylesheets = [REFUSED]
         self.about.object, self.result.object = INTRODUCTION, ""
+        self._another()
 
     def _show(self, record: Record) -> None:
         from emps_design.report import style
@@ -246,6 +251,7 @@ class DataView:
         )
         self.about.object = f'<div class="record">{style.svg(record_figure(record, self._axis.units), "record")}</div>'
         self.result.object = ""
+        self._another()
 
     def _say(self, text: str, level: str, more: str = "") -> None:
         self.message.object = message("", level, self._own(inline(text) + more))

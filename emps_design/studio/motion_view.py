@@ -39,6 +39,7 @@ class MotionView:
         self._state, self._record, now = state, record, state()
         self.found: Motion | None = None
         self._of: State | None = None
+        self._along: Record | None = None
         self._file: tuple[str, bytes] | None = None
         self.words = {
             "motion": pn.widgets.Select(label="Motion", options=MOTIONS, value=now.motion, width=190, margin=(2, 6)),
@@ -78,7 +79,10 @@ class MotionView:
             field.set(getattr(state, name))
             field.field.visible = name not in SHAPE or state.motion == "there and back"
         self.file.visible = state.motion == "file"
-        if self._of is not None and read_by_motion(state) != read_by_motion(self._of):
+        if self._of is not None and (
+            read_by_motion(state) != read_by_motion(self._of)
+            or (state.motion == "record" and self._along is not self._record())
+        ):
             self.withdraw()
 
     def withdraw(self) -> None:
@@ -95,7 +99,7 @@ class MotionView:
     def _start(self) -> None:
         state, file, record = self._state(), self._file, self._record()
         self.withdraw()
-        self._of = state
+        self._of, self._along = state, record
         units = state.axis.units
 
         def failed(text: str) -> None:

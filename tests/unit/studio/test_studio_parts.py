@@ -257,6 +257,17 @@ def test_a_result_goes_when_a_choice_that_it_read_is_another():
     assert (view.result.object, view.model, view.record) == ("", None, record)
 
 
+def test_a_motion_along_a_record_goes_with_that_record():
+    axis = machine("emps2019")
+    session = Session(axis, synthetic_record(axis, laps=1))
+    session.motion._of = session.state = session.state.changed(motion="record")
+    session.motion._along, session.motion.table.object = session.data.record, "a result"
+    session.data.filter.value = "paper"  # the record stays
+    assert session.motion.table.object == "a result"
+    session.data._show(synthetic_record(axis, laps=2))
+    assert session.motion.table.object != "a result"
+
+
 def test_the_columns_of_an_export_are_chosen_and_read():
     axis = machine("emps2019")
     made = synthetic_record(axis, laps=1)
