@@ -23,6 +23,7 @@ ROUGHER = 3.0  # times: a position is never rougher than the force that it is tw
 OPPOSED = -0.8  # correlation of the motor's force with what the motion needs
 IMPOSSIBLE_FORCE = 300.0  # times what the motion needs, or as little: a scale is wrong by 1000
 INERTIAL = 0.1  # of the command, from which on its part that follows the acceleration says how large the mass is
+ONE_VELOCITY = 1e-3  # of the largest, within which it has to stay for its acceleration to say nothing
 ODD_FORCE = 10.0
 ON_GRID, OFF_GRID = 0.03, 0.08  # of an encoder step, that increments are off it on average; 0.25 where there is no grid
 EXPLAINS = 1.05  # times better: the position explains the command, the reference does not
@@ -154,7 +155,7 @@ def _force(axis: Axis, record: Record, source: str) -> list[str]:
         )
     # Friction may hide a wrong scale in the sum.
     inertial, expected = float(np.std(drive.gain * _parts(record, record.q)[0][:, 0])), m.mass * float(np.std(a))
-    if inertial > max(INERTIAL * float(np.std(force)), IMPOSSIBLE_FORCE * expected):
+    if np.std(v) > ONE_VELOCITY * np.max(np.abs(v)) and inertial > max(INERTIAL * float(np.std(force)), IMPOSSIBLE_FORCE * expected):
         raise RecordError(
             f"{source}: columns q and q_ref: found a motion that {inertial / expected:.3g} times the mass of the axis "
             "would make under this command, expected about that mass; correct unit or scale of both in [record]"
