@@ -66,7 +66,8 @@ def _extend(
     noise = baseline.problem.samples("used")
     while (number := 1 + _found(calibration, path[-1])) <= MOST_EFFECTS:
         sound, gains = _round(calibration, beam, number, False, progress)
-        alone |= {} if alone else gains
+        if not alone:
+            alone.update(gains)
         _remember(tried, sound)
         ranked = _ranked(path[-1], sound, accept)
         if not ranked:
@@ -192,8 +193,8 @@ def _reshaped(best: Fit, rest: Fit) -> Fit:
     """
     dropped = next(effect for effect in best.model.effects if effect.name not in rest.model.names)
     for effect, values in zip(rest.model.effects, rest.model.values, strict=True):
-        if effect.name in dropped.confused_with or dropped.name in effect.confused_with:
-            last = rest.model.without(rest.model.names.index(effect.name)).with_effect(effect, values)
+        if effect.confusable(dropped):
+            last = rest.model.without_named([effect.name]).with_effect(effect, values)
             again = converged(fit(rest.with_model(last)))
             rest = min((rest, again), key=lambda f: f.cost) if admissible(again) else rest
     return rest
