@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from typing import Any
 
 CORES = 2
@@ -43,10 +44,9 @@ def side_by_side(function: Callable[..., Any], arguments: Iterable[tuple[Any, ..
     def help_out() -> None:
         _here.ended = ended
         try:
-            for row in left:
-                take(row)
-        except _Ended:
-            pass
+            with suppress(_Ended):
+                for row in left:
+                    take(row)
         finally:
             _idle.release()
 
