@@ -67,14 +67,18 @@ def rounded_sums(parts: Iterable[Part], now: Roundings) -> dict[str, Callable[[A
     """For each hook the sum of the kernels of ``parts``, of position, velocity and motor force as rounded numbers."""
     known: dict[str, list[Callable[[Any, Any, Any], Any]]] = {hook: [] for hook in ADDED}
     for part in parts:
-        p, b = ([now.constant(float(x)) for x in row] for row in (part.numbers, part.baseline))
-        kernel = on_rounded(part.kernel)
-        known[part.hook].append(lambda q, v, tau, kernel=kernel, p=p, b=b: kernel(q, v, now.exact(0.0), tau, [], p, b))
+        known[part.hook].append(_on_rounded(part, now))
 
     def total(hook: str, q: Any, v: Any, tau: Any) -> Any:
         return sum((kernel(q, v, tau) for kernel in known[hook]), now.exact(0.0))
 
     return {hook: partial(total, hook) for hook in ADDED}
+
+
+def _on_rounded(part: Part, now: Roundings) -> Callable[[Any, Any, Any], Any]:
+    kernel, time = on_rounded(part.kernel), now.exact(0.0)
+    p, b = ([now.constant(float(x)) for x in row] for row in (part.numbers, part.baseline))
+    return lambda q, v, tau: kernel(q, v, time, tau, [], p, b)
 
 
 def _with_numbers(program: Program, p: np.ndarray, b: np.ndarray) -> Program:

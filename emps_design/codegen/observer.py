@@ -4,11 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from functools import reduce
 from typing import TYPE_CHECKING, Any
 
 from emps_design.codegen.effects import Part, parts_of
-from emps_design.codegen.program import LAW_ARGUMENTS, REAL, Apply, Binary, Function, Name, Program, Return, rewritten
+from emps_design.codegen.program import (
+    LAW_ARGUMENTS,
+    REAL,
+    Apply,
+    Binary,
+    Expression,
+    Function,
+    Name,
+    Program,
+    Return,
+    rewritten,
+)
 from emps_design.codegen.reader import read_program
 from emps_design.compensation.feedforward import names_of_effects, why_not
 from emps_design.effects.effect import ADDED
@@ -62,8 +72,9 @@ def observer_program(parts: Iterable[Part]) -> Program:
         added = calls.get(function.name)
         if added:
             given = tuple(Name(name, REAL) for name in function.parameters)
-            each = [Apply(name, given) for name in added]
-            total = reduce(lambda left, right: Binary("+", left, right, REAL), each[1:], each[0])
+            total: Expression = Apply(added[0], given)
+            for name in added[1:]:
+                total = Binary("+", total, Apply(name, given), REAL)
             function = Function(function.name, function.parameters, {}, (Return(total),))
         functions.append(function)
     nothing = {name for name, added in calls.items() if not added}

@@ -153,8 +153,9 @@ def single_precision(vectors: Vectors) -> str:
     if several := int(np.count_nonzero(vectors.undecided)):
         said += (
             f" At {several} of the samples rounding decides a comparison (a sign, a limit, a switch), and single "
-            "precision may go the other way. There, and as long as the memory holds what follows from it, `single` "
-            f"bounds both ways, the jump between them included: at most {bound[vectors.undecided].max():.3g} {unit}."
+            "precision may go the other way. There, and as long as the memory holds what follows from it, the column "
+            f"single bounds both ways, the jump between them included, at most {bound[vectors.undecided].max():.3g} "
+            f"{unit}."
         )
     left = bound.size - held.size
     return said + (f" {left} samples have none: a number there may leave what single precision holds." if left else "")
