@@ -70,7 +70,7 @@ def _requirements(state: State, design: VelocityLoopDesign) -> str:
 
 def laws_table(state: State, design: VelocityLoopDesign) -> str:
     """Force loop and impedance law of the state as HTML."""
-    cells = [("", "this design"), *_force_cells(state, design), *_impedance_cells(state)]
+    cells = [("", ""), *_force_cells(state, design), *_impedance_cells(state)]
     heads, values = zip(*cells, strict=True)
     return numbers(heads, [values])
 
