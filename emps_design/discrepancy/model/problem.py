@@ -21,7 +21,7 @@ from emps_design.observer import motor_force
 from emps_design.records import Record
 from emps_design.simulation import Plant, Run
 
-LOOSE = 1e5  # times the integrator's tolerance: force within 1e-3 N, a thousandth of any noise here, four times faster
+LOOSE = 1e5  # times the integrator's tolerance: force within 2e-3 N, a hundredth of any noise here, six times faster
 
 
 @dataclass(frozen=True)

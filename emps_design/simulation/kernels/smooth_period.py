@@ -1,4 +1,4 @@
-"""Slide through a whole hold period on two evaluations of the forces: for axes whose effects have no own states."""
+"""Slide through a whole hold period on one or two evaluations of the forces: where effects have no own states."""
 
 from __future__ import annotations
 
@@ -10,19 +10,21 @@ from emps_design.simulation.kernels.motion import LAG, TOLERANCE, balance, weigh
 ORDER = 3  # of convergence, measured in the tests
 # Second difference of the acceleration times step squared [m], and velocity missed [m/s], of a step that is good.
 _BEND, _MISSED = 6e-9, 3e-10
+_EVEN = 1e-9  # m/s^2, acceleration missed in the middle of a step by the slope of the last one: one evaluation will do
 SPEEDS = 20  # octaves of speed, up to 5 m/s
 
 
 @part
 def slide(y, t, h, tau, push, s, feel, plant, work, new):
-    """Slide through ``h`` on two evaluations or few more; returns whether the step is good.
+    """Slide through ``h`` on one evaluation, two or few more; returns whether the step is good.
 
     Simpson's rule over the acceleration at both ends and in the middle (Lobatto IIIA), for axes without own states,
     guards and jumps. ``work[0][1]`` is the acceleration at the start, known from the end of the last step;
     ``work[0][0]`` the slope it had there without viscous decay, ``work[1][1]`` the mass. ``feel`` holds the derivative
     of the acceleration by velocity (see :func:`feeling`): velocities that were off are answered by it, and the sweep is
-    repeated until what that leaves is below the tolerance. Where the second difference of the acceleration is large,
-    one step is too long and the general method takes over.
+    repeated until what that leaves is below the tolerance. Where the acceleration in the middle is what the last step
+    leads to expect, within the tolerance, the one evaluation there is enough. Where its second difference is large, one
+    step is too long and the general method takes over.
     """
     stage, tolerance = work[5], plant[4][TOLERANCE]
     decay = plant[0][1] / work[1][1]
@@ -44,6 +46,14 @@ def slide(y, t, h, tau, push, s, feel, plant, work, new):
         net, level, mass = weigh(stage, t + 0.5 * h, tau, tau + drive[0] * (1.0 - drive[3]), push, plant)
         middle = (net - s * level) / mass - half_a
         if sweep == 0:
+            bend = middle - a0 - 0.5 * h * slope
+            if abs(bend) <= _EVEN * tolerance:
+                even = slope + bend / h  # from the middle of the last step to that of this one
+                new[0] = y[0] + full_q + h * (y[1] + h * (0.5 * middle - h / 12.0 * even))
+                new[1] = y[1] + full_v + h * (middle + bend / 24.0)
+                work[0][0] = even + decay * middle
+                work[0][1] = middle + 0.5 * h * even + full_a
+                return s * new[1] > 0.0
             end = 2.0 * middle - a0
         new[0] = y[0] + full_q + h * (y[1] + h / 6.0 * (a0 + 2.0 * middle))
         new[1] = y[1] + full_v + h / 6.0 * (a0 + 4.0 * middle + end)
