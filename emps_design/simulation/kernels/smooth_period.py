@@ -20,11 +20,11 @@ def slide(y, t, h, tau, push, s, feel, plant, work, new):
 
     Simpson's rule over the acceleration at both ends and in the middle (Lobatto IIIA), for axes without own states,
     guards and jumps. ``work[0][1]`` is the acceleration at the start, known from the end of the last step;
-    ``work[0][0]`` the slope it had there without viscous decay, ``work[1][1]`` the mass. ``feel`` holds the derivative
-    of the acceleration by velocity (see :func:`feeling`): velocities that were off are answered by it, and the sweep is
-    repeated until what that leaves is below the tolerance. Where the acceleration in the middle is what the last step
-    leads to expect, within the tolerance, the one evaluation there is enough. Where its second difference is large, one
-    step is too long and the general method takes over.
+    ``work[0][0]`` the slope it had there without viscous decay (0: not known), ``work[1][1]`` the mass. ``feel`` holds
+    the derivative of the acceleration by velocity (see :func:`feeling`): velocities that were off are answered by it,
+    and the sweep is repeated until what that leaves is below the tolerance. Where the acceleration in the middle is
+    what the last step leads to expect, within the tolerance, the one evaluation there is enough. Where its second
+    difference is large, one step is too long and the general method takes over.
     """
     stage, tolerance = work[5], plant[4][TOLERANCE]
     decay = plant[0][1] / work[1][1]
@@ -47,12 +47,13 @@ def slide(y, t, h, tau, push, s, feel, plant, work, new):
         middle = (net - s * level) / mass - half_a
         if sweep == 0:
             bend = middle - a0 - 0.5 * h * slope
-            if abs(bend) <= _EVEN * tolerance:
+            if work[0][0] != 0.0 and abs(bend) <= _EVEN * tolerance:  # the slope of the last step is known
                 even = slope + bend / h  # from the middle of the last step to that of this one
                 new[0] = y[0] + full_q + h * (y[1] + h * (0.5 * middle - h / 12.0 * even))
                 new[1] = y[1] + full_v + h * (middle + bend / 24.0)
-                work[0][0] = even + decay * middle
-                work[0][1] = middle + 0.5 * h * even + full_a
+                end = middle + 0.5 * h * even
+                work[0][0] = even + decay * end
+                work[0][1] = end + full_a
                 return s * new[1] > 0.0
             end = 2.0 * middle - a0
         new[0] = y[0] + full_q + h * (y[1] + h / 6.0 * (a0 + 2.0 * middle))
