@@ -3,7 +3,8 @@
     python -m benchmarks.laws ../shared/data/servo --out benchmarks/laws.json [--only joint-none-0]
         [--parts train+holdout]
 
-Rows of other cases and parts that the file has already stay; records joined by ``+`` are taken together. The truth is the ``[controller]`` of each folder's axis file, which ``law`` does not read.
+Rows of other cases and parts that the file has already stay; records joined by ``+`` are taken together. The truth is
+the ``[controller]`` of each folder's axis file, which ``law`` does not read.
 """
 
 from __future__ import annotations
