@@ -12,7 +12,8 @@ from emps_design.codegen.effects import Part, rounded_sums
 from emps_design.codegen.observer import OBSERVER, observed_parts, observer_of, observer_program
 from emps_design.codegen.program import LAW_ARGUMENTS, Program
 from emps_design.codegen.reader import read_program
-from emps_design.codegen.rounding import Roundings, on_rounded
+from emps_design.codegen.rounded_kernel import on_rounded
+from emps_design.codegen.rounding import Roundings
 from emps_design.errors import AxisError
 from emps_design.laws import Law, LawKind, get_law, law_of
 from emps_design.observer.block import with_effects
