@@ -61,9 +61,7 @@ class Block:
         """The on-line force observer of ``axis`` with its effects; :class:`InputError` for one it cannot have."""
         kernel, parts = observer_of(axis, cutoff_hz).kernel, observed_parts(axis)
         kind, own = OBSERVER, {"cutoff": cutoff_hz}
-        law = replace(
-            kind.law(kind.table(**own), axis, axis.sampling.period), kernel=observer_of(axis, cutoff_hz).kernel
-        )
+        law = replace(kind.law(kind.table(**own), axis, axis.sampling.period), kernel=kernel)
         return cls(axis, kind, law, observer_program(parts), own, parts=parts)
 
     @property
