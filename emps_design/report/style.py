@@ -67,7 +67,7 @@ def look() -> Iterator[None]:
     import matplotlib as mpl
 
     with _SETTINGS, mpl.rc_context():
-        dict.update(mpl.rcParams, _settings())
+        dict.update(cast(Any, mpl.rcParams), _settings())
         yield
 
 
@@ -79,7 +79,7 @@ def _settings() -> dict[str, Any]:
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(RC)
-        return {name: value for name, value in dict.items(mpl.rcParams) if not name.startswith("backend")}
+        return {name: value for name, value in dict.items(cast(Any, mpl.rcParams)) if not name.startswith("backend")}
 
 
 def subplots(
