@@ -58,7 +58,8 @@ class Block:
     @classmethod
     def observer(cls, axis: Axis, cutoff_hz: float) -> Block:
         """The on-line force observer of ``axis`` with its effects; :class:`InputError` for one it cannot have."""
-        kind, own, parts = OBSERVER, {"cutoff": cutoff_hz}, observed_parts(axis)
+        kernel, parts = observer_of(axis, cutoff_hz).kernel, observed_parts(axis)
+        kind, own = OBSERVER, {"cutoff": cutoff_hz}
         law = replace(
             kind.law(kind.table(**own), axis, axis.sampling.period), kernel=observer_of(axis, cutoff_hz).kernel
         )
