@@ -12,7 +12,8 @@ from emps_design.cli import app
 from emps_design.codegen import export_controller
 from emps_design.codegen.origin import commit
 from emps_design.codegen.pages import block_name
-from emps_design.codegen.rounding import Roundings, every_way, largest, on_rounded, smallest
+from emps_design.codegen.rounded_kernel import largest, on_rounded, smallest
+from emps_design.codegen.rounding import Roundings, every_way
 from emps_design.errors import InputError
 from emps_design.machines import machine
 
@@ -56,6 +57,7 @@ def test_json_has_gains_equations_and_vectors(tmp_path, capsys):
     assert document["equations"][0] == "v[k] = (q[k] - q[k-2]) / 0.002"
     assert len(document["vectors"]["u"]) == said["vectors"]["rows"] == len(document["vectors"]["memory"])
     assert document["units"]["u"] == "V"
+    assert document["effects"] == []
 
 
 def test_what_is_there_is_not_overwritten(tmp_path, capsys):
