@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.commands import commands
+from benchmarks.diagnosis import diagnosis
 from benchmarks.peers import compiled_c, python_control
 from benchmarks.rows import add, children, skip
 from benchmarks.studio import studio
@@ -70,6 +71,7 @@ def main() -> int:
     _hour(axis, rows)
     _starts(rows)
     commands(rows)
+    diagnosis(rows)
     studio(rows)
     document = {"rows": rows, "cores": os.cpu_count(), "load_average": load}
     write_text(Path(__file__).with_name("latest.json"), json.dumps(document, indent=1) + "\n")
