@@ -14,7 +14,7 @@ from emps_design.simulation.synthetic import synthetic_record
 HIDDEN = {
     "nothing to find": [],
     "Stribeck friction": [{"kind": "stribeck_friction", "excess": 8.0, "stribeck_velocity": 0.008, "exponent": 1.0}],
-    "flexible coupling": [{"kind": "flexible_coupling", "stiffness": 1e6, "damping": 300.0, "load_mass": 50.0}],
+    "flexible coupling": [{"kind": "flexible_coupling", "frequency": 35.0, "damping": 0.05, "share": 0.4}],
 }
 SAMPLES = 25_000  # of a record at 1 kHz, in whole laps and a part of one
 
