@@ -11,7 +11,7 @@ from emps_design.effects import Effect
 from emps_design.effects.guesses import absorb, thin
 
 LEAST = 0.1  # share of the residual, below which nothing stands out
-MOST = 3  # that are told
+MOST = 2  # that are told
 FEWEST = 100  # samples of a record to look at
 
 
