@@ -152,3 +152,13 @@ def display_unit(size: float, unit: str) -> tuple[str, float]:
         if 0 < abs(size) < limit:
             return small, factor
     return unit, 1.0
+
+
+def rounded(value: float, places: int = 2) -> str:
+    """``value`` with so many decimals, or with as many digits where they would not show it.
+
+    >>> rounded(12.3456), rounded(0.4), rounded(0.00213), rounded(0.0)
+    ('12.35', '0.40', '0.0021', '0.00')
+    """
+    small = 0.0 < abs(value) < 10.0 ** (1 - places)
+    return f"{value:.{places}g}" if small else f"{value:.{places}f}"

@@ -16,6 +16,7 @@ from emps_design.cli.output import json_text, new_console, print_json, print_war
 from emps_design.cli.partial_diagnosis import PartialDiagnosis
 from emps_design.errors import InputError, one_line
 from emps_design.files import write_aside, write_text, write_together
+from emps_design.quantities import rounded
 
 FILES = {
     "model.toml": AXIS,
@@ -139,8 +140,8 @@ def _show(document: dict[str, Any], out: Path | None) -> None:
                 finding["label"],
                 ", ".join(finding["equivalents"]) or "-",
                 finding["where"]["text"],
-                f"{finding['gap_before']:.3f}",
-                f"{finding['gap_after']:.3f}",
+                rounded(finding["gap_before"], 3),
+                rounded(finding["gap_after"], 3),
                 _share(finding["confirmed"]) if told else f"{finding['p_value']:.3f}",
             )
         console.print(table, width=min(80, console.width))

@@ -152,6 +152,7 @@ def _one(estimator: str, record: Record, axis: Axis, options: dict[str, Any]) ->
 
 def _show_one(found: Identification) -> None:
     from emps_design.cli.output import new_console, new_table
+    from emps_design.quantities import rounded
 
     console = new_console()
     title = f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}"
@@ -211,7 +212,7 @@ def _show_one(found: Identification) -> None:
         loop = found.extra["closed_loop"]
         console.print(
             f"closed loop from q_ref: position {1e6 * loop['position_rms_error']:.3f} um rms, force "
-            f"{loop['force_rms_error']:.3f} N rms ({loop['force_relative_error_percent']:.2f} %)"
+            f"{rounded(loop['force_rms_error'], 3)} N rms ({loop['force_relative_error_percent']:.2f} %)"
         )
 
 

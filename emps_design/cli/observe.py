@@ -105,6 +105,7 @@ def _write(out: Path, found: Observation) -> None:
 
 def _show(found: Observation) -> None:
     from emps_design.cli.output import new_console, new_table
+    from emps_design.quantities import rounded
 
     console, known = new_console(), found.f_ext is not None
     title = f"External force of {found.record}, axis {found.axis}"
@@ -115,8 +116,8 @@ def _show(found: Observation) -> None:
         if known:
             steps = result.steps
             cells += [
-                f"{result.rms_error:.2f}",
-                "" if steps is None else f"{steps.rms_error_away_from_edges:.2f}",
+                rounded(result.rms_error),
+                "" if steps is None else rounded(steps.rms_error_away_from_edges),
                 "" if steps is None or steps.rise_time is None else f"{1e3 * steps.rise_time:.1f}",
                 "" if steps is None else f"{steps.plateau_error_percent:+.2f} %",
             ]
@@ -129,8 +130,10 @@ def _show(found: Observation) -> None:
         console.print(f"errors: from {first.judged[0]:.2f} to {first.judged[1]:.2f} s, against the force of the moment")
     for name, result in found.methods.items():
         least = result.smallest
-        bounds = ", ".join(f"{_word(bound)} {value:.2f} N" for bound, value in least.bounds.items())
-        console.print(f"{name}: smallest observable force {least.value:.2f} N, set by {_word(least.bound)} ({bounds})")
+        bounds = ", ".join(f"{_word(bound)} {rounded(value)} N" for bound, value in least.bounds.items())
+        console.print(
+            f"{name}: smallest observable force {rounded(least.value)} N, set by {_word(least.bound)} ({bounds})"
+        )
     for bound, reason in first.smallest.to_dict()["reasons"].items():
         console.print(f"{_word(bound)}: {reason}")
 

@@ -15,7 +15,7 @@ from emps_design.discrepancy.search.noise_floor import Floor
 from emps_design.discrepancy.validation.gap import Gap, Prediction
 from emps_design.frequency_response.comparison import Comparison
 from emps_design.notebook import table
-from emps_design.quantities import display_unit
+from emps_design.quantities import display_unit, rounded
 
 SCHEMA = "emps-design/diagnosis/1"
 MOST_IN_FULL = 2  # findings with all their numbers in the sentence
@@ -118,7 +118,8 @@ class Diagnosis:
     def sentence(self) -> str:
         """The answer in one sentence, as on the first screen of the report."""
         judged, where = (self.holdout, "held-out") if self.holdout else (self.train, "training")
-        gap = f"{where} force error {judged.baseline:.2f} N -> {judged.extended:.2f} N, noise {self.floor:.2f} N"
+        left, noise = rounded(judged.extended), rounded(self.floor)
+        gap = f"{where} force error {rounded(judged.baseline)} N -> {left} N, noise {noise} N"
         if self.verdict in ("named", "ambiguous", "partly-named"):
             if len(self.findings) <= MOST_IN_FULL:
                 text = "; ".join(finding.in_words() for finding in self.findings)
@@ -135,19 +136,14 @@ class Diagnosis:
             place = self.details["unexplained"]["place"]
             where = "" if place == EVERYWHERE else f", most of it {place}"
             known = "".join(f"{finding.in_words()}; " for finding in self.findings)  # from the controller's law
-            text = f"{known}{'beside that ' if known else ''}the model misses {judged.extended:.2f} N"
-            return (
-                f"{text[0].upper()}{text[1:]} (noise {self.floor:.2f} N){where}, and no effect of the library "
-                "explains it."
-            )
+            text = f"{known}{'beside that ' if known else ''}the model misses {left} N"
+            return f"{text[0].upper()}{text[1:]} (noise {noise} N){where}, and no effect of the library explains it."
         least = self.details.get("least_visible")
         rest = f"; an effect of {least} or more would have been seen" if least else ""
         if self.verdict == "parameters-only":
             changed = self.details.get("changed", "")
             return f"Only the numbers of the axis file are off ({changed}); {gap}{rest}."
-        return (
-            f"Nothing is missing from the model: force error {judged.baseline:.2f} N, noise {self.floor:.2f} N{rest}."
-        )
+        return f"Nothing is missing from the model: force error {rounded(judged.baseline)} N, noise {noise} N{rest}."
 
     def to_dict(self) -> dict[str, Any]:
         """The contract's document, and what the report shows besides, absent where it is not known.

@@ -155,7 +155,9 @@ def _force(axis: Axis, record: Record, source: str) -> list[str]:
         )
     # Friction may hide a wrong scale in the sum.
     inertial, expected = float(np.std(drive.gain * _parts(record, record.q)[0][:, 0])), m.mass * float(np.std(a))
-    if np.std(v) > ONE_VELOCITY * np.max(np.abs(v)) and inertial > max(INERTIAL * float(np.std(force)), IMPOSSIBLE_FORCE * expected):
+    if np.std(v) > ONE_VELOCITY * np.max(np.abs(v)) and inertial > max(
+        INERTIAL * float(np.std(force)), IMPOSSIBLE_FORCE * expected
+    ):
         raise RecordError(
             f"{source}: columns q and q_ref: found a motion that {inertial / expected:.3g} times the mass of the axis "
             "would make under this command, expected about that mass; correct unit or scale of both in [record]"

@@ -8,6 +8,7 @@ from emps_design.discrepancy.search.acceptance import force_rms
 from emps_design.discrepancy.search.calibration import Calibration
 from emps_design.discrepancy.validation.verdict import Validation
 from emps_design.effects import get_effect, kind_of
+from emps_design.quantities import rounded
 
 ASSUMPTIONS = (
     "the force gain of the drive is known: an error of it scales every mechanical parameter and shows nowhere else",
@@ -60,14 +61,14 @@ def _limits(validation: Validation) -> list[str]:
         )
     if validation.verdict in ("named", "ambiguous") and calibration.judge.leaves_structure(extended):
         remarks.append(
-            f"structure remains after the last finding: {force_rms(extended):.2f} N where noise is "
-            f"{floor.force:.2f} N; no further effect of the library is clear enough to name"
+            f"structure remains after the last finding: {rounded(force_rms(extended))} N where noise is "
+            f"{rounded(floor.force)} N; no further effect of the library is clear enough to name"
         )
     if validation.verdict == "unnamed":
         remarks.append(
             "mass and friction are estimated so that the structure that is left pulls little at them: they leave "
-            f"{force_rms(extended):.2f} N, where plain least squares would bend them to leave "
-            f"{force_rms(validation.outcome.path[0]):.2f} N"
+            f"{rounded(force_rms(extended))} N, where plain least squares would bend them to leave "
+            f"{rounded(force_rms(validation.outcome.path[0]))} N"
         )
     if calibration.preparation.unexplained_law:
         remarks.append("the controller's law has a gap that no effect explains: look at u minus the law first")
