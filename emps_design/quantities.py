@@ -24,7 +24,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "A/V": (1e-6, 1e6),
     "rad/m": (1e-6, 1e8),
     "N m/A": (1e-9, 1e6),
-    "V": (1e-6, 1e10),  # 1e9 stands for no limit
+    "V": (1e-6, 1e10),
     "A": (1e-6, 1e10),
     "%": (1e-6, 1e10),
     "V/(m/s)": (1e-9, 1e12),

@@ -33,7 +33,7 @@ from emps_design.laws import (
 )
 from emps_design.units import COMMANDS, check_command_unit
 
-NO_LIMIT = 1e9  # the largest command where none is known
+NO_LIMIT = 1e8  # the largest command where none is known: no magnitude that a unit refuses
 LIMIT = {"voltage_limit", "command_limit"}  # two keys of a drive for one number
 
 

@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emps_design.codegen.observer import OBSERVER
-from emps_design.codegen.program import ARRAY, INT, REAL, Program
+from emps_design.codegen.effects import Part, rounded_sums
+from emps_design.codegen.observer import OBSERVER, observed_parts, observer_of, observer_program
+from emps_design.codegen.program import LAW_ARGUMENTS, Program
 from emps_design.codegen.reader import read_program
-from emps_design.errors import AxisError, InputError
+from emps_design.codegen.rounding import Roundings, on_rounded
+from emps_design.errors import AxisError
 from emps_design.laws import Law, LawKind, get_law, law_of
-from emps_design.observer.external_force import left_out
+from emps_design.observer.block import with_effects
 
 if TYPE_CHECKING:
     from emps_design.axis import Axis
     from emps_design.codegen.ahead import Ahead
 
 NO_LIMIT = 1e30  # N, which single precision holds
-LAW_ARGUMENTS = (INT, REAL, REAL, REAL, REAL, ARRAY, ARRAY)  # of a law's kernel
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,7 @@ class Block:
     parameters: dict[str, Any]
     ahead: Ahead | None = None
     origin: str = ""  # of the axis
+    parts: tuple[Part, ...] = ()  # of an observer: what the effects add
 
     @classmethod
     def of(cls, axis: Axis, ahead: Ahead | None = None) -> Block:
@@ -55,16 +57,12 @@ class Block:
 
     @classmethod
     def observer(cls, axis: Axis, cutoff_hz: float) -> Block:
-        """The on-line force observer of ``axis``; :class:`InputError` where effects have a part in it."""
-        kind, own = OBSERVER, {"cutoff": cutoff_hz}
-        used = [one.kind for one in axis.effects if one.kind not in left_out(axis)["online"]]
-        if used:
-            raise InputError(
-                f"observer of {axis.name}: found the effects {', '.join(used)}, which the exported observer does not "
-                "have; take them out of the axis file, or observe on the record"
-            )
-        law = kind.law(kind.table(**own), axis, axis.sampling.period)
-        return cls(axis, kind, law, read_program(law.kernel, LAW_ARGUMENTS), own)
+        """The on-line force observer of ``axis`` with its effects; :class:`InputError` for one it cannot have."""
+        kind, own, parts = OBSERVER, {"cutoff": cutoff_hz}, observed_parts(axis)
+        law = replace(
+            kind.law(kind.table(**own), axis, axis.sampling.period), kernel=observer_of(axis, cutoff_hz).kernel
+        )
+        return cls(axis, kind, law, observer_program(parts), own, parts=parts)
 
     @property
     def observes(self) -> bool:
@@ -98,21 +96,39 @@ class Block:
             u = u + added
         return np.clip(u, -self.limit, self.limit), states
 
+    def rounded_kernel(self, now: Roundings) -> Any:
+        """The kernel on rounded numbers."""
+        kernel = on_rounded(self.kind.kernel)
+        if not self.parts:
+            return kernel
+        return with_effects(kernel, {f"added_{hook}": one for hook, one in rounded_sums(self.parts, now).items()})
+
     def _answers(self, start: np.ndarray, reference: np.ndarray, q: np.ndarray, f_ext: np.ndarray) -> Any:
         """What the law answers (n,), before the drive's limit, and its memory (n, memory)."""
+        kernel, gains, memory = self._python() if self.observes else self._compiled()
+        u, states, k, limit = np.empty(q.size), np.empty((q.size, self.law.memory)), 0, self.limit
+        signals = zip(start.tolist(), reference.tolist(), q.tolist(), f_ext.tolist(), strict=True)
+        for i, (anew, *given) in enumerate(signals):
+            if anew:
+                k = 0
+                for j in range(self.law.memory):
+                    memory[j] = 0.0
+            u[i] = kernel(k, *given, limit, gains, memory)
+            states[i] = memory[: self.law.memory]
+            k += 1
+        return u, states
+
+    def _python(self) -> Any:
+        """The kernel as it is, its gains and its memory."""
+        return self.law.kernel, self.law.gains.tolist(), [0.0] * self.law.memory
+
+    def _compiled(self) -> Any:
+        """The kernel in the machine code of the simulation, and where its gains and its memory are."""
         from emps_design.simulation.kernels.compile import address
 
         number, numbers = ctypes.c_double, ctypes.POINTER(ctypes.c_double)
         kernel = ctypes.CFUNCTYPE(number, ctypes.c_ssize_t, *[number] * 4, numbers, numbers)(
             address(self.law.kernel, "law")
         )
-        gains, memory = np.array(self.law.gains, dtype=float), np.zeros(max(1, self.law.memory))
-        gains_at, memory_at = gains.ctypes.data_as(numbers), memory.ctypes.data_as(numbers)
-        u, states, k = np.empty(q.size), np.empty((q.size, self.law.memory)), 0
-        for i in range(q.size):
-            if start[i]:
-                k, memory[:] = 0, 0.0
-            u[i] = kernel(k, reference[i], q[i], f_ext[i], self.limit, gains_at, memory_at)
-            states[i] = memory[: self.law.memory]
-            k += 1
-        return u, states
+        arrays = (number * max(1, len(self.law.gains)))(*self.law.gains), (number * max(1, self.law.memory))()
+        return kernel, *arrays

@@ -61,6 +61,7 @@ class Exported:
                 "states": int(self.vectors.answers[1].shape[1]),
                 "single_precision_bound": max(bound, default=None),
                 "rows_without_bound": int(self.vectors.q.size - len(bound)),
+                "rows_that_rounding_decides": int(self.vectors.undecided.sum()),
             },
             "operations": operations_of(self.block),
             "drives": drive_settings(self.block.axis, {} if self.block.observes else gains_of(self.block.axis)),

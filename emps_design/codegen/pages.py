@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import hashlib
 import inspect
-import math
 import re
 import textwrap
 from collections.abc import Mapping
@@ -13,6 +12,8 @@ from functools import lru_cache
 from importlib import metadata
 from importlib.resources import files
 from typing import Any
+
+import numpy as np
 
 from emps_design.axis.tables import field_in
 from emps_design.codegen.ahead import Ahead
@@ -22,7 +23,7 @@ from emps_design.codegen.observer import COMMAND
 from emps_design.codegen.operations import operations_of
 from emps_design.codegen.origin import commit
 from emps_design.codegen.printer import safe_names
-from emps_design.codegen.vectors import MOTION, REST, Vectors
+from emps_design.codegen.vectors import MOTION, REST, TRAVEL, Vectors
 from emps_design.laws import leaves, unit_of
 from emps_design.laws.drives import drive_settings, gains_of
 
@@ -30,6 +31,7 @@ INPUTS = {"position": "m", "velocity": "m/s", "rest position": "m", COMMAND: "V"
 OPERATIONS = {"multiply": "products", "add": "sums and differences", "divide": "quotients", "compare": "comparisons",
               "call": "calls of math.h"}  # fmt: skip
 Files = Mapping[str, str | bytes]  # by name
+EXERCISED = "in motion within the limit, in and out of the limit"
 LONGEST_NAME = 40
 CHARACTERS = 120  # of a line of a comment
 
@@ -92,12 +94,16 @@ def words_of(name: str, block: Block) -> dict[str, Any]:
         "acceleration_unit": unit("m/s^2"),
         "mass_unit": unit("kg"),
         "limit": repr(block.limit),
+        "observes": block.observes,
+        "exercised": f"motion of up to {TRAVEL:g} m, motion thirty times that" if block.observes else EXERCISED,
+        "late": axis.sampling.computation_delay,
+        "lag": axis.drive.current_time_constant,
         "what": "observer of the external force" if block.observes else "controller",
         "bounded": "" if block.observes else f", command limited to {block.limit!r} {unit('V')}",
         "answer": "external force" if block.observes else "command",
         "either_way": "" if block.observes else f", at most {block.limit!r} either way",
         "output_unit": unit("N" if block.observes else "V"),
-        "follows": "the command of the period that ends now" if block.observes else f"a {law.follows}",
+        "follows": "the command that acted in the period that ends now" if block.observes else f"a {law.follows}",
         "reference_unit": unit(INPUTS[law.follows]),
         "position_unit": unit("m"),
         "force_unit": unit("N"),
@@ -128,20 +134,31 @@ def gain_names(block: Block) -> list[str]:
 def with_page(name: str, block: Block, vectors: Vectors, made: Files, **more: Any) -> Files:
     """``made`` with the axis, the vectors, and a page that says what is there; ``more`` is for its template."""
     made = {**made, f"{name}.toml": block.axis.to_toml(comments=True), "vectors.csv": vectors.to_csv()}
-    bounds = [one for one in vectors.bound.tolist() if math.isfinite(one)]
-    left = vectors.q.size - len(bounds)
-    unit, moving = block.axis.units.unit("N" if block.observes else "V"), vectors.bound[REST : REST + MOTION].max()
-    said = (
-        f"Here the largest is {moving:.3g} {unit} in motion within the limit and "
-        f"{max(bounds, default=0.0):.3g} {unit} in all"
-        + (f"; {left} rows have none, behind a comparison that rounding decides." if left else ".")
-    )
+    words = {**words_of(name, block), **more, "rows": vectors.q.size, "bound": single_precision(vectors)}
     hashes = [(file, hash_of(text)) for file, text in made.items()]
-    words = {**words_of(name, block), **more, "files": list(made), "rows": vectors.q.size, "bound": said}
-    words["hashes"] = hashes
+    words |= {"files": list(made), "hashes": hashes}
     words["operations"] = ", ".join(f"{n} {OPERATIONS[kind]}" for kind, n in operations_of(block).items())
     words["drives"] = drive_settings(block.axis, {} if block.observes else gains_of(block.axis))
     return {**made, "README.md": template("README.md").render(words)}
+
+
+def single_precision(vectors: Vectors) -> str:
+    """What a page says of the bound of single precision."""
+    bound, unit = vectors.bound, vectors.block.axis.units.unit("N" if vectors.block.observes else "V")
+    held = bound[np.isfinite(bound)]
+    said = (
+        f"Here the largest is {bound[REST : REST + MOTION].max():.3g} {unit} in the first motion and "
+        f"{held.max(initial=0.0):.3g} {unit} in all."
+    )
+    if several := int(np.count_nonzero(vectors.undecided)):
+        said += (
+            f" At {several} of the samples rounding decides a comparison (a sign, a limit, a switch), and single "
+            "precision may go the other way. There, and as long as the memory holds what follows from it, the column "
+            f"single bounds both ways, the jump between them included, at most {bound[vectors.undecided].max():.3g} "
+            f"{unit}."
+        )
+    left = bound.size - held.size
+    return said + (f" {left} samples have none: a number there may leave what single precision holds." if left else "")
 
 
 def said_of(ahead: Ahead) -> dict[str, Any]:

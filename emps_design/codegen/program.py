@@ -6,9 +6,12 @@ meets a real one has been converted where it does, so that a language without su
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any
 
 REAL, INT, ARRAY = "real", "int", "array"
+LAW_ARGUMENTS = (INT, REAL, REAL, REAL, REAL, ARRAY, ARRAY)  # of a control law's kernel
 TRUTH, WHOLES = "truth", "wholes"  # of a condition; of an array of whole numbers
 
 
@@ -176,3 +179,17 @@ class Program:
     def kernel(self) -> Function:
         """The function that was translated, behind its helpers."""
         return self.functions[-1]
+
+
+def rewritten(one: Any, change: Callable[[Any], Any]) -> Any:
+    """``one``, an expression, a statement or several, with every part of it replaced by its ``change``, inside first.
+
+    >>> rewritten((Name("x", REAL),), lambda part: Number(2.0, REAL) if part == Name("x", REAL) else part)
+    (Number(value=2.0, type='real'),)
+    """
+    if isinstance(one, tuple):
+        return tuple(rewritten(each, change) for each in one)
+    if not is_dataclass(one) or isinstance(one, type):
+        return one
+    inside = {part.name: rewritten(getattr(one, part.name), change) for part in fields(one)}
+    return change(replace(one, **inside))

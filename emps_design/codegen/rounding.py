@@ -3,14 +3,15 @@
 A number has its ``value`` in double precision and, one for each rounding, the share of that rounding in its distance to
 what single precision makes of it; the sum of their sizes bounds the distance. Each operation adds half a unit in the
 last place of its own result (functions of ``math``: one whole); what is of second order joins that. A comparison that
-falls within the bounds may fall the other way in single precision: from there on nothing is bounded.
+falls within the bounds may fall the other way in single precision: :func:`every_way` goes both.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+import operator
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from types import FunctionType, ModuleType, SimpleNamespace
 from typing import Any
 
@@ -18,14 +19,38 @@ import numpy as np
 
 HALF_UNIT = 2.0**-24  # relative, of one operation in single precision
 TINY = 2.0**-149  # absolute, where a result underflows
+LARGEST = 2.0**127  # what single precision is sure to hold
+MOST_WAYS = 64  # through one step
 
 
 @dataclass
 class Roundings:
-    """Roundings so far: their number, and whether a comparison was ``open``."""
+    """Roundings so far: their ``count``, whether nothing is bounded (``open``), and the ways taken at comparisons.
+
+    ``taken`` has one entry for each comparison that single precision may decide otherwise: the way, and of how many.
+    """
 
     count: int = 0
     open: bool = False
+    taken: list[tuple[int, int]] = field(default_factory=list)
+    place: int = 0
+
+    def either(self, *ways: Any) -> Any:
+        """One of ``ways``, that of double precision first: the one whose turn it is."""
+        if self.place == len(self.taken):
+            self.taken.append((0, len(ways)))
+        self.place += 1
+        return ways[self.taken[self.place - 1][0]]
+
+    def turn(self) -> bool:
+        """Go another way next time; False where all have been gone."""
+        self.place = 0
+        while self.taken:
+            way, ways = self.taken.pop()
+            if way + 1 < ways:
+                self.taken.append((way + 1, ways))
+                return True
+        return False
 
     def exact(self, value: float) -> Rounded:
         """A number that single precision holds as it is."""
@@ -59,11 +84,12 @@ class Rounded:
     True
     """
 
-    __slots__ = ("bound", "roundings", "shares", "value")
+    __slots__ = ("bound", "positive", "roundings", "shares", "value")
 
     def __init__(self, value: float, shares: np.ndarray, roundings: Roundings):
         self.value, self.shares, self.roundings = value, shares, roundings
         self.bound = float(np.abs(shares).sum())
+        self.positive = self.value >= self.bound  # or 0, in single precision too
 
     def other(self, number: Any) -> Rounded:
         """``number`` as one like this."""
@@ -71,6 +97,8 @@ class Rounded:
 
     def _made(self, value: float, shares: np.ndarray, more: float = 0.0, units: float = 1.0) -> Rounded:
         bound = float(np.abs(shares).sum()) + more
+        if not abs(value) + bound < LARGEST:
+            self.roundings.open = True
         if value == 0.0 and bound == 0.0:
             return self.roundings.exact(value)
         return self.roundings.rounded(value, shares, more + units * HALF_UNIT * (abs(value) + bound) + TINY)
@@ -91,7 +119,9 @@ class Rounded:
     def __mul__(self, other: Any) -> Rounded:
         other = self.other(other)
         shares = _sum(other.value * self.shares, self.value * other.shares)
-        return self._made(self.value * other.value, shares, self.bound * other.bound)
+        made = self._made(self.value * other.value, shares, self.bound * other.bound)
+        made.positive |= self.positive and other.positive
+        return made
 
     def __truediv__(self, other: Any) -> Rounded:
         other = self.other(other)
@@ -101,7 +131,9 @@ class Rounded:
             return self.roundings.exact(self.value / other.value if other.value else math.nan)
         value = self.value / other.value
         shares = _sum(self.shares / other.value, -value / other.value * other.shares)
-        return self._made(value, shares, float(np.abs(shares).sum()) * other.bound / least)
+        made = self._made(value, shares, float(np.abs(shares).sum()) * other.bound / least)
+        made.positive |= self.positive and other.positive
+        return made
 
     def __rtruediv__(self, other: Any) -> Rounded:
         return self.other(other) / self
@@ -118,41 +150,45 @@ class Rounded:
         return Rounded(-self.value, -self.shares, self.roundings)
 
     def __abs__(self) -> Rounded:
-        return -self if self.value < 0.0 else self
+        if abs(self.value) >= self.bound:
+            return -self if self.value < 0.0 else self
+        made = self.roundings.rounded(abs(self.value), np.zeros(0), self.bound)
+        made.positive = True
+        return made
 
     def __float__(self) -> float:
         raise TypeError("a bound would be lost")
 
     def __int__(self) -> int:
-        if int(self.value - self.bound) != int(self.value + self.bound):
+        low, value, high = (int(one) for one in (self.value - self.bound, self.value, self.value + self.bound))
+        if high - low > 1:
             self.roundings.open = True
-        return int(self.value)
+        return value if low == high else self.roundings.either(value, low + high - value)
 
-    def apart(self, other: Any) -> float:
-        """The difference of the values; the roundings leave its sign ``open`` where they may turn it."""
+    def compared(self, other: Any, holds: Callable[[float, float], bool]) -> bool:
+        """Whether the difference ``holds`` against 0: either way where the roundings may turn its sign."""
         other = self.other(other)
         difference, bound = self.value - other.value, float(np.abs(_sum(self.shares, -other.shares)).sum())
-        if bound > 0.0 and abs(difference) <= bound:
-            self.roundings.open = True
-        return difference
+        found = holds(difference, 0.0)
+        return self.roundings.either(found, not found) if bound > 0.0 and abs(difference) <= bound else found
 
     def __lt__(self, other: Any) -> bool:
-        return self.apart(other) < 0.0
+        return self.compared(other, operator.lt)
 
     def __le__(self, other: Any) -> bool:
-        return self.apart(other) <= 0.0
+        return self.compared(other, operator.le)
 
     def __gt__(self, other: Any) -> bool:
-        return self.apart(other) > 0.0
+        return self.compared(other, operator.gt)
 
     def __ge__(self, other: Any) -> bool:
-        return self.apart(other) >= 0.0
+        return self.compared(other, operator.ge)
 
     def __eq__(self, other: object) -> bool:
-        return self.apart(other) == 0.0
+        return self.compared(other, operator.eq)
 
     def __ne__(self, other: object) -> bool:
-        return self.apart(other) != 0.0
+        return self.compared(other, operator.ne)
 
     __hash__ = None  # type: ignore[assignment]
     __radd__, __rmul__ = __add__, __mul__
@@ -170,21 +206,23 @@ def power(base: Rounded, exponent: Rounded) -> Rounded:
     low, high = base.value - base.bound, base.value + base.bound
     if base.value == 0.0 and base.bound == 0.0:
         return base.roundings.exact(base.value**exponent.value)
-    if not low > 0.0:
+    if not low > 0.0 and not (base.positive and exponent.value > exponent.bound):
         base.roundings.open = True
         return base.roundings.exact(max(base.value, 0.0) ** exponent.value if exponent.value > 0.0 else math.nan)
     value = base.value**exponent.value
-    ends = [x ** (exponent.value + d) for x in (low, high) for d in (-exponent.bound, exponent.bound)]
+    ends = [max(x, 0.0) ** (exponent.value + d) for x in (low, high) for d in (-exponent.bound, exponent.bound)]
     return base._made(value, np.zeros(0), max(abs(end - value) for end in ends), units=2.0)
 
 
-def _by_slope(function: Callable[[float], float], slope: Callable[[float, float], float]) -> Callable[[Any], Any]:
-    """``function`` of a rounded number, ``slope`` the largest over an interval."""
+def _by_slope(
+    function: Callable[[float], float], slope: Callable[[float, float], float], range_: float = math.inf
+) -> Callable[[Any], Any]:
+    """``function`` of a rounded number, ``slope`` the largest over an interval, ``range_`` from least to largest."""
 
     def applied(x: Any) -> Any:
         if not isinstance(x, Rounded):
             return function(x)
-        more = x.bound * slope(x.value - x.bound, x.value + x.bound) if x.bound else 0.0
+        more = min(x.bound * slope(x.value - x.bound, x.value + x.bound), range_) if x.bound else 0.0
         if not more < math.inf:
             x.roundings.open, more = True, 0.0
         return x._made(function(x.value), np.zeros(0), more, units=2.0)
@@ -193,11 +231,11 @@ def _by_slope(function: Callable[[float], float], slope: Callable[[float, float]
 
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
-    "sin": _by_slope(math.sin, lambda low, high: 1.0),
-    "cos": _by_slope(math.cos, lambda low, high: 1.0),
+    "sin": _by_slope(math.sin, lambda low, high: 1.0, 2.0),
+    "cos": _by_slope(math.cos, lambda low, high: 1.0, 2.0),
     "exp": _by_slope(math.exp, lambda low, high: math.exp(high)),
     "sqrt": _by_slope(math.sqrt, lambda low, high: 0.5 / math.sqrt(low) if low > 0.0 else math.inf),
-    "atan": _by_slope(math.atan, lambda low, high: 1.0),
+    "atan": _by_slope(math.atan, lambda low, high: 1.0, math.pi),
     "log": _by_slope(math.log, lambda low, high: 1.0 / low if low > 0.0 else math.inf),
     "fabs": abs,
     "pow": lambda base, exponent: base ** float(exponent) if isinstance(exponent, int) else base**exponent,
@@ -239,3 +277,33 @@ def on_rounded(function: Callable[..., Any]) -> Callable[..., Any]:
         elif getattr(found, "__module__", "") == "math":
             space[name] = FUNCTIONS[getattr(found, "__name__", "")]
     return FunctionType(function.__code__, space, function.__name__, function.__defaults__, function.__closure__)
+
+
+def every_way(run: Callable[[], Sequence[Any]], now: Roundings) -> tuple[list[Rounded], bool]:
+    """What ``run`` returns the way that double precision goes, and whether single precision may go another.
+
+    A share of its own holds for each number what every other way makes of it. The ways have the roundings before in
+    common; those of one way are none on the others.
+    """
+    before, more, now.taken, now.place = now.count, dict[int, float](), [], 0
+    first = [one if isinstance(one, Rounded) else now.constant(float(one)) for one in run()]
+    after, several = now.count, bool(now.taken)
+    for _ in range(MOST_WAYS):
+        if now.open or not now.turn():
+            break
+        now.count = before
+        try:
+            others = [first[0].other(one) for one in run()]
+        except IndexError:
+            continue  # not a way: no kernel reads beyond its arrays
+        except (ArithmeticError, ValueError):
+            now.open = True  # no number, where double precision does not go
+            break
+        for i, (one, other) in enumerate(zip(first, others, strict=True)):
+            apart = _sum(other.shares[:before], -one.shares[:before])
+            own = abs(other.value - one.value) + float(np.abs(apart).sum() + np.abs(other.shares[before:]).sum())
+            more[i] = max(more.get(i, 0.0), own)
+    else:
+        now.open = True
+    now.count = after
+    return [now.rounded(one.value, one.shares, more.get(i, 0.0)) for i, one in enumerate(first)], several

@@ -15,20 +15,20 @@ from emps_design.codegen.pages import Files, gain_names, said_of, template, with
 from emps_design.codegen.program import Program
 from emps_design.codegen.st import functions_in_st, st_number
 from emps_design.codegen.vectors import Vectors
+from emps_design.effects.effect import ADDED
 from emps_design.laws.drives import drive_settings, gains_of
-from emps_design.simulation.kernels.inverse import HOOKS
 
 Printed = Callable[[Program, str], tuple[list[str], str]]  # definitions, and what the kernel is called there
 
 
 def _sums(name: str, ahead: Ahead, printed: Printed) -> tuple[list[str], list[dict[str, Any]]]:
     """Definitions of the kernels that are fed forward, and for each hook what is called."""
-    definitions, calls = [], {hook: list[str]() for hook in HOOKS}
+    definitions, calls = [], {hook: list[str]() for hook in ADDED}
     for part in ahead.parts:
         made, kernel = printed(part.program, f"{name}_{part.term}")
         definitions += made
         calls[part.hook].append(kernel)
-    return definitions, [{"name": hook, "calls": calls[hook]} for hook in HOOKS]
+    return definitions, [{"name": hook, "calls": calls[hook]} for hook in ADDED]
 
 
 def _numbers(ahead: Ahead, number: Callable[[float], str]) -> dict[str, Any]:

@@ -6,6 +6,7 @@ the limit, in and out of the limit, and extremes. Random numbers have a fixed se
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,11 +16,12 @@ import numpy as np
 
 from emps_design.codegen.ahead import INPUTS
 from emps_design.codegen.block import Block
-from emps_design.codegen.rounding import Rounded, Roundings, largest, on_rounded, smallest
+from emps_design.codegen.single import SinglePrecision
 
 REST, MOTION, LIMITED, EXTREME = 20, 200, 120, 60  # samples of each part
 FORCE_PER_METRE = 1e3  # N of external force for each m of motion in the vectors
 PLACES = (0.0, 0.25, -0.5, 0.0)  # m, where each part begins
+TRAVEL = 2.0**-3  # m, of an observer, which has no limit
 SEED = 19
 
 
@@ -44,27 +46,26 @@ class Vectors:
         """Command (n,) [command units]."""
         return self.answers[0]
 
-    @cached_property
+    @property
     def bound(self) -> np.ndarray:
-        """Bound (n,) of the distance of single precision from ``u``; inf from a comparison that may fall otherwise."""
-        block, found = self.block, np.empty(self.q.size)
-        kernel = on_rounded(block.law.kernel)
-        for i in range(self.q.size):
+        """Bound (n,) of the distance of single precision from ``u``; inf where nothing bounds it."""
+        return self._single[0]
+
+    @property
+    def undecided(self) -> np.ndarray:
+        """Whether (n,) rounding decides a comparison: ``bound`` holds whichever way it falls."""
+        return self._single[1]
+
+    @cached_property
+    def _single(self) -> tuple[np.ndarray, np.ndarray]:
+        found, undecided = np.empty(self.q.size), np.zeros(self.q.size, bool)
+        inputs = zip(self.reference.tolist(), self.q.tolist(), self.f_ext.tolist(), strict=True)
+        motion = zip(*(one.tolist() for one in self.motion), strict=True) if self.motion else itertools.repeat(())
+        for i, (given, ahead) in enumerate(zip(inputs, motion, strict=False)):
             if self.start[i]:
-                k, now = 0, Roundings()
-                gains, limit = [now.constant(float(gain)) for gain in block.law.gains], now.constant(block.limit)
-                memory, own = [now.exact(0.0)] * block.law.memory, [now.exact(0.0)] * block.law.memory
-            given = [now.exact(float(x)) for x in (self.reference[i], self.q[i], self.f_ext[i])]
-            u = kernel(k, *given, limit, gains, memory)
-            if block.ahead is not None:
-                added = block.ahead.rounded([now.exact(float(x[i])) for x in self.motion], now)
-                if block.ahead.takes_off:
-                    added = added - kernel(k, given[0], given[0], now.exact(0.0), limit, gains, own)
-                u = u + added
-            u = largest(smallest(u if isinstance(u, Rounded) else now.constant(u), limit), -limit)
-            found[i] = math.inf if now.open or not u.bound < math.inf else min(u.bound, 2.0 * block.limit)
-            k += 1
-        return found
+                single = SinglePrecision(self.block)
+            found[i], undecided[i] = single.step(given, ahead)
+        return found, undecided
 
     def to_csv(self) -> str:
         """A table with units in its titles; numbers to the last bit. ``start`` is 1 where the block begins anew.
@@ -144,6 +145,8 @@ def _motion(random: np.random.Generator, n: int) -> tuple[np.ndarray, ...]:
 
 def _within_limit(block: Block, *wave: np.ndarray) -> float:
     """The largest amplitude, by powers of two, with which ``block`` stays within its limit along ``wave``."""
+    if block.observes:
+        return TRAVEL
     start = np.arange(wave[0].size) == 0
     for power in range(6, -60, -1):
         reference, q, f_ext = (_single(2.0**power * one) for one in wave)

@@ -109,7 +109,7 @@ def terms_of(axis: Axis) -> tuple[tuple[str, ...], dict[str, str]]:
     """Every term that ``axis`` has, and a line for each of its effects that cannot be compensated."""
     terms, left = [*BASELINE], {}
     for name, one in zip(names_of_effects(axis), axis.effects, strict=True):
-        reason = _why_not(one.effect)
+        reason = why_not(one.effect)
         if not reason:
             terms.append(name)
         elif one.effect.delay is None and one.effect.lag is None:
@@ -127,12 +127,12 @@ def lateness(axis: Axis) -> float:
     return float(late)
 
 
-def _why_not(effect: Effect) -> str:
-    """Why a feed-forward along a reference cannot hold ``effect``; nothing where it can."""
+def why_not(effect: Effect) -> str:
+    """Why no force of the position and velocity of the moment is ``effect``; nothing where one is."""
     if effect.rate is not None:
-        return "it has a state of its own, which the reference does not give"
+        return "it has a state of its own, which position and velocity do not give"
     if effect.channel != "plant":
-        return f"it acts in the {effect.channel}, where no force that is fed forward meets it"
+        return f"it acts in the {effect.channel}, not as a force of position and velocity"
     if effect.over == "t":
         return "it goes by the time of one record, which a controller does not know"
     return ""

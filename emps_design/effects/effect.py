@@ -49,7 +49,8 @@ SNAP = 1e-10  # s, by which an edge in time is seen early, above the rounding of
 
 CHANNELS = ("controller", "actuator", "plant", "sensor")
 VIEWS = ("v", "q", "t", "tau", "u", "loop", "step")
-SCALAR_HOOKS = ("force", "dry", "inertia", "command", "sensor", "delay", "guard", "jump_time")
+ADDED = ("force", "dry", "inertia")  # hooks that add force [N], dry friction [N] and mass [kg] to the axis
+SCALAR_HOOKS = (*ADDED, "command", "sensor", "delay", "guard", "jump_time")
 
 Kernel = Callable[..., float]
 Parameters = Mapping[str, float]

@@ -34,7 +34,8 @@ def height(q: float, v: float, t: float, tau: float, x: Any, p: Any, b: Any) -> 
         return p[1 + PIECES]
     piece = int(place)
     along = place - piece
-    left, right = p[1 + piece] if piece > 0 else 0.0, p[2 + piece]
+    left = p[1 + piece] if piece > 0 else 0.0
+    right = p[2 + piece]
     before = p[piece] if piece > 1 else 0.0
     begins = 0.5 * (right - before) if piece > 0 else 0.0
     ends = 0.5 * (p[3 + piece] - left) if piece < PIECES - 1 else 0.0

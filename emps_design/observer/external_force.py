@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.effects import Motion
+from emps_design.effects.effect import ADDED
 from emps_design.errors import InputError
 from emps_design.observer import block
 
@@ -108,30 +110,33 @@ class Resistance:
 
     def __init__(self, axis: Axis, skipped: tuple[str, ...]):
         self._b = tuple(float(x) for x in axis.mechanics.array())
-        self._effects = [
-            (one.effect, tuple(float(x) for x in one.effect.values(one.parameters)))
-            for one in axis.effects
-            if one.kind not in skipped
-        ]
+        self._kernels = {
+            hook: [
+                (getattr(one.effect, hook), tuple(float(x) for x in one.effect.values(one.parameters)))
+                for one in axis.effects
+                if one.kind not in skipped and getattr(one.effect, hook)
+            ]
+            for hook in ADDED
+        }
 
     def force(self, q: float, v: float, t: float, tau: float, rest_velocity: float) -> float:
         """Viscous and dry friction, offset and effects [N]; ``tau`` [N] is the motor force of the moment."""
         _, viscous, level, offset = self._b
         sign = 0.0 if abs(v) <= rest_velocity else math.copysign(1.0, v)
-        force, dry, _ = self.effects(q, v, t, tau)
+        force, dry = (self.added(hook, q, v, t, tau) for hook in ("force", "dry"))
         return viscous * v + offset + force + max(level + dry, 0.0) * sign
 
     @property
-    def has_effects(self) -> bool:
-        """Whether there is more than mass, friction and offset."""
-        return bool(self._effects)
+    def hooks(self) -> tuple[str, ...]:
+        """To what the effects add something: ``force`` [N], ``dry`` friction [N], ``inertia`` [kg]."""
+        return tuple(hook for hook, kernels in self._kernels.items() if kernels)
 
-    def effects(self, q: float, v: float, t: float, tau: float) -> tuple[float, float, float]:
-        """What the effects add: force [N], level of dry friction [N], mass [kg]."""
-        point, b = (q, v, t, tau, ()), self._b
-        force = sum(e.force(*point, p, b) for e, p in self._effects if e.force)
-        dry = sum(e.dry(*point, p, b) for e, p in self._effects if e.dry)
-        return force, dry, sum(e.inertia(*point, p, b) for e, p in self._effects if e.inertia)
+    def added(self, hook: str, q: float, v: float, t: float, tau: float) -> float:
+        """What the effects add to one of :attr:`hooks`."""
+        total = 0.0
+        for kernel, p in self._kernels[hook]:
+            total += kernel(q, v, t, tau, (), p, self._b)
+        return total
 
 
 class ForceObserver:
@@ -154,9 +159,13 @@ class ForceObserver:
         if not 0 < cutoff_hz < 0.5 / period:
             raise InputError(f"cut-off: found {cutoff_hz:g} Hz, expected between 0 and {0.5 / period:g} Hz")
         self.axis, self.cutoff_hz, self.rest_velocity = axis, cutoff_hz, rest_velocity
-        self._period, self._gain = period, axis.drive.gain
-        self._resistance = Resistance(axis, left_out(axis)["online"])
+        self._period = period
+        resistance = Resistance(axis, left_out(axis)["online"])
+        added = {f"added_{hook}": partial(self._added, resistance, hook) for hook in resistance.hooks}
+        self.kernel = block.with_effects(block.force_observer, added)
         self._alpha = 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * period)
+        # The numbers of the difference equation, without what effects add.
+        self.gains = [period, axis.drive.gain, self._alpha, *axis.mechanics.array().tolist(), rest_velocity]
         self.reset()
 
     @property
@@ -178,23 +187,12 @@ class ForceObserver:
 
         Returns the external force [N] as of ``delay`` ago.
         """
-        k, gains = self._samples, self.gains
-        if self._resistance.has_effects:
-            middle = block.middle_velocity(k, q, self._period, self._memory)
-            motor = block.middle_force(k, u, self._gain, self._memory)
-            before = self._memory[block.Q] if k else q
-            force, dry, mass = self._resistance.effects(before, middle, max(k - 1, 0) * self._period, motor)
-            gains = gains.copy()
-            gains[block.OFFSET] += force
-            gains[block.COULOMB] += dry
-            gains[block.MASS] += mass
         self._samples += 1
-        return block.force_observer(k, u, q, 0.0, 0.0, gains, self._memory)
+        return self.kernel(self._samples - 1, u, q, 0.0, 0.0, self.gains, self._memory)
 
-    @property
-    def gains(self) -> list[float]:
-        """The numbers of the difference equation in :mod:`.block`, without what effects add."""
-        return [self._period, self._gain, self._alpha, *self.axis.mechanics.array().tolist(), self.rest_velocity]
+    def _added(self, resistance: Resistance, hook: str, q: float, v: float, tau: float) -> float:
+        """What the effects add at the sample before."""
+        return resistance.added(hook, q, v, max(self._samples - 2, 0) * self._period, tau)
 
 
 class OnlineObserver(Protocol):

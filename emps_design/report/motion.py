@@ -19,14 +19,14 @@ def motion_figure(runs: Mapping[str, Followed]) -> Figure:
     with look():
         figure, (top, middle, below) = subplots(3, 1, height=6.4, sharex=True)
         first = next(iter(runs.values())).run
-        top.plot(*thin(first.t, first.q_ref), color=BLACK, linestyle="--", linewidth=1.0, label="reference")
+        top.plot(*thin(first.t, 1e3 * first.q_ref), color=BLACK, linestyle="--", linewidth=1.0, label="reference")
         for (name, found), color in zip(runs.items(), (RED, BLUE), strict=False):
             run = found.run
-            top.plot(*thin(run.t, run.position), color=color, linewidth=1.0, label=name)
-            middle.plot(*thin(run.t, run.q_ref - run.position), color=color, linewidth=1.0)
+            top.plot(*thin(run.t, 1e3 * run.position), color=color, linewidth=1.0, label=name)
+            middle.plot(*thin(run.t, 1e3 * (run.q_ref - run.position)), color=color, linewidth=1.0)
             below.plot(*thin(run.t, run.u), color=color, linewidth=1.0)
-        top.set_ylabel("position [m]")
-        middle.set_ylabel("tracking error [m]")
+        top.set_ylabel("position [mm]")
+        middle.set_ylabel("tracking error [mm]")
         below.set(xlabel="time [s]", ylabel="command [V]")
         figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=3)
         figure.align_ylabels((top, middle, below))

@@ -16,7 +16,7 @@ from emps_design.report.style import labelled, svg
 from emps_design.studio.exports import controlled, drive_zip
 from emps_design.studio.files_view import BUTTON
 from emps_design.studio.jobs import Job
-from emps_design.studio.panes import html, message
+from emps_design.studio.panes import html, message, numbers
 from emps_design.studio.state import State
 
 FOLDER = "emps-design-drive.zip"
@@ -103,12 +103,10 @@ class CompensationView:
         heads = ("term", f"alone [{found.unit}]", "all but it", "all, it wrong", "")
         rows = [
             (term.name.replace("_", " "), *map(_written, (term.alone, term.left_out, term.worst)),
-             term.note if term.kept else f"left out: {term.note}")
+             inline(term.note if term.kept else f"left out: {term.note}"))
             for term in found.terms
         ]  # fmt: skip
-        cells = "".join(f"<tr>{''.join(f'<td>{inline(cell)}</td>' for cell in row)}</tr>" for row in rows)
-        head = "".join(f"<th>{inline(one)}</th>" for one in heads)
-        self.table.object = f'<table class="numbers"><tr>{head}</tr>{cells}</table>'
+        self.table.object = numbers(heads, rows)
         self.picture.object = svg(labelled(tracking_figure(found), found.axis.units), "tracking")
 
     def _folder(self) -> BytesIO:

@@ -7,8 +7,8 @@ from typing import Any
 
 import panel as pn
 
-from emps_design.studio.state import CHOICES
-from emps_design.units import Units
+from emps_design.axis import Axis
+from emps_design.studio.ranges import CHOICES, Choice, choices_of
 
 # The title of the slider stays in the page for screen readers (and for the script that names its handle).
 _QUIET = (
@@ -39,7 +39,7 @@ class Field:
     def __init__(self, name: str, value: float, on_change: Callable[[str, Any], None], width: int = 112):
         self.name, self.on_change, self._quiet = name, on_change, False
         self._moved: Any = None  # the widget that was changed by hand and has no answer yet
-        choice = CHOICES[name]
+        self.choice = choice = CHOICES[name]
         self.whole = isinstance(choice.step, int)
         common = {"label": choice.label, "width": width, "margin": (2, 6, 2, 6)}
         if choice.frequency:
@@ -76,9 +76,17 @@ class Field:
     def _show(self, value: float) -> None:
         self.field.value = _written(value) if isinstance(self.field, pn.widgets.TextInput) else value
 
-    def speak(self, units: Units) -> None:
-        """Be called what the number is called on an axis of these ``units``."""
-        self.field.label = units.label(CHOICES[self.name].label)
+    def suit(self, axis: Axis) -> None:
+        """Have the name and the range that the number has on ``axis``."""
+        choice = choices_of(axis)[self.name]
+        self.field.label = axis.units.label(choice.label)
+        if choice != self.choice:
+            self.choice = choice
+            self._silently(self._range, choice)
+
+    def _range(self, choice: Choice) -> None:
+        if not isinstance(self.field, pn.widgets.TextInput):
+            self.field.step = choice.step
 
 
 class Knob(Field):
@@ -86,7 +94,7 @@ class Knob(Field):
 
     def __init__(self, name: str, value: float, on_change: Callable[[str, Any], None]):
         super().__init__(name, value, on_change)
-        choice = CHOICES[name]
+        choice = self.choice
         slider = pn.widgets.IntSlider if self.whole else pn.widgets.FloatSlider
         self.slider = slider(
             label=choice.label,
@@ -106,14 +114,18 @@ class Knob(Field):
         super()._show(value)
         self.slider.value = value
 
-    def speak(self, units: Units) -> None:
-        """Be called what the number is called on an axis of these ``units``."""
-        super().speak(units)
+    def suit(self, axis: Axis) -> None:
+        """Have the name and the range that the number has on ``axis``."""
+        super().suit(axis)
         self.slider.label = self.field.label
+
+    def _range(self, choice: Choice) -> None:
+        super()._range(choice)
+        self.slider.param.update(start=choice.lower, end=choice.upper, step=choice.step)
 
     def limit(self, low: float, high: float) -> None:
         """Let the slider reach ``low`` to ``high`` only; the field takes any number, so that the page can answer."""
-        high = high if high > low else low + CHOICES[self.name].step
+        high = high if high > low else low + self.choice.step
         self._silently(lambda: self.slider.param.update(start=low, end=high))
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from emps_design.errors import EmpsError
 from emps_design.report.display import angle, delay, number, quantity, ratio
 from emps_design.report.page import inline
+from emps_design.studio.panes import numbers
 from emps_design.studio.state import State
 
 if TYPE_CHECKING:
@@ -20,10 +21,11 @@ def _check(good: bool) -> str:
 def numbers_table(state: State, design: VelocityLoopDesign, pinned: VelocityLoopDesign | None) -> str:
     """Gains and margins as HTML, the pinned design's below, and whether the requirements are met."""
 
-    def row(name: str, shown: VelocityLoopDesign) -> str:
+    def row(name: str, shown: VelocityLoopDesign) -> tuple[str, ...]:
         sampled, m = shown.sampled, shown.sampled.margins
         filters = len(shown.filters)
-        cells = [
+        return (
+            name,
             shown.structure.label + (f", {filters} filter{'s' * (filters > 1)}" if filters else ""),
             f"<b>{number(shown.k_v1)}</b>",
             f"<b>{number(shown.t_v * 1e3)}</b>",
@@ -33,10 +35,10 @@ def numbers_table(state: State, design: VelocityLoopDesign, pinned: VelocityLoop
             delay(m.delay_margin, m.period) if m.stable else "—",
             ratio(m.gain_margin) if m.stable else "—",
             number(sampled.bandwidth) if m.stable else "—",
-        ]
-        return f"<tr><th>{name}</th>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
+        )
 
     heads = (
+        "",
         "structure",
         "k_v1 [V/(m/s)]",
         "t_v [ms]",
@@ -47,9 +49,8 @@ def numbers_table(state: State, design: VelocityLoopDesign, pinned: VelocityLoop
         "gain margin, sampled",
         "closed loop −3 dB, sampled [rad/s]",
     )
-    head = "".join(f"<th>{text}</th>" for text in heads)
-    rows = row("this design", design) + (row("pinned", pinned) if pinned is not None else "")
-    return f'<table class="numbers"><tr><th></th>{head}</tr>{rows}</table>{_requirements(state, design)}'
+    rows = [row("this design", design), *([row("pinned", pinned)] if pinned is not None else [])]
+    return f"{numbers(heads, rows)}{_requirements(state, design)}"
 
 
 def _requirements(state: State, design: VelocityLoopDesign) -> str:
@@ -69,9 +70,9 @@ def _requirements(state: State, design: VelocityLoopDesign) -> str:
 
 def laws_table(state: State, design: VelocityLoopDesign) -> str:
     """Force loop and impedance law of the state as HTML."""
-    cells = [*_force_cells(state, design), *_impedance_cells(state)]
-    heads, values = ("".join(f"<{tag}>{cell[k]}</{tag}>" for cell in cells) for k, tag in ((0, "th"), (1, "td")))
-    return f'<table class="numbers"><tr>{heads}</tr><tr>{values}</tr></table>'
+    cells = [("", ""), *_force_cells(state, design), *_impedance_cells(state)]
+    heads, values = zip(*cells, strict=True)
+    return numbers(heads, [values])
 
 
 def _force_cells(state: State, design: VelocityLoopDesign) -> list[tuple[str, str]]:

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 import panel as pn
 
 from emps_design.errors import EmpsError
-from emps_design.report.page import inline
 from emps_design.studio.controls import Knob
 from emps_design.studio.design_tables import laws_table, numbers_table
 from emps_design.studio.feasible import feasible, plane
 from emps_design.studio.filter_rows import FilterRows
-from emps_design.studio.panes import html
+from emps_design.studio.panes import html, message
 from emps_design.studio.plots import LoopPlots, PlanePlot
 from emps_design.studio.state import LABELS, PLACES, SPECIFICATIONS, State, taken_for
 
@@ -120,6 +119,7 @@ class DesignView:
         before = self.state
         try:
             self.state = self.state.changed(**{name: value})
+            self._suit()
             if name in self.knobs:
                 self.knobs[name].set(getattr(self.state, name))
             if name == "place":
@@ -128,6 +128,7 @@ class DesignView:
                 self._design(taken_for(name, value))
         except EmpsError as error:
             self.state = before
+            self._suit()
             self._say(f"{error}; the design stays as it was", "stop")
         self._show_controls()
         self._changed(self.state)
@@ -165,8 +166,14 @@ class DesignView:
     def set_state(self, state: State) -> None:
         """Show ``state`` in every control, and design on it."""
         self.state = state
+        self._suit()
         self._show_controls()
         self._show_pinned()
+
+    def _suit(self) -> None:
+        """Have every knob in the words and the range of the axis."""
+        for knob in self.knobs.values():
+            knob.suit(self.state.axis)
 
     def _show_controls(self) -> None:
         state = self.state
@@ -175,7 +182,6 @@ class DesignView:
             for title, pane in self.titles.items():
                 pane.object = self._own(f"<h3>{title}</h3>")
             for name, knob in self.knobs.items():
-                knob.speak(state.axis.units)
                 knob.set(getattr(state, name))
             for name, group in self.words.items():
                 group.value = getattr(state, name)
@@ -242,5 +248,4 @@ class DesignView:
         return self.state.axis.units.text(text)
 
     def _say(self, text: str, level: str) -> None:
-        text = self._own(inline(text))
-        self.message.object = f'<div class="message {level}" role="status">{text}</div>' if text else ""
+        self.message.object = self._own(message(text, level)) if text else ""

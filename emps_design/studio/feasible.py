@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from emps_design.studio.state import CHOICES, State
+from emps_design.studio.ranges import CHOICES, choices_of
+from emps_design.studio.state import State
 
 if TYPE_CHECKING:
     from emps_design.control.velocity.specification import Pairs
@@ -24,9 +25,11 @@ KINDS = ("no positive gains", "sampled loop unstable", "below the required margi
 class Plane:
     """What happens, ``kind`` (m, n) as places in ``KINDS``, at the centres of the cells of a plane.
 
-    ``x`` (n,) [rad/s] is evenly spaced in its logarithm, ``y`` (m,) are phase margins [deg].
+    ``x`` (n,) [rad/s] is evenly spaced in its logarithm, from end to end of ``range``; ``y`` (m,) are phase margins
+    [deg].
     """
 
+    range: tuple[float, float]
     x: np.ndarray
     y: np.ndarray
     kind: np.ndarray
@@ -36,10 +39,12 @@ class Plane:
 class Feasible:
     """Frequencies [rad/s] with any design, phase margins [deg] to be had at one of them, and why not more or less.
 
-    ``low`` and ``high`` are None where that frequency has nothing, ``frequencies`` where none has anything.
+    ``low`` and ``high`` are None where that frequency has nothing, ``frequencies`` where none has anything; ``upper``
+    [rad/s] is the end of the control.
     """
 
     frequencies: tuple[float, float] | None
+    upper: float
     low: float | None
     high: float | None
     text: str
@@ -55,7 +60,7 @@ class Feasible:
         if self.frequencies is None:
             return "Sample faster or remove delay."
         highest = self.frequencies[1]
-        return f"Above {highest:g} rad/s every phase margin is unstable." * (highest < CHOICES["frequency"].upper)
+        return f"Above {highest:g} rad/s every phase margin is unstable." * (highest < self.upper)
 
     def nearest(self, phase_margin_deg: float) -> float | None:
         """The reachable phase margin [deg] next to ``phase_margin_deg``; None where nothing can be had."""
@@ -97,11 +102,11 @@ def feasible(state: State) -> Feasible:
     choice = CHOICES["phase_margin_deg"]
     phases = np.arange(choice.lower, choice.upper + STEP / 2, STEP)
     gains, good = _designs(state, np.full(phases.size, state.frequency), phases)
-    frequencies = reachable_frequencies(state)
+    frequencies, upper = reachable_frequencies(state), choices_of(state.axis)["frequency"].upper
     where = f"at {state.specification} {state.frequency:g} rad/s"
     if not good.any():
         reason = f"{UNSTABLE} with every phase margin" if gains.any() else NO_GAIN
-        return Feasible(frequencies, None, None, f"Nothing can be reached {where}: {reason}.")
+        return Feasible(frequencies, upper, None, None, f"Nothing can be reached {where}: {reason}.")
     edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(int), [0]])))
     runs = edges.reshape(-1, 2)
     middle = state.phase_margin_deg
@@ -117,15 +122,16 @@ def feasible(state: State) -> Feasible:
         text = " and ".join(
             [*([f"below {low:g}° {below}"] if below else []), *([f"above {high:g}° {above}"] if above else [])]
         )
-    return Feasible(frequencies, low, high, f"A{where[1:]}, {text}." if text else "")
+    return Feasible(frequencies, upper, low, high, f"A{where[1:]}, {text}." if text else "")
 
 
 @lru_cache(maxsize=16)
 def _reachable(table: str) -> tuple[float, float] | None:
-    choice, phase = CHOICES["frequency"], CHOICES["phase_margin_deg"]
+    state = State.from_toml(table)
+    choice, phase = choices_of(state.axis)["frequency"], CHOICES["phase_margin_deg"]
     frequencies = np.arange(choice.lower, choice.upper + choice.step / 2, choice.step)
     X, Y = np.meshgrid(frequencies, np.arange(phase.lower, phase.upper + STEP, 2 * STEP))
-    good = _designs(State.from_toml(table), X, Y)[1].any(axis=0)
+    good = _designs(state, X, Y)[1].any(axis=0)
     return (float(frequencies[good][0]), float(frequencies[good][-1])) if good.any() else None
 
 
@@ -144,7 +150,8 @@ def _question(state: State, **kept: float) -> State:
 def _plane(table: str, columns: int, rows: int) -> Plane:
     from emps_design.control.velocity.sweeps import sweep_sampled_margins
 
-    state, frequency = State.from_toml(table), CHOICES["frequency"]
+    state = State.from_toml(table)
+    frequency = choices_of(state.axis)["frequency"]
     edges = np.geomspace(frequency.lower, frequency.upper, columns + 1)
     x = np.sqrt(edges[1:] * edges[:-1])
     y = (np.arange(rows) + 0.5) * 90.0 / rows
@@ -154,7 +161,7 @@ def _plane(table: str, columns: int, rows: int) -> Plane:
     margins = sweep_sampled_margins(pairs.plant, k_v1, t_v, 60)
     phase = np.nan_to_num(margins["phase_margin_deg"], nan=180.0)
     kind = np.select([np.isnan(k_v1), ~margins["stable"], phase < state.required_phase_deg], [0, 1, 2], 3)
-    return Plane(x, y, kind.astype(np.uint8))
+    return Plane((frequency.lower, frequency.upper), x, y, kind.astype(np.uint8))
 
 
 def plane(state: State, columns: int = 90, rows: int = 60) -> Plane:

@@ -15,7 +15,7 @@ from emps_design.report.style import labelled, svg
 from emps_design.studio.controls import Field, after_this_event
 from emps_design.studio.jobs import Job
 from emps_design.studio.motion import Motion, move
-from emps_design.studio.panes import html, message
+from emps_design.studio.panes import html, message, numbers
 from emps_design.studio.state import FEEDFORWARDS, State
 
 MOTIONS = {"There and back": "there and back", "A file of mine": "file", "The record's reference": "record"}
@@ -75,7 +75,7 @@ class MotionView:
         for name, select in self.words.items():
             select.value = getattr(state, name)
         for name, field in self.fields.items():
-            field.speak(state.axis.units)
+            field.suit(state.axis)
             field.set(getattr(state, name))
             field.field.visible = name not in SHAPE or state.motion == "there and back"
         self.file.visible = state.motion == "file"
@@ -116,13 +116,8 @@ class MotionView:
         drawn = svg(labelled(motion_figure(found.runs), units), "motion")  # before the words that stand over it
         level, text = found.verdict()
         self.message.object = units.text(message(text, level, "".join(f"<br>{inline(one)}" for one in found.notes)))
-        heads, *rows = found.rows()
-        head = "".join(f"<th>{inline(cell)}</th>" for cell in heads)
-        body = "".join(
-            f"<tr><th>{inline(name)}</th>{''.join(f'<td>{inline(cell)}</td>' for cell in cells)}</tr>"
-            for name, *cells in rows
-        )
-        self.table.object = units.text(f'<table class="numbers"><tr>{head}</tr>{body}</table>')
+        heads, *rows = ([inline(cell) for cell in row] for row in found.rows())
+        self.table.object = units.text(numbers(heads, rows))
         self.picture.object = drawn
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -42,6 +43,17 @@ def message(text: str, level: str, more: str = "") -> str:
     """Return ``text`` as the HTML of a message, ``stop`` read out at once by screen readers; ``more`` is HTML."""
     role = "alert" if level == "stop" else "status"
     return f'<div class="message {level}" role="{role}">{inline(text)}{more}</div>'
+
+
+def numbers(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """Return a table of numbers as HTML, under its ``heads``; the first cell of a row names it; cells are HTML.
+
+    >>> numbers(("", "mass"), [("found", "2 kg")])
+    '<table class="numbers"><tr><th></th><th>mass</th></tr><tr><th>found</th><td>2 kg</td></tr></table>'
+    """
+    head = "".join(f"<th>{one}</th>" for one in heads)
+    lines = (f"<th>{name}</th>{''.join(f'<td>{cell}</td>' for cell in cells)}" for name, *cells in rows)
+    return f'<table class="numbers"><tr>{head}</tr>{"".join(f"<tr>{line}</tr>" for line in lines)}</table>'
 
 
 @cache

@@ -218,19 +218,19 @@ class PlanePlot:
     """The plane of specifications: where (7) has gains, where the sampled loop is stable, where it meets the margin."""
 
     COLORS = ("#9CA3AF", "#DE7B3C", "#F6DA92", "#BFE3D5")  # of KINDS
-    X, Y = (5.0, 600.0), (0.0, 90.0)
+    PHASES = (0.0, 90.0)
 
     def __init__(self) -> None:
-        self.cells = _source("kind")
+        self.cells = _source("kind", "x", "width")
         self.marks = {key: _source("x", "y") for key in ("here", "pinned")}
         self.plot = blank("What can be specified", "", "phase margin [deg]", x_axis_type="log")
         self.plot.image(
             "kind",
             source=self.cells,
-            x=self.X[0],
-            y=self.Y[0],
-            dw=self.X[1] - self.X[0],
-            dh=self.Y[1] - self.Y[0],
+            x="x",
+            y=self.PHASES[0],
+            dw="width",
+            dh=self.PHASES[1] - self.PHASES[0],
             color_mapper=LinearColorMapper(palette=list(self.COLORS), low=-0.5, high=3.5),
         )
         self.plot.scatter(
@@ -246,11 +246,13 @@ class PlanePlot:
         )
         legend.padding, legend.spacing, legend.margin, legend.background_fill_alpha = 3, -4, 4, 0.85
         self.plot.add_layout(legend)
-        self.plot.x_range, self.plot.y_range = Range1d(*self.X), Range1d(*self.Y)
+        self.plot.x_range, self.plot.y_range = Range1d(1.0, 10.0), Range1d(*self.PHASES)
 
     def color(self, found: Plane) -> None:
         """Colour the plane by what was ``found``."""
-        self.cells.data = {"kind": [found.kind]}
+        low, high = found.range
+        self.cells.data = {"kind": [found.kind], "x": [low], "width": [high - low]}
+        self.plot.x_range.update(start=low, end=high)
 
     def show(self, specification: str, design: VelocityLoopDesign, pinned: VelocityLoopDesign | None) -> None:
         """Mark ``design`` and the pinned one over what ``specification`` says the frequency is."""

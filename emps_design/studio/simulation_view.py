@@ -11,7 +11,7 @@ from emps_design.report.page import inline
 from emps_design.report.style import labelled, svg
 from emps_design.studio.controls import Field, after_this_event
 from emps_design.studio.jobs import Job
-from emps_design.studio.panes import html
+from emps_design.studio.panes import html, message
 from emps_design.studio.simulated import Simulated, simulate
 from emps_design.studio.state import State
 
@@ -67,7 +67,7 @@ class SimulationView:
         """Show the numbers of ``state``."""
         self.task.value = state.task
         for name, field in self.fields.items():
-            field.speak(state.axis.units)
+            field.suit(state.axis)
             field.set(getattr(state, name))
         if self._of is not None and _read(state) != _read(self._of):
             self._withdraw()
@@ -86,17 +86,15 @@ class SimulationView:
         self._of = state
         self.job.start(lambda progress: simulate(state, progress), self._done, self._failed)
 
-    def _failed(self, message: str) -> None:
-        text = self._state().axis.units.text(inline(message))
-        self.message.object = f'<div class="message stop" role="alert">{text}</div>'
+    def _failed(self, text: str) -> None:
+        self.message.object = self._state().axis.units.text(message(text, "stop"))
 
     def _done(self, found: Simulated) -> None:
         if found.state is not self._of:
             return
         level, text = found.verdict()
         units = found.state.axis.units
-        text = units.text(inline(text))
-        self.message.object = f'<div class="message {level}" role="status">{text}</div>'
+        self.message.object = units.text(message(text, level))
         rows = "".join(
             f"<tr><th>{inline(name)}</th><td><b>{inline(value)}</b></td></tr>" for name, value in found.rows()
         )

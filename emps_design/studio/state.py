@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -13,48 +14,8 @@ from emps_design.control.velocity.structure import STRUCTURES, own_filters, own_
 from emps_design.errors import InputError, nearest_name
 from emps_design.laws.library.cascade import Filter
 from emps_design.quantities import read_frequency
+from emps_design.studio.ranges import CHOICES, Choice, choices_of
 
-
-@dataclass(frozen=True)
-class Choice:
-    """A number that a control sets: its label with the unit, its range and the step of the control.
-
-    A ``frequency`` is in rad/s, and may be given as text with its unit, such as 30Hz.
-    """
-
-    label: str
-    lower: float
-    upper: float
-    step: float
-    frequency: bool = False
-
-
-CHOICES: dict[str, Choice] = {
-    "frequency": Choice("Frequency [rad/s]", 5.0, 600.0, 1.0, frequency=True),
-    "phase_margin_deg": Choice("Phase margin [deg]", 1.0, 89.0, 0.5),
-    "period_ms": Choice("Sampling period [ms]", 0.1, 5.0, 0.1),
-    "computation_delay": Choice("Computation delay [samples]", 0, 5, 1),
-    "current_ms": Choice("Current loop [ms]", 0.0, 5.0, 0.05),
-    "k_e1": Choice("Force gain k_e1 [(m/s)/N]", 0.0005, 0.1, 0.0005),
-    "hand": Choice("Viscous hand [N/(m/s)]", 0.0, 500.0, 5.0),
-    "wall": Choice("Wall [N/mm]", 0.0, 200.0, 1.0),
-    "mass": Choice("Apparent mass M_a [kg]", 1.0, 200.0, 1.0),
-    "damping": Choice("Apparent damping B [N/(m/s)]", 0.0, 500.0, 5.0),
-    "filter": Choice("Filter of the law [rad/s]", 10.0, 3000.0, 10.0, frequency=True),
-    "mismatch_percent": Choice("Mismatch [%]", 0.0, 20.0, 0.5),
-    "required_phase_deg": Choice("Required phase margin, sampled [deg]", 0.0, 80.0, 1.0),
-    "required_overshoot_percent": Choice("Allowed overshoot [%]", 0.0, 100.0, 1.0),
-    "push": Choice("Push [N]", 1.0, 500.0, 5.0),
-    "hand_stiffness": Choice("Hand stiffness [N/m]", 0.0, 20000.0, 100.0),
-    "hand_damping": Choice("Hand damping [N/(m/s)]", 0.0, 2000.0, 10.0),
-    "stroke": Choice("Stroke [m]", 1e-6, 1000.0, 0.01),
-    "speed": Choice("Speed [m/s]", 1e-6, 1000.0, 0.01),
-    "acceleration": Choice("Acceleration [m/s^2]", 1e-6, 1e6, 0.1),
-    "pause": Choice("Pause [s]", 0.0, 100.0, 0.1),
-    "position_kp": Choice("Position gain kp [1/s]", 0.01, 10000.0, 1.0),
-    "plants": Choice("Random plants", 0, 10000, 100),
-    "seed": Choice("Seed", 0, 10**6, 1),
-}
 MOST_FILTERS = 8
 SPECIFICATIONS = ("crossover", "bandwidth")
 LABELS = {one.label: one for one in STRUCTURES}
@@ -74,12 +35,12 @@ WORDS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class State:
     """Everything the controls of all tabs hold, and the design that is pinned.
 
     ``axis`` has the sampling and the current loop of the controls; structure and ``filters`` of the velocity loop are
-    those of its controller until others are chosen.
+    those of its controller until others are chosen. What the numbers are is in :data:`~.ranges.CHOICES`.
 
     >>> from emps_design.machines import machine
     >>> state = State.of(machine("emps2018"))
@@ -90,59 +51,82 @@ class State:
     axis: Axis
     pinned: State | None = None
     specification: str = "crossover"
-    frequency: float = 100.0
-    phase_margin_deg: float = 60.0
+    frequency: float
+    phase_margin_deg: float
     structure: str = "IP"
     filters: tuple[Filter, ...] = ()
-    required_phase_deg: float = 30.0
-    required_overshoot_percent: float = 20.0
-    period_ms: float = 1.0
-    computation_delay: int = 0
-    current_ms: float = 0.0
-    k_e1: float = 0.01
-    hand: float = 0.0
-    wall: float = 10.0
-    mass: float = 50.0
-    damping: float = 100.0
-    filter: float = 500.0
-    mismatch_percent: float = 2.0
+    required_phase_deg: float
+    required_overshoot_percent: float
+    period_ms: float
+    computation_delay: int
+    current_ms: float
+    k_e1: float
+    hand: float
+    wall: float
+    mass: float
+    damping: float
+    filter: float
+    mismatch_percent: float
     place: str = "plant input"
     task: str = "guided"
-    push: float = 40.0
-    hand_stiffness: float = 1000.0
-    hand_damping: float = 100.0
+    push: float
+    hand_stiffness: float
+    hand_damping: float
     motion: str = "there and back"
-    stroke: float = 0.24
-    speed: float = 0.2
-    acceleration: float = 1.0
-    pause: float = 0.1
-    position_kp: float = 20.0
+    stroke: float
+    speed: float
+    acceleration: float
+    pause: float
+    position_kp: float
     feedforward: str = "of the axis"
-    plants: int = 200
-    seed: int = 0
+    plants: int
+    seed: int
     friction: str = "symmetric"
 
     @classmethod
     def of(cls, axis: Axis) -> State:
         """The controls as they stand for ``axis``."""
-        return cls(axis).with_axis(axis)
+        first: dict[str, Any] = {name: choice.first for name, choice in choices_of(axis).items()}
+        return cls(axis=axis, **first)._on(axis)
 
     def with_axis(self, axis: Axis) -> State:
-        """The same specification on another ``axis``."""
+        """The same specification on another ``axis``: numbers set by hand stay where its ranges have them.
+
+        >>> from emps_design.machines import machine
+        >>> light = machine("emps2018").replace(mechanics={"mass": 1.2})
+        >>> moved = State.of(machine("emps2018")).changed(mass=1.0, frequency=80.0).with_axis(light)
+        >>> moved.mass, moved.damping, moved.frequency
+        (1.0, 1.0, 80.0)
+        """
+        before, now = choices_of(self.axis), choices_of(axis)
+        fresh: dict[str, Any] = {
+            name: choice.first
+            for name, choice in now.items()
+            if getattr(self, name) == before[name].first or not choice.holds(getattr(self, name))
+        }
+        return replace(self, **fresh)._on(axis)
+
+    def _on(self, axis: Axis) -> State:
+        """These numbers on ``axis``, with what it says itself: clock, structure, filters, position gain."""
         structure, filters = own_structure(axis).label, own_filters(axis)
         kp = (axis.controller.position or {}).get("kp", self.position_kp)
         return replace(self, axis=axis, structure=structure, filters=filters, position_kp=kp, **_clock(axis))
 
     def changed(self, **values: Any) -> State:
-        """The state with some numbers changed, each within the range of its control, and the axis kept in step."""
-        state = replace(self, **{name: checked(name, value) for name, value in values.items()})
+        """The state with some numbers changed, each within the range of its control, and the axis kept in step.
+
+        Another clock moves the ranges of frequencies, and a number that they leave behind goes to their end.
+        """
+        choices = choices_of(self.axis)
+        state = replace(self, **{name: checked(name, value, choices) for name, value in values.items()})
         if not {"period_ms", "computation_delay", "current_ms"} & set(values):
             return state
         axis = state.axis.replace(
             sampling={"period": state.period_ms * 1e-3, "computation_delay": int(state.computation_delay)},
             drive={"current_time_constant": state.current_ms * 1e-3},
         )
-        return replace(state, axis=axis)
+        kept: dict[str, Any] = {name: choice.nearest(getattr(state, name)) for name, choice in choices_of(axis).items()}
+        return replace(state, axis=axis, **kept)
 
     @property
     def requested(self) -> dict[str, Any]:
@@ -179,13 +163,14 @@ class State:
         tables = document if isinstance(document, dict) else {}
         if not isinstance(tables.get("studio"), dict) or not isinstance(tables.get("axis"), dict):
             raise InputError(f"{source}: expected the tables [studio] and [axis] of a state saved by the studio")
-        values = {name: checked(name, value, source) for name, value in tables["studio"].items()}
         state = cls.of(Axis.from_dict(tables["axis"], f"{source}: axis"))
+        choices = choices_of(state.axis)
+        values = {name: checked(name, value, choices, source) for name, value in tables["studio"].items()}
         # A clock that says the same as the axis leaves the axis as it is, to the last digit.
         return state.changed(**{name: value for name, value in values.items() if getattr(state, name) != value})
 
 
-def checked(name: str, value: Any, source: str = "studio") -> Any:
+def checked(name: str, value: Any, choices: Mapping[str, Choice] = CHOICES, source: str = "studio") -> Any:
     """Return ``value`` as the state holds it, a frequency in rad/s.
 
     Raises :class:`InputError` for a name the controls do not have, a word they do not offer, or a number outside a
@@ -200,16 +185,16 @@ def checked(name: str, value: Any, source: str = "studio") -> Any:
         return value
     if name == "filters":
         return _filters(value, source)
-    if name not in CHOICES:
-        raise InputError(f"{source}: unknown key {name!r}{nearest_name(name, [*CHOICES, *WORDS, 'filters'])}")
-    choice = CHOICES[name]
+    if name not in choices:
+        raise InputError(f"{source}: unknown key {name!r}{nearest_name(name, [*choices, *WORDS, 'filters'])}")
+    choice = choices[name]
     if choice.frequency and isinstance(value, str):
         try:
             value = read_frequency(value)
         except InputError as error:
             raise InputError(f"{source}: {name}: {error}") from error
     kind, what = (int, "a whole number, ") if isinstance(choice.step, int) else (int | float, "")
-    if isinstance(value, bool) or not isinstance(value, kind) or not choice.lower <= value <= choice.upper:
+    if isinstance(value, bool) or not isinstance(value, kind) or not choice.holds(value):
         raise InputError(f"{source}: {name}: found {value!r}, expected {what}{choice.lower:g} to {choice.upper:g}")
     return value
 
@@ -242,7 +227,7 @@ def taken_for(name: str, value: Any) -> str:
     """
     if not isinstance(value, str) or name not in CHOICES or value.strip()[-1:] in "0123456789.":
         return ""
-    return f"{CHOICES[name].label.partition(' [')[0]}: {value.strip()} is {checked(name, value):.6g} rad/s."
+    return f"{CHOICES[name].label.partition(' [')[0]}: {value.strip()} is {read_frequency(value):.6g} rad/s."
 
 
 def _clock(axis: Axis) -> dict[str, Any]:

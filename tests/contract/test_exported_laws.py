@@ -17,14 +17,33 @@ from emps_design.compensation.feedforward import motion_ahead
 from emps_design.errors import InputError
 from emps_design.laws import LAWS, get_law
 from emps_design.machines import machine
-from emps_design.observer import ForceObserver, observe_online
+from emps_design.observer import ForceObserver, as_driven, observe_online
+from emps_design.records import Record
 from emps_design.simulation import Plant, trapezoid_laps
 from tests.contract.test_laws import GIVEN, OWN, OWN_TABLE, axis_with
 from tests.unit.compensation.test_compensation import DUTY, EFFECTS_HERE
 
 CC = shutil.which("cc")
 EVERY = pytest.mark.parametrize("kind", LAWS, ids=lambda kind: kind.name)
-OBSERVED = pytest.mark.parametrize("name", ["emps2018", "light"])
+LIGHT = {  # fast, fine, turning
+    "motion": "rotary",
+    "mechanics": {"mass": 2e-3, "viscous": 1e-2, "coulomb": 0.05, "offset": 0.01},
+    "sampling": {"period": 1.25e-4, "encoder_resolution": 1e-6},
+}
+ON_LIGHT = [
+    {"kind": "gravity", "torque": 0.08, "angle": 0.4},
+    {"kind": "friction_ripple", "amplitude": 0.01, "phase": 1.0, "period": 0.02},
+]
+HEIGHTS = {f"height_{i + 1}": height for i, height in enumerate((1.0, 3.0, 2.0, -1.0, 0.0, 4.0))}
+MAPS = [{"kind": kind, "start": -0.1, "end": 0.1, **HEIGHTS} for kind in ("force_map", "friction_map")]
+STOP = {"kind": "end_stop", "stiffness": 1e4, "position": 0.05, "side": 1.0}
+OBSERVERS = {
+    "observer": {},
+    "observer with effects": {"effects": EFFECTS_HERE[:7]},
+    "observer of a light arm": {**LIGHT, "effects": ON_LIGHT},
+    "observer of 30 t": {"mechanics": {"mass": 3e4, "coulomb": 900.0}, "effects": [*MAPS, STOP, EFFECTS_HERE[4]]},
+}
+OBSERVED = pytest.mark.parametrize("name", OBSERVERS)
 ESTIMATORS = pytest.mark.parametrize("estimator", ["two_tap", "backward"])
 compiled = pytest.mark.skipif(CC is None, reason="needs a C compiler")
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wconversion", "-O2", "-ffp-contract=off"]
@@ -68,18 +87,23 @@ class Compiled:
         return np.array([self.step(here, *row) for row in rows])
 
 
+def assert_proved(folder, exported):
+    """``make check`` builds both precisions and they hold, under the sanitizers too; every row has a bound."""
+    done, rows = make_check(folder), exported.vectors.q.size
+    assert done.returncode == 0, done.stderr
+    assert f"double precision: {rows} of {rows} rows with the same bits" in done.stdout
+    assert f"single precision: {rows} of {rows} rows within their bound" in done.stdout
+    assert ", 0 rows without" in done.stdout
+    assert make_check(folder, f"CFLAGS=-O1 -g {' '.join(SANITIZERS)}").returncode == 0
+
+
 @compiled
 @EVERY
 @ESTIMATORS
 def test_the_folder_proves_itself(kind, estimator, tmp_path):
     """Both precisions build without a warning and hold on the vectors, also under the sanitizers."""
     exported = written(axis_with(kind, velocity_estimator=estimator), tmp_path)
-    done = make_check(tmp_path)
-    assert done.returncode == 0, done.stderr
-    rows = exported.vectors.q.size
-    assert f"double precision: {rows} of {rows} rows with the same bits" in done.stdout
-    assert f"single precision: {rows} of {rows} rows within their bound" in done.stdout
-    assert make_check(tmp_path, f"CFLAGS=-O1 -g {' '.join(SANITIZERS)}").returncode == 0
+    assert_proved(tmp_path, exported)
 
 
 def laps(axis, law, samples=100_000):
@@ -140,6 +164,7 @@ COMPENSATED = {
     "itself": {"effects": [EFFECTS_HERE[4]]},
     "late": {"effects": [EFFECTS_HERE[5], EFFECTS_HERE[7]]},
     "back-EMF": {"effects": [EFFECTS_HERE[4]], **DUTY},
+    "maps": {"effects": MAPS},
 }
 
 
@@ -158,9 +183,7 @@ def test_a_compensated_law_has_the_simulations_bits(name, tmp_path):
     """``make check`` with the feed-forward inside, and 100,000 samples of a closed loop with it."""
     exported, inputs, u = compensated(name, "c")
     exported.write(tmp_path)
-    done = make_check(tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert make_check(tmp_path, f"CFLAGS=-O1 -g {' '.join(SANITIZERS)}").returncode == 0
+    assert_proved(tmp_path, exported)
     answers = Compiled(tmp_path, exported).run(*inputs)
     assert answers.size == 100_000
     np.testing.assert_array_equal(answers.view(np.int64), u.view(np.int64))
@@ -168,8 +191,8 @@ def test_a_compensated_law_has_the_simulations_bits(name, tmp_path):
 
 def block_called(name):
     """A block in C: of a law, of a compensated law, of an observer."""
-    if name == "observer":
-        return export_observer(machine("emps2018"), "c", 30.0)
+    if name in OBSERVERS:
+        return export_observer(machine("emps2018").replace(**OBSERVERS[name]), "c", 30.0)
     if name in COMPENSATED:
         axis = machine("emps2019").replace(**COMPENSATED[name])
         return export_controller(axis, "c", compensate(axis, PROGRAM).to_dict())
@@ -177,7 +200,7 @@ def block_called(name):
 
 
 @pytest.mark.skipif(shutil.which("cppcheck") is None, reason="needs cppcheck")
-@pytest.mark.parametrize("name", [*GIVEN, *COMPENSATED, "observer"])
+@pytest.mark.parametrize("name", [*GIVEN, *{**COMPENSATED, **OBSERVERS}])
 def test_a_static_checker_has_nothing_to_say(name, tmp_path):
     exported = block_called(name)
     exported.write(tmp_path)
@@ -212,10 +235,7 @@ def test_one_changed_number_of_the_feed_forward_is_noticed(tmp_path):
 
 def observed(name, target):
     """An observer, what goes into it in 100,000 samples, and the force that is seen on line."""
-    axis = machine("emps2018")
-    if name == "light":  # fast, fine, turning
-        table = {"mass": 2e-3, "viscous": 1e-2, "coulomb": 0.05, "offset": 0.01}
-        axis = axis.replace(motion="rotary", mechanics=table, sampling={"period": 1.25e-4, "encoder_resolution": 1e-6})
+    axis = machine("emps2018").replace(**OBSERVERS[name])
     t = np.arange(100_000) * axis.sampling.period
     q, u = 0.1 * np.sin(9.0 * t) * (t > 0.2), 2.0 * np.sin(9.1 * t)
     inputs = np.concatenate([u[:1], u[:-1]]), q, np.zeros(q.size)
@@ -227,16 +247,41 @@ def observed(name, target):
 def test_the_observer_is_the_one_that_runs_on_line(name, tmp_path):
     exported, inputs, force = observed(name, "c")
     exported.write(tmp_path)
-    done = make_check(tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert make_check(tmp_path, f"CFLAGS=-O1 -g {' '.join(SANITIZERS)}").returncode == 0
+    assert_proved(tmp_path, exported)
     found = Compiled(tmp_path, exported).run(*inputs)
     np.testing.assert_array_equal(found.view(np.int64), force.view(np.int64))
 
 
+def test_what_a_back_emf_brakes_is_in_the_exported_observer():
+    axis = machine("emps2019").replace(**DUTY)
+    record = Record.from_arrays(1e-3, *(0.1 * np.sin(np.arange(500) / w) for w in (40.0, 41.0, 30.0)))
+    driven, rest = as_driven(axis.replace(drive={"current_time_constant": 0.0}), record)
+    seen = observe_online(ForceObserver(rest, 30.0), driven.q, driven.u)
+    block = export_observer(axis, "json", 30.0).block
+    given = np.concatenate([record.u[:1], record.u[:-1]])
+    force, _ = block.run(np.arange(500) == 0, given, record.q, np.zeros(500))
+    np.testing.assert_allclose(force, seen, rtol=1e-9)
+    assert axis.drive.braking * np.ptp(record.q) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("effect", "reason"),
+    [
+        (
+            {"kind": "actuator_lag", "time_constant": 1e-3},
+            "actuator_lag, it has a state of its own, which position and",
+        ),
+        ({"kind": "actuator_deadzone", "width": 0.1}, "actuator_deadzone, it acts in the actuator, not as a force of"),
+        ({"kind": "friction_drift", "change": 0.3, "time_constant": 9.0}, "friction_drift, it goes by the time of one"),
+    ],
+)
+def test_an_effect_that_cannot_be_observed_on_line_is_refused(effect, reason):
+    axis = machine("emps2018").replace(effects=[EFFECTS_HERE[0], effect])
+    with pytest.raises(InputError, match=rf"observer of emps2018: found {reason}.*; take such effects out of the axis"):
+        export_observer(axis, "c", 20.0)
+
+
 def test_an_observer_that_cannot_be_exported_is_refused(tmp_path, capsys):
-    with pytest.raises(InputError, match="found the effects position_ripple, which the exported observer does not"):
-        export_observer(machine("emps2018").replace(effects=EFFECTS_HERE[:1]), "c", 20.0)
     line = ["export", "emps2018", "--observer", "20", "--out", str(tmp_path / "new"), "--to"]
     assert app.run([*line, "fmu"]) == 2
     assert "--to: found 'fmu' for an observer, expected one of c, st, json" in capsys.readouterr().err

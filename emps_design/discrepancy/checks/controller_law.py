@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emps_design.axis import Axis
+from emps_design.axis import NO_LIMIT, Axis
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.partition import START_UP
 from emps_design.effects import Effect, Motion
@@ -121,7 +121,7 @@ def _wrong_law(record: Record, axis: Axis, swing: float, miss: float) -> str:
         followed = law_of(axis, record.period, record.extra).followed(record)
         proposed = kind.propose(followed, record.q, wanted, axis.controller, record.period)
         if proposed is not None:
-            free = axis.replace(controller=proposed, drive={"command_limit": 1e9})
+            free = axis.replace(controller=proposed, drive={"command_limit": NO_LIMIT})
             left = float(np.std((record.u - law_voltage(record, free))[START_UP:]))
             if left < rules.LAW_HOLDS * swing:
                 fields = kind.table.model_fields

@@ -75,8 +75,10 @@ def _extend(
         gain = baseline.cost - ranked[0].cost
         leading = ranked[: BEAM[min(number, len(BEAM)) - 1]]
         leading = [f for f in leading if baseline.cost - f.cost >= rules.RIVAL * gain]
-        beam = sorted((converged(f) for f in leading), key=lambda f: f.cost)
+        beam = sorted(side_by_side(converged, [(f,) for f in leading]), key=lambda f: f.cost)
         path.append(beam[0])
+        if (1 - rules.WORTH_AT_FLOOR) * beam[0].cost < noise:
+            beam = beam[:1]  # what is to be found on top of another set would have to leave less than noise
         explained = baseline.cost - path[-1].cost
         if number >= rules.ENOUGH_ROUNDS and explained < rules.LEAST_EXPLAINED * (baseline.cost - noise):
             break

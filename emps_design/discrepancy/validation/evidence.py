@@ -151,7 +151,8 @@ def _orthonormal(columns: np.ndarray) -> np.ndarray:
 
 def _gathered(problem: Problem, signals: Forces) -> np.ndarray:
     """Whitened ``signals``, (n,) or (n, k) per record, on the used samples of all records."""
-    return problem.gather(tuple(problem.whitening.apply(signal.T).T for signal in signals), "used")
+    whiten = problem.whitening.apply
+    return problem.gather(tuple(np.apply_along_axis(whiten, 0, signal) for signal in signals), "used")
 
 
 def _left(hypothesis: Hypothesis, disturbance: Forces | None = None) -> Forces | None:

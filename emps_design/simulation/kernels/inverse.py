@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from emps_design.effects import Effect
+from emps_design.effects.effect import ADDED
 from emps_design.simulation.kernels.compile import address, cached, call_kernel, part, pointer
 
-HOOKS = ("force", "dry", "inertia")  # of the effects, in the order of the rows of the table
-FORCE, DRY, INERTIA = range(3)
+FORCE, DRY, INERTIA = range(3)  # rows of the table: the hooks ADDED
 _call: Any = call_kernel
 _place: Any = pointer
 PASSES, SETTLED = 100, 1e-10  # of a force that depends on itself, and N between two passes
@@ -55,7 +55,7 @@ def table(effects: Sequence[Effect]) -> tuple[np.ndarray, np.ndarray]:
     """Addresses of the hooks with the places of their parameters, and where each kind of hook begins."""
     places = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
     rows = []
-    for hook in HOOKS:
+    for hook in ADDED:
         kernels = [(getattr(effect, hook), int(at)) for effect, at in zip(effects, places, strict=False)]
         rows.append([(address(kernel), at) for kernel, at in kernels if kernel is not None])
     hooks = np.array([number for row in rows for entry in row for number in entry] or [0], np.int64)

@@ -210,6 +210,20 @@ def test_a_command_in_percent_of_rated():
     assert axis.to_dict()["drive"]["command_unit"] == "%"
 
 
+@pytest.mark.parametrize(("command", "motion"), [("torque", "rotary"), ("force", "linear"), ("current", "rotary")])
+def test_a_drive_without_a_limit_is_read_in_every_unit(command, motion):
+    axis = Axis.from_dict(
+        {
+            "name": "drive",
+            "motion": motion,
+            "mechanics": {"mass": 1.0, "viscous": 0.0, "coulomb": 0.0},
+            "drive": {"command": command, "force_gain": 1.0},
+            "sampling": {"period": 1e-3},
+        }
+    )
+    assert axis.drive.command_limit == NO_LIMIT
+
+
 def test_a_duty_needs_a_voltage_only_where_there_is_one():
     axis = Axis.from_toml(ROTARY.replace('"current"', '"duty"').replace("command_limit = 2.0", "back_emf = 0.387"))
     assert (axis.drive.command_limit, axis.drive.command_unit, axis.drive.back_emf) == (1.0, "", 0.387)

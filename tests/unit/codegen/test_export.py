@@ -12,7 +12,7 @@ from emps_design.cli import app
 from emps_design.codegen import export_controller
 from emps_design.codegen.origin import commit
 from emps_design.codegen.pages import block_name
-from emps_design.codegen.rounding import Roundings, largest, smallest
+from emps_design.codegen.rounding import Roundings, every_way, largest, on_rounded, smallest
 from emps_design.errors import InputError
 from emps_design.machines import machine
 
@@ -99,6 +99,41 @@ def test_no_number_is_exported_from_a_record():
     axis = machine("emps2019").replace(controller={"kind": "p", "kp": {"record": "kp", "scale": 1.0}})
     with pytest.raises(InputError, match="kp"):
         export_controller(axis, "c")
+
+
+def switching(x, memory):
+    """A sum that begins anew above 1: ten times 0.1 is below it in double precision, above it in single."""
+    memory[0] = memory[0] + 0.1 * x
+    if memory[0] > 1.0:
+        memory[0] = 0.0
+    return 2.0 * memory[0]
+
+
+def test_both_ways_of_a_comparison_are_within_the_bound():
+    now = Roundings()
+    plain, single, memory, said = [0.0], [np.float32(0.0)], [now.exact(0.0)], []
+    for _ in range(25):
+        wanted, found = switching(1.0, plain), _switching_in_single(single)
+
+        def step(before=memory):
+            mine = [*before]
+            return [on_rounded(switching)(now.exact(1.0), mine), *mine]
+
+        (u, *memory), several = every_way(step, now)
+        assert u.value == wanted
+        assert abs(float(found) - wanted) <= u.bound
+        said.append((several, u.bound, abs(float(found) - wanted)))
+    assert [several for several, _, _ in said].index(True) == 9
+    assert max(bound for _, bound, _ in said[:9]) < 1e-5
+    assert said[9][2] == pytest.approx(2.0, rel=1e-6)  # it did go the other way
+    assert not now.open
+
+
+def _switching_in_single(memory):
+    memory[0] = memory[0] + np.float32(0.1) * np.float32(1.0)
+    if memory[0] > np.float32(1.0):
+        memory[0] = np.float32(0.0)
+    return np.float32(2.0) * memory[0]
 
 
 @pytest.mark.parametrize("seed", range(20))

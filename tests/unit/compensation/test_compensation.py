@@ -114,7 +114,7 @@ def test_every_effect_is_a_term_or_is_said_not_to_be(effect):
 def test_backlash_is_said_in_one_line(capsys):
     axis = with_effects({"kind": "backlash", "gap": 1e-4, "frequency": 60.0, "damping": 0.15, "share": 0.4})
     found = compensate(axis, PROGRAM)
-    assert found.not_compensated == {"backlash": "it has a state of its own, which the reference does not give"}
+    assert found.not_compensated == {"backlash": "it has a state of its own, which position and velocity do not give"}
     assert found.to_dict()["warnings"][0].startswith("backlash is not compensated: ")
 
 

@@ -1,0 +1,45 @@
+"""A block in single precision: how far its answer may be from that of double precision, sample by sample."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+from emps_design.codegen.block import Block
+from emps_design.codegen.rounding import HALF_UNIT, Rounded, Roundings, every_way, largest, smallest
+
+
+class SinglePrecision:
+    """``block`` on rounded numbers, begun anew."""
+
+    def __init__(self, block: Block):
+        self.block, self.now, self.k = block, Roundings(), 0
+        self.gains = [self.now.constant(float(gain)) for gain in block.law.gains]
+        self.limit, self.kernel = self.now.constant(block.limit), block.rounded_kernel(self.now)
+        self.memory = [self.now.exact(0.0)] * (2 * block.law.memory)  # the second half on the reference
+
+    def step(self, given: Sequence[float], motion: Sequence[float]) -> tuple[float, bool]:
+        """Bound for one sample, inf where there is none, and whether rounding decides a comparison.
+
+        ``given`` is reference, position and force, ``motion`` what is fed forward: position, velocity, acceleration.
+        """
+        added, several = self.now.exact(0.0), False
+        if self.block.ahead is not None:
+            added, several = self.block.ahead.rounded(motion, self.now)
+        inputs = [self.now.exact(x) for x in given]
+        (u, *self.memory), more = every_way(partial(self._answer, inputs, added), self.now)
+        self.k += 1
+        apart = 2.0 * self.block.limit * (1.0 + HALF_UNIT)  # at most, within the limit
+        return (math.inf if self.now.open else min(u.bound, apart)), several or more
+
+    def _answer(self, given: Sequence[Rounded], added: Rounded) -> list[Any]:
+        """The command and the memory after it."""
+        own = self.block.law.memory
+        mine, braking = self.memory[:own], self.memory[own:]
+        u = self.kernel(self.k, *given, self.limit, self.gains, mine)
+        if self.block.ahead is not None and self.block.ahead.takes_off:
+            reference, still = given[0], self.now.exact(0.0)
+            added = added - self.kernel(self.k, reference, reference, still, self.limit, self.gains, braking)
+        return [largest(smallest(u + added, self.limit), -self.limit), *mine, *braking]

@@ -1,0 +1,166 @@
+"""The numbers that controls set: label, range, step and first value, all sized to the axis at hand.
+
+They are written for an ordinary axis, the embedded emps2018. On another one a mass is that of its load, a force that of
+its friction or its motor, and a frequency what its sampling and its current loop allow.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+from emps_design.axis import Axis
+from emps_design.axis.tables import NO_LIMIT
+from emps_design.machines import machine
+
+TURN = 5.0  # rad of a rotary axis that stand for a metre of a linear one: 1.2 rad for 0.24 m
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A number that a control sets: its label with the unit, its range, the step of the control, and its first value.
+
+    ``size`` names what makes it larger or smaller on another axis, one of those of :func:`sizes`; "" for what is alike
+    on every axis. A ``frequency`` is in rad/s, and may be given as text with its unit, such as 30Hz.
+    """
+
+    label: str
+    lower: float
+    upper: float
+    step: float
+    first: float
+    size: str = ""
+
+    @property
+    def frequency(self) -> bool:
+        """Whether it is in rad/s."""
+        return self.label.endswith("[rad/s]")
+
+    def holds(self, value: float) -> bool:
+        """Whether ``value`` is in the range."""
+        return self.lower <= value <= self.upper
+
+    def nearest(self, value: float) -> float:
+        """What is in the range next to ``value``."""
+        return min(max(value, self.lower), self.upper)
+
+
+CHOICES: dict[str, Choice] = {
+    "frequency": Choice("Frequency [rad/s]", 5.0, 600.0, 1.0, 100.0, "frequency"),
+    "phase_margin_deg": Choice("Phase margin [deg]", 1.0, 89.0, 0.5, 60.0),
+    "period_ms": Choice("Sampling period [ms]", 0.1, 5.0, 0.1, 1.0, "period"),
+    "computation_delay": Choice("Computation delay [samples]", 0, 5, 1, 0),
+    "current_ms": Choice("Current loop [ms]", 0.0, 5.0, 0.05, 0.0, "current loop"),
+    "k_e1": Choice("Force gain k_e1 [(m/s)/N]", 0.0005, 0.1, 0.0005, 0.01, "1/mass"),
+    "hand": Choice("Viscous hand [N/(m/s)]", 0.0, 500.0, 5.0, 0.0, "mass"),
+    "wall": Choice("Wall [N/mm]", 0.0, 200.0, 1.0, 10.0, "mass x frequency"),
+    "mass": Choice("Apparent mass M_a [kg]", 1.0, 200.0, 1.0, 50.0, "mass"),
+    "damping": Choice("Apparent damping B [N/(m/s)]", 0.0, 500.0, 5.0, 100.0, "mass"),
+    "filter": Choice("Filter of the law [rad/s]", 10.0, 3000.0, 10.0, 500.0, "frequency"),
+    "mismatch_percent": Choice("Mismatch [%]", 0.0, 20.0, 0.5, 2.0),
+    "required_phase_deg": Choice("Required phase margin, sampled [deg]", 0.0, 80.0, 1.0, 30.0),
+    "required_overshoot_percent": Choice("Allowed overshoot [%]", 0.0, 100.0, 1.0, 20.0),
+    "push": Choice("Push [N]", 1.0, 500.0, 5.0, 40.0, "force"),
+    "hand_stiffness": Choice("Hand stiffness [N/m]", 0.0, 20000.0, 100.0, 1000.0, "force/length"),
+    "hand_damping": Choice("Hand damping [N/(m/s)]", 0.0, 2000.0, 10.0, 100.0, "force/length"),
+    "stroke": Choice("Stroke [m]", 1e-6, 1000.0, 0.01, 0.24, "length"),
+    "speed": Choice("Speed [m/s]", 1e-6, 1000.0, 0.01, 0.2, "speed"),
+    "acceleration": Choice("Acceleration [m/s^2]", 1e-6, 1e6, 0.1, 1.0, "acceleration"),
+    "pause": Choice("Pause [s]", 0.0, 100.0, 0.1, 0.1),
+    "position_kp": Choice("Position gain kp [1/s]", 0.01, 10000.0, 1.0, 20.0, "frequency"),
+    "plants": Choice("Random plants", 0, 10000, 100, 200),
+    "seed": Choice("Seed", 0, 10**6, 1, 0),
+}
+
+
+def choices_of(axis: Axis) -> dict[str, Choice]:
+    """:data:`CHOICES`, sized to ``axis``.
+
+    >>> choices_of(machine("emps2018")) == CHOICES
+    True
+    >>> joint = {"mass": 1.15, "viscous": 8.1, "coulomb": 7.2}
+    >>> found = choices_of(machine("emps2018").replace(motion="rotary", mechanics=joint))["mass"]
+    >>> found.lower, found.first, found.upper
+    (0.01, 0.5, 2.0)
+    """
+    found = sizes(axis)
+    return {name: _sized(choice, found[choice.size]) if choice.size else choice for name, choice in CHOICES.items()}
+
+
+def sizes(axis: Axis) -> dict[str, float]:
+    """How much larger than on the ordinary axis each kind of number is on ``axis``: 1, 2 or 5 times a power of ten.
+
+    No motion is quicker than the ordinary one; it is slower where the loop is slow, the motor weak, or friction large.
+    """
+    own, ordinary = _quantities(axis), _ordinary()
+    ratio = {name: own[name] / ordinary[name] for name in own if own[name] and ordinary[name]}
+    length = TURN if axis.units.rotary else 1.0
+    mass, force = ratio["mass"], max(ratio.get("coulomb", 0.0), ratio.get("motor", 0.0)) or ratio["mass"]
+    pace = min(1.0, ratio["frequency"])
+    acceleration = min(length * pace**2, ratio.get("acceleration", math.inf))
+    speed = min(length * pace, math.sqrt(length * acceleration), ratio.get("speed", math.inf))
+    period = _decade(axis.sampling.period * 1e3)
+    return {
+        "mass": _round(mass),
+        "1/mass": 1.0 / _round(mass),
+        "force": _round(force),
+        "force/length": _round(force / length),
+        "length": length,
+        "speed": _round(speed),
+        "acceleration": _round(acceleration),
+        "frequency": _round(ratio["frequency"]),
+        "mass x frequency": _round(mass * ratio["frequency"]),
+        "period": period,
+        "current loop": max(period, _decade(axis.drive.current_time_constant * 1e3)),
+    }
+
+
+def _quantities(axis: Axis) -> dict[str, float]:
+    """What an axis is sized by, SI; 0 where it does not say."""
+    mechanics, drive = axis.mechanics, axis.drive
+    limited = drive.command_limit < NO_LIMIT
+    motor = drive.force_gain * (drive.supply or 1.0) * drive.command_limit if limited else 0.0
+    left, brake = max(motor - mechanics.coulomb, 0.0), mechanics.viscous + drive.braking
+    return {
+        "mass": mechanics.mass,
+        "coulomb": mechanics.coulomb,
+        "motor": motor,
+        "acceleration": left / mechanics.mass,
+        "speed": left / brake if brake else 0.0,
+        "frequency": 1.0 / (axis.sampling.period + drive.current_time_constant),
+    }
+
+
+@lru_cache(maxsize=1)
+def _ordinary() -> dict[str, float]:
+    return _quantities(machine("emps2018"))
+
+
+def _sized(choice: Choice, size: float) -> Choice:
+    lower, upper, step, first = (
+        float(f"{one * size:.12g}") for one in (choice.lower, choice.upper, choice.step, choice.first)
+    )
+    return replace(choice, lower=lower, upper=upper, step=step, first=first)
+
+
+def _round(ratio: float) -> float:
+    """The nearest of 1, 2 and 5 times a power of ten, so that ranges end on round numbers.
+
+    >>> [_round(ratio) for ratio in (0.82, 1.5, 0.0101, 26.0)]
+    [1.0, 2.0, 0.01, 20.0]
+    """
+    power = 10.0 ** math.floor(math.log10(ratio))
+    nearest = min((1.0, 2.0, 5.0, 10.0), key=lambda one: abs(math.log(ratio / power / one)))
+    return float(f"{nearest * power:.12g}")
+
+
+def _decade(milliseconds: float) -> float:
+    """The power of ten next to 1 that takes 0.1 to 5 ms to a range with ``milliseconds`` in it.
+
+    >>> _decade(0.25), _decade(10.0), _decade(0.05)
+    (1.0, 10.0, 0.1)
+    """
+    size = math.log10(max(milliseconds, 1e-6))
+    at_least, at_most = math.ceil(size - math.log10(5.0)), math.floor(size - math.log10(0.1))
+    return float(f"1e{min(max(0, at_least), at_most)}")
