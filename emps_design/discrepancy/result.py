@@ -138,7 +138,8 @@ class Diagnosis:
             where = "" if place == EVERYWHERE else f", most of it {place}"
             known = "".join(f"{finding.in_words()}; " for finding in self.findings)  # from the controller's law
             text = f"{known}{'beside that ' if known else ''}the model misses {left} N"
-            return f"{text[0].upper()}{text[1:]} (noise {noise} N){where}, and no effect of the library explains it."
+            text = f"{text[0].upper()}{text[1:]} (noise {noise} N){where}, and no effect of the library explains it"
+            return f"{text}{self._beside_the_law('nor')}."
         least = self.details.get("least_visible")
         rest = f"; an effect of {least} or more would have been seen" if least else ""
         if self.verdict == "parameters-only":
