@@ -18,6 +18,9 @@ comma := ,
 PARALLEL = -n $(WORKERS) --dist worksteal
 MARK = $(VENV)/.installed-$(STATE)-$(subst $(comma),-,$(1))
 
+# Hundreds of processes are started: what the first of them compiles of Python is read by the others.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: help demo test quick lint fuzz hidden coverage bench paper lock audit docs clean
 
 help:

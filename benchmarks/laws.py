@@ -1,8 +1,10 @@
 """What ``law`` tells of the servo records: structure, gains against their deviations, filters; a table and a JSON file.
 
     python -m benchmarks.laws ../shared/data/servo --out benchmarks/laws.json [--only joint-none-0]
+        [--parts train+holdout]
 
-The truth is the ``[controller]`` of each folder's axis file, which ``law`` does not read.
+Rows of other cases and parts that the file has already stay; records joined by ``+`` are taken together. The truth is
+the ``[controller]`` of each folder's axis file, which ``law`` does not read.
 """
 
 from __future__ import annotations
@@ -71,15 +73,16 @@ def main() -> None:
     parser.add_argument("--only", default="")
     parser.add_argument("--parts", default="train,holdout")
     options = parser.parse_args()
-    rows = []
+    rows = json.loads(options.out.read_text())["rows"] if options.out and options.out.exists() else []
     for part in options.parts.split(","):
         for folder in sorted(path.parent for path in options.folder.glob("*/axis.toml")):
             if options.only not in folder.name:
                 continue
             true = tomllib.loads((folder / "axis.toml").read_text())["controller"]
-            record = import_record(folder / f"{part}.csv", load_axis(str(folder / "axis.toml")))
-            rows.append({"case": folder.name, "record": part, **compare(identify_law(record).to_dict(), true)})
-            row = rows[-1]
+            axis = load_axis(str(folder / "axis.toml"))
+            records = [import_record(folder / f"{one}.csv", axis) for one in part.split("+")]
+            row = {"case": folder.name, "record": part, **compare(identify_law(records).to_dict(), true)}
+            rows = [*(one for one in rows if (one["case"], one["record"]) != (folder.name, part)), row]
             print(*(f"{v:.4g}" if isinstance(v, float) else v for v in row.values()), flush=True)
             if options.out:
                 document = {"date": datetime.now(UTC).date().isoformat(), "rows": rows}

@@ -12,10 +12,8 @@ from hypothesis import HealthCheck, settings
 REPOSITORY = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("EMPS_DESIGN_DATA", REPOSITORY.parent / "shared" / "data"))
 
-# Two processes that compile one function for different arguments may write the same file of numba's cache, so each
-# worker and what it starts have their own. They share the cores, too: one thread of linear algebra for each.
-if worker := os.environ.get("PYTEST_XDIST_WORKER"):
-    os.environ.setdefault("NUMBA_CACHE_DIR", str(REPOSITORY / ".pytest_cache" / "numba" / worker))
+# Workers and what they start share the cores: one thread of linear algebra for each.
+if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # No test asserts a time: how long an example takes is the machine's.

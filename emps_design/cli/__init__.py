@@ -20,6 +20,7 @@ def main() -> None:
         sys.exit(1)
     if "--debug" not in sys.argv and not sys.warnoptions:
         warnings.simplefilter("ignore")  # of libraries, for programmers; our own are printed as such
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # looked for in every package there is, at each start
     interrupts.listen()
     status = run(sys.argv[1:])
     if status == interrupts.STATUS:

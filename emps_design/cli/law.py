@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 
 
 def command(
-    record: Path = typer.Argument(..., metavar="RECORD", help="Record file: .mat, .csv, .npz, or a drive's export."),
+    records: list[Path] = typer.Argument(
+        ..., metavar="RECORD...", help="One or several records of one controller: .mat, .csv, .npz, or drives' exports."
+    ),
     axis: str = typer.Option(
         "emps2019", "--axis", help="TOML file or embedded machine: how its records are read. [controller] is not."
     ),
@@ -31,12 +33,12 @@ def command(
     from emps_design.importing import import_record
     from emps_design.laws import NONE
 
-    check_out(out, AXIS, (axis, record), force)
+    check_out(out, AXIS, (axis, *records), force)
     loaded = load_axis(axis)
     loaded = Axis.from_dict({**loaded.to_dict(), "controller": {"kind": NONE}}, loaded.name)
-    found = identify_law(import_record(record, loaded), loaded.drive.command_unit)
+    found = identify_law([import_record(record, loaded) for record in records], loaded.drive.command_unit)
     if out is not None and found.controller is None:
-        raise InputError(f"{record}: {found.reason}; {out} is not written")
+        raise InputError(f"{found.record}: {found.reason}; {out} is not written")
     if out is not None:
         write_text(out, found.to_toml())
     if as_json:

@@ -116,7 +116,7 @@ def _show(found: Observation) -> None:
         if known:
             steps = result.steps
             cells += [
-                rounded(result.rms_error),
+                "" if result.rms_error is None else rounded(result.rms_error),
                 "" if steps is None else rounded(steps.rms_error_away_from_edges),
                 "" if steps is None or steps.rise_time is None else f"{1e3 * steps.rise_time:.1f}",
                 "" if steps is None else f"{steps.plateau_error_percent:+.2f} %",

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from emps_design.codegen.effects import Part, parts_of, rounded_sums
-from emps_design.codegen.rounding import Rounded, Roundings, every_way, largest, smallest
+from emps_design.codegen.rounded_kernel import largest, smallest
+from emps_design.codegen.rounding import Rounded, Roundings, every_way
 from emps_design.compensation.feedforward import FeedForward
 from emps_design.effects.effect import ADDED
 from emps_design.simulation.kernels.inverse import PASSES, SETTLED

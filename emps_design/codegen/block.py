@@ -12,7 +12,8 @@ from emps_design.codegen.effects import Part, rounded_sums
 from emps_design.codegen.observer import OBSERVER, observed_parts, observer_of, observer_program
 from emps_design.codegen.program import LAW_ARGUMENTS, Program
 from emps_design.codegen.reader import read_program
-from emps_design.codegen.rounding import Roundings, on_rounded
+from emps_design.codegen.rounded_kernel import on_rounded
+from emps_design.codegen.rounding import Roundings
 from emps_design.errors import AxisError
 from emps_design.laws import Law, LawKind, get_law, law_of
 from emps_design.observer.block import with_effects
@@ -58,10 +59,9 @@ class Block:
     @classmethod
     def observer(cls, axis: Axis, cutoff_hz: float) -> Block:
         """The on-line force observer of ``axis`` with its effects; :class:`InputError` for one it cannot have."""
-        kind, own, parts = OBSERVER, {"cutoff": cutoff_hz}, observed_parts(axis)
-        law = replace(
-            kind.law(kind.table(**own), axis, axis.sampling.period), kernel=observer_of(axis, cutoff_hz).kernel
-        )
+        kernel, parts = observer_of(axis, cutoff_hz).kernel, observed_parts(axis)
+        kind, own = OBSERVER, {"cutoff": cutoff_hz}
+        law = replace(kind.law(kind.table(**own), axis, axis.sampling.period), kernel=kernel)
         return cls(axis, kind, law, observer_program(parts), own, parts=parts)
 
     @property

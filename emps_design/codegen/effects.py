@@ -27,7 +27,8 @@ from emps_design.codegen.program import (
     rewritten,
 )
 from emps_design.codegen.reader import read_program
-from emps_design.codegen.rounding import Roundings, on_rounded
+from emps_design.codegen.rounded_kernel import on_rounded
+from emps_design.codegen.rounding import Roundings
 from emps_design.effects import Effect
 from emps_design.effects.effect import ADDED
 from emps_design.errors import InputError

@@ -8,7 +8,8 @@ from functools import partial
 from typing import Any
 
 from emps_design.codegen.block import Block
-from emps_design.codegen.rounding import HALF_UNIT, Rounded, Roundings, every_way, largest, smallest
+from emps_design.codegen.rounded_kernel import largest, smallest
+from emps_design.codegen.rounding import HALF_UNIT, Rounded, Roundings, every_way
 
 
 class SinglePrecision:

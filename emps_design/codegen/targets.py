@@ -106,6 +106,7 @@ def in_json(name: str, block: Block, vectors: Vectors) -> Files:
         "follows": block.law.follows,
         "parameters": block.parameters,
         "equations": words["equations"],
+        "effects": block.axis.to_dict().get("effects", []),
         "gains": [
             {"value": float(gain), "name": said} for gain, said in zip(block.law.gains, gain_names(block), strict=True)
         ],

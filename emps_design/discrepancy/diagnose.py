@@ -15,6 +15,7 @@ from emps_design.discrepancy.search.beam_search import search
 from emps_design.discrepancy.search.calibration import Progress, calibrate, first_noise
 from emps_design.discrepancy.search.noise_floor import LEFT, Floor, floor_of_residual
 from emps_design.discrepancy.search.outcome import Outcome
+from emps_design.discrepancy.search.suspects import at_first_sight, told
 from emps_design.discrepancy.validation.verdict import validate
 from emps_design.effects import Effect, known_effects
 from emps_design.records import Record
@@ -55,7 +56,8 @@ def diagnose(
     with threadpool_limits(1):
         report("checking the records and the controller's law", 0.02)
         preparation = prepare(records, axis, library, holdout, fit_time, confirm_time)
-        report("fitting the baseline", 0.05)
+        seen = told(at_first_sight(preparation.start, preparation.library))
+        report(f"fitting the baseline{seen}", 0.05)
         rough, floor = first_noise(preparation)
         part = partial(_part, report, *SEARCHES[0])
         outcome = search(calibrate(preparation, rough, floor, seed, searches, part), part)

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.loop.margins import margin_arrays
+from emps_design.control.loop.margins import disk_size, margin_arrays
 from emps_design.frequency_response.measured_plant import MeasuredPlant, law_response, stable_loops
 from emps_design.frequency_response.resonances import resonances
 from emps_design.frequency_response.response import FrequencyResponse
@@ -148,7 +148,7 @@ def _peaks(
         return float(np.max(size)), (float(np.max(size - reach)), float(np.max(size + reach)))
 
     below = np.ones(w.size, bool) if antiresonance is None else w <= 2.0 * math.pi * antiresonance
-    peak, (low, high) = largest(np.abs(1.0 / (1.0 + loci) - 0.5), moved(places, loci))
+    peak, (low, high) = largest(disk_size(loci), moved(places, loci))
     S, reach = np.abs(1.0 / (1.0 + L)), moved(w, L)
     return {
         "disk_margin": (1.0 / peak, (1.0 / high, 1.0 / low)),

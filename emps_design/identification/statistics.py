@@ -104,23 +104,33 @@ def long_run(
 def hac_covariance(W: np.ndarray, residual: np.ndarray, lag: int, Z: np.ndarray | None = None) -> np.ndarray:
     """HAC covariance (Newey and West, Bartlett weights over ``lag`` rows) of least squares or instruments, (p, p).
 
-    Rows that took no part are zero, so that lags are distances in time. The sum is that of statsmodels.
+    Rows that took no part are zero, so that lags are distances in time.
 
     >>> hac_covariance(np.ones((4, 1)), np.array([1.0, -1.0, 1.0, -1.0]), lag=0).tolist()
     [[0.25]]
     """
-    from statsmodels.stats.sandwich_covariance import S_hac_simple
-
     Z = W if Z is None else Z
     bread, meat = np.linalg.inv(Z.T @ W), np.zeros((W.shape[1], W.shape[1]))
     # A block at a time, each with the rows before it that its own have a lag to: an hour's products would not fit.
     for start in range(0, len(Z), BLOCK):
         first = max(0, start - lag)
         products = Z[first : start + BLOCK] * residual[first : start + BLOCK, None]
-        meat += S_hac_simple(products, nlags=lag)
+        meat += _bartlett_sum(products, lag)
         if start > first:
-            meat -= S_hac_simple(products[: start - first], nlags=lag)
+            meat -= _bartlett_sum(products[: start - first], lag)
     return bread @ meat @ bread.T
+
+
+def _bartlett_sum(rows: np.ndarray, lag: int) -> np.ndarray:
+    """Products of ``rows`` (n, p) with each other up to ``lag`` rows apart, Bartlett weights, (p, p).
+
+    As ``S_hac_simple`` of statsmodels has it, whose import takes longer than an identification of a record.
+    """
+    total = rows.T @ rows
+    for apart, weight in enumerate(1.0 - np.arange(1, lag + 1) / (lag + 1.0), start=1):
+        products = rows[apart:].T @ rows[:-apart]
+        total += weight * (products + products.T)
+    return total
 
 
 def residual_bootstrap(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import threading
 from contextlib import contextmanager
+from functools import cache
 from io import BytesIO, StringIO
 from typing import TYPE_CHECKING, Any, cast
 
@@ -24,6 +25,7 @@ PURPLE, YELLOW, BLACK = "#CC79A7", "#F0E442", "#1A1A1A"
 GREY = "#6B7280"
 
 WIDTH = 8.8  # inches, the text column of a page
+POINTS = 72  # an inch: the unit of an SVG
 
 RC: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # shipped with matplotlib, so that every machine draws the same
@@ -65,9 +67,19 @@ def look() -> Iterator[None]:
     import matplotlib as mpl
 
     with _SETTINGS, mpl.rc_context():
+        dict.update(cast(Any, mpl.rcParams), _settings())
+        yield
+
+
+@cache
+def _settings() -> dict[str, Any]:
+    """Every setting, checked by matplotlib once; which backend is used belongs to the process."""
+    import matplotlib as mpl
+
+    with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(RC)
-        yield
+        return {name: value for name, value in dict.items(cast(Any, mpl.rcParams)) if not name.startswith("backend")}
 
 
 def subplots(
@@ -123,7 +135,7 @@ def svg(figure: Figure, key: str = "") -> str:
     """
     out = StringIO()
     with look():
-        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+        _laid_out(figure).savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     text = out.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
@@ -134,6 +146,18 @@ def svg(figure: Figure, key: str = "") -> str:
         text = re.sub(r'href="#([^"]+)"', rf'href="#{key}-\1"', text)
         text = re.sub(r"url\(#([^)]+)\)", rf"url(#{key}-\1)", text)
     return text.strip()
+
+
+def _laid_out(figure: Figure) -> Figure:
+    """``figure`` with its axes in their places for SVG: saving would draw everything once more to find them."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    if (engine := figure.get_layout_engine()) is not None:
+        FigureCanvasSVG(figure)
+        figure.dpi = POINTS
+        engine.execute(figure)
+        figure.set_layout_engine("none")
+    return figure
 
 
 def png(figure: Figure, dpi: int = 150) -> bytes:

@@ -288,6 +288,9 @@ def test_an_observer_that_cannot_be_exported_is_refused(tmp_path, capsys):
     assert app.run([*line, "c", "--compensation", "x.json"]) == 2
     assert "--compensation: goes without --observer" in capsys.readouterr().err
     assert app.run([*line, "json"]) == 0
+    for cutoff in ("nan", "0", "500"):
+        assert app.run(["export", "emps2018", "--observer", cutoff, "--out", str(tmp_path / "x"), "--to", "c"]) == 2
+        assert f"found {cutoff} Hz, expected between 0 and 500 Hz" in capsys.readouterr().err
 
 
 def test_a_compensation_of_another_axis_is_refused():

@@ -25,7 +25,7 @@ import numpy as np
 from emps_design.control.force.limits import first_instability, largest_force_gain
 from emps_design.control.loop.margins import Margins, loop_margins
 from emps_design.control.loop.sampled_loop import SampledLoop, close
-from emps_design.control.plant.discretisation import SampledPlant, sample_axis, sample_plant
+from emps_design.control.plant.discretisation import SampledPlant, sample_axis
 from emps_design.control.plant.environment import Environment, attached, felt
 from emps_design.control.plant.linear_plant import POSITION, VELOCITY
 from emps_design.control.velocity.design import VelocityLoopDesign
@@ -99,14 +99,7 @@ class ForceLoopDesign:
         plant = sample_axis(loop.axis, loop.velocity, loop.filters)
         if not self.on_carriage:
             return plant
-        sampling, controller = loop.axis.sampling, loop.axis.controller
-        touched = sample_plant(
-            attached(plant.linear, self._operator),
-            sampling.period,
-            sampling.computation_delay,
-            controller.velocity_estimator,
-        )
-        return replace(touched, filters=loop.filters)
+        return plant.sampling(attached(plant.linear, self._operator))
 
     def sampled_loop(self, k_e1: float | np.ndarray | None = None) -> SampledLoop:
         """The sampled closed loop at ``k_e1`` [(m/s)/N], this design's by default; its reference is a velocity.

@@ -171,17 +171,22 @@ def disk_margin(response: Callable[[np.ndarray], np.ndarray], frequencies: np.nd
     >>> round(disk_margin(lambda w: 1.0 / (1j * w * (1.0 + 1j * w)), np.geomspace(0.01, 100, 60)), 4)
     0.8944
     """
-
-    def size(w: np.ndarray) -> np.ndarray:
-        return np.abs(1.0 / (1.0 + response(w)) - 0.5)
-
     w, largest = frequencies, 0.0
     for _ in range(5):
-        found = size(w)
+        found = disk_size(response(w))
         at = int(np.argmax(found))
         largest = max(largest, float(found[at]))
         w = np.geomspace(w[max(at - 1, 0)], w[min(at + 1, w.size - 1)], 33)
     return 1.0 / largest
+
+
+def disk_size(loop: np.ndarray) -> np.ndarray:
+    """Return |S - 1/2| of the open ``loop`` at any frequencies, S = 1/(1 + L): the largest is 1/a of the disk margin a.
+
+    >>> disk_size(np.array([1.0 + 0.0j, 1.0j])).round(12).tolist()
+    [0.0, 0.5]
+    """
+    return np.abs(1.0 / (1.0 + loop) - 0.5)
 
 
 def _exact_delay(

@@ -150,8 +150,11 @@ class SampledPlant:
 
     def delayed(self, delay: float) -> SampledPlant:
         """Return the plant whose voltage comes ``delay`` [s] later, any fraction of a sample."""
-        later = replace(self.linear, delay=self.linear.delay + delay)
-        plant = sample_plant(later, self.period, self._program_delay)
+        return self.sampling(replace(self.linear, delay=self.linear.delay + delay))
+
+    def sampling(self, linear: LinearPlant) -> SampledPlant:
+        """Return ``linear`` in place of the continuous plant, with this one's clock, estimator and filters."""
+        plant = sample_plant(linear, self.period, self._program_delay)
         return replace(plant, weights=self.weights, filters=self.filters)
 
     @property

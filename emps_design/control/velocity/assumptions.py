@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from emps_design.axis import Axis
-from emps_design.control.plant.discretisation import sample_axis, sample_plant
+from emps_design.control.plant.discretisation import sample_axis
 from emps_design.control.plant.environment import Environment, attached
 from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.control.velocity.specification import ROOM
@@ -72,20 +72,19 @@ def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> 
             notes.append(f"the sampled loop is unstable at {-velocity:g} m/s")
         elif here is not None and there is not None and there < here - 0.5:
             notes.append(f"at {-velocity:g} m/s the sampled loop has {there:.3g} deg of phase margin only")
-        notes += _where_it_is_steepest(axis, loop)
+        notes += _where_it_is_steepest(loop)
     return notes
 
 
-def _where_it_is_steepest(axis: Axis, loop: SampledVelocityLoop) -> list[str]:
+def _where_it_is_steepest(loop: SampledVelocityLoop) -> list[str]:
     """Say whether slow motion is less stable: there the loop sees the slope that averages out in faster motion."""
-    steepest, sampling = loop.plant.linear.steepest, axis.sampling
+    steepest = loop.plant.linear.steepest
     if steepest == 0.0:
         return []
     here, found = loop.margins.phase_margin_deg, []
     for stiffness in (steepest, -steepest):
         linear = attached(loop.plant.linear, Environment(stiffness=stiffness))
-        plant = sample_plant(linear, sampling.period, sampling.computation_delay, axis.controller.velocity_estimator)
-        slow = replace(loop, plant=replace(plant, filters=loop.plant.filters))
+        slow = replace(loop, plant=loop.plant.sampling(linear))
         where = f"in slow motion, where the force over position has its slope of {stiffness:.3g} N/m,"
         there = slow.margins.phase_margin_deg
         if not slow.stable:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.control.loop.margins import disk_size
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis
 from emps_design.control.velocity.implementation import command_in_a_step, encoder_voltage_noise
 from emps_design.control.velocity.retune import retuned_gains
@@ -82,7 +83,7 @@ def reach(
 def _disk_margins(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> np.ndarray:
     """Disk margins (n,) of stable loops, on a grid that is fine where the plant resonates."""
     loops = SampledVelocityLoop(plant, k_v1[:, None], t_v[:, None])
-    return 1.0 / np.abs(1.0 / (1.0 + loops.plant_input_response(plant.frequencies(1000))) - 0.5).max(axis=1)
+    return 1.0 / disk_size(loops.plant_input_response(plant.frequencies(1000))).max(axis=1)
 
 
 def _what_ends(

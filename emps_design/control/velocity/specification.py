@@ -164,11 +164,10 @@ def nearest_that_works(pairs: Pairs, requested: dict[str, float]) -> dict[str, A
 
 
 # Phase margins to propose [deg], finer towards 90, where a stiff friction leaves little room below; and steps of the
-# frequency: of 1 % near by and of 10 % far away.
-PHASES = np.unique(
-    np.round([*(0.5 * np.arange(1, 360)), *(90.0 - n * 10.0**-m for n in range(1, 10) for m in range(1, 6))], 6)
-)
-FINE = np.unique([*np.arange(-250, 250), *(10 * np.arange(-150, 50))])
+# frequency: of 1 % near by and of 10 % far away. (np.unique would import numpy.ma, for this alone.)
+_BELOW_90 = (90.0 - n * 10.0**-m for n in range(1, 10) for m in range(1, 6))
+PHASES = np.array(sorted({round(phase, 6) for phase in (*(0.5 * np.arange(1, 360)).tolist(), *_BELOW_90)}))
+FINE = np.array(sorted({*range(-250, 250), *range(-1500, 500, 10)}))
 COARSE = np.arange(-120, 41)
 
 

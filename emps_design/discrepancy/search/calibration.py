@@ -15,6 +15,7 @@ from emps_design.discrepancy.search.noise_floor import STROKES, Floor, floor_of_
 from emps_design.discrepancy.search.null_distribution import Healthy, healthy_reference
 from emps_design.discrepancy.search.simulated_null import healthy_runs
 from emps_design.discrepancy.search.starts import Start, screen, tangent
+from emps_design.discrepancy.search.suspects import by_signature, told
 
 Progress = Callable[[str, float], None]
 BASELINE_STEPS = 20  # of the baseline's fit, which starts from the axis file
@@ -59,6 +60,7 @@ def calibrate(
     warnings: tuple[str, ...] = ()
     absorbed = tangent(baseline)
     screened = screen(baseline, preparation.library, absorbed)
+    progress(f"healthy reference{told(by_signature(screened, absorbed))}", 0.05)
     healthy = healthy_reference(screened, absorbed, floor.draws, seed)
     if runs:
         try:

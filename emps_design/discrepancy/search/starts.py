@@ -117,9 +117,7 @@ def _values(current: Hypothesis, effect: Effect, missing: tuple[MissingForce, ..
             force = np.where(split.used, seen.force, 0.0)  # what confirms stays closed
             shapes = effect.propose(seen.motion, force, model.baseline, seen.away)
         else:
-            names = [p.name for p in effect.parameters if p.starts]
-            grids = [p.starts for p in effect.parameters if p.starts]
-            shapes = [dict(zip(names, combination, strict=True)) for combination in product(*grids)]
+            shapes = grid(effect)
         tables.append([_complete(effect, shape, seen, model) for shape in shapes])
     # The records that miss most propose; the others follow with their own per-record numbers where they do as often.
     own = np.array([p.per_record for p in effect.parameters])
@@ -134,6 +132,13 @@ def _values(current: Hypothesis, effect: Effect, missing: tuple[MissingForce, ..
             if not any(np.array_equal(row, other) for other in rows):
                 rows.append(row)
     return rows
+
+
+def grid(effect: Effect) -> list[dict[str, float]]:
+    """Every combination of the starts of the shapes of ``effect``."""
+    names = [p.name for p in effect.parameters if p.starts]
+    starts_of_each = [p.starts for p in effect.parameters if p.starts]
+    return [dict(zip(names, combination, strict=True)) for combination in product(*starts_of_each)]
 
 
 def _complete(effect: Effect, shape: dict[str, float], seen: MissingForce, model: Candidate) -> np.ndarray | None:

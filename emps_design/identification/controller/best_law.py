@@ -46,7 +46,8 @@ def best_law(signals: Signals, only: Structure | None = None) -> Found:
     worth, none = 0.0, tuple[Filter, ...]()
     for stands_still in (None, flat):
         if only is None:
-            best = search(signals, stands_still)[0]
+            first = signals.first_level if signals.records else signals
+            best = search(first, None if stands_still is None else stands_still[: len(first)])[0]
             structure, timing, filters, worth = best.structure, best.timing, best.filters, best.filter_worth
         else:
             structure, timing, filters = only, Timing(), none
@@ -60,6 +61,9 @@ def best_law(signals: Signals, only: Structure | None = None) -> Found:
         left = _left(free, fitted, held)
         if not flat.any() or float(np.std(left[free.used])) < HOLDS * float(np.std(signals.command)):
             break
+    if free.records and not fitted.structure.form:
+        free = replace(free, levels=None, records=False)
+        fitted = fit(free, fitted, held)
     fitted = simplify(free, fitted, worth, held)
     whitening = whitening_filter(_left(free, fitted, held), free.used) if signals.times is None else free.whitening
     white = replace(free, whitening=whitening, used=usable_behind(free.used, whitening))
@@ -91,6 +95,16 @@ def _left(signals: Signals, found: Fit, held: np.ndarray | None) -> np.ndarray:
     return left
 
 
+def _wanted(signals: Signals, found: Fit, held: np.ndarray | None) -> np.ndarray:
+    """Command (n,) of a fit without its limit, with the constant of each level."""
+    command = command_of(signals, found, held)
+    if signals.levels is None:
+        return command
+    known, left, count = signals.levels[signals.used], (signals.command - command)[signals.used], signals.levels[-1] + 1
+    means = np.bincount(known, left, count) / np.maximum(np.bincount(known, None, count), 1)
+    return command + means[signals.levels]
+
+
 def _up_to_the_limit(
     signals: Signals, start: Fit, flat: np.ndarray
 ) -> tuple[Signals, Fit, np.ndarray | None, float | None, bool | None]:
@@ -101,15 +115,11 @@ def _up_to_the_limit(
     if not flat.any():
         return signals, fit(signals, start), None, None, True
     # At first nobody knows where the integral stood still: it may have any value behind each plateau.
-    levels = np.cumsum(np.diff(flat.astype(int), prepend=0) == -1)
-    apart = replace(signals, used=signals.used & ~flat, levels=levels)
+    levels = np.cumsum(np.diff(flat.astype(int), prepend=0) == -1) + (0 if signals.levels is None else signals.levels)
+    apart = replace(signals, used=signals.used & ~flat, levels=levels, records=False)
     loose = fit(apart, start)
-    left = signals.command - command_of(signals, loose, None)
-    known = levels[apart.used]
-    count = levels[-1] + 1
-    means = np.bincount(known, left[apart.used], count) / np.maximum(np.bincount(known, None, count), 1)
-    wanted = signals.command - left + means[levels]
-    noise = robust_deviation(apart.counted(left))
+    wanted = _wanted(apart, loose, None)
+    noise = robust_deviation((signals.command - wanted)[apart.used])
     limited, limit = acting(signals.command, np.where(signals.used, wanted, 0.0), noise)
     if limit is None:
         return signals, fit(signals, start), None, None, True
@@ -119,7 +129,7 @@ def _up_to_the_limit(
         if start.structure.form:
             tried.append((fit(free, loose), False))
         fitted, holds = min(tried, key=lambda pair: pair[0].cost)
-        wanted = command_of(signals, fitted, limited if holds else None)
+        wanted = _wanted(free, fitted, limited if holds else None)
         noise = robust_deviation((signals.command - wanted)[free.used])
         now, level = acting(signals.command, np.where(signals.used, wanted, 0.0), noise)
         if level is None or np.array_equal(now, limited):

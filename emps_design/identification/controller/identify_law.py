@@ -7,16 +7,18 @@ is fitted too, and named where it explains the record as well. See docs/theory/c
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from emps_design.errors import RecordError
 from emps_design.identification.controller.best_law import AS_GOOD, HOLDS, Found, best_law
 from emps_design.identification.controller.deviations import covariance, with_deviations
 from emps_design.identification.controller.fit import Fit
 from emps_design.identification.controller.law_estimate import AMBIGUOUS, NOT_TOLD, TOLD, LawEstimate
-from emps_design.identification.controller.regressors import Signals
+from emps_design.identification.controller.regressors import Signals, joined
 from emps_design.identification.controller.steps import without_steps
 from emps_design.identification.controller.structures import PROPORTIONAL
 from emps_design.identification.controller.tables import deviations_of, kind_of, numbers_of, table_of
@@ -34,8 +36,12 @@ ROUNDING = 1e-6  # relative, by which the numbers of one law written in two ways
 IRREGULAR = "irregular samples tell no law with a memory, only a proportional one"
 
 
-def identify_law(record: Record, command_unit: str = "V") -> LawEstimate:
-    """Tell the controller that made ``record``, whose command is in ``command_unit``; reads no axis.
+def identify_law(records: Record | Sequence[Record], command_unit: str = "V") -> LawEstimate:
+    """Tell the controller that made one or several ``records``, whose command is in ``command_unit``; reads no axis.
+
+    Several tell more than each alone: they are taken as one, in which the integral starts anew with each. Raises
+    :class:`RecordError` for records of other
+    columns or samples than the first.
 
     >>> import numpy as np
     >>> t = np.arange(4000) * 1e-3
@@ -47,21 +53,24 @@ def identify_law(record: Record, command_unit: str = "V") -> LawEstimate:
     >>> found.verdict, found.controller["kind"], round(found.controller["kp"], 1), round(found.controller["kv"], 1)
     ('told', 'position_pd', 50.0, 40.0)
     """
-    times, record = None if record.measured is None else record.measured["t"], own_samples(record)
-    signals = signals_of(record)
-    if isinstance(signals, str):
-        return _not_told(record, command_unit, signals)
-    if times is not None:
+    several = [records] if isinstance(records, Record) else _alike(records)
+    name = " + ".join(one.name for one in several)
+    read = [signals_of(own_samples(one)) for one in several]
+    for one, said in zip(several, read, strict=True):
+        if isinstance(said, str):
+            return _not_told(name, command_unit, said if len(several) == 1 else f"{one.name}: {said}")
+    signals = joined([one for one in read if not isinstance(one, str)])
+    if several[0].measured is not None:
         if signals.velocity_reference:
-            return _not_told(record, command_unit, f"{IRREGULAR}, and that follows no velocity")
-        polled = best_law(replace(signals, times=times), replace(PROPORTIONAL, skew=True))
-        return _report(record, command_unit, polled, None, f"{IRREGULAR}: that ")
+            return _not_told(name, command_unit, f"{IRREGULAR}, and that follows no velocity")
+        polled = best_law(replace(signals, times=several[0].measured["t"]), replace(PROPORTIONAL, skew=True))
+        return _report(several, command_unit, polled, None, f"{IRREGULAR}: that ")
     found, steps = best_law(signals), None
     if found.share > HOLDS and (stepless := without_steps(signals)) is not None:
         again = best_law(stepless[0])
         if again.share <= HOLDS:
             found, steps = again, stepless[1]
-    return _report(record, command_unit, found, steps)
+    return _report(several, command_unit, found, steps)
 
 
 def signals_of(record: Record) -> Signals | str:
@@ -94,7 +103,25 @@ def own_samples(record: Record) -> Record:
     return replace(record, t=t, measured=None, **own)
 
 
-def _report(record: Record, unit: str, found: Found, steps: np.ndarray | None, why: str = "") -> LawEstimate:
+def _alike(records: Sequence[Record]) -> list[Record]:
+    """The records, where one controller can have made them all."""
+    first, *others = records
+    for one in others:
+        for what, own, expected in (
+            ("period", f"{one.period:.6g} s", f"{first.period:.6g} s"),
+            ("reference", *("a velocity" if r.velocity_reference is not None else "a position" for r in (one, first))),
+            ("external force", *("none" if r.f_ext is None else "one" for r in (one, first))),
+        ):
+            if own != expected:
+                raise RecordError(f"{one.name}: {what}: found {own}, expected {expected} as in {first.name}")
+    for one in records:
+        if others and one.measured is not None:
+            raise RecordError(f"{one.name}: found irregular samples, expected regular ones beside another record")
+    return list(records)
+
+
+def _report(several: Sequence[Record], unit: str, found: Found, steps: np.ndarray | None, why: str = "") -> LawEstimate:
+    name = " + ".join(one.name for one in several)
     velocity_reference = found.signals.velocity_reference
     tried = tuple(described(one, found) for one in [found.fit, *found.rivals])
     said: dict[str, Any] = {"residual_rms": found.rms, "residual_share": found.share, "tried": tried}
@@ -103,17 +130,17 @@ def _report(record: Record, unit: str, found: Found, steps: np.ndarray | None, w
             f"{why or 'the best law tried '}leaves {100 * found.share:.3g} % of the command's deviation, expected at "
             f"most {100 * HOLDS:g} %: an open loop, another structure, or columns that are not the controller's own"
         )
-        return _not_told(record, unit, reason, **said)
+        return _not_told(name, unit, reason, **said)
     kind = kind_of(found.fit, velocity_reference)
     if not kind:
         reason = f"the command follows a law that no kind of controller here has: {tried[0]['terms']}"
-        return _not_told(record, unit, reason, **said)
+        return _not_told(name, unit, reason, **said)
     spread = covariance(found.signals, found.fit, found.held)
     numbers = with_deviations(found.fit, spread, lambda one: numbers_of(one, velocity_reference))
     loose = [name for name, (value, std) in numbers.items() if name in FEEDBACK and not std < LOOSE * abs(value)]
     if loose:
         reason = f"the record does not determine {', '.join(loose)}; record more motion"
-        return _not_told(record, unit, reason, **said)
+        return _not_told(name, unit, reason, **said)
     values = {name: _rounded(value, std) for name, (value, std) in numbers.items()}
     close = [one for one in found.rivals if one.criterion < found.fit.criterion + AS_GOOD]
     close = [one for one in close if kind_of(one, velocity_reference)]
@@ -131,7 +158,7 @@ def _report(record: Record, unit: str, found: Found, steps: np.ndarray | None, w
         what = "position.kp and 1/velocity.ti exchanged" if other_numbers else ", ".join(map(short, equivalents))
         reason = f"the record fits as well: {what}"
     return LawEstimate(
-        record=record.name,
+        record=name,
         verdict=TOLD if other_numbers else AMBIGUOUS,
         reason=reason,
         controller=table_of(found.fit, velocity_reference, values, found.holds is not False),
@@ -141,7 +168,7 @@ def _report(record: Record, unit: str, found: Found, steps: np.ndarray | None, w
         limit=found.limit,
         limited_samples=0 if found.limited is None else int(found.limited.sum()),
         equivalents=equivalents,
-        notes=notes_of(record, unit, found, steps),
+        notes=notes_of(several, unit, found, steps),
         **said,
     )
 
@@ -166,8 +193,8 @@ def _same_numbers(one: Any, other: Any) -> bool:
     return bool(one == other)
 
 
-def _not_told(record: Record, unit: str, reason: str, **said: Any) -> LawEstimate:
+def _not_told(name: str, unit: str, reason: str, **said: Any) -> LawEstimate:
     given = {"residual_rms": None, "residual_share": None} | said
     return LawEstimate(
-        record=record.name, verdict=NOT_TOLD, reason=reason, controller=None, std={}, command_unit=unit, **given
+        record=name, verdict=NOT_TOLD, reason=reason, controller=None, std={}, command_unit=unit, **given
     )

@@ -14,7 +14,9 @@ The sums belong to the integral part. It stands still while the limit acts, and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
@@ -23,6 +25,8 @@ EVERY = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20)  # samples of a position loop t
 DELAYS = (0, 1, 2)  # samples
 ESTIMATORS = ("backward", "two_tap")
 STRANGE_START = 20.0  # of the criterion, for a position loop that does not start with the record, as axis files have it
+
+WHOLE_LOOPS = int(np.lcm.reduce(EVERY))  # samples after which a position loop of any rate is where it began
 
 COLUMNS = (
     "error",
@@ -45,7 +49,8 @@ class Signals:
     The reference is a position [m or rad], or a velocity where ``velocity_reference``; ``force`` (n,) [N or N m] is
     a measured external force; ``used`` (n,) says which samples count. ``whitening`` are the coefficients of the
     prediction error filter in z^-1 that makes the noise of the command white; ``used`` is about what leaves it.
-    ``levels`` (n,) numbers stretches in each of which the command may carry a constant of its own. ``times`` (n,) [s]
+    ``levels`` (n,) numbers stretches in each of which the command may carry a constant of its own: each a record, where
+    ``records``, with a constant only if there is an integral. ``times`` (n,) [s]
     are those of irregular samples, whose noise no filter makes white.
     """
 
@@ -58,10 +63,21 @@ class Signals:
     force: np.ndarray | None = None
     whitening: tuple[float, ...] = (1.0,)
     levels: np.ndarray | None = None
+    records: bool = False
     times: np.ndarray | None = None
 
     def __len__(self) -> int:
         return self.position.size
+
+    @property
+    def first_level(self) -> Signals:
+        """The first stretch of ``levels`` alone, up to the last sample of it that counts."""
+        if self.levels is None:
+            return self
+        part = slice(0, int(np.flatnonzero(self.used & (self.levels == self.levels[0]))[-1]) + 1)
+        names = ("reference", "position", "command", "used")
+        force = None if self.force is None else self.force[part]
+        return replace(self, levels=None, force=force, **{name: getattr(self, name)[part] for name in names})
 
     def counted(self, columns: np.ndarray) -> np.ndarray:
         """What counts of ``columns`` (n, ...): whitened, the samples used, without the mean of each stretch."""
@@ -121,6 +137,31 @@ def regressors(signals: Signals, timing: Timing, limited: np.ndarray | None = No
     if timing.delay:
         table = np.concatenate([np.repeat(table[:1], timing.delay, axis=0), table[: n - timing.delay]])
     return table
+
+
+def joined(several: Sequence[Signals]) -> Signals:
+    """Signals of one controller from several records, one after the other, each a level of its own.
+
+    Each starts at the position where the one before ended, so that nothing jumps, and in a sample in which position
+    loops of every rate run; until then the one before stands still, in samples that do not count.
+    """
+    if len(several) == 1:
+        return several[0]
+    pieces: dict[str, list[np.ndarray]] = {name: [] for name in ("reference", "position", "command", "force", "used")}
+    levels, end = [], several[0].position[0]
+    for place, one in enumerate(several):
+        shift = end - one.position[0]
+        reference = one.reference if one.velocity_reference else one.reference + shift
+        own = (reference, one.position + shift, one.command, one.force)
+        more = -len(one) % WHOLE_LOOPS
+        for name, column in zip(pieces, own, strict=False):
+            pieces[name].append(np.pad(np.zeros(len(one)) if column is None else column, (0, more), "edge"))
+        pieces["used"].append(np.pad(one.used, (0, more)))
+        levels.append(np.full(len(one) + more, place))
+        end = pieces["position"][-1][-1]
+    columns: dict[str, Any] = {name: np.concatenate(rows) for name, rows in pieces.items()}
+    columns["force"] = None if several[0].force is None else columns["force"]
+    return replace(several[0], **columns, levels=np.concatenate(levels), records=True)
 
 
 def estimated_velocity(q: np.ndarray, period: float, estimator: str) -> np.ndarray:

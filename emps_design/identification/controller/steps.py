@@ -25,8 +25,8 @@ def without_steps(signals: Signals) -> tuple[Signals, np.ndarray] | None:
     if not RAREST <= outlying.sum() <= MOST * len(signals):
         return None
     used = signals.used & ~outlying
-    levels = np.cumsum(outlying)
-    stretches = replace(signals, used=used, levels=levels)
+    levels = np.cumsum(outlying) + (0 if signals.levels is None else signals.levels)
+    stretches = replace(signals, used=used, levels=levels, records=False)
     fits = [_within(stretches, table) for table in tables]
     left = min(fits, key=lambda left: float(np.sum(stretches.counted(left) ** 2)))
     known = levels[used]

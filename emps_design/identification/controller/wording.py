@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ def short(table: dict[str, Any]) -> str:
     return " ".join(part for part in [*parts, table.get("velocity_estimator", "")] if part)
 
 
-def notes_of(record: Record, unit: str, found: Found, steps: np.ndarray | None) -> tuple[str, ...]:
+def notes_of(several: Sequence[Record], unit: str, found: Found, steps: np.ndarray | None) -> tuple[str, ...]:
     """What the reader has to know and the table does not say."""
     timing, s = found.fit.timing, found.fit.structure
     notes = []
@@ -61,7 +62,7 @@ def notes_of(record: Record, unit: str, found: Found, steps: np.ndarray | None) 
             notes.append("what the integral does at the limit is not told: anti_windup is the default")
     if steps is not None:
         notes.append(f"steps of {np.std(steps):.3g} {unit} rms, added to the controller's output, were taken off first")
-    if record.enable is not None and np.any(record.enable <= 0.0):
+    if any(one.enable is not None and np.any(one.enable <= 0.0) for one in several):
         notes.append("samples with the motor switched off were left out")
     if not np.ptp(found.signals.reference[found.signals.used]) > 0.0:
         notes.append("the reference stands still, so feed-forward is not told")

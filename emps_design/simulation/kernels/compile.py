@@ -9,6 +9,7 @@ their cache depend on the content of every file they are built from.
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable
 from pathlib import Path
 from types import FunctionType, ModuleType
@@ -109,7 +110,11 @@ def cached(contract: bool = False) -> Callable[[Callable[..., Any]], Any]:
             return njit(fastmath=fastmath, **_OPTIONS)(function)
         # numba stamps a cache with the content of the function's own file only.
         content = b"".join(file.read_bytes() for file in sorted(source_files(function)))
-        dispatcher._cache._cache_file._source_stamp = hashlib.sha256(content).digest()
+        cache = dispatcher._cache._cache_file
+        cache._source_stamp = hashlib.sha256(content).digest()
+        # It numbers the files of a function: two processes that compile it at once, for different arguments, would
+        # write the same file. With the process in the name, one of them at worst compiles again.
+        cache._data_name_pattern = cache._data_name_pattern.replace("{number:d}", f"{os.getpid()}.{{number:d}}")
         return dispatcher
 
     return decorate

@@ -10,11 +10,19 @@ import pytest
 
 from emps_design.cli import app
 from emps_design.codegen import export_controller
+from emps_design.codegen.ahead import Ahead
+from emps_design.codegen.block import Block
+from emps_design.codegen.c import functions_in_c
 from emps_design.codegen.origin import commit
 from emps_design.codegen.pages import block_name
-from emps_design.codegen.rounding import Roundings, every_way, largest, on_rounded, smallest
+from emps_design.codegen.rounded_kernel import largest, on_rounded, smallest
+from emps_design.codegen.rounding import Roundings, every_way
+from emps_design.codegen.st import functions_in_st
+from emps_design.compensation import FeedForward
+from emps_design.effects import EFFECTS
 from emps_design.errors import InputError
 from emps_design.machines import machine
+from emps_design.observer import ForceObserver, observe_online
 
 
 @pytest.mark.parametrize(
@@ -56,6 +64,7 @@ def test_json_has_gains_equations_and_vectors(tmp_path, capsys):
     assert document["equations"][0] == "v[k] = (q[k] - q[k-2]) / 0.002"
     assert len(document["vectors"]["u"]) == said["vectors"]["rows"] == len(document["vectors"]["memory"])
     assert document["units"]["u"] == "V"
+    assert document["effects"] == []
 
 
 def test_what_is_there_is_not_overwritten(tmp_path, capsys):
@@ -134,6 +143,26 @@ def _switching_in_single(memory):
     if memory[0] > np.float32(1.0):
         memory[0] = np.float32(0.0)
     return np.float32(2.0) * memory[0]
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
+def test_every_effect_is_in_the_exported_observer_and_its_feed_forward_or_refused(effect):
+    """In both languages; the observer's equation has the bits of the one that runs on records."""
+    axis = machine("emps2018").replace(motion=effect.motion or "linear")
+    axis = axis.replace(effects=[{"kind": effect.name, **effect.checks[0][0]}])
+    if effect.rate or effect.channel != "plant" or effect.over == "t":
+        with pytest.raises(InputError, match=f"found {effect.name}, it .*; take such effects out"):
+            Block.observer(axis, 20.0)
+        return
+    block, ahead = Block.observer(axis, 20.0), Ahead.of(FeedForward.of(axis, (effect.name,)), False)
+    for program in (block.program, *(part.program for part in ahead.parts)):
+        sizes = dict(zip(list(program.kernel.parameters)[5:], (8, 4), strict=False))
+        assert functions_in_c(program, "x", {})[0]
+        assert functions_in_st(program, "x", "LREAL", sizes)[0]
+    q, u = (0.3 * np.sin(np.arange(300) / w) for w in (40.0, 33.0))
+    force, _ = block.run(np.arange(300) == 0, np.concatenate([u[:1], u[:-1]]), q, np.zeros(300))
+    np.testing.assert_array_equal(force, observe_online(ForceObserver(axis, 20.0), q, u))
+    assert not np.array_equal(force, observe_online(ForceObserver(axis.replace(effects=[]), 20.0), q, u))
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -24,6 +24,16 @@ def test_intervals_cover_the_truth(simulate, truth, noise_time):
     assert np.all(plain / RUNS < 0.60), plain / RUNS
 
 
+@pytest.mark.parametrize("lag", [0, 1, 40])
+def test_the_sum_over_lags_is_that_of_statsmodels(lag):
+    sandwich = pytest.importorskip("statsmodels.stats.sandwich_covariance", reason="statsmodels is not installed")
+    rng = np.random.default_rng(lag)
+    W, e = rng.standard_normal((300, 3)), rng.standard_normal(300)
+    bread = np.linalg.inv(W.T @ W)
+    expected = bread @ sandwich.S_hac_simple(W * e[:, None], nlags=lag) @ bread.T
+    assert hac_covariance(W, e, lag) == pytest.approx(expected, rel=1e-12)
+
+
 def noise(n, rho, seed):
     from scipy.signal import lfilter
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from emps_design.cli.app import run
+from emps_design.errors import RecordError
 from emps_design.identification.controller import AMBIGUOUS, NOT_TOLD, TOLD, identify_law
 from emps_design.identification.controller.deviations import covariance, with_deviations
 from emps_design.identification.controller.filters import Filter
@@ -141,6 +142,33 @@ def test_deviations_hold_the_truth_as_often_as_they_say():
         for name, value in true.items():
             within[name] += abs(found[name][0] - value) < 2.0 * found[name][1]
     assert all(181 <= count <= 199 for count in within.values()), within  # 191, four deviations of the count
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["position_pd, backward, coarse encoder", "velocity reference"])
+def test_two_records_tell_more_than_one(name):
+    loop, numbers, structure = CASES[name]
+    several = [record_of(replace(loop, seed=seed, samples=1700 + 300 * seed)) for seed in (0, 1)]
+    one, both = identify_law(several[0]), identify_law(several)
+    assert (both.verdict, both.record) == (TOLD, "loop + loop")
+    assert {key: at(both.controller, key) for key in structure} == structure
+    for key, true in numbers.items():
+        assert at(both.std, key) < 0.9 * at(one.std, key), key
+        assert abs(at(both.controller, key) - true) < 4.0 * at(both.std, key), key
+
+
+def test_records_of_unlike_columns_are_no_one_controllers():
+    record = record_of(Loop(kp=30.0, kv=300.0, noise=0.01, samples=300))
+    irregular = replace(record, measured={"t": record.t, "q_ref": record.q_ref, "q": record.q, "u": record.u})
+    slower = Record.from_arrays(2e-3, record.q_ref, record.q, record.u, name="slow")
+    followed = replace(record, velocity_reference=record.q, q_ref_recorded=False)
+    for other, line in (
+        (slower, "slow: period: found 0.002 s, expected 0.001 s as in loop"),
+        (followed, "reference: found a velocity, expected a position"),
+        (irregular, "found irregular samples"),
+    ):
+        with pytest.raises(RecordError, match=line):
+            identify_law([record, other])
 
 
 def test_it_says_why_it_cannot_tell():
