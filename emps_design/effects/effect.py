@@ -227,6 +227,10 @@ class Effect:
         """Whether an axis of this ``motion``, "linear" or "rotary", can have the effect."""
         return self.motion in ("", motion)
 
+    def confusable(self, other: Effect) -> bool:
+        """Whether this effect and ``other`` are known to be confused, whichever of the two says so."""
+        return other.name in self.confused_with or self.name in other.confused_with
+
     def several(self) -> tuple[Effect, ...]:
         """Return the effect and its further ``lines``, numbered.
 

@@ -32,19 +32,26 @@ def absorb(residual: np.ndarray, v: np.ndarray, a: np.ndarray, index: np.ndarray
 
 
 def squares_explained(target: np.ndarray, basis: np.ndarray, sine: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """Sum of squares (m,) of ``target`` (k,) that each pair of columns of ``sine`` and ``cosine`` (k, m) explains."""
-    first = sine - basis @ (basis.T @ sine)
-    second = cosine - basis @ (basis.T @ cosine)
-    aa, bb, ab = (first**2).sum(axis=0), (second**2).sum(axis=0), (first * second).sum(axis=0)
-    ra, rb = target @ first, target @ second
+    """Sum of squares (m,) of ``target`` (k,) that each pair of columns of ``sine`` and ``cosine`` (k, m) explains.
+
+    ``target`` has no part in ``basis`` (k, 4), which is orthonormal; what the pairs have in it does not count.
+    """
+    inside = basis.T @ sine, basis.T @ cosine
+    whole = sine, cosine
+
+    def product(i: int, j: int) -> np.ndarray:  # of what is outside the basis
+        return np.einsum("km,km->m", whole[i], whole[j]) - np.einsum("km,km->m", inside[i], inside[j])
+
+    aa, bb, ab = product(0, 0), product(1, 1), product(0, 1)
+    ra, rb = target @ sine, target @ cosine
     determinant = aa * bb - ab**2
     safe = determinant > 1e-9 * (aa * bb) + 1e-300
     power = (ra**2 * bb - 2 * ra * rb * ab + rb**2 * aa) / np.where(safe, determinant, 1.0)
     return np.where(safe, power, 0.0)
 
 
-# Both phases (k, m) of some samples (k,) and angular wave numbers (m,).
-Waves = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+# Both columns (k, m) of some samples (k,) and angular wave numbers (m,), whose sine and cosine (k, m) are given.
+Waves = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def strongest(power: np.ndarray, count: int) -> list[int]:
@@ -64,10 +71,11 @@ def periods(
     shortest: float,
     count: int = 3,
 ) -> list[float]:
-    """Periods of ``coordinate`` (n,) at which ``columns(index, waves)`` explain most of ``residual``.
+    """Periods of ``coordinate`` (n,) at which ``columns`` explain most of ``residual``.
 
-    ``columns`` returns the two phases of each angular wave number, shape (k, m) both. Searched from the span of the
-    coordinate down to ``shortest`` [unit of the coordinate], at half the resolution of the span.
+    ``columns(index, waves, sine, cosine)`` returns the two columns of each angular wave number, shape (k, m) both.
+    Searched from the span of the coordinate down to ``shortest`` [unit of the coordinate], at half the resolution of
+    the span.
     """
     index = thin(away)
     span = float(np.ptp(coordinate[index])) if index.size else 0.0
@@ -75,8 +83,14 @@ def periods(
         return []
     target, basis = absorb(residual, v, a, index)
     turns = np.arange(1.0 / span, 1.0 / shortest, 0.5 / span)
-    pieces = np.array_split(2 * np.pi * turns, -(-turns.size // CHUNK))
-    power = np.concatenate([squares_explained(target, basis, *columns(index, waves)) for waves in pieces])
+    power = np.empty(turns.size)
+    angle = 2 * np.pi * coordinate[index][:, None]
+    first = np.exp(1j * angle * turns[:CHUNK])
+    for start in range(0, turns.size, CHUNK):  # the waves of a piece are those of the first one, turned
+        piece = slice(start, start + CHUNK)
+        turned = first[:, : turns[piece].size] * np.exp(1j * angle * (turns[start] - turns[0]))
+        phases = np.ascontiguousarray(turned.imag), np.ascontiguousarray(turned.real)
+        power[piece] = squares_explained(target, basis, *columns(index, 2 * np.pi * turns[piece], *phases))
     return [float(1.0 / turns[i]) for i in strongest(power, count)]
 
 

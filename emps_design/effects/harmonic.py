@@ -84,15 +84,13 @@ def plausible(parameters: Parameters, motion: Motion) -> bool:
     return parameters["period"] < float(np.ptp(motion.q)) / 3
 
 
-def waves(coordinate: np.ndarray, size: np.ndarray | float = 1.0) -> guesses.Waves:
-    """Both phases of ``coordinate`` (n,) at some of its samples and angular wave numbers, as a search asks for them.
+def waves(size: np.ndarray | float = 1.0) -> guesses.Waves:
+    """Sine and cosine as a search asks for them, multiplied by ``size`` (n,) sample by sample."""
 
-    ``size`` (n,) is what the waves are multiplied by, sample by sample.
-    """
-    size = np.broadcast_to(size, coordinate.shape)
-
-    def columns(index: np.ndarray, wave_numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        angle = coordinate[index][:, None] * wave_numbers
-        return size[index][:, None] * np.sin(angle), size[index][:, None] * np.cos(angle)
+    def columns(
+        index: np.ndarray, waves: np.ndarray, sine: np.ndarray, cosine: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        weight = size[index][:, None] if isinstance(size, np.ndarray) else size
+        return weight * sine, weight * cosine
 
     return columns

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dis
 from collections.abc import Iterator
+from functools import cache
 
 from emps_design.effects import Effect
+from emps_design.effects.effect import Kernel
 from emps_design.simulation.kernels import motion
 from emps_design.simulation.kernels.compile import address
 
@@ -41,5 +43,9 @@ def sees_command(effect: Effect) -> bool:
     """Whether a force of ``effect`` reads the motor force, or a mass that may change, so that it jumps with it."""
     if effect.inertia is not None:
         return True
-    kernels = [kernel for kernel in (effect.force, effect.dry) if kernel is not None]
-    return any("tau" in {step.argval for step in dis.get_instructions(kernel)} for kernel in kernels)
+    return any(_reads_command(kernel) for kernel in (effect.force, effect.dry) if kernel is not None)
+
+
+@cache
+def _reads_command(kernel: Kernel) -> bool:
+    return any(step.argval == "tau" for step in dis.get_instructions(kernel))

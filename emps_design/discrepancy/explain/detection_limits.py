@@ -9,9 +9,10 @@ import numpy as np
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.fit import Fit
+from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.search.calibration import Calibration
 from emps_design.discrepancy.search.starts import Start, Tangent, tangent
-from emps_design.effects import Parameter
+from emps_design.effects import Effect, Parameter
 from emps_design.errors import SimulationError
 from emps_design.quantities import display_unit
 
@@ -28,10 +29,8 @@ def not_excluded(calibration: Calibration, found: Sequence[str]) -> list[dict[st
     gain = max(calibration.healthy.threshold, rules.WORTH_AT_FLOOR * baseline.problem.samples("fit"))
     least = rules.AUDIBLE * calibration.floor.force
     absorbed, screened = tangent(baseline), {s[0].model.names[-1]: s for s in calibration.screened}
-    rows = []
-    for effect in calibration.preparation.library:
-        if effect.name in found or effect.after:
-            continue
+
+    def row(effect: Effect) -> dict[str, Any]:
         starts, side = screened.get(effect.name, ()), "or more"
         if not starts:
             parameter, size, text = effect.parameters[0], None, NO_START
@@ -42,10 +41,10 @@ def not_excluded(calibration: Calibration, found: Sequence[str]) -> list[dict[st
             side = "or less" if grows else "or more"
         if starts:
             text = HIDDEN if size is None else f"{_rounded(parameter, size)} {side}"
-        rows.append(
-            {"effect": effect.name, "label": effect.label, "size": size, "unit": parameter.unit, "text": text},
-        )
-    return rows
+        return {"effect": effect.name, "label": effect.label, "size": size, "unit": parameter.unit, "text": text}
+
+    library = calibration.preparation.library
+    return side_by_side(row, [(effect,) for effect in library if effect.name not in found and not effect.after])
 
 
 def _rounded(parameter: Parameter, size: float) -> str:
@@ -107,9 +106,9 @@ def _by_shape(
     value, base = float(faintest[0, 0]), baseline.residual("fit")
     try:
         ends = [min(max(value * far, parameter.lower), parameter.upper) for far in (FAR, 1 / FAR)]
-        grows = apart(innovations(ends[0]), base) < apart(innovations(ends[1]), base)
-        unseen = ends[not grows]
-        faded = innovations(unseen)
+        there = [innovations(end) for end in ends]
+        grows = apart(there[0], base) < apart(there[1], base)
+        unseen, faded = ends[not grows], there[not grows]
         if apart(innovations(value), faded) < gain:
             return parameter, None, grows
         while max(value, unseen) > CLOSE * min(value, unseen):

@@ -9,8 +9,10 @@ import numpy as np
 
 from emps_design.discrepancy.checks.preparation import Preparation
 from emps_design.discrepancy.explain.contribution import contribution, drawn, most_exercised
-from emps_design.discrepancy.explain.extent import described, extent
+from emps_design.discrepancy.explain.extent import Extent, described, extent
 from emps_design.discrepancy.model.fit import Fit, fit
+from emps_design.discrepancy.model.parallel import side_by_side
+from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.result import Finding
 from emps_design.discrepancy.search.acceptance import force_rms
 from emps_design.discrepancy.validation.verdict import Validation
@@ -83,19 +85,23 @@ def _without(extended: Fit, index: int, first: Fit) -> Fit:
     """
     rest = extended.model.without(index)
     begins = (rest, replace(rest, baseline=first.model.baseline))
-    tried = [fit(extended.with_model(begin), part="used", steps=5) for begin in begins]
+    tried = side_by_side(fit, [(extended.with_model(begin), "used", None, 5) for begin in begins])
     # What does not run without the effect stands against the baseline alone.
     return min((fitted for fitted in tried if fitted.innovations), key=lambda fitted: fitted.cost, default=first)
 
 
 def _where(fitted: Fit, index: int, number: int) -> dict[str, Any]:
     """Where the force of effect ``index`` acts on record ``number``, with what its numbers' deviations leave open."""
-    found, record = [], fitted.problem.records[number]
-    for hypothesis in (fitted, *drawn(fitted, index)):
+    record = fitted.problem.records[number]
+
+    def seen(hypothesis: Hypothesis) -> Extent | None:
         try:
-            found.append(extent(record, *contribution(hypothesis, index, number)))
+            return extent(record, *contribution(hypothesis, index, number))
         except SimulationError:
-            continue  # numbers at which the model is unstable do not describe this machine
+            return None  # numbers at which the model is unstable do not describe this machine
+
+    tried = side_by_side(seen, [(hypothesis,) for hypothesis in (fitted, *drawn(fitted, index))])
+    found = [one for one in tried if one is not None]
     if not found:  # nothing runs without the effect: it acts wherever the model moves
         found.append(extent(record, fitted.run(number).force, fitted.problem.splits[number].used))
     where = described(found[0], found[1:])

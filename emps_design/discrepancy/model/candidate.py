@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -69,6 +69,13 @@ class Candidate:
         """Drop effect number ``index``."""
         keep = [i for i in range(len(self.effects)) if i != index]
         return replace(self, effects=tuple(self.effects[i] for i in keep), values=tuple(self.values[i] for i in keep))
+
+    def without_named(self, names: Iterable[str]) -> Candidate:
+        """Drop the effects called ``names``."""
+        model = self
+        for name in names:
+            model = model.without(model.names.index(name))
+        return model
 
     def slots(self, frozen: bool = False) -> tuple[Slot, ...]:
         """The free numbers; with ``frozen`` only those that belong to a record.

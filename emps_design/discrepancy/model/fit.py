@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.model.candidate import Slot
+from emps_design.discrepancy.model.candidate import Candidate, Slot
 from emps_design.discrepancy.model.least_squares import WORST, descend
+from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.effects import Motion
 from emps_design.errors import SimulationError
@@ -33,8 +34,8 @@ class Fit(Hypothesis):
         return self.cost_fit + self.cost_select
 
     def whitened(self) -> tuple[np.ndarray, ...]:
-        """The innovations, one array (n,) per record; none where the model cannot be simulated."""
-        return self.innovations
+        """The innovations, one array (n,) per record."""
+        return self.innovations or super().whitened()  # which says why the model cannot be simulated
 
     def std(self, effect: int, place: int, record: int = 0) -> float:
         """Standard deviation of one number; 0 where it was not free."""
@@ -47,7 +48,11 @@ class Fit(Hypothesis):
 def fit(start: Hypothesis, part: str = "fit", slots: tuple[Slot, ...] | None = None, steps: int = 12) -> Fit:
     """Fit ``start`` to the closed-loop force on the samples of ``part``; ``slots`` (default: all) says what is free."""
     slots = start.model.slots() if slots is None else slots
-    found = descend(start.model, slots, lambda model: start.with_model(model).residual(part), steps)
+
+    def residual(model: Candidate) -> np.ndarray:
+        return (start if model is start.model else start.with_model(model)).residual(part)  # a fit knows its own
+
+    found = descend(start.model, slots, residual, steps)
     return evaluate(start.with_model(found.model), slots, found.covariance)
 
 
@@ -66,12 +71,12 @@ def evaluate(hypothesis: Hypothesis, slots: tuple[Slot, ...] = (), covariance: n
 def sensitivities(fitted: Fit, slots: tuple[Slot, ...], part: str) -> np.ndarray:
     """What ``STEP`` magnitudes of each number in ``slots`` change in the whitened residual on ``part``, (n, k)."""
     model, base = fitted.model, fitted.residual(part)
-    x, columns = model.vector(slots), []
+    x, moves = model.vector(slots), []
     for k, slot in enumerate(slots):
         moved, step = x.copy(), STEP * slot.magnitude
         moved[k] += step * (1 if x[k] + step <= slot.quantity.upper else -1)
-        columns.append(fitted.with_model(model.with_vector(slots, moved)).residual(part) - base)
-    return np.column_stack(columns)
+        moves.append((fitted.with_model(model.with_vector(slots, moved)),))
+    return np.column_stack([left - base for left in side_by_side(lambda moved: moved.residual(part), moves)])
 
 
 def admissible(fitted: Fit) -> bool:

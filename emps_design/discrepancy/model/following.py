@@ -34,16 +34,17 @@ def band(record: Record) -> float:
     return float(np.searchsorted(power, IN_BAND * power[-1])) / (len(record) * record.period)
 
 
-def drive(axis: Axis, record: Record, mass: float) -> dict[str, Any]:
+def drive(axis: Axis, record: Record, mass: float, band_hz: float) -> dict[str, Any]:
     """Keywords of :meth:`Plant.closed_loop` that make the simulation of ``record`` start and move as it did.
 
-    ``mass`` [kg] is the model's: a heavier one would else be followed less, and leave less of the force.
+    ``mass`` [kg] is the model's: a heavier one would else be followed less, and leave less of the force. ``band_hz`` is
+    the :func:`band` of the record.
     """
     start = driven_by(axis, record)
     if "law" in start:
         return start
     usual = min(BANDWIDTH_HZ, 1 / (LEAST_SAMPLES * record.period))
-    rate = 2 * np.pi * max(usual, min(band(record), 1 / (FAST_SAMPLES * record.period)))  # rad/s
+    rate = 2 * np.pi * max(usual, min(band_hz, 1 / (FAST_SAMPLES * record.period)))  # rad/s
     moved = np.hypot(mass, axis.mechanics.mass) / np.sqrt(2.0)
     kp, kv = POSITION_SHARE * rate, moved * rate / axis.drive.gain
     law = position_pd.LAW.law(position_pd.Table(kp=kp, kv=kv), axis, record.period)

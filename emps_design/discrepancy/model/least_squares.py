@@ -9,6 +9,7 @@ import numpy as np
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.candidate import Candidate, Slot
+from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.errors import SimulationError
 
 NUDGE = 2e-4  # finite difference, in magnitudes of the number
@@ -55,12 +56,10 @@ def descend(
         return Descent(start, float(current @ current), np.zeros((0, 0)))
     model, damping, nudge, jacobian = start, 1e-3, NUDGE, np.zeros((current.size, len(slots)))
     for _ in range(steps):
-        for k in range(len(slots)):
-            step = nudge if x[k] + nudge <= upper[k] else -nudge
-            moved = x.copy()
-            moved[k] += step
-            shifted = attempt(moved)
-            jacobian[:, k] = 0.0 if shifted is None else (shifted - current) / step
+        nudges = np.where(x + nudge <= upper, nudge, -nudge)
+        shifted = side_by_side(attempt, [(moved,) for moved in x + np.diag(nudges)])
+        for k, (reached, step) in enumerate(zip(shifted, nudges, strict=True)):
+            jacobian[:, k] = 0.0 if reached is None else (reached - current) / step
         normal, gradient = jacobian.T @ jacobian, jacobian.T @ current
         cost, gain = float(current @ current), 0.0
         for _ in range(TRIALS):

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from emps_design.discrepancy.model.following import band
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.effects import Motion
 from emps_design.effects.effect import MASS, VISCOUS
@@ -42,8 +41,8 @@ def missing_force(hypothesis: Hypothesis, cutoff_hz: float | None = None) -> tup
     """
     problem, baseline = hypothesis.problem, hypothesis.model.baseline
     gain, result = problem.axis.drive.gain, []
-    for record, run, split in zip(problem.records, hypothesis.runs(), problem.splits, strict=True):
-        cut = cutoff_hz or max(CUTOFF_HZ, min(2.0 * band(record), FASTEST / record.period))
+    for record, run, split, band in zip(problem.records, hypothesis.runs(), problem.splits, problem.bands, strict=True):
+        cut = cutoff_hz or max(CUTOFF_HZ, min(2.0 * band, FASTEST / record.period))
         share = motor_share(problem.axis, record)
         acting, played = replace(record, u=share * record.u), replace(record, q=run.q, u=share * run.u)
         measured, simulated = motion(record, cut), motion(played, cut)

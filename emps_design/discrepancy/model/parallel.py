@@ -2,18 +2,78 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from typing import Any
 
 CORES = 2
+PATIENCE = 0.05  # s, in which a thread that waits hears an interrupt
+_idle = threading.Semaphore(CORES - 1)  # cores on which no thread of this module works
+_here = threading.local()  # ``ended``: whether whoever started this thread has gone
+
+
+class _Ended(BaseException):
+    """Whoever wanted the work of this thread was interrupted."""
 
 
 def side_by_side(function: Callable[..., Any], arguments: Iterable[tuple[Any, ...]]) -> list[Any]:
-    """Return ``function(*row)`` of each row of ``arguments``, in their order.
+    """Return ``function(*row)`` of each row of ``arguments``, in their order; raise what the first failing row raised.
+
+    The caller takes one row after the other itself, and a core that is idle takes some of them, at any depth of calls
+    within calls: a pool per call would leave a core idle whenever the last row of the outer call is a long one.
 
     >>> side_by_side(pow, [(2, 3), (3, 2)])
     [8, 9]
     """
-    from joblib import Parallel, delayed
+    rows, results, errors = list(arguments), {}, {}
+    left, gone = iter(range(len(rows))), threading.Event()
+    ended_above: Callable[[], bool] = getattr(_here, "ended", lambda: False)
 
-    return Parallel(n_jobs=CORES, prefer="threads")(delayed(function)(*row) for row in arguments)
+    def ended() -> bool:
+        return gone.is_set() or ended_above()
+
+    def take(row: int) -> None:
+        if ended():
+            raise _Ended
+        try:
+            results[row] = function(*rows[row])
+        except Exception as error:
+            errors[row] = error
+
+    def help_out() -> None:
+        _here.ended = ended
+        try:
+            with suppress(_Ended):
+                for row in left:
+                    take(row)
+        finally:
+            _idle.release()
+
+    helpers: list[threading.Thread] = []
+    try:
+        for row in left:
+            if row + 1 < len(rows) and _idle.acquire(blocking=False):
+                helpers.append(threading.Thread(target=help_out, daemon=True))
+                helpers[-1].start()
+            take(row)
+        _wait(helpers)
+    except BaseException:
+        gone.set()
+        raise
+    for row in sorted(errors):
+        raise errors[row]
+    return [results[row] for row in range(len(rows))]
+
+
+def _wait(helpers: list[threading.Thread]) -> None:
+    """Wait for ``helpers``, whose own calls may use this core meanwhile."""
+    if not any(helper.is_alive() for helper in helpers):
+        return
+    _idle.release()
+    try:
+        for helper in helpers:
+            while helper.is_alive():
+                helper.join(PATIENCE)
+    finally:
+        _idle.acquire()

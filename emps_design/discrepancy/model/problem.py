@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.following import drive
+from emps_design.discrepancy.model.following import band, drive
 from emps_design.discrepancy.model.partition import Split
 from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.effects.effect import MASS
@@ -30,6 +32,11 @@ class Problem:
     records: tuple[Record, ...]
     splits: tuple[Split, ...]
     whitening: Whitening
+
+    @cached_property
+    def bands(self) -> tuple[float, ...]:
+        """The :func:`band` of every record [Hz]."""
+        return tuple(band(record) for record in self.records)
 
     @property
     def period(self) -> float:
@@ -102,29 +109,35 @@ class Hypothesis:
         plant = Plant(axis, list(zip(self.model.effects, parameters, strict=True)))
         return plant.closed_loop(**drive, baseline=self.model.baseline, quantise=False, tolerance=LOOSE)
 
+    def driven(self, record: int) -> dict[str, Any]:
+        """Keywords of :meth:`simulate` that make it start and move as record number ``record`` did."""
+        problem = self.problem
+        return drive(problem.axis, problem.records[record], self.model.baseline[MASS], problem.bands[record])
+
     def run(self, record: int, disturbance: np.ndarray | None = None) -> Run:
         """Simulation of one record from ``q_ref`` alone (of the recorded motion without a controller).
 
         ``disturbance`` (n,) [N] acts on the carriage besides what was measured.
         """
-        how = drive(self.problem.axis, self.problem.records[record], self.model.baseline[MASS])
+        how = self.driven(record)
         if disturbance is not None:
             how["disturbance"] = disturbance + (0.0 if how["disturbance"] is None else how["disturbance"])
         return self.simulate(record, **how)
 
-    def runs(self) -> tuple[Run, ...]:
-        """Simulations of all records."""
-        return tuple(self.run(record) for record in range(len(self.problem.records)))
+    def runs(self, disturbance: Sequence[np.ndarray | None] | None = None) -> tuple[Run, ...]:
+        """Simulations of all records, with ``disturbance`` (n,) [N] per record on the carriage."""
+        pushes = disturbance or (None,) * len(self.problem.records)
+        return tuple(self.run(record, push) for record, push in enumerate(pushes))
 
-    def residuals(self) -> tuple[np.ndarray, ...]:
-        """Measured minus simulated motor force [N], one array (n,) per record.
+    def residuals(self, disturbance: Sequence[np.ndarray | None] | None = None) -> tuple[np.ndarray, ...]:
+        """Measured minus simulated motor force [N], one array (n,) per record, under ``disturbance`` as in `runs`.
 
         A motor that is switched off has no force to compare: there it is what the law would ask for.
         """
         axis = self.problem.axis
         return tuple(
             motor_force(axis, record) - run.force + _asked_while_off(axis, record, run)
-            for record, run in zip(self.problem.records, self.runs(), strict=True)
+            for record, run in zip(self.problem.records, self.runs(disturbance), strict=True)
         )
 
     def whitened(self) -> tuple[np.ndarray, ...]:

@@ -33,9 +33,7 @@ class Whitening:
 
     def apply(self, residual: np.ndarray) -> np.ndarray:
         """Innovations of ``residual`` (n,) [N] in units of their standard deviation."""
-        from scipy.signal import lfilter
-
-        return lfilter(self.coefficients, (1.0,), residual) / self.std
+        return np.convolve(self.coefficients, residual)[: residual.size] / self.std
 
     def undo(self, innovations: np.ndarray) -> np.ndarray:
         """Force noise (n,) [N] that :meth:`apply` makes into ``innovations`` (n,)."""

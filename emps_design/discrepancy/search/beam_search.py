@@ -8,12 +8,13 @@ first guesses. An effect that is a curve of any shape could stand in for others,
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.model.fit import Fit, admissible, fit
+from emps_design.discrepancy.model.fit import Fit, admissible, evaluate, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.search.calibration import Calibration, Progress
-from emps_design.discrepancy.search.exchange import exchanges
+from emps_design.discrepancy.search.exchange import exchanges, far_apart
 from emps_design.discrepancy.search.extension import converged, extensions, freed
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.search.starts import screen, tangent
@@ -64,9 +65,12 @@ def _extend(
     """
     baseline, accept, beam = calibration.baseline, calibration.judge.accepts, path[-1:]
     noise = baseline.problem.samples("used")
+    if not _found(calibration, path[-1]):
+        beam = [*beam, *_as_given(path[-1])]
     while (number := 1 + _found(calibration, path[-1])) <= MOST_EFFECTS:
         sound, gains = _round(calibration, beam, number, False, progress)
-        alone |= {} if alone else gains
+        if not alone:
+            alone.update(gains)
         _remember(tried, sound)
         ranked = _ranked(path[-1], sound, accept)
         if not ranked:
@@ -74,11 +78,20 @@ def _extend(
         gain = baseline.cost - ranked[0].cost
         leading = ranked[: BEAM[min(number, len(BEAM)) - 1]]
         leading = [f for f in leading if baseline.cost - f.cost >= rules.RIVAL * gain]
-        beam = sorted((converged(f) for f in leading), key=lambda f: f.cost)
+        beam = sorted(side_by_side(converged, [(f,) for f in leading]), key=lambda f: f.cost)
         path.append(beam[0])
+        if (1 - rules.WORTH_AT_FLOOR) * beam[0].cost < noise:
+            beam = beam[:1]  # what is to be found on top of another set would have to leave less than noise
         explained = baseline.cost - path[-1].cost
         if number >= rules.ENOUGH_ROUNDS and explained < rules.LEAST_EXPLAINED * (baseline.cost - noise):
             break
+
+
+def _as_given(fitted: Fit) -> list[Fit]:
+    """The baseline ``fitted`` with the axis file's numbers, where what is missing may have bent the fitted ones."""
+    given = replace(fitted.model, baseline=fitted.problem.axis.mechanics.array())
+    found = evaluate(fitted.with_model(given)) if far_apart(fitted.model, given) else None
+    return [found] if found is not None and found.innovations else []
 
 
 def _curve(calibration: Calibration, path: list[Fit], tried: FitsBySet, progress: Progress) -> Fit | None:
@@ -192,8 +205,8 @@ def _reshaped(best: Fit, rest: Fit) -> Fit:
     """
     dropped = next(effect for effect in best.model.effects if effect.name not in rest.model.names)
     for effect, values in zip(rest.model.effects, rest.model.values, strict=True):
-        if effect.name in dropped.confused_with or dropped.name in effect.confused_with:
-            last = rest.model.without(rest.model.names.index(effect.name)).with_effect(effect, values)
+        if effect.confusable(dropped):
+            last = rest.model.without_named([effect.name]).with_effect(effect, values)
             again = converged(fit(rest.with_model(last)))
             rest = min((rest, again), key=lambda f: f.cost) if admissible(again) else rest
     return rest

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.checks.preparation import HeldOut
-from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import Fit, evaluate
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.search.acceptance import Judge
@@ -24,7 +23,7 @@ def confirm(judge: Judge, held_out: HeldOut, extended: Fit) -> tuple[Fit, list[A
     while doubtful := [a for a in asked if a.refuted]:
         worst = max(doubtful, key=lambda a: abs(a.share - 1) / a.std)
         refuted.append(worst)
-        extended = judge.refitted(extended.with_model(_without(extended, worst)))
+        extended = judge.refitted(extended.with_model(extended.model.without_named([worst.name])))
         asked = claims_on(held_out, extended)
     return extended, asked, tuple(refuted)
 
@@ -40,8 +39,7 @@ def standing(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tuple[Asked,
     are in that. A curve through knots, or one element of a hysteresis, has no shape of its own to be recognised by:
     beside something unknown it is part of that.
     """
-    for name in [effect.name for effect in extended.model.effects if effect.general or effect.element]:
-        extended = evaluate(extended.with_model(extended.model.without(extended.model.names.index(name))))
+    extended = _less(extended, [effect.name for effect in extended.model.effects if effect.general or effect.element])
     withdrawn: list[Asked] = []
     refitted = False
     while _plant(extended):
@@ -53,8 +51,7 @@ def standing(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tuple[Asked,
                 break
         gone = [max(doubtful, key=lambda a: a.astray)] if doubtful else [a for a in judged if not a.stands]
         withdrawn += gone
-        for one in gone:
-            extended = evaluate(extended.with_model(_without(extended, one)))
+        extended = _less(extended, [one.name for one in gone])
         refitted = refitted or not doubtful
         if refitted and _plant(extended):
             extended = robust(extended)
@@ -97,5 +94,6 @@ def _plant(fitted: Fit) -> list[str]:
     return [effect.name for effect in fitted.model.effects if effect.channel != "controller"]
 
 
-def _without(extended: Fit, one: Asked) -> Candidate:
-    return extended.model.without(extended.model.names.index(one.name))
+def _less(fitted: Fit, names: list[str]) -> Fit:
+    """``fitted`` without the effects called ``names``, all other numbers as they are."""
+    return evaluate(fitted.with_model(fitted.model.without_named(names))) if names else fitted

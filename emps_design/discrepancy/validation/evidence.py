@@ -17,7 +17,6 @@ from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.search.cross_validated_noise import smooth_of_state
 from emps_design.discrepancy.search.noise_floor import LEFT, floor_of_residual
 from emps_design.errors import SimulationError
-from emps_design.observer import motor_force
 
 Forces = tuple[np.ndarray, ...]  # one array (n,) [N] per record
 RANK = 1e-6  # of the largest singular value of the functions of the state, below which a combination is none
@@ -94,12 +93,11 @@ def asked_for(hypothesis: Hypothesis) -> tuple[Asked, ...]:
         return ()
     random = np.random.default_rng(0)
     noise = tuple(problem.whitening.undo(random.standard_normal(len(record))) for record in problem.records)
-    quiet = tuple(np.zeros(len(record)) for record in problem.records)
-    whole, disturbed = _left(hypothesis, quiet), _left(hypothesis, noise)
+    whole, disturbed = _left(hypothesis), _left(hypothesis, noise)
     if whole is None:  # what cannot run tells nothing
         return tuple(Asked(name, 0.0, 0.0, 1.0, exercised=False) for name in model.names)
     rests = [hypothesis.with_model(model.without(index)) for index in range(len(model.effects))]
-    changes = [_change(_left(rest, quiet), whole) for rest in rests]
+    changes = [_change(_left(rest), whole) for rest in rests]
     again = [_change(_left(rest, noise), disturbed) for rest in rests]
     states = tuple(smooth_of_state(run.q, problem.period) for run in hypothesis.runs())
     columns, shares = [*changes, *_of_baseline(hypothesis, whole)], []
@@ -153,17 +151,16 @@ def _orthonormal(columns: np.ndarray) -> np.ndarray:
 
 def _gathered(problem: Problem, signals: Forces) -> np.ndarray:
     """Whitened ``signals``, (n,) or (n, k) per record, on the used samples of all records."""
-    return problem.gather(tuple(problem.whitening.apply(signal.T).T for signal in signals), "used")
+    whiten = problem.whitening.apply
+    return problem.gather(tuple(np.apply_along_axis(whiten, 0, signal) for signal in signals), "used")
 
 
-def _left(hypothesis: Hypothesis, disturbance: Forces) -> Forces | None:
+def _left(hypothesis: Hypothesis, disturbance: Forces | None = None) -> Forces | None:
     """Measured minus simulated force with ``disturbance`` on the carriage; None where the model cannot run."""
-    problem = hypothesis.problem
     try:
-        runs = [hypothesis.run(i, force) for i, force in enumerate(disturbance)]
+        return hypothesis.residuals(disturbance)
     except SimulationError:
         return None
-    return tuple(motor_force(problem.axis, r) - run.force for r, run in zip(problem.records, runs, strict=True))
 
 
 def _change(left: Forces | None, whole: Forces | None) -> Forces:
@@ -175,9 +172,9 @@ def _change(left: Forces | None, whole: Forces | None) -> Forces:
 
 def _of_baseline(hypothesis: Hypothesis, whole: Forces) -> list[Forces]:
     """What a small step of each baseline number changes in the force."""
-    model, quiet = hypothesis.model, tuple(np.zeros_like(force) for force in whole)
+    model = hypothesis.model
     slots = model.slots()[: len(BASELINE)]
     numbers = model.vector(slots)
     steps = np.diag([STEP * slot.magnitude for slot in slots])
     moved = [hypothesis.with_model(model.with_vector(slots, numbers + step)) for step in steps]
-    return [_change(_left(one, quiet), whole) for one in moved]
+    return [_change(_left(one), whole) for one in moved]

@@ -9,10 +9,8 @@ import numpy as np
 
 from emps_design.discrepancy.model.bootstrap import rms_interval
 from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.following import drive
 from emps_design.discrepancy.model.missing_force import CUTOFF_HZ, missing_force
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
-from emps_design.effects.effect import MASS
 from emps_design.observer import motor_force
 from emps_design.records import Record
 from emps_design.simulation import Plant
@@ -106,7 +104,6 @@ def _predict(baseline: Hypothesis, extended: Hypothesis) -> Prediction:
     problem = baseline.problem
     axis, record = problem.axis, problem.records[0]
     before, after = (
-        Plant.of(model.to_axis(axis)).closed_loop(**drive(axis, record, model.baseline[MASS])).force
-        for model in (baseline.model, extended.model)
+        Plant.of(one.model.to_axis(axis)).closed_loop(**one.driven(0)).force for one in (baseline, extended)
     )
     return Prediction(record, motor_force(axis, record), before, after, problem.splits[0].used)

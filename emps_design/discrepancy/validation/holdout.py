@@ -27,8 +27,8 @@ def adapted(held_out: HeldOut, model: Candidate, found: Candidate) -> Candidate:
     """
     if held_out.law is not None:
         addition = held_out.law.addition
-        for name in [e.name for e in model.effects if e.channel == "controller" and e.name != held_out.added]:
-            model = model.without(model.names.index(name))
+        theirs = [e.name for e in model.effects if e.channel == "controller" and e.name != held_out.added]
+        model = model.without_named(theirs)
         if addition is not None and held_out.added not in (*model.names, *found.names):
             model = model.with_effect(*addition)
     return refit_per_record(Hypothesis(held_out.problem, model.only(0)))

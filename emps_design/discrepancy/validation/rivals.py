@@ -47,7 +47,7 @@ def alike_in_company(outcome: Outcome, stands: Fit) -> dict[str, list[str]]:
             for key, alone in outcome.tried.items()
             for other, values in zip(alone.model.effects, alone.model.values, strict=True)
             if len(key) == len(outcome.path[0].model.names) + 1 and other.name not in stands.model.names
-            if other.name in effect.confused_with or effect.name in other.confused_with
+            if effect.confusable(other)
         ]
         begins = [rest, *(rest.with_effect(other, values) for other, values in others)]
         without, *rivals = side_by_side(fit, [(Hypothesis(weighed, model), "used", None, STEPS) for model in begins])

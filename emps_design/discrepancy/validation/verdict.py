@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from emps_design.discrepancy import rules
+from emps_design.discrepancy.checks.preparation import HeldOut
 from emps_design.discrepancy.model.candidate import BASELINE
 from emps_design.discrepancy.model.fit import Fit, evaluate, fit
 from emps_design.discrepancy.search.acceptance import Judge, explained, force_rms
@@ -40,23 +41,69 @@ class Validation:
     share: float
 
 
+@dataclass(frozen=True)
+class _Answer:
+    """What is said of the models so far; ``held_out`` compares them, where that was done."""
+
+    verdict: str
+    baseline: Fit
+    extended: Fit
+    equivalents: dict[str, list[str]]
+    asked: list[Asked]
+    refuted: tuple[Asked, ...]
+    given_up: tuple[str, ...]
+    held_out: Comparison | None
+
+
 def validate(outcome: Outcome) -> Validation:
     """Refit the search's best model on everything, open the confirming data, and reach a verdict."""
     calibration = outcome.calibration
-    judge, preparation, problem = calibration.judge, calibration.preparation, calibration.baseline.problem
+    problem, data = calibration.baseline.problem, calibration.preparation.held_out
+    if data is not None:
+        data = replace(data, problem=data.problem.with_whitening(problem.whitening))
     start = fit(calibration.baseline, part="used")
-    searched = judge.refitted(outcome.best) if len(outcome.path) > 1 else start
-    extended, data, lost = searched, preparation.held_out, 0.0
+    searched = calibration.judge.refitted(outcome.best) if len(outcome.path) > 1 else start
+    answer, share, left_over = _all_or_nothing(outcome, data, start, searched)
+    if left_over and searched is not start:
+        answer = _effect_by_effect(outcome, data, searched, answer)
+    if answer.verdict == "unnamed":
+        estimate = robust(answer.baseline)
+        answer = replace(answer, baseline=estimate, extended=estimate, asked=[], held_out=None)
+    baseline, extended, held_out = _alone(answer.baseline), answer.extended, answer.held_out
+    if data is not None and (held_out is None or baseline is not answer.baseline):
+        held_out = compare_on(data, baseline.model, extended.model)
+    return Validation(
+        outcome=outcome,
+        verdict=answer.verdict,
+        baseline=baseline,
+        extended=extended,
+        equivalents=answer.equivalents,
+        train=compare(problem, baseline.model, extended.model),
+        held_out=held_out,
+        confirmed={one.name: one.confirmed for one in answer.asked},
+        refuted=answer.refuted,
+        given_up=answer.given_up,
+        share=share,
+    )
+
+
+def _all_or_nothing(outcome: Outcome, data: HeldOut | None, start: Fit, searched: Fit) -> tuple[_Answer, float, bool]:
+    """The verdict on all effects of ``searched`` together, less what the confirming ``data`` refute.
+
+    ``start`` is the baseline. Also returns the share of the gap that is closed, and whether so much is left over that
+    each effect should stand on its own evidence.
+    """
+    calibration, extended = outcome.calibration, searched
+    judge, floor, lost = calibration.judge, calibration.floor.force, 0.0
     asked: list[Asked] = []
     refuted: tuple[Asked, ...] = ()
     if data is not None:
-        data = replace(data, problem=data.problem.with_whitening(problem.whitening))
         learnt = start.cost - extended.cost
         extended, asked, refuted = confirm(judge, data, extended)
         lost = 1 - (start.cost - extended.cost) / learnt if refuted else 0.0
 
     # What the plant's effects explain, beside a disturbance of the controller that is known from its law.
-    floor, named = calibration.floor.force, extended.model.names != start.model.names
+    named = extended.model.names != start.model.names
     shares = [explained(force_rms(start), force_rms(extended), floor)]
     held_out = None if data is None else compare_on(data, start.model, extended.model)
     if held_out is not None:
@@ -67,43 +114,27 @@ def validate(outcome: Outcome) -> Validation:
     forgotten = named and shares[-1] < rules.HELD * shares[0]
     doubtful = lost > rules.LOST and not judge.at_floor(extended)
     nothing_yet = outcome.interrupted and not extended.model.names
-    law_open = preparation.unexplained_law or nothing_yet
-    if law_open or forgotten or doubtful:
+    if nothing_yet or forgotten or doubtful:
         verdict = "unnamed"
-    given_up = extended.model.names if verdict == "unnamed" and named else ()
+    if calibration.preparation.unexplained_law:  # known as a command, but not what it is
+        verdict = "partly-named" if verdict in ("named", "ambiguous") else "unnamed"
     failed = verdict == "unnamed" and not judge.at_floor(extended)
     open_gap = judge.leaves_unexplained(extended) and min(shares) < rules.COMPLETE
-    left_over = failed or forgotten or open_gap
-    if searched is not start and left_over and not law_open:
-        # All or nothing is the wrong question where structure is left: each effect stands on its own evidence.
-        stands, withdrawn = standing(data, searched)
-        found = alike_in_company(outcome, stands)
-        many = any(len(others) > rules.MOST_EQUIVALENTS for others in found.values())
-        if len(stands.model.names) > len(start.model.names) and not many:
-            verdict, extended, refuted, start = "partly-named", stands, withdrawn, robust(start)
-            asked, given_up = claims_on(data, extended) if data is not None else [], ()
-        else:
-            verdict = "unnamed"
-            given_up = given_up or extended.model.names
-    if verdict == "unnamed":
-        extended, asked = robust(start), []
-        start = extended
-    baseline = _alone(start)
-    if data is not None and (verdict in ("unnamed", "partly-named") or baseline is not start):
-        held_out = compare_on(data, baseline.model, extended.model)
-    return Validation(
-        outcome=outcome,
-        verdict=verdict,
-        baseline=baseline,
-        extended=extended,
-        equivalents=found,
-        train=compare(problem, baseline.model, extended.model),
-        held_out=held_out,
-        confirmed={one.name: one.confirmed for one in asked},
-        refuted=refuted,
-        given_up=given_up,
-        share=shares[-1],
-    )
+    given_up = extended.model.names if verdict == "unnamed" and named else ()
+    answer = _Answer(verdict, start, extended, found, asked, refuted, given_up, held_out)
+    return answer, shares[-1], (failed or forgotten or open_gap) and not nothing_yet
+
+
+def _effect_by_effect(outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer) -> _Answer:
+    """What of ``searched`` stands on its own evidence: all or nothing is the wrong question where structure is left."""
+    stands, withdrawn = standing(data, searched)
+    found = alike_in_company(outcome, stands)
+    many = any(len(others) > rules.MOST_EQUIVALENTS for others in found.values())
+    if many or len(stands.model.names) <= len(answer.baseline.model.names):
+        given_up = answer.given_up or answer.extended.model.names
+        return replace(answer, verdict="unnamed", equivalents=found, given_up=given_up)
+    asked = [] if data is None else claims_on(data, stands)
+    return _Answer("partly-named", robust(answer.baseline), stands, found, asked, withdrawn, (), None)
 
 
 def _alone(start: Fit) -> Fit:

@@ -24,10 +24,10 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
 
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
-    def columns(index: np.ndarray, waves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        angle = motion.q[index][:, None] * waves
+    def columns(
+        index: np.ndarray, waves: np.ndarray, sine: np.ndarray, cosine: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         speed, turn = (motion.v[index][:, None] * waves) ** 2, motion.a[index][:, None] * waves
-        sine, cosine = np.sin(angle), np.cos(angle)
         return speed * sine - turn * cosine, speed * cosine + turn * sine
 
     return harmonic.periods(motion, residual, away, columns)

@@ -18,7 +18,7 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
 
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
-    return harmonic.periods(motion, residual, away, harmonic.waves(motion.q, np.sign(motion.v)))
+    return harmonic.periods(motion, residual, away, harmonic.waves(np.sign(motion.v)))
 
 
 def expression(q, v, t, tau, p, b):

@@ -22,8 +22,8 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
 
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
-    columns = harmonic.waves(motion.t)
-    found = search.periods(residual, motion.t, motion.v, motion.a, away, columns, shortest=0.025, count=6)
+    waves = harmonic.waves()
+    found = search.periods(residual, motion.t, motion.v, motion.a, away, waves, shortest=0.025, count=6)
     return [{"frequency": 1.0 / period} for period in found]
 
 
