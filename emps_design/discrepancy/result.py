@@ -128,7 +128,8 @@ class Diagnosis:
                 text += ", ".join(f"{f.label.lower()} (up to {f.where['force']['value']:.3g} N)" for f in self.findings)
             rest = ""
             if self.verdict == "partly-named":
-                rest = f" Something else is missing that no effect explains: {self.details['unexplained']['text']}."
+                left_over = self.details["unexplained"]["text"]
+                rest = f" Something else is missing that no effect explains: {left_over}{self._beside_the_law('and')}."
             return f"{text[0].upper()}{text[1:]}; {gap}.{rest}"
         if self.details.get("interrupted") and not self.findings:
             return f"Interrupted before anything was found; {gap}."
@@ -137,13 +138,21 @@ class Diagnosis:
             where = "" if place == EVERYWHERE else f", most of it {place}"
             known = "".join(f"{finding.in_words()}; " for finding in self.findings)  # from the controller's law
             text = f"{known}{'beside that ' if known else ''}the model misses {left} N"
-            return f"{text[0].upper()}{text[1:]} (noise {noise} N){where}, and no effect of the library explains it."
+            text = f"{text[0].upper()}{text[1:]} (noise {noise} N){where}, and no effect of the library explains it"
+            return f"{text}{self._beside_the_law('nor')}."
         least = self.details.get("least_visible")
         rest = f"; an effect of {least} or more would have been seen" if least else ""
         if self.verdict == "parameters-only":
             changed = self.details.get("changed", "")
             return f"Only the numbers of the axis file are off ({changed}); {gap}{rest}."
         return f"Nothing is missing from the model: force error {rounded(judged.baseline)} N, noise {noise} N{rest}."
+
+    def _beside_the_law(self, joined: str) -> str:
+        """By how much the command differs from the controller's law, where no effect explains that, or ""."""
+        if "law_gap" not in self.details["unexplained"]:
+            return ""
+        gap = rounded(self.details["unexplained"]["law_gap"])
+        return f", {joined} the {gap} V rms by which the command differs from the controller's law"
 
     def to_dict(self) -> dict[str, Any]:
         """The contract's document, and what the report shows besides, absent where it is not known.

@@ -154,9 +154,10 @@ def _laid_out(figure: Figure) -> Figure:
 
     if (engine := figure.get_layout_engine()) is not None:
         FigureCanvasSVG(figure)
-        figure.dpi = POINTS
+        own, figure.dpi = figure.dpi, POINTS
         engine.execute(figure)
-        figure.set_layout_engine("none")
+        figure.dpi = own
+        figure.set_layout_engine(None)
     return figure
 
 

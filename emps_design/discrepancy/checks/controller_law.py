@@ -6,7 +6,7 @@ explained here and nowhere else.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,6 +69,16 @@ def check_law(record: Record, axis: Axis, library: tuple[Effect, ...]) -> LawChe
     if not left or min(left) > (1 - rules.LAW_NAMED) * float(np.var(gap)):
         return LawCheck(gap, noise, True)
     return LawCheck(gap, noise, True, additions[left.index(min(left))])
+
+
+def beside_the_law(record: Record, law: LawCheck | None) -> Record:
+    """``record`` with what its controller does beside its ``law``, and no effect explains, as an excitation: known.
+
+    The plant is then judged under the command that it got.
+    """
+    if law is None or not law.unexplained:
+        return record
+    return replace(record, excitation=law.gap + (0.0 if record.excitation is None else record.excitation))
 
 
 def law_voltage(record: Record, axis: Axis) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.checks.controller_law import LawCheck, check_law
+from emps_design.discrepancy.checks.controller_law import LawCheck, beside_the_law, check_law
 from emps_design.discrepancy.checks.requirements import check_records, check_same_drive, same_run
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.partition import Split, split
@@ -45,10 +45,12 @@ class HeldOut:
 class Preparation:
     """What a diagnosis starts from.
 
-    ``start`` is the axis file's own model of the records, with what the controller adds to its law; ``library`` are
-    the effects to look for, ``laws`` the checks of the controller's law, one per record where the controller is known.
+    ``records`` are as they were given; ``start`` is the axis file's own model of them, with what the controller adds to
+    its law; ``library`` are the effects to look for, ``laws`` the checks of the controller's law, one per record where
+    the controller is known.
     """
 
+    records: tuple[Record, ...]
     start: Hypothesis
     library: tuple[Effect, ...]
     laws: tuple[LawCheck, ...]
@@ -94,11 +96,12 @@ def prepare(
         # A foreign controller is to be refused before the search; the law says nothing of the plant.
         law = check_law(holdout, axis, library) if known else None
     laws = tuple(check_law(record, axis, library) for record in records if known)
+    judged = tuple(map(beside_the_law, records, laws)) if known else records
     splits = _splits(records, fit_time, confirm_time)
-    problem = Problem(axis, records, splits, Whitening.none())
+    problem = Problem(axis, judged, splits, Whitening.none())
     held_out = None
     if holdout is not None or confirm_time is not None:
-        record, window = records[0] if holdout is None else holdout, None
+        record, window = judged[0] if holdout is None else beside_the_law(holdout, law), None
         inside = np.ones(len(record), bool)
         if confirm_time is not None:
             inside = between(record, confirm_time, "`confirm_time`")
@@ -109,7 +112,7 @@ def prepare(
     Plant(axis, [(effect, np.zeros(len(effect.parameters))) for effect in library])
     start = Hypothesis(problem, _as_the_axis_says(Candidate.of(axis, factors), laws))
     plant = tuple(effect for effect in library if effect.channel != "controller")
-    return Preparation(start, plant, laws, held_out, tuple(warnings))
+    return Preparation(records, start, plant, laws, held_out, tuple(warnings))
 
 
 def _splits(records: tuple[Record, ...], fit_time: Interval | None, confirm_time: Interval | None) -> tuple[Split, ...]:

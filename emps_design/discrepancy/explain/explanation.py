@@ -53,7 +53,7 @@ def explain(validation: Validation) -> Diagnosis:
         views=_marked(drawn, found),
         details=details,
         experiment=_experiment(validation, details.get("unexplained")),
-        response=measured_response(problem.records, extended),
+        response=measured_response(outcome.calibration.preparation.records, extended),
     )
 
 

@@ -71,7 +71,7 @@ def _limits(validation: Validation) -> list[str]:
             f"{rounded(force_rms(validation.outcome.path[0]))} N"
         )
     if calibration.preparation.unexplained_law:
-        remarks.append("the controller's law has a gap that no effect explains: look at u minus the law first")
+        remarks.append("the controller's law has a gap that no effect explains, taken as known: see u minus the law")
     return remarks
 
 
@@ -85,7 +85,7 @@ def _of_holdout(validation: Validation, held_out: HeldOut) -> list[str]:
         label = get_effect(held_out.added).label.lower()
         remarks.append(f"{label} on the confirming record, seen in its voltage: taken as known there, by both models")
     elif held_out.law is not None and held_out.law.unexplained:
-        remarks.append("the controller's law has a gap on the confirming record that no effect explains")
+        remarks.append("the controller's law has a gap on the confirming record too, taken as known there")
     if validation.held_out is not None and validation.held_out.refitted:
         names = ", ".join(validation.held_out.refitted)
         remarks.append(f"fitted anew on the confirming record, because they belong to one record: {names}")

@@ -26,7 +26,8 @@ def unexplained(validation: Validation) -> dict[str, Any]:
     """The contract's ``unexplained`` of a validation in which structure is left.
 
     ``rms`` [N] is what the model leaves over the noise, ``share`` of the gap's mean square; ``over`` the variables that
-    predict it on data not fitted to, the best first, and ``predicted`` the share of it that each does.
+    predict it on data not fitted to, the best first, and ``predicted`` the share of it that each does. ``law_gap`` [V]
+    is by how much the command differs from the controller's law, where that has no name either.
     """
     judged, floor = validation.held_out or validation.train, validation.outcome.calibration.floor.force
     extended, most = validation.extended, most_missed(validation.extended)
@@ -42,7 +43,10 @@ def unexplained(validation: Validation) -> dict[str, Any]:
         parts = [f"{name} ({100 * shares[name]:.0f} %)" for name in over[:SAID]]
         depends = f"it follows {' and '.join(parts)} on data that it was not fitted to"
     text = f"{left:.2g} N rms over the noise{place}, {100 * share:.0f} % of the gap; {depends}"
+    laws = [law for law in validation.outcome.calibration.preparation.laws if law.unexplained]
+    law_gap = {"law_gap": max(float(np.std(law.gap)) for law in laws)} if laws else {}
     return {
+        **law_gap,
         "rms": left,
         "share": share,
         "over": over,

@@ -8,12 +8,13 @@ first guesses. An effect that is a curve of any shape could stand in for others,
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.model.fit import Fit, admissible, fit
+from emps_design.discrepancy.model.fit import Fit, admissible, evaluate, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.search.calibration import Calibration, Progress
-from emps_design.discrepancy.search.exchange import exchanges
+from emps_design.discrepancy.search.exchange import exchanges, far_apart
 from emps_design.discrepancy.search.extension import converged, extensions, freed
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.search.starts import screen, tangent
@@ -64,6 +65,8 @@ def _extend(
     """
     baseline, accept, beam = calibration.baseline, calibration.judge.accepts, path[-1:]
     noise = baseline.problem.samples("used")
+    if not _found(calibration, path[-1]):
+        beam = [*beam, *_as_given(path[-1])]
     while (number := 1 + _found(calibration, path[-1])) <= MOST_EFFECTS:
         sound, gains = _round(calibration, beam, number, False, progress)
         if not alone:
@@ -82,6 +85,13 @@ def _extend(
         explained = baseline.cost - path[-1].cost
         if number >= rules.ENOUGH_ROUNDS and explained < rules.LEAST_EXPLAINED * (baseline.cost - noise):
             break
+
+
+def _as_given(fitted: Fit) -> list[Fit]:
+    """The baseline ``fitted`` with the axis file's numbers, where what is missing may have bent the fitted ones."""
+    given = replace(fitted.model, baseline=fitted.problem.axis.mechanics.array())
+    found = evaluate(fitted.with_model(given)) if far_apart(fitted.model, given) else None
+    return [found] if found is not None and found.innovations else []
 
 
 def _curve(calibration: Calibration, path: list[Fit], tried: FitsBySet, progress: Progress) -> Fit | None:

@@ -32,7 +32,7 @@ def exchanges(best: Fit, known: tuple[str, ...], library: tuple[Effect, ...]) ->
         alike = tuple(one for one in library if not one.general and (one is effect or one.confusable(effect)))
         rest = best.model.without(index)
         given = replace(rest, baseline=best.problem.axis.mechanics.array())
-        for model in (rest, given) if _bent(rest, given) else (rest,):
+        for model in (rest, given) if far_apart(rest, given) else (rest,):
             without = evaluate(best.with_model(model))
             if without.innovations:
                 absorbed = tangent(without)
@@ -40,7 +40,7 @@ def exchanges(best: Fit, known: tuple[str, ...], library: tuple[Effect, ...]) ->
     return [fitted for fitted in found if admissible(fitted)]
 
 
-def _bent(fitted: Candidate, given: Candidate) -> bool:
+def far_apart(fitted: Candidate, given: Candidate) -> bool:
     """Whether the mass or a friction that was fitted is far from the axis file's."""
     numbers = np.array([fitted.baseline, given.baseline])[:, [MASS, VISCOUS, COULOMB]]
     return bool(np.any(np.ptp(numbers, axis=0) > rules.BENT_NUMBER * numbers.max(axis=0)))

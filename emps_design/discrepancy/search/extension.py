@@ -54,11 +54,16 @@ def extensions(current: Fit, screened: list[list[Start]], absorbed: Tangent) -> 
 
 
 def freed(fitted: Fit) -> Fit:
-    """``fitted`` without the effects whose physics ends on a bound once the numbers that were held are free again."""
+    """``fitted`` without the effects whose physics ends on a bound once the numbers that were held are free again.
+
+    The loop may have been stable with one of them only: then the next goes too.
+    """
     while len(fitted.slots) < len(fitted.model.slots()):
         again = fit(fitted)
         met = bounds_met(again)
         fitted = fit(fitted.with_model(fitted.model.without(met[0].effect))) if met else again
+        while not fitted.innovations:
+            fitted = fit(fitted.with_model(fitted.model.without(0)))
     return fitted
 
 

@@ -22,6 +22,8 @@ from emps_design.effects import Effect
 from emps_design.effects.guesses import thin
 from emps_design.errors import SimulationError
 
+PROPOSERS = 3  # records whose missing force proposes numbers; more of them only say the same again
+
 
 @dataclass(frozen=True)
 class Start:
@@ -117,11 +119,12 @@ def _values(current: Hypothesis, effect: Effect, missing: tuple[MissingForce, ..
         else:
             shapes = grid(effect)
         tables.append([_complete(effect, shape, seen, model) for shape in shapes])
-    # Each record proposes; the others follow with their own per-record numbers where they proposed as many.
+    # The records that miss most propose; the others follow with their own per-record numbers where they do as often.
     own = np.array([p.per_record for p in effect.parameters])
     rows: list[np.ndarray] = []
-    for proposer in tables:
-        for index, shape in enumerate(proposer):
+    missed = [np.std(force) for force in current.problem.pick(tuple(seen.force for seen in missing), "used")]
+    for proposer in sorted(np.argsort(missed)[::-1][:PROPOSERS]):
+        for index, shape in enumerate(tables[proposer]):
             if shape is None:
                 continue
             theirs = [t[index] if index < len(t) else None for t in tables]

@@ -114,14 +114,15 @@ def _all_or_nothing(outcome: Outcome, data: HeldOut | None, start: Fit, searched
     forgotten = named and shares[-1] < rules.HELD * shares[0]
     doubtful = lost > rules.LOST and not judge.at_floor(extended)
     nothing_yet = outcome.interrupted and not extended.model.names
-    law_open = calibration.preparation.unexplained_law or nothing_yet
-    if law_open or forgotten or doubtful:
+    if nothing_yet or forgotten or doubtful:
         verdict = "unnamed"
+    if calibration.preparation.unexplained_law:  # known as a command, but not what it is
+        verdict = "partly-named" if verdict in ("named", "ambiguous") else "unnamed"
     failed = verdict == "unnamed" and not judge.at_floor(extended)
     open_gap = judge.leaves_unexplained(extended) and min(shares) < rules.COMPLETE
     given_up = extended.model.names if verdict == "unnamed" and named else ()
     answer = _Answer(verdict, start, extended, found, asked, refuted, given_up, held_out)
-    return answer, shares[-1], (failed or forgotten or open_gap) and not law_open
+    return answer, shares[-1], (failed or forgotten or open_gap) and not nothing_yet
 
 
 def _effect_by_effect(outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer) -> _Answer:

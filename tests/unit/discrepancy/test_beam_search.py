@@ -80,6 +80,22 @@ def test_a_number_held_on_its_way_is_free_again_at_the_end(hidden, left):
     assert freed(last) is last
 
 
+def test_what_is_left_of_a_model_can_be_simulated(monkeypatch):
+    start = BASELINE.with_effect(LAG, np.array([[1e-4]])).with_effect(SPRING, np.array([[80.0, 0.05]]))
+    begin = hypothesis(start, {"kind": "elastic_force", "stiffness": 80.0, "rest_position": 0.05})
+    held = fit(begin, slots=begin.model.slots()[:4])
+
+    def failing(hypothesis, *more):
+        found = fit(hypothesis, *more)
+        return replace(found, innovations=()) if found.model.names == ("elastic_force",) else found
+
+    assert freed(held).model.names == ("elastic_force",)
+    monkeypatch.setattr(sys.modules[freed.__module__], "fit", failing)
+    last = freed(held)
+    assert last.model.names == ()
+    assert last.innovations
+
+
 def test_a_number_that_ends_on_a_bound_is_held_where_structure_is_left(monkeypatch):
     begin = hypothesis(BASELINE.with_effect(LAG, np.array([[1e-4]])))
     assert on_bound(_fitted(begin))

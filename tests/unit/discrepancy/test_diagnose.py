@@ -115,6 +115,22 @@ def test_what_no_effect_explains_is_unnamed():
     assert answer.findings == ()
 
 
+@pytest.mark.parametrize(("effects", "verdict"), [((), "unnamed"), ((DELAYED,), "partly-named")])
+def test_what_a_controller_does_beside_its_law_hides_nothing_of_the_plant(effects, verdict):
+    noise = np.random.default_rng(0)
+    dither = 0.1 * np.repeat(noise.standard_normal(1 + Q_REF.size // 60), 60)[: Q_REF.size]
+    voltage = dither + 4e-3 * noise.standard_normal(Q_REF.size)
+    run = Plant.of(AXIS.replace(effects=list(effects))).closed_loop(Q_REF, voltage_noise=voltage)
+    made = Record(t=run.t, q_ref=Q_REF, q=run.q, u=run.u, period=1e-3, name="run")
+    found = diagnose(made, AXIS, library=SHORT)
+    assert found.verdict == verdict
+    assert [f.effect for f in found.findings] == [effect["kind"] for effect in effects]
+    assert found.details["unexplained"]["law_gap"] == pytest.approx(np.std(voltage), rel=0.02)
+    assert f"{np.std(voltage):.2f} V rms by which the command differs from the controller's law." in found.sentence
+    assert "the controller's law has a gap that no effect explains" in " ".join(found.details["warnings"])
+    assert found.train.extended < 1.5 * found.floor
+
+
 @pytest.mark.parametrize("gains", [{"kp": 100.0}, {"kv": 300.0}])
 def test_a_wrong_controller_is_recognised_with_the_gains_that_fit(gains):
     with pytest.raises(InputError, match=r"law nowhere .* kp = 160\.\d+ 1/s and kv = 243\.\d+ V/\(m/s\) fit it"):
