@@ -22,20 +22,18 @@ from emps_design.records import Record
 
 def identify_tested(
     record: Record,
-    axis: Axis | None = None,
-    model: str = "symmetric",
+    axis: Axis,
     chain: str = DEFAULT_CHAIN,
-    cutoff_hz: float | None = None,
-    external_force_known: bool = False,
     bootstrap: int = 0,
     seed: int = 0,
     holdout: Record | None = None,
+    **both: Any,
 ) -> Identification:
     """Identify ``axis`` from ``record`` by least squares, or by instruments where least squares is biased.
 
     Biased is what the Durbin-Wu-Hausman test says at 1 %, and by half a standard deviation or more. Arguments and
-    errors are those of :func:`~emps_design.identification.identify`; other chains than ``hold`` and a ``bootstrap`` are
-    least squares.
+    errors are those of :func:`~emps_design.identification.identify`; those that ``both`` estimators take are ``model``,
+    ``cutoff_hz`` and ``external_force_known``. Other chains than ``hold`` and a ``bootstrap`` are least squares.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
@@ -44,16 +42,7 @@ def identify_tested(
     >>> found.estimator, found.extra["hausman_test"]["bias_matters"]
     ('least_squares', False)
     """
-    if axis is None:
-        from emps_design.machines import machine
-
-        axis = machine("emps2019")
-    given: dict[str, Any] = {
-        "model": model,
-        "cutoff_hz": cutoff_hz,
-        "external_force_known": external_force_known,
-    }
-    plain = identify(record, axis, chain=chain, bootstrap=bootstrap, seed=seed, holdout=holdout, **given)
+    plain = identify(record, axis, chain=chain, bootstrap=bootstrap, seed=seed, holdout=holdout, **both)
     followed = record.q_ref_recorded or record.velocity_reference is not None
     if chain != "hold" or bootstrap or axis.controller.kind == "none" or not followed:
         return plain
@@ -64,7 +53,7 @@ def identify_tested(
     from emps_design.identification.instruments import identify_with_instruments
 
     try:
-        led = identify_with_instruments(record, axis, **given)
+        led = identify_with_instruments(record, axis, **both)
     except (EmpsError, np.linalg.LinAlgError):  # no simulation with this controller follows the record
         return plain
     weaker = any(one.determined and not led.parameters[name].determined for name, one in plain.parameters.items())
@@ -72,5 +61,6 @@ def identify_tested(
         return replace(plain, extra=plain.extra | {"hausman_test": led.extra["hausman_test"]})
     if holdout is None:
         return led
-    judged = held_out_on(holdout, led.axis, model, led.values(), led, external_force_known)
+    known = both.get("external_force_known", False)
+    judged = held_out_on(holdout, led.axis, led.model, led.values(), led, known)
     return replace(led, extra=led.extra | {"held_out": judged})

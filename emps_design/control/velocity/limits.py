@@ -163,6 +163,7 @@ def suggest_filter(
     equal = {"gain_margin": GAIN_MARGIN, "disk_margin": 0.0}
     if kept is not None:
         equal = {"gain_margin": kept.gain_margin or GAIN_MARGIN, "disk_margin": kept.disk_margin or 0.0}
+    # The filter, the plant with it, what it reaches within the limits, and what at the margins that there are without.
     best: tuple[Filter, SampledPlant, Reach, Reach] | None = None
     for one in _candidates(plant, own.crossover):
         filtered = sample_axis(axis, velocity, (*filters, one))
