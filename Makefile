@@ -18,9 +18,6 @@ comma := ,
 PARALLEL = -n $(WORKERS) --dist worksteal
 MARK = $(VENV)/.installed-$(STATE)-$(subst $(comma),-,$(1))
 
-# Hundreds of processes are started: what the first of them compiles of Python is read by the others.
-unexport PYTHONDONTWRITEBYTECODE
-
 .PHONY: help demo test quick lint fuzz hidden coverage bench paper lock audit docs clean
 
 help:
@@ -59,8 +56,9 @@ hidden: $(call MARK,$(EXTRAS))
 coverage: $(call MARK,$(EXTRAS))
 	@$(BIN)/python -m benchmarks.coverage
 
+# Commands as they start for a user: with the bytecode that Python keeps.
 bench: $(call MARK,$(EXTRAS))
-	@$(BIN)/python -m benchmarks
+	@env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m benchmarks
 
 paper: $(call MARK,$(EXTRAS))
 	@$(BIN)/python -m benchmarks.paper

@@ -163,6 +163,7 @@ def test_what_is_protected_stays(capsys, folder):
 SMALL_DISK = """
 import resource, sys
 from emps_design.cli import app
+sys.dont_write_bytecode = True  # half a module of it would stay, and end whoever imports that next
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
 import signal
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

@@ -81,6 +81,7 @@ def test_every_kernel_has_one_address_that_stays():
 
 PROGRAM = """
     import sys
+    sys.dont_write_bytecode = True  # Python's own cache goes by size and second
     sys.path.insert(0, {folder!r})
     import numpy as np
     import mine
