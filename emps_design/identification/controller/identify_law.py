@@ -40,8 +40,7 @@ def identify_law(records: Record | Sequence[Record], command_unit: str = "V") ->
     """Tell the controller that made one or several ``records``, whose command is in ``command_unit``; reads no axis.
 
     Several tell more than each alone: they are taken as one, in which the integral starts anew with each. Raises
-    :class:`RecordError` for records of other
-    columns or samples than the first.
+    :class:`RecordError` for records of other columns or samples than the first.
 
     >>> import numpy as np
     >>> t = np.arange(4000) * 1e-3
