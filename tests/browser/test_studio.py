@@ -71,7 +71,7 @@ def test_a_frequency_out_of_reach_comes_back_and_the_page_says_why(page):
 def test_a_number_outside_the_control_goes_back_to_the_design_shown(page):
     before = sampled_margin(page)
     type_into(page, "Frequency [rad/s]", "2000")
-    page.get_by_role("status").filter(has_text="the design stays as it was").first.wait_for()
+    page.get_by_role("alert").filter(has_text="the design stays as it was").first.wait_for()
     page.wait_for_timeout(400)
     assert page.get_by_label("Frequency [rad/s]", exact=True).first.input_value() == "100"
     assert sampled_margin(page) == before
@@ -231,7 +231,7 @@ def test_structure_filters_and_a_motion_of_ones_own(page, tmp_path, picture):
     page.get_by_role("button", name="Add a notch").click()
     page.get_by_text("PI, 1 filter").wait_for()
     type_into(page, "Notch [Hz]", "90 V")
-    page.get_by_role("status").filter(has_text="the design stays as it was").first.wait_for()
+    page.get_by_role("alert").filter(has_text="the design stays as it was").first.wait_for()
     page.wait_for_timeout(400)
     assert page.get_by_label("Notch [Hz]", exact=True).input_value() == "127.324"
     type_into(page, "Notch [Hz]", "90Hz")
