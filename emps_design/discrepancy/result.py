@@ -11,6 +11,7 @@ from emps_design.axis import Axis
 from emps_design.discrepancy.experiment.discrimination import Experiment
 from emps_design.discrepancy.explain.extent import EVERYWHERE
 from emps_design.discrepancy.explain.residual_views import View
+from emps_design.discrepancy.explain.unexplained import FROM_THE_LAW
 from emps_design.discrepancy.search.noise_floor import Floor
 from emps_design.discrepancy.validation.gap import Gap, Prediction
 from emps_design.frequency_response.comparison import Comparison
@@ -128,8 +129,7 @@ class Diagnosis:
                 text += ", ".join(f"{f.label.lower()} (up to {f.where['force']['value']:.3g} N)" for f in self.findings)
             rest = ""
             if self.verdict == "partly-named":
-                left_over = self.details["unexplained"]["text"]
-                rest = f" Something else is missing that no effect explains: {left_over}{self._beside_the_law('and')}."
+                rest = f" Something else is missing that no effect explains: {self.details['unexplained']['text']}."
             return f"{text[0].upper()}{text[1:]}; {gap}.{rest}"
         if self.details.get("interrupted") and not self.findings:
             return f"Interrupted before anything was found; {gap}."
@@ -139,20 +139,15 @@ class Diagnosis:
             known = "".join(f"{finding.in_words()}; " for finding in self.findings)  # from the controller's law
             text = f"{known}{'beside that ' if known else ''}the model misses {left} N"
             text = f"{text[0].upper()}{text[1:]} (noise {noise} N){where}, and no effect of the library explains it"
-            return f"{text}{self._beside_the_law('nor')}."
+            if "law_gap" in self.details["unexplained"]:
+                text += f", nor {rounded(self.details['unexplained']['law_gap'])} V rms {FROM_THE_LAW}"
+            return f"{text}."
         least = self.details.get("least_visible")
         rest = f"; an effect of {least} or more would have been seen" if least else ""
         if self.verdict == "parameters-only":
             changed = self.details.get("changed", "")
             return f"Only the numbers of the axis file are off ({changed}); {gap}{rest}."
         return f"Nothing is missing from the model: force error {rounded(judged.baseline)} N, noise {noise} N{rest}."
-
-    def _beside_the_law(self, joined: str) -> str:
-        """By how much the command differs from the controller's law, where no effect explains that, or ""."""
-        if "law_gap" not in self.details["unexplained"]:
-            return ""
-        gap = rounded(self.details["unexplained"]["law_gap"])
-        return f", {joined} the {gap} V rms by which the command differs from the controller's law"
 
     def to_dict(self) -> dict[str, Any]:
         """The contract's document, and what the report shows besides, absent where it is not known.

@@ -14,11 +14,13 @@ from emps_design.discrepancy.model.missing_force import SLOWEST, MissingForce, m
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.validation.gap import most_missed
 from emps_design.discrepancy.validation.verdict import Validation
+from emps_design.quantities import rounded
 
 DEGREE = 8  # of the polynomials in one variable
 RIDGE = 1e-6  # of the mean square of a column
 SAID = 2  # variables in the sentence
 LOWEST_HZ = 2.0  # below, lines are those of the strokes
+FROM_THE_LAW = "by which the command differs from the controller's law"
 WIDTH = 0.1  # of a frequency, within which its line counts
 
 
@@ -45,6 +47,8 @@ def unexplained(validation: Validation) -> dict[str, Any]:
     text = f"{left:.2g} N rms over the noise{place}, {100 * share:.0f} % of the gap; {depends}"
     laws = [law for law in validation.outcome.calibration.preparation.laws if law.unexplained]
     law_gap = {"law_gap": max(float(np.std(law.gap)) for law in laws)} if laws else {}
+    if laws:
+        text += f", and {rounded(law_gap['law_gap'])} V rms {FROM_THE_LAW}"
     return {
         **law_gap,
         "rms": left,
