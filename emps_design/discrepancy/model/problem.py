@@ -93,6 +93,10 @@ class Hypothesis:
         """Another model of the same records."""
         return Hypothesis(self.problem, model)
 
+    def as_given(self) -> Hypothesis:
+        """The same effects on the axis file's baseline."""
+        return self.with_model(replace(self.model, baseline=self.problem.axis.mechanics.array()))
+
     def only(self, record: int) -> Hypothesis:
         """The same model of one of the records, by its number."""
         return Hypothesis(self.problem.only(record), self.model.only(record))

@@ -8,7 +8,6 @@ first guesses. An effect that is a curve of any shape could stand in for others,
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.fit import Fit, admissible, evaluate, fit
@@ -89,8 +88,8 @@ def _extend(
 
 def _as_given(fitted: Fit) -> list[Fit]:
     """The baseline ``fitted`` with the axis file's numbers, where what is missing may have bent the fitted ones."""
-    given = replace(fitted.model, baseline=fitted.problem.axis.mechanics.array())
-    found = evaluate(fitted.with_model(given)) if far_apart(fitted.model, given) else None
+    given = fitted.as_given()
+    found = evaluate(given) if far_apart(fitted.model, given.model) else None
     return [found] if found is not None and found.innovations else []
 
 

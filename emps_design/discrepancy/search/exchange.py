@@ -6,8 +6,6 @@ resonance at the frequency that made up best for a friction not known yet. Besid
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from emps_design.discrepancy import rules
@@ -30,10 +28,10 @@ def exchanges(best: Fit, known: tuple[str, ...], library: tuple[Effect, ...]) ->
         if effect.name in known:
             continue
         alike = tuple(one for one in library if not one.general and (one is effect or one.confusable(effect)))
-        rest = best.model.without(index)
-        given = replace(rest, baseline=best.problem.axis.mechanics.array())
-        for model in (rest, given) if far_apart(rest, given) else (rest,):
-            without = evaluate(best.with_model(model))
+        rest = best.with_model(best.model.without(index))
+        given = rest.as_given()
+        for hypothesis in (rest, given) if far_apart(rest.model, given.model) else (rest,):
+            without = evaluate(hypothesis)
             if without.innovations:
                 absorbed = tangent(without)
                 found += extensions(without, screen(without, alike, absorbed), absorbed)[0]

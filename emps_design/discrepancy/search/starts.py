@@ -7,7 +7,7 @@ a fit would gain to first order, whatever the amplitude. That needs no regressor
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -81,7 +81,7 @@ def starts(current: Fit, effect: Effect, missing: tuple[MissingForce, ...], abso
     what the start itself explains.
     """
     base, found = current.residual("fit"), []
-    given = replace(current.model, baseline=current.problem.axis.mechanics.array())
+    given = current.as_given().model
     far = bent(current, float(base @ base) / base.size)
     for values in _values(current, effect, missing):
         trial = current.with_model(current.model.with_effect(effect, values))
