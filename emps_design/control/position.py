@@ -51,7 +51,7 @@ class PositionLoopDesign:
         return loop.axis.replace(controller=Controller.model_validate(whole))
 
     def controller_table(self) -> dict[str, Any]:
-        """The ``[controller]`` table of the axis file that runs this design, with the feed-forward that the axis has."""
+        """The ``[controller]`` table of the axis file that runs this design, the axis's feed-forward kept."""
         own = self.velocity_loop.axis.controller.feedforward
         return self.axis(**(own or {})).controller.model_dump(exclude_none=True)
 

@@ -134,4 +134,5 @@ def test_a_design_written_to_a_file_keeps_the_drives_feed_forward(tmp_path):
     assert run([*line, "--out", str(tmp_path / "better.toml")]) == 0
     own = Axis.from_toml((tmp_path / "better.toml").read_text()).controller
     assert own.feedforward == ahead
-    assert own.position["kp"] > 9.0 and own.velocity["kp"] > 99.0
+    assert own.position["kp"] > 9.0
+    assert own.velocity["kp"] > 99.0
