@@ -127,7 +127,7 @@ def draw_effect(
     if name == "gravity":
         x = drive.coulomb * (0.5, 1.0)[big] * _between(rng, 0.85, 1.2)
         return {"arm_torque": x, "arm_angle": phase}, {name: {"torque": x, "angle": phase}}
-    if name == "back_emf":
+    if name == "back_emf_braking":
         x, start = drive.viscous * (0.4, 0.8)[big], _between(rng, 2.0, 3.0)
         return {"winding": x, "off_from": start, "off_to": start + 0.1}, {name: {"braking": x}}
     if name == "maxwell_slip_friction":
@@ -256,7 +256,7 @@ EFFECTS = (
     "controller_disturbance",
 )
 TURNING = ("gravity",)  # of an axis that turns: compared between the simulators, in no generated case
-FURTHER = ("maxwell_slip_friction", "friction_ripple", "force_map", "friction_map", "back_emf")  # compared only
+FURTHER = ("maxwell_slip_friction", "friction_ripple", "force_map", "friction_map", "back_emf_braking")
 FORMS = (  # second forms of the above, compared only
     "load_dependent_friction behind the motor's",
     "flexible_coupling with a load that rubs",

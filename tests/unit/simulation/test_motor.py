@@ -125,7 +125,7 @@ def test_the_effect_is_the_back_emf_of_the_axis_file(others):
     q_ref = program(1500)
     k = np.arange(q_ref.size)
     signals = {"supply": SUPPLY * (1.0 + 0.1 * np.sin(k / 90.0)), "enable": np.where((k > 500) & (k < 800), 0.0, 1.0)}
-    effect = arm(back_emf=0.0).replace(effects=[{"kind": "back_emf", "braking": 0.1 * 0.4}, *rest])
+    effect = arm(back_emf=0.0).replace(effects=[{"kind": "back_emf_braking", "braking": 0.1 * 0.4}, *rest])
     in_file = arm().replace(effects=rest)
     for some in (signals, {}):
         one, other = (Plant.of(axis).closed_loop(q_ref, **some) for axis in (effect, in_file))

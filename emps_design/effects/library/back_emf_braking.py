@@ -1,4 +1,4 @@
-"""Back-EMF: a motor without a current loop brakes in proportion to its speed, as long as its winding is closed.
+"""Back-EMF braking: a motor without a current loop brakes in proportion to its speed, as long as its winding is closed.
 
 With k_e the voltage per speed and G_tau the force per volt at the winding, ``braking`` = G_tau k_e. While the motor is
 on that is viscous friction, and no record tells the two apart; where it was switched off (the column ``enable``) the
@@ -34,8 +34,8 @@ def expression(q, v, t, tau, p, b):
 
 
 EFFECT = Effect(
-    name="back_emf",
-    label="Back-EMF",
+    name="back_emf_braking",
+    label="Back-EMF braking",
     channel="plant",
     equation=r"F = G_\tau k_e\, \dot q \ \text{ while the winding is closed}",
     source="voltage balance of the winding, R i = u - k_e qd, without inductance",
