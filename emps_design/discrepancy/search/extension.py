@@ -119,7 +119,11 @@ def _revised(fitted: Fit) -> Fit:
     if not without.innovations:
         return fitted
     found = starts(without, effect, missing_force(without), tangent(without))
-    other = [s for s in found if s.anchored and not np.array_equal(s.model.values[-1][:, shapes], values[:, shapes])]
-    tried = side_by_side(fit, [(start.hypothesis,) for start in other[:REVISED]])
+    other: dict[bytes, Start] = {}  # the best start of each shape: the fit finds the rest
+    for start in found:
+        shape = start.model.values[-1][:, shapes]
+        if start.anchored and not np.array_equal(shape, values[:, shapes]):
+            other.setdefault(shape.tobytes(), start)
+    tried = side_by_side(fit, [(start.hypothesis,) for start in list(other.values())[:REVISED]])
     best = min((fitted, *tried), key=lambda f: f.cost)
     return fitted if best is fitted or not admissible(best) else _settled(best)
