@@ -18,7 +18,7 @@ STEPS = 20
 
 
 def robust(fitted: Fit) -> Fit:
-    """Refit ``fitted``, a fit by least squares, to all that may be used, so that the structure it leaves pulls less at its numbers.
+    """Refit the least squares of ``fitted`` to all that may be used: what structure is left pulls less at its numbers.
 
     Least squares under the noise of the laps takes slow structure for what a parameter does. Here what is left is
     itself the noise (feasible generalised least squares): it weighs least where the structure is, and bursts pull no
