@@ -215,6 +215,7 @@ class AxisEffect(Table):
     @model_validator(mode="after")
     def _known(self) -> AxisEffect:
         self.effect.values(self.parameters)
+        self.parameters.update(self.effect.completed(self.parameters))
         return self
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 import warnings
@@ -20,6 +21,8 @@ def main() -> None:
         sys.exit(1)
     if "--debug" not in sys.argv and not sys.warnoptions:
         warnings.simplefilter("ignore")  # of libraries, for programmers; our own are printed as such
+    gc.set_threshold(20_000, 20, 20)  # imports make many objects and let few go: looking for those took a tenth
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices here are tall and thin: threads would only spin
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # looked for in every package there is, at each start
     interrupts.listen()
     status = run(sys.argv[1:])

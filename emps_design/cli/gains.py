@@ -204,10 +204,7 @@ def command(
     measured = document.get("measured", {})
     on_data = measured.get("stable", True) and measured.get("whole_loop", {}).get("stable", True)
     if stable and on_data and out is not None:
-        table = design.controller_table()
-        if around is not None:
-            table = {**around.axis().controller.model_dump(), **table, "kind": around.axis().controller.kind}
-            table["position"] = {"kp": around.kp, "every": around.every}
+        table = design.controller_table() if around is None else around.controller_table()
         document["out"] = write_axis(out, machine.replace(controller=table))
     if not stable:
         document["nearest"], document["reason"] = design.nearest_stable, design.reason

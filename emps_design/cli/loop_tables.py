@@ -65,7 +65,8 @@ def _on_data(side: dict[str, Any], key: str) -> str:
 def _print_position_loop(found: dict[str, Any]) -> None:
     console = new_console()
     ((wanted, value),) = found["requested"].items()
-    table = new_table(f"Position loop in every {found['every']}. sample", "", "value", "unit", "requested")
+    rate = "sample" if found["every"] == 1 else f"{found['every']} samples"
+    table = new_table(f"Position loop, once every {rate}", "", "value", "unit", "requested")
     table.add_row("kp", number(found["kp"], 6), "1/s", "")
     for label, key, name, unit in (
         ("overshoot of a step", "overshoot_percent", "overshoot", "%"),

@@ -50,6 +50,11 @@ class PositionLoopDesign:
         whole = {"kind": cascade.LAW.name, **table.model_dump(exclude_none=True), **own}
         return loop.axis.replace(controller=Controller.model_validate(whole))
 
+    def controller_table(self) -> dict[str, Any]:
+        """The ``[controller]`` table of the axis file that runs this design, the axis's feed-forward kept."""
+        own = self.velocity_loop.axis.controller.feedforward
+        return self.axis(**(own or {})).controller.model_dump(exclude_none=True)
+
     @cached_property
     def loop(self) -> SampledLoop:
         """The closed loop without feed-forward."""

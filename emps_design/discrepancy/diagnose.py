@@ -8,6 +8,7 @@ from functools import partial
 
 from emps_design.axis import Axis
 from emps_design.discrepancy import rules
+from emps_design.discrepancy.checks.long_records import beginnings, rest_in_words
 from emps_design.discrepancy.checks.preparation import prepare
 from emps_design.discrepancy.explain.explanation import explain
 from emps_design.discrepancy.result import Diagnosis
@@ -43,7 +44,8 @@ def diagnose(
     record, is opened once, at the end. ``fit_time`` [s] limits what is fitted. ``library`` defaults to every known
     effect; its starts and bounds are sized to the axis. ``searches`` healthy records are simulated and searched like
     this one, for the gain that chance alone reaches; 0 takes a linearisation of that. ``progress(stage, share)``
-    hears how far it is, ``searched(model)`` the model with which a search ended, before it is confirmed. Raises
+    hears how far it is, ``searched(model)`` the model with which a search ended, before it is confirmed. Of records
+    too long to be searched whole the beginning is, and what its model leaves of the rest is told. Raises
     :class:`InputError` for records that cannot be judged, and where the controller of ``axis`` is not the one that
     made them.
     """
@@ -55,7 +57,8 @@ def diagnose(
     # The matrices here are tall and thin: BLAS threads would only spin, and the fits run side by side already.
     with threadpool_limits(1):
         report("checking the records and the controller's law", 0.02)
-        preparation = prepare(records, axis, library, holdout, fit_time, confirm_time)
+        parts = beginnings(records, fit_time, confirm_time)
+        preparation = prepare(parts, axis, library, holdout, fit_time, confirm_time)
         seen = told(at_first_sight(preparation.start, preparation.library))
         report(f"fitting the baseline{seen}", 0.05)
         rough, floor = first_noise(preparation)
@@ -65,7 +68,8 @@ def diagnose(
         outcome = _repeated(outcome, seed, searches, report)
         hears(outcome.best.model.to_axis(axis))
         report("confirming on data not used so far", 0.9)
-        return explain(validate(outcome))
+        validation = validate(outcome)
+        return explain(validation, rest_in_words(records, preparation.laws, validation.extended))
 
 
 def _repeated(outcome: Outcome, seed: int, searches: int, report: Progress) -> Outcome:

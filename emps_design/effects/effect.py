@@ -18,7 +18,8 @@ and the plant is, with ``sum`` over the effects of an axis,
 
     (M + sum inertia) dv/dt = tau - F_v v - offset - sum force - L S(v),   L = max(0, F_c + sum dry)
 
-where S(v) is the set-valued sign: sign(v) in motion, anything in [-1, 1] at rest.
+where S(v) is the set-valued sign: sign(v) in motion, anything in [-1, 1] at rest. There ``dry`` gets a ``v`` next to 0
+of the direction in which the rest of the balance pushes.
 
 Sign convention: ``force`` stands on the left-hand side of the inverse dynamic model, beside the friction; a force that
 pushes the carriage towards +q is returned with a minus. Kernels use ``math`` and one another alone, so
@@ -65,6 +66,7 @@ class Parameter(Quantity):
     ``per_record``: it belongs to one record (the phase of a ripple, the time of an event), not to the machine.
     ``starts``: values worth starting a fit from; a scan of a shape parameter uses them as its grid.
     ``scale``: a typical size, where the starts do not give one. ``discrete``: chosen among the starts, never refined.
+    ``default``: what it is where a file does not give it; None: it has to be given.
     Starts, bounds and scale are written for an ordinary linear axis; :mod:`.sizes` has those of another.
     """
 
@@ -73,6 +75,7 @@ class Parameter(Quantity):
     starts: tuple[float, ...] = ()
     scale: float = 0.0
     discrete: bool = False
+    default: float | None = None
 
     def check(self, value: float) -> float:
         """As of any quantity, for an axis up to ``REACH`` times larger or smaller than the ordinary one."""
@@ -254,8 +257,14 @@ class Effect:
         """Names of the other parameters."""
         return tuple(p.name for p in self.parameters if not p.linear)
 
+    def completed(self, parameters: Parameters) -> dict[str, float]:
+        """``parameters`` with the defaults of those that are not given."""
+        defaults = {p.name: p.default for p in self.parameters if p.default is not None and p.name not in parameters}
+        return {**parameters, **defaults}
+
     def values(self, parameters: Parameters) -> np.ndarray:
         """Return ``parameters`` as the array ``p`` of the kernels; unknown, missing or impossible ones are refused."""
+        parameters = self.completed(parameters)
         known = [p.name for p in self.parameters]
         for name in parameters:
             if name not in known:

@@ -163,6 +163,9 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
 def _achieved_table(velocity: VelocityLoopDesign) -> Table:
     """Specification against achieved, at every place where the loop can be broken."""
     sampled, asked = velocity.sampled, velocity.requested
+    met_by = "loop broken at the velocity error" + (", (6) and (7)" if velocity.structure.form == "ip" else "")
+    if velocity.retuned_at:
+        met_by = f"sampled loop broken at the {velocity.retuned_at.replace('-', ' ')}"
 
     def row(name: str, margins: Margins, bandwidth: float | None) -> list[Any]:
         if not margins.stable:
@@ -193,8 +196,8 @@ def _achieved_table(velocity: VelocityLoopDesign) -> Table:
             row("plant input, continuous", velocity.plant_input, velocity.bandwidth),
             row("plant input, sampled", sampled.margins, sampled.bandwidth),
         ],
-        "Specification against achieved. The specification holds for the loop broken at the velocity error, (6) and "
-        "(7); what destabilises a drive acts at the plant input, so the last row is what the drive will have.",
+        f"Specification against achieved. The specification holds for the {met_by}; what destabilises a drive acts at "
+        "the plant input, so the last row is what the drive will have.",
     )
 
 

@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from emps_design.control.velocity.structure import Structure
+
 Point = tuple[float, float]
 
 
@@ -76,26 +78,36 @@ def _canvas(width: float, height: float) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def velocity_and_force_loop_diagram() -> Figure:
-    """Draw Fig. 4: the IP velocity loop inside the force loop, with the operator's impedance written out."""
+def velocity_and_force_loop_diagram(structure: Structure, filtered: bool = False) -> Figure:
+    """Draw Fig. 4, the velocity loop of that ``structure`` in the force loop, the operator's impedance written out.
+
+    ``filtered``: the command passes filters.
+    """
     with look():
         figure, axes = _canvas(15.4, 4.9)
         y = 3.0
         _wire(axes, (0.2, y), (0.9, y))
         _label(axes, 0.45, y + 0.1, r"$\tau_{ref}$")
         _sum(axes, 1.1, y, {"left": "+", "below": "+"})
-        _wire(axes, (1.3, y), (1.85, y))
-        _block(axes, 2.4, y, "$k_{e1}$", 1.1, GREEN)
-        _wire(axes, (2.95, y), (4.0, y))
-        _label(axes, 3.4, y + 0.1, r"$v_{\dot q}$")
+        _wire(axes, (1.3, y), (1.55, y))
+        _block(axes, 1.9, y, "$k_{e1}$", 0.7, GREEN)
+        _wire(axes, (2.25, y), (4.0, y))
+        _label(axes, 2.42, y + 0.1, r"$v_{\dot q}$")
+        if structure.reference_filter:
+            _block(axes, 3.15, y, r"$\dfrac{1}{1 + t_v\,s}$", 1.05)
         _sum(axes, 4.2, y, {"left": "+", "below": "-"})
         _wire(axes, (4.4, y), (4.95, y))
-        _block(axes, 5.6, y, r"$\dfrac{1}{t_v\,s}$", 1.3)
-        _wire(axes, (6.25, y), (6.9, y))
-        _sum(axes, 7.1, y, {"left": "+", "below": "-"})
-        _wire(axes, (7.3, y), (7.8, y))
-        _block(axes, 8.35, y, "$k_{v1}$", 1.1)
-        _wire(axes, (8.9, y), (9.75, y))
+        if structure.form == "ip":
+            _block(axes, 5.45, y, r"$\dfrac{1}{t_v\,s}$", 1.0)
+            _wire(axes, (5.95, y), (6.4, y))
+            _sum(axes, 6.6, y, {"left": "+", "below": "-"})
+            _wire(axes, (6.8, y), (7.1, y))
+            _block(axes, 7.45, y, "$k_{v1}$", 0.7)
+        else:
+            _block(axes, 6.2, y, r"$k_{v1}\left(1 + \dfrac{1}{t_v\,s}\right)$", 2.5)
+        _wire(axes, (7.8 if structure.form == "ip" else 7.45, y), (9.75, y))
+        if filtered:
+            _block(axes, 8.5, y, "filters", 0.85)
         _label(axes, 9.27, y - 0.42, "$u$ [V]")
         _block(axes, 10.3, y, r"$G_\tau$", 1.1, GREY)
         _wire(axes, (10.85, y), (11.4, y))
@@ -107,11 +119,12 @@ def velocity_and_force_loop_diagram() -> Figure:
         _label(axes, 14.85, y + 0.1, r"$\dot q$ [m/s]")
         _node(axes, 14.35, y)
         # velocity feedback: one line serves the integral and the proportional path
-        _wire(axes, (14.35, y), (14.35, 1.75), (7.1, 1.75), (7.1, y - 0.2))
-        _wire(axes, (7.1, 1.75), (4.2, 1.75), (4.2, y - 0.2))
-        _node(axes, 7.1, 1.75)
-        _label(axes, 5.65, 1.68, "integral on the error", fontsize=8.5, color=GREY, va="top")
-        _label(axes, 8.9, 1.68, "proportional on the velocity", fontsize=8.5, color=GREY, va="top")
+        _wire(axes, (14.35, y), (14.35, 1.75), (4.2, 1.75), (4.2, y - 0.2))
+        if structure.form == "ip":
+            _wire(axes, (6.6, 1.75), (6.6, y - 0.2))
+            _node(axes, 6.6, 1.75)
+            _label(axes, 5.45, 1.68, "integral on the error", fontsize=8.5, color=GREY, va="top")
+            _label(axes, 8.5, 1.68, "proportional on the velocity", fontsize=8.5, color=GREY, va="top")
         # operator
         _wire(axes, (14.35, 1.75), (14.35, 0.55), (10.5, 0.55))
         _node(axes, 14.35, 1.75)

@@ -15,6 +15,15 @@ if TYPE_CHECKING:
     from emps_design.control.velocity.design import VelocityLoopDesign
     from emps_design.control.velocity.step_response import StepResponse
 
+ACTS_ON = {
+    "ip": "integral of the error, proportional on the velocity",
+    "pi": "proportional to the error and its integral",
+}
+AT_THE_PLANT_INPUT = {
+    "ip": "It crosses 0 dB at a higher frequency, where the same delay costs more phase",
+    "pi": "With PI it is the loop broken at the velocity error",
+}
+
 
 def gains_section(velocity: VelocityLoopDesign) -> Section:
     """Return the section on the axis and the gains of ``velocity``."""
@@ -50,9 +59,9 @@ def gains_section(velocity: VelocityLoopDesign) -> Section:
     return Section(
         "Axis and gains",
         Picture(
-            velocity_and_force_loop_diagram(),
-            "The IP velocity loop (integral of the error, proportional on the velocity) inside the force loop. The two "
-            "dotted lines are the places where the loop is broken to read margins.",
+            velocity_and_force_loop_diagram(velocity.structure, bool(velocity.filters)),
+            f"The {velocity.structure.label} velocity loop ({ACTS_ON[velocity.structure.form]}) inside the force loop. "
+            "The two dotted lines are the places where the loop is broken to read margins.",
             "Structure, after Fig. 4 of the paper",
         ),
         Table(["quantity", "value", "meaning"], rows, f"The axis {axis.name} as designed on."),
@@ -91,8 +100,8 @@ def velocity_section(velocity: VelocityLoopDesign) -> Section:
         ),
         Picture(
             bode_figure(plant, period),
-            "The loop that delay acts on. It crosses 0 dB at a higher frequency, where the same delay costs more "
-            "phase; the distance between the two curves is what the implementation takes.",
+            f"The loop that delay acts on. {AT_THE_PLANT_INPUT[velocity.structure.form]}; the distance between the two "
+            "curves is what the implementation takes.",
             "Bode diagram, broken at the plant input",
         ),
         Picture(

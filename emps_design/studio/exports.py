@@ -58,7 +58,7 @@ def figures(state: State) -> dict[str, Figure]:
     design = velocity_design(state)
     force = design_force_loop(design, state.k_e1, hand=state.hand, environment=state.wall * 1e3)
     return {
-        "block_diagram": velocity_and_force_loop_diagram(),
+        "block_diagram": velocity_and_force_loop_diagram(design.structure, bool(design.filters)),
         **velocity_loop_figures(design),
         "force_limit": force_limit_figure(force),
         "force_loop": force_loop_figure(force),

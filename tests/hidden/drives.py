@@ -100,6 +100,8 @@ def draw_effect(
     if name == "load_dependent_friction":
         x = (0.1, 0.16)[big] * _between(rng, 0.9, 1.1)
         return {"load_share": x}, {name: {"share": x}}
+    if name == "load_dependent_friction behind the motor's":
+        return {"load_share": 0.4, "load_before": 1.0}, {"load_dependent_friction": {"share": 0.4, "motor_side": 1.0}}
     if name == "position_dependent_friction":
         x, length = drive.coulomb * (0.25, 0.4)[big], drive.travel * _between(rng, 0.6, 1.5)
         return (
@@ -248,6 +250,7 @@ EFFECTS = (
 )
 TURNING = ("gravity",)  # of an axis that turns: compared between the simulators, in no generated case
 FURTHER = ("maxwell_slip_friction", "friction_ripple", "force_map", "friction_map")  # compared only, as yet
+FORMS = ("load_dependent_friction behind the motor's",)  # second forms of the above, compared only
 UNKNOWN = (
     "unknown_ageing",
     "unknown_cross",

@@ -80,6 +80,8 @@ NAMES = (
     "magnet",  # N/(m/s), a brake in one zone of the travel, moving forwards
     "magnet_width",  # m
     "thixotropy",  # N, dry friction that a speed held for a while takes away
+    # and of what the library has
+    "load_before",  # share of viscous and Coulomb friction that the motor overcomes before the gear
 )
 PLACE = {name: index for index, name in enumerate(NAMES)}
 
@@ -132,6 +134,7 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
     n, tau_2 = len(q_ref), 2.0 * math.pi
     pull, wear = p[56:62], p[62:68]
     crank, crank_length, magnet, magnet_width, thixotropy = p[68], p[69], p[70], p[71], p[72]
+    load_before = p[73]
     mapped, slipped = map_end > map_start, 0.0
     steps = round(period / STEP)
     h = period / steps
@@ -210,7 +213,9 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
             if excess != 0.0:
                 level += excess * math.exp(-abs(v) / v_stribeck)
             if load_share != 0.0:
-                level += load_share * abs(tau - offset)
+                heading = v if v != 0.0 else f
+                lost = load_before * (viscous * v + math.copysign(coulomb, heading))
+                level += load_share * abs(tau - offset - lost)
             if travel_a != 0.0:
                 level += travel_a * math.sin(tau_2 * q / travel_l + travel_p)
             if rub_a != 0.0:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from emps_design.axis import Axis
-from tests.hidden.drives import EFFECTS, FURTHER, TURNING, draw_drive, draw_effect, turning
+from tests.hidden.drives import EFFECTS, FORMS, FURTHER, TURNING, draw_drive, draw_effect, turning
 from tests.hidden.generate import SKIP, axis_file, misfit, run
 from tests.hidden.plant import numbers
 from tests.hidden.programs import laps
@@ -12,7 +12,7 @@ from tests.hidden.programs import laps
 LEFT = 0.015  # of the Coulomb friction [N rms of G_tau u]: what 20 us steps leave through the encoder's quantisation
 
 
-@pytest.mark.parametrize("name", ["none", *EFFECTS, *FURTHER, *TURNING])
+@pytest.mark.parametrize("name", ["none", *EFFECTS, *FURTHER, *FORMS, *TURNING])
 def test_same_force_along_a_lap(name):
     from emps_design.simulation import Plant
 

@@ -15,7 +15,6 @@ from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.partition import START_UP
 from emps_design.effects import Effect, Motion
 from emps_design.errors import InputError
-from emps_design.identification.controller import TOLD, identify_law
 from emps_design.laws import get_law, law_of, unit_of
 from emps_design.records import Record
 
@@ -137,6 +136,8 @@ def _wrong_law(record: Record, axis: Axis, swing: float, miss: float) -> str:
                 fields = kind.table.model_fields
                 fitting = " and ".join(f"{name} = {v:.5g} {unit_of(fields[name])}" for name, v in proposed.items())
                 return f"{text}; {fitting} fit it, correct the axis file"
+    from emps_design.identification.controller import TOLD, identify_law
+
     found = identify_law(record, axis.drive.command_unit)
     if found.verdict == TOLD:
         return f"{text}; {found.in_words} does and leaves {found.residual_rms:.3g}, correct the axis file"

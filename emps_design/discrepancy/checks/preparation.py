@@ -19,7 +19,6 @@ from emps_design.effects import Effect
 from emps_design.effects.sizes import sized, sizes
 from emps_design.errors import InputError
 from emps_design.records import Record
-from emps_design.simulation import Plant
 
 Interval = tuple[float, float]
 
@@ -108,8 +107,6 @@ def prepare(
         if not inside.all():
             window = float(record.t[inside][0]), float(record.t[inside][-1])
         held_out = HeldOut(Problem(axis, (record,), (split(record, inside),), Whitening.none()), window, law)
-    # Kernels are compiled here: simulations run side by side later, and must not compile the same one twice.
-    Plant(axis, [(effect, np.zeros(len(effect.parameters))) for effect in library])
     start = Hypothesis(problem, _as_the_axis_says(Candidate.of(axis, factors), laws))
     plant = tuple(effect for effect in library if effect.channel != "controller")
     return Preparation(records, start, plant, laws, held_out, tuple(warnings))

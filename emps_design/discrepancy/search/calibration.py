@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
+
 from emps_design.discrepancy.checks.preparation import Preparation
 from emps_design.discrepancy.model.fit import Fit, fit
 from emps_design.discrepancy.model.problem import Hypothesis
@@ -16,6 +18,7 @@ from emps_design.discrepancy.search.null_distribution import Healthy, healthy_re
 from emps_design.discrepancy.search.simulated_null import healthy_runs
 from emps_design.discrepancy.search.starts import Start, screen, tangent
 from emps_design.discrepancy.search.suspects import by_signature, told
+from emps_design.simulation import Plant
 
 Progress = Callable[[str, float], None]
 BASELINE_STEPS = 20  # of the baseline's fit, which starts from the axis file
@@ -40,6 +43,9 @@ class Calibration:
 
 def first_noise(preparation: Preparation) -> tuple[Hypothesis, Floor]:
     """Fit the baseline by plain least squares, and take the noise from what it leaves: of laps, or of other strokes."""
+    # Kernels are compiled here: simulations run side by side from now on, and must not compile the same one twice.
+    effects = [(effect, np.zeros(len(effect.parameters))) for effect in preparation.library]
+    Plant(preparation.start.problem.axis, effects)
     rough = fit(preparation.start, steps=BASELINE_STEPS)
     floor = floor_of_laps(rough.residuals(), rough.problem.splits, rough.problem.period)
     if floor is None:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from emps_design.discrepancy.model.missing_force import missing_force
+from emps_design.discrepancy.model.missing_force import MissingForce, away_from_reversals
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.search.starts import Start, Tangent, grid
-from emps_design.effects import Effect
+from emps_design.effects import Effect, Motion
+from emps_design.effects.effect import MASS, VISCOUS
 from emps_design.effects.guesses import absorb, thin
+from emps_design.observer import motor_force
 
+BLOCK_TIME = 8e-3  # s, of the means that are looked at
 LEAST = 0.1  # share of the residual, below which nothing stands out
 MOST = 2  # that are told
 FEWEST = 100  # samples of a record to look at
@@ -19,11 +22,12 @@ def at_first_sight(hypothesis: Hypothesis, library: tuple[Effect, ...]) -> dict[
     """Share of the missing force that the columns of each effect of ``library`` follow, by label.
 
     One simulation and regressions: of effects that have columns and need not look for their shape first. What mass,
-    friction and offset absorb counts for nothing.
+    friction and offset absorb counts for nothing. It is the first answer of a process, so it loads no package of
+    filters.
     """
     quick = [effect for effect in library if effect.regressor is not None and effect.propose is None]
     explained, total = dict.fromkeys((effect.label for effect in quick), 0.0), 0.0
-    for seen in missing_force(hypothesis):
+    for seen in _of_blocks(hypothesis):
         motion, index = seen.motion, thin(seen.away)
         if index.size <= FEWEST:
             continue
@@ -39,6 +43,30 @@ def at_first_sight(hypothesis: Hypothesis, library: tuple[Effect, ...]) -> dict[
                 best = max(best, float(left @ columns @ np.linalg.lstsq(columns, left, rcond=1e-8)[0]))
             explained[effect.label] += best
     return {label: gain / total for label, gain in explained.items()} if total > 0 else {}
+
+
+def _of_blocks(hypothesis: Hypothesis) -> list[MissingForce]:
+    """The missing force of a model as means over blocks of ``BLOCK_TIME``, one per record."""
+    problem, baseline, found = hypothesis.problem, hypothesis.model.baseline, []
+    for record, run, split in zip(problem.records, hypothesis.runs(), problem.splits, strict=True):
+        size = max(1, round(BLOCK_TIME / record.period))
+        signals = record.t, record.q, run.q, motor_force(problem.axis, record), run.force, record.u, split.used
+        t, q, q_s, force, predicted, u, used = (_means(signal, size) for signal in signals)
+        period = size * record.period
+        (v, a), (v_s, a_s) = (_derivatives(place, period) for place in (q, q_s))
+        missing = force - predicted - baseline[MASS] * (a - a_s) - baseline[VISCOUS] * (v - v_s)
+        motion = Motion(t, q, v, a, predicted, period, u, force_gain=problem.axis.drive.gain)
+        found.append(MissingForce(motion, missing, away_from_reversals(v, period) & (used == 1.0)))
+    return found
+
+
+def _means(signal: np.ndarray, size: int) -> np.ndarray:
+    return signal[: signal.size // size * size].reshape(-1, size).mean(axis=1)
+
+
+def _derivatives(q: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+    v = np.gradient(q, period)
+    return v, np.gradient(v, period)
 
 
 def by_signature(screened: list[list[Start]], absorbed: Tangent) -> dict[str, float]:

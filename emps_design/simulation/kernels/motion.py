@@ -28,6 +28,7 @@ ORDER = 4  # of convergence, measured in the tests
 # What one step may be wrong by in position [m], velocity [m/s], and relative to the largest value of an own state.
 _POSITION, _VELOCITY, _OWN = 2e-11, 2e-9, 2e-8
 INSTANT = 1e-15  # s, shortest rest of a period worth a step
+NUDGE = 1e-300  # m/s, that tells a direction and nothing else
 CROSSING = 1e-13  # s, a step across a guard at which a force jumps
 
 
@@ -62,7 +63,12 @@ def weigh(y, t, tau, acting, push, plant):
     b, braked = plant[0], plant[4][BRAKING] * y[1]
     tau -= braked
     net = acting - braked + push - b[1] * y[1] - b[3] - total(FORCE, y, t, tau, plant)
+    still = y[1] == 0.0
+    if still:  # the dry friction that would have to be overcome: of the direction in which the rest pushes
+        y[1] = math.copysign(NUDGE, net)
     level = max(0.0, b[2] + total(DRY, y, t, tau, plant))
+    if still:
+        y[1] = 0.0
     return net, level, b[0] + total(INERTIA, y, t, tau, plant)
 
 

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from emps_design.axis import Axis
 from emps_design.cli.app import run
 from emps_design.control.loop.sampled_loop import axis_loop
 from emps_design.control.position import design_position_loop
@@ -123,3 +124,15 @@ def test_the_command(capsys, tmp_path):
     assert "--inertia-range: found '5', expected LOW:HIGH" in capsys.readouterr().err
     assert run(["gains", "--crossover", "60", "--position-overshoot", "5", "--position-bandwidth", "9"]) == 2
     assert "found overshoot and bandwidth, expected one of" in capsys.readouterr().err
+
+
+def test_a_design_written_to_a_file_keeps_the_drives_feed_forward(tmp_path):
+    ahead = {"velocity": 0.9, "acceleration": 2.5, "coulomb": 1.0}
+    drive = {"kind": "cascade", "position": {"kp": 9.0}, "velocity": {"kp": 99.0, "ti": 0.1}, "feedforward": ahead}
+    (tmp_path / "drive.toml").write_text(AXIS.replace(controller=drive).to_toml())
+    line = ["gains", str(tmp_path / "drive.toml"), "--crossover", "60", "--position-overshoot", "2"]
+    assert run([*line, "--out", str(tmp_path / "better.toml")]) == 0
+    own = Axis.from_toml((tmp_path / "better.toml").read_text()).controller
+    assert own.feedforward == ahead
+    assert own.position["kp"] > 9.0
+    assert own.velocity["kp"] > 99.0

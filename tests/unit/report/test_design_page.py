@@ -8,6 +8,7 @@ import pytest
 
 from emps_design.cli.app import run
 from emps_design.control.velocity.design import design_velocity_loop
+from emps_design.control.velocity.retune import retune_velocity_loop
 from emps_design.control.velocity.step_response import measure_step, second_order_step
 from emps_design.errors import InputError
 from emps_design.machines import machine
@@ -46,6 +47,16 @@ def test_the_page_has_every_picture_with_a_caption(page):
     assert {"Nyquist diagrams", "Closed-loop poles", "Step response", "How large the force gain may be"} <= set(titles)
     assert {"Where the law is stable", "Apparent impedance", "Mismatch of ±2 %"} <= set(titles)
     assert len(titles) == page.count("<svg ") == 15
+
+
+def test_the_page_of_a_pi_design_shows_and_says_pi():
+    drive = {"kind": "cascade", "velocity": {"kp": 99.0, "ti": 0.1}, "filters": [{"kind": "lowpass", "frequency": 200}]}
+    axis = machine("emps2018").replace(controller=drive)
+    page = design_page(design_results(retune_velocity_loop(axis, crossover=60.0))).html()
+    for said in ("The PI velocity loop", "for the sampled loop broken at the plant input", "With PI it is the loop"):
+        assert said in page, said
+    assert "IP velocity loop" not in page
+    assert "It crosses 0 dB at a higher" not in page
 
 
 def test_the_page_tells_what_the_printed_law_costs_and_where_print_and_derivation_differ(page):

@@ -91,6 +91,32 @@ def test_load_dependent_friction_sees_what_the_winding_carries():
     assert torque == pytest.approx((0.02 + 0.01 * v) / (1.0 - 0.2), rel=1e-6)
 
 
+def test_a_load_that_turns_a_motor_without_current_loads_the_gear_too():
+    """Friction in motor and input stage is what the gear then carries, a share of which it adds."""
+    load = {"kind": "load_dependent_friction", "share": 0.5, "motor_side": 1.0}
+    axis = arm().replace(mechanics={"offset": 0.0}, effects=[load], controller={"kind": "none"})
+    run = Plant.of(axis).open_loop(np.full(200, 1.0), v0=3.0, enable=np.zeros(200))
+    mass, viscous, coulomb, _ = axis.mechanics.array()
+    level, rate = coulomb / viscous, 1.5 * viscous / mass
+    np.testing.assert_allclose(run.v, (3.0 + level) * np.exp(-rate * run.t) - level, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("direction", "share"), [(1.0, 1.0 - 0.4), (-1.0, 1.0 + 0.4)])
+def test_a_weight_leaves_up_and_down_at_the_efficiency_of_that_direction(direction, share):
+    """The force of the motor grows, or falls, past what the gear passes on to hold the weight."""
+    spring = {"kind": "elastic_force", "stiffness": 100.0, "rest_position": -1.0}  # a weight of 100 N at 0
+    load = {"kind": "load_dependent_friction", "share": 0.4, "motor_side": 1.0}
+    axis = machine("emps2019").replace(
+        mechanics={"coulomb": 20.0, "offset": 0.0}, effects=[spring, load], sampling={"period": 1e-3}
+    )
+    expected = direction * 20.0 + 100.0 / share  # of the motor: up 20 + 100 / 0.6, down -20 + 100 / 1.4
+    force = expected + direction * np.linspace(-5.0, 5.0, 2001)
+    run = Plant.of(axis).open_loop(force / axis.drive.gain)
+    leaves = np.flatnonzero(run.v)[0]
+    assert np.sign(run.v[leaves]) == direction
+    assert force[leaves] == pytest.approx(expected, abs=0.02)
+
+
 def test_an_open_winding_takes_nothing_and_gives_nothing():
     axis = arm().replace(mechanics={"coulomb": 0.0, "offset": 0.0}, controller={"kind": "none"})
     run = Plant.of(axis).open_loop(np.full(200, 1.0), v0=3.0, enable=np.zeros(200))
