@@ -68,7 +68,7 @@ def descend(
             jacobian[:, k] = 0.0 if reached is None else (reached - current) / step
         simulations -= len(slots)
         first, secant, most = float(current @ current), jacobian.copy(), TRIALS
-        while most:
+        while most and simulations > 0:
             cost, trials, most = float(current @ current), most, 0
             for trial, tried in itertools.islice(_moves(secant, current, x, lower, upper, damping), trials):
                 reached, simulations = attempt(trial), simulations - 1
