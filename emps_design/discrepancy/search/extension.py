@@ -91,9 +91,10 @@ def _promising(begins: list[Hypothesis]) -> list[Hypothesis]:
     found: list[Hypothesis] = []
     for ones in alike.values():
         if len(ones) > PROMISING:
-            ones = side_by_side(fit, [(one, "fit", None, TRIED_STEPS) for one in ones])
-            ones = sorted(ones, key=lambda f: f.cost)[:PROMISING]
-        found += ones
+            tried: list[Fit] = side_by_side(fit, [(one, "fit", None, TRIED_STEPS) for one in ones])
+            found += sorted(tried, key=lambda f: f.cost)[:PROMISING]
+        else:
+            found += ones
     return found
 
 
