@@ -76,8 +76,9 @@ def _show(found: LawEstimate) -> None:
     if len(found.tried) > 1:
         table = Table(box=box.SIMPLE, pad_edge=False, title="tried")
         table.add_column("structure", overflow="fold")
-        for heading in (f"left, whitened [{found.command_unit}]", "criterion"):
+        for heading in (f"left, whitened [{found.command_unit}]", "criterion", "apart [std]"):
             table.add_column(heading, justify="right", no_wrap=True)
         for one in found.tried:
-            table.add_row(one["terms"], f"{one['residual_rms']:.4g}", f"{one['criterion']:+.1f}")
+            apart = f"{one['apart']:.1f}"
+            table.add_row(one["terms"], f"{one['residual_rms']:.4g}", f"{one['criterion']:+.1f}", apart)
         console.print(table)

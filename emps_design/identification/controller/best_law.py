@@ -39,6 +39,12 @@ class Found:
         """Samples (n,) in which the integral stands still."""
         return self.limited if self.holds else None
 
+    def apart(self, other: Fit) -> float:
+        """Standard deviations of the noise between the commands of the law and of ``other``, over all samples."""
+        one, another = (command_of(self.signals, law, self.held) for law in (self.fit, other))
+        noise = np.sqrt(self.fit.cost / self.fit.samples)
+        return float(np.linalg.norm(self.signals.counted(one - another)) / noise)
+
 
 def best_law(signals: Signals, only: Structure | None = None) -> Found:
     """The law that explains the command best, whatever that is worth; of the structure ``only`` where that is given."""

@@ -22,7 +22,7 @@ from emps_design.identification.controller.regressors import Signals, joined
 from emps_design.identification.controller.steps import without_steps
 from emps_design.identification.controller.structures import PROPORTIONAL
 from emps_design.identification.controller.tables import deviations_of, kind_of, numbers_of, table_of
-from emps_design.identification.controller.wording import described, notes_of, short
+from emps_design.identification.controller.wording import described, how_far_apart, notes_of, short
 from emps_design.records import Record
 
 START_UP = 0.02  # s, before which what the controller remembers is not known
@@ -151,14 +151,14 @@ def _report(several: Sequence[Record], unit: str, found: Found, steps: np.ndarra
     differ = [not _same_numbers(other, own) for other in others]
     close = [one for one, other in zip(close, differ, strict=True) if other]
     equivalents = tuple(table for table, other in zip(others, differ, strict=True) if other)
-    other_numbers = all(_same_structure(one, found.fit) for one in close)
+    structures = [one for one in close if not _same_structure(one, found.fit)]
     reason = ""
     if close:
-        what = "position.kp and 1/velocity.ti exchanged" if other_numbers else ", ".join(map(short, equivalents))
+        what = ", ".join(map(short, equivalents)) if structures else "position.kp and 1/velocity.ti exchanged"
         reason = f"the record fits as well: {what}"
     return LawEstimate(
         record=name,
-        verdict=TOLD if other_numbers else AMBIGUOUS,
+        verdict=AMBIGUOUS if structures else TOLD,
         reason=reason,
         controller=table_of(found.fit, velocity_reference, values, found.holds is not False),
         std=deviations_of(found.fit, {name: std for name, (_, std) in numbers.items()}),
@@ -167,7 +167,7 @@ def _report(several: Sequence[Record], unit: str, found: Found, steps: np.ndarra
         limit=found.limit,
         limited_samples=0 if found.limited is None else int(found.limited.sum()),
         equivalents=equivalents,
-        notes=notes_of(several, unit, found, steps),
+        notes=(*([how_far_apart(structures, found)] if structures else []), *notes_of(several, unit, found, steps)),
         **said,
     )
 

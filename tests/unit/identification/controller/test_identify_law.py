@@ -157,6 +157,26 @@ def test_two_records_tell_more_than_one(name):
         assert abs(at(both.controller, key) - true) < 4.0 * at(both.std, key), key
 
 
+@pytest.mark.slow
+def test_it_says_how_far_apart_two_rates_are_that_fit_alike(capsys, tmp_path):
+    """Three deviations, by what the other rate leaves of the command without noise: too near, whatever the method."""
+    loop = Loop(kp=20.0, every=2, kv=400.0, ti=0.03, share=0.9, noise=0.0, samples=4000)
+    r, q, clean = loop.run()
+    structure = Structure(acceleration=False, coulomb=False, offset=False)
+    start = Fit(structure, Timing(every=1), (), 0.0, np.zeros(0), 1.0, 1)
+    left = np.sqrt(fit(signals_of(Record.from_arrays(loop.period, r, q, clean)), start).cost)
+    noise = np.random.default_rng(1).normal(0.0, left / 3.0, clean.size)
+    Record.from_arrays(loop.period, r, q, clean + noise).save(tmp_path / "weak.npz")
+    assert run(["law", str(tmp_path / "weak.npz"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["verdict"] == AMBIGUOUS
+    assert found["equivalents"][0]["position"]["every"] == 1
+    rival = next(one for one in found["tried"] if "position loop every 1," in one["terms"])
+    assert rival["apart"] == pytest.approx(3.0, abs=0.1)
+    assert found["notes"][0].startswith("the nearest of them is 3 standard deviations of the noise apart")
+    assert "it takes 5.2: about 3 times as much" in found["notes"][0]
+
+
 def test_records_of_unlike_columns_are_no_one_controllers():
     record = record_of(Loop(kp=30.0, kv=300.0, noise=0.01, samples=300))
     irregular = replace(record, measured={"t": record.t, "q_ref": record.q_ref, "q": record.q, "u": record.u})
