@@ -113,7 +113,7 @@ def test_every_simulating_command_runs(name, size, record, tmp_path, capsys, mon
     # Pictures take longest, and there an effect is a number like any other: one is drawn.
     if (name, size) != ("elastic_force", "typical"):
         monkeypatch.setattr("emps_design.report.assemble.design_page", lambda results: Page("title", "", (), ()))
-    # A diagnosis leaves the axis's own effects out: of all effects, and of all sizes, it would be the same search of one
+    # A diagnosis leaves the axis's own effects out: of all effects and sizes it would be the same search of one
     # record each time.
     alone = {effect.name: effect for effect in EFFECTS if effect.name == name}
     monkeypatch.setattr(importlib.import_module("emps_design.discrepancy.diagnose"), "known_effects", lambda: alone)
