@@ -75,7 +75,10 @@ def axis_text(trace: Trace, controller: str = "") -> str:
     units, record, step = trace.units, trace.record, trace.encoder_step
     unit, name = units.unit, re.sub(r"[^\w-]+", "_", trace.path.stem) or "axis"
     moves = "inertia" if units.rotary else "mass"
-    seen = f"the largest command seen is {np.max(np.abs(record.u)):.4g}" if record else "the largest command"
+    largest = float(np.max(np.abs(record.u))) if record else 0.0
+    seen = f"the largest command seen is {largest:.4g}" if record else "the largest command"
+    limit = trace.limit or float(f"{1.5 * largest:.1g}") or 10.0
+    way = "gear" if units.rotary else "gear and screw"
     own_unit = units.command_unit != COMMANDS[units.command]
     waits = "A line with # in front waits for your number: fill it in and take the # away."
     lines = [
@@ -89,8 +92,8 @@ def axis_text(trace: Trace, controller: str = "") -> str:
         (f"{NEW}[drive]", ""),
         (f'command = "{units.command}"', "what the command column is: voltage, current, torque, force or duty"),
         *([(f'command_unit = "{units.command_unit}"', "")] if own_unit else []),
-        ("# force_gain = 1.0", f"{unit('N/V')}, on the load side: rated {units.words('force')}, gear and screw"),
-        (f"{'' if trace.limit else '# '}command_limit = {trace.limit or 10.0:.6g}", f"{units.command_unit}, {seen}"),
+        ("# force_gain = 1.0", f"{unit('N/V')}, on the load side: rated {units.words('force')}, {way}"),
+        (f"{'' if trace.limit else '# '}command_limit = {limit:.6g}", f"{units.command_unit}, {seen}"),
         (f"{NEW}[sampling]", ""),
         (f"period = {record.period!r}" if record else "# period = 0.001", "s"),
         (f"{'' if step else '# '}encoder_resolution = {step or 1e-6:.4g}", f"{unit('m')}, one step on the load side"),

@@ -68,8 +68,8 @@ def _mismatch_table(study: dict[str, Any], mismatch: float) -> Table | Text:
     ]
     if study["gains"]:
         rows += [
-            [Html(symbol("k_v1") + " that (7) would give"), *(quantity(x, "V/(m/s)") for x in study["gains"]["k_v1"])],
-            [Html(symbol("t_v") + " that (7) would give"), *(quantity(x, "s") for x in study["gains"]["t_v"])],
+            [Html(symbol("k_v1") + " for the same request"), *(quantity(x, "V/(m/s)") for x in study["gains"]["k_v1"])],
+            [Html(symbol("t_v") + " for the same request"), *(quantity(x, "s") for x in study["gains"]["t_v"])],
         ]
     stable = "all" if study["stable_share"] == 1.0 else f"{100 * study['stable_share']:.3g} %"
     return Table(

@@ -29,4 +29,4 @@ def import_page(record: Record, document: dict[str, Any], units: Units) -> Page:
         Picture(record_figure(record, units), "The record as it was read.", "Record"),
         notes if document["warnings"] else None,
     )
-    return Page(f"Import of {record.name}", "", (), (section,))
+    return Page(f"Import of {record.name}", "", (), (section,), units=units)

@@ -36,7 +36,10 @@ def record_figure(record: Record, units: Units | None = None) -> Figure:
 
 
 def force_figure(found: Identification) -> Figure:
-    """Draw measured and identified force over the record, one part of it enlarged, and the residual."""
+    """Draw measured and identified force over the record, one part of it enlarged, and the residual.
+
+    Samples that the identification left out are gaps.
+    """
     t, measured, model = (np.asarray(found.series[key]) for key in ("t", "measured", "model"))
     used = np.asarray(found.series["used"], dtype=bool)
     error = np.where(used, measured - model, np.nan)
@@ -45,8 +48,13 @@ def force_figure(found: Identification) -> Figure:
     with look():
         figure, (top, middle, bottom) = subplots(3, 1, height=6.2)
         for axes, rows in ((top, slice(None)), (middle, inside)):
-            axes.plot(*thin(t[rows], measured[rows]), color=BLACK, linewidth=1.8, label="measured")
-            axes.plot(*thin(t[rows], model[rows]), color=RED, linewidth=1.1, label="identified model")
+            for label, force, color, width in (
+                ("measured", measured, BLACK, 1.8),
+                ("identified model", model, RED, 1.1),
+            ):
+                x, y = thin(t[rows], force[rows])
+                left_out = np.interp(x, t, used) < 0.5
+                axes.plot(x, np.where(left_out, np.nan, y), color=color, linewidth=width, label=label)
             axes.set_ylabel("motor force [N]")
             axes.margins(x=0.01)
         top.axvspan(low, high, color=YELLOW, alpha=0.35, linewidth=0)
