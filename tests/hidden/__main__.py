@@ -11,7 +11,7 @@ from datetime import date
 from pathlib import Path
 
 from tests.hidden import generate
-from tests.hidden.score import rows, score_all, summary, table
+from tests.hidden.score import TIMEOUT, rows, score_all, summary, table
 
 # Sets and seeds that were looked at while a rule was chosen.
 STEERED = {("all", 0), ("quick", 0), ("several", 100), ("beside", 100), ("unknown", 100)}
@@ -32,6 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--page", type=Path, help="default: docs/hidden_effects.md, with _no_laps where they are none")
     parser.add_argument("--table", type=Path, help="default: benchmarks/hidden.json, with _no_laps where they are none")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--timeout", type=float, default=TIMEOUT, help="seconds after which a case counts as wrong")
     options = parser.parse_args(arguments)
     kind = f"_{options.cases}" * (options.cases not in ("quick", "all")) + "_no_laps" * options.no_laps
     page = options.page or PAGES / f"hidden_effects{kind}.md"
@@ -44,7 +45,7 @@ def main(arguments: list[str] | None = None) -> int:
                 [*wanted, "--count", str(options.count), "--only", options.only, *["--no-laps"] * options.no_laps]
             )
         scores = []
-        for one in score_all(folder, options.only, options.jobs):
+        for one in score_all(folder, options.only, options.jobs, options.timeout):
             scores.append(one)
             said = " + ".join(one.named) or one.verdict
             line = f"{one.case:55s} {one.result:9s} {said:50s} {one.closed:5.2f} {one.seconds:4.0f} s {one.note}"

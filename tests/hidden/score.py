@@ -12,6 +12,7 @@ import tomllib
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ import numpy as np
 from tests.hidden.generate import SKIP
 
 MOST_EQUIVALENTS = 3  # more is no name
+TIMEOUT = 600.0  # s
 TITLES = {
     "quick": "a quick share",
     "all": "what was hidden, what was named",
@@ -105,7 +107,7 @@ def gap_closed(case: Path, out: Path, truth: dict) -> float:
     return 1 - (after**2 - floor**2) / (before**2 - floor**2)
 
 
-def score(case: Path, timeout: float = 600.0) -> Score:
+def score(case: Path, timeout: float = TIMEOUT) -> Score:
     """Diagnose one case in a process of its own; a crash or a late answer is wrong."""
     truth = json.loads((case / "truth.json").read_text(encoding="utf-8"))
     hidden, started = tuple(truth["effects"]), time.monotonic()
@@ -135,11 +137,11 @@ def score(case: Path, timeout: float = 600.0) -> Score:
     return replace(said, seen=tuple(truth.get("seen", said.known)), share=truth.get("share", 1.0))
 
 
-def score_all(folder: Path, only: str = "", jobs: int = 1) -> Iterator[Score]:
+def score_all(folder: Path, only: str = "", jobs: int = 1, timeout: float = TIMEOUT) -> Iterator[Score]:
     """Scores of the cases below ``folder``, as they are done, in order."""
     chosen = sorted(path.parent for path in folder.glob("*/truth.json") if only in path.parent.name)
     with ThreadPoolExecutor(jobs) as pool:
-        yield from pool.map(score, chosen)
+        yield from pool.map(partial(score, timeout=timeout), chosen)
 
 
 def summary(scores: list[Score]) -> dict[str, Any]:

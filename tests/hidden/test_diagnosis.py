@@ -13,9 +13,7 @@ SEED = 20
     ("case", "repeats"),
     [
         (Case(("position_ripple",), 2, 2), True),
-        (Case(("controller_disturbance",), 2, 2), True),
         (Case(("mass_change",), 2, 2), True),
-        (Case((), 1, 0), True),
         (Case(("elastic_force",), 2, 2), False),
         (Case(("unknown_cross",), 1, 1), False),
         (Case((), 1, 0), False),

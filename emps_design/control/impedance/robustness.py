@@ -47,13 +47,14 @@ def check_mismatch(mismatch: float) -> float:
 
 
 def corner_errors(mismatch: float, two_quadrant: bool = False) -> list[dict[str, float]]:
-    """All corners of the box of estimate errors: 8 of mass, viscous, coulomb; 32 of the five of (5).
+    """All corners of the box of estimate errors: 8 of mass, viscous, coulomb; 32 of the five of (5); 1 of no errors.
 
-    >>> len(corner_errors(0.02)), len(corner_errors(0.02, two_quadrant=True))
-    (8, 32)
+    >>> len(corner_errors(0.02)), len(corner_errors(0.02, two_quadrant=True)), len(corner_errors(0.0))
+    (8, 32, 1)
     """
     names = PARAMETERS if two_quadrant else ("mass", "viscous", "coulomb")
-    return [dict(zip(names, signs, strict=True)) for signs in product((-mismatch, mismatch), repeat=len(names))]
+    errors = dict.fromkeys((-mismatch, mismatch))
+    return [dict(zip(names, corner, strict=True)) for corner in product(errors, repeat=len(names))]
 
 
 def drift_speed(law: ImpedanceLaw, plant: FrictionModel, direction: int = 1) -> float:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,8 @@ NUDGE = 2e-4  # finite difference, in magnitudes of the number
 COARSE = 5e-3  # the same where the fine one finds no way down and structure is left: play that bounces is rough
 BOLDEST = 0.5  # largest step of a fit, in magnitudes of the number: a period must not jump over its neighbours
 TRIALS = 6  # of one step, with more and more damping
+DAMPING = (1e-7, 1e6)  # least and most
+GOES_ON = 0.1  # of the cost: a step that gains more is followed by one with the Jacobian that it corrects
 CONVERGED = (1e-4, 0.1)  # gain of a step, as a share of the cost and absolute, below which a descent ends
 CLUSTER = 500  # samples that structure in a residual spans, for the deviations of what was fitted
 WORST = 1e12  # cost of a model that cannot be simulated: finite, so that a fit steps back from it
@@ -35,7 +38,9 @@ def descend(
 ) -> Descent:
     """Minimise the sum of squares of ``residual`` over ``slots`` by Levenberg-Marquardt; bounds hold at every step.
 
-    A model that cannot be simulated counts as infinitely bad: the descent steps back from it.
+    A model that cannot be simulated counts as infinitely bad: the descent steps back from it. As long as a step gains
+    much, the next one takes the Jacobian that the step itself corrects (Broyden's rank one); a descent ends on one that
+    was computed. It takes as many simulations as ``steps`` steps with computed ones would.
     """
 
     def attempt(x: np.ndarray) -> np.ndarray | None:
@@ -55,31 +60,48 @@ def descend(
     if not slots:
         return Descent(start, float(current @ current), np.zeros((0, 0)))
     model, damping, nudge, jacobian = start, 1e-3, NUDGE, np.zeros((current.size, len(slots)))
-    for _ in range(steps):
+    simulations = steps * (len(slots) + 1)
+    while simulations > 0:
         nudges = np.where(x + nudge <= upper, nudge, -nudge)
         shifted = side_by_side(attempt, [(moved,) for moved in x + np.diag(nudges)])
         for k, (reached, step) in enumerate(zip(shifted, nudges, strict=True)):
             jacobian[:, k] = 0.0 if reached is None else (reached - current) / step
-        normal, gradient = jacobian.T @ jacobian, jacobian.T @ current
-        cost, gain = float(current @ current), 0.0
-        for _ in range(TRIALS):
-            free = ~(((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0)))
-            lhs = normal[np.ix_(free, free)] + damping * np.diag(np.diag(normal)[free] + 1e-9)
-            move = np.zeros_like(x)
-            move[free] = -np.linalg.lstsq(lhs, gradient[free], rcond=None)[0]
-            trial = np.clip(x + np.clip(move, -BOLDEST, BOLDEST), lower, upper)
-            reached = attempt(trial)
-            if reached is not None and float(reached @ reached) < cost:
-                gain = cost - float(reached @ reached)
+        simulations -= len(slots)
+        first, secant, most = float(current @ current), jacobian.copy(), TRIALS
+        while most and simulations > 0:
+            cost, trials, most = float(current @ current), most, 0
+            for trial, tried in itertools.islice(_moves(secant, current, x, lower, upper, damping), trials):
+                reached, simulations = attempt(trial), simulations - 1
+                if reached is None or float(reached @ reached) >= cost:
+                    damping = min(tried * 10, DAMPING[1])
+                    continue
+                moved, change = trial - x, reached - current
                 model, x, current = start.with_vector(slots, trial * magnitude), trial, reached
-                damping = max(damping / 10, 1e-7)
+                damping = max(tried / 10, DAMPING[0])
+                if float(current @ current) < (1 - GOES_ON) * cost:
+                    secant += np.outer(change - secant @ moved, moved / (moved @ moved))
+                    most = 1
                 break
-            damping = min(damping * 10, 1e6)
-        if gain == 0.0 and nudge == NUDGE and cost > rules.STRUCTURED * current.size:
+        gain = first - float(current @ current)
+        if gain == 0.0 and nudge == NUDGE and first > rules.STRUCTURED * current.size:
             damping, nudge = 1e-3, COARSE
-        elif gain < CONVERGED[0] * cost + CONVERGED[1]:
+        elif gain < CONVERGED[0] * first + CONVERGED[1]:
             break
     return Descent(model, float(current @ current), _covariance(jacobian, current) * np.outer(magnitude, magnitude))
+
+
+def _moves(
+    jacobian: np.ndarray, left: np.ndarray, x: np.ndarray, lower: np.ndarray, upper: np.ndarray, damping: float
+) -> Iterator[tuple[np.ndarray, float]]:
+    """Where to go from ``x`` (k,) within its bounds, and the damping of that step: each more damped than the last."""
+    normal, gradient = jacobian.T @ jacobian, jacobian.T @ left
+    while True:
+        free = ~(((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0)))
+        lhs = normal[np.ix_(free, free)] + damping * np.diag(np.diag(normal)[free] + 1e-9)
+        move = np.zeros_like(x)
+        move[free] = -np.linalg.lstsq(lhs, gradient[free], rcond=None)[0]
+        yield np.clip(x + np.clip(move, -BOLDEST, BOLDEST), lower, upper), damping
+        damping = min(damping * 10, DAMPING[1])
 
 
 def _covariance(jacobian: np.ndarray, left: np.ndarray) -> np.ndarray:

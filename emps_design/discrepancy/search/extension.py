@@ -19,7 +19,8 @@ from emps_design.discrepancy.search.starts import Start, Tangent, bent, starts, 
 REFINED = 2  # starts of each effect that are worth a short fit
 SHORT_STEPS = 4
 FINALISTS = 4  # effects worth a full fit
-BENT_EFFECTS, BENT_STARTS = 2, 6  # fitted in full where the gap bent the baseline
+BENT_EFFECTS, BENT_STARTS = 2, 6  # fitted where the gap bent the baseline
+TRIED_STEPS, PROMISING = 4, 2  # of every fit, after which so many of each effect go on
 REVISED = 4  # other shapes of an effect that are fitted when it is accepted
 MOST_FITS = 8  # one after the other until they have converged
 
@@ -49,7 +50,7 @@ def extensions(current: Fit, screened: list[list[Start]], absorbed: Tangent) -> 
         leaders = sorted(screened, key=lambda found: -found[0].gain)[:BENT_EFFECTS]
         more = [start.hypothesis for found in leaders for start in found[:BENT_STARTS]]
         begins += [hypothesis for hypothesis in more if plausible(hypothesis)]
-    fits = side_by_side(_fitted, [(begin,) for begin in begins])
+    fits = side_by_side(_fitted, [(begin,) for begin in _promising(begins)])
     return sorted(fits, key=lambda f: f.cost), gains
 
 
@@ -80,6 +81,21 @@ def _short_fit(start: Start, absorbed: Tangent) -> Descent:
     own = tuple(slot for slot in start.model.slots() if slot.effect == len(start.model.effects) - 1)
     free = absorbed.free if start.anchored else lambda residual: residual
     return descend(start.model, own, lambda m: free(start.hypothesis.with_model(m).residual("fit")), SHORT_STEPS)
+
+
+def _promising(begins: list[Hypothesis]) -> list[Hypothesis]:
+    """Those of ``begins`` whose fits go on: of an effect with many starts the best few after some steps."""
+    alike: dict[tuple[str, ...], list[Hypothesis]] = {}
+    for one in begins:
+        alike.setdefault(one.model.names, []).append(one)
+    found: list[Hypothesis] = []
+    for ones in alike.values():
+        if len(ones) > PROMISING:
+            tried: list[Fit] = side_by_side(fit, [(one, "fit", None, TRIED_STEPS) for one in ones])
+            found += sorted(tried, key=lambda f: f.cost)[:PROMISING]
+        else:
+            found += ones
+    return found
 
 
 def _fitted(begin: Hypothesis) -> Fit:
@@ -119,7 +135,11 @@ def _revised(fitted: Fit) -> Fit:
     if not without.innovations:
         return fitted
     found = starts(without, effect, missing_force(without), tangent(without))
-    other = [s for s in found if s.anchored and not np.array_equal(s.model.values[-1][:, shapes], values[:, shapes])]
-    tried = side_by_side(fit, [(start.hypothesis,) for start in other[:REVISED]])
+    other: dict[bytes, Start] = {}  # the best start of each shape: the fit finds the rest
+    for start in found:
+        shape = start.model.values[-1][:, shapes]
+        if start.anchored and not np.array_equal(shape, values[:, shapes]):
+            other.setdefault(shape.tobytes(), start)
+    tried = side_by_side(fit, [(start.hypothesis,) for start in list(other.values())[:REVISED]])
     best = min((fitted, *tried), key=lambda f: f.cost)
     return fitted if best is fitted or not admissible(best) else _settled(best)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.checks.preparation import HeldOut
-from emps_design.discrepancy.model.fit import Fit, evaluate
+from emps_design.discrepancy.model.fit import Fit, evaluate, fit
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.search.acceptance import Judge
 from emps_design.discrepancy.validation.evidence import Asked, asked_for
@@ -54,7 +54,7 @@ def standing(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tuple[Asked,
         extended = _less(extended, [one.name for one in gone])
         refitted = refitted or not doubtful
         if refitted and _plant(extended):
-            extended = robust(extended)
+            extended = robust(fit(extended, part="used"))  # the numbers were those of a model with more effects
     return extended, tuple(withdrawn)
 
 

@@ -18,7 +18,7 @@ STEPS = 20
 
 
 def robust(fitted: Fit) -> Fit:
-    """Refit ``fitted`` to all that may be used, so that the structure it leaves pulls less at its numbers.
+    """Refit the least squares of ``fitted`` to all that may be used: what structure is left pulls less at its numbers.
 
     Least squares under the noise of the laps takes slow structure for what a parameter does. Here what is left is
     itself the noise (feasible generalised least squares): it weighs least where the structure is, and bursts pull no
@@ -26,7 +26,7 @@ def robust(fitted: Fit) -> Fit:
     residual it leaves more.
     """
     model, covariance, slots = fitted.model, fitted.covariance, fitted.model.slots()
-    numbers = [model.vector(slots)]
+    numbers = []
     for _ in range(REWEIGHTED):
         noise = floor_of_residual(fitted.with_model(model).left(), fitted.problem.period, LEFT)
         weighed = fitted.problem.with_whitening(noise.whitening)

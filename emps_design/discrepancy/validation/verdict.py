@@ -128,13 +128,22 @@ def _all_or_nothing(outcome: Outcome, data: HeldOut | None, start: Fit, searched
 def _effect_by_effect(outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer) -> _Answer:
     """What of ``searched`` stands on its own evidence: all or nothing is the wrong question where structure is left."""
     stands, withdrawn = standing(data, searched)
-    found = alike_in_company(outcome, stands)
+    baseline, found = robust(answer.baseline), alike_in_company(outcome, stands)
     many = any(len(others) > rules.MOST_EQUIVALENTS for others in found.values())
-    if many or len(stands.model.names) <= len(answer.baseline.model.names):
+    named = len(stands.model.names) > len(answer.baseline.model.names)
+    if many or not named or not _leaves_less(data, stands, baseline):
         given_up = answer.given_up or answer.extended.model.names
         return replace(answer, verdict="unnamed", equivalents=found, given_up=given_up)
     asked = [] if data is None else claims_on(data, stands)
-    return _Answer("partly-named", robust(answer.baseline), stands, found, asked, withdrawn, (), None)
+    return _Answer("partly-named", baseline, stands, found, asked, withdrawn, (), None)
+
+
+def _leaves_less(data: HeldOut | None, stands: Fit, baseline: Fit) -> bool:
+    """Whether ``stands`` leaves less force than ``baseline``, of the confirming ``data`` where there are any."""
+    if data is None:
+        return force_rms(stands) < force_rms(baseline)
+    gap = compare_on(data, baseline.model, stands.model).gap
+    return gap.extended < gap.baseline
 
 
 def _alone(start: Fit) -> Fit:

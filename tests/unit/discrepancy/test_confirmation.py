@@ -7,10 +7,11 @@ import pytest
 
 from emps_design.discrepancy.model.bootstrap import rms_interval
 from emps_design.discrepancy.model.candidate import Candidate
+from emps_design.discrepancy.model.fit import evaluate
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.search.noise_floor import floor_of_laps, floor_of_residual
-from emps_design.discrepancy.validation.confirmation import _size_known
+from emps_design.discrepancy.validation.confirmation import _size_known, standing
 from emps_design.discrepancy.validation.evidence import Asked, asked_for
 from emps_design.effects import get_effect
 from emps_design.effects.guesses import pulses
@@ -72,6 +73,18 @@ def test_an_effect_stands_beside_something_unknown_and_what_stands_in_for_it_doe
     asked = asked_for(Hypothesis(seen, model(elastic_force=there, position_ripple=stand_in)))
     assert [a.stands for a in asked] == [True, False]
     assert asked[0].confirmed["share"] == pytest.approx(1.0, abs=0.1)
+
+
+def test_what_stands_is_known_as_well_whatever_the_numbers_of_the_model_that_it_was_part_of():
+    axis = AXIS.replace(effects=[{"kind": "elastic_force", **SPRING, "stiffness": 150.0}])
+    run = Plant.of(axis).closed_loop(Q_REF, voltage_noise=4e-3 * np.random.default_rng(5).standard_normal(Q_REF.size))
+    record = Record(t=run.t, q_ref=Q_REF, q=run.q, u=run.u, period=1e-3, name="run")
+    seen = Problem(AXIS, (record,), (split(record),), problem(0.0).whitening)
+    fitted_with_more = model(elastic_force={**SPRING, "stiffness": 130.0})
+    stands, withdrawn = standing(None, evaluate(Hypothesis(seen, fitted_with_more)))
+    assert stands.model.names == ("elastic_force",)
+    assert withdrawn == ()
+    assert stands.model.values[0][0, 0] == pytest.approx(150.0, rel=0.01)
 
 
 def test_what_a_record_does_not_tell_is_not_confirmed():

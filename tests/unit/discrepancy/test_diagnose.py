@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+import threading
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from emps_design.cli.output import plain
 from emps_design.discrepancy import diagnose
 from emps_design.discrepancy.checks.preparation import prepare
 from emps_design.discrepancy.checks.requirements import check_records, check_same_drive
+from emps_design.discrepancy.model import parallel
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
@@ -79,7 +81,10 @@ def test_the_extended_axis_replays_the_prediction(delayed):
     assert np.allclose(run.force, prediction.extended)
 
 
-def test_the_same_seed_gives_the_same_document(delayed):
+@pytest.mark.parametrize("cores", [1, 3])
+def test_the_same_seed_gives_the_same_document_on_any_number_of_cores(delayed, cores, monkeypatch):
+    assert parallel.CORES == 2  # with which `delayed` was found
+    monkeypatch.setattr(parallel, "_idle", threading.Semaphore(cores - 1))
     again = diagnose(record(DELAYED), AXIS, holdout=record(DELAYED, seed=1, name="other"), library=SHORT)
     assert json.dumps(plain(again.to_dict())) == json.dumps(plain(delayed.to_dict()))
 

@@ -1,5 +1,7 @@
 """The closed-loop fit gives back what a simulation was made with; its deviations hold; whitening whitens."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -54,6 +56,29 @@ def test_bounds_hold_and_a_model_that_cannot_run_costs_a_lot():
     assert moved.values[0][0, 0] == get_effect("actuator_delay").parameters[0].upper
     unstable = evaluate(Hypothesis(problem(), moved))
     assert unstable.cost > 1e6 * problem().samples("used")
+
+
+def test_a_descent_that_gains_corrects_its_jacobian_and_ends_on_a_computed_one():
+    start = Candidate(np.array([70.0, 300.0, 10.0, -2.0]))
+    slots, x, counted = start.slots(), np.linspace(0.0, 3.0, 400), []
+
+    def left(model):
+        mass, viscous, coulomb, offset = model.baseline
+        counted.append(model)
+        return mass * np.exp(-x * viscous / 200.0) + coulomb * x + offset - measured
+
+    measured = np.zeros(400)
+    measured = left(Candidate(np.array([95.0, 200.0, 20.0, -3.0])))
+    counted.clear()
+    found = descend(start, slots, left, 12)
+    assert found.model.baseline == pytest.approx([95.0, 200.0, 20.0, -3.0], rel=1e-4)
+    jacobians = sum(np.count_nonzero(a.baseline != b.baseline) == 2 for a, b in itertools.pairwise(counted))
+    assert jacobians / 3 < (len(counted) - 1) / 5  # fewer than one for each step
+    decay = np.exp(-x)
+    columns = np.column_stack([decay, -95.0 / 200.0 * x * decay, x, np.ones(400)])
+    assert np.sqrt(np.diag(found.covariance)) == pytest.approx(
+        np.sqrt(np.diag(np.linalg.inv(columns.T @ columns))), rel=0.02
+    )
 
 
 def test_a_small_axis_is_measured_by_its_own_size_and_keeps_some_mass():
