@@ -112,6 +112,9 @@ def bent(current: Fit, cost: float) -> bool:
 def _values(current: Hypothesis, effect: Effect, missing: tuple[MissingForce, ...]) -> list[np.ndarray]:
     """Parameter arrays (n_records, n_parameters) to try."""
     model, tables = current.model, []
+    switches = [record.enable for record in current.problem.records if record.enable is not None]
+    if effect.winding and not any(np.any(on == 0.0) and np.any(on) for on in switches):
+        return []  # of a motor that is never off it is viscous friction
     for seen, split in zip(missing, current.problem.splits, strict=True):
         if effect.propose is not None:
             force = np.where(split.used, seen.force, 0.0)  # what confirms stays closed
