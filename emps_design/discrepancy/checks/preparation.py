@@ -77,7 +77,9 @@ def prepare(
     dropped, first = [one.effect.name for one in axis.effects], records[0]
     axis = axis.replace(effects=[]).supplied_by(*records, *(() if holdout is None else (holdout,)))
     factors = sizes(first.q, first.u, first.period, axis.drive.gain)
-    lines = (line for effect in library if effect.acts_on(axis.motion) for line in effect.several())
+    switched = any(record.enable is not None and 0.0 < np.mean(record.enable != 0.0) < 1.0 for record in records)
+    possible = (one for one in library if one.acts_on(axis.motion) and (switched or not one.winding))
+    lines = (line for effect in possible for line in effect.several())
     library = tuple(sized(line, factors) for line in lines)
     warnings = check_records(records, axis)
     if dropped:

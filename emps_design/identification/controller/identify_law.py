@@ -152,6 +152,11 @@ def _report(several: Sequence[Record], unit: str, found: Found, steps: np.ndarra
     close = [one for one, other in zip(close, differ, strict=True) if other]
     equivalents = tuple(table for table, other in zip(others, differ, strict=True) if other)
     structures = [one for one in close if not _same_structure(one, found.fit)]
+    for other in structures:  # whichever made the record, its numbers are within the deviations
+        for place, value in numbers_of(other, velocity_reference).items():
+            if place in numbers:
+                own_value, std = numbers[place]
+                numbers[place] = own_value, max(std, abs(value - own_value))
     reason = ""
     if close:
         what = ", ".join(map(short, equivalents)) if structures else "position.kp and 1/velocity.ti exchanged"
