@@ -92,7 +92,7 @@ def test_effects_that_are_not_viscous_are_named(axis):
         if not effect.acts_on("linear"):
             continue
         values = {p.name: p.starts[0] if p.starts else max(p.lower, min(p.upper, 0.01)) for p in effect.parameters}
-        viscous = kind == "asymmetric_viscous_friction"
+        viscous = kind in ("asymmetric_viscous_friction", "back_emf_braking")
         assert left_out(axis.replace(effects=[{"kind": kind, **values}])) == (() if viscous else (kind,))
 
 
