@@ -66,7 +66,8 @@ class Parameter(Quantity):
     ``per_record``: it belongs to one record (the phase of a ripple, the time of an event), not to the machine.
     ``starts``: values worth starting a fit from; a scan of a shape parameter uses them as its grid.
     ``scale``: a typical size, where the starts do not give one. ``discrete``: chosen among the starts, never refined.
-    ``default``: what it is where a file does not give it; None: it has to be given.
+    ``default``: what it is where a file does not give it, in the effect's first form; a search tries the other starts
+    once the effect is found, and refines none that is an end of the range. None: it has to be given.
     Starts, bounds and scale are written for an ordinary linear axis; :mod:`.sizes` has those of another.
     """
 
@@ -76,6 +77,10 @@ class Parameter(Quantity):
     scale: float = 0.0
     discrete: bool = False
     default: float | None = None
+
+    def held_at(self, values: np.ndarray) -> bool:
+        """Whether a fit leaves ``values`` of the parameter (n,) as they are: a choice, or a form by itself."""
+        return self.discrete or (self.default is not None and bool(np.all(np.isin(values, (self.lower, self.upper)))))
 
     def check(self, value: float) -> float:
         """As of any quantity, for an axis up to ``REACH`` times larger or smaller than the ordinary one."""
@@ -137,6 +142,8 @@ class Effect:
                    ``rate`` say the same; the simulation knows the solution and need not step them
     ``slopes``     ``slopes(p) -> (to +, to -)`` N/(m/s): the effect is viscous friction by direction and nothing else.
                    ``force`` says the same; the simulation knows the solution, and the impedance law can hold it
+    ``winding``    True: the ``slopes`` are gone where the winding is open, and other effects see the motor force less
+                   what they brake. A search needs a record with the motor switched off for a while
     ``sensor``     m, added to the position that the encoder reports
     ``rate``       ``rate(q, v, t, tau, x, p, b, level, dx)`` fills ``dx`` with the derivative of the own states;
                    ``level`` is the Coulomb level L of the moment [N]
@@ -186,6 +193,7 @@ class Effect:
     delay: Kernel | None = None
     lag: Kernel | None = None
     slopes: Callable[[np.ndarray], tuple[float, float]] | None = None
+    winding: bool = False
     sensor: Kernel | None = None
     rate: Callable[..., None] | None = None
     initial: Callable[..., tuple[float, ...]] | None = None

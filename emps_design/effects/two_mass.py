@@ -1,12 +1,22 @@
-"""What effects with part of the mass behind a coupling share: the parameters of the coupling and the load's states."""
+"""What effects with part of the mass behind a coupling share: the parameters of the coupling and the load's states.
+
+Of the baseline's viscous and Coulomb friction a share may act on the load (guides, a spindle's nut), the rest on the
+encoder's side (motor bearings); the friction of other effects stays there. The load's direction is a smooth one, where
+friction brings it to rest: within ``SETTLING`` its speed has fallen by a factor of e.
+"""
 
 from __future__ import annotations
 
-from emps_design.effects.effect import Effect, Parameter
+from math import sqrt
+
+import numpy as np
+
+from emps_design.effects.effect import COULOMB, VISCOUS, Effect, Parameter
 from emps_design.quantities import Quantity
 
 STATES = (Quantity("twist", "d", "m"), Quantity("load_velocity", r"\dot q_l", "m/s"))
 LOWEST = 5.0  # Hz, of the resonance
+SETTLING = 2e-5  # s
 NO_REGRESSOR = "the load is a state that no measured signal gives"
 
 
@@ -17,7 +27,24 @@ def coupling(pair: str, starts: tuple[float, ...], damping: float, behind: str) 
         Parameter("frequency", "f_n", "Hz", lower=LOWEST, upper=400.0, starts=starts, text=resonance),
         Parameter("damping", r"\zeta", "", lower=0.0, upper=1.0, starts=(damping,), text=ratio),
         Parameter("share", r"\mu", "", lower=0.01, upper=0.95, starts=(0.4,), text=f"share of the mass {behind}"),
+        Parameter(
+            "load_friction",
+            r"\lambda",
+            "",
+            lower=0.0,
+            upper=1.0,
+            starts=(0.0, 0.5, 1.0),
+            default=0.0,
+            text="share of viscous and Coulomb friction that acts on the load",
+        ),
     )
+
+
+def load_friction(v: float, share: float, mass: float, b: np.ndarray) -> float:
+    """The ``share`` of the friction of the baseline ``b`` [N] that brakes a load of ``mass`` [kg] at ``v`` [m/s]."""
+    coulomb = share * b[COULOMB]
+    slow = SETTLING * coulomb / mass
+    return share * b[VISCOUS] * v + coulomb * v / sqrt(v * v + slow * slow + 1e-300)
 
 
 def is_coupling(effect: Effect) -> bool:

@@ -87,7 +87,7 @@ class Plant:
     def _table(self) -> tuple[np.ndarray, np.ndarray]:
         rows: list[list[tuple[int, int, int]]] = [[] for _ in range(motion.HELD + 1)]
         for i, effect in enumerate(self.effects):
-            if i != self.lagging:
+            if i != self.lagging and not effect.winding:
                 for row, kernel in hooks_of(effect, i in self._outside, i in self._held):
                     rows[row].append((kernel, int(self.states_at[i]), int(self.parameters_at[i])))
         table = np.array([number for row in rows for entry in row for number in entry] or [0], np.int64)
@@ -282,6 +282,7 @@ class Plant:
             if effect.slopes is not None:
                 mine = p[self.parameters_at[i] : self.parameters_at[i + 1]]
                 settings[[motion.VISCOUS_P, motion.VISCOUS_N]] += effect.slopes(mine)
+                settings[motion.BRAKING] += effect.slopes(mine)[0] if effect.winding else 0.0
         states = self._states + (4 if energy else 0)
         settings[motion.FREE], settings[motion.STATES] = self._free, states
         settings[motion.TOLERANCE], settings[motion.ENERGY] = tolerance, self._states if energy else 0
@@ -301,7 +302,9 @@ class Plant:
 
     def _general(self, law, reference, push, noise, motor, q0, v0, period, energy, events, found, ready):
         n, y = reference.size, ready.y
-        if np.any(motor[:, 1:] != self.axis.drive.braking):  # what is solved or slid through is for one braking
+        braking = ready.settings[motion.BRAKING]
+        motor[:, 1] += np.where(motor[:, 0] != 0.0, braking - self.axis.drive.braking, 0.0)
+        if np.any(motor[:, 1] != braking):  # what is solved or slid through is for one braking
             ready.settings[[motion.SLIDES, motion.EXACT]] = 0.0
         out = np.empty((5, n))
         place, gains, memory = 0, _NO_SIGNALS, _EMPTY

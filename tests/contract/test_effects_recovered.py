@@ -28,8 +28,9 @@ TRUE = {
     "mass_change": {"change": 0.15, "time": 1.5},
     "external_force": {"amplitude": 20.0, "start": 0.9, "duration": 0.2, "every": 1.7},
     "periodic_disturbance": {"amplitude": 4.0, "phase": 0.3, "frequency": 6.0},
-    "flexible_coupling": {"frequency": 35.0, "damping": 0.05, "share": 0.4},
-    "backlash": {"gap": 1e-4, "frequency": 60.0, "damping": 0.15, "share": 0.4},
+    "flexible_coupling": {"frequency": 35.0, "damping": 0.05, "share": 0.4, "load_friction": 0.3},
+    "backlash": {"gap": 1e-4, "frequency": 60.0, "damping": 0.15, "share": 0.4, "load_friction": 0.3},
+    "back_emf_braking": {"braking": 30.0},
     "actuator_delay": {"delay": 1.3e-3},
     "actuator_lag": {"time_constant": 1.4e-3},
     "actuator_saturation": {"limit": 3.0},
@@ -66,12 +67,14 @@ def test_recovered_from_its_own_simulation(effect):
     fixed = ON_SAMPLES.get(effect.name, ())
     free = [k for k, p in enumerate(effect.parameters) if not p.discrete and p.name not in fixed]
     scale = np.concatenate([np.maximum(np.abs(b), 3.0), np.abs(truth[free])])
-    measured = plant.closed_loop(q_ref).force
+    # A winding that is never open brakes as viscous friction does.
+    switched = {"enable": np.where(np.arange(q_ref.size) % 900 < 850, 1.0, 0.0)} if effect.winding else {}
+    measured = plant.closed_loop(q_ref, **switched).force
 
     def residual(x):
         values = truth.copy()
         values[free] = x[4:] * scale[4:]
-        return plant.closed_loop(q_ref, baseline=x[:4] * scale[:4], parameters=(values,)).force - measured
+        return plant.closed_loop(q_ref, baseline=x[:4] * scale[:4], parameters=(values,), **switched).force - measured
 
     rng = np.random.default_rng(3)
     exact = np.concatenate([b, truth[free]]) / scale

@@ -79,6 +79,10 @@ def draw_effect(
     ``peak_voltage`` [V] is the largest the healthy drive used on the program.
     """
     big, c = size - 1, drive.size
+    if name.endswith("with a load that rubs"):
+        kind = name.split()[0]
+        values, truth = draw_effect(kind, rng, drive, size, peak_voltage)
+        return {**values, "far_rub": 0.6}, {kind: {**truth[kind], "load_friction": 0.6}}
     phase = _between(rng, -np.pi, np.pi)
     period = float(rng.choice([0.002, 0.0025, 0.004, 0.005, 0.008, 0.01]))
     sign = float(rng.choice([-1.0, 1.0]))
@@ -123,6 +127,9 @@ def draw_effect(
     if name == "gravity":
         x = drive.coulomb * (0.5, 1.0)[big] * _between(rng, 0.85, 1.2)
         return {"arm_torque": x, "arm_angle": phase}, {name: {"torque": x, "angle": phase}}
+    if name == "back_emf_braking":
+        x, start = drive.viscous * (0.4, 0.8)[big], _between(rng, 2.0, 3.0)
+        return {"winding": x, "off_from": start, "off_to": start + 0.1}, {name: {"braking": x}}
     if name == "maxwell_slip_friction":
         x, w = (0.25, 0.4)[big], _between(rng, 5e-4, 1.5e-3)
         return {"slip_share": x, "slip_travel": w}, {name: {"share": x, "travel": w}}
@@ -249,8 +256,12 @@ EFFECTS = (
     "controller_disturbance",
 )
 TURNING = ("gravity",)  # of an axis that turns: compared between the simulators, in no generated case
-FURTHER = ("maxwell_slip_friction", "friction_ripple", "force_map", "friction_map")  # compared only, as yet
-FORMS = ("load_dependent_friction behind the motor's",)  # second forms of the above, compared only
+FURTHER = ("maxwell_slip_friction", "friction_ripple", "force_map", "friction_map", "back_emf_braking")
+FORMS = (  # second forms of the above, compared only
+    "load_dependent_friction behind the motor's",
+    "flexible_coupling with a load that rubs",
+    "backlash with a load that rubs",
+)
 UNKNOWN = (
     "unknown_ageing",
     "unknown_cross",

@@ -82,6 +82,10 @@ NAMES = (
     "thixotropy",  # N, dry friction that a speed held for a while takes away
     # and of what the library has
     "load_before",  # share of viscous and Coulomb friction that the motor overcomes before the gear
+    "far_rub",  # share of viscous and Coulomb friction on the mass behind the coupling
+    "winding",  # N/(m/s), what the closed winding brakes
+    "off_from",  # s, in which the winding is open
+    "off_to",  # s
 )
 PLACE = {name: index for index, name in enumerate(NAMES)}
 
@@ -134,7 +138,7 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
     n, tau_2 = len(q_ref), 2.0 * math.pi
     pull, wear = p[56:62], p[62:68]
     crank, crank_length, magnet, magnet_width, thixotropy = p[68], p[69], p[70], p[71], p[72]
-    load_before = p[73]
+    load_before, far_rub, winding, off_from, off_to = p[73], p[74], p[75], p[76], p[77]
     mapped, slipped = map_end > map_start, 0.0
     steps = round(period / STEP)
     h = period / steps
@@ -164,7 +168,8 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
             u = min(clip, max(-clip, u))
         if dead > 0.0:
             u = math.copysign(max(0.0, abs(u) - dead), u)
-        forces[k] = gain * u
+        closed = not off_from <= k * period < off_to
+        forces[k] = gain * u if closed else 0.0
         for s in range(steps):
             t = k * period + (s + 0.5) * h
             place = k - whole - (1 if s < rest else 0)
@@ -182,6 +187,8 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
             if drift != 0.0:
                 warm = 1.0 + drift * (1.0 - math.exp(-t / drift_t))
             f = tau - offset - warm * viscous * v + force_noise[k]
+            if closed:
+                f -= winding * v
             f -= asymmetric * abs(v) + quadratic * v * abs(v) + spring * (q - spring_rest)
             f -= arm_torque * math.sin(q + arm_angle)
             if mapped:
@@ -228,6 +235,9 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
             if thixotropy != 0.0:
                 thin += (abs(v) / (abs(v) + 0.05) - thin) * h / 0.4
                 level += thixotropy * (1.0 - thin)
+            if far_rub != 0.0:
+                f += far_rub * viscous * v
+                level -= far_rub * coulomb
             level = max(0.0, level)
             own = m
             if part > 0.0:
@@ -239,7 +249,12 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
                     bite = d - math.copysign(0.5 * gap, d)
                     contact = reduced * w * w * bite + 2.0 * zeta * reduced * w * (v - v2)
                 f -= contact
-                v2 += h * contact / other
+                far, far_level = contact - far_rub * viscous * v2, far_rub * coulomb
+                if v2 == 0.0:
+                    v2 = h * math.copysign(max(0.0, abs(far) - far_level), far) / other
+                else:
+                    after = v2 + h * (far - math.copysign(far_level, v2)) / other
+                    v2 = 0.0 if after * v2 < 0.0 and far_level > 0.0 else after
                 q2 += h * v2
             if dahl > 0.0:
                 # exact over the sub-step for its speed: the bristle relaxes to L sign(v) over L / stiffness of travel

@@ -28,6 +28,7 @@ CASES = {
     "periodic_disturbance": {"amplitude": 6.0, "phase": 0.2, "frequency": 17.0},
     "flexible_coupling": {"frequency": 60.0, "damping": 0.05, "share": 0.4},
     "backlash": {"gap": 1e-4, "frequency": 60.0, "damping": 0.15, "share": 0.4},
+    "back_emf_braking": {"braking": 60.0},
     "actuator_delay": {"delay": 1.7e-3},
     "actuator_lag": {"time_constant": 1.5e-3},
     "actuator_saturation": {"limit": 1.2},

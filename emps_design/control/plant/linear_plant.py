@@ -110,12 +110,17 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
             f"velocity: found {velocity:g} m/s, expected a number other than 0: friction has no slope there"
         )
     check_magnitude("velocity", velocity, "m/s")
-    b = axis.mechanics.array()
-    b[VISCOUS] += axis.drive.braking
-    members = [Member(entry.effect, entry.effect.values(entry.parameters), b) for entry in axis.effects]
+    b, braking, members = axis.mechanics.array(), axis.drive.braking, list[Member]()
+    for entry in axis.effects:
+        p = entry.effect.values(entry.parameters)
+        if entry.effect.winding and entry.effect.slopes is not None:
+            braking += entry.effect.slopes(p)[0]
+        else:
+            members.append(Member(entry.effect, p, b))
     gain, lag = axis.drive.gain, axis.drive.current_time_constant
     warnings: list[str] = []
 
+    # Without what a back-EMF brakes: the effects see the force that the winding's current makes.
     tau = b[VISCOUS] * velocity + np.sign(velocity) * b[COULOMB] + b[OFFSET]
     for _ in range(20):  # the effects' forces need the motor force, which needs their forces
         for member in members:
@@ -131,13 +136,14 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     A[POSITION, VELOCITY] = C[POSITION] = 1.0
 
     actuator = ActuatorMap.of(axis)
-    slope = gain * actuator.slope(tau / gain)
+    needed = (tau + braking * velocity) / gain
+    slope = gain * actuator.slope(needed)
     if slope == 0.0:
         raise InputError(f"effects: with {' and '.join(actuator.names)} no voltage acts, expected one within the limit")
-    if abs(actuator.reach(tau / gain)) < abs(tau / gain):
+    if abs(actuator.reach(needed)) < abs(needed):
         warnings.append(
-            f"{' and '.join(actuator.names)}: steady motion at {velocity:g} m/s takes {tau / gain:.3g} V and only "
-            f"{actuator.reach(tau / gain):.3g} V act; linearised just inside that, where the loop can work"
+            f"{' and '.join(actuator.names)}: steady motion at {velocity:g} m/s takes {needed:.3g} V and only "
+            f"{actuator.reach(needed):.3g} V act; linearised just inside that, where the loop can work"
         )
     force_row, force_in = np.zeros(count), 0.0  # d(motor force on the carriage)
     if lag > 0.0:
@@ -148,19 +154,19 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
 
     mass = b[MASS]
     drag = np.zeros(count)  # d(resisting forces)/d(state)
-    drag[VELOCITY] = b[VISCOUS]
+    drag[VELOCITY] = b[VISCOUS] + braking
     drag_tau, first = 0.0, 2
     for member, size in zip(members, sizes, strict=True):
         own = slice(first, first + size)
         mass += member.inertia(velocity, tau)
         d_q, d_v, d_tau, d_x = member.slopes(member.force, velocity, tau)
         drag[POSITION] += d_q
-        drag[VELOCITY] += d_v
+        drag[VELOCITY] += d_v - d_tau * braking
         drag[own] += d_x
         drag_tau += d_tau
         if size:
             r_q, r_v, r_tau, r_x = member.rate_slopes(velocity, tau)
-            A[own, POSITION], A[own, VELOCITY] = r_q, r_v
+            A[own, POSITION], A[own, VELOCITY] = r_q, r_v - r_tau * braking
             A[own, own] += r_x
             A[own, :] += np.outer(r_tau, force_row)
             B[own] += r_tau * force_in

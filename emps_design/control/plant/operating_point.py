@@ -10,6 +10,7 @@ import numpy as np
 from emps_design.effects.effect import COULOMB, Effect, Kernel
 
 PLACES = 64  # along one repeat of an effect
+SETTLED = 2.0  # s, after which own states that Newton does not bring to rest are near it
 CORNER = 1e-3  # relative difference of the slopes on either side of a place, above which it is a corner
 
 
@@ -25,21 +26,31 @@ class Member:
         self.places = np.arange(PLACES) / PLACES * self.repeat if effect.repeats else np.zeros(1)
 
     def settle(self, v: float, tau: float) -> None:
-        """Bring the own states to rest at the operating point (Newton); keep the initial ones where that fails."""
+        """Bring the own states to rest at the operating point; keep the initial ones where that fails."""
         if self.effect.rate is None:
             return
-        x = self.x.copy()
+        for begin in (lambda: self.x, lambda: self._after(SETTLED, v, tau)):  # a load within its play moves first
+            x = self._at_rest(begin(), v, tau)
+            scale = np.abs(self._rate_jacobian(v, tau, x)) @ np.abs(x) + abs(v) + 1e-12
+            self.settled = bool(np.all(np.isfinite(x)) and np.all(np.abs(self._rate(0.0, v, tau, x)) <= 1e-6 * scale))
+            if self.settled:
+                self.x = x
+                return
+
+    def _at_rest(self, x: np.ndarray, v: float, tau: float) -> np.ndarray:
+        """Own states that do not change (Newton from ``x``)."""
         for _ in range(50):
-            residual = self._rate(0.0, v, tau, x)
-            jacobian = self._rate_jacobian(v, tau, x)
-            step = np.linalg.lstsq(jacobian, -residual, rcond=None)[0]
+            step = np.linalg.lstsq(self._rate_jacobian(v, tau, x), -self._rate(0.0, v, tau, x), rcond=None)[0]
             x = x + step
             if np.all(np.abs(step) <= 1e-12 + 1e-9 * np.abs(x)):
                 break
-        scale = np.abs(self._rate_jacobian(v, tau, x)) @ np.abs(x) + abs(v) + 1e-12
-        self.settled = bool(np.all(np.isfinite(x)) and np.all(np.abs(self._rate(0.0, v, tau, x)) <= 1e-6 * scale))
-        if self.settled:
-            self.x = x
+        return x
+
+    def _after(self, seconds: float, v: float, tau: float) -> np.ndarray:
+        """Own states after so long at the operating point."""
+        from scipy.integrate import solve_ivp
+
+        return solve_ivp(lambda t, x: self._rate(0.0, v, tau, x), (0.0, seconds), self.x, "LSODA", rtol=1e-6).y[:, -1]
 
     def force(self, q: float, v: float, tau: float, x: np.ndarray) -> float:
         """Everything the effect adds to the resisting force while sliding [N], its mean over one repeat."""

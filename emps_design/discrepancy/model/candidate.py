@@ -90,7 +90,8 @@ class Candidate:
             slots += [Slot(-1, i, None, q, s) for i, (q, s) in enumerate(zip(self.sizes, magnitudes, strict=True))]
         for index, (effect, values) in enumerate(zip(self.effects, self.values, strict=True)):
             for place, parameter in enumerate(effect.parameters):
-                if parameter.discrete or effect.channel == "controller" or (frozen and not parameter.per_record):
+                held = parameter.held_at(values[:, place]) or (frozen and not parameter.per_record)
+                if held or effect.channel == "controller":
                     continue
                 rows = range(len(values)) if parameter.per_record else (None,)
                 for row in rows:

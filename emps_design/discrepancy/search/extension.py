@@ -122,13 +122,18 @@ def _settled(fitted: Fit) -> Fit:
 
 
 def _revised(fitted: Fit) -> Fit:
-    """Look again at the shapes of the effect found last, now that all numbers fit it.
+    """Look again at form and shapes of the effect found last, now that all numbers fit it.
 
     A descent does not cross to another exponent, nor to another stroke of the time at which something happened.
     """
+    forms = [form for form in side_by_side(fit, [(begin,) for begin in _forms(fitted)]) if admissible(form)]
+    paying = [form for form in forms if form.cost < (1 - rules.STILL_PAYS) * fitted.cost]
+    if paying:
+        fitted = _settled(min(paying, key=lambda f: f.cost))
     model = fitted.model
     effect, values = model.effects[-1], model.values[-1]
-    shapes = [i for i, p in enumerate(effect.parameters) if p.discrete or (p.per_record and p.unit == "s")]
+    timed = [p.per_record and p.unit == "s" for p in effect.parameters]
+    shapes = [i for i, p in enumerate(effect.parameters) if timed[i] or (p.discrete and p.default is None)]
     if not shapes:
         return fitted
     without = evaluate(fitted.with_model(model.without(len(model.effects) - 1)))
@@ -143,3 +148,16 @@ def _revised(fitted: Fit) -> Fit:
     tried = side_by_side(fit, [(start.hypothesis,) for start in list(other.values())[:REVISED]])
     best = min((fitted, *tried), key=lambda f: f.cost)
     return fitted if best is fitted or not admissible(best) else _settled(best)
+
+
+def _forms(fitted: Fit) -> list[Hypothesis]:
+    """The effect found last with its numbers, in other forms than it has: they are not looked for by themselves."""
+    model, found = fitted.model, list[Hypothesis]()
+    effect, values = model.effects[-1], model.values[-1]
+    for place, parameter in enumerate(effect.parameters):
+        others = [start for start in parameter.starts if start != values[0, place]]
+        for other in others if parameter.default is not None else []:
+            changed = values.copy()
+            changed[:, place] = other
+            found.append(fitted.with_model(model.without(len(model.effects) - 1).with_effect(effect, changed)))
+    return found

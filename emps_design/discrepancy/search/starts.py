@@ -112,10 +112,14 @@ def bent(current: Fit, cost: float) -> bool:
 def _values(current: Hypothesis, effect: Effect, missing: tuple[MissingForce, ...]) -> list[np.ndarray]:
     """Parameter arrays (n_records, n_parameters) to try."""
     model, tables = current.model, []
+    switches = [record.enable for record in current.problem.records if record.enable is not None]
+    if effect.winding and not any(np.any(on == 0.0) and np.any(on) for on in switches):
+        return []  # of a motor that is never off it is viscous friction
     for seen, split in zip(missing, current.problem.splits, strict=True):
         if effect.propose is not None:
             force = np.where(split.used, seen.force, 0.0)  # what confirms stays closed
-            shapes = effect.propose(seen.motion, force, model.baseline, seen.away)
+            proposed = effect.propose(seen.motion, force, model.baseline, seen.away)
+            shapes = [effect.completed(shape) for shape in proposed]
         else:
             shapes = grid(effect)
         tables.append([_complete(effect, shape, seen, model) for shape in shapes])
@@ -135,10 +139,11 @@ def _values(current: Hypothesis, effect: Effect, missing: tuple[MissingForce, ..
 
 
 def grid(effect: Effect) -> list[dict[str, float]]:
-    """Every combination of the starts of the shapes of ``effect``."""
-    names = [p.name for p in effect.parameters if p.starts]
-    starts_of_each = [p.starts for p in effect.parameters if p.starts]
-    return [dict(zip(names, combination, strict=True)) for combination in product(*starts_of_each)]
+    """Every combination of the starts of the shapes of ``effect``, in its first form."""
+    shapes = [p for p in effect.parameters if p.starts and p.default is None]
+    names = [p.name for p in shapes]
+    combinations = product(*(p.starts for p in shapes))
+    return [effect.completed(dict(zip(names, combination, strict=True))) for combination in combinations]
 
 
 def _complete(effect: Effect, shape: dict[str, float], seen: MissingForce, model: Candidate) -> np.ndarray | None:

@@ -27,6 +27,7 @@ ORDER = (
     "periodic_disturbance",
     "flexible_coupling",
     "backlash",
+    "back_emf_braking",
     "actuator_delay",
     "actuator_lag",
     "actuator_saturation",

@@ -2,17 +2,19 @@
 
 With d = q - q_load the contact force is k (d -+ gap/2) + c (v - v_load) where |d| > gap/2 and zero between. The
 coupling is that of ``flexible_coupling``: in contact the free pair resonates at ``frequency`` (reduced mass
-m = M share (1 - share), k = m w_n^2, c = 2 damping m w_n). Friction stays on the encoder's side; the load starts at
-rest in the middle of the play. The damper acts from contact on, so it may pull for the last instant before release.
+m = M share (1 - share), k = m w_n^2, c = 2 damping m w_n), and so is the friction on the load; the load starts at rest
+in the middle of the play. The damper acts from contact on, so it may pull for the last instant before release.
 """
 
 from math import pi
 
 from emps_design.effects import two_mass
-from emps_design.effects.effect import MASS, Effect, Parameter
+from emps_design.effects.effect import COULOMB, MASS, VISCOUS, Effect, Parameter
+from emps_design.effects.two_mass import load_friction
 
 
-def force(q, v, t, tau, x, p, b):
+def transmitted(v, x, p, b):
+    """Force [N] of spring and damper, in contact."""
     reduced = b[MASS] * p[3] * (1.0 - p[3])
     w = 2.0 * pi * p[1]
     half = 0.5 * p[0]
@@ -23,13 +25,22 @@ def force(q, v, t, tau, x, p, b):
     return 0.0
 
 
+def force(q, v, t, tau, x, p, b):
+    return transmitted(v, x, p, b) - p[4] * b[VISCOUS] * v
+
+
+def dry(q, v, t, tau, x, p, b):
+    return -p[4] * b[COULOMB]
+
+
 def inertia(q, v, t, tau, x, p, b):
     return -p[3] * b[MASS]
 
 
 def rate(q, v, t, tau, x, p, b, level, dx):
     dx[0] = v - x[1]
-    dx[1] = force(q, v, t, tau, x, p, b) / (p[3] * b[MASS])
+    mass = p[3] * b[MASS]
+    dx[1] = (transmitted(v, x, p, b) - load_friction(x[1], p[4], mass, b)) / mass
 
 
 def initial(q0, p, b):
@@ -44,13 +55,15 @@ EFFECT = Effect(
     name="backlash",
     label="Backlash",
     channel="plant",
-    equation=r"\tau_c = k\,(d \mp \tfrac{g}{2}) + c\,\dot d \text{ if } |d| > \tfrac{g}{2},\ M_l \ddot q_l = \tau_c",
+    equation=r"\tau_c = k\,(d \mp \tfrac{g}{2}) + c\,\dot d \text{ if } |d| > \tfrac{g}{2},\ "
+    r"M_l \ddot q_l = \tau_c - \lambda (F_v \dot q_l + F_c\, \mathrm{sign}(\dot q_l))",
     source="dead zone and spring; M. Nordin, P.-O. Gutman, Automatica 38 (2002)",
     parameters=(
         Parameter("gap", "g", "m", lower=0.0, upper=5e-3, starts=(5e-5, 1e-4, 2e-4), text="total play"),
         *two_mass.coupling(" in contact", (60.0,), 0.15, "behind the play"),
     ),
     force=force,
+    dry=dry,
     inertia=inertia,
     rate=rate,
     initial=initial,

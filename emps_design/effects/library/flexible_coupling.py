@@ -1,20 +1,31 @@
 """Flexible coupling: part of the mass sits behind a spring and a damper, on the far side of the encoder.
 
 With mass M split into M (1 - share) on the encoder's side and M share behind the coupling, the free pair resonates at
-``frequency`` (w_n = 2 pi f, reduced mass m = M share (1 - share)), so k = m w_n^2 and c = 2 damping m w_n. Friction
-stays on the encoder's side. States: twist d = q - q_load [m] and load velocity [m/s].
+``frequency`` (w_n = 2 pi f, reduced mass m = M share (1 - share)), so k = m w_n^2 and c = 2 damping m w_n. The share
+``load_friction`` of the baseline's friction acts on the load, the rest on the encoder's side. States: twist
+d = q - q_load [m] and load velocity [m/s].
 """
 
 from math import pi
 
 from emps_design.effects import two_mass
-from emps_design.effects.effect import MASS, Effect
+from emps_design.effects.effect import COULOMB, MASS, VISCOUS, Effect
+from emps_design.effects.two_mass import load_friction
 
 
-def force(q, v, t, tau, x, p, b):
+def transmitted(v, x, p, b):
+    """Force [N] of spring and damper."""
     reduced = b[MASS] * p[2] * (1.0 - p[2])
     w = 2.0 * pi * p[0]
     return reduced * w * w * x[0] + 2.0 * p[1] * reduced * w * (v - x[1])
+
+
+def force(q, v, t, tau, x, p, b):
+    return transmitted(v, x, p, b) - p[3] * b[VISCOUS] * v
+
+
+def dry(q, v, t, tau, x, p, b):
+    return -p[3] * b[COULOMB]
 
 
 def inertia(q, v, t, tau, x, p, b):
@@ -23,7 +34,8 @@ def inertia(q, v, t, tau, x, p, b):
 
 def rate(q, v, t, tau, x, p, b, level, dx):
     dx[0] = v - x[1]
-    dx[1] = force(q, v, t, tau, x, p, b) / (p[2] * b[MASS])
+    mass = p[2] * b[MASS]
+    dx[1] = (transmitted(v, x, p, b) - load_friction(x[1], p[3], mass, b)) / mass
 
 
 def initial(q0, p, b):
@@ -34,10 +46,12 @@ EFFECT = Effect(
     name="flexible_coupling",
     label="Flexible coupling",
     channel="plant",
-    equation=r"\tau_c = k (q - q_l) + c (\dot q - \dot q_l),\quad M_l \ddot q_l = \tau_c",
+    equation=r"\tau_c = k (q - q_l) + c (\dot q - \dot q_l),\quad "
+    r"M_l \ddot q_l = \tau_c - \lambda (F_v \dot q_l + F_c\, \mathrm{sign}(\dot q_l))",
     source="two-mass model; the coupling of paper section II-A, assumed rigid there",
     parameters=two_mass.coupling("", (20.0, 35.0, 60.0, 100.0), 0.05, "that sits behind the coupling"),
     force=force,
+    dry=dry,
     inertia=inertia,
     rate=rate,
     initial=initial,

@@ -6,6 +6,8 @@ coefficient of the baseline holds the straight part. Below ``SMOOTH`` the power 
 the slope at rest stays finite: force = amount (v/V) ((v^2 + SMOOTH^2)/V^2)^((exponent - 1)/2) with V = 0.1 m/s.
 """
 
+from math import sqrt
+
 import numpy as np
 
 from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
@@ -15,7 +17,10 @@ SMOOTH = 1e-4  # m/s
 
 
 def force(q, v, t, tau, x, p, b):
-    return p[0] * (v / SPEED) * ((v * v + SMOOTH * SMOOTH) / (SPEED * SPEED)) ** (0.5 * (p[1] - 1.0))
+    bend = sqrt(v * v + SMOOTH * SMOOTH) / SPEED
+    if p[1] != 2.0:  # a power takes longer than all else here
+        bend = bend ** (p[1] - 1.0)
+    return p[0] * (v / SPEED) * bend
 
 
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:

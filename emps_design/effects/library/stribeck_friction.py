@@ -12,7 +12,10 @@ from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
 
 
 def dry(q, v, t, tau, x, p, b):
-    return p[0] * exp(-((abs(v) / p[1]) ** p[2]))
+    ratio = abs(v) / p[1]
+    if p[2] != 1.0:  # a power takes longer than all else here
+        ratio = ratio ** p[2]
+    return p[0] * exp(-ratio)
 
 
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:

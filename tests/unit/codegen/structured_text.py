@@ -20,7 +20,7 @@ START = {"LREAL": 0.0, "REAL": np.float32(0.0), "LINT": 0, "DINT": 0, "BOOL": Fa
 
 
 def expression(text):
-    text = re.sub(r"(?<![<>:=])=(?!=)", "==", text.replace("<>", "!="))
+    text = re.sub(r"(?<![<>:!=])=(?!=)", "==", text.replace("<>", "!="))
     for word, meaning in (("AND", "and"), ("OR", "or"), ("NOT", "not"), ("MOD", "%"), ("TRUE", "True")):
         text = re.sub(rf"\b{word}\b", meaning, text)
     return text

@@ -117,6 +117,25 @@ def test_a_weight_leaves_up_and_down_at_the_efficiency_of_that_direction(directi
     assert force[leaves] == pytest.approx(expected, abs=0.02)
 
 
+@pytest.mark.parametrize("others", [[], ["gravity"], ["gravity", "load_dependent_friction"]], ids=len)
+def test_the_effect_is_the_back_emf_of_the_axis_file(others):
+    """Wherever the number stands: with a supply that sags, a winding that opens, and friction that sees the torque."""
+    kinds = {"gravity": {"torque": 0.2, "angle": 0.1}, "load_dependent_friction": {"share": 0.2, "motor_side": 1.0}}
+    rest = [{"kind": kind, **kinds[kind]} for kind in others]
+    q_ref = program(1500)
+    k = np.arange(q_ref.size)
+    signals = {"supply": SUPPLY * (1.0 + 0.1 * np.sin(k / 90.0)), "enable": np.where((k > 500) & (k < 800), 0.0, 1.0)}
+    effect = arm(back_emf=0.0).replace(effects=[{"kind": "back_emf_braking", "braking": 0.1 * 0.4}, *rest])
+    in_file = arm().replace(effects=rest)
+    for some in (signals, {}):
+        one, other = (Plant.of(axis).closed_loop(q_ref, **some) for axis in (effect, in_file))
+        np.testing.assert_allclose(one.position, other.position, atol=1e-8)
+    friction = effect.replace(mechanics={"viscous": 0.01 + 0.1 * 0.4}, effects=rest)
+    moved = Plant.of(friction).closed_loop(q_ref, **signals).position
+    assert np.abs(moved - one.position).max() > 1e-3
+    assert linear_plant(effect).A[1] == pytest.approx(linear_plant(in_file).A[1])
+
+
 def test_an_open_winding_takes_nothing_and_gives_nothing():
     axis = arm().replace(mechanics={"coulomb": 0.0, "offset": 0.0}, controller={"kind": "none"})
     run = Plant.of(axis).open_loop(np.full(200, 1.0), v0=3.0, enable=np.zeros(200))

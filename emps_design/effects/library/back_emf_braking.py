@@ -1,0 +1,67 @@
+"""Back-EMF braking: a motor without a current loop brakes in proportion to its speed, as long as its winding is closed.
+
+With k_e the voltage per speed and G_tau the force per volt at the winding, ``braking`` = G_tau k_e. While the motor is
+on that is viscous friction, and no record tells the two apart; where it was switched off (the column ``enable``) the
+braking is gone and the friction is not. An axis file may have k_e instead, ``back_emf`` of its ``[drive]``: then this
+effect is what the number there falls short of.
+"""
+
+import numpy as np
+
+from emps_design.effects.effect import VISCOUS, Effect, Motion, Parameter, Parameters
+
+PARTS = (0.25, 0.5, 0.9)  # of the viscous friction that was fitted without it
+
+
+def force(q, v, t, tau, x, p, b):
+    return p[0] * v
+
+
+def slopes(p):
+    return p[0], p[0]
+
+
+def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
+    return motion.v[:, None]
+
+
+def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
+    return [{"braking": part * float(b[VISCOUS])} for part in PARTS]  # the residual has lost it to the friction
+
+
+def expression(q, v, t, tau, p, b):
+    return p["braking"] * v
+
+
+EFFECT = Effect(
+    name="back_emf_braking",
+    label="Back-EMF braking",
+    channel="plant",
+    equation=r"F = G_\tau k_e\, \dot q \ \text{ while the winding is closed}",
+    source="voltage balance of the winding, R i = u - k_e qd, without inductance",
+    parameters=(
+        Parameter(
+            "braking",
+            r"G_\tau k_e",
+            "N/(m/s)",
+            lower=0.0,
+            linear=True,
+            scale=20.0,
+            text="braking by the motor that is on, force per speed",
+        ),
+    ),
+    force=force,
+    slopes=slopes,
+    winding=True,
+    regressor=regressor,
+    propose=propose,
+    expression=expression,
+    over="v",
+    where="in proportion to speed, and only while the motor is on",
+    confused_with=("asymmetric_viscous_friction", "nonlinear_viscous_friction", "load_dependent_friction"),
+    experiment="switch the motor off in motion, and record the column enable: what still brakes then is friction",
+    remedy="a current loop, or the back-EMF fed forward with the speed",
+    checks=(({"braking": 40.0}, {"v": 0.5}, 20.0), ({"braking": 40.0}, {"v": -0.25}, -10.0)),
+    passive=True,
+    parity="odd",
+)
