@@ -265,6 +265,8 @@ class DataView:
             return
         work = WORK[name]
         record, axis = self.record, self._axis
+        if name == "Law" and self.model is not None:  # a controller goes on what was found of the same record
+            axis = self.model
         options = {"friction": self.friction.value, "chain": self.filter.value}
 
         def of_this_record(show: Callable[[Any], None]) -> Callable[[Any], None]:

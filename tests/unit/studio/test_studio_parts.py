@@ -595,6 +595,23 @@ def at_once(monkeypatch):
     monkeypatch.setattr(jobs.Job, "start", start)
 
 
+def test_the_law_goes_on_the_axis_that_was_identified(at_once, monkeypatch):
+    from emps_design.identification import controller
+
+    axis = machine("emps2019").replace(mechanics={"mass": 80.0}, controller={"kind": "none"})
+    view = DataView(lambda: {axis.name: axis}, axis.name, state, lambda *turn: None, lambda axis: None)
+    view._show(synthetic_record(machine("emps2019"), laps=1))
+    table = {"kind": "position_pd", "kp": 12.0, "kv": 300.0}
+    told = controller.LawEstimate("r", controller.TOLD, "", table, {"kp": 3.0}, 0.01, 0.02, "V")
+    monkeypatch.setattr(controller, "identify_law", lambda record, unit: told)
+    view._start("Identify")
+    identified = view.model.mechanics
+    assert identified.mass == pytest.approx(95.1, abs=1.0)
+    view._start("Law")
+    assert view.model.mechanics == identified
+    assert view.model.controller.kp == 12.0
+
+
 def test_a_motion_of_ones_own_is_simulated_under_the_design_and_under_the_drive(at_once):
     drive = {"kind": "cascade", "position": {"kp": 12.0, "every": 2}, "velocity": {"kp": 300.0, "ti": 0.05}}
     session = Session(machine("emps2018").replace(name="own", controller={**drive, "filters": LOW}))
