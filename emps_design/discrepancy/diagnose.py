@@ -8,7 +8,7 @@ from functools import partial
 
 from emps_design.axis import Axis
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.checks.long_records import beginnings, rest_in_words
+from emps_design.discrepancy.checks.long_records import beginnings, look_at_the_rest
 from emps_design.discrepancy.checks.preparation import prepare
 from emps_design.discrepancy.explain.explanation import explain
 from emps_design.discrepancy.result import Diagnosis
@@ -69,7 +69,8 @@ def diagnose(
         hears(outcome.best.model.to_axis(axis))
         report("confirming on data not used so far", 0.9)
         validation = validate(outcome)
-        return explain(validation, rest_in_words(records, preparation.laws, validation.extended))
+        rest, more = look_at_the_rest(records, preparation.laws, validation.extended)
+        return explain(validation.beside_something_unknown() if more else validation, rest)
 
 
 def _repeated(outcome: Outcome, seed: int, searches: int, report: Progress) -> Outcome:

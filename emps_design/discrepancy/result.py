@@ -117,7 +117,11 @@ class Diagnosis:
 
     @property
     def sentence(self) -> str:
-        """The answer in one sentence, as on the first screen of the report."""
+        """The answer in one sentence, as on the first screen of the report, and what it does not speak of."""
+        return " ".join([self._answer, *(f"{rest}." for rest in self.details.get("rest", ()))])
+
+    @property
+    def _answer(self) -> str:
         judged, where = (self.holdout, "held-out") if self.holdout else (self.train, "training")
         left, noise = rounded(judged.extended), rounded(self.floor)
         gap = f"{where} force error {rounded(judged.baseline)} N -> {left} N, noise {noise} N"
@@ -171,7 +175,7 @@ class Diagnosis:
             {"unit": "N", **self.noise.to_dict(measure)} | {part: g.to_dict(measure) for part, g in judged.items()}
             for measure in ("", "_60hz")
         )
-        shown = {k: v for k, v in self.details.items() if k not in ("least_visible", "changed")}
+        shown = {k: v for k, v in self.details.items() if k not in ("least_visible", "changed", "rest")}
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,

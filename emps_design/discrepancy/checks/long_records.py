@@ -43,13 +43,15 @@ def beginnings(records: tuple[Record, ...], *windows: Interval | None) -> tuple[
     return tuple(parts)
 
 
-def rest_in_words(records: tuple[Record, ...], laws: tuple[LawCheck, ...], extended: Hypothesis) -> tuple[str, ...]:
-    """What ``extended``, found in the beginnings of ``records``, leaves of the whole of each, and where it leaves more.
+def look_at_the_rest(
+    records: tuple[Record, ...], laws: tuple[LawCheck, ...], extended: Hypothesis
+) -> tuple[tuple[str, ...], bool]:
+    """What ``extended``, found in the beginnings of ``records``, leaves of the whole of each, and whether of any more.
 
     One simulation of each, in one go: what changed on the way shows. ``laws`` are the checks of the beginnings, one
     per record where the controller is known.
     """
-    told = []
+    told, more = [], False
     for index, (record, searched) in enumerate(zip(records, extended.problem.records, strict=True)):
         if len(searched) == len(record):
             continue
@@ -65,15 +67,17 @@ def rest_in_words(records: tuple[Record, ...], laws: tuple[LawCheck, ...], exten
             (left,) = whole.residuals()
         except SimulationError as error:
             told.append(f"{head}; the model cannot be simulated to the end: {error}")
+            more = True
             continue
         size = round(PIECE_TIME / record.period)
         pieces = left[START_UP:][: (left.size - START_UP) // size * size].reshape(-1, size).std(axis=1)
         usual, most = float(np.median(pieces[: len(searched) // size])), int(np.argmax(pieces))
         text = f"{head}; over the whole record the model leaves {rounded(float(np.std(left[START_UP:])))} N"
         if pieces[most] > rules.UNUSUAL * usual:
+            more = True
             text += (
                 f", and {rounded(float(pieces[most]))} N in the {PIECE_TIME:g} s from {most * PIECE_TIME:g} s on, "
                 f"where {rounded(usual)} N are usual: something else is there, or changed; look at it with `fit_time`"
             )
         told.append(text)
-    return tuple(told)
+    return tuple(told), more

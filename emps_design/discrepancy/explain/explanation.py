@@ -30,10 +30,10 @@ from emps_design.effects import get_effect, kind_of
 SHOWN_CANDIDATES = 10
 
 
-def explain(validation: Validation, remarks: tuple[str, ...] = ()) -> Diagnosis:
+def explain(validation: Validation, rest: tuple[str, ...] = ()) -> Diagnosis:
     """Say what a validation means: what is missing and where, how much of the gap is closed, what to record next.
 
-    ``remarks`` join the warnings.
+    ``rest`` says what was not searched, and what is left there.
     """
     outcome, problem = validation.outcome, validation.extended.problem
     held_out = outcome.calibration.preparation.held_out
@@ -43,7 +43,8 @@ def explain(validation: Validation, remarks: tuple[str, ...] = ()) -> Diagnosis:
     before, after = (missing_force(fitted)[most] for fitted in (validation.baseline, validation.extended))
     floor, used = outcome.calibration.floor, problem.splits[most].used
     details = _details(validation, before)
-    details["warnings"] += remarks
+    details["warnings"] += rest
+    details["rest"] = rest
     drawn = views(before, after, used, floor.force_60hz, problem.axis.drive.command_limit)
     extended = judged.extended.to_axis(problem.axis)
     return Diagnosis(

@@ -40,6 +40,11 @@ class Validation:
     given_up: tuple[str, ...]
     share: float
 
+    def beside_something_unknown(self) -> Validation:
+        """The same findings, where data that were not searched show that something else is missing."""
+        named = self.verdict in ("named", "ambiguous", "partly-named")
+        return replace(self, verdict="partly-named" if named else "unnamed")
+
 
 @dataclass(frozen=True)
 class _Answer:

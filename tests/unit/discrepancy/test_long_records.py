@@ -25,18 +25,22 @@ def short(monkeypatch):
 def told(effects, **how):
     record = synthetic_record(AXIS.replace(effects=effects), laps=2)
     result = diagnose(record, AXIS, library=LIBRARY, **how)
-    return record, [text for text in result.details["warnings"] if "searched" in text]
+    texts = [text for text in result.details["warnings"] if "searched" in text]
+    assert result.sentence.endswith(" ".join(f"{text}." for text in texts))
+    return result.verdict, texts
 
 
 def test_the_rest_of_a_long_record_is_simulated(short):
-    record, (text,) = told([])
-    assert text.startswith(f"{record.name}: only 20.1 of {record.duration:.4g} s were searched, {len(record)} samples")
+    verdict, (text,) = told([])
+    assert verdict == "nothing-missing"
+    assert text.startswith("synthetic-emps2019: only 20.1 of 36.41 s were searched, 36412 samples")
     assert "over the whole record the model leaves 0.3" in text
     assert "usual" not in text
 
 
 def test_what_changes_after_the_part_searched_is_told(short):
-    _, (text,) = told([{"kind": "mass_change", "change": 0.3, "time": 25.0}])
+    verdict, (text,) = told([{"kind": "mass_change", "change": 0.3, "time": 25.0}])
+    assert verdict == "unnamed"
     assert "in the 10 s from 20 s on" in text
     assert "something else is there, or changed; look at it with `fit_time`" in text
 
