@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -33,6 +34,9 @@ from emps_design.effects import Effect
 from emps_design.effects.effect import ADDED
 from emps_design.errors import InputError
 
+COMPARED: dict[str, Callable[[Any, Any], bool]] = {
+    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq, "!=": operator.ne,
+}  # fmt: skip
 KERNEL = (REAL, REAL, REAL, REAL, ARRAY, ARRAY, ARRAY)  # arguments of an effect's kernel
 
 
@@ -98,6 +102,8 @@ def _with_numbers(program: Program, p: np.ndarray, b: np.ndarray) -> Program:
             return Number(0.0, REAL)
         if isinstance(one, Binary) and one.type == INT and isinstance(one.left, Number) and one.operator == "+":
             return Number(one.left.value + one.right.value, INT) if isinstance(one.right, Number) else one
+        if isinstance(one, If):
+            return _taken(one)
         if not isinstance(one, Cell) or one.array not in arrays:
             return one
         numbers = arrays[str(one.array)]
@@ -109,6 +115,14 @@ def _with_numbers(program: Program, p: np.ndarray, b: np.ndarray) -> Program:
     body = rewritten(kernel.body, put)
     function = Function(kernel.name, {name: REAL for name in (q, v, tau)}, kernel.variables, body)
     return replace(program, functions=(*tables.values(), function))
+
+
+def _taken(branch: If) -> Any:
+    """The way that is taken where two numbers are compared, ``branch`` itself elsewhere."""
+    test = branch.condition
+    if isinstance(test, Binary) and isinstance(test.left, Number) and isinstance(test.right, Number):
+        return branch.then if COMPARED[test.operator](test.left.value, test.right.value) else branch.otherwise
+    return branch
 
 
 def _table(name: str, numbers: list[float]) -> Function:

@@ -184,11 +184,14 @@ class Program:
 def rewritten(one: Any, change: Callable[[Any], Any]) -> Any:
     """``one``, an expression, a statement or several, with every part of it replaced by its ``change``, inside first.
 
+    A statement may become several.
+
     >>> rewritten((Name("x", REAL),), lambda part: Number(2.0, REAL) if part == Name("x", REAL) else part)
     (Number(value=2.0, type='real'),)
     """
     if isinstance(one, tuple):
-        return tuple(rewritten(each, change) for each in one)
+        changed = (rewritten(each, change) for each in one)
+        return tuple(part for each in changed for part in (each if isinstance(each, tuple) else (each,)))
     if not is_dataclass(one) or isinstance(one, type):
         return one
     inside = {part.name: rewritten(getattr(one, part.name), change) for part in fields(one)}

@@ -20,7 +20,8 @@ REFINED = 2  # starts of each effect that are worth a short fit
 SHORT_STEPS = 4
 FINALISTS = 4  # effects worth a full fit
 BENT_EFFECTS, BENT_STARTS = 2, 6  # fitted where the gap bent the baseline
-TRIED_STEPS, PROMISING = 4, 2  # of every fit, after which so many of each effect go on
+TRIED_STEPS = 4  # of every fit of an effect with many starts
+PROMISING = 2  # of them go on
 REVISED = 4  # other shapes of an effect that are fitted when it is accepted
 MOST_FITS = 8  # one after the other until they have converged
 
