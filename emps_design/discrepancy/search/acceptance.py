@@ -93,9 +93,11 @@ class Judge:
 
         A noise model made of a residual, and not of laps, holds what structure that residual had.
         """
-        if self.floor.from_laps:
-            return False
-        return usual_rms(_force_left(fitted)) ** 2 > rules.STRUCTURED * self.floor.force**2
+        return not self.floor.from_laps and self.leaves_force(fitted)
+
+    def leaves_force(self, fitted: Fit) -> bool:
+        """Whether the force left is more than noise, however it looks once it is whitened."""
+        return bool(usual_rms(_force_left(fitted)) ** 2 > rules.STRUCTURED * self.floor.force**2)
 
 
 def share_of_strokes(better: Fit, worse: Fit, burst: float) -> float:

@@ -10,7 +10,8 @@ from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import evaluate
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
-from emps_design.discrepancy.search.noise_floor import floor_of_laps, floor_of_residual
+from emps_design.discrepancy.search.acceptance import Judge
+from emps_design.discrepancy.search.noise_floor import LAPS, floor_of_laps, floor_of_residual
 from emps_design.discrepancy.validation.confirmation import _size_known, standing
 from emps_design.discrepancy.validation.evidence import Asked, asked_for
 from emps_design.effects import get_effect
@@ -85,6 +86,15 @@ def test_what_stands_is_known_as_well_whatever_the_numbers_of_the_model_that_it_
     assert stands.model.names == ("elastic_force",)
     assert withdrawn == ()
     assert stands.model.values[0][0, 0] == pytest.approx(150.0, rel=0.01)
+
+
+@pytest.mark.parametrize(("stiffness", "more"), [(60.0, False), (90.0, True)])
+def test_a_force_of_more_than_noise_is_left_however_white_it_looks(stiffness, more):
+    fitted = evaluate(Hypothesis(problem(60.0), model(elastic_force={**SPRING, "stiffness": stiffness})))
+    floor = floor_of_residual(evaluate(Hypothesis(problem(60.0), model(elastic_force=SPRING))).left(), 1e-3, LAPS)
+    judge = Judge(floor, SimpleNamespace(threshold=0.0))
+    assert judge.leaves_force(fitted) is more
+    assert not judge._whitened_away(fitted)  # what differs between laps has no structure of a model
 
 
 def test_what_a_record_does_not_tell_is_not_confirmed():
