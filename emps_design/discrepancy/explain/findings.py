@@ -24,7 +24,8 @@ def findings(validation: Validation) -> tuple[Finding, ...]:
     """The accepted effects in the order found, each with the force gap before and after it."""
     extended, outcome = validation.extended, validation.outcome
     model = extended.model
-    order = dict.fromkeys(name for step in outcome.path for name in step.model.names)
+    steps = (*(step.model for step in outcome.path), model)
+    order = dict.fromkeys(name for step in steps for name in step.names)
     return tuple(_finding(validation, model.names.index(name)) for name in order if name in model.names)
 
 

@@ -22,16 +22,22 @@ from emps_design.records import Record
 from emps_design.simulation import Plant, Run
 
 LOOSE = 1e5  # times the integrator's tolerance: force within 2e-3 N, a hundredth of any noise here, six times faster
+RANK = 1e-6  # of the largest singular value of several functions, below which a combination is none
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Records of one axis and what is needed to judge a model of them."""
+    """Records of one axis and what is needed to judge a model of them.
+
+    ``states`` are functions (n, k) along each record that explain nothing: what they could follow of the used samples
+    is taken from every residual.
+    """
 
     axis: Axis
     records: tuple[Record, ...]
     splits: tuple[Split, ...]
     whitening: Whitening
+    states: tuple[np.ndarray, ...] = ()
 
     @cached_property
     def bands(self) -> tuple[float, ...]:
@@ -45,11 +51,29 @@ class Problem:
 
     def only(self, record: int) -> Problem:
         """One of the records, by its number, as a problem of its own; its models are :meth:`Candidate.only`."""
-        return replace(self, records=(self.records[record],), splits=(self.splits[record],))
+        one = slice(record, record + 1)
+        return replace(self, records=self.records[one], splits=self.splits[one], states=self.states[one])
 
     def with_whitening(self, whitening: Whitening) -> Problem:
         """The same records judged with other noise."""
         return replace(self, whitening=whitening)
+
+    def whiten(self, forces: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
+        """Innovations of ``forces`` [N], (n,) or (n, k) per record in units of noise, less what ``states`` follow."""
+        innovations = tuple(np.apply_along_axis(self.whitening.apply, 0, force) for force in forces)
+        if not self.states:
+            return innovations
+        return tuple(x - basis @ (basis.T @ x) for x, basis in zip(innovations, self._followed, strict=True))
+
+    def unfollowed(self, forces: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+        """``forces`` (n,) [N], one per record, less what ``states`` follow."""
+        return tuple(map(self.whitening.undo, self.whiten(forces))) if self.states else forces
+
+    @cached_property
+    def _followed(self) -> tuple[np.ndarray, ...]:
+        """An orthonormal basis (n, k) per record of what ``states`` follow of the innovations, 0 where none is used."""
+        columns = replace(self, states=()).whiten(self.states)
+        return tuple(orthonormal(one * used[:, None]) for one, used in zip(columns, self.masks("used"), strict=True))
 
     def masks(self, part: str) -> tuple[np.ndarray, ...]:
         """Boolean samples of ``part``: "fit", "select" or "used"."""
@@ -146,15 +170,25 @@ class Hypothesis:
 
     def whitened(self) -> tuple[np.ndarray, ...]:
         """Innovations of :meth:`residuals` in units of the noise."""
-        return tuple(self.problem.whitening.apply(r) for r in self.residuals())
+        return self.problem.whiten(self.residuals())
 
     def residual(self, part: str) -> np.ndarray:
         """Innovations on the samples of ``part`` of all records, in one vector."""
         return self.problem.gather(self.whitened(), part)
 
     def left(self) -> list[np.ndarray]:
-        """What the model leaves of the force [N] on the used samples, one array (n_used,) per record."""
-        return self.problem.pick(self.residuals(), "used")
+        """What the model leaves of the force [N] on the used samples, one array (n_used,) per record.
+
+        Without what the problem's ``states`` follow.
+        """
+        return self.problem.pick(self.problem.unfollowed(self.residuals()), "used")
+
+
+def orthonormal(columns: np.ndarray) -> np.ndarray:
+    """An orthonormal basis (n, k) of ``columns``."""
+    size = np.linalg.norm(columns, axis=0)
+    basis, singular, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
+    return basis[:, singular > RANK * singular[0]]
 
 
 def _asked_while_off(axis: Axis, record: Record, run: Run) -> np.ndarray | float:

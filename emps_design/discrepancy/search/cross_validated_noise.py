@@ -13,17 +13,13 @@ from itertools import pairwise
 import numpy as np
 
 from emps_design.discrepancy.model.fit import Fit
-from emps_design.discrepancy.model.missing_force import SLOWEST, since_reversal
+from emps_design.discrepancy.model.state import states_of
 from emps_design.discrepancy.search.starts import screen, tangent
 from emps_design.effects import Effect
 from emps_design.errors import SimulationError
 
 RIDGES = tuple(10.0**power for power in range(-9, 1))  # of the mean square of a column; the best on strokes not seen
 MOST_SAMPLES = 60_000  # of whole strokes, evenly taken where there are more
-DEGREE = 4  # of the polynomials in position and in speed
-FADING_TIMES = (0.02, 0.06, 0.2, 0.6)  # s since a reversal
-FADING_WAYS = (1e-4, 5e-4, 2e-3, 1e-2)  # m since a reversal
-MEMORIES = (0.03, 0.1, 0.3, 1.0, 3.0)  # s
 
 
 def unpredicted(fitted: Fit, library: tuple[Effect, ...]) -> tuple[np.ndarray, ...]:
@@ -35,8 +31,7 @@ def unpredicted(fitted: Fit, library: tuple[Effect, ...]) -> tuple[np.ndarray, .
     rows = _evenly(problem.strokes("used"))
     kept = np.concatenate([np.arange(stroke.start, stroke.stop) for stroke in rows])
     base = fitted.residual("used")[kept]
-    states = tuple(smooth_of_state(run.q, problem.period) for run in fitted.runs())
-    columns = [tangent(fitted, "used").basis[kept], problem.gather(states, "used")[kept]]
+    columns = [tangent(fitted, "used").basis[kept], problem.gather(states_of(fitted), "used")[kept]]
     for start in (start for found in screen(fitted, library, tangent(fitted)) for start in found):
         try:
             columns.append((start.hypothesis.residual("used")[kept] - base)[:, None])
@@ -55,33 +50,6 @@ def _evenly(strokes: list[slice]) -> list[slice]:
     """Every so many of ``strokes``, so that the regression of a long record stays small."""
     samples = sum(stroke.stop - stroke.start for stroke in strokes)
     return strokes[:: max(1, -(-samples // MOST_SAMPLES))]
-
-
-def smooth_of_state(q: np.ndarray, period: float) -> np.ndarray:
-    """Smooth functions (n, k) of position ``q`` (n,) [m], velocity, and what came before: no physics assumed.
-
-    A surface over position and velocity for each direction, what fades with the time and the way since a reversal, and
-    fading memories of velocity, of direction, and of motion at all.
-    """
-    from numpy.polynomial.chebyshev import chebvander
-    from scipy.signal import lfilter
-
-    v = np.gradient(q, period)
-    direction, speed = np.tanh(v / SLOWEST), np.abs(v) / np.abs(v).max()
-    surface = (
-        chebvander(2 * (q - q.min()) / np.ptp(q) - 1, DEGREE)[:, :, None] * chebvander(2 * speed - 1, DEGREE)[:, None]
-    )
-    surface = surface.reshape(q.size, -1)
-    since = since_reversal(v)
-    way = np.cumsum(np.abs(v)) * period
-    way -= way[np.arange(q.size) - since]
-    fading = [np.exp(-since * period / time) * direction for time in FADING_TIMES]
-    fading += [np.exp(-way / distance) * direction for distance in FADING_WAYS]
-    for time in MEMORIES:
-        share = period / time
-        faded = lfilter([share], [1.0, share - 1.0], np.column_stack([v, direction, np.abs(direction)]), axis=0)
-        fading += [faded[:, 0], faded[:, 1], faded[:, 2] * direction]
-    return np.column_stack([surface * (direction > 0)[:, None], surface * (direction <= 0)[:, None], *fading])
 
 
 def _left_by_others(columns: np.ndarray, force: np.ndarray, strokes: list[slice]) -> np.ndarray:

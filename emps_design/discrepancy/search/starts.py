@@ -88,8 +88,8 @@ def starts(current: Fit, effect: Effect, missing: tuple[MissingForce, ...], abso
         try:
             change = absorbed.free(trial.residual("fit") - base)
             size = float(np.linalg.norm(change))
-            if size == 0:
-                continue
+            if size <= (rules.EXERCISED * np.sqrt(base.size) if current.problem.states else 0.0):
+                continue  # all that it does could be a function of the state
             signature = change / size
             # The residual falls when the signature points against it; an effect of the wrong sign gains nothing.
             along = float(absorbed.residual @ signature)

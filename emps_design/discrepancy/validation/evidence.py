@@ -13,13 +13,12 @@ import numpy as np
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.candidate import BASELINE
 from emps_design.discrepancy.model.fit import STEP
-from emps_design.discrepancy.model.problem import Hypothesis, Problem
-from emps_design.discrepancy.search.cross_validated_noise import smooth_of_state
+from emps_design.discrepancy.model.problem import Hypothesis, Problem, orthonormal
+from emps_design.discrepancy.model.state import states_of
 from emps_design.discrepancy.search.noise_floor import LEFT, floor_of_residual
 from emps_design.errors import SimulationError
 
 Forces = tuple[np.ndarray, ...]  # one array (n,) [N] per record
-RANK = 1e-6  # of the largest singular value of the functions of the state, below which a combination is none
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,8 @@ def asked_for(hypothesis: Hypothesis) -> tuple[Asked, ...]:
     What every effect changes in the whitened residual, and what the four baseline numbers do, are regressed onto that
     residual. A stand-in for unknown physics fits one motion; on another one it is wanted in another amount. The
     regression is done again with what the model leaves as noise: whitened by its own spectrum, and as a sum of smooth
-    functions of the simulated state, with random coefficients of a size read from it (empirical Bayes).
+    functions of the simulated state, with random coefficients of a size read from it (empirical Bayes); where these
+    explain nothing to begin with, by its spectrum only.
     """
     problem, model = hypothesis.problem, hypothesis.model
     if not model.effects:
@@ -99,13 +99,14 @@ def asked_for(hypothesis: Hypothesis) -> tuple[Asked, ...]:
     rests = [hypothesis.with_model(model.without(index)) for index in range(len(model.effects))]
     changes = [_change(_left(rest), whole) for rest in rests]
     again = [_change(_left(rest, noise), disturbed) for rest in rests]
-    states = tuple(smooth_of_state(run.q, problem.period) for run in hypothesis.runs())
     columns, shares = [*changes, *_of_baseline(hypothesis, whole)], []
-    spectrum = floor_of_residual(problem.pick(whole, "used"), problem.period, LEFT).whitening
+    spectrum = floor_of_residual(problem.pick(problem.unfollowed(whole), "used"), problem.period, LEFT).whitening
+    states = () if problem.states else states_of(hypothesis)
     for weighed in (problem, problem.with_whitening(spectrum)):
         left, design = _gathered(weighed, whole), np.column_stack([_gathered(weighed, c) for c in columns])
-        unknown = _orthonormal(_gathered(weighed, states))
-        shares += [_shares(design, left), _shares(design, left, unknown)]
+        shares.append(_shares(design, left))
+        if states:
+            shares.append(_shares(design, left, orthonormal(_gathered(weighed, states))))
     found = []
     for i, (change, other) in enumerate(zip(changes, again, strict=True)):
         here, there = _gathered(problem, change), _gathered(problem, other)
@@ -142,17 +143,9 @@ def _shares(design: np.ndarray, left: np.ndarray, unknown: np.ndarray | None = N
     return [(float(share), float(std)) for share, std in zip(shares, stds, strict=True)]
 
 
-def _orthonormal(columns: np.ndarray) -> np.ndarray:
-    """An orthonormal basis (n, k) of ``columns``."""
-    size = np.linalg.norm(columns, axis=0)
-    basis, singular, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
-    return basis[:, singular > RANK * singular[0]]
-
-
 def _gathered(problem: Problem, signals: Forces) -> np.ndarray:
     """Whitened ``signals``, (n,) or (n, k) per record, on the used samples of all records."""
-    whiten = problem.whitening.apply
-    return problem.gather(tuple(np.apply_along_axis(whiten, 0, signal) for signal in signals), "used")
+    return problem.gather(problem.whiten(signals), "used")
 
 
 def _left(hypothesis: Hypothesis, disturbance: Forces | None = None) -> Forces | None:

@@ -10,6 +10,7 @@ from emps_design.discrepancy.model.candidate import BASELINE
 from emps_design.discrepancy.model.fit import Fit, evaluate, fit
 from emps_design.discrepancy.search.acceptance import Judge, explained, force_rms
 from emps_design.discrepancy.search.outcome import Outcome
+from emps_design.discrepancy.validation.beside_state import Beside, found_beside_state, joined
 from emps_design.discrepancy.validation.confirmation import claims_on, confirm, standing
 from emps_design.discrepancy.validation.evidence import Asked
 from emps_design.discrepancy.validation.gap import Comparison, compare
@@ -132,16 +133,52 @@ def _all_or_nothing(outcome: Outcome, data: HeldOut | None, start: Fit, searched
 
 
 def _effect_by_effect(outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer) -> _Answer:
-    """What of ``searched`` stands on its own evidence: all or nothing is the wrong question where structure is left."""
+    """What of ``searched`` stands on its own evidence: all or nothing is the wrong question where structure is left.
+
+    With what stands beside an unknown function of the state, where that is tenable.
+    """
     stands, withdrawn = standing(data, searched)
-    baseline, found = robust(answer.baseline), alike_in_company(outcome, stands)
-    many = any(len(others) > rules.MOST_EQUIVALENTS for others in found.values())
-    named = len(stands.model.names) > len(answer.baseline.model.names)
-    if many or not named or not _leaves_less(data, stands, baseline):
-        given_up = answer.given_up or answer.extended.model.names
-        return replace(answer, verdict="unnamed", equivalents=found, given_up=given_up)
-    asked = [] if data is None else claims_on(data, stands)
-    return _Answer("partly-named", baseline, stands, found, asked, withdrawn, (), None)
+    answers = [
+        replace(
+            answer,
+            verdict="partly-named",
+            baseline=robust(answer.baseline),
+            extended=stands,
+            equivalents=alike_in_company(outcome, stands),
+            asked=[] if data is None else claims_on(data, stands),
+            refuted=withdrawn,
+            given_up=(),
+            held_out=None,
+        )
+    ]
+    if data is not None and (beside := found_beside_state(outcome, data)) is not None:
+        answers.insert(0, _with(beside, answers[0], answer.baseline, data))
+    for one in answers:
+        if _tenable(one, data):
+            return one
+    given_up = answer.given_up or answer.extended.model.names
+    return replace(answer, verdict="unnamed", equivalents=answers[-1].equivalents, given_up=given_up)
+
+
+def _with(beside: Beside, answer: _Answer, baseline: Fit, data: HeldOut) -> _Answer:
+    """``answer`` with what was found ``beside`` the state in the place of what it has of the same name."""
+    both = joined(answer.extended, beside, data)
+    own = [name for name in both.model.names if name not in beside.names]
+    return replace(
+        answer,
+        baseline=baseline,
+        extended=both,
+        equivalents={name: answer.equivalents[name] for name in own} | beside.equivalents,
+        asked=[one for one in claims_on(data, both) if one.name in own] + beside.asked,
+        refuted=tuple(one for one in answer.refuted if one.name not in beside.names),
+    )
+
+
+def _tenable(answer: _Answer, data: HeldOut | None) -> bool:
+    """Whether ``answer`` names anything, few enough others could be meant, and it leaves less than its baseline."""
+    many = any(len(others) > rules.MOST_EQUIVALENTS for others in answer.equivalents.values())
+    named = len(answer.extended.model.names) > len(answer.baseline.model.names)
+    return named and not many and _leaves_less(data, answer.extended, answer.baseline)
 
 
 def _leaves_less(data: HeldOut | None, stands: Fit, baseline: Fit) -> bool:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from emps_design.discrepancy import diagnose
-from emps_design.discrepancy.search.cross_validated_noise import smooth_of_state
+from emps_design.discrepancy.model.state import smooth_of_state
 from emps_design.discrepancy.search.noise_floor import usual_rms
 from emps_design.effects import get_effect
 from emps_design.machines import machine

@@ -1,0 +1,52 @@
+"""Smooth functions of the state of the axis, with no physics assumed: what an unknown force may depend on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from emps_design.discrepancy.model.missing_force import SLOWEST, since_reversal
+from emps_design.discrepancy.model.problem import Hypothesis
+
+DEGREE = 4  # of the polynomials in position and in speed
+FADING_TIMES = (0.02, 0.06, 0.2, 0.6)  # s since a reversal
+FADING_WAYS = (1e-4, 5e-4, 2e-3, 1e-2)  # m since a reversal
+MEMORIES = (0.03, 0.1, 0.3, 1.0, 3.0)  # s
+
+
+def beside_state(hypothesis: Hypothesis) -> Hypothesis:
+    """The same model, judged by what no smooth function of the state that it simulates could follow."""
+    return Hypothesis(replace(hypothesis.problem, states=states_of(hypothesis)), hypothesis.model)
+
+
+def states_of(hypothesis: Hypothesis) -> tuple[np.ndarray, ...]:
+    """:func:`smooth_of_state` along the motion that ``hypothesis`` simulates, one array (n, k) per record."""
+    return tuple(smooth_of_state(run.q, hypothesis.problem.period) for run in hypothesis.runs())
+
+
+def smooth_of_state(q: np.ndarray, period: float) -> np.ndarray:
+    """Smooth functions (n, k) of position ``q`` (n,) [m], velocity, and what came before: no physics assumed.
+
+    A surface over position and velocity for each direction, what fades with the time and the way since a reversal, and
+    fading memories of velocity, of direction, and of motion at all.
+    """
+    from numpy.polynomial.chebyshev import chebvander
+    from scipy.signal import lfilter
+
+    v = np.gradient(q, period)
+    direction, speed = np.tanh(v / SLOWEST), np.abs(v) / np.abs(v).max()
+    surface = (
+        chebvander(2 * (q - q.min()) / np.ptp(q) - 1, DEGREE)[:, :, None] * chebvander(2 * speed - 1, DEGREE)[:, None]
+    )
+    surface = surface.reshape(q.size, -1)
+    since = since_reversal(v)
+    way = np.cumsum(np.abs(v)) * period
+    way -= way[np.arange(q.size) - since]
+    fading = [np.exp(-since * period / time) * direction for time in FADING_TIMES]
+    fading += [np.exp(-way / distance) * direction for distance in FADING_WAYS]
+    for time in MEMORIES:
+        share = period / time
+        faded = lfilter([share], [1.0, share - 1.0], np.column_stack([v, direction, np.abs(direction)]), axis=0)
+        fading += [faded[:, 0], faded[:, 1], faded[:, 2] * direction]
+    return np.column_stack([surface * (direction > 0)[:, None], surface * (direction <= 0)[:, None], *fading])

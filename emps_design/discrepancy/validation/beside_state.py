@@ -1,0 +1,78 @@
+"""Effects that stand beside an unknown function of the state, found by the second search and confirmed like any other.
+
+Where smooth functions of the state explain nothing, neither does most friction; what is left there of an instant, a
+drift, a delay or a line along the travel has no unknown force to share with, and its numbers are not bent by one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from emps_design.discrepancy.checks.preparation import HeldOut
+from emps_design.discrepancy.model.fit import Fit, evaluate, fit
+from emps_design.discrepancy.model.problem import Hypothesis
+from emps_design.discrepancy.model.state import beside_state
+from emps_design.discrepancy.search.beside_state import search_beside_state
+from emps_design.discrepancy.search.outcome import Outcome
+from emps_design.discrepancy.validation.confirmation import claims_on, standing
+from emps_design.discrepancy.validation.evidence import Asked
+from emps_design.discrepancy.validation.rivals import alike_in_company
+
+
+@dataclass(frozen=True)
+class Beside:
+    """A fit judged beside the state, how much of its effects the confirming data ask for, and their equivalents."""
+
+    found: Fit
+    asked: list[Asked]
+    equivalents: dict[str, list[str]]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the effects, without what is known from the controller's law."""
+        return [one.name for one in self.asked]
+
+
+def found_beside_state(outcome: Outcome, data: HeldOut) -> Beside | None:
+    """What a second search finds beside the state and the confirming ``data`` ask for there; None where nothing."""
+    again = search_beside_state(outcome)
+    if again.best.model.names == outcome.path[0].model.names:
+        return None
+    held_out = Hypothesis(data.problem, outcome.path[0].model.only(0))
+    data = replace(data, problem=beside_state(held_out).problem)
+    found, _ = standing(data, again.calibration.judge.refitted(again.best))
+    if found.model.names == outcome.path[0].model.names:
+        return None
+    return Beside(found, claims_on(data, found), alike_in_company(again, found))
+
+
+def joined(stands: Fit, beside: Beside, data: HeldOut) -> Fit:
+    """``stands`` with the effects of ``beside`` as they were found, all else fitted again.
+
+    Without those of ``stands`` that the confirming ``data`` do not ask for in this company.
+    """
+    own = stands.model.without_named([name for name in beside.names if name in stands.model.names])
+    fitted = _fitted_around(stands.with_model(own), beside)
+    asked = {one.name: one for one in claims_on(data, fitted)}
+    gone = [name for name in own.names if name in asked and not asked[name].stands]
+    return _fitted_around(stands.with_model(own.without_named(gone)), beside) if gone else fitted
+
+
+def _fitted_around(start: Hypothesis, beside: Beside) -> Fit:
+    """``start`` fitted with the effects of ``beside`` added, whose numbers and deviations stay."""
+    model, theirs = start.model, beside.found.model
+    places = {}
+    for name in beside.names:
+        index = theirs.names.index(name)
+        places[index] = len(model.effects)
+        model = model.with_effect(theirs.effects[index], theirs.values[index])
+    own = tuple(slot for slot in model.slots() if slot.effect < len(start.model.effects))
+    fitted = fit(start.with_model(model), "used", own)
+    moved = [(i, replace(s, effect=places[s.effect])) for i, s in enumerate(beside.found.slots) if s.effect in places]
+    rows = np.array([i for i, _ in moved], dtype=int)
+    covariance = np.zeros((len(own) + rows.size,) * 2)
+    covariance[: len(own), : len(own)] = fitted.covariance
+    covariance[len(own) :, len(own) :] = beside.found.covariance[np.ix_(rows, rows)]
+    return evaluate(fitted, (*own, *(slot for _, slot in moved)), covariance)

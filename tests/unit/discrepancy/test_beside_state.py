@@ -1,0 +1,74 @@
+"""What is found beside an unknown force that is a smooth function of the state."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from emps_design.discrepancy import diagnose
+from emps_design.discrepancy.model.candidate import Candidate
+from emps_design.discrepancy.model.partition import split
+from emps_design.discrepancy.model.problem import Hypothesis, Problem
+from emps_design.discrepancy.model.state import beside_state
+from emps_design.discrepancy.model.whitening import Whitening
+from emps_design.effects import get_effect
+from emps_design.machines import machine
+from emps_design.records import Record
+from emps_design.simulation import Plant
+from emps_design.simulation.synthetic import trapezoid_laps
+
+AXIS = machine("emps2019")
+Q_REF = trapezoid_laps(1e-3, stroke=0.1, speed=0.2, laps=4)
+AT = 6.3  # s, in motion
+WEIGHT = {"kind": "mass_change", "change": 0.08, "time": AT}
+WHITE = Whitening(np.array([1.0]), 0.14)
+
+
+def unknown(q_ref):
+    """A brake of 40 N that acts forwards in the middle of the travel: no effect of the library."""
+    v = np.gradient(q_ref, 1e-3)
+    return -200.0 * np.maximum(v, 0.0) * np.exp(-(((q_ref - 0.05) / 0.02) ** 2))
+
+
+def record(seed, q_ref, *effects, name="run"):
+    noise = 4e-3 * np.random.default_rng(seed).standard_normal(q_ref.size)
+    run = Plant.of(AXIS.replace(effects=list(effects))).closed_loop(
+        q_ref, voltage_noise=noise, disturbance=unknown(q_ref)
+    )
+    return Record(t=run.t, q_ref=q_ref, q=run.q, u=run.u, period=1e-3, name=name)
+
+
+def problem(*effects):
+    seen = record(1, Q_REF, *effects)
+    return Problem(AXIS, (seen,), (split(seen),), WHITE)
+
+
+def test_a_function_of_the_state_leaves_nothing_and_a_weight_does():
+    start = Hypothesis(problem(), Candidate(AXIS.mechanics.array()))
+    beside = beside_state(start)
+    assert np.std(beside.residual("used")) < 0.35 * np.std(start.residual("used"))
+    assert np.std(np.concatenate(beside.left())) < 0.35 * np.std(np.concatenate(start.left()))
+    effect = get_effect("mass_change")
+    heavier = beside.with_model(beside.model.with_effect(effect, effect.values({"change": 0.08, "time": AT})))
+    assert np.linalg.norm(heavier.residual("used") - beside.residual("used")) > 30.0
+
+
+def test_the_states_explain_nothing_however_often_the_residual_is_taken():
+    beside = beside_state(Hypothesis(problem(), Candidate(AXIS.mechanics.array()))).problem
+    once = beside.whiten((unknown(Q_REF),))
+    follows = beside.gather(replace(beside, states=()).whiten(beside.states), "used")
+    along = np.abs(follows.T @ beside.gather(once, "used")) / np.linalg.norm(follows, axis=0)
+    assert along.max() < 1e-6 * np.linalg.norm(beside.gather(once, "used"))
+    assert beside.only(0).states[0] is beside.states[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("hidden", "names"), [((WEIGHT,), ("mass_change",)), ((), ())])
+def test_a_weight_put_on_is_named_beside_a_brake_five_times_as_strong(hidden, names):
+    other = trapezoid_laps(1e-3, stroke=0.1, speed=0.15, laps=4)
+    answer = diagnose(record(1, Q_REF, *hidden), AXIS, holdout=record(2, other, *hidden, name="other"))
+    assert tuple(finding.effect for finding in answer.findings) == names
+    assert answer.verdict == ("partly-named" if names else "unnamed")
+    for finding in answer.findings:
+        change = finding.parameters["change"]
+        assert change["value"] == pytest.approx(0.08, abs=max(3 * change["std"], 0.008))
