@@ -42,6 +42,8 @@ def coupling(pair: str, starts: tuple[float, ...], damping: float, behind: str) 
 
 def load_friction(v: float, share: float, mass: float, b: np.ndarray) -> float:
     """The ``share`` of the friction of the baseline ``b`` [N] that brakes a load of ``mass`` [kg] at ``v`` [m/s]."""
+    if share == 0.0:  # nearly always, and the root takes longer than the rest of the coupling
+        return 0.0
     coulomb = share * b[COULOMB]
     slow = SETTLING * coulomb / mass
     return share * b[VISCOUS] * v + coulomb * v / sqrt(v * v + slow * slow + 1e-300)

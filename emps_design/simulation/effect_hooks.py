@@ -13,10 +13,24 @@ from emps_design.simulation.kernels.compile import address
 
 # In the order of the rows of the table of hooks.
 HOOKS = ("force", "dry", "inertia", "command", "actuator", "delay", "sensor", "rate", "guard", "jump_time")
+# What the stepper takes as one number, where it is the same throughout a run, and where that number stands.
+SUMMED = {"dry": motion.LEVEL, "inertia": motion.MASS}
+_MOTION, _COMMAND = range(5), range(3, 4)  # of a kernel's arguments q, v, t, tau, x, p, b
+
+
+def summed_of(effect: Effect, touching: bool) -> Iterator[tuple[int, Kernel]]:
+    """Yield the place in the settings, and the kernel, of what of ``effect`` is the same throughout a run.
+
+    Those kernels read parameters and baseline alone; the parameters of what is ``touching`` the carriage may change.
+    """
+    for hook, place in SUMMED.items():
+        kernel = getattr(effect, hook)
+        if kernel is not None and not touching and not _reads(kernel, _MOTION):
+            yield place, kernel
 
 
 def hooks_of(effect: Effect, touching: bool, held: bool) -> Iterator[tuple[int, int]]:
-    """Yield the row of the table, and the address, of every kernel of ``effect``.
+    """Yield the row of the table, and the address, of every kernel of ``effect`` that is called step by step.
 
     ``touching``: it is something at the carriage, whose force a sensor there feels; ``held``: that force is the
     sample's for the whole period.
@@ -24,9 +38,10 @@ def hooks_of(effect: Effect, touching: bool, held: bool) -> Iterator[tuple[int, 
     if held and effect.force is not None:
         yield motion.HELD, address(effect.force)
         return
+    summed = [kernel for _, kernel in summed_of(effect, touching)]
     for row, hook in enumerate(HOOKS):
         kernel = getattr(effect, hook)
-        if kernel is not None:
+        if kernel is not None and kernel not in summed:
             yield row, address(kernel, hook if hook in ("actuator", "rate") else "kernel")
     if touching:
         for row, kernel in ((motion.TOUCH, effect.force), (motion.TOUCH_MASS, effect.inertia)):
@@ -43,9 +58,12 @@ def sees_command(effect: Effect) -> bool:
     """Whether a force of ``effect`` reads the motor force, or a mass that may change, so that it jumps with it."""
     if effect.inertia is not None:
         return True
-    return any(_reads_command(kernel) for kernel in (effect.force, effect.dry) if kernel is not None)
+    return any(_reads(kernel, _COMMAND) for kernel in (effect.force, effect.dry) if kernel is not None)
 
 
 @cache
-def _reads_command(kernel: Kernel) -> bool:
-    return any(step.argval == "tau" for step in dis.get_instructions(kernel))
+def _reads(kernel: Kernel, which: range) -> bool:
+    """Whether ``kernel`` uses one of its arguments ``which``, whatever it calls them."""
+    names = [kernel.__code__.co_varnames[i] for i in which]
+    read = [step.argval for step in dis.get_instructions(kernel)]
+    return any(name in (one if isinstance(one, tuple) else (one,)) for one in read for name in names)

@@ -11,7 +11,7 @@ from emps_design.axis import Axis
 from emps_design.effects import Effect
 from emps_design.errors import InputError, SimulationError
 from emps_design.laws import Law, law_of
-from emps_design.simulation.effect_hooks import hooks_of, sees_command, touches_motion
+from emps_design.simulation.effect_hooks import hooks_of, sees_command, summed_of, touches_motion
 from emps_design.simulation.environment import HAND, Hand, Wall
 from emps_design.simulation.kernels import baseline as core
 from emps_design.simulation.kernels import hold_loop as stepper
@@ -68,7 +68,7 @@ class Plant:
         ]
         self._hooks, self._starts = self._table()
         dynamic = self._states > 2 or any(effect.guard or effect.jump_time for effect in self.effects)
-        moving = [effect for i, effect in enumerate(self.effects) if i not in self._held]
+        moving = [effect for i, effect in enumerate(self.effects) if i != self.lagging and i not in self._held]
         self._exact = not any(touches_motion(effect) for effect in moving if effect.slopes is None)
         seen = any(sees_command(effect) for i, effect in enumerate(self.effects) if i != self.lagging)
         self._slides = 0 if dynamic else 1 if seen else 2
@@ -278,9 +278,12 @@ class Plant:
             settings[motion.LAG] = self.effects[at].lag(q0, v0, 0.0, 0.0, _EMPTY, mine, b)
         settings[motion.BRAKING] = drive.braking
         settings[motion.VISCOUS_P] = settings[motion.VISCOUS_N] = b[1] + drive.braking
+        settings[motion.LEVEL], settings[motion.MASS] = b[2], b[0]
         for i, effect in enumerate(self.effects):
+            mine = p[self.parameters_at[i] : self.parameters_at[i + 1]]
+            for place, kernel in summed_of(effect, i in self._outside):
+                settings[place] += kernel(q0, v0, 0.0, 0.0, _EMPTY, mine, b)
             if effect.slopes is not None:
-                mine = p[self.parameters_at[i] : self.parameters_at[i + 1]]
                 settings[[motion.VISCOUS_P, motion.VISCOUS_N]] += effect.slopes(mine)
                 settings[motion.BRAKING] += effect.slopes(mine)[0] if effect.winding else 0.0
         states = self._states + (4 if energy else 0)

@@ -21,8 +21,8 @@ from emps_design.simulation.kernels.compile import call_kernel, call_rate, part
 FORCE, DRY, INERTIA, COMMAND, ACTUATOR, DELAY, SENSOR, RATE, GUARD, JUMP, TOUCH, TOUCH_MASS, HELD = range(13)
 # Places in ``settings``.
 (PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, SLIDES, EXACT, ENERGY, SERIES,
- VISCOUS_P, VISCOUS_N, BRAKING) = range(16)  # fmt: skip
-SETTINGS = 16
+ VISCOUS_P, VISCOUS_N, BRAKING, LEVEL, MASS) = range(18)  # fmt: skip
+SETTINGS = 18
 
 ORDER = 4  # of convergence, measured in the tests
 # What one step may be wrong by in position [m], velocity [m/s], and relative to the largest value of an own state.
@@ -60,16 +60,17 @@ def total(row, y, t, tau, plant):
 @part
 def weigh(y, t, tau, acting, push, plant):
     """What :func:`balance` gives, for a motor force ``acting`` while kernels get ``tau``, both before the back-EMF."""
-    b, braked = plant[0], plant[4][BRAKING] * y[1]
+    b, settings = plant[0], plant[4]
+    braked = settings[BRAKING] * y[1]
     tau -= braked
     net = acting - braked + push - b[1] * y[1] - b[3] - total(FORCE, y, t, tau, plant)
     still = y[1] == 0.0
     if still:  # the dry friction that would have to be overcome: of the direction in which the rest pushes
         y[1] = math.copysign(NUDGE, net)
-    level = max(0.0, b[2] + total(DRY, y, t, tau, plant))
+    level = max(0.0, settings[LEVEL] + total(DRY, y, t, tau, plant))
     if still:
         y[1] = 0.0
-    return net, level, b[0] + total(INERTIA, y, t, tau, plant)
+    return net, level, settings[MASS] + total(INERTIA, y, t, tau, plant)
 
 
 @part

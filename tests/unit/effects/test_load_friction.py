@@ -47,6 +47,18 @@ def test_a_motor_without_friction_swings_against_a_load_that_its_friction_holds(
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_a_run_with_other_parameters_is_that_of_the_axis_with_them(kind):
+    """What the stepper sums once for a run, friction and mass that the load takes over, follows the run's numbers."""
+    axis = machine("emps2019")
+    bare, rubbing = (axis.replace(effects=[{"kind": kind, **numbers(kind, share)}]) for share in (0.0, 0.6))
+    u = np.repeat(np.random.default_rng(6).uniform(-4, 4, 12), 25)
+    given = [get_effect(kind).values(numbers(kind, 0.6))]
+    run, same = Plant.of(bare).open_loop(u, parameters=given), Plant.of(rubbing).open_loop(u)
+    np.testing.assert_array_equal(run.position, same.position)
+    assert np.abs(run.position - Plant.of(bare).open_loop(u).position).max() > 1e-5
+
+
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("share", [0.3, 1.0])
 def test_the_balance_of_energy_closes_and_friction_takes_it(kind, share):
     axis = machine("emps2019").replace(effects=[{"kind": kind, **numbers(kind, share)}])

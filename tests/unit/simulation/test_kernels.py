@@ -169,3 +169,13 @@ def test_hooks_of_the_effect_module_are_those_of_the_stepper():
     from emps_design.simulation.effect_hooks import HOOKS
 
     assert set(HOOKS) == {*effect.SCALAR_HOOKS, "actuator", "rate"}
+
+
+def dry_by_other_names(place, speed, since, drive, own, numbers, base):
+    return numbers[0] * abs(place)
+
+
+def test_a_kernel_may_call_its_arguments_what_it_likes(registry):
+    register(spring(dry=dry_by_other_names))
+    own = positions([{"kind": "test_spring", "stiffness": 300.0}])
+    assert np.abs(own - positions([{"kind": "test_spring", "stiffness": 0.0}])).max() > 1e-4
