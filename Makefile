@@ -14,7 +14,7 @@ PIP := $(BIN)/python -m pip -qq --disable-pip-version-check --no-input
 # An environment is good as long as pyproject.toml and the constraints say the same: its marker carries a hash of the content, not a date.
 STATE := $(shell $(PYTHON) -c "import hashlib; print(hashlib.sha256(b''.join(open(f, 'rb').read() for f in 'pyproject.toml $(wildcard $(CONSTRAINTS))'.split())).hexdigest()[:12])")
 comma := ,
-# A worker on every core; one that has nothing left takes tests from the other.
+# A worker on every core; one that has nothing left takes tests from the other. What they start reads kept bytecode.
 PARALLEL = -n $(WORKERS) --dist worksteal
 MARK = $(VENV)/.installed-$(STATE)-$(subst $(comma),-,$(1))
 
@@ -33,10 +33,10 @@ demo: $(call MARK,run)
 	@$(BIN)/emps-design demo --out emps-design-demo.html
 
 test: $(call MARK,$(EXTRAS))
-	@$(BIN)/python -m pytest $(PARALLEL)
+	@env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest $(PARALLEL)
 
 quick: $(call MARK,$(EXTRAS))
-	@$(BIN)/python -m pytest $(PARALLEL) -m "not slow and not browser"
+	@env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest $(PARALLEL) -m "not slow and not browser"
 
 lint: $(call MARK,$(EXTRAS))
 	@$(BIN)/ruff check .

@@ -124,13 +124,12 @@ def hac_covariance(W: np.ndarray, residual: np.ndarray, lag: int, Z: np.ndarray 
 def _bartlett_sum(rows: np.ndarray, lag: int) -> np.ndarray:
     """Products of ``rows`` (n, p) with each other up to ``lag`` rows apart, Bartlett weights, (p, p).
 
-    As ``S_hac_simple`` of statsmodels has it, whose import takes longer than an identification of a record.
+    Two rows share lag + 1 less their distance of the windows of lag + 1 rows, which is Bartlett's weight: so it is the
+    products of the windows' sums, whatever the lag. As ``S_hac_simple`` of statsmodels has it.
     """
-    total = rows.T @ rows
-    for apart, weight in enumerate(1.0 - np.arange(1, lag + 1) / (lag + 1.0), start=1):
-        products = rows[apart:].T @ rows[:-apart]
-        total += weight * (products + products.T)
-    return total
+    total, none = np.cumsum(rows, axis=0), np.zeros((lag + 1, rows.shape[1]))
+    windows = np.vstack([total, np.repeat(total[-1:], lag, axis=0)]) - np.vstack([none, total])[:-1]
+    return windows.T @ windows / (lag + 1.0)
 
 
 def residual_bootstrap(

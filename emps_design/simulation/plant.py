@@ -22,7 +22,7 @@ from emps_design.simulation.run import Run
 
 # Own states smaller than this need not be known relatively: a load that has hardly begun to move, by unit.
 FLOORS = {"m": 1e-6, "m/s": 1e-4, "N": 1e-2}
-METHODS = ("general", "plain", "folded")  # of stepping; what is exact by one is by those before it
+METHODS = ("general", "linear", "plain", "folded")  # of stepping; what is exact by one is by those before it
 _EMPTY = np.zeros(0)
 _NO_SIGNALS, _NO_SLOTS = np.zeros((0, 0)), np.zeros(0, np.int64)
 
@@ -69,7 +69,9 @@ class Plant:
         self._hooks, self._starts = self._table()
         dynamic = self._states > 2 or any(effect.guard or effect.jump_time for effect in self.effects)
         moving = [effect for i, effect in enumerate(self.effects) if i != self.lagging and i not in self._held]
-        self._exact = not any(touches_motion(effect) for effect in moving if effect.slopes is None)
+        stepped = [effect for effect in moving if effect.slopes is None and touches_motion(effect)]
+        self._exact = not stepped
+        self._affine = all(effect.affine for effect in stepped)
         seen = any(sees_command(effect) for i, effect in enumerate(self.effects) if i != self.lagging)
         self._slides = 0 if dynamic else 1 if seen else 2
 
@@ -123,7 +125,7 @@ class Plant:
         ``intention`` (n,) [m] is where a hand means to be, nan where it has let go; ``supply`` (n,) [V] is what a duty
         is a share of, by default the axis's; ``enable`` (n,) is 0 where the motor is switched off, its winding open;
         ``energy`` asks for the energy balance; ``quantise=False`` takes an exact encoder; ``tolerance`` scales what one
-        step may be wrong by; ``method`` is ``auto``, ``general``, ``plain`` or ``folded``.
+        step may be wrong by; ``method`` is ``auto``, ``general``, ``linear``, ``plain`` or ``folded``.
         Raises :class:`SimulationError` with time, state and effect where the simulation cannot go on.
         """
         period = self.axis.sampling.period if period is None else positive(period)
@@ -183,17 +185,18 @@ class Plant:
         push = _EMPTY if disturbance is None else signal(disturbance, "disturbance", "N", n)
         noise = _EMPTY if noise is None else signal(noise, "voltage_noise", "V", n)
         resolution = self.axis.sampling.encoder_resolution if quantise else 0.0
-        fastest = "general" if energy or motor.size else self._method(law, noise, resolution)
+        fastest = "general" if energy or motor.size else self._method(p, law, noise, resolution)
         possible = ("auto", *METHODS[: METHODS.index(fastest) + 1])
         if method not in possible:
             raise InputError(f"method: found {method!r}, expected one of {', '.join(possible)} for this axis")
         method = fastest if method == "auto" else method
         events, found = np.empty((n + 1000, 3)), np.array([0, n + 1000])
-        if method == "general":
+        if method in ("general", "linear"):
+            ready = self.prepared(b, p, q0, v0, n, period, resolution, intention, energy, tolerance)
+            ready.settings[motion.LINEAR] *= method == "linear"
             rows, balance = self._general(
-                law, reference, push, noise, motor, q0, v0, period, energy, events, found,
-                self.prepared(b, p, q0, v0, n, period, resolution, intention, energy, tolerance),
-            )  # fmt: skip
+                law, reference, push, noise, motor, q0, v0, period, energy, events, found, ready
+            )
         else:
             balance = None
             rows = self._core(method, b, law, reference, push, noise, (q0, v0), period, resolution, events, found)
@@ -226,15 +229,19 @@ class Plant:
             raise InputError(f"parameters: found {p.tolist()}, expected {self._p.size} finite numbers")
         return b, p
 
-    def _method(self, law: Law | None, noise: np.ndarray, resolution: float) -> str:
+    def _method(self, p: np.ndarray, law: Law | None, noise: np.ndarray, resolution: float) -> str:
         """The fastest way that is exact for this axis."""
         delay = self.axis.sampling.computation_delay
         if self.effects or self._lag > 0 or law is None or not law.state_feedback:
-            return "general"
+            return "linear" if self._linear(p) else "general"
         return "plain" if delay or noise.size or resolution > 0 else "folded"
 
+    def _linear(self, p: np.ndarray) -> bool:
+        """Whether every hold period is linear with the parameters ``p``, and not simpler still."""
+        ends = zip(self.effects, self.parameters_at, self.parameters_at[1:], strict=False)
+        return not self._exact and self._affine and all(e.affine(p[start:end]) for e, start, end in ends if e.affine)
+
     def _core(self, method, b, law, reference, push, noise, start, period, resolution, events, found):
-        n, drive, delay = reference.size, self.axis.drive, self.axis.sampling.computation_delay
         n, drive, delay = reference.size, self.axis.drive, self.axis.sampling.computation_delay
         b = b + np.array([0.0, drive.braking, 0.0, 0.0])
         position, velocity, u, encoder = np.empty((4, n))
@@ -292,6 +299,7 @@ class Plant:
         settings[motion.SERIES] = self._lag > 0 and any(effect.lag for effect in self.effects)
         if not energy:
             settings[motion.SLIDES], settings[motion.EXACT] = self._slides, self._exact
+            settings[motion.LINEAR] = self._linear(p)
         y, floors = np.zeros(states), np.zeros(states)
         y[0], y[1] = q0, v0
         for i, effect in enumerate(self.effects):
@@ -308,7 +316,7 @@ class Plant:
         braking = ready.settings[motion.BRAKING]
         motor[:, 1] += np.where(motor[:, 0] != 0.0, braking - self.axis.drive.braking, 0.0)
         if np.any(motor[:, 1] != braking):  # what is solved or slid through is for one braking
-            ready.settings[[motion.SLIDES, motion.EXACT]] = 0.0
+            ready.settings[[motion.SLIDES, motion.EXACT, motion.LINEAR]] = 0.0
         out = np.empty((5, n))
         place, gains, memory = 0, _NO_SIGNALS, _EMPTY
         if law is not None:

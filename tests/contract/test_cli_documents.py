@@ -1,11 +1,13 @@
 """Every command with --json prints one JSON document and nothing else on standard output, with the contract's keys."""
 
+import functools
+import io
 import json
 import math
-import os
+import multiprocessing
 import shutil
-import subprocess
-import sys
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import redirect_stdout
 
 import pytest
 
@@ -86,10 +88,26 @@ DOCUMENTS = {
 }
 
 
-def run(capsys, line, folder, out):
-    words = line.format(record=folder / "record.npz", axis=folder / "axis.toml", out=out).split()
-    status = app.run([*words, "--json"])
-    return status, capsys.readouterr().out
+LINES = {name: line for name, (line, _) in DOCUMENTS.items()}
+LINES["diagnose"] = "diagnose {record} --axis {axis} --out {out}"
+
+
+def outcome(folder, name):
+    """Exit status of the command called ``name``, what it prints, and what it writes."""
+    place = folder / "written" / name
+    place.mkdir(parents=True)
+    line = LINES[name].format(record=folder / "record.npz", axis=folder / "axis.toml", out=place / "out")
+    with redirect_stdout(io.StringIO()) as said:
+        status = app.run([*line.split(), "--json"])
+    files = {path.relative_to(place).as_posix(): path.read_bytes() for path in place.rglob("*") if path.is_file()}
+    shutil.rmtree(place)
+    return status, said.getvalue(), files
+
+
+@pytest.fixture(scope="module")
+def first(folder):
+    """The outcome of a command the first time in this process, by its name."""
+    return functools.cache(functools.partial(outcome, folder))
 
 
 def refuse_constant(name):
@@ -104,81 +122,49 @@ def at(document, path):
 
 
 @pytest.mark.parametrize("name", DOCUMENTS)
-def test_one_document_with_the_contract_keys(name, capsys, folder, tmp_path):
-    line, keys = DOCUMENTS[name]
-    status, text = run(capsys, line, folder, tmp_path / "out")
+def test_one_document_with_the_contract_keys(name, first):
+    status, text, _ = first(name)
     assert status == 0
     document = json.loads(text, parse_constant=refuse_constant)
-    for path in keys.split():
+    for path in DOCUMENTS[name][1].split():
         at(document, path)
 
 
 @pytest.mark.slow
-def test_diagnose_writes_what_the_contract_lists(capsys, folder, tmp_path):
-    out = tmp_path / "found"
-    status, text = run(capsys, "diagnose {record} --axis {axis} --out {out}", folder, out)
+def test_diagnose_writes_what_the_contract_lists(first, tmp_path):
+    status, text, files = first("diagnose")
     assert status == 0
     document = json.loads(text, parse_constant=refuse_constant)
     for path in "verdict findings gap.unit gap.floor gap.train.baseline gap.train.extended model_file".split():  # noqa: SIM905
         at(document, path)
     assert document["schema"] == "emps-design/diagnosis/1"
     assert document["verdict"] in ("named", "nothing-missing", "unnamed", "ambiguous", "parameters-only")
-    assert json.loads((out / "diagnosis.json").read_text(encoding="utf-8")) == document
-    header = (out / "holdout_prediction.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert json.loads(files["out/diagnosis.json"]) == document
+    header = files["out/holdout_prediction.csv"].decode().splitlines()[0]
     assert header == "t,force_measured,force_baseline,force_extended"
-    assert {path.name for path in out.iterdir()} >= {"model.toml", "report.html"}
-    assert app.run(["gains", str(out / "model.toml"), "--crossover", "50", "--json"]) == 0
+    assert files.keys() >= {"out/model.toml", "out/report.html"}
+    (tmp_path / "model.toml").write_bytes(files["out/model.toml"])
+    assert app.run(["gains", str(tmp_path / "model.toml"), "--crossover", "50", "--json"]) == 0
 
 
 @pytest.mark.parametrize("name", ["gains", "identify", "observe", "replay", "comanipulation", "impedance"])
-def test_same_input_same_seed_same_bytes(name, capsys, folder, tmp_path):
-    line, _ = DOCUMENTS[name]
-    first = run(capsys, line, folder, tmp_path / "out")
-    assert run(capsys, line, folder, tmp_path / "out") == first
-
-
-EVERY_LINE = """
-import io, json, sys
-from contextlib import redirect_stdout
-from pathlib import Path
-from emps_design.cli import app
-
-folder, lines, said = Path(sys.argv[1]), json.loads(sys.argv[2]), {}
-for name, line in lines:
-    (folder / name).mkdir()
-    with redirect_stdout(io.StringIO()) as out:
-        assert app.run([*line.format(out=folder / name / "out").split(), "--json"]) == 0, name
-    said[name] = out.getvalue()
-print(json.dumps(said))
-"""
+def test_same_input_same_seed_same_bytes(name, folder, first):
+    assert outcome(folder, name) == first(name)
 
 
 @pytest.fixture(scope="module")
-def in_two_processes(folder):
-    """What every command prints and writes, by name, in a process with its own order of sets and of commands, twice."""
-    lines = {name: line for name, (line, _) in DOCUMENTS.items()}
-    lines["diagnose"] = "diagnose {record} --axis {axis} --out {out}"
-    given = {"record": folder / "record.npz", "axis": folder / "axis.toml", "out": "{out}"}
-    given = [(name, line.format(**given)) for name, line in lines.items()]
-    place, outcomes = folder / "written", []
-    for seed, order in (("1", given), ("2", given[::-1])):
-        place.mkdir()
-        command = [sys.executable, "-c", EVERY_LINE, str(place), json.dumps(order)]
-        environment = {**os.environ, "PYTHONHASHSEED": seed}
-        said = json.loads(subprocess.run(command, env=environment, stdout=subprocess.PIPE, check=True).stdout)
-        for name in lines:
-            files = {path.name: path.read_bytes() for path in (place / name).rglob("*") if path.is_file()}
-            said[name] = said[name], files
-        outcomes.append(said)
-        shutil.rmtree(place)
-    return outcomes
+def elsewhere(folder):
+    """Every outcome in a process with an order of sets of its own, in another order of commands."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONHASHSEED", "2")
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
+            return {name: process.submit(outcome, folder, name).result() for name in reversed(LINES)}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*DOCUMENTS, "diagnose"])
-def test_same_bytes_in_another_process(name, in_two_processes):
-    first, second = in_two_processes
-    assert first[name] == second[name]
+@pytest.mark.parametrize("name", LINES)
+def test_same_bytes_in_another_process(name, first, elsewhere):
+    assert first(name) == elsewhere[name]
 
 
 @pytest.mark.parametrize("name", ["gains", "force", "impedance", "identify", "derive"])
@@ -192,9 +178,8 @@ def test_without_json_it_is_read_by_people(name, capsys, folder, tmp_path):
         json.loads(text)
 
 
-def test_published_design(capsys, folder, tmp_path):
-    _, text = run(capsys, DOCUMENTS["gains"][0], folder, tmp_path)
-    document = json.loads(text)
+def test_published_design(first):
+    document = json.loads(first("gains")[1])
     # Table I, w = 100 rad/s, phi = 60 deg; FACTS: k_v1 = 556.766 V/(m/s), t_v = 8.45505 ms
     assert math.isclose(document["k_v1"], 556.766, rel_tol=1e-6)
     assert math.isclose(document["t_v"], 8.45505e-3, rel_tol=1e-6)

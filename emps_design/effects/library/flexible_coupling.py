@@ -38,6 +38,10 @@ def rate(q, v, t, tau, x, p, b, level, dx):
     dx[1] = (transmitted(v, x, p, b) - load_friction(x[1], p[3], mass, b)) / mass
 
 
+def affine(p):
+    return p[3] == 0.0  # friction brings the load to rest in a curve
+
+
 def initial(q0, p, b):
     return (0.0, 0.0)
 
@@ -54,6 +58,7 @@ EFFECT = Effect(
     dry=dry,
     inertia=inertia,
     rate=rate,
+    affine=affine,
     initial=initial,
     states=two_mass.STATES,
     no_regressor=two_mass.NO_REGRESSOR,

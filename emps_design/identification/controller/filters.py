@@ -7,6 +7,7 @@ of a notch is taken as it is, for it may be 0.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -37,8 +38,7 @@ class Filter:
 
     def moved(self, step: np.ndarray, period: float) -> Filter:
         """The filter with its numbers changed by ``step``, kept within what a filter can be at this ``period`` [s]."""
-        bounds = [tuple(np.log(np.array(CORNER[self.kind]) / period)), tuple(np.log(DAMPING)), DEPTH]
-        at = zip(self.numbers, step, bounds, strict=False)
+        at = zip(self.numbers, step, _bounds(self.kind, period), strict=False)
         return Filter(self.kind, tuple(float(min(max(x + d, low), high)) for x, d, (low, high) in at))
 
     @property
@@ -74,6 +74,13 @@ class Filter:
         middle, width = 2.0 * (half * half - 1.0), 2.0 * damping * half
         top = np.array([1.0 + depth * width + half * half, middle, 1.0 - depth * width + half * half])
         return top, np.array([1.0 + width + half * half, middle, 1.0 - width + half * half])
+
+
+@cache
+def _bounds(kind: str, period: float) -> tuple[tuple[float, float], ...]:
+    """What the sought numbers of a filter can be at this ``period`` [s]."""
+    lowest, highest = (float(np.log(share / period)) for share in CORNER[kind])
+    return (lowest, highest), (float(np.log(DAMPING[0])), float(np.log(DAMPING[1]))), DEPTH
 
 
 def filtered(filters: tuple[Filter, ...], columns: np.ndarray, period: float) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -95,6 +96,14 @@ class Spectrum:
             values[:, :2] = transform(self.signals, table[:, :2])
             self.known[timing] = cross(self.signals, values, self.command, timing)
         return self.known[timing]
+
+    @cached_property
+    def starts(self) -> tuple[tuple[list[Filter], np.ndarray], ...]:
+        """Low-passes and notches to start from, with their responses (n, n_bands), the same at any timing."""
+        rate, s = 1.0 / self.signals.period, self.at(Timing())
+        lowpasses = [Filter.lowpass(share * rate) for share in LOWPASSES]
+        notches = [Filter.notch(share * rate, *rest) for share, *rest in NOTCHES]
+        return tuple((some, np.stack([response((one,), s, 0) for one in some])) for some in (lowpasses, notches))
 
 
 def search(signals: Signals, limited: np.ndarray | None = None) -> list[Candidate]:
@@ -211,24 +220,24 @@ def one_more_filter(spectrum: Spectrum, now: Candidate) -> Candidate | None:
     """The candidate with the one further filter that gains most, or None where none is worth its numbers."""
     if len(now.filters) == MOST_FILTERS:
         return None
-    rate = 1.0 / spectrum.signals.period
-    starts = [best_start(spectrum, now, [Filter.lowpass(share * rate) for share in LOWPASSES])[0]]
-    starts += best_start(spectrum, now, [Filter.notch(share * rate, *rest) for share, *rest in NOTCHES])[:STARTS]
+    lowpasses, notches = spectrum.starts
+    starts = [*best_starts(spectrum, now, *lowpasses, 1), *best_starts(spectrum, now, *notches, STARTS)]
     best = min((polish(spectrum, start, FIRST_STEPS) for start in starts), key=lambda c: c.criterion)
     best = polish(spectrum, best)
     return best if best.criterion < now.criterion - now.filter_worth else None
 
 
-def best_start(spectrum: Spectrum, now: Candidate, more: list[Filter]) -> list[Candidate]:
-    """The candidate with one filter ``more``, the best first, each apart from those before it."""
+def best_starts(
+    spectrum: Spectrum, now: Candidate, more: list[Filter], responses: np.ndarray, most: int
+) -> list[Candidate]:
+    """The candidate with one filter of ``more``, ``most`` of the best, the best first, each apart from those before."""
     s = spectrum.at(now.timing)
     h = response(now.filters, s, now.timing.delay)
-    tried = []
-    for one in more:
-        cost, _ = least(s, normal(s, h * response((one,), s, 0)), now.structure, np.array([now.wi]))
-        tried.append(replace(now, filters=(*now.filters, one), cost=float(cost[0])))
+    costs, _ = least(s, normal(s, h * responses), now.structure, np.full(len(more), now.wi))
     found: list[Candidate] = []
-    for start in sorted(tried, key=lambda c: c.cost):
-        if all(abs(start.filters[-1].numbers[0] - f.filters[-1].numbers[0]) > APART for f in found):
-            found.append(start)
+    for i in np.argsort(costs, kind="stable"):
+        if all(abs(more[i].numbers[0] - f.filters[-1].numbers[0]) > APART for f in found):
+            found.append(replace(now, filters=(*now.filters, more[i]), cost=float(costs[i])))
+        if len(found) == most:
+            break
     return found

@@ -8,6 +8,7 @@ squares that a candidate leaves are a sum over some hundred bands. Spectra are t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.fft import next_fast_len, rfft
@@ -35,6 +36,11 @@ class Spectra:
     position: np.ndarray
     samples: int
     period: float
+
+    @cached_property
+    def back(self) -> np.ndarray:
+        """``z`` to the powers 0, -1 and -2, (3, n_bands)."""
+        return np.stack([np.ones_like(self.z), 1.0 / self.z, self.z**-2])
 
 
 def transform(signals: Signals, columns: np.ndarray) -> np.ndarray:
@@ -80,10 +86,9 @@ def position_response(z: np.ndarray, period: float, timing: Timing, velocity_ref
 def response(filters: tuple[Filter, ...], s: Spectra, delay: int) -> np.ndarray:
     """Frequency response (n_bands,) of the filters and the delay."""
     total = s.z ** (-float(delay))
-    back = np.stack([np.ones_like(s.z), 1.0 / s.z, s.z**-2])
     for one in filters:
         top, bottom = one.coefficients(s.period)
-        powers = back if len(top) == 3 else back[:2]
+        powers = s.back[: len(top)]
         total = total * (top @ powers) / (bottom @ powers)
     return total
 
@@ -102,7 +107,7 @@ def least(
     The normal ``equations`` are one for all, or one for each.
     """
     gram, answer = equations
-    combine = np.stack([structure.combination(rate) for rate in wi])
+    combine = structure.combination(wi)
     turned = combine.transpose(0, 2, 1)
     g = turned @ gram @ combine
     a = (turned @ answer[..., None])[..., 0]

@@ -11,6 +11,7 @@ and the feed-forward; so for each ``wi`` it is linear in K kp, K share, K (1 - s
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -54,24 +55,10 @@ class Structure:
         """How many numbers it has, without those of filters."""
         return len(self.linear) + bool(self.form)
 
-    def combination(self, wi: float) -> np.ndarray:
-        """What takes the regressors to the columns of ``linear``, (len(COLUMNS), n_linear)."""
-        proportional = float(self.form != "ip")
-        terms = {
-            "position": {"error": proportional, "error_sum": wi},
-            "following": {"slip": proportional, "slip_sum": wi, "velocity": proportional - 1.0},
-            "damping": {"velocity": -1.0, "velocity_sum": -wi},
-            "acceleration": {"acceleration": 1.0},
-            "coulomb": {"sign": 1.0},
-            "force": {"force_sum": wi},
-            "offset": {"offset": 1.0},
-            "skew": {"velocity": 1.0},
-        }
-        table = np.zeros((len(COLUMNS), len(self.linear)))
-        for column, name in enumerate(self.linear):
-            for regressor, factor in terms[name].items():
-                table[PLACE[regressor], column] = factor
-        return table
+    def combination(self, wi: float | np.ndarray) -> np.ndarray:
+        """What takes the regressors to the columns of ``linear``, (..., len(COLUMNS), n_linear) for ``wi`` (...)."""
+        constant, integral = _combinations(self)
+        return constant + np.multiply.outer(wi, integral)
 
     def stabilising(self, linear: np.ndarray) -> np.ndarray:
         """Whether these coefficients (..., n_linear) feed position and velocity back with the sign of a controller."""
@@ -102,6 +89,33 @@ class Structure:
         if self.position and self.velocity and not self.form and self.share is not None:
             found.append(replace(self, velocity=False, share=0))
         return tuple(found)
+
+
+@cache
+def _combinations(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
+    """The part of the combination that is the same for every ``wi``, and the one in proportion to it."""
+    proportional = float(structure.form != "ip")
+    constant = {
+        "position": {"error": proportional},
+        "following": {"slip": proportional, "velocity": proportional - 1.0},
+        "damping": {"velocity": -1.0},
+        "acceleration": {"acceleration": 1.0},
+        "coulomb": {"sign": 1.0},
+        "offset": {"offset": 1.0},
+        "skew": {"velocity": 1.0},
+    }
+    integral = {
+        "position": {"error_sum": 1.0},
+        "following": {"slip_sum": 1.0},
+        "damping": {"velocity_sum": -1.0},
+        "force": {"force_sum": 1.0},
+    }
+    tables = np.zeros((2, len(COLUMNS), len(structure.linear)))
+    for table, terms in zip(tables, (constant, integral), strict=True):
+        for column, name in enumerate(structure.linear):
+            for regressor, factor in terms.get(name, {}).items():
+                table[PLACE[regressor], column] = factor
+    return tables[0], tables[1]
 
 
 PROPORTIONAL = Structure(form="", share=0, velocity=False, acceleration=False, coulomb=False)

@@ -1,8 +1,9 @@
 """Run an axis with any effects: sample, control, hold, and move it through every hold period.
 
 A period is cut where a delayed voltage arrives and where a kernel jumps in time. Each piece is stepped exactly where
-the effects leave the friction plant as it is (:mod:`friction_period`), in one slide where they have no own states
-(:mod:`smooth_period`), or from event to event (:mod:`event_steps`), whichever is the first that can.
+the effects leave the friction plant as it is (:mod:`friction_period`) or are affine in the motion
+(:mod:`linear_period`), in one slide where they have no own states (:mod:`smooth_period`), or from event to event
+(:mod:`event_steps`), whichever is the first that can.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from emps_design.simulation.kernels.baseline import SWINGS, swing
 from emps_design.simulation.kernels.compile import cached, call_actuator, call_kernel, call_law, part, pointer, shifted
 from emps_design.simulation.kernels.event_steps import CHATTER, DIVERGED, DONE, NO_STEP, carry
 from emps_design.simulation.kernels.friction_period import advance, follow, response
+from emps_design.simulation.kernels.linear_period import MORE, flow, solve
 from emps_design.simulation.kernels.motion import (
     ACTUATOR,
     BRAKING,
@@ -28,6 +30,7 @@ from emps_design.simulation.kernels.motion import (
     JUMP,
     LAG,
     LIMIT,
+    LINEAR,
     PERIOD,
     RESOLUTION,
     SENSOR,
@@ -120,6 +123,13 @@ def run(
     )  # fmt: skip
     forward = response(period, friction[0], friction[1], friction[5])
     backward = response(period, friction[0], friction[2], friction[5])
+    z = size + MORE
+    onwards = shifted(feel, 4 * SPEEDS)
+    backwards, spare = shifted(onwards, z * (z + 1) + 1), shifted(onwards, 2 * z * (z + 1) + 2)
+    linear = settings[LINEAR] > 0.0
+    if linear:
+        solve(period, 1.0, plant, work, onwards, spare)
+        solve(period, -1.0, plant, work, backwards, spare)
     fresh, before_force, before_mass = False, 0.0, 1.0
     tau, reached, s, hint = 0.0, 0.0, 0.0, period
     drive[0], drive[1], drive[2], drive[3], drive[4] = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -206,6 +216,13 @@ def run(
                 continue
             if lagged:
                 drive[0], drive[1] = reached - tau, t + start
+            if linear and h == period and s * y[1] > 0.0:
+                flowed = flow(y_, h, tau + force, s, plant, work, onwards if s > 0.0 else backwards, new)
+                if flowed:
+                    for i in range(size):
+                        y[i] = new[i]
+                    reached, fresh, start = tau + drive[0], False, end
+                    continue
             if slides and s * y[1] > 0.0:
                 if fresh and steady:
                     k1[1] += (tau + drive[0] + force - before_force) / before_mass
@@ -232,4 +249,5 @@ def run(
 
 def room(states: int, guards: int) -> int:
     """Length of ``scratch`` for an axis with so many states and guards."""
-    return 7 + 8 * states + guards + 4 * SPEEDS
+    size = states + MORE
+    return 9 + 8 * states + guards + 4 * SPEEDS + 2 * size * (size + 1) + 3 * size * size

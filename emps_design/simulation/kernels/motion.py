@@ -21,8 +21,8 @@ from emps_design.simulation.kernels.compile import call_kernel, call_rate, part
 FORCE, DRY, INERTIA, COMMAND, ACTUATOR, DELAY, SENSOR, RATE, GUARD, JUMP, TOUCH, TOUCH_MASS, HELD = range(13)
 # Places in ``settings``.
 (PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, SLIDES, EXACT, ENERGY, SERIES,
- VISCOUS_P, VISCOUS_N, BRAKING, LEVEL, MASS) = range(18)  # fmt: skip
-SETTINGS = 18
+ VISCOUS_P, VISCOUS_N, BRAKING, LEVEL, MASS, LINEAR) = range(19)  # fmt: skip
+SETTINGS = 19
 
 ORDER = 4  # of convergence, measured in the tests
 # What one step may be wrong by in position [m], velocity [m/s], and relative to the largest value of an own state.

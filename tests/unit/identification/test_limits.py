@@ -33,14 +33,19 @@ def peak_memory(path: Path) -> float:
     return float(done.stderr.splitlines()[-1])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["npz", "mat", "csv"])
-def test_an_hour_in_500_megabytes(tmp_path, kind):
+@pytest.fixture(scope="module")
+def columns():
+    """An hour of the embedded machine."""
     laps = trapezoid_laps(1e-3, laps=4)
     q_ref = np.tile(laps, HOUR // len(laps) + 1)[:HOUR]
     noise = 4e-3 * np.random.default_rng(0).standard_normal(HOUR)
     run = Plant.of(machine("emps2019")).closed_loop(q_ref, voltage_noise=noise)
-    columns = {"t": run.t, "q_ref": q_ref, "q": run.q, "u": run.u}
+    return {"t": run.t, "q_ref": q_ref, "q": run.q, "u": run.u}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["npz", "mat", "csv"])
+def test_an_hour_in_500_megabytes(tmp_path, columns, kind):
     path = tmp_path / f"hour.{kind}"
     if kind == "npz":
         np.savez(path, **columns)

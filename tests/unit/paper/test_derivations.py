@@ -8,7 +8,7 @@ import pytest
 import sympy as sp
 
 from emps_design.paper import symbols as y
-from emps_design.paper.derivations import derivation, step
+from emps_design.paper.derivations import derivation
 from emps_design.paper.derivations.force_loop import carriage_step, characteristic, limits
 from emps_design.paper.derivations.impedance import MODEL, TARGET, derive_impedance, derived_law
 from emps_design.paper.derivations.least_squares import column_factor, covariance, covariance_step, estimator
@@ -57,15 +57,16 @@ def test_the_law_stands_in_the_order_and_with_the_signs_of_the_paper():
     assert latex(y.W * y.X) == r"\mathbf{W} \mathbf{X}"
 
 
-@pytest.mark.parametrize("number", ["2", "6", "9", "14", "25", "28", "29"])
-def test_a_broken_print_is_seen(monkeypatch, number):
-    """Any printed equation with a factor too many is not as printed any more."""
-    broken = tuple(Equation(one.left, 3 * one.rhs) for one in EQUATIONS[number])
-    monkeypatch.setitem(step.EQUATIONS, number, broken)
+def test_a_broken_print_is_seen(monkeypatch):
+    """Any printed equation with a factor too many is not as printed any more; (3) to (5) are what others rest on."""
+    broken = [number for number in EQUATIONS if number not in ("3", "4", "5")]
+    for number in broken:
+        monkeypatch.setitem(EQUATIONS, number, tuple(Equation(one.left, 3 * one.rhs) for one in EQUATIONS[number]))
     derivation.cache_clear()
-    again = [one for _, steps in derivation().values() for one in steps]
+    again = [one for _, steps in derivation().values() for one in steps if one.number in broken]
     derivation.cache_clear()
-    assert "not as printed" in {one.verdict for one in again if one.number == number}
+    assert {one.number for one in again} == set(broken)
+    assert [one.title for one in again if one.verdict != "not as printed"] == []
 
 
 def test_a_broken_block_makes_the_velocity_loop_fail():

@@ -140,6 +140,7 @@ def test_the_steppers_cache_depends_on_every_file_it_is_built_from():
             "event_steps",
             "friction_period",
             "hold_loop",
+            "linear_period",
             "motion",
             "smooth_period",
         },
