@@ -21,6 +21,10 @@ AXIS = machine("emps2019")
 Q_REF = trapezoid_laps(1e-3, stroke=0.1, speed=0.2, laps=4)
 AT = 6.3  # s, in motion
 WEIGHT = {"kind": "mass_change", "change": 0.08, "time": AT}
+LIBRARY = [
+    get_effect(name)
+    for name in ("mass_change", "friction_drift", "actuator_delay", "asymmetric_viscous_friction", "position_ripple")
+]
 WHITE = Whitening(np.array([1.0]), 0.14)
 
 
@@ -66,7 +70,8 @@ def test_the_states_explain_nothing_however_often_the_residual_is_taken():
 @pytest.mark.parametrize(("hidden", "names"), [((WEIGHT,), ("mass_change",)), ((), ())])
 def test_a_weight_put_on_is_named_beside_a_brake_five_times_as_strong(hidden, names):
     other = trapezoid_laps(1e-3, stroke=0.1, speed=0.15, laps=4)
-    answer = diagnose(record(1, Q_REF, *hidden), AXIS, holdout=record(2, other, *hidden, name="other"))
+    held_out = record(2, other, *hidden, name="other")
+    answer = diagnose(record(1, Q_REF, *hidden), AXIS, library=LIBRARY, holdout=held_out)
     assert tuple(finding.effect for finding in answer.findings) == names
     assert answer.verdict == ("partly-named" if names else "unnamed")
     for finding in answer.findings:
