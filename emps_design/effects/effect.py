@@ -143,7 +143,8 @@ class Effect:
     ``slopes``     ``slopes(p) -> (to +, to -)`` N/(m/s): the effect is viscous friction by direction and nothing else.
                    ``force`` says the same; the simulation knows the solution, and the impedance law can hold it
     ``affine``     ``affine(p) -> bool``: with these parameters ``force`` and ``rate`` are affine in ``q``, ``v``, ``x``
-                   and read neither ``t`` nor ``tau``; the simulation knows the solution and steps events only
+                   and read neither ``t`` nor ``tau``, and ``dry`` and ``inertia`` never change; the simulation knows
+                   the solution and steps events only
     ``winding``    True: the ``slopes`` are gone where the winding is open, and other effects see the motor force less
                    what they brake. A search needs a record with the motor switched off for a while
     ``sensor``     m, added to the position that the encoder reports
