@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
+from functools import cache
 from typing import Any
 
 from emps_design.codegen.program import (
@@ -155,21 +156,22 @@ def parts(step: Statement) -> tuple[list[tuple[Statement, ...]], list[Expression
     return [*blocks, *([rest] if rest else [])], tests
 
 
-def names_of(one: Any) -> set[str]:
+@cache
+def names_of(one: Any) -> frozenset[str]:
     """Every variable, parameter and array that ``one``, a statement or an expression, names."""
     if isinstance(one, str) or not (isinstance(one, tuple) or is_dataclass(one)):
-        return set()
+        return frozenset()
     if isinstance(one, tuple):
         return names_in(one)
     own = {Name: "name", Cell: "array", For: "variable"}.get(type(one), "")
     named = getattr(one, own) if own else ""
-    found = {named} if isinstance(named, str) and named else set()
+    found = frozenset({named} if isinstance(named, str) and named else ())
     return found.union(*(names_of(getattr(one, part.name)) for part in fields(one)))
 
 
-def names_in(steps: Iterable[Any]) -> set[str]:
+def names_in(steps: Iterable[Any]) -> frozenset[str]:
     """Every variable, parameter and array that ``steps`` name."""
-    return set().union(*map(names_of, steps))
+    return frozenset().union(*map(names_of, steps))
 
 
 def _counters(steps: tuple[Statement, ...]) -> list[str]:
