@@ -135,7 +135,8 @@ def _all_or_nothing(outcome: Outcome, data: HeldOut | None, start: Fit, searched
 def _effect_by_effect(outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer) -> _Answer:
     """What of ``searched`` stands on its own evidence: all or nothing is the wrong question where structure is left.
 
-    With what stands beside an unknown function of the state, where that is tenable.
+    With what stands beside an unknown function of the state, where that leaves less of the confirming ``data``. What
+    leaves more than its baseline is not said.
     """
     stands, withdrawn = standing(data, searched)
     answers = [
@@ -153,9 +154,10 @@ def _effect_by_effect(outcome: Outcome, data: HeldOut | None, searched: Fit, ans
     ]
     if data is not None and (beside := found_beside_state(outcome, data)) is not None:
         answers.insert(0, _with(beside, answers[0], answer.baseline, data))
-    for one in answers:
-        if _tenable(one, data):
-            return one
+    left = [(_left(one, data), one) for one in answers if _sayable(one)]
+    tenable = [(extended, one) for (baseline, extended), one in left if extended < baseline]
+    if tenable:
+        return min(tenable, key=lambda pair: pair[0])[1]
     given_up = answer.given_up or answer.extended.model.names
     return replace(answer, verdict="unnamed", equivalents=answers[-1].equivalents, given_up=given_up)
 
@@ -174,19 +176,18 @@ def _with(beside: Beside, answer: _Answer, baseline: Fit, data: HeldOut) -> _Ans
     )
 
 
-def _tenable(answer: _Answer, data: HeldOut | None) -> bool:
-    """Whether ``answer`` names anything, few enough others could be meant, and it leaves less than its baseline."""
+def _sayable(answer: _Answer) -> bool:
+    """Whether ``answer`` names anything, and few enough others could be meant."""
     many = any(len(others) > rules.MOST_EQUIVALENTS for others in answer.equivalents.values())
-    named = len(answer.extended.model.names) > len(answer.baseline.model.names)
-    return named and not many and _leaves_less(data, answer.extended, answer.baseline)
+    return len(answer.extended.model.names) > len(answer.baseline.model.names) and not many
 
 
-def _leaves_less(data: HeldOut | None, stands: Fit, baseline: Fit) -> bool:
-    """Whether ``stands`` leaves less force than ``baseline``, of the confirming ``data`` where there are any."""
+def _left(answer: _Answer, data: HeldOut | None) -> tuple[float, float]:
+    """Force [N] that baseline and model of ``answer`` leave, of the confirming ``data`` where there are any."""
     if data is None:
-        return force_rms(stands) < force_rms(baseline)
-    gap = compare_on(data, baseline.model, stands.model).gap
-    return gap.extended < gap.baseline
+        return force_rms(answer.baseline), force_rms(answer.extended)
+    gap = compare_on(data, answer.baseline.model, answer.extended.model).gap
+    return gap.baseline, gap.extended
 
 
 def _alone(start: Fit) -> Fit:
