@@ -48,16 +48,19 @@ def found_beside_state(outcome: Outcome, data: HeldOut) -> Beside | None:
     return Beside(found, claims_on(data, found), alike_in_company(again, found))
 
 
-def joined(stands: Fit, beside: Beside, data: HeldOut) -> Fit:
-    """``stands`` with the effects of ``beside`` as they were found, all else fitted again.
+def joined(stands: Fit, beside: Beside, data: HeldOut) -> tuple[Fit, list[Asked]]:
+    """``stands`` with the effects of ``beside`` as they were found, all else fitted again and asked for.
 
     Without those of ``stands`` that the confirming ``data`` do not ask for in this company.
     """
     own = stands.model.without_named([name for name in beside.names if name in stands.model.names])
     fitted = _fitted_around(stands.with_model(own), beside)
-    asked = {one.name: one for one in claims_on(data, fitted)}
-    gone = [name for name in own.names if name in asked and not asked[name].stands]
-    return _fitted_around(stands.with_model(own.without_named(gone)), beside) if gone else fitted
+    asked = claims_on(data, fitted)
+    gone = [one.name for one in asked if one.name in own.names and not one.stands]
+    if gone:
+        fitted = _fitted_around(stands.with_model(own.without_named(gone)), beside)
+        asked = claims_on(data, fitted)
+    return fitted, [one for one in asked if one.name in own.names]
 
 
 def _fitted_around(start: Hypothesis, beside: Beside) -> Fit:

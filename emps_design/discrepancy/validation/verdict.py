@@ -60,6 +60,13 @@ class _Answer:
     given_up: tuple[str, ...]
     held_out: Comparison | None
 
+    @property
+    def left(self) -> tuple[float, float]:
+        """Force [N] that baseline and model leave, of the confirming data where they were compared there."""
+        if self.held_out is None:
+            return force_rms(self.baseline), force_rms(self.extended)
+        return self.held_out.gap.baseline, self.held_out.gap.extended
+
 
 def validate(outcome: Outcome) -> Validation:
     """Refit the search's best model on everything, open the confirming data, and reach a verdict."""
@@ -154,24 +161,24 @@ def _effect_by_effect(outcome: Outcome, data: HeldOut | None, searched: Fit, ans
     ]
     if data is not None and (beside := found_beside_state(outcome, data)) is not None:
         answers.insert(0, _with(beside, answers[0], answer.baseline, data))
-    left = [(_left(one, data), one) for one in answers if _sayable(one)]
-    tenable = [(extended, one) for (baseline, extended), one in left if extended < baseline]
+    compared = [_compared(one, data) for one in answers if _sayable(one)]
+    tenable = [one for one in compared if one.left[1] < one.left[0]]
     if tenable:
-        return min(tenable, key=lambda pair: pair[0])[1]
+        return min(tenable, key=lambda one: one.left[1])
     given_up = answer.given_up or answer.extended.model.names
     return replace(answer, verdict="unnamed", equivalents=answers[-1].equivalents, given_up=given_up)
 
 
 def _with(beside: Beside, answer: _Answer, baseline: Fit, data: HeldOut) -> _Answer:
     """``answer`` with what was found ``beside`` the state in the place of what it has of the same name."""
-    both = joined(answer.extended, beside, data)
+    both, asked = joined(answer.extended, beside, data)
     own = [name for name in both.model.names if name not in beside.names]
     return replace(
         answer,
         baseline=baseline,
         extended=both,
         equivalents={name: answer.equivalents[name] for name in own} | beside.equivalents,
-        asked=[one for one in claims_on(data, both) if one.name in own] + beside.asked,
+        asked=asked + beside.asked,
         refuted=tuple(one for one in answer.refuted if one.name not in beside.names),
     )
 
@@ -182,12 +189,11 @@ def _sayable(answer: _Answer) -> bool:
     return len(answer.extended.model.names) > len(answer.baseline.model.names) and not many
 
 
-def _left(answer: _Answer, data: HeldOut | None) -> tuple[float, float]:
-    """Force [N] that baseline and model of ``answer`` leave, of the confirming ``data`` where there are any."""
+def _compared(answer: _Answer, data: HeldOut | None) -> _Answer:
+    """``answer`` with its models compared on the confirming ``data``, where there are any."""
     if data is None:
-        return force_rms(answer.baseline), force_rms(answer.extended)
-    gap = compare_on(data, answer.baseline.model, answer.extended.model).gap
-    return gap.baseline, gap.extended
+        return answer
+    return replace(answer, held_out=compare_on(data, answer.baseline.model, answer.extended.model))
 
 
 def _alone(start: Fit) -> Fit:
