@@ -3,6 +3,7 @@
 Records: beside the repository, or in the folder EMPS_DESIGN_DATA names.
 """
 
+import gc
 import os
 from pathlib import Path
 
@@ -12,9 +13,9 @@ from hypothesis import HealthCheck, settings
 REPOSITORY = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("EMPS_DESIGN_DATA", REPOSITORY.parent / "shared" / "data"))
 
-# Workers and what they start share the cores: one thread of linear algebra for each.
-if "PYTEST_XDIST_WORKER" in os.environ:
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# As the command line has it: one thread of linear algebra in every worker, and in what it starts.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+gc.set_threshold(20_000, 20, 20)
 
 # No test asserts a time: how long an example takes is the machine's.
 settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -73,7 +73,7 @@ def _draw(path: Path, account: Account) -> None:
     from emps_design.report.record_figures import record_figure
 
     if path.suffix == ".html":
-        write_text(path, import_page(account.record, account.to_dict(), account.axis.units).html())
+        write_text(path, import_page(account).html())
         return
     with write_aside(path) as aside:
         record_figure(account.record, account.axis.units).savefig(aside, format=path.suffix[1:])
@@ -87,18 +87,15 @@ def _show(account: Account, document: dict[str, Any]) -> None:
 
     from emps_design.cli.output import new_console, say
     from emps_design.cli.sparkline import sparkline
+    from emps_design.importing.account import HEADINGS
 
     record, units = account.record, account.axis.units
     console = new_console()
     table = Table(title=f"{document['file']}, read for {account.axis.name}", box=box.SIMPLE, pad_edge=False)
-    for heading in ("column in the file", "unit", "is", "lowest", "highest", "unit", "found"):
+    for heading in HEADINGS:
         table.add_column(heading, justify="right" if heading in ("lowest", "highest") else "left")
-    for column in document["columns"]:
-        unit, factor = units.display(max(abs(column["lowest"]), abs(column["highest"])), "m")
-        if column["name"] not in ("q", "q_ref"):
-            unit, factor = column["unit"], 1.0
-        ends = (f"{factor * column[end]:.6g}" for end in ("lowest", "highest"))
-        table.add_row(column["title"], column["unit_in_file"], column["name"], *ends, unit, WAYS[column["how"]])
+    for row in account.rows:
+        table.add_row(*row)
     console.print(table)
     sampling, step = document["sampling"], document["encoder_step"]
     own = record.period == sampling["axis_period"]
@@ -117,6 +114,3 @@ def _show(account: Account, document: dict[str, Any]) -> None:
         say(f"\nTitles were understood; put this into the axis file:\n\n{document['record_table']}")
     if document["out"]:
         say(f"record: {document['out']}")
-
-
-WAYS = {"mapped": "mapped", "named": "by its name", "recognised": "by its title"}

@@ -10,13 +10,16 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.records import Record
 from emps_design.records.columns import plain_title, unit_of
-from emps_design.records.layout import NAMED, RECOGNISED, Assignment
+from emps_design.records.layout import MAPPED, NAMED, RECOGNISED, Assignment
 from emps_design.records.mapping import KEYS
 
 FEW_STEPS = 20.5  # of an encoder: increments that are still told apart
 SMALLEST = (20, 5, 0)  # which of the smallest increments may be one step: a few may have been disturbed
 ON_GRID = 0.1  # of a step, that increments are off whole ones on average where there is an encoder
 ALIKE = 1.25  # times
+
+HEADINGS = ("column in the file", "unit", "is", "lowest", "highest", "unit", "found")
+_HOW = {MAPPED: "mapped", NAMED: "by its name", RECOGNISED: "by its title"}
 
 
 @dataclass(frozen=True)
@@ -38,8 +41,14 @@ class Account:
         seen, known = self.encoder_step, self.axis.sampling.encoder_resolution
         if seen is None or not known or 1.0 / ALIKE < seen / known < ALIKE:
             return self.record.warnings
-        unit = self.axis.units.unit("m")
-        return (*self.record.warnings, f"q: moves in steps of {seen:.4g} {unit}, the axis file says {known:.4g} {unit}")
+        unit, factor = self.axis.units.display(known, "m")
+        text = f"q: moves in steps of {factor * seen:.4g} {unit}, the axis file says {factor * known:.4g} {unit}"
+        return (*self.record.warnings, text)
+
+    @property
+    def rows(self) -> list[tuple[str, ...]]:
+        """One row of words per column, under ``HEADINGS``; positions in the unit in which people read them."""
+        return [self._row(self._column(one)) for one in self.record.assigned]
 
     @property
     def table(self) -> str:
@@ -73,6 +82,13 @@ class Account:
             "recognised": any(one.how == RECOGNISED for one in record.assigned),
             "warnings": list(self.notes),
         }
+
+    def _row(self, column: dict[str, Any]) -> tuple[str, ...]:
+        unit, factor = column["unit"], 1.0
+        if column["name"] in ("q", "q_ref"):
+            unit, factor = self.axis.units.display(max(abs(column["lowest"]), abs(column["highest"])), "m")
+        ends = (f"{factor * column[end] or 0.0:.6g}" for end in ("lowest", "highest"))
+        return (column["title"], column["unit_in_file"], column["name"], *ends, unit, _HOW[column["how"]])
 
     def _column(self, one: Assignment) -> dict[str, Any]:
         values = self.record.t if one.name == "t" else self.record.columns[one.name]

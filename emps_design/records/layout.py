@@ -197,11 +197,13 @@ def _recognise(found: dict[str, Assignment], titles: Sequence[str], layout: Layo
         title = candidates[0]
         unit = title_unit(title)[1]
         factor = factor_of(unit, name, layout.units) if unit else None
-        if factor is None and not (unit == "" and QUANTITIES[name] == "command"):
+        command = QUANTITIES[name] == "command"
+        if factor is None and not (unit == "" and command):
             if name in missing(found, layout):
                 raise RecordError(
                     f"{source}: column {title!r}: found {f'the unit {unit}' if unit else 'no unit'}, expected "
                     f"{_such_as(name, layout)}; say in [record]: {KEYS[name]} = {{ column = ..., unit = ... }}"
+                    + ("; for another machine: emps-design init --from TRACE" if command else "")
                 )
             continue
         found[name] = Assignment(name, title, unit or layout.unit(name), factor or 1.0, RECOGNISED)

@@ -44,7 +44,10 @@ def not_excluded(calibration: Calibration, found: Sequence[str]) -> list[dict[st
         return {"effect": effect.name, "label": effect.label, "size": size, "unit": parameter.unit, "text": text}
 
     library = calibration.preparation.library
-    return side_by_side(row, [(effect,) for effect in library if effect.name not in found and not effect.after])
+    absent = [effect for effect in library if effect.name not in found and not effect.after]
+    slowest_first = sorted(absent, key=lambda effect: bool(effect.linear))  # those that need simulations
+    rows = {one["effect"]: one for one in side_by_side(row, [(effect,) for effect in slowest_first])}
+    return [rows[effect.name] for effect in absent]
 
 
 def _rounded(parameter: Parameter, size: float) -> str:
@@ -103,11 +106,11 @@ def _by_shape(
     def apart(one: np.ndarray, other: np.ndarray) -> float:
         return float(np.sum(absorbed.free(one - other) ** 2))
 
-    value, base = float(faintest[0, 0]), baseline.residual("fit")
+    value = float(faintest[0, 0])
     try:
         ends = [min(max(value * far, parameter.lower), parameter.upper) for far in (FAR, 1 / FAR)]
         there = [innovations(end) for end in ends]
-        grows = apart(there[0], base) < apart(there[1], base)
+        grows = apart(there[0], absorbed.whole) < apart(there[1], absorbed.whole)
         unseen, faded = ends[not grows], there[not grows]
         if apart(innovations(value), faded) < gain:
             return parameter, None, grows

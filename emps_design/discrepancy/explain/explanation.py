@@ -21,6 +21,7 @@ from emps_design.discrepancy.explain.residual_views import (
 from emps_design.discrepancy.explain.unexplained import unexplained
 from emps_design.discrepancy.model.candidate import BASELINE
 from emps_design.discrepancy.model.missing_force import MissingForce, missing_force
+from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.result import Diagnosis, Finding
 from emps_design.discrepancy.search.acceptance import force_rms
 from emps_design.discrepancy.validation.gap import most_missed
@@ -38,14 +39,16 @@ def explain(validation: Validation, rest: tuple[str, ...] = ()) -> Diagnosis:
     outcome, problem = validation.outcome, validation.extended.problem
     held_out = outcome.calibration.preparation.held_out
     judged = validation.held_out or validation.train
-    found = findings(validation)
     most = most_missed(validation.baseline)
     before, after = (missing_force(fitted)[most] for fitted in (validation.baseline, validation.extended))
     floor, used = outcome.calibration.floor, problem.splits[most].used
-    details = _details(validation, before)
+    limit = problem.axis.drive.command_limit
+    details, found, drawn = side_by_side(  # the longest first
+        lambda work, *given: work(*given),
+        [(_details, validation, before), (findings, validation), (views, before, after, used, floor.force_60hz, limit)],
+    )
     details["warnings"] += rest
     details["rest"] = rest
-    drawn = views(before, after, used, floor.force_60hz, problem.axis.drive.command_limit)
     extended = judged.extended.to_axis(problem.axis)
     return Diagnosis(
         verdict=validation.verdict,

@@ -184,10 +184,15 @@ class Hypothesis:
         return self.problem.pick(self.problem.unfollowed(self.residuals()), "used")
 
 
+def of_unit_length(columns: np.ndarray) -> np.ndarray:
+    """``columns`` (n, k) of length 1, without those that are zero."""
+    size = np.linalg.norm(columns, axis=0)
+    return columns[:, size > 0] / size[size > 0]
+
+
 def orthonormal(columns: np.ndarray) -> np.ndarray:
     """An orthonormal basis (n, k) of ``columns``."""
-    size = np.linalg.norm(columns, axis=0)
-    basis, singular, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
+    basis, singular, _ = np.linalg.svd(of_unit_length(columns), full_matrices=False)
     return basis[:, singular > RANK * singular[0]]
 
 

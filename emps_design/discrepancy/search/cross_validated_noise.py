@@ -13,8 +13,10 @@ from itertools import pairwise
 import numpy as np
 
 from emps_design.discrepancy.model.fit import Fit
+from emps_design.discrepancy.model.parallel import side_by_side
+from emps_design.discrepancy.model.problem import of_unit_length
 from emps_design.discrepancy.model.state import states_of
-from emps_design.discrepancy.search.starts import screen, tangent
+from emps_design.discrepancy.search.starts import Start, screen, tangent
 from emps_design.effects import Effect
 from emps_design.errors import SimulationError
 
@@ -30,18 +32,21 @@ def unpredicted(fitted: Fit, library: tuple[Effect, ...]) -> tuple[np.ndarray, .
     problem = fitted.problem
     rows = _evenly(problem.strokes("used"))
     kept = np.concatenate([np.arange(stroke.start, stroke.stop) for stroke in rows])
-    base = fitted.residual("used")[kept]
-    columns = [tangent(fitted, "used").basis[kept], problem.gather(states_of(fitted), "used")[kept]]
-    for start in (start for found in screen(fitted, library, tangent(fitted)) for start in found):
+    adjusted = tangent(fitted, "used")
+    base = adjusted.whole[kept]
+
+    def change(start: Start) -> np.ndarray:
         try:
-            columns.append((start.hypothesis.residual("used")[kept] - base)[:, None])
+            return of_unit_length((start.hypothesis.residual("used")[kept] - base)[:, None])
         except SimulationError:
-            continue
-    design = np.column_stack(columns)
-    size = np.linalg.norm(design, axis=0)
+            return np.empty((base.size, 0))
+
+    columns = [of_unit_length(one) for one in (adjusted.basis[kept], problem.gather(states_of(fitted), "used")[kept])]
+    screened = screen(fitted, library, tangent(fitted))
+    design = np.column_stack(columns + side_by_side(change, [(start,) for found in screened for start in found]))
     edges = np.cumsum([0, *(stroke.stop - stroke.start for stroke in rows)])
     strokes = [slice(start, stop) for start, stop in pairwise(edges)]
-    left = _left_by_others(design[:, size > 0] / size[size > 0], base, strokes)
+    left = _left_by_others(design, base, strokes)
     records = np.cumsum([split.used.sum() for split in problem.splits])
     return tuple(part for part in np.split(left, np.searchsorted(kept, records[:-1])) if part.size)
 

@@ -15,6 +15,7 @@ from emps_design.discrepancy import rules
 from emps_design.discrepancy.search.starts import Start, Tangent
 
 RESAMPLES = 199
+TOGETHER = 10  # of them, laid over the signatures at a time: these are many megabytes to read
 BLOCK = 250  # samples of noise kept together, so that what correlation the whitening left stays in
 
 
@@ -46,9 +47,10 @@ def healthy_reference(screened: list[list[Start]], absorbed: Tangent, draws: np.
     generator = np.random.default_rng(seed)
     signatures = np.column_stack([start.signature for found in screened for start in found])
     largest = np.empty(RESAMPLES)
-    for i in range(RESAMPLES):
-        noise = absorbed.free(resampled(draws, absorbed.residual.size, generator))
-        largest[i] = float(np.max((noise @ signatures) ** 2))
+    for start in range(0, RESAMPLES, TOGETHER):
+        some = range(start, min(start + TOGETHER, RESAMPLES))
+        noise = np.column_stack([resampled(draws, absorbed.residual.size, generator) for _ in some])
+        largest[some] = np.max((signatures.T @ absorbed.free(noise)) ** 2, axis=0)
     return Healthy(np.sort(largest))
 
 

@@ -47,8 +47,12 @@ class Start:
 
 @dataclass(frozen=True)
 class Tangent:
-    """The whitened residual (n,) of a fitted model and an orthonormal basis (n, k) of what re-adjusting it absorbs."""
+    """What re-adjusting a fitted model absorbs: an orthonormal ``basis`` (n, k), and the ``residual`` (n,) free of it.
 
+    ``whole`` (n,) is the whitened residual with what would be absorbed.
+    """
+
+    whole: np.ndarray
     residual: np.ndarray
     basis: np.ndarray
 
@@ -62,7 +66,7 @@ def tangent(current: Fit, part: str = "fit") -> Tangent:
     base = current.residual(part)
     u, s, _ = np.linalg.svd(sensitivities(current, current.model.slots(), part), full_matrices=False)
     basis = u[:, s > 1e-9 * s[0]]
-    return Tangent(base - basis @ (basis.T @ base), basis)
+    return Tangent(base, base - basis @ (basis.T @ base), basis)
 
 
 def screen(current: Fit, library: tuple[Effect, ...], absorbed: Tangent) -> list[list[Start]]:
@@ -80,7 +84,7 @@ def starts(current: Fit, effect: Effect, missing: tuple[MissingForce, ...], abso
     A gap so large that it bent the fitted baseline is looked at from the axis file's numbers too: there the gain is
     what the start itself explains.
     """
-    base, found = current.residual("fit"), []
+    base, found = absorbed.whole, []
     given = current.as_given().model
     far = bent(current, float(base @ base) / base.size)
     for values in _values(current, effect, missing):

@@ -125,7 +125,7 @@ def test_noted(axis, columns, change, note):
 def test_another_encoder_is_noted(axis, columns):
     coarse = np.round(columns["q"] / 5e-3) * 5e-3
     account = Account(import_bytes(trace(columns, q=coarse), "trace.csv", axis), axis)
-    assert any("moves in steps of 5e-06 m, the axis file says 1e-06 m" in note for note in account.notes)
+    assert any("moves in steps of 5 µm, the axis file says 1 µm" in note for note in account.notes)
 
 
 def test_a_plain_record_is_taken_at_its_word(axis, columns):

@@ -264,6 +264,11 @@ def test_an_imported_record_is_read_back_as_it_is(tmp_path, suffix, names):
     assert {one.how for one in again.assigned} == {"named"}
 
 
+def test_a_command_of_another_machine_is_pointed_to_the_command_that_makes_its_axis():
+    with pytest.raises(RecordError, match="unit %, expected V .*another machine: emps-design init --from TRACE"):
+        read(german(), units=Units())
+
+
 def test_a_part_may_be_taken_of_a_file_that_is_too_long_as_a_whole(monkeypatch):
     for module in ("layout", "check"):
         monkeypatch.setattr(f"emps_design.records.{module}.LONGEST", 100)
