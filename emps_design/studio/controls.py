@@ -70,8 +70,9 @@ class Field:
             self._quiet = False
 
     def set(self, value: float) -> None:
-        """Show ``value`` without telling anybody."""
-        self._silently(self._show, value)
+        """Show ``value`` without telling anybody; a number typed since keeps its place until it has its answer."""
+        if self._moved is None:
+            self._silently(self._show, value)
 
     def _show(self, value: float) -> None:
         self.field.value = _written(value) if isinstance(self.field, pn.widgets.TextInput) else value

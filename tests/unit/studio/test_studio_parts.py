@@ -27,7 +27,7 @@ from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine, machine_names
 from emps_design.simulation.scenarios import follow
 from emps_design.simulation.synthetic import synthetic_record, there_and_back
-from emps_design.studio import exports, jobs
+from emps_design.studio import controls, exports, jobs
 from emps_design.studio.app import Session
 from emps_design.studio.data_view import LIMIT_MB, DataView, read_upload
 from emps_design.studio.design_view import DesignView
@@ -679,6 +679,18 @@ def test_a_simulation_of_other_numbers_is_taken_away(at_once):
     assert "<svg" in view.pictures["task"].object
     session.design.turn("mass", 60.0)
     assert view.message.object == view.pictures["task"].object == ""
+
+
+def test_a_number_typed_before_the_last_has_its_answer_is_not_put_back(monkeypatch):
+    session = Session(machine("emps2018"))
+    waiting = []
+    monkeypatch.setattr(controls, "after_this_event", waiting.append)
+    fields = session.simulation.fields
+    fields["plants"].field.value, fields["wall"].field.value = 0, 200.0  # both heard, neither answered
+    for answer in waiting:
+        answer()
+    assert (session.state.plants, session.state.wall) == (0, 200.0)
+    assert fields["wall"].field.value == 200.0
 
 
 def test_what_is_fed_forward_is_chosen_tried_and_handed_out(at_once, tmp_path):
