@@ -45,13 +45,15 @@ class FilterRows:
         return found
 
     def set(self, filters: tuple[Filter, ...]) -> None:
-        """Show ``filters`` without telling anybody; fields that stay keep the cursor."""
+        """Show ``filters`` without telling anybody; fields that stay keep the cursor, and what waits for its answer."""
         self._quiet = True
         try:
             before, self._filters = self._filters, filters
             if [one.kind for one in before] != [one.kind for one in filters]:
                 self.fields = [{name: self._field(one.kind, name) for name in NUMBERS[one.kind]} for one in filters]
                 self.rows[:] = [self._row(place) for place in range(len(filters))]
+            elif self._waiting:
+                return
             for one, fields in zip(filters, self.fields, strict=True):
                 for name, field in fields.items():
                     field.value = _written(getattr(one, name))

@@ -27,7 +27,7 @@ from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine, machine_names
 from emps_design.simulation.scenarios import follow
 from emps_design.simulation.synthetic import synthetic_record, there_and_back
-from emps_design.studio import controls, exports, jobs
+from emps_design.studio import controls, exports, filter_rows, jobs
 from emps_design.studio.app import Session
 from emps_design.studio.data_view import LIMIT_MB, DataView, read_upload
 from emps_design.studio.design_view import DesignView
@@ -683,14 +683,16 @@ def test_a_simulation_of_other_numbers_is_taken_away(at_once):
 
 def test_a_number_typed_before_the_last_has_its_answer_is_not_put_back(monkeypatch):
     session = Session(machine("emps2018"))
+    session.design.turn("filters", LOW)
     waiting = []
     monkeypatch.setattr(controls, "after_this_event", waiting.append)
-    fields = session.simulation.fields
-    fields["plants"].field.value, fields["wall"].field.value = 0, 200.0  # both heard, neither answered
+    monkeypatch.setattr(filter_rows, "after_this_event", waiting.append)
+    fields, cut_off = session.simulation.fields, session.design.filters.fields[0]["frequency"]
+    fields["plants"].field.value, fields["wall"].field.value, cut_off.value = 0, 200.0, "90"  # none answered yet
     for answer in waiting:
         answer()
-    assert (session.state.plants, session.state.wall) == (0, 200.0)
-    assert fields["wall"].field.value == 200.0
+    assert (session.state.plants, session.state.wall, session.state.filters[0].frequency) == (0, 200.0, 90.0)
+    assert (fields["wall"].field.value, cut_off.value) == (200.0, "90")
 
 
 def test_what_is_fed_forward_is_chosen_tried_and_handed_out(at_once, tmp_path):
