@@ -27,6 +27,7 @@ EMPS = {
     "nonlinear_viscous_friction": (30.0, 0.5),
     "position_ripple": (1.0, -0.2, 0.0025),
     "actuator_delay": (2.5e-4,),
+    "stribeck_friction": (1.0, 0.04, 2.0),
     "presliding_friction": (1e6,),
     "maxwell_slip_friction": (0.2, 3e-4),
     "friction_ripple": (0.3, 4.0, 0.0025),
@@ -38,7 +39,7 @@ LAP = 6240  # samples of DATA_EMPS
 
 @pytest.mark.slow
 def test_lap_4_of_the_emps_with_friction_that_remembers_and_maps_over_the_travel(emps_data):
-    """Fitted to laps 1 to 3. Without the last four effects 0.81 N and 1.94 % were left."""
+    """Fitted to laps 1 to 3. Without the last four effects 0.81 N and 1.94 % were left, without Stribeck's 1.64 %."""
     axis, record = machine("emps2019"), read_record(emps_data / "DATA_EMPS.mat")
     laps = [k * LAP * record.period for k in (0, 3, 4)]
     ready = prepare((record,), axis, (), None, tuple(laps[:2]), tuple(laps[1:]))
@@ -48,11 +49,11 @@ def test_lap_4_of_the_emps_with_friction_that_remembers_and_maps_over_the_travel
     model = replace(rough.model, baseline=rough.model.baseline * [1.0, 0.05, 0.4, 0.1])
     for kind, values in EMPS.items():
         model = model.with_effect(get_effect(kind), np.array(values))
-    found = fit(Hypothesis(ready.start.problem.with_whitening(noise), model), part="used", steps=6)
+    found = fit(Hypothesis(ready.start.problem.with_whitening(noise), model), part="used", steps=8)
     last, used = Hypothesis(ready.held_out.problem, found.model), ready.held_out.problem.splits[0].used
     left, force = last.residuals()[0][used], motor_force(axis, record)[used]
     assert missing_force(last)[0].force[used].std() < 0.70  # N, low-passed at 60 Hz; laps differ by 0.3
-    assert 100 * np.linalg.norm(left) / np.linalg.norm(force) < 1.68  # % of the force, unfiltered; the aim is 1.6
+    assert 100 * np.linalg.norm(left) / np.linalg.norm(force) < 1.60  # % of the force, unfiltered
     numbers = {kind: values[0] for kind, values in zip(found.model.names, found.model.values, strict=True)}
     assert 0.1 < numbers["maxwell_slip_friction"][0] < 0.4
     assert numbers["friction_ripple"][2] == pytest.approx(2.5e-3, rel=2e-3)  # one revolution of the encoder
