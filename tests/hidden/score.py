@@ -128,7 +128,9 @@ def score(case: Path, timeout: float = TIMEOUT) -> Score:
             result, exact, false = judge(answer, truth)
             closed = gap_closed(case, Path(folder), truth)
         except (subprocess.SubprocessError, ValueError, OSError) as error:
-            said = (getattr(error, "stderr", None) or str(error)).strip().splitlines()[-1:]
+            said = str(error).splitlines()[-1:]  # the standard error of what ran too long is bytes
+            if isinstance(error, subprocess.CalledProcessError) and error.stderr:
+                said = error.stderr.strip().splitlines()[-1:]
             return Score(case.name, hidden, (), "", "wrong", False, (), math.nan, time.monotonic() - started, *said)
     named = tuple(f["effect"] for f in answer["findings"])
     said = Score(case.name, hidden, named, answer["verdict"], result, exact, false, closed, seconds)

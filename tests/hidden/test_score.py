@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from tests.hidden.score import Score, judge, rows, share_found, summary, table
+from tests.hidden.score import Score, judge, rows, score, share_found, summary, table
 
 
 def finding(effect, *equivalents):
@@ -35,6 +35,14 @@ def finding(effect, *equivalents):
 )
 def test_judge(truth, verdict, findings, result, exact):
     assert judge({"verdict": verdict, "findings": findings}, {"effects": truth})[:2] == (result, exact)
+
+
+def test_an_answer_that_comes_too_late_is_wrong_and_has_its_row(tmp_path):
+    (tmp_path / "truth.json").write_text('{"effects": ["backlash"]}')
+    late = score(tmp_path, timeout=0.2)  # an interpreter takes longer to start
+    assert (late.result, late.named) == ("wrong", ())
+    assert "timed out" in late.note
+    assert "timed out" in table([late], 0, "several", True, False)
 
 
 def test_an_effect_below_the_noise_is_too_small_to_ask_for():

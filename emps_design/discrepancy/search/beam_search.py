@@ -75,8 +75,9 @@ def _extend(
         if not ranked:
             break
         gain = baseline.cost - ranked[0].cost
-        leading = ranked[: BEAM[min(number, len(BEAM)) - 1]]
-        leading = [f for f in leading if baseline.cost - f.cost >= rules.RIVAL * gain]
+        others = ranked[1 : BEAM[min(number, len(BEAM)) - 1]]
+        # The best is kept even where it leaves more bursts than the baseline, which hardly count in what is accepted.
+        leading = [ranked[0], *(f for f in others if baseline.cost - f.cost >= rules.RIVAL * gain)]
         beam = sorted(side_by_side(converged, [(f,) for f in leading]), key=lambda f: f.cost)
         path.append(beam[0])
         if (1 - rules.WORTH_AT_FLOOR) * beam[0].cost < noise:

@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from emps_design.discrepancy.model.least_squares import descend
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.whitening import Whitening
-from emps_design.discrepancy.search.beam_search import _late, _pruned, _rivals
+from emps_design.discrepancy.search.beam_search import _extend, _late, _pruned, _rivals
 from emps_design.discrepancy.search.exchange import exchanges
 from emps_design.discrepancy.search.extension import _fitted, freed
 from emps_design.effects import get_effect
@@ -135,6 +136,21 @@ def test_deviations_hold_where_the_residual_is_structure():
     naive = 20_000**-0.5
     assert np.std(found) > 8 * naive
     assert np.mean(stated) == pytest.approx(np.std(found), rel=0.35)
+
+
+def test_what_is_accepted_is_kept_where_it_leaves_more_bursts(monkeypatch):
+    """An acceptance counts bursts little, the whole cost counts them fully."""
+    baseline = fit(hypothesis(BASELINE))
+    worse = fit(baseline.with_model(BASELINE.with_effect(LAG, np.array([[5e-3]]))), slots=baseline.slots)
+    assert worse.cost > baseline.cost
+    rounds = [({frozenset({"actuator_lag"}): worse}, {"actuator_lag": 0.0}), ({}, {})]
+    monkeypatch.setattr(sys.modules[_extend.__module__], "_round", lambda *given: rounds.pop(0))
+    monkeypatch.setattr(sys.modules[_extend.__module__], "converged", lambda found: found)
+    judge = SimpleNamespace(accepts=lambda better, worse: True)
+    path, tried = [baseline], {}
+    _extend(SimpleNamespace(baseline=baseline, judge=judge), path, tried, {}, lambda stage, done: None)
+    assert path == [baseline, worse]
+    assert list(tried) == [frozenset({"actuator_lag"})]
 
 
 def test_an_interrupt_of_the_second_search_keeps_the_first(monkeypatch):
