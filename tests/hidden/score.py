@@ -128,9 +128,9 @@ def score(case: Path, timeout: float = TIMEOUT) -> Score:
             result, exact, false = judge(answer, truth)
             closed = gap_closed(case, Path(folder), truth)
         except (subprocess.SubprocessError, ValueError, OSError) as error:
-            said = str(error).splitlines()[-1:]  # the standard error of what ran too long is bytes
-            if isinstance(error, subprocess.CalledProcessError) and error.stderr:
-                said = error.stderr.strip().splitlines()[-1:]
+            # That of what ran too long is bytes, and says no more than how far it was.
+            told = error.stderr if isinstance(error, subprocess.CalledProcessError) else ""
+            said = (told or str(error)).strip().splitlines()[-1:]
             return Score(case.name, hidden, (), "", "wrong", False, (), math.nan, time.monotonic() - started, *said)
     named = tuple(f["effect"] for f in answer["findings"])
     said = Score(case.name, hidden, named, answer["verdict"], result, exact, false, closed, seconds)

@@ -13,6 +13,7 @@ from emps_design.effects import get_effect
 from emps_design.machines import machine
 from emps_design.records import read_record
 from emps_design.simulation import Plant
+from tests.published.test_real_machines import LAP
 
 GIVEN = 20  # first samples that may be used
 LAPS = 4  # of DATA_EMPS
@@ -60,7 +61,7 @@ def rms(error):
 def test_the_second_record_in_open_loop_by_the_model_that_the_laps_of_the_first_choose(emps_data):
     """The simplest model within a standard error of the least, each lap of the first record left out in turn."""
     record = read_record(emps_data / "DATA_EMPS.mat")
-    laps = list(pairwise([*range(0, LAPS * 6240, 6240), len(record)]))
+    laps = list(pairwise([*range(0, LAPS * LAP, LAP), len(record)]))
     missed = {
         name: np.array([
             rms(astray(effects, fitted(effects, record, laps[:k] + laps[k + 1 :]), record, *laps[k]))
@@ -79,5 +80,5 @@ def test_the_second_record_in_open_loop_by_the_model_that_the_laps_of_the_first_
     scores = [rms(astray(effects, fitted(effects, record, two), record, *whole)) for two in combinations(laps, 2)]
     pulses = read_record(emps_data / "DATA_EMPS_PULSES.mat")
     score = rms(astray(effects, fitted(effects, record, [whole]), pulses, 0, len(pulses)))
-    assert min(scores) < score < max(scores)  # 6.5 mm; a fit stopped at 1.950 mm on laps instead of 1.949 got 5.3
+    assert min(scores) < score < max(scores)  # 6.5 mm; a fit that left 1.950 mm of the first, not 1.949, got 5.3
     assert max(scores) < 10.0
