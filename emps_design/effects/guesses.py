@@ -152,11 +152,11 @@ def pulses(residual: np.ndarray, t: np.ndarray, period: float) -> list[dict[str,
         ]
         begins = [float(t[runs[i][0]]) for i in alike]
         gaps = np.diff(begins)
-        every = float(np.median(gaps)) if gaps.size else 0.0
         pulse = {"amplitude": heights[tallest], "start": begins[0], "duration": duration}
-        found.append({**pulse, "every": every})
-        if every:
-            found.append({**pulse, "start": float(t[runs[tallest][0]]), "every": 0.0})
+        # Where some pulses are not seen, the least time between two is the one from each to the next.
+        rhythms = {float(np.median(gaps)), float(gaps.min())} if gaps.size else set()
+        found += [{**pulse, "every": every} for every in sorted(rhythms)]
+        found.append({**pulse, "start": float(t[runs[tallest][0]]), "every": 0.0})
     found = [pulse for pulse in found if not pulse["every"] or t[-1] - pulse["start"] < MOST_PULSES * pulse["every"]]
     area = np.concatenate(([0.0], np.cumsum(residual - np.median(residual)))) * period
     found = [_sharpened(pulse, area, t, period) for pulse in found]

@@ -143,16 +143,24 @@ def _bulk(fitted: Fit, part: str, burst: float = rules.BURST) -> float:
 
 
 def _seen_again(better: Fit, worse: Fit, burst: float) -> bool:
-    """Whether the selecting part gains what the fitting part of each record, or of all, leads to expect."""
-    gained = expected = 0.0
+    """Whether the selecting part gains what the fitting part of each record, or of all, leads to expect.
+
+    Or what ``better`` changes there, which is what a true effect gains: one that fades acts less on later strokes.
+    """
+    gained = expected = moved = 0.0
+    n = better.problem.samples("select")
     pairs = zip(better.innovations, worse.innovations, strict=True)
     changes = tuple(np.minimum(worse**2, burst**2) - np.minimum(better**2, burst**2) for better, worse in pairs)
     overall = better.problem.gather(changes, "fit")
-    for split, change in zip(better.problem.splits, changes, strict=True):
+    for split, change, after, before in zip(
+        better.problem.splits, changes, better.innovations, worse.innovations, strict=True
+    ):
         gained += float(change[split.select].sum())
+        moved += float(np.sum(np.minimum((after - before)[split.select] ** 2, burst**2)))
         fitted = change[split.fit] if split.fit.any() else overall
         expected += float(fitted.mean()) * int(split.select.sum())
-    return gained > rules.SEEN_AGAIN * expected
+    beyond_chance = gained > rules.CHANCE * np.sqrt(2.0 * n)
+    return gained > rules.SEEN_AGAIN * (min(expected, moved) if beyond_chance else expected)
 
 
 def _force_left(fitted: Fit) -> list[np.ndarray]:

@@ -72,6 +72,11 @@ def _extend(
             alone.update(gains)
         _remember(tried, sound)
         ranked = _ranked(path[-1], sound, accept)
+        if not ranked and calibration.judge.leaves_structure(path[-1]):
+            further, _ = _round(calibration, path[-1:], number, False, progress, rules.FAR_BEHIND)
+            _remember(tried, further)
+            ranked = _ranked(path[-1], further, accept)
+            ranked = ranked or _pairs(calibration, path[-1], {**further, **sound}, tried, progress)
         if not ranked:
             break
         gain = baseline.cost - ranked[0].cost
@@ -85,6 +90,21 @@ def _extend(
         explained = baseline.cost - path[-1].cost
         if number >= rules.ENOUGH_ROUNDS and explained < rules.LEAST_EXPLAINED * (baseline.cost - noise):
             break
+
+
+def _pairs(calibration: Calibration, current: Fit, sound: FitsBySet, tried: FitsBySet, progress: Progress) -> list[Fit]:
+    """What is accepted with two effects more than ``current``, none of ``sound`` being so with one; best first.
+
+    From the best few that gain what a finding must be worth: beside much that is missing it is not seen everywhere.
+    """
+    judge, number = calibration.judge, 2 + _found(calibration, current)
+    worth = max(judge.healthy.threshold, rules.WORTH * current.cost)
+    begun = sorted((f for f in sound.values() if current.cost - f.cost > worth), key=lambda f: f.cost)[: BEAM[0]]
+    if number > MOST_EFFECTS:
+        return []
+    pairs, _ = _round(calibration, begun, number, False, progress)
+    _remember(tried, pairs)
+    return _ranked(current, pairs, judge.accepts)
 
 
 def _as_given(fitted: Fit) -> list[Fit]:
@@ -133,11 +153,17 @@ def _remember(tried: FitsBySet, fits: FitsBySet) -> None:
 
 
 def _round(
-    calibration: Calibration, beam: list[Fit], number: int, general: bool, progress: Progress
+    calibration: Calibration,
+    beam: list[Fit],
+    number: int,
+    general: bool,
+    progress: Progress,
+    rival: float = rules.RIVAL,
 ) -> tuple[FitsBySet, dict[str, float]]:
     """The best admissible fit of each set that has one effect more, ``general`` or not, than a set of ``beam``.
 
-    Also returns what each effect gained alone on top of the first of them [whitened cost].
+    Of the effects whose short fit gains ``rival`` of what the best one gains. Also returns what each
+    effect gained alone on top of the first of them [whitened cost].
     """
     pool: FitsBySet = {}
     alone: dict[str, float] = {}
@@ -152,7 +178,7 @@ def _round(
             screened = screen(member, library, absorbed)
         else:
             screened = [found for found in calibration.screened if found[0].model.effects[-1].general is general]
-        fits, gains = extensions(member, screened, absorbed)
+        fits, gains = extensions(member, screened, absorbed, rival)
         alone = alone or gains
         for extended in fits:
             key = frozenset(extended.model.names)

@@ -26,11 +26,14 @@ REVISED = 4  # other shapes of an effect that are fitted when it is accepted
 MOST_FITS = 8  # one after the other until they have converged
 
 
-def extensions(current: Fit, screened: list[list[Start]], absorbed: Tangent) -> tuple[list[Fit], dict[str, float]]:
+def extensions(
+    current: Fit, screened: list[list[Start]], absorbed: Tangent, rival: float = rules.RIVAL
+) -> tuple[list[Fit], dict[str, float]]:
     """Fit those of the ``screened`` starts on top of ``current`` that promise a gain; best first.
 
     A short fit moves the new effect alone and lets the tangent stand for what the rest absorbs; the best few effects
-    are then fitted with everything free. Also returns what each effect gained in its short fit [whitened cost].
+    are then fitted with everything free, those that gain ``rival`` of what the best one gains. Also returns what each
+    effect gained in its short fit [whitened cost].
     """
     best = max((found[0].gain for found in screened), default=0.0)
     least = max(rules.SMALLEST_GAIN, rules.WORTH_FITTING * best)
@@ -45,7 +48,7 @@ def extensions(current: Fit, screened: list[list[Start]], absorbed: Tangent) -> 
     gains |= {name: before - short.cost for name, short in leading.items()}
     shorts = [(short.cost, current.with_model(short.model)) for short in leading.values()]
     ranked = sorted(((cost, short) for cost, short in shorts if plausible(short)), key=lambda pair: pair[0])
-    begins = [short for cost, short in ranked[:FINALISTS] if before - cost >= rules.RIVAL * (before - ranked[0][0])]
+    begins = [short for cost, short in ranked[:FINALISTS] if before - cost >= rival * (before - ranked[0][0])]
     if bent(current, before / absorbed.residual.size):
         # A baseline bent by the gap leads short fits astray: the leading effects are fitted from several starts.
         leaders = sorted(screened, key=lambda found: -found[0].gain)[:BENT_EFFECTS]
