@@ -42,7 +42,9 @@ def search(calibration: Calibration, progress: Progress) -> Outcome:
         for _ in range(PASSES):
             _extend(calibration, path, tried, alone, progress)
             path += _pruned(path[-1], known, judge.accepts)
-            better = _exchanged(calibration, path[-1], tried, progress) or _curve(calibration, path, tried, progress)
+            better = _exchanged(calibration, path[-1], tried, progress) or _beyond(
+                calibration, path[-1], tried, progress
+            )
             if better is None:
                 break
             path.append(better)
@@ -76,7 +78,6 @@ def _extend(
             further, _ = _round(calibration, path[-1:], number, False, progress, rules.FAR_BEHIND)
             _remember(tried, further)
             ranked = _ranked(path[-1], further, accept)
-            ranked = ranked or _pairs(calibration, path[-1], {**further, **sound}, tried, progress)
         if not ranked:
             break
         gain = baseline.cost - ranked[0].cost
@@ -92,21 +93,6 @@ def _extend(
             break
 
 
-def _pairs(calibration: Calibration, current: Fit, sound: FitsBySet, tried: FitsBySet, progress: Progress) -> list[Fit]:
-    """What is accepted with two effects more than ``current``, none of ``sound`` being so with one; best first.
-
-    From the best few that gain what a finding must be worth: beside much that is missing it is not seen everywhere.
-    """
-    judge, number = calibration.judge, 2 + _found(calibration, current)
-    worth = max(judge.healthy.threshold, rules.WORTH * current.cost)
-    begun = sorted((f for f in sound.values() if current.cost - f.cost > worth), key=lambda f: f.cost)[: BEAM[0]]
-    if number > MOST_EFFECTS:
-        return []
-    pairs, _ = _round(calibration, begun, number, False, progress)
-    _remember(tried, pairs)
-    return _ranked(current, pairs, judge.accepts)
-
-
 def _as_given(fitted: Fit) -> list[Fit]:
     """The baseline ``fitted`` with the axis file's numbers, where what is missing may have bent the fitted ones."""
     given = fitted.as_given()
@@ -114,14 +100,43 @@ def _as_given(fitted: Fit) -> list[Fit]:
     return [found] if found is not None and found.innovations else []
 
 
-def _curve(calibration: Calibration, path: list[Fit], tried: FitsBySet, progress: Progress) -> Fit | None:
-    """The last model of ``path`` with a curve of any shape, where that is accepted."""
-    accept, number = calibration.judge.accepts, 1 + _found(calibration, path[-1])
+def _beyond(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Progress) -> Fit | None:
+    """``current`` with what no single effect of the library explains: a curve of any shape, or two effects at once.
+
+    Of both the one that leaves less, where either is accepted.
+    """
+    found = [_curve(calibration, current, tried, progress), _pair(calibration, current, tried, progress)]
+    return min((fitted for fitted in found if fitted is not None), key=lambda f: f.cost, default=None)
+
+
+def _curve(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Progress) -> Fit | None:
+    """``current`` with a curve of any shape, where that is accepted."""
+    number = 1 + _found(calibration, current)
     if number > MOST_EFFECTS:
         return None
-    sound, _ = _round(calibration, path[-1:], number, True, progress)
+    sound, _ = _round(calibration, [current], number, True, progress)
     _remember(tried, sound)
-    ranked = _ranked(path[-1], sound, accept)
+    return _best_accepted(calibration, current, sound)
+
+
+def _pair(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Progress) -> Fit | None:
+    """``current`` with two effects more, where that is accepted and one of them alone was not.
+
+    From the best few that gain what a finding must be worth: beside much that is missing it is not seen everywhere.
+    """
+    judge, number, names = calibration.judge, 2 + _found(calibration, current), frozenset(current.model.names)
+    if number > MOST_EFFECTS or not judge.leaves_structure(current):
+        return None
+    worth = max(judge.healthy.threshold, rules.WORTH * current.cost)
+    one_more = [f for key, f in tried.items() if names < key and len(key) == len(names) + 1]
+    begun = [f for f in one_more if current.cost - f.cost > worth and not any(e.general for e in f.model.effects)]
+    pairs, _ = _round(calibration, sorted(begun, key=lambda f: f.cost)[: BEAM[0]], number, False, progress)
+    _remember(tried, pairs)
+    return _best_accepted(calibration, current, pairs)
+
+
+def _best_accepted(calibration: Calibration, current: Fit, sound: FitsBySet) -> Fit | None:
+    ranked = _ranked(current, sound, calibration.judge.accepts)
     return converged(ranked[0]) if ranked else None
 
 

@@ -14,7 +14,7 @@ from emps_design.discrepancy.model.least_squares import descend
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.whitening import Whitening
-from emps_design.discrepancy.search.beam_search import _extend, _late, _pruned, _rivals
+from emps_design.discrepancy.search.beam_search import _extend, _late, _pair, _pruned, _rivals
 from emps_design.discrepancy.search.exchange import exchanges
 from emps_design.discrepancy.search.extension import _fitted, freed
 from emps_design.effects import get_effect
@@ -146,11 +146,37 @@ def test_what_is_accepted_is_kept_where_it_leaves_more_bursts(monkeypatch):
     rounds = [({frozenset({"actuator_lag"}): worse}, {"actuator_lag": 0.0}), ({}, {})]
     monkeypatch.setattr(sys.modules[_extend.__module__], "_round", lambda *given: rounds.pop(0))
     monkeypatch.setattr(sys.modules[_extend.__module__], "converged", lambda found: found)
-    judge = SimpleNamespace(accepts=lambda better, worse: True)
+    judge = SimpleNamespace(accepts=lambda better, worse: True, leaves_structure=lambda fitted: False)
     path, tried = [baseline], {}
     _extend(SimpleNamespace(baseline=baseline, judge=judge), path, tried, {}, lambda stage, done: None)
     assert path == [baseline, worse]
     assert list(tried) == [frozenset({"actuator_lag"})]
+
+
+def test_two_effects_are_found_of_which_neither_is_accepted_alone(monkeypatch):
+    noisy = hypothesis(BASELINE, DELAYED, {"kind": "elastic_force", "stiffness": 300.0, "rest_position": 0.05})
+    baseline = fit(noisy)
+    delayed = fit(baseline.with_model(BASELINE.with_effect(DELAY, np.array([[1.6e-3]]))))
+    both = fit(delayed.with_model(delayed.model.with_effect(SPRING, np.array([[300.0, 0.05]]))))
+    begun = []
+
+    def played(calibration, beam, *rest):
+        begun.append([member.model.names for member in beam])
+        return {frozenset(both.model.names): both}, {}
+
+    monkeypatch.setattr(sys.modules[_pair.__module__], "_round", played)
+    judge = SimpleNamespace(
+        accepts=lambda better, worse: better is not delayed,
+        leaves_structure=lambda fitted: fitted is baseline,
+        healthy=SimpleNamespace(threshold=0.0),
+    )
+    calibration = SimpleNamespace(baseline=baseline, judge=judge)
+    tried = {frozenset(f.model.names): f for f in (baseline, delayed)}
+    found = _pair(calibration, baseline, tried, lambda stage, done: None)
+    assert found.model.names == ("actuator_delay", "elastic_force")
+    assert begun == [[("actuator_delay",)]]
+    assert frozenset(both.model.names) in tried
+    assert _pair(calibration, delayed, tried, lambda stage, done: None) is None
 
 
 def test_an_interrupt_of_the_second_search_keeps_the_first(monkeypatch):
