@@ -296,7 +296,6 @@ class Plant:
         states = self._states + (4 if energy else 0)
         settings[motion.FREE], settings[motion.STATES] = self._free, states
         settings[motion.TOLERANCE], settings[motion.ENERGY] = tolerance, self._states if energy else 0
-        settings[motion.SERIES] = self._lag > 0 and any(effect.lag for effect in self.effects)
         if not energy:
             settings[motion.SLIDES], settings[motion.EXACT] = self._slides, self._exact
             settings[motion.LINEAR] = self._linear(p)

@@ -36,3 +36,23 @@ def test_same_force_along_a_lap(name):
     assert left < LEFT * drive.coulomb
     assert name == "none" or left < 0.1 * size
     assert u[SKIP:].std() > 0
+
+
+def test_a_transmission_is_loaded_by_the_force_behind_the_lag():
+    """Friction of the force that the transmission carries, which is not the one commanded while a current loop lags."""
+    from emps_design.simulation import Plant
+
+    rng = np.random.default_rng(7)
+    drive = draw_drive(rng)
+    q_ref = laps(rng, drive.travel, list(drive.speeds), drive.acceleration, 1, drive.period)
+    values, kinds = {"lag": 2.5e-3}, [{"kind": "actuator_lag", "time_constant": 2.5e-3}]
+    _, lagging = run(drive, q_ref, numbers(**values))
+    loaded, truth = draw_effect("load_dependent_friction", rng, drive, 2, np.abs(lagging).max())
+    kinds += [{"kind": kind, **parameters} for kind, parameters in truth.items()]
+    _, u = run(drive, q_ref, numbers(**values, **loaded))
+    mechanics = {key: getattr(drive, key) for key in ("mass", "viscous", "coulomb", "offset")}
+    axis = Axis.from_toml(axis_file(rng, drive)).replace(mechanics=mechanics, effects=kinds)
+    left, size = misfit(drive, u, Plant.of(axis).closed_loop(q_ref).u), misfit(drive, u, lagging)
+    assert left < LEFT * drive.coulomb < 0.1 * size
+    in_the_loop = axis.replace(drive={"current_time_constant": 2.5e-3}, effects=kinds[1:])
+    assert misfit(drive, u, Plant.of(in_the_loop).closed_loop(q_ref).u) < LEFT * drive.coulomb

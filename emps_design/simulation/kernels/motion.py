@@ -20,9 +20,9 @@ from emps_design.simulation.kernels.compile import call_kernel, call_rate, part
 # Rows of the table of hooks: one list of (address, first own state in y, first parameter) for each.
 FORCE, DRY, INERTIA, COMMAND, ACTUATOR, DELAY, SENSOR, RATE, GUARD, JUMP, TOUCH, TOUCH_MASS, HELD = range(13)
 # Places in ``settings``.
-(PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, SLIDES, EXACT, ENERGY, SERIES,
- VISCOUS_P, VISCOUS_N, BRAKING, LEVEL, MASS, LINEAR) = range(19)  # fmt: skip
-SETTINGS = 19
+(PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, SLIDES, EXACT, ENERGY,
+ VISCOUS_P, VISCOUS_N, BRAKING, LEVEL, MASS, LINEAR) = range(18)  # fmt: skip
+SETTINGS = 18
 
 ORDER = 4  # of convergence, measured in the tests
 # What one step may be wrong by in position [m], velocity [m/s], and relative to the largest value of an own state.
@@ -42,12 +42,6 @@ def motor(t, tau, plant):
 
 
 @part
-def kernel_force(t, tau, plant):
-    """Motor force that kernels of effects get: the command, but what is behind the current loop for a second lag."""
-    return motor(t, tau, plant) if plant[4][SERIES] > 0.0 else tau
-
-
-@part
 def total(row, y, t, tau, plant):
     """Sum of the kernels of one hook."""
     b, hooks, starts, p, _, _ = plant
@@ -58,25 +52,24 @@ def total(row, y, t, tau, plant):
 
 
 @part
-def weigh(y, t, tau, acting, push, plant):
-    """What :func:`balance` gives, for a motor force ``acting`` while kernels get ``tau``, both before the back-EMF."""
+def weigh(y, t, acting, push, plant):
+    """What :func:`balance` gives, for a motor force ``acting`` before the back-EMF: kernels get what the plant gets."""
     b, settings = plant[0], plant[4]
-    braked = settings[BRAKING] * y[1]
-    tau -= braked
-    net = acting - braked + push - b[1] * y[1] - b[3] - total(FORCE, y, t, tau, plant)
+    acting -= settings[BRAKING] * y[1]
+    net = acting + push - b[1] * y[1] - b[3] - total(FORCE, y, t, acting, plant)
     still = y[1] == 0.0
     if still:  # the dry friction that would have to be overcome: of the direction in which the rest pushes
         y[1] = math.copysign(NUDGE, net)
-    level = max(0.0, settings[LEVEL] + total(DRY, y, t, tau, plant))
+    level = max(0.0, settings[LEVEL] + total(DRY, y, t, acting, plant))
     if still:
         y[1] = 0.0
-    return net, level, settings[MASS] + total(INERTIA, y, t, tau, plant)
+    return net, level, settings[MASS] + total(INERTIA, y, t, acting, plant)
 
 
 @part
 def balance(y, t, tau, push, plant):
     """Force without dry friction [N], level of dry friction [N], and mass [kg]."""
-    return weigh(y, t, kernel_force(t, tau, plant), motor(t, tau, plant), push, plant)
+    return weigh(y, t, motor(t, tau, plant), push, plant)
 
 
 @part
@@ -104,13 +97,12 @@ def derivative(y, t, tau, push, s, plant, dy):
         dy[1] = (net - s * level) / mass
     if settings[STATES] == 2.0:
         return
-    braked = settings[BRAKING] * y[1]
-    seen = kernel_force(t, tau, plant) - braked
+    acting = motor(t, tau, plant) - settings[BRAKING] * y[1]
     for i in range(starts[RATE], starts[RATE + 1]):
         x_at, p_at = hooks[3 * i + 1], hooks[3 * i + 2]
-        call_rate(hooks[3 * i], y[0], y[1], t, seen, y, x_at, p, p_at, b, level, dy)
+        call_rate(hooks[3 * i], y[0], y[1], t, acting, y, x_at, p, p_at, b, level, dy)
     if settings[ENERGY] > 0.0:
-        e, v, acting = int(settings[ENERGY]), dy[0], motor(t, tau, plant) - braked
+        e, v = int(settings[ENERGY]), dy[0]
         dy[e] = acting * v
         dy[e + 1] = push * v
         dy[e + 2] = (b[1] * v + (0.0 if settings[FREE] > 0.0 else s * level)) * v
@@ -169,8 +161,8 @@ def margin(event, sign, y, t, tau, push, plant):
         net, level, _ = balance(y, t, tau, push, plant)
         return level * (1.0 + 1e-14) + 1e-12 - abs(net)
     i = event - 2  # entry of the table of hooks
-    tau = kernel_force(t, tau, plant) - plant[4][BRAKING] * y[1]
-    return sign * call_kernel(hooks[3 * i], y[0], y[1], t, tau, y, hooks[3 * i + 1], p, hooks[3 * i + 2], b)
+    acting = motor(t, tau, plant) - plant[4][BRAKING] * y[1]
+    return sign * call_kernel(hooks[3 * i], y[0], y[1], t, acting, y, hooks[3 * i + 1], p, hooks[3 * i + 2], b)
 
 
 @part

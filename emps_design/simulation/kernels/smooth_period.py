@@ -43,7 +43,7 @@ def slide(y, t, h, tau, push, s, feel, plant, work, new):
     for sweep in range(4):
         if s * stage[1] <= 0.0:
             return False
-        net, level, mass = weigh(stage, t + 0.5 * h, tau, tau + drive[0] * (1.0 - drive[3]), push, plant)
+        net, level, mass = weigh(stage, t + 0.5 * h, tau + drive[0] * (1.0 - drive[3]), push, plant)
         middle = (net - s * level) / mass - half_a
         if sweep == 0:
             bend = middle - a0 - 0.5 * h * slope
@@ -61,7 +61,7 @@ def slide(y, t, h, tau, push, s, feel, plant, work, new):
         if s * new[1] <= 0.0:
             return False
         used = end
-        net, level, mass = weigh(new, t + h, tau, tau + drive[0] * (1.0 - drive[4]), push, plant)
+        net, level, mass = weigh(new, t + h, tau + drive[0] * (1.0 - drive[4]), push, plant)
         end = (net - s * level) / mass - full_a
         if abs(a0 - 2.0 * middle + end) * h * h > _BEND * tolerance:
             return False
