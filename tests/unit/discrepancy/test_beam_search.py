@@ -14,6 +14,7 @@ from emps_design.discrepancy.model.least_squares import descend
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.whitening import Whitening
+from emps_design.discrepancy.search.acceptance import _seen_again
 from emps_design.discrepancy.search.beam_search import _extend, _late, _pair, _pruned, _rivals
 from emps_design.discrepancy.search.exchange import exchanges
 from emps_design.discrepancy.search.extension import _fitted, freed
@@ -237,3 +238,19 @@ def test_a_curve_of_any_shape_is_named_where_nothing_else_is_found(hidden):
     library = [get_effect(kind) for kind in ("force_map", "friction_map", "elastic_force", "friction_ripple")]
     found = diagnose(noisy.problem.records, AXIS, library=library)
     assert [finding.effect for finding in found.findings] == [hidden["kind"]]
+
+
+def test_an_effect_that_fades_is_seen_again_by_what_it_changes():
+    n = 10_000
+    noise, later = np.random.default_rng(0).standard_normal(n), np.arange(n) >= n // 2
+    parts = SimpleNamespace(fit=~later, select=later)
+    problem = SimpleNamespace(
+        splits=(parts,), samples=lambda part: n // 2, gather=lambda signals, part: signals[0][getattr(parts, part)]
+    )
+    fitted = lambda left: SimpleNamespace(problem=problem, innovations=(left,))  # noqa: E731
+    fading = np.where(later, 0.5, 2.0)
+    assert _seen_again(fitted(noise), fitted(noise + fading), 5.0)
+    elsewhere = np.where(later, 0.5 * np.sign(np.sin(np.arange(n))), 0.0)  # a stand-in changes what it should not
+    assert not _seen_again(fitted(noise + elsewhere), fitted(noise + np.where(later, 0.0, 2.0)), 5.0)
+    faint = np.where(later, 0.05, 2.0)
+    assert not _seen_again(fitted(noise), fitted(noise + faint), 5.0)

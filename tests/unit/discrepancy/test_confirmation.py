@@ -133,6 +133,16 @@ def test_pulse_trains_are_found_to_two_milliseconds(sign):
     assert [best[n] for n in ("start", "duration", "every")] == pytest.approx([2.547, 0.2247, 5.279], abs=3e-3)
 
 
+def test_a_train_of_which_pulses_are_hidden_keeps_its_rhythm():
+    """Those from 7 s to 10 s are not seen: the times between are 10.6, 5.3 and 5.3 s, and once only 10.6 and 5.3 s."""
+    t = np.arange(25_000) * 1e-3
+    train = 17.0 * ((np.mod(t - 2.547, 5.279) < 0.2247) & (t > 2.547)) * ((t < 7.0) | (t > 10.0))
+    for end in (25.0, 20.0):
+        seen = (train + np.random.default_rng(0).standard_normal(t.size)) * (t < end)
+        found = pulses(seen, t, 1e-3)
+        assert min(abs(p["every"] - 5.279) + abs(p["start"] - 2.547) for p in found) < 6e-3
+
+
 def test_a_hum_out_of_step_with_the_laps_is_no_noise():
     lap = split(Record(np.arange(Q_REF.size) * 1e-3, Q_REF, Q_REF, 0 * Q_REF, 1e-3))
     noise = 0.5 * np.random.default_rng(0).standard_normal(Q_REF.size)
