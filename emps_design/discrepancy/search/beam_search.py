@@ -17,10 +17,11 @@ from emps_design.discrepancy.search.exchange import exchanges, far_apart
 from emps_design.discrepancy.search.extension import converged, extensions, freed
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.search.starts import screen, tangent
+from emps_design.effects import Effect
 
 BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
 MOST_EFFECTS = 7
-MOST_EXCHANGED = 5  # effects of a model in which one is exchanged; more of them stand in for something unknown
+MOST_EXCHANGED = 5  # effects up to which no pains are spared; more of them stand in for something unknown
 PASSES = 3  # times the search goes on, from an exchange or a curve
 UNFINISHED = "interrupted: the search was not finished, what follows is what was known by then"
 
@@ -65,17 +66,19 @@ def _extend(
     ``alone`` takes what each effect gained in the very first round.
     """
     baseline, accept, beam = calibration.baseline, calibration.judge.accepts, path[-1:]
-    noise = baseline.problem.samples("used")
+    noise, library = baseline.problem.samples("used"), _library(calibration, general=False)
     if not _found(calibration, path[-1]):
         beam = [*beam, *_as_given(path[-1])]
     while (number := 1 + _found(calibration, path[-1])) <= MOST_EFFECTS:
-        sound, gains = _round(calibration, beam, number, False, progress)
+        sound, gains = _round(calibration, beam, number, library, progress)
         if not alone:
             alone.update(gains)
         _remember(tried, sound)
         ranked = _ranked(path[-1], sound, accept)
-        if not ranked and calibration.judge.leaves_structure(path[-1]):
-            further, _ = _round(calibration, path[-1:], number, False, progress, rules.FAR_BEHIND)
+        if not ranked and number <= MOST_EXCHANGED and calibration.judge.leaves_structure(path[-1]):
+            fitted = frozenset[str]().union(*(key for key in sound if key > frozenset(path[-1].model.names)))
+            rest = tuple(effect for effect in library if effect.name not in fitted)
+            further, _ = _round(calibration, path[-1:], number, rest, progress, rules.FAR_BEHIND)
             _remember(tried, further)
             ranked = _ranked(path[-1], further, accept)
         if not ranked:
@@ -114,23 +117,23 @@ def _curve(calibration: Calibration, current: Fit, tried: FitsBySet, progress: P
     number = 1 + _found(calibration, current)
     if number > MOST_EFFECTS:
         return None
-    sound, _ = _round(calibration, [current], number, True, progress)
+    sound, _ = _round(calibration, [current], number, _library(calibration, general=True), progress)
     _remember(tried, sound)
     return _best_accepted(calibration, current, sound)
 
 
 def _pair(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Progress) -> Fit | None:
-    """``current`` with two effects more, where that is accepted and one of them alone was not.
+    """The baseline with two effects, where nothing was found and that is accepted.
 
     From the best few that gain what a finding must be worth: beside much that is missing it is not seen everywhere.
     """
-    judge, number, names = calibration.judge, 2 + _found(calibration, current), frozenset(current.model.names)
-    if number > MOST_EFFECTS or not judge.leaves_structure(current):
+    judge, names = calibration.judge, frozenset(current.model.names)
+    if _found(calibration, current) or not judge.leaves_structure(current):
         return None
     worth = max(judge.healthy.threshold, rules.WORTH * current.cost)
-    one_more = [f for key, f in tried.items() if names < key and len(key) == len(names) + 1]
-    begun = [f for f in one_more if current.cost - f.cost > worth and not any(e.general for e in f.model.effects)]
-    pairs, _ = _round(calibration, sorted(begun, key=lambda f: f.cost)[: BEAM[0]], number, False, progress)
+    alone = [f for key, f in tried.items() if len(key) == len(names) + 1 and not f.model.effects[-1].general]
+    begun = sorted((f for f in alone if current.cost - f.cost > worth), key=lambda f: f.cost)[: BEAM[0]]
+    pairs, _ = _round(calibration, begun, 2, _library(calibration, general=False), progress)
     _remember(tried, pairs)
     return _best_accepted(calibration, current, pairs)
 
@@ -138,6 +141,11 @@ def _pair(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Pr
 def _best_accepted(calibration: Calibration, current: Fit, sound: FitsBySet) -> Fit | None:
     ranked = _ranked(current, sound, calibration.judge.accepts)
     return converged(ranked[0]) if ranked else None
+
+
+def _library(calibration: Calibration, *, general: bool) -> tuple[Effect, ...]:
+    """The effects to look for: the curves of any shape, or all others."""
+    return tuple(effect for effect in calibration.preparation.library if effect.general is general)
 
 
 def _found(calibration: Calibration, fitted: Fit) -> int:
@@ -171,13 +179,13 @@ def _round(
     calibration: Calibration,
     beam: list[Fit],
     number: int,
-    general: bool,
+    library: tuple[Effect, ...],
     progress: Progress,
     rival: float = rules.RIVAL,
 ) -> tuple[FitsBySet, dict[str, float]]:
-    """The best admissible fit of each set that has one effect more, ``general`` or not, than a set of ``beam``.
+    """The best admissible fit of each set that has one effect of ``library`` more than a set of ``beam``.
 
-    Of the effects whose short fit gains ``rival`` of what the best one gains. Also returns what each
+    Of those whose short fit gains ``rival`` of what the best one gains. Also returns what each
     effect gained alone on top of the first of them [whitened cost].
     """
     pool: FitsBySet = {}
@@ -185,14 +193,13 @@ def _round(
     for i, member in enumerate(beam):
         names = " + ".join(member.model.names) or "the baseline"
         done = 1 - 0.75 ** (number - 1 + i / len(beam))
-        curves = ", as a curve" if general else ""
+        curves = ", as a curve" if any(effect.general for effect in library) else ""
         progress(f"round {number}: {names}, and what else{curves}", 0.1 + 0.9 * done)
-        library = tuple(effect for effect in calibration.preparation.library if effect.general is general)
         absorbed = tangent(member)
         if member is not calibration.baseline:
             screened = screen(member, library, absorbed)
         else:
-            screened = [found for found in calibration.screened if found[0].model.effects[-1].general is general]
+            screened = [found for found in calibration.screened if found[0].model.effects[-1] in library]
         fits, gains = extensions(member, screened, absorbed, rival)
         alone = alone or gains
         for extended in fits:

@@ -149,7 +149,14 @@ def test_what_is_accepted_is_kept_where_it_leaves_more_bursts(monkeypatch):
     monkeypatch.setattr(sys.modules[_extend.__module__], "converged", lambda found: found)
     judge = SimpleNamespace(accepts=lambda better, worse: True, leaves_structure=lambda fitted: False)
     path, tried = [baseline], {}
-    _extend(SimpleNamespace(baseline=baseline, judge=judge), path, tried, {}, lambda stage, done: None)
+    preparation = SimpleNamespace(library=())
+    _extend(
+        SimpleNamespace(baseline=baseline, judge=judge, preparation=preparation),
+        path,
+        tried,
+        {},
+        lambda stage, done: None,
+    )
     assert path == [baseline, worse]
     assert list(tried) == [frozenset({"actuator_lag"})]
 
@@ -171,7 +178,7 @@ def test_two_effects_are_found_of_which_neither_is_accepted_alone(monkeypatch):
         leaves_structure=lambda fitted: fitted is baseline,
         healthy=SimpleNamespace(threshold=0.0),
     )
-    calibration = SimpleNamespace(baseline=baseline, judge=judge)
+    calibration = SimpleNamespace(baseline=baseline, judge=judge, preparation=SimpleNamespace(library=()))
     tried = {frozenset(f.model.names): f for f in (baseline, delayed)}
     found = _pair(calibration, baseline, tried, lambda stage, done: None)
     assert found.model.names == ("actuator_delay", "elastic_force")
