@@ -21,7 +21,7 @@ from emps_design.effects import Effect
 
 BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
 MOST_EFFECTS = 7
-MOST_EXCHANGED = 5  # effects up to which no pains are spared; more of them stand in for something unknown
+CREDIBLE = 5  # effects of a model up to which the search takes more pains; more stand in for something unknown
 PASSES = 3  # times the search goes on, from an exchange or a curve
 UNFINISHED = "interrupted: the search was not finished, what follows is what was known by then"
 
@@ -75,7 +75,7 @@ def _extend(
             alone.update(gains)
         _remember(tried, sound)
         ranked = _ranked(path[-1], sound, accept)
-        if not ranked and number <= MOST_EXCHANGED and calibration.judge.leaves_structure(path[-1]):
+        if not ranked and number <= CREDIBLE and calibration.judge.leaves_structure(path[-1]):
             fitted = frozenset[str]().union(*(key for key in sound if key > frozenset(path[-1].model.names)))
             rest = tuple(effect for effect in library if effect.name not in fitted)
             further, _ = _round(calibration, path[-1:], number, rest, progress, rules.FAR_BEHIND)
@@ -160,7 +160,7 @@ def _exchanged(calibration: Calibration, best: Fit, tried: FitsBySet, progress: 
     where structure is left.
     """
     known, judge, found = calibration.baseline.model.names, calibration.judge, _found(calibration, best)
-    if not 2 <= found <= MOST_EXCHANGED or (found == 2 and judge.at_floor(best)):
+    if not 2 <= found <= CREDIBLE or (found == 2 and judge.at_floor(best)):
         return None
     progress("each effect anew beside the others", 0.95)
     others = exchanges(best, known, calibration.preparation.library)
