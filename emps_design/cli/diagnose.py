@@ -127,14 +127,15 @@ def _share(confirmed: dict[str, float] | None) -> str:
 
 
 def _show(document: dict[str, Any], out: Path | None) -> None:
-    from rich.table import Table
+    from rich.table import Column, Table
 
     console = new_console()
     console.print(document["verdict"], style="bold", end="  ")
     console.print(document["sentence"], highlight=False)
     if document["findings"]:
         told = any(finding["confirmed"] for finding in document["findings"])
-        table = Table("effect", "or", "where", "gap before [N]", "after [N]", "confirmed" if told else "p")
+        gaps = [Column(head, no_wrap=True) for head in ("gap before [N]", "after [N]")]  # a unit stays in one line
+        table = Table("effect", "or", "where", *gaps, "confirmed" if told else "p")
         for finding in document["findings"]:
             table.add_row(
                 finding["label"],

@@ -29,12 +29,21 @@ class Reference:
         self.free = any(effect.takes_dry for effect in self.effects)
         self.bounds = (-np.inf, np.inf)
 
+    def call(self, hook, i, t, y, tau):
+        """One kernel of effect ``i``: a lag gets the force commanded, all others the force behind it."""
+        if self.effects[i].lag is None:
+            tau = self.acting(t, y, tau)
+        own = y[self.at[i] : self.at[i + 1]]
+        return getattr(self.effects[i], hook)(y[0], y[1], t, tau, own, self.p[i], self.b)
+
+    def acting(self, t, y, tau):
+        """Motor force [N] behind the lag, of which there is one at most here."""
+        return tau - sum(self.call("force", i, t, y, tau) for i, one in enumerate(self.effects) if one.lag is not None)
+
     def total(self, hook, t, y, tau):
         t = min(max(t, self.bounds[0]), self.bounds[1])
         return sum(
-            getattr(effect, hook)(y[0], y[1], t, tau, y[self.at[i] : self.at[i + 1]], self.p[i], self.b)
-            for i, effect in enumerate(self.effects)
-            if getattr(effect, hook) is not None
+            self.call(hook, i, t, y, tau) for i, effect in enumerate(self.effects) if getattr(effect, hook) is not None
         )
 
     def balance(self, t, y, tau):
@@ -53,8 +62,8 @@ class Reference:
         inside = min(max(t, self.bounds[0]), self.bounds[1])
         for i, effect in enumerate(self.effects):
             if effect.rate is not None:
-                own = slice(self.at[i], self.at[i + 1])
-                effect.rate(y[0], y[1], inside, tau, y[own], self.p[i], self.b, level, dy[own])
+                own, force = slice(self.at[i], self.at[i + 1]), self.acting(t, y, tau) if effect.lag is None else tau
+                effect.rate(y[0], y[1], inside, force, y[own], self.p[i], self.b, level, dy[own])
         return dy
 
     def leaves(self, t, y, tau):
@@ -83,11 +92,7 @@ class Reference:
         found = [first]
         for i, effect in enumerate(self.effects):
             if effect.guard is not None:
-                found.append(
-                    lambda t, y, i=i, guard=effect.guard: guard(
-                        y[0], y[1], t, tau, y[self.at[i] : self.at[i + 1]], self.p[i], self.b
-                    )
-                )
+                found.append(lambda t, y, i=i: self.call("guard", i, t, y, tau))
         return found
 
     def carry(self, t, end, y, tau, s):
@@ -159,7 +164,7 @@ class Reference:
         """Carry over [start, end], stopping where a kernel jumps in time."""
         while end - start > 1e-15:
             jumps = [
-                effect.jump_time(y[0], y[1], start + APART, tau, y[self.at[i] : self.at[i + 1]], self.p[i], self.b)
+                self.call("jump_time", i, start + APART, y, tau)
                 for i, effect in enumerate(self.effects)
                 if effect.jump_time is not None
             ]

@@ -44,7 +44,7 @@ from emps_design.simulation.kernels.motion import (
     motor,
     total,
 )
-from emps_design.simulation.kernels.smooth_period import SPEEDS, feeling, slide
+from emps_design.simulation.kernels.smooth_period import SPEEDS, begin, feeling, slide
 
 RUNAWAY, MASSLESS = 4, 5  # what a run can end with, besides what :func:`carry` can
 REASONS = {
@@ -130,7 +130,7 @@ def run(
     if linear:
         solve(period, 1.0, plant, work, onwards, spare)
         solve(period, -1.0, plant, work, backwards, spare)
-    fresh, before_force, before_mass = False, 0.0, 1.0
+    fresh, before_force = False, 0.0
     tau, reached, s, hint = 0.0, 0.0, 0.0, period
     drive[0], drive[1], drive[2], drive[3], drive[4] = 0.0, 0.0, 0.0, 0.0, 0.0
     swings = (0.0, 0.0, 0.0)
@@ -225,11 +225,10 @@ def run(
                     continue
             if slides and s * y[1] > 0.0:
                 if fresh and steady:
-                    k1[1] += (tau + drive[0] + force - before_force) / before_mass
+                    k1[1] += (tau + drive[0] + force - before_force) / k2[1]
                 else:
-                    net, level, before_mass = balance(y_, t + start, tau, force, plant)
-                    k1[0], k1[1], k2[1] = 0.0, (net - s * level) / before_mass, before_mass
-                fresh = slide(y_, t + start, h, tau, force, s, feel, plant, work, new)
+                    fresh = begin(y_, t + start, tau, force, s, steady, plant, work)
+                fresh = fresh and slide(y_, t + start, h, tau, force, s, feel, plant, work, new)
                 if fresh:
                     y[0], y[1] = new[0], new[1]
                     reached = tau + drive[0] * (1.0 - drive[4])

@@ -15,12 +15,34 @@ SPEEDS = 20  # octaves of speed, up to 5 m/s
 
 
 @part
+def begin(y, t, tau, push, s, steady, plant, work):
+    """Weigh the forces at the start of a first slide into ``work``; returns whether it can be one.
+
+    Not ``steady``: friction may grow with the motor force, and what is left of its gap behind a lag may load it. That
+    can be slid through where all of the gap counts in proportion.
+    """
+    drive, settings = plant[5], plant[4]
+    net, level, mass = weigh(y, t, tau + drive[0], push, plant)
+    whole = (net - s * level) / mass
+    work[0][0], work[0][1], work[1][0], work[1][1] = 0.0, whole, 1.0 / mass, mass
+    if steady or drive[0] == 0.0:
+        return True
+    net, level, mass = weigh(y, t, tau + 0.5 * drive[0], push, plant)
+    half = (net - s * level) / mass
+    net, level, mass = weigh(y, t, tau, push, plant)
+    none = (net - s * level) / mass
+    work[1][0] = (whole - none) / drive[0]
+    return settings[LAG] * abs(whole - 2.0 * half + none) <= _MISSED * settings[TOLERANCE]
+
+
+@part
 def slide(y, t, h, tau, push, s, feel, plant, work, new):
     """Slide through ``h`` on one evaluation, two or few more; returns whether the step is good.
 
     Simpson's rule over the acceleration at both ends and in the middle (Lobatto IIIA), for axes without own states,
     guards and jumps. ``work[0][1]`` is the acceleration at the start, known from the end of the last step;
-    ``work[0][0]`` the slope it had there without viscous decay (0: not known), ``work[1][1]`` the mass. ``feel`` holds
+    ``work[0][0]`` the slope it had there without viscous decay (0: not known), ``work[1]`` what a newton of the gap
+    behind a lag adds to the acceleration, and the mass (see :func:`begin`). ``feel`` holds
     the derivative of the acceleration by velocity (see :func:`feeling`): velocities that were off are answered by it,
     and the sweep is repeated until what that leaves is below the tolerance. Where the acceleration in the middle is
     what the last step leads to expect, within the tolerance, the one evaluation there is enough. Where its second
@@ -30,7 +52,7 @@ def slide(y, t, h, tau, push, s, feel, plant, work, new):
     decay = plant[0][1] / work[1][1]
     # What the gap of the motor force does on its way to zero is known: to acceleration, velocity and position.
     drive, lag = plant[5], plant[4][LAG]
-    gap = drive[0] / work[1][1]
+    gap = drive[0] * work[1][0]
     if lag > 0.0 and drive[2] != h:  # the same for every period of one length
         drive[2], drive[3], drive[4] = h, -math.expm1(-0.5 * h / lag), -math.expm1(-h / lag)
     half_a, half_v, half_q = fading(gap, lag, decay, 0.5 * h, drive[3])
