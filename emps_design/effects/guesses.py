@@ -169,10 +169,12 @@ def _sharpened(pulse: dict[str, float], area: np.ndarray, t: np.ndarray, period:
     Where a pulse begins as the friction hides it, the first guess of its edges is off, and so is every later pulse.
     """
     start, every, length = pulse["start"], pulse["every"], pulse["duration"]
+    least = max(length, (t[-1] - start) / MOST_PULSES)  # pulses do not overlap
     for step in (5 * SHARP, SHARP):
         reach = step * np.arange(-12, 13)
-        rhythm = every + reach if every else np.zeros(1)
+        rhythm = np.maximum(every + reach, least) if every else np.zeros(1)
         s, e, d = np.meshgrid(start + reach, rhythm, np.maximum(length + reach, 4 * step), indexing="ij")
+        d = np.minimum(d, e) if every else d
         inside, held = np.zeros(s.shape), np.zeros(s.shape)
         for k in range(int((t[-1] - start) / every) + 1 if every else 1):
             begin = np.clip(np.rint((s + k * e - t[0]) / period).astype(int), 0, t.size)

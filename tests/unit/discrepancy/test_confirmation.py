@@ -143,6 +143,15 @@ def test_a_train_of_which_pulses_are_hidden_keeps_its_rhythm():
         assert min(abs(p["every"] - 5.279) + abs(p["start"] - 2.547) for p in found) < 6e-3
 
 
+def test_pulses_of_a_train_do_not_overlap():
+    """What pulses ten times a second at the start of a record only is no train with none between its pulses."""
+    t = np.arange(4000) * 1e-3
+    seen = 5.0 * ((np.mod(t, 0.1) < 0.06) & (t < 1.5)) + 0.3 * np.random.default_rng(0).standard_normal(t.size)
+    trains = [pulse for pulse in pulses(seen, t, 1e-3) if pulse["every"]]
+    assert trains
+    assert all(pulse["every"] >= pulse["duration"] for pulse in trains)
+
+
 def test_a_hum_out_of_step_with_the_laps_is_no_noise():
     lap = split(Record(np.arange(Q_REF.size) * 1e-3, Q_REF, Q_REF, 0 * Q_REF, 1e-3))
     noise = 0.5 * np.random.default_rng(0).standard_normal(Q_REF.size)
