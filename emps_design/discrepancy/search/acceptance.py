@@ -70,10 +70,15 @@ class Judge:
         return cost > rules.STRUCTURED * fitted.problem.samples("used") or self._whitened_away(fitted)
 
     def _demands(self, worse: Fit) -> tuple[float, float]:
-        """Deviations at which a sample's cost is cut, and the share of the cost that a finding must be worth."""
+        """Deviations at which a sample's cost is cut, and the share of the cost that a finding must be worth.
+
+        Deviations of what ``worse`` usually leaves, where that is more than noise: cut at the noise's, nearly all
+        samples would count alike.
+        """
         if self.at_floor(worse):
             return rules.BURST_AT_FLOOR, rules.WORTH_AT_FLOOR
-        return rules.BURST, rules.WORTH
+        left = np.abs(np.concatenate([worse.residual("fit"), worse.residual("select")]))
+        return rules.BURST * max(1.0, float(np.median(left)) / rules.MEDIAN), rules.WORTH
 
     def _faint(self, model: Candidate) -> int | None:
         """The first effect whose amplitude is a force far below the noise, or a share that is next to none."""

@@ -19,6 +19,7 @@ from emps_design.discrepancy.search.starts import Start, Tangent, bent, starts, 
 REFINED = 2  # starts of each effect that are worth a short fit
 SHORT_STEPS = 4
 FINALISTS = 4  # effects worth a full fit
+PROMISED = 2  # of the first-order gains, worth one whatever the short fit says
 BENT_EFFECTS, BENT_STARTS = 2, 6  # fitted where the gap bent the baseline
 TRIED_STEPS = 4  # of every fit of an effect with many starts
 PROMISING = 2  # of them go on
@@ -32,8 +33,8 @@ def extensions(
     """Fit those of the ``screened`` starts on top of ``current`` that promise a gain; best first.
 
     A short fit moves the new effect alone and lets the tangent stand for what the rest absorbs; the best few effects
-    are then fitted with everything free, those that gain ``rival`` of what the best one gains. Also returns what each
-    effect gained in its short fit [whitened cost].
+    are then fitted with everything free, those that gain ``rival`` of what the best one gains there or to first order.
+    Also returns what each effect gained in its short fit [whitened cost].
     """
     best = max((found[0].gain for found in screened), default=0.0)
     least = max(rules.SMALLEST_GAIN, rules.WORTH_FITTING * best)
@@ -48,7 +49,14 @@ def extensions(
     gains |= {name: before - short.cost for name, short in leading.items()}
     shorts = [(short.cost, current.with_model(short.model)) for short in leading.values()]
     ranked = sorted(((cost, short) for cost, short in shorts if plausible(short)), key=lambda pair: pair[0])
-    begins = [short for cost, short in ranked[:FINALISTS] if before - cost >= rival * (before - ranked[0][0])]
+    # Where an effect takes the place of much of the baseline, the tangent misleads its short fit: fitted all the same.
+    promised = sorted(screened, key=lambda found: -found[0].gain)[:PROMISED]
+    anyway = {found[0].model.names[-1] for found in promised if found[0].gain >= rival * best}
+    begins = [
+        short
+        for place, (cost, short) in enumerate(ranked)
+        if (place < FINALISTS and before - cost >= rival * (before - ranked[0][0])) or short.model.names[-1] in anyway
+    ]
     if bent(current, before / absorbed.residual.size):
         # A baseline bent by the gap leads short fits astray: the leading effects are fitted from several starts.
         leaders = sorted(screened, key=lambda found: -found[0].gain)[:BENT_EFFECTS]

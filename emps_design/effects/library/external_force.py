@@ -1,7 +1,7 @@
 """External force: something pushes the carriage, in pulses of ``duration``, once or every so often.
 
 A positive amplitude pushes towards +q, so the kernel, on the side of the friction, returns minus it. ``every`` is the
-time from one pulse to the next, 0 for a single pulse.
+time from one pulse to the next; no longer than the pulse itself, as 0 is, it means a single pulse.
 """
 
 from math import floor, inf
@@ -18,7 +18,7 @@ def force(q, v, t, tau, x, p, b):
     since = t - p[1] + SNAP
     if since < 0.0:
         return 0.0
-    if p[3] > 0.0:
+    if p[3] > p[2]:
         since -= p[3] * floor(since / p[3])
     if since < p[2]:
         return -p[0]
@@ -30,18 +30,18 @@ def jump_time(q, v, t, tau, x, p, b):
     if since < 0.0:
         return p[1]
     begun = 0.0
-    if p[3] > 0.0:
+    if p[3] > p[2]:
         begun = p[3] * floor(since / p[3])
     if since - begun < p[2]:
         return p[1] + begun + p[2]
-    if p[3] > 0.0:
+    if p[3] > p[2]:
         return p[1] + begun + p[3]
     return inf
 
 
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
     since = motion.t - shape["start"] + SNAP
-    folded = np.mod(since, shape["every"]) if shape["every"] > 0 else since
+    folded = np.mod(since, shape["every"]) if shape["every"] > shape["duration"] else since
     return -motion.smooth(((since >= 0) & (folded < shape["duration"])).astype(float))[:, None]
 
 
@@ -65,7 +65,7 @@ def expression(q, v, t, tau, p, b):
     import sympy
 
     since = t - p["start"]
-    folded = sympy.Piecewise((sympy.Mod(since, p["every"]), p["every"] > 0), (since, True))
+    folded = sympy.Piecewise((sympy.Mod(since, p["every"]), p["every"] > p["duration"]), (since, True))
     return -p["amplitude"] * sympy.Piecewise((1, (since >= 0) & (folded < p["duration"])), (0, True))
 
 
@@ -97,6 +97,7 @@ EFFECT = Effect(
     checks=(
         ({"amplitude": 30.0, "start": 2.3, "duration": 0.25, "every": 5.3}, {"t": 7.7}, -30.0),
         ({"amplitude": 30.0, "start": 2.3, "duration": 0.25, "every": 0.0}, {"t": 7.7}, 0.0),
+        ({"amplitude": 30.0, "start": 2.3, "duration": 0.25, "every": 1e-20}, {"t": 7.7}, 0.0),
     ),
     parity="even",
 )
