@@ -50,6 +50,7 @@ SEEN_AGAIN = 0.3  # of the gain per sample on the fitting part must be there on 
 STROKES = 0.8  # of what the selecting strokes change must be improvement
 CHANCE = 2.0  # standard deviations of a stroke's cost
 BURST = 5.0  # standard deviations beyond which a sample counts no more
+HALF = 0.5  # of the cost, worth having however far from the noise it leaves the samples
 MEDIAN = 0.6745  # of the size of a normal deviate
 BURST_AT_FLOOR = 2.5  # the same where only noise is left to explain: an effect then shows in all samples a little
 STRUCTURED = 1.5  # whitened cost per sample beyond which a model leaves structure
