@@ -24,15 +24,22 @@ class Judge:
 
     def accepts(self, better: Fit, worse: Fit) -> bool:
         """Whether ``better``, with one effect more, is a finding over ``worse``."""
+        burst, worth = self._demands(worse)
+        before = [_bulk(worse, part, burst) for part in ("fit", "select")]
+        gain_fit, gain_select = (
+            cost - _bulk(better, part, burst) for cost, part in zip(before, ("fit", "select"), strict=True)
+        )
         return (
             worse.cost_fit - better.cost_fit > self.healthy.threshold
-            and any(_pays(better, worse, burst, worth) for burst, worth in self._demands(worse))
+            and gain_fit + gain_select > worth * sum(before)
+            and _seen_again(better, worse, burst)
+            and share_of_strokes(better, worse, burst) >= rules.STROKES
             and self._faint(better.model) is None
         )
 
     def to_beat(self, worse: Fit) -> float:
         """The gain on the fitting part [whitened cost] beyond which an effect added to ``worse`` is looked at."""
-        burst, worth = self._demands(worse)[0]
+        burst, worth = self._demands(worse)
         return max(self.healthy.threshold, worth * _bulk(worse, "fit", burst))
 
     def refitted(self, hypothesis: Hypothesis) -> Fit:
@@ -62,16 +69,11 @@ class Judge:
     def _more_than_noise(self, fitted: Fit, cost: float) -> bool:
         return cost > rules.STRUCTURED * fitted.problem.samples("used") or self._whitened_away(fitted)
 
-    def _demands(self, worse: Fit) -> tuple[tuple[float, float], ...]:
-        """Deviations at which a sample's cost is cut, and the share of the cost that a finding must be worth.
-
-        Far from the noise nearly all samples would be cut there; what takes away half of everything is a finding too.
-        """
+    def _demands(self, worse: Fit) -> tuple[float, float]:
+        """Deviations at which a sample's cost is cut, and the share of the cost that a finding must be worth."""
         if self.at_floor(worse):
-            return ((rules.BURST_AT_FLOOR, rules.WORTH_AT_FLOOR),)
-        left = np.abs(np.concatenate([worse.residual("fit"), worse.residual("select")]))
-        usual = max(1.0, float(np.median(left)) / rules.MEDIAN)
-        return (rules.BURST, rules.WORTH), (rules.BURST * usual, rules.HALF)
+            return rules.BURST_AT_FLOOR, rules.WORTH_AT_FLOOR
+        return rules.BURST, rules.WORTH
 
     def _faint(self, model: Candidate) -> int | None:
         """The first effect whose amplitude is a force far below the noise, or a share that is next to none."""
@@ -96,17 +98,6 @@ class Judge:
     def leaves_force(self, fitted: Fit) -> bool:
         """Whether the force left is more than noise, however it looks once it is whitened."""
         return bool(usual_rms(_force_left(fitted)) ** 2 > rules.STRUCTURED * self.floor.force**2)
-
-
-def _pays(better: Fit, worse: Fit, burst: float, worth: float) -> bool:
-    """Whether ``better`` gains the share ``worth``, again on strokes it has not seen and in most of them."""
-    parts = ("fit", "select")
-    before, after = (sum(_bulk(fitted, part, burst) for part in parts) for fitted in (worse, better))
-    return (
-        before - after > worth * before
-        and _seen_again(better, worse, burst)
-        and share_of_strokes(better, worse, burst) >= rules.STROKES
-    )
 
 
 def share_of_strokes(better: Fit, worse: Fit, burst: float) -> float:
