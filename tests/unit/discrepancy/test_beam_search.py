@@ -14,10 +14,12 @@ from emps_design.discrepancy.model.least_squares import descend
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.whitening import Whitening
+from emps_design.discrepancy.search import extension
 from emps_design.discrepancy.search.acceptance import _seen_again
 from emps_design.discrepancy.search.beam_search import _extend, _late, _pair, _pruned, _rivals
 from emps_design.discrepancy.search.exchange import exchanges
-from emps_design.discrepancy.search.extension import _fitted, freed
+from emps_design.discrepancy.search.extension import _fitted, extensions, freed
+from emps_design.discrepancy.search.starts import screen, tangent
 from emps_design.effects import get_effect
 from emps_design.machines import machine
 from emps_design.records import Record
@@ -185,6 +187,23 @@ def test_two_effects_are_found_of_which_neither_is_accepted_alone(monkeypatch):
     assert begun == [[("actuator_delay",)]]
     assert frozenset(both.model.names) in tried
     assert _pair(calibration, delayed, tried, lambda stage, done: None) is None
+
+
+def test_what_promises_much_is_fitted_though_its_short_fit_was_misled(monkeypatch):
+    """As load-dependent friction is that takes the place of the baseline's: its short fit keeps the baseline's."""
+    short_fit = extension._short_fit
+
+    def misled(start, absorbed):
+        short = short_fit(start, absorbed)
+        return replace(short, cost=1e3 * short.cost) if short.model.names[-1] == "actuator_delay" else short
+
+    monkeypatch.setattr(extension, "_short_fit", misled)
+    monkeypatch.setattr(extension, "bent", lambda *_: False)
+    fitted = fit(hypothesis(BASELINE, DELAYED))
+    absorbed = tangent(fitted)
+    fits, gains = extensions(fitted, screen(fitted, (DELAY, LAG, SPRING), absorbed), absorbed)
+    assert gains["actuator_delay"] < 0 < gains["actuator_lag"]
+    assert fits[0].model.names == ("actuator_delay",)
 
 
 def test_an_interrupt_of_the_second_search_keeps_the_first(monkeypatch):
