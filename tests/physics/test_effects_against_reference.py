@@ -74,3 +74,26 @@ def test_two_lags_act_one_behind_the_other():
     both = Plant.of(axis_with().replace(effects=[slow], drive={"current_time_constant": fast})).open_loop(u)
     alone = Plant.of(axis_with().replace(effects=[slow])).open_loop(u)
     assert np.abs(both.position - alone.position).max() < 1e-5
+
+
+def test_a_carriage_comes_to_rest_where_only_friction_of_its_direction_holds_it():
+    """Beyond its stop friction of the other direction, which is less, would turn it: no step may feel that.
+
+    Undriven on a spring against constant friction, it stops at a quarter period's end, in closed form.
+    """
+    mass, coulomb, offset, stiffness, share = 0.0065, 0.017, 0.002, 0.4, 0.38
+    axis = machine("emps2019").replace(
+        mechanics={"mass": mass, "viscous": 0.0, "coulomb": coulomb, "offset": offset},
+        effects=[
+            {"kind": "elastic_force", "stiffness": stiffness, "rest_position": 0.0},
+            {"kind": "load_dependent_friction", "share": share, "motor_side": 1.0},
+        ],
+    )
+    level, other = coulomb + share * (offset + coulomb), coulomb + share * (coulomb - offset)
+    for pull, speed in ((0.02416, 8.1e-4), (0.0237, 0.01), (0.0239, 2e-3)):
+        assert other < pull < level
+        start, balanced = -(pull + offset) / stiffness, -(level + offset) / stiffness
+        run = Plant.of(axis).open_loop(np.zeros(100), q0=start, v0=speed, period=5e-3, tolerance=1e-2)
+        stop = balanced + np.hypot(start - balanced, speed * np.sqrt(mass / stiffness))
+        assert run.v[-1] == 0.0
+        assert run.position[-1] == pytest.approx(stop, abs=1e-11)

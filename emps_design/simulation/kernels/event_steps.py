@@ -120,7 +120,7 @@ def carry(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, even
         if (event == 0 or event == 1) and not free:
             direction = held(y, clipped(t + done, bounds), tau, push, plant)
             if event == 1 and direction == 0.0:  # rounding: the force has reached the limit all the same
-                direction = 1.0 if balance(y, clipped(t + done, bounds), tau, push, plant)[0] > 0.0 else -1.0
+                direction = 1.0 if balance(y, clipped(t + done, bounds), tau, push, 0.0, plant)[0] > 0.0 else -1.0
             kind = BREAKAWAY if event == 1 else (STICK if direction == 0.0 else REVERSAL)
             note(events, found, t + done, kind, y[0])
             s = direction

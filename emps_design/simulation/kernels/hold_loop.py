@@ -150,7 +150,7 @@ def run(
         force = push[k] if push.size else 0.0
         if holds:
             force -= total(HELD, y_, t, tau, plant)
-        if (weighed or k == 0) and not balance(y_, t, tau, force, plant)[2] > 0.0:
+        if (weighed or k == 0) and not balance(y_, t, tau, force, s, plant)[2] > 0.0:
             return MASSLESS, k, 0.0
         felt = force
         if touched:

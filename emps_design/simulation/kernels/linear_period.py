@@ -44,7 +44,7 @@ def solve(h, s, plant, work, solution, spare):
     for i in range(n):
         stage[i] = 0.0
     derivative(stage, 0.0, 0.0, 0.0, s, plant, rest)
-    mass = balance(stage, 0.0, 0.0, 0.0, plant)[2]
+    mass = balance(stage, 0.0, 0.0, 0.0, 0.0, plant)[2]
     for j in range(n):
         unit = s if j == 1 else 1.0
         stage[j] = unit

@@ -52,30 +52,30 @@ def total(row, y, t, tau, plant):
 
 
 @part
-def weigh(y, t, acting, push, plant):
+def weigh(y, t, acting, push, s, plant):
     """What :func:`balance` gives, for a motor force ``acting`` before the back-EMF: kernels get what the plant gets."""
-    b, settings = plant[0], plant[4]
-    acting -= settings[BRAKING] * y[1]
-    net = acting + push - b[1] * y[1] - b[3] - total(FORCE, y, t, acting, plant)
-    still = y[1] == 0.0
-    if still:  # the dry friction that would have to be overcome: of the direction in which the rest pushes
-        y[1] = math.copysign(NUDGE, net)
+    b, settings, v = plant[0], plant[4], y[1]
+    acting -= settings[BRAKING] * v
+    net = acting + push - b[1] * v - b[3] - total(FORCE, y, t, acting, plant)
+    # Dry friction is of the direction of motion, also where a stage of a step is beyond its end; at rest it is the one
+    # that would have to be overcome: of the direction in which the rest pushes.
+    if s * v < 0.0 or v == 0.0:
+        y[1] = math.copysign(NUDGE, s if s != 0.0 else net)
     level = max(0.0, settings[LEVEL] + total(DRY, y, t, acting, plant))
-    if still:
-        y[1] = 0.0
+    y[1] = v
     return net, level, settings[MASS] + total(INERTIA, y, t, acting, plant)
 
 
 @part
-def balance(y, t, tau, push, plant):
-    """Force without dry friction [N], level of dry friction [N], and mass [kg]."""
-    return weigh(y, t, motor(t, tau, plant), push, plant)
+def balance(y, t, tau, push, s, plant):
+    """Force without dry friction [N], level of it [N] in motion with direction ``s`` or at rest, and mass [kg]."""
+    return weigh(y, t, motor(t, tau, plant), push, s, plant)
 
 
 @part
 def held(y, t, tau, push, plant):
     """Direction in which a carriage at rest leaves, 0: dry friction holds it."""
-    net, level, _ = balance(y, t, tau, push, plant)
+    net, level, _ = balance(y, t, tau, push, 0.0, plant)
     if abs(net) <= level * (1.0 + 1e-14) + 1e-12:
         return 0.0
     return 1.0 if net > 0.0 else -1.0
@@ -85,7 +85,7 @@ def held(y, t, tau, push, plant):
 def derivative(y, t, tau, push, s, plant, dy):
     """Time derivative of the whole state in motion with direction ``s``, or at rest."""
     b, hooks, starts, p, settings, _ = plant
-    net, level, mass = balance(y, t, tau, push, plant)
+    net, level, mass = balance(y, t, tau, push, s, plant)
     if settings[FREE] > 0.0:
         dy[0] = y[1]
         dy[1] = net / mass
@@ -158,7 +158,7 @@ def margin(event, sign, y, t, tau, push, plant):
     if event == 0:
         return sign * y[1]
     if event == 1:
-        net, level, _ = balance(y, t, tau, push, plant)
+        net, level, _ = balance(y, t, tau, push, 0.0, plant)
         return level * (1.0 + 1e-14) + 1e-12 - abs(net)
     i = event - 2  # entry of the table of hooks
     acting = motor(t, tau, plant) - plant[4][BRAKING] * y[1]

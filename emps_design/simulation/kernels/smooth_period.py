@@ -22,14 +22,14 @@ def begin(y, t, tau, push, s, steady, plant, work):
     can be slid through where all of the gap counts in proportion.
     """
     drive, settings = plant[5], plant[4]
-    net, level, mass = weigh(y, t, tau + drive[0], push, plant)
+    net, level, mass = weigh(y, t, tau + drive[0], push, s, plant)
     whole = (net - s * level) / mass
     work[0][0], work[0][1], work[1][0], work[1][1] = 0.0, whole, 1.0 / mass, mass
     if steady or drive[0] == 0.0:
         return True
-    net, level, mass = weigh(y, t, tau + 0.5 * drive[0], push, plant)
+    net, level, mass = weigh(y, t, tau + 0.5 * drive[0], push, s, plant)
     half = (net - s * level) / mass
-    net, level, mass = weigh(y, t, tau, push, plant)
+    net, level, mass = weigh(y, t, tau, push, s, plant)
     none = (net - s * level) / mass
     work[1][0] = (whole - none) / drive[0]
     return settings[LAG] * abs(whole - 2.0 * half + none) <= _MISSED * settings[TOLERANCE]
@@ -65,7 +65,7 @@ def slide(y, t, h, tau, push, s, feel, plant, work, new):
     for sweep in range(4):
         if s * stage[1] <= 0.0:
             return False
-        net, level, mass = weigh(stage, t + 0.5 * h, tau + drive[0] * (1.0 - drive[3]), push, plant)
+        net, level, mass = weigh(stage, t + 0.5 * h, tau + drive[0] * (1.0 - drive[3]), push, s, plant)
         middle = (net - s * level) / mass - half_a
         if sweep == 0:
             bend = middle - a0 - 0.5 * h * slope
@@ -83,7 +83,7 @@ def slide(y, t, h, tau, push, s, feel, plant, work, new):
         if s * new[1] <= 0.0:
             return False
         used = end
-        net, level, mass = weigh(new, t + h, tau + drive[0] * (1.0 - drive[4]), push, plant)
+        net, level, mass = weigh(new, t + h, tau + drive[0] * (1.0 - drive[4]), push, s, plant)
         end = (net - s * level) / mass - full_a
         if abs(a0 - 2.0 * middle + end) * h * h > _BEND * tolerance:
             return False
@@ -127,11 +127,11 @@ def feeling(y, plant, work, feel):
         sign = 2.0 * side - 1.0
         row = shifted(feel, 2 * SPEEDS * side)
         stage[1] = sign * 0.5e-5
-        net, level, mass = balance(stage, 0.0, 0.0, 0.0, plant)
+        net, level, mass = balance(stage, 0.0, 0.0, 0.0, sign, plant)
         last, speed = (net - sign * level) / mass, stage[1]
         for i in range(SPEEDS):
             stage[1] = sign * 1e-5 * 2.0**i
-            net, level, mass = balance(stage, 0.0, 0.0, 0.0, plant)
+            net, level, mass = balance(stage, 0.0, 0.0, 0.0, sign, plant)
             value = (net - sign * level) / mass
             row[2 * i] = (value - last) / (stage[1] - speed)
             last, speed = value, stage[1]
