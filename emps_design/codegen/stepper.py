@@ -246,7 +246,7 @@ class StepperReader(FunctionReader):
         value = node.value if isinstance(node, ast.Constant) else self.known(node)
         if value is not None:
             return Number(int(bool(value)), TRUTH)
-        if isinstance(node, ast.Name | ast.Attribute | ast.Subscript):
+        if isinstance(node, ast.Name | ast.Attribute | ast.Subscript | ast.Call):
             found = self.number(node)
             return found if found.type == TRUTH else Binary("!=", found, Number(0, INT), TRUTH)
         if isinstance(node, ast.IfExp):
