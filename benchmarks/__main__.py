@@ -66,6 +66,7 @@ def main() -> int:
     )
     _replays(axis, record, rows)
     _five(axis, record, rows)
+    _contact(axis, record, rows)
     _ensembles(axis, record, rows)
     _comanipulation(rows)
     _hour(axis, rows)
@@ -185,6 +186,16 @@ def _five(axis, record, rows) -> None:
         add(rows, f"replay, five effects ({label})", 1e3 * seconds, "ms", 6.0)
         difference = float(np.abs(fast.position - tight.position).max())
         add(rows, f"five effects ({label}), position against tight steps", difference, "m", 1e-9)
+
+
+def _contact(axis, record, rows) -> None:
+    """Presliding friction where the contact bends by less than an encoder sees, and where it is soft."""
+
+    def seconds(stiffness: float) -> float:
+        plant = Plant.of(axis.replace(effects=[{"kind": "presliding_friction", "stiffness": stiffness}]))
+        return _median(lambda: plant.closed_loop(record.q_ref, q0=float(record.q[0])))
+
+    add(rows, "presliding friction, the stiffest contact over a soft one", seconds(1e8) / seconds(1e5), "times", 2.0)
 
 
 def _ensembles(axis, record, rows) -> None:

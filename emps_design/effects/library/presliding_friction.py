@@ -11,6 +11,7 @@ from emps_design.quantities import Quantity
 
 FORGET = 1e-4  # m
 FINEST = 1e-6  # m
+SETTLED = 1e-9  # of the whole bend: what is missing of it counts no more, and while it slides the steps may be long
 
 
 def force(q, v, t, tau, x, p, b):
@@ -20,7 +21,8 @@ def force(q, v, t, tau, x, p, b):
 def rate(q, v, t, tau, x, p, b, level, dx):
     if level > 0.0:
         bend = level / p[0]
-        dx[0] = (v * bend - abs(v) * x[0]) / max(bend, FINEST)
+        missing = v * bend - abs(v) * x[0]
+        dx[0] = missing / max(bend, FINEST) if abs(missing) > SETTLED * abs(v) * bend else 0.0
     else:
         dx[0] = -abs(v) * x[0] / FORGET
 
