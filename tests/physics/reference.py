@@ -132,14 +132,14 @@ class Reference:
         volts = controller.kp * controller.kv * (q_ref - seen) - controller.kv * v + self.total("command", t, y, tau)
         return min(max(volts, -self.limit), self.limit)
 
-    def positions(self, given, q0=0.0, closed=False):
-        """Positions [m] at the samples, from rest at ``q0``: ``given`` : voltage [V], or q_ref [m] if ``closed``."""
+    def positions(self, given, q0=0.0, v0=0.0, closed=False):
+        """Positions [m] at the samples, from ``q0`` with ``v0``: ``given`` voltage [V], or q_ref [m] if ``closed``."""
         y = np.zeros(self.at[-1])
-        y[0] = q0
+        y[:2] = q0, v0
         for i, effect in enumerate(self.effects):
             if effect.initial is not None:
                 y[self.at[i] : self.at[i + 1]] = effect.initial(q0, self.p[i], self.b)
-        positions, u, s, tau = np.empty(len(given)), np.array(given, dtype=float), 0.0, 0.0
+        positions, u, s, tau = np.empty(len(given)), np.array(given, dtype=float), np.sign(v0), 0.0
         for k in range(len(given)):
             t = k * self.period
             positions[k] = y[0]

@@ -38,6 +38,15 @@ def test_effects_together(names):
     assert np.abs(run.position - Reference(axis).positions(u)).max() < 1e-9
 
 
+@pytest.mark.parametrize("other", ["none", "presliding_friction"])
+def test_a_carriage_that_moves_at_first(other):
+    """Friction depends on speed and on the motor's force; without stick the direction at first means nothing later."""
+    axis, u = axis_with("stribeck_friction", "load_dependent_friction", other), voltage()
+    run = Plant.of(axis).open_loop(u, v0=0.1)
+    assert np.ptp(np.sign(run.v)) == 2.0
+    assert np.abs(run.position - Reference(axis).positions(u, v0=0.1)).max() < 1e-9
+
+
 @pytest.mark.parametrize("name", OUTSIDE)
 def test_effect_outside_the_plant_in_closed_loop(name):
     axis = machine("emps2019").replace(effects=[{"kind": name, **CASES[name]}], sampling={"encoder_resolution": 0.0})

@@ -22,6 +22,7 @@ from emps_design.simulation.kernels.motion import (
     DELAY,
     DELAYED,
     EXACT,
+    FREE,
     GAIN,
     GUARD,
     HELD,
@@ -134,7 +135,7 @@ def run(
     tau, reached, s, hint = 0.0, 0.0, 0.0, period
     drive[0], drive[1], drive[2], drive[3], drive[4] = 0.0, 0.0, 0.0, 0.0, 0.0
     swings = (0.0, 0.0, 0.0)
-    if y[1] != 0.0:
+    if y[1] != 0.0 and not settings[FREE] > 0.0:  # without stick there is no direction to keep
         s = 1.0 if y[1] > 0.0 else -1.0
     for k in range(n):
         t = k * period
