@@ -82,7 +82,8 @@ def _repeated(outcome: Outcome, seed: int, searches: int, report: Progress) -> O
         calibration, part = outcome.calibration, partial(_part, report, *shares)
         runs = searches if calibration.healthy.searched else 0  # an interrupt ended the calibration for good
         try:
-            again = search(calibrate(calibration.preparation, calibration.baseline, floor, seed, runs, part), part)
+            calibration = calibrate(calibration.preparation, calibration.baseline, floor, seed, runs, part)
+            again = search(calibration, part, outcome.best.model)
         except KeyboardInterrupt:
             again = None
         if again is None or again.interrupted:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from emps_design.discrepancy import rules
+from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import Fit, admissible, evaluate, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.search.calibration import Calibration, Progress
@@ -29,10 +30,11 @@ Accept = Callable[[Fit, Fit], bool]
 FitsBySet = dict[frozenset[str], Fit]
 
 
-def search(calibration: Calibration, progress: Progress) -> Outcome:
+def search(calibration: Calibration, progress: Progress, before: Candidate | None = None) -> Outcome:
     """Extend the baseline of ``calibration`` while its judge accepts the best admissible extension.
 
-    An interrupt from the keyboard ends the search where it is.
+    A model that was found ``before``, under other noise, is gone on from where the search leaves more than it. An
+    interrupt from the keyboard ends the search where it is.
     """
     baseline, judge = calibration.baseline, calibration.judge
     known = baseline.model.names
@@ -43,8 +45,10 @@ def search(calibration: Calibration, progress: Progress) -> Outcome:
         for _ in range(PASSES):
             _extend(calibration, path, tried, alone, progress)
             path += _pruned(path[-1], known, judge.accepts)
-            better = _exchanged(calibration, path[-1], tried, progress) or _beyond(
-                calibration, path[-1], tried, progress
+            better = (
+                _found_before(before, path[-1], tried)
+                or _exchanged(calibration, path[-1], tried, progress)
+                or _beyond(calibration, path[-1], tried, progress)
             )
             if better is None:
                 break
@@ -101,6 +105,17 @@ def _as_given(fitted: Fit) -> list[Fit]:
     given = fitted.as_given()
     found = evaluate(given) if far_apart(fitted.model, given.model) else None
     return [found] if found is not None and found.innovations else []
+
+
+def _found_before(before: Candidate | None, current: Fit, tried: FitsBySet) -> Fit | None:
+    """The model found ``before``, fitted under this noise, where it leaves less than ``current``."""
+    if before is None or before.names == current.model.names:
+        return None
+    found = converged(fit(current.with_model(before)))
+    if not admissible(found):
+        return None
+    _remember(tried, {frozenset(before.names): found})
+    return found if found.cost < (1 - rules.STILL_PAYS) * current.cost else None
 
 
 def _beyond(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Progress) -> Fit | None:

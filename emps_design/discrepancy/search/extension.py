@@ -111,14 +111,14 @@ def _promising(begins: list[Hypothesis]) -> list[Hypothesis]:
 
 
 def _fitted(begin: Hypothesis) -> Fit:
-    """Fit ``begin``; where structure is left, numbers that end on a bound are held as they were, and the rest fitted.
+    """Fit ``begin``; numbers that end on a bound are held as they were, and the rest fitted again.
 
     While something else is missing, a number may make up for it: a resonance loses all its damping to a delay that is
     not known yet. The physics need not end there; :func:`freed` sees to it at the end.
     """
     ended = fit(begin)
     met = {(slot.effect, slot.place, slot.record) for slot in bounds_met(ended)}
-    if not met or ended.cost <= rules.STRUCTURED * ended.problem.samples("used"):
+    if not met:
         return ended
     return fit(begin, slots=tuple(s for s in begin.model.slots() if (s.effect, s.place, s.record) not in met))
 

@@ -16,7 +16,7 @@ from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.discrepancy.search import extension
 from emps_design.discrepancy.search.acceptance import _seen_again
-from emps_design.discrepancy.search.beam_search import _extend, _late, _pair, _pruned, _rivals
+from emps_design.discrepancy.search.beam_search import _extend, _found_before, _late, _pair, _pruned, _rivals
 from emps_design.discrepancy.search.exchange import exchanges
 from emps_design.discrepancy.search.extension import _fitted, extensions, freed
 from emps_design.discrepancy.search.starts import screen, tangent
@@ -100,13 +100,25 @@ def test_what_is_left_of_a_model_can_be_simulated(monkeypatch):
     assert last.innovations
 
 
-def test_a_number_that_ends_on_a_bound_is_held_where_structure_is_left(monkeypatch):
+def test_a_number_that_ends_on_a_bound_is_held():
     begin = hypothesis(BASELINE.with_effect(LAG, np.array([[1e-4]])))
-    assert on_bound(_fitted(begin))
-    monkeypatch.setattr(rules, "STRUCTURED", 0.0)
+    assert on_bound(fit(begin))
     held = _fitted(begin)
     assert not on_bound(held)
     assert held.model.values[0][0, 0] == 1e-4
+
+
+def test_a_search_goes_on_from_a_model_found_before_that_leaves_less():
+    delayed = BASELINE.with_effect(DELAY, np.array([[1.5e-3]]))
+    current = fit(hypothesis(BASELINE.with_effect(SPRING, np.array([[1.0, 0.0]])), DELAYED))
+    tried = {}
+    found = _found_before(delayed, current, tried)
+    assert found.model.names == ("actuator_delay",)
+    assert found.model.values[0][0, 0] == pytest.approx(1.6e-3, rel=1e-2)  # fitted under the noise of ``current``
+    assert tried == {frozenset({"actuator_delay"}): found}
+    assert _found_before(None, current, {}) is None
+    assert _found_before(delayed, found, {}) is None  # where the search has ended already
+    assert _found_before(current.model, found, {}) is None  # leaves more
 
 
 def test_what_is_known_from_the_law_is_never_pruned():
