@@ -44,6 +44,20 @@ class Problem:
         """The :func:`band` of every record [Hz]."""
         return tuple(band(record) for record in self.records)
 
+    @cached_property
+    def forces(self) -> tuple[np.ndarray, ...]:
+        """The motor force (n,) [N] that the command of every record asks for."""
+        return tuple(motor_force(self.axis, record) for record in self.records)
+
+    @cached_property
+    def asked(self) -> tuple[np.ndarray | None, ...]:
+        """What the law asks for (n,) along every record in which the motor is switched off, None of the others."""
+        loop = self.axis.controller.kind != NONE
+        off = [loop and record.enable is not None and not record.enable.all() for record in self.records]
+        return tuple(
+            _asked(self.axis, record, record.q) if one else None for record, one in zip(self.records, off, strict=True)
+        )
+
     @property
     def period(self) -> float:
         """Sampling period [s], one for all records."""
@@ -162,10 +176,12 @@ class Hypothesis:
 
         A motor that is switched off has no force to compare: there it is what the law would ask for.
         """
-        axis = self.problem.axis
+        problem = self.problem
         return tuple(
-            motor_force(axis, record) - run.force + _asked_while_off(axis, record, run)
-            for record, run in zip(self.problem.records, self.runs(disturbance), strict=True)
+            force - run.force + (0.0 if asked is None else _missing_while_off(problem.axis, record, asked, run))
+            for force, record, asked, run in zip(
+                problem.forces, problem.records, problem.asked, self.runs(disturbance), strict=True
+            )
         )
 
     def whitened(self) -> tuple[np.ndarray, ...]:
@@ -196,12 +212,13 @@ def orthonormal(columns: np.ndarray) -> np.ndarray:
     return basis[:, singular > RANK * singular[0]]
 
 
-def _asked_while_off(axis: Axis, record: Record, run: Run) -> np.ndarray | float:
-    """What the law of ``axis`` would ask for along ``record``, less that along ``run`` (n,) [N]; 0 while it is on."""
-    if record.enable is None or axis.controller.kind == NONE:
-        return 0.0
+def _asked(axis: Axis, record: Record, q: np.ndarray) -> np.ndarray:
+    """What the law of ``axis`` would ask for (n,) along the positions ``q`` (n,) [m], in units of the command."""
     law = law_of(axis, record.period, record.extra)
-    followed = law.followed(record)
-    measured, simulated = (law.commands(followed, q, np.inf, record.f_ext) for q in (record.q, run.q))
-    asked = motor_force(axis, replace(record, u=measured - simulated, enable=None))
-    return np.where(record.enable == 0.0, asked, 0.0)
+    return law.commands(law.followed(record), q, np.inf, record.f_ext)
+
+
+def _missing_while_off(axis: Axis, record: Record, asked: np.ndarray, run: Run) -> np.ndarray:
+    """What the law ``asked`` for along ``record``, less what it would along ``run`` (n,) [N]; 0 while it is on."""
+    more = motor_force(axis, replace(record, u=asked - _asked(axis, record, run.q), enable=None))
+    return np.where(record.enable == 0.0, more, 0.0)
