@@ -194,10 +194,14 @@ class Units:
         return table
 
     def label(self, text: str) -> str:
-        """``text`` in this axis's words, and what stands in brackets in its units: for axes of plots, titles, heads."""
+        """``text`` in this axis's words, and what stands in brackets in its units: for axes of plots, titles, heads.
+
+        >>> Units(command="duty", command_unit="").label("voltage left to the limit [V]")  # a duty has no unit
+        'duty left to the limit'
+        """
         if self.plain:
             return text
-        text = _BRACKETS.sub(lambda match: f"[{self._leading(match[1])}]", text)
+        text = _BRACKETS.sub(lambda match: f"[{self._leading(match[1]).strip()}]", text).replace(" []", "")
         if self.rotary:
             text = re.sub(r"\b([Pp])osition(?=[^\[\]]{0,20}\[)", lambda m: "Angle" if m[1] == "P" else "angle", text)
         return self.words(text)
