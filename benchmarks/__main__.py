@@ -189,13 +189,18 @@ def _five(axis, record, rows) -> None:
 
 
 def _contact(axis, record, rows) -> None:
-    """Presliding friction where the contact bends by less than an encoder sees, and where it is soft."""
+    """Presliding friction where the contact bends by less than an encoder sees, and under friction that varies."""
 
-    def seconds(stiffness: float) -> float:
-        plant = Plant.of(axis.replace(effects=[{"kind": "presliding_friction", "stiffness": stiffness}]))
+    ripple = {"kind": "friction_ripple", "amplitude": 1.0, "phase": 0.5, "period": 2.5e-3}
+
+    def seconds(stiffness: float, *beside: dict) -> float:
+        contact = {"kind": "presliding_friction", "stiffness": stiffness}
+        plant = Plant.of(axis.replace(effects=[contact, *beside]))
         return _median(lambda: plant.closed_loop(record.q_ref, q0=float(record.q[0])))
 
-    add(rows, "presliding friction, the stiffest contact over a soft one", seconds(1e8) / seconds(1e5), "times", 2.0)
+    soft, varied = seconds(1e5), seconds(1e5, ripple)
+    add(rows, "presliding friction, the stiffest contact over a soft one", seconds(1e8) / soft, "times", 2.0)
+    add(rows, "presliding friction beside a friction ripple over it alone", varied / soft, "times", 8.0)
 
 
 def _ensembles(axis, record, rows) -> None:

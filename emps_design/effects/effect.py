@@ -154,6 +154,9 @@ class Effect:
     ``guard``      changes sign where the kernels are not smooth (contact, play); located as an event
     ``jump_time``  s, ``jump_time(..., t, ...)``: the next instant after ``t`` at which a kernel jumps in time
     ``takes_dry``  True: ``rate`` and ``force`` stand in for the set-valued friction (presliding)
+    ``by_travel``  True: the one own state is a memory of the path: ``rate`` is proportional to ``v``, affine in ``x``
+                   for each direction, and reads only ``level`` besides; ``force`` is proportional to ``x``. The
+                   simulation knows the solution
 
     ``regressor(motion, shape, b)`` returns the columns, shape (n_samples, n_linear) [N per unit of the coefficient],
     of the extra force on the left-hand side of the inverse dynamic model; None where no column is honest.
@@ -204,6 +207,7 @@ class Effect:
     guard: Kernel | None = None
     jump_time: Kernel | None = None
     takes_dry: bool = False
+    by_travel: bool = False
     states: tuple[Quantity, ...] = ()
     regressor: Callable[[Motion, Parameters, np.ndarray], np.ndarray] | None = None
     to_linear: Callable[[Parameters], np.ndarray] | None = None
@@ -237,6 +241,8 @@ class Effect:
             raise AxisError(f"effect {self.name}: give a regressor, or say in no_regressor why there is none")
         if (self.rate is None) != (not self.states) or (self.rate is None) != (self.initial is None):
             raise AxisError(f"effect {self.name}: states, rate and initial come together")
+        if self.by_travel and (len(self.states) != 1 or self.force is None):
+            raise AxisError(f"effect {self.name}: a memory of the path is one own state with a force")
 
     def acts_on(self, motion: str) -> bool:
         """Whether an axis of this ``motion``, "linear" or "rotary", can have the effect."""

@@ -43,6 +43,8 @@ def hooks_of(effect: Effect, touching: bool, held: bool) -> Iterator[tuple[int, 
         kernel = getattr(effect, hook)
         if kernel is not None and kernel not in summed:
             yield row, address(kernel, hook if hook in ("actuator", "rate") else "kernel")
+    if effect.by_travel and effect.force is not None:
+        yield motion.MEMORY, address(effect.force)
     if touching:
         for row, kernel in ((motion.TOUCH, effect.force), (motion.TOUCH_MASS, effect.inertia)):
             if kernel is not None:

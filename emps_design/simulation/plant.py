@@ -67,13 +67,14 @@ class Plant:
             if i != self.lagging
         ]
         self._hooks, self._starts = self._table()
-        dynamic = self._states > 2 or any(effect.guard or effect.jump_time for effect in self.effects)
         moving = [effect for i, effect in enumerate(self.effects) if i != self.lagging and i not in self._held]
+        dynamic = any((e.states and not e.by_travel) or e.guard or e.jump_time for e in moving)
         stepped = [effect for effect in moving if effect.slopes is None and touches_motion(effect)]
         self._exact = not stepped
         self._affine = all(effect.affine for effect in stepped)
         seen = any(sees_command(effect) for i, effect in enumerate(self.effects) if i != self.lagging)
-        self._slides = 0 if dynamic else 1 if seen else 2
+        # A contact whose friction jumps with every command bends anew in no time: that is stepped through.
+        self._slides = 0 if dynamic or (seen and self._free) else 1 if seen else 2
 
     @classmethod
     def of(cls, axis: Axis) -> Plant:
@@ -87,7 +88,7 @@ class Plant:
         return Plant(self.axis, effects, (*self.environment, *things))
 
     def _table(self) -> tuple[np.ndarray, np.ndarray]:
-        rows: list[list[tuple[int, int, int]]] = [[] for _ in range(motion.HELD + 1)]
+        rows: list[list[tuple[int, int, int]]] = [[] for _ in range(motion.MEMORY + 1)]
         for i, effect in enumerate(self.effects):
             if i != self.lagging and not effect.winding:
                 for row, kernel in hooks_of(effect, i in self._outside, i in self._held):

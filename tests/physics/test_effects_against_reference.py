@@ -14,6 +14,12 @@ TOGETHER = (
     ("backlash", "asymmetric_viscous_friction", "external_force"),
     ("presliding_friction", "position_ripple", "actuator_lag"),
     ("presliding_friction", "maxwell_slip_friction", "friction_map"),
+    ("presliding_friction", "friction_ripple", "actuator_delay"),
+    ("presliding_friction", "stribeck_friction", "position_ripple"),
+    ("presliding_friction", "friction_drift", "position_dependent_friction"),
+    ("presliding_friction", "position_dependent_friction", "actuator_lag"),
+    ("maxwell_slip_friction", "load_dependent_friction", "friction_ripple", "actuator_lag"),
+    ("presliding_friction", "load_dependent_friction"),
     ("position_dependent_friction", "end_stop", "mass_change", "periodic_disturbance"),
 )
 
@@ -36,6 +42,20 @@ def test_effects_together(names):
     axis, u = axis_with(*names), voltage()
     run = Plant.of(axis).open_loop(u)
     assert np.abs(run.position - Reference(axis).positions(u)).max() < 1e-9
+
+
+@pytest.mark.parametrize("period", [5e-4, 4e-3])
+@pytest.mark.parametrize("stiffness", [2e4, 1e6, 1e8])
+@pytest.mark.parametrize("name", ["friction_ripple", "stribeck_friction", "friction_map", "friction_drift"])
+def test_a_contact_under_friction_that_varies(name, stiffness, period):
+    """Soft or so stiff that it bends a thousand times while the carriage goes on by one sample: as in tiny steps."""
+    axis, u = axis_with("presliding_friction", name), np.repeat(voltage(), round(4e-3 / period))
+    contact, other = (one.parameters for one in axis.effects)
+    effects = [{"kind": "presliding_friction", **contact, "stiffness": stiffness}, {"kind": name, **other}]
+    plant = Plant.of(axis.replace(effects=effects, sampling={"period": period}))
+    tiny = plant.open_loop(u, tolerance=1e-6)
+    assert np.ptp(np.sign(tiny.v)) == 2.0
+    assert np.abs(plant.open_loop(u).position - tiny.position).max() < 2e-9  # 1.6e-9 at most
 
 
 @pytest.mark.parametrize("other", ["none", "presliding_friction"])

@@ -50,6 +50,7 @@ EFFECT = Effect(
     force=force,
     rate=rate,
     initial=initial,
+    by_travel=True,
     states=(Quantity("memory", "w", ""),),
     no_regressor="the force of the element is a state that remembers the path",
     over="loop",

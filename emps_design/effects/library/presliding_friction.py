@@ -51,6 +51,7 @@ EFFECT = Effect(
     force=force,
     rate=rate,
     initial=initial,
+    by_travel=True,
     takes_dry=True,
     states=(Quantity("deflection", "z", "m"),),
     no_regressor="the bend of the contact is a state that remembers the path",

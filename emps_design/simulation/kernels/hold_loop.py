@@ -2,8 +2,8 @@
 
 A period is cut where a delayed voltage arrives and where a kernel jumps in time. Each piece is stepped exactly where
 the effects leave the friction plant as it is (:mod:`friction_period`) or are affine in the motion
-(:mod:`linear_period`), in one slide where they have no own states (:mod:`smooth_period`), or from event to event
-(:mod:`event_steps`), whichever is the first that can.
+(:mod:`linear_period`), in one slide where they have no own states but memories of the path (:mod:`smooth_period`), or
+from event to event (:mod:`event_steps`), whichever is the first that can.
 """
 
 from __future__ import annotations
@@ -135,7 +135,8 @@ def run(
     tau, reached, s, hint = 0.0, 0.0, 0.0, period
     drive[0], drive[1], drive[2], drive[3], drive[4] = 0.0, 0.0, 0.0, 0.0, 0.0
     swings = (0.0, 0.0, 0.0)
-    if y[1] != 0.0 and not settings[FREE] > 0.0:  # without stick there is no direction to keep
+    free = settings[FREE] > 0.0
+    if y[1] != 0.0 and not free:  # without stick there is no direction to keep
         s = 1.0 if y[1] > 0.0 else -1.0
     for k in range(n):
         t = k * period
@@ -224,14 +225,17 @@ def run(
                         y[i] = new[i]
                     reached, fresh, start = tau + drive[0], False, end
                     continue
-            if slides and s * y[1] > 0.0:
+            way = s if not free else 1.0 if y[1] > 0.0 else -1.0
+            if slides and way * y[1] > 0.0:
                 if fresh and steady:
                     k1[1] += (tau + drive[0] + force - before_force) / k2[1]
                 else:
-                    fresh = begin(y_, t + start, tau, force, s, steady, plant, work)
-                fresh = fresh and slide(y_, t + start, h, tau, force, s, feel, plant, work, new)
+                    fresh = begin(y_, t + start, tau, force, way, steady, plant, work)
+                fresh = fresh and slide(y_, t + start, h, tau, force, way, feel, plant, work, new)
                 if fresh:
-                    y[0], y[1] = new[0], new[1]
+                    for i in range(size):
+                        y[i] = new[i]
+                        largest[i] = max(largest[i], abs(new[i]))
                     reached = tau + drive[0] * (1.0 - drive[4])
                     before_force = reached + force
                     start = end

@@ -18,7 +18,7 @@ import numpy as np
 from emps_design.simulation.kernels.compile import call_kernel, call_rate, part
 
 # Rows of the table of hooks: one list of (address, first own state in y, first parameter) for each.
-FORCE, DRY, INERTIA, COMMAND, ACTUATOR, DELAY, SENSOR, RATE, GUARD, JUMP, TOUCH, TOUCH_MASS, HELD = range(13)
+FORCE, DRY, INERTIA, COMMAND, ACTUATOR, DELAY, SENSOR, RATE, GUARD, JUMP, TOUCH, TOUCH_MASS, HELD, MEMORY = range(14)
 # Places in ``settings``.
 (PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, SLIDES, EXACT, ENERGY,
  VISCOUS_P, VISCOUS_N, BRAKING, LEVEL, MASS, LINEAR) = range(18)  # fmt: skip
@@ -52,18 +52,32 @@ def total(row, y, t, tau, plant):
 
 
 @part
+def dry(y, t, acting, plant):
+    """Level of the dry friction [N] in motion, for the motor force behind the back-EMF."""
+    return max(0.0, plant[4][LEVEL] + total(DRY, y, t, acting, plant))
+
+
+@part
+def pull(y, t, acting, push, plant):
+    """Force without dry friction [N] and mass [kg], for the motor force behind the back-EMF."""
+    b, settings = plant[0], plant[4]
+    net = acting + push - b[1] * y[1] - b[3] - total(FORCE, y, t, acting, plant)
+    return net, settings[MASS] + total(INERTIA, y, t, acting, plant)
+
+
+@part
 def weigh(y, t, acting, push, s, plant):
     """What :func:`balance` gives, for a motor force ``acting`` before the back-EMF: kernels get what the plant gets."""
-    b, settings, v = plant[0], plant[4], y[1]
-    acting -= settings[BRAKING] * v
-    net = acting + push - b[1] * v - b[3] - total(FORCE, y, t, acting, plant)
+    v = y[1]
+    acting -= plant[4][BRAKING] * v
+    net, mass = pull(y, t, acting, push, plant)
     # Dry friction is of the direction of motion, also where a stage of a step is beyond its end; at rest it is the one
     # that would have to be overcome: of the direction in which the rest pushes.
     if s * v < 0.0 or v == 0.0:
         y[1] = math.copysign(NUDGE, s if s != 0.0 else net)
-    level = max(0.0, settings[LEVEL] + total(DRY, y, t, acting, plant))
+    level = dry(y, t, acting, plant)
     y[1] = v
-    return net, level, settings[MASS] + total(INERTIA, y, t, acting, plant)
+    return net, level, mass
 
 
 @part

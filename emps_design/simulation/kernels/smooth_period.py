@@ -1,16 +1,23 @@
-"""Slide through a whole hold period on one or two evaluations of the forces: where effects have no own states."""
+"""Slide through a whole hold period on one or two evaluations of the forces.
+
+Where effects have no own states but memories of the path (:mod:`path_memory`).
+"""
 
 from __future__ import annotations
 
 import math
 
 from emps_design.simulation.kernels.compile import part, shifted
-from emps_design.simulation.kernels.motion import LAG, TOLERANCE, balance, weigh
+from emps_design.simulation.kernels.motion import BRAKING, FREE, LAG, RATE, STATES, TOLERANCE, balance, pull, weigh
+from emps_design.simulation.kernels.path_memory import bent, remember, stiffness, tends
 
 ORDER = 3  # of convergence, measured in the tests
 # Second difference of the acceleration times step squared [m], and velocity missed [m/s], of a step that is good.
 _BEND, _MISSED = 6e-9, 3e-10
+_UNSTOPPED = 0.3  # of that tolerance where no stop forgets what was missed before
 _EVEN = 1e-9  # m/s^2, acceleration missed in the middle of a step by the slope of the last one: one evaluation will do
+_AGAIN = 10.0  # times as much as what is missed once counts what is missed in step after step alike
+_CUBIC = 15.0  # a parabola misses this many times less of a step than its curve has changed since the last one
 SPEEDS = 20  # octaves of speed, up to 5 m/s
 
 
@@ -21,16 +28,21 @@ def begin(y, t, tau, push, s, steady, plant, work):
     Not ``steady``: friction may grow with the motor force, and what is left of its gap behind a lag may load it. That
     can be slid through where all of the gap counts in proportion.
     """
-    drive, settings = plant[5], plant[4]
+    drive, settings, starts = plant[5], plant[4], plant[2]
+    rub = 0.0 if settings[FREE] > 0.0 else s
     net, level, mass = weigh(y, t, tau + drive[0], push, s, plant)
-    whole = (net - s * level) / mass
+    whole = (net - rub * level) / mass
     work[0][0], work[0][1], work[1][0], work[1][1] = 0.0, whole, 1.0 / mass, mass
+    work[2][0], work[2][1] = level, 0.0
+    for i in range(starts[RATE], starts[RATE + 1]):
+        at = plant[1][3 * i + 1]
+        work[2][at], work[4][at] = tends(i, work[5], t, tau, level, s, plant, work[3])
     if steady or drive[0] == 0.0:
         return True
     net, level, mass = weigh(y, t, tau + 0.5 * drive[0], push, s, plant)
-    half = (net - s * level) / mass
+    half = (net - rub * level) / mass
     net, level, mass = weigh(y, t, tau, push, s, plant)
-    none = (net - s * level) / mass
+    none = (net - rub * level) / mass
     work[1][0] = (whole - none) / drive[0]
     return settings[LAG] * abs(whole - 2.0 * half + none) <= _MISSED * settings[TOLERANCE]
 
@@ -39,34 +51,46 @@ def begin(y, t, tau, push, s, steady, plant, work):
 def slide(y, t, h, tau, push, s, feel, plant, work, new):
     """Slide through ``h`` on one evaluation, two or few more; returns whether the step is good.
 
-    Simpson's rule over the acceleration at both ends and in the middle (Lobatto IIIA), for axes without own states,
-    guards and jumps. ``work[0][1]`` is the acceleration at the start, known from the end of the last step;
-    ``work[0][0]`` the slope it had there without viscous decay (0: not known), ``work[1]`` what a newton of the gap
-    behind a lag adds to the acceleration, and the mass (see :func:`begin`). ``feel`` holds
-    the derivative of the acceleration by velocity (see :func:`feeling`): velocities that were off are answered by it,
-    and the sweep is repeated until what that leaves is below the tolerance. Where the acceleration in the middle is
-    what the last step leads to expect, within the tolerance, the one evaluation there is enough. Where its second
-    difference is large, one step is too long and the general method takes over.
+    Simpson's rule over the acceleration at both ends and in the middle (Lobatto IIIA), for axes without guards and
+    jumps, and without own states but memories of the path. ``work[0][1]`` is the acceleration at the start, known from
+    the end of the last step; ``work[0][0]`` the slope it had there without viscous decay (0: not known), ``work[1]``
+    what a newton of the gap behind a lag adds to the acceleration, and the mass (see :func:`begin`), ``work[2]`` the
+    level of the dry friction and its curve along the path (see :func:`remember`). ``feel`` holds the derivative of the
+    acceleration by velocity (see :func:`feeling`): velocities that were off are answered by it, positions by the
+    stiffness of the memories, and the sweep is repeated until what that leaves is below the tolerance. Where the
+    acceleration in the middle is what the last step leads to expect, within the tolerance, the one evaluation there is
+    enough. Where its second difference is large, one step is too long and the general method takes over.
     """
-    stage, tolerance = work[5], plant[4][TOLERANCE]
+    stage, settings, half = work[5], plant[4], t + 0.5 * h
+    tolerance, bend_most, rub = settings[TOLERANCE], _BEND, s
+    if settings[FREE] > 0.0:  # no stop forgets what was missed before
+        tolerance, bend_most, rub = _UNSTOPPED * tolerance, _UNSTOPPED * _BEND, 0.0
+    remembers, level0, curve, off, rough = settings[STATES] > 2.0, work[2][0], work[2][1], 0.0, 0.0
     decay = plant[0][1] / work[1][1]
     # What the gap of the motor force does on its way to zero is known: to acceleration, velocity and position.
-    drive, lag = plant[5], plant[4][LAG]
+    drive, lag = plant[5], settings[LAG]
     gap = drive[0] * work[1][0]
     if lag > 0.0 and drive[2] != h:  # the same for every period of one length
         drive[2], drive[3], drive[4] = h, -math.expm1(-0.5 * h / lag), -math.expm1(-h / lag)
     half_a, half_v, half_q = fading(gap, lag, decay, 0.5 * h, drive[3])
     full_a, full_v, full_q = fading(gap, lag, decay, h, drive[4])
+    inside, last = tau + drive[0] * (1.0 - drive[3]), tau + drive[0] * (1.0 - drive[4])
     a0 = work[0][1] - gap
     slope = work[0][0] - decay * a0
     stage[0] = y[0] + half_q + 0.5 * h * (y[1] + 0.25 * h * (a0 + h / 6.0 * slope))
     stage[1] = y[1] + half_v + 0.5 * h * (a0 + 0.25 * h * slope)
-    end = 0.0
+    end, level1, level2 = 0.0, level0, level0
     for sweep in range(4):
         if s * stage[1] <= 0.0:
             return False
-        net, level, mass = weigh(stage, t + 0.5 * h, tau + drive[0] * (1.0 - drive[3]), push, s, plant)
-        middle = (net - s * level) / mass - half_a
+        if remembers:
+            level = level1 = remember(y, stage, half, inside, level0, curve, s, plant, work)
+            if h * work[3][0] > _MISSED * settings[TOLERANCE] * work[1][1]:
+                return False
+            net, mass = pull(stage, half, inside - settings[BRAKING] * stage[1], push, plant)
+        else:
+            net, level, mass = weigh(stage, half, inside, push, s, plant)
+        middle = (net - rub * level) / mass - half_a
         if sweep == 0:
             bend = middle - a0 - 0.5 * h * slope
             if work[0][0] != 0.0 and abs(bend) <= _EVEN * tolerance:  # the slope of the last step is known
@@ -76,6 +100,9 @@ def slide(y, t, h, tau, push, s, feel, plant, work, new):
                 end = middle + 0.5 * h * even
                 work[0][0] = even + decay * end
                 work[0][1] = end + full_a
+                if remembers:
+                    level2 = remember(stage, new, t + h, last, level1, curve, s, plant, work)
+                    work[2][0], work[2][1] = level2, bent(y, stage, new, level0, level1, level2)
                 return s * new[1] > 0.0
             end = 2.0 * middle - a0
         new[0] = y[0] + full_q + h * (y[1] + h / 6.0 * (a0 + 2.0 * middle))
@@ -83,20 +110,40 @@ def slide(y, t, h, tau, push, s, feel, plant, work, new):
         if s * new[1] <= 0.0:
             return False
         used = end
-        net, level, mass = weigh(new, t + h, tau + drive[0] * (1.0 - drive[4]), push, s, plant)
-        end = (net - s * level) / mass - full_a
-        if abs(a0 - 2.0 * middle + end) * h * h > _BEND * tolerance:
+        if remembers:
+            level = level2 = remember(stage, new, t + h, last, level1, curve, s, plant, work)
+            net, mass = pull(new, t + h, last - settings[BRAKING] * new[1], push, plant)
+        else:
+            net, level, mass = weigh(new, t + h, last, push, s, plant)
+        end = (net - rub * level) / mass - full_a
+        if abs(a0 - 2.0 * middle + end) * h * h > bend_most * tolerance:
             return False
         moved = h / 6.0 * (end - used)
         new[1] += moved
         missed = y[1] + half_v + h / 24.0 * (5.0 * a0 + 8.0 * middle - end) - stage[1]
+        place = y[0] + half_q + h * (0.5 * y[1] + h / 96.0 * (7.0 * a0 + 6.0 * middle - end))
+        if remembers:
+            stiff = stiffness(stage, half, inside, level1, s, plant, work[3]) / mass
+            off = -4.0 * stiff * (place - stage[0])
+            # What a gap behind a lag moves is no polynomial of time, and no more is the force that answers it.
+            late = stiff * half_q * min(0.25, (h / lag) ** 4 / 2880.0) if lag > 0.0 else 0.0
+            swings = h * h * stiff
+            rough = swings * abs(off) + _AGAIN * (4.0 * abs(late) + swings * swings / 480.0 * max(abs(a0), abs(middle)))
+            if rub == 0.0:
+                curved = bent(y, stage, new, level0, level1, level2)
+                weight = work[3][1] / mass
+                if h * abs(curved - work[2][1]) * weight > _CUBIC * _MISSED * tolerance:
+                    return False
+                rough += _AGAIN * abs(curved - curve) * weight
+                curve = curved
         i = 2 * min(max(math.frexp(1e5 * y[1])[1], 0), SPEEDS - 1) + (2 * SPEEDS if s > 0.0 else 0)
-        if h * feel[i + 1] * (4.0 * abs(missed) + abs(moved)) <= 6.0 * _MISSED * tolerance:
-            new[1] += h / 6.0 * feel[i] * (4.0 * missed + moved)
+        if h * (feel[i + 1] * (4.0 * abs(missed) + abs(moved)) + abs(rough)) <= 6.0 * _MISSED * tolerance:
+            new[1] += h / 6.0 * (feel[i] * (4.0 * missed + moved) + off)
             work[0][0] = 2.0 * (end - middle) / h + 0.5 * decay * (middle + end)
             work[0][1] = end + full_a
+            work[2][0], work[2][1] = level2, curve
             return s * new[1] > 0.0
-        stage[0] = y[0] + half_q + h * (0.5 * y[1] + h / 96.0 * (7.0 * a0 + 6.0 * middle - end))
+        stage[0] = place
         stage[1] += missed
     return False
 
@@ -119,10 +166,14 @@ def feeling(y, plant, work, feel):
     """Fill ``feel``, per direction and octave of speed from 10 um/s, with two numbers [1/s].
 
     The derivative of the acceleration by velocity (at the first position and time), and a bound of what it does not
-    explain: a quarter of the largest one in this and the neighbouring octaves.
+    explain: a quarter of the largest one in this and the neighbouring octaves; all of it where a contact has to bend
+    before friction follows the velocity.
     """
-    stage = work[5]
+    stage, settings = work[5], plant[4]
+    unexplained = 1.0 if settings[FREE] > 0.0 else 0.25
     stage[0] = y[0]
+    for i in range(2, int(settings[STATES])):
+        stage[i] = 0.0
     for side in range(2):
         sign = 2.0 * side - 1.0
         row = shifted(feel, 2 * SPEEDS * side)
@@ -137,4 +188,4 @@ def feeling(y, plant, work, feel):
             last, speed = value, stage[1]
         for i in range(SPEEDS):
             before, after = row[2 * max(i - 1, 0)], row[2 * min(i + 1, SPEEDS - 1)]
-            row[2 * i + 1] = 0.25 * max(abs(row[2 * i]), max(abs(before), abs(after)))
+            row[2 * i + 1] = unexplained * max(abs(row[2 * i]), max(abs(before), abs(after)))

@@ -142,6 +142,7 @@ def test_the_steppers_cache_depends_on_every_file_it_is_built_from():
             "hold_loop",
             "linear_period",
             "motion",
+            "path_memory",
             "smooth_period",
         },
         baseline.run_folded: {"baseline", "compile", "friction_period"},
