@@ -35,6 +35,7 @@ BENT_NUMBER = 0.5  # of the larger one: a mass or friction fitted this far from 
 SMALLEST_GAIN = 30.0  # in whitened cost; below the chance level of a search over hundreds of shapes
 WORTH_FITTING = 0.05  # of the largest first-order gain
 RIVAL = 0.5  # a set joins the beam, an effect the full fits, with this share of what the best one explains
+MAY_RIVAL = 0.6  # of that share, from which an effect may still come to it after the first step of a short fit
 FAR_BEHIND = 0.1  # the same where no rival is accepted: the best ones may stand in for what is found later
 CLOSE_RIVAL = 0.9  # of what an effect explains, from which on another one in its place is fitted as long as it was
 LEAST_EXPLAINED = 0.4  # of the excess over noise, below which a search is given up after ENOUGH_ROUNDS

@@ -82,13 +82,15 @@ def _without(extended: Fit, index: int, first: Fit) -> Fit:
     """The model without effect ``index``, the rest re-adjusted: against it stands what the effect itself is good for.
 
     An effect may have taken a baseline number far from where it is alone, in the ``first`` model: both are tried for a
-    start.
+    start, and the one goes on that leaves less after a step.
     """
     rest = extended.model.without(index)
     begins = (rest, replace(rest, baseline=first.model.baseline))
-    tried = side_by_side(fit, [(extended.with_model(begin), "used", None, 5) for begin in begins])
-    # What does not run without the effect stands against the baseline alone.
-    return min((fitted for fitted in tried if fitted.innovations), key=lambda fitted: fitted.cost, default=first)
+    tried = side_by_side(fit, [(extended.with_model(begin), "used", None, 1) for begin in begins])
+    runs = [fitted for fitted in tried if fitted.innovations]
+    if not runs:  # what does not run without the effect stands against the baseline alone
+        return first
+    return fit(min(runs, key=lambda fitted: fitted.cost), "used", steps=3)
 
 
 def _where(fitted: Fit, index: int, number: int) -> dict[str, Any]:

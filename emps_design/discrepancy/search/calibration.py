@@ -67,7 +67,7 @@ def calibrate(
     absorbed = tangent(baseline)
     screened = screen(baseline, preparation.library, absorbed)
     progress(f"healthy reference{told(by_signature(screened, absorbed))}", 0.05)
-    healthy = healthy_reference(screened, absorbed, floor.draws, seed)
+    healthy = healthy_reference(screened, floor.draws, seed)
     if runs:
         try:
             report = partial(progress, "healthy records, each searched")

@@ -1,7 +1,7 @@
 """One effect more: fits of every effect of the library on top of a model, and a fit brought to convergence.
 
-Poor fits are given up early (successive halving): many starts get a short fit of the new effect's own numbers, few a
-fit of everything.
+Poor fits are given up early (successive halving): many starts get a step of the new effect's own numbers, those that
+may still lead a short fit of them, few a fit of everything.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from emps_design.discrepancy import rules
+from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import Fit, admissible, bounds_met, evaluate, fit, plausible
 from emps_design.discrepancy.model.least_squares import Descent, descend
 from emps_design.discrepancy.model.missing_force import missing_force
@@ -18,6 +19,7 @@ from emps_design.discrepancy.search.starts import Start, Tangent, bent, starts, 
 
 REFINED = 2  # starts of each effect that are worth a short fit
 SHORT_STEPS = 4
+FIRST_STEPS = 1  # of them, after which only those go on that may still be worth a full fit
 FINALISTS = 4  # effects worth a full fit
 PROMISED = 2  # of the first-order gains, worth one whatever the short fit says
 BENT_EFFECTS, BENT_STARTS = 2, 6  # fitted where the gap bent the baseline
@@ -39,12 +41,12 @@ def extensions(
     best = max((found[0].gain for found in screened), default=0.0)
     least = max(rules.SMALLEST_GAIN, rules.WORTH_FITTING * best)
     worth = [start for found in screened for start in found[:REFINED] if start.gain >= least]
+    before = float(absorbed.residual @ absorbed.residual)
     leading: dict[str, Descent] = {}
-    for short in side_by_side(_short_fit, [(start, absorbed) for start in worth]):
+    for short in _short_fits(worth, absorbed, before, rules.MAY_RIVAL * rival):
         name = short.model.names[-1]
         if name not in leading or short.cost < leading[name].cost:
             leading[name] = short
-    before = float(absorbed.residual @ absorbed.residual)
     gains = {found[0].model.names[-1]: found[0].gain for found in screened}
     gains |= {name: before - short.cost for name, short in leading.items()}
     shorts = [(short.cost, current.with_model(short.model)) for short in leading.values()]
@@ -89,10 +91,25 @@ def converged(fitted: Fit) -> Fit:
     return further if admissible(further) else fitted
 
 
-def _short_fit(start: Start, absorbed: Tangent) -> Descent:
-    own = tuple(slot for slot in start.model.slots() if slot.effect == len(start.model.effects) - 1)
+def _short_fits(begins: list[Start], absorbed: Tangent, before: float, share: float) -> list[Descent]:
+    """Short fits of ``begins``, of some steps where the first one or first order gains ``share`` of the best.
+
+    ``before`` is the cost without any of them.
+    """
+    shorts = side_by_side(_short_fit, [(start, start.model, absorbed, FIRST_STEPS) for start in begins])
+    least = share * max((before - short.cost for short in shorts), default=0.0)
+    go_on = [i for i, start in enumerate(begins) if max(start.gain, before - shorts[i].cost) >= least]
+    more = SHORT_STEPS - FIRST_STEPS
+    further = side_by_side(_short_fit, [(begins[i], shorts[i].model, absorbed, more) for i in go_on])
+    for i, short in zip(go_on, further, strict=True):
+        shorts[i] = short
+    return shorts
+
+
+def _short_fit(start: Start, begin: Candidate, absorbed: Tangent, steps: int) -> Descent:
+    own = tuple(slot for slot in begin.slots() if slot.effect == len(begin.effects) - 1)
     free = absorbed.free if start.anchored else lambda residual: residual
-    return descend(start.model, own, lambda m: free(start.hypothesis.with_model(m).residual("fit")), SHORT_STEPS)
+    return descend(begin, own, lambda m: free(start.hypothesis.with_model(m).residual("fit")), steps)
 
 
 def _promising(begins: list[Hypothesis]) -> list[Hypothesis]:

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.search.starts import Start, Tangent
+from emps_design.discrepancy.search.starts import Start
 
 RESAMPLES = 199
-TOGETHER = 10  # of them, laid over the signatures at a time: these are many megabytes to read
+TOGETHER = 50  # of them, laid over the signatures at a time: these are many megabytes to read
 BLOCK = 250  # samples of noise kept together, so that what correlation the whitening left stays in
 
 
@@ -40,17 +40,17 @@ class Healthy:
         return float((1 + np.sum(self.largest >= gain)) / (1 + self.largest.size))
 
 
-def healthy_reference(screened: list[list[Start]], absorbed: Tangent, draws: np.ndarray, seed: int) -> Healthy:
+def healthy_reference(screened: list[list[Start]], draws: np.ndarray, seed: int) -> Healthy:
     """Lay the signatures of ``screened`` over resampled noise ``draws`` (m,), circular blocks of it."""
     if not screened:  # nothing was tried, so nothing can be gained by chance
         return Healthy(np.zeros(RESAMPLES))
     generator = np.random.default_rng(seed)
-    signatures = np.column_stack([start.signature for found in screened for start in found])
+    signatures = np.array([start.signature for found in screened for start in found])  # free of what is absorbed
     largest = np.empty(RESAMPLES)
     for start in range(0, RESAMPLES, TOGETHER):
         some = range(start, min(start + TOGETHER, RESAMPLES))
-        noise = np.column_stack([resampled(draws, absorbed.residual.size, generator) for _ in some])
-        largest[some] = np.max((signatures.T @ absorbed.free(noise)) ** 2, axis=0)
+        noise = np.array([resampled(draws, signatures.shape[1], generator) for _ in some])
+        largest[some] = np.max((noise @ signatures.T) ** 2, axis=1)
     return Healthy(np.sort(largest))
 
 

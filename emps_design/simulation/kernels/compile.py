@@ -141,7 +141,9 @@ def source_files(function: Callable[..., Any]) -> set[Path]:
     return found
 
 
-part = njit(**_OPTIONS)  # a piece of a stepper: compiled into whatever calls it, cached with that
+# A piece of a stepper: compiled into whatever calls it, cached with that. Divisions by a constant, or several by the
+# same number, may become products with its reciprocal: a division takes as long as five of them.
+part = njit(fastmath={"arcp"}, **_OPTIONS)
 inlined = njit(inline="always", **_OPTIONS)  # a short piece that is called in every sample
 
 

@@ -205,8 +205,8 @@ def test_what_promises_much_is_fitted_though_its_short_fit_was_misled(monkeypatc
     """As load-dependent friction is that takes the place of the baseline's: its short fit keeps the baseline's."""
     short_fit = extension._short_fit
 
-    def misled(start, absorbed):
-        short = short_fit(start, absorbed)
+    def misled(*arguments):
+        short = short_fit(*arguments)
         return replace(short, cost=1e3 * short.cost) if short.model.names[-1] == "actuator_delay" else short
 
     monkeypatch.setattr(extension, "_short_fit", misled)
@@ -216,6 +216,23 @@ def test_what_promises_much_is_fitted_though_its_short_fit_was_misled(monkeypatc
     fits, gains = extensions(fitted, screen(fitted, (DELAY, LAG, SPRING), absorbed), absorbed)
     assert gains["actuator_delay"] < 0 < gains["actuator_lag"]
     assert fits[0].model.names == ("actuator_delay",)
+
+
+def test_what_gains_next_to_nothing_in_its_first_step_gets_no_other(monkeypatch):
+    short_fit, steps = extension._short_fit, {}
+
+    def counted(start, begin, absorbed, more):
+        name = begin.names[-1]
+        steps[name] = steps.get(name, 0) + more
+        return short_fit(start, begin, absorbed, more)
+
+    monkeypatch.setattr(extension, "_short_fit", counted)
+    fitted = fit(hypothesis(BASELINE, DELAYED))
+    absorbed = tangent(fitted)
+    screened = screen(fitted, (DELAY, LAG, SPRING), absorbed)
+    extensions(fitted, [[replace(found[0], gain=min(found[0].gain, 100.0))] for found in screened], absorbed)
+    assert steps["actuator_delay"] == extension.SHORT_STEPS
+    assert steps["elastic_force"] == extension.FIRST_STEPS
 
 
 def test_an_interrupt_of_the_second_search_keeps_the_first(monkeypatch):
