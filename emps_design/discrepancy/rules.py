@@ -40,6 +40,7 @@ FAR_BEHIND = 0.1  # the same where no rival is accepted: the best ones may stand
 CLOSE_RIVAL = 0.9  # of what an effect explains, from which on another one in its place is fitted as long as it was
 LEAST_EXPLAINED = 0.4  # of the excess over noise, below which a search is given up after ENOUGH_ROUNDS
 ENOUGH_ROUNDS = 3
+IN_REACH = 1.5  # times the cost of a fit: another shape that leaves more after its first steps does not become the best
 STILL_PAYS = 0.005  # of the cost: a fit that gains less has converged
 ON_BOUND = 1e-6  # of a number's magnitude: a parameter this close to its bound ended on it
 

@@ -23,7 +23,7 @@ FIRST_STEPS = 1  # of them, after which only those go on that may still be worth
 FINALISTS = 4  # effects worth a full fit
 PROMISED = 2  # of the first-order gains, worth one whatever the short fit says
 BENT_EFFECTS, BENT_STARTS = 2, 6  # fitted where the gap bent the baseline
-TRIED_STEPS = 4  # of every fit of an effect with many starts
+TRIED_STEPS = 4  # of every fit of an effect with many starts, or of another shape of it
 PROMISING = 2  # of them go on
 REVISED = 4  # other shapes of an effect that are fitted when it is accepted
 MOST_FITS = 8  # one after the other until they have converged
@@ -155,7 +155,7 @@ def _revised(fitted: Fit) -> Fit:
 
     A descent does not cross to another exponent, nor to another stroke of the time at which something happened.
     """
-    forms = [form for form in side_by_side(fit, [(begin,) for begin in _forms(fitted)]) if admissible(form)]
+    forms = [form for form in _in_reach(_forms(fitted), fitted) if admissible(form)]
     paying = [form for form in forms if form.cost < (1 - rules.STILL_PAYS) * fitted.cost]
     if paying:
         fitted = _settled(min(paying, key=lambda f: f.cost))
@@ -174,9 +174,15 @@ def _revised(fitted: Fit) -> Fit:
         shape = start.model.values[-1][:, shapes]
         if start.anchored and not np.array_equal(shape, values[:, shapes]):
             other.setdefault(shape.tobytes(), start)
-    tried = side_by_side(fit, [(start.hypothesis,) for start in list(other.values())[:REVISED]])
+    tried = _in_reach([start.hypothesis for start in list(other.values())[:REVISED]], fitted)
     best = min((fitted, *tried), key=lambda f: f.cost)
     return fitted if best is fitted or not admissible(best) else _settled(best)
+
+
+def _in_reach(begins: list[Hypothesis], fitted: Fit) -> list[Fit]:
+    """Fits of those of ``begins`` that come near to what ``fitted`` leaves in their first steps."""
+    tried = side_by_side(fit, [(one, "fit", None, TRIED_STEPS) for one in begins])
+    return side_by_side(fit, [(one,) for one in tried if one.cost < rules.IN_REACH * fitted.cost])
 
 
 def _forms(fitted: Fit) -> list[Hypothesis]:
