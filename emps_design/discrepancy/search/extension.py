@@ -120,8 +120,7 @@ def _promising(begins: list[Hypothesis]) -> list[Hypothesis]:
     found: list[Hypothesis] = []
     for ones in alike.values():
         if len(ones) > PROMISING:
-            tried: list[Fit] = side_by_side(fit, [(one, "fit", None, TRIED_STEPS) for one in ones])
-            found += sorted(tried, key=lambda f: f.cost)[:PROMISING]
+            found += sorted(_tried(ones), key=lambda f: f.cost)[:PROMISING]
         else:
             found += ones
     return found
@@ -181,8 +180,12 @@ def _revised(fitted: Fit) -> Fit:
 
 def _in_reach(begins: list[Hypothesis], fitted: Fit) -> list[Fit]:
     """Fits of those of ``begins`` that come near to what ``fitted`` leaves in their first steps."""
-    tried = side_by_side(fit, [(one, "fit", None, TRIED_STEPS) for one in begins])
-    return side_by_side(fit, [(one,) for one in tried if one.cost < rules.IN_REACH * fitted.cost])
+    return side_by_side(fit, [(one,) for one in _tried(begins) if one.cost < rules.IN_REACH * fitted.cost])
+
+
+def _tried(begins: list[Hypothesis]) -> list[Fit]:
+    """The first steps of a fit of each of ``begins``."""
+    return side_by_side(fit, [(one, "fit", None, TRIED_STEPS) for one in begins])
 
 
 def _forms(fitted: Fit) -> list[Hypothesis]:

@@ -16,7 +16,6 @@ from emps_design.simulation.kernels.motion import BRAKING, DRY, MEMORY, RATE, dr
 
 _EVENLY = 1e-6  # relative change of a level or a travel that is next to none
 _STEEPEST = -0.3  # of what the travel of a memory changes along the path
-_NEAR = 1e-9  # m, how far from a place the force of a memory is looked at too
 
 
 @part
@@ -85,14 +84,16 @@ def tends(i, y, t, acting, level, s, plant, rate):
 
 @part
 def stiffness(y, t, acting, level, s, plant, rate):
-    """How much more the memories of ``y`` resist a little further on [N/m]; moves them there."""
+    """How much more the memories of ``y`` resist further on [N/m]: the force of their rates along the path.
+
+    Leaves ``y`` with these.
+    """
     _, hooks, starts, p, _, _ = plant
-    before = total(MEMORY, y, t, acting, plant)
     for i in range(starts[RATE], starts[RATE + 1]):
         at = hooks[3 * i + 1]
         call_rate(hooks[3 * i], y[0], s, t, acting, y, at, p, hooks[3 * i + 2], plant[0], level, rate)
-        y[at] += _NEAR * rate[at]
-    return s * (total(MEMORY, y, t, acting, plant) - before) / _NEAR
+        y[at] = rate[at]
+    return s * total(MEMORY, y, t, acting, plant)
 
 
 @part
