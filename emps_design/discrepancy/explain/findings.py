@@ -19,6 +19,8 @@ from emps_design.discrepancy.validation.verdict import Validation
 from emps_design.effects import Parameter, kind_of
 from emps_design.errors import SimulationError
 
+TRIED_STEPS, READJUSTING_STEPS = 1, 3  # of the fit without an effect: from either start, and from the better one
+
 
 def findings(validation: Validation) -> tuple[Finding, ...]:
     """The accepted effects in the order found, each with the force gap before and after it."""
@@ -86,11 +88,11 @@ def _without(extended: Fit, index: int, first: Fit) -> Fit:
     """
     rest = extended.model.without(index)
     begins = (rest, replace(rest, baseline=first.model.baseline))
-    tried = side_by_side(fit, [(extended.with_model(begin), "used", None, 1) for begin in begins])
+    tried = side_by_side(fit, [(extended.with_model(begin), "used", None, TRIED_STEPS) for begin in begins])
     runs = [fitted for fitted in tried if fitted.innovations]
     if not runs:  # what does not run without the effect stands against the baseline alone
         return first
-    return fit(min(runs, key=lambda fitted: fitted.cost), "used", steps=3)
+    return fit(min(runs, key=lambda fitted: fitted.cost), "used", steps=READJUSTING_STEPS)
 
 
 def _where(fitted: Fit, index: int, number: int) -> dict[str, Any]:
