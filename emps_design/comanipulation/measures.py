@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from emps_design.control.impedance.robustness import VERDICTS
-from emps_design.simulation.kernels.compile import part
+from emps_design.simulation.kernels.compile import inlined, part
 
 # What is measured on a run, in the order of the array that holds it.
 NAMES = (
@@ -16,66 +16,92 @@ NAMES = (
     "end_speed", "release_v", "moving", "drift", "ratio", "diverged",
 )  # fmt: skip
 MEASURES = len(NAMES)
-_PEAK_U, _DIVERGED = NAMES.index("peak_u"), NAMES.index("diverged")
+(_PEAK_U, _CLIPPED, _CLIPPED_END, _FLIPS, _PEAK_FORCE, _FORCE2, _IMPULSE, _WORK, _PATH, _MISS2, _HELD,
+ _N, _AA, _AV, _VV, _AF, _VF, _FF, _END_MIN_V, _END_MAX_V, _END_TURNS, _END_MIN_U, _END_MAX_U,
+ _END_SPEED, _RELEASE_V, _MOVING, _DRIFT, _RATIO, _DIVERGED) = range(MEASURES)  # fmt: skip
 _SWING = 50  # samples within which a voltage that was at one limit must be at the other to count as a flip
 
 
 @part
-def measure(q, v, u, force, wish, limit, period, release, end, measures):
-    """Fill ``measures`` (MEASURES,) from a run: ``q`` [m], ``v`` [m/s] (n + 1,), with the state in which it ended.
+def measure(q, v, u, force, wish, limit, period, release, end, m):
+    """Fill ``m`` (MEASURES,) from a run: ``q`` [m], ``v`` [m/s] (n + 1,), with the state in which it ended.
 
     ``u`` [V], ``force`` [N] of the operator, held over each period, and ``wish`` [m], where the hand means to be, have
     n samples or one more; the carriage is let go at sample ``release``; a verdict looks at the samples from ``end`` on.
     """
     n = q.size - 1
-    last_clip, clipped_at, stopped = 0.0, 0, n
-    clipped = clipped_end = flips = turns_end = moving = 0
-    peak_u = peak_force = force2 = impulse = work = path = miss2 = end_speed = 0.0
-    aa = av = vv = af = vf = ff = 0.0
-    min_v = min_u = np.inf
-    max_v = max_u = -np.inf
-    rate = 1.0 / period
+    last_clip, clipped_at = 0.0, 0
+    nothing(n, release, m)
     for k in range(n):
-        moved = q[k + 1] - q[k]
-        volts, v0, v1 = u[k], v[k], v[k + 1]
-        peak_u = max(peak_u, abs(volts))
-        if abs(volts) >= limit:
-            clip = 1.0 if volts > 0.0 else -1.0
-            clipped += 1
-            clipped_end += k >= end
-            flips += clip * last_clip < 0.0 and k - clipped_at <= _SWING
+        if abs(u[k]) >= limit:
+            clip = 1.0 if u[k] > 0.0 else -1.0
+            m[_CLIPPED] += 1.0
+            m[_CLIPPED_END] += 1.0 if k >= end else 0.0
+            m[_FLIPS] += 1.0 if clip * last_clip < 0.0 and k - clipped_at <= _SWING else 0.0
             last_clip, clipped_at = clip, k
         if k < release:
-            f = force[k]
-            peak_force = max(peak_force, abs(f))
-            force2 += f * f
-            impulse += abs(f) * period
-            work += f * moved
-            path += abs(moved)
-            miss2 += (wish[k] - q[k]) ** 2
-            if v0 * v1 > 0.0:  # in motion; means over the period for which the force is held
-                a, w = (v1 - v0) * rate, moved * rate
-                moving += 1
-                aa += a * a
-                av += a * w
-                vv += w * w
-                af += a * f
-                vf += w * f
-                ff += f * f
-        elif v1 == 0.0 and stopped == n:
-            stopped = k + 1
+            in_hand(q[k], q[k + 1], v[k], v[k + 1], u[k], force[k], wish[k], period, m)
+        else:
+            let_go(v[k + 1], u[k], k, n, release, m)
         if k >= end:
-            min_v, max_v = min(min_v, v1), max(max_v, v1)
-            min_u, max_u = min(min_u, volts), max(max_u, volts)
-            turns_end += v0 * v1 < 0.0 or (v0 != 0.0 and v1 == 0.0)
-            end_speed += moved
-    drift, ratio = _drift(q[release:], stopped - release, period)
-    found = (
-        peak_u, clipped, clipped_end, flips, peak_force, force2, impulse, work, path, miss2, release,
-        moving, aa, av, vv, af, vf, ff, min_v, max_v, turns_end, min_u, max_u,
-        end_speed / (period * max(n - end, 1)), v[release], stopped - release, drift, ratio, 0.0,
-    )  # fmt: skip
-    measures[:] = np.array(found)
+            watched(q[k], q[k + 1], v[k], v[k + 1], u[k], m)
+    over(q[release:], v[release], n, release, end, period, m)
+
+
+@part
+def nothing(n, release, m):
+    """Begin to measure ``n`` samples."""
+    for i in range(MEASURES):
+        m[i] = 0.0
+    m[_END_MIN_V], m[_END_MIN_U], m[_END_MAX_V], m[_END_MAX_U] = np.inf, np.inf, -np.inf, -np.inf
+    m[_HELD], m[_MOVING] = release, n - release
+
+
+@part
+def in_hand(q, q1, v, v1, u, force, wish, period, m):
+    """Measure one period before the release, from position and velocity at its beginning and its end."""
+    moved, rate = q1 - q, 1.0 / period
+    m[_PEAK_U] = max(m[_PEAK_U], abs(u))
+    m[_PEAK_FORCE] = max(m[_PEAK_FORCE], abs(force))
+    m[_FORCE2] += force * force
+    m[_IMPULSE] += abs(force) * period
+    m[_WORK] += force * moved
+    m[_PATH] += abs(moved)
+    m[_MISS2] += (wish - q) ** 2
+    # In motion; means over the period for which the force is held.
+    moves = 1.0 if v * v1 > 0.0 else 0.0
+    a, w, f = moves * ((v1 - v) * rate), moves * (moved * rate), moves * force
+    m[_N] += moves
+    m[_AA] += a * a
+    m[_AV] += a * w
+    m[_VV] += w * w
+    m[_AF] += a * f
+    m[_VF] += w * f
+    m[_FF] += f * f
+
+
+@part
+def let_go(v1, u, k, n, release, m):
+    """Measure period ``k`` of ``n``, after the release: when did the carriage first stop."""
+    m[_PEAK_U] = max(m[_PEAK_U], abs(u))
+    m[_MOVING] = k + 1.0 - release if v1 == 0.0 and m[_MOVING] == n - release else m[_MOVING]
+
+
+@part
+def watched(q, q1, v, v1, u, m):
+    """Measure one period of those that a verdict looks at."""
+    m[_END_MIN_V], m[_END_MAX_V] = min(m[_END_MIN_V], v1), max(m[_END_MAX_V], v1)
+    m[_END_MIN_U], m[_END_MAX_U] = min(m[_END_MIN_U], u), max(m[_END_MAX_U], u)
+    m[_END_TURNS] += 1.0 if v * v1 < 0.0 or (v != 0.0 and v1 == 0.0) else 0.0
+    m[_END_SPEED] += q1 - q
+
+
+@inlined
+def over(free, release_v, n, release, end, period, m):
+    """Finish: ``free`` (n + 1 - release,) are the positions [m] since the release, where the velocity was given."""
+    m[_END_SPEED] /= period * max(n - end, 1)
+    m[_RELEASE_V] = release_v
+    m[_DRIFT], m[_RATIO] = _drift(free, int(m[_MOVING]), period)
 
 
 @part
@@ -89,9 +115,10 @@ def _drift(free, moving, period):
     span = (moving - skip) // 3
     if span < 1:
         return 0.0, np.nan
-    v1 = (free[skip + span] - free[skip]) / (span * period)
-    v2 = (free[skip + 2 * span] - free[skip + span]) / (span * period)
-    v3 = (free[skip + 3 * span] - free[skip + 2 * span]) / (span * period)
+    rate = 1.0 / (span * period)
+    v1 = (free[skip + span] - free[skip]) * rate
+    v2 = (free[skip + 2 * span] - free[skip + span]) * rate
+    v3 = (free[skip + 3 * span] - free[skip + 2 * span]) * rate
     side = 1.0 if v1 >= 0.0 else -1.0
     first, second = v2 - v1, v3 - v2
     bend = second - first
@@ -102,10 +129,11 @@ def _drift(free, moving, period):
 
 
 @part
-def broken_off(limit, measures):
+def broken_off(limit, m):
     """Measures of a run that could not be finished: unstable, and nothing else known."""
-    measures[:] = np.nan
-    measures[_DIVERGED], measures[_PEAK_U] = 1.0, limit
+    for i in range(MEASURES):
+        m[i] = np.nan
+    m[_DIVERGED], m[_PEAK_U] = 1.0, limit
 
 
 @dataclass(frozen=True)

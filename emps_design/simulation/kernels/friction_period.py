@@ -198,27 +198,55 @@ def follow(q, v, tau, command, push, span, friction, t, events, found):
 
 
 @inlined
+def slid(s, q, v, d, command, push, span, factors, mass, viscous, level, lag):
+    """Whether the carriage slides in direction ``s`` through all of ``span``, and position and velocity if so.
+
+    ``level`` is the dry friction with the sign of ``s``. The velocity has to end with its sign, and the smallest force
+    on the way must not take it to zero.
+    """
+    v_v, v_d, v_f, q_v, q_d, q_f, kept = factors
+    f = command + push - level
+    new = v_v * v + v_d * d + v_f * f
+    weakest = s * f + min(s * d, s * d * kept) - max(s * viscous * v, s * viscous * new)
+    all_the_way = s * new > 0.0 and (lag == 0.0 or s * mass * v + span * weakest > 0.0)
+    return all_the_way, q + (q_v * v + q_d * d + q_f * f), new
+
+
+@inlined
+def sticks(d, command, push, coulomb_p, coulomb_n):
+    """Whether a carriage at rest stays there while the motor force goes from ``command + d`` to ``command``."""
+    return -coulomb_n <= command + push <= coulomb_p and -coulomb_n <= command + d + push <= coulomb_p
+
+
+@inlined
 def advance(q, v, tau, command, push, span, forward, backward, friction, t, events, found):
     """The same, with ``forward`` and ``backward`` the :func:`response` to ``span``: a slide costs no exponential."""
     mass, viscous_p, viscous_n, coulomb_p, coulomb_n, lag = friction
     d = tau - command if lag > 0.0 else 0.0
-    # Sliding all the way: the velocity ends with its sign, and the smallest force on the way cannot take it to zero.
     if v > 0.0:
-        v_v, v_d, v_f, q_v, q_d, q_f, kept = forward
-        f = command + push - coulomb_p
-        new = v_v * v + v_d * d + v_f * f
-        if new > 0.0 and (
-            lag == 0.0 or mass * v + span * (f + min(d, d * kept) - max(viscous_p * v, viscous_p * new)) > 0.0
-        ):
-            return q + (q_v * v + q_d * d + q_f * f), new, command + d * kept
+        slides, place, new = slid(1.0, q, v, d, command, push, span, forward, mass, viscous_p, coulomb_p, lag)
+        if slides:
+            return place, new, command + d * forward[6]
     elif v < 0.0:
-        v_v, v_d, v_f, q_v, q_d, q_f, kept = backward
-        f = command + push + coulomb_n
-        new = v_v * v + v_d * d + v_f * f
-        if new < 0.0 and (
-            lag == 0.0 or mass * v + span * (f + max(d, d * kept) - min(viscous_n * v, viscous_n * new)) < 0.0
-        ):
-            return q + (q_v * v + q_d * d + q_f * f), new, command + d * kept
-    elif -coulomb_n <= command + push <= coulomb_p and -coulomb_n <= command + d + push <= coulomb_p:
+        slides, place, new = slid(-1.0, q, v, d, command, push, span, backward, mass, viscous_n, -coulomb_n, lag)
+        if slides:
+            return place, new, command + d * backward[6]
+    elif sticks(d, command, push, coulomb_p, coulomb_n):
         return q, 0.0, command + d * forward[6]
     return follow(q, v, tau, command, push, span, friction, t, events, found)
+
+
+@inlined
+def uneventful(q, v, tau, command, push, span, forward, backward, friction):
+    """The same without a branch, as long as nothing happens; returns whether nothing does, and what :func:`advance`."""
+    mass, viscous_p, viscous_n, coulomb_p, coulomb_n, lag = friction
+    d = tau - command if lag > 0.0 else 0.0
+    s, factors, viscous, level = (
+        (1.0, forward, viscous_p, coulomb_p) if v > 0.0 else (-1.0, backward, viscous_n, -coulomb_n)
+    )
+    slides, place, new = slid(s, q, v, d, command, push, span, factors, mass, viscous, level, lag)
+    rests = v == 0.0
+    if rests:
+        place, new = q, 0.0
+    fine = sticks(d, command, push, coulomb_p, coulomb_n) if rests else slides
+    return fine, place, new, command + d * factors[6]

@@ -38,10 +38,10 @@ from emps_design.simulation.kernels.motion import (
     SLIDES,
     TOUCH,
     TOUCH_MASS,
-    VISCOUS_N,
-    VISCOUS_P,
     balance,
     derivative,
+    encoded,
+    friction_of,
     motor,
     total,
 )
@@ -118,10 +118,7 @@ def run(
     feel = shifted(before, starts[GUARD + 1] - starts[GUARD])
     if slides:
         feeling(y_, plant, work, feel)
-    base = plant[0]
-    friction = (
-        base[0], settings[VISCOUS_P], settings[VISCOUS_N], base[2] + base[3], base[2] - base[3], settings[LAG]
-    )  # fmt: skip
+    friction = friction_of(plant[0], settings)
     forward = response(period, friction[0], friction[1], friction[5])
     backward = response(period, friction[0], friction[2], friction[5])
     z = size + MORE
@@ -146,8 +143,7 @@ def run(
             settings[GAIN], settings[BRAKING] = motor_rows[k, 0], motor_rows[k, 1]
         position[k], velocity[k] = y[0], y[1]
         seen = y[0] + total(SENSOR, y_, t, tau, plant) if senses else y[0]
-        if resolution > 0.0:
-            seen = np.floor(seen / resolution + 0.5) * resolution
+        seen = encoded(seen, resolution)
         encoder[k] = seen
         force = push[k] if push.size else 0.0
         if holds:

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from emps_design.simulation.kernels.compile import call_kernel, call_rate, part
+from emps_design.simulation.kernels.compile import call_kernel, call_rate, inlined, part
 
 # Rows of the table of hooks: one list of (address, first own state in y, first parameter) for each.
 FORCE, DRY, INERTIA, COMMAND, ACTUATOR, DELAY, SENSOR, RATE, GUARD, JUMP, TOUCH, TOUCH_MASS, HELD, MEMORY = range(14)
@@ -30,6 +30,18 @@ _POSITION, _VELOCITY, _OWN = 2e-11, 2e-9, 2e-8
 INSTANT = 1e-15  # s, shortest rest of a period worth a step
 NUDGE = 1e-300  # m/s, that tells a direction and nothing else
 CROSSING = 1e-13  # s, a step across a guard at which a force jumps
+
+
+@inlined
+def encoded(q, resolution):
+    """What an encoder of that ``resolution`` [m], 0: as fine as can be, reports of a position."""
+    return np.floor(q / resolution + 0.5) * resolution if resolution > 0.0 else q
+
+
+@part
+def friction_of(b, settings):
+    """The ``friction`` of :mod:`friction_period`, from the baseline and the settings of a run."""
+    return b[0], settings[VISCOUS_P], settings[VISCOUS_N], b[2] + b[3], b[2] - b[3], settings[LAG]
 
 
 @part
