@@ -12,7 +12,7 @@ from emps_design.axis import Axis
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
 from emps_design.control.impedance.response import relay_oscillation
 from emps_design.control.impedance.robustness import break_away, corner_errors
-from emps_design.control.impedance.sampled import Clock, Environment, sampled_loop
+from emps_design.control.impedance.sampled import Clock, Environment, numbers, sampled_loop, sampled_loops
 from emps_design.control.loop.sampled_loop import MARGINAL
 from emps_design.errors import InputError
 
@@ -193,15 +193,17 @@ def fitted_hand(axis: Axis, law: ImpedanceLaw) -> tuple[tuple[float, float], flo
 def _slowest(axis: Axis, law: ImpedanceLaw, mismatch: float) -> tuple[float, float]:
     """Time [s] in which the released carriage calms down, and time over which a limit cycle shows."""
     plant, clock = FrictionModel.of(axis), Clock.of(axis)
-    decay, slowest = math.inf, math.inf
-    for errors in ({}, *corner_errors(mismatch)) if mismatch else ({},):
-        off = law.with_errors(errors)
-        for direction in (1, -1) if plant.two_quadrant else (1,):
-            poles = np.abs(sampled_loop(off, plant, clock, direction).poles)
-            inside = poles[(poles > 0.0) & (poles < 1.0 - MARGINAL)]
-            if inside.size:
-                decay = min(decay, -math.log(inside.max()) / clock.period)
-        oscillation = relay_oscillation(off, plant, clock)
+    corners: list[dict[str, float]] = [{}, *(corner_errors(mismatch) if mismatch else ())]
+    errors = {name: np.array([corner.get(name, 0.0) for corner in corners]) for name in corners[-1]}
+    together, decay, slowest = law.with_errors(errors), math.inf, math.inf
+    for direction in (1, -1) if plant.two_quadrant else (1,):
+        loops = sampled_loops(numbers(together, plant, direction), clock, law.velocity_estimator, law.force_sensor)
+        poles = np.abs(loops.poles)
+        inside = poles[(poles > 0.0) & (poles < 1.0 - MARGINAL)]
+        if inside.size:
+            decay = min(decay, -math.log(inside.max()) / clock.period)
+    for corner in corners:
+        oscillation = relay_oscillation(law.with_errors(corner), plant, clock)
         if oscillation is not None:
             slowest = min(slowest, oscillation[0])
     return max(CALMING, DECAYS / decay), max(WATCHED, CYCLES * 2.0 * math.pi / slowest)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -54,10 +53,11 @@ class FrictionModel:
         """Viscous friction for motion to + and to - [N/(m/s)]."""
         return self.viscous_positive, self.viscous_negative
 
-    def with_errors(self, errors: dict[str, float]) -> FrictionModel:
+    def with_errors(self, errors: dict[str, Any]) -> FrictionModel:
         """Return estimates ``(1 + error)`` times these numbers; raises :class:`InputError` if one turns negative.
 
-        ``errors`` has keys of ``PARAMETERS``, or ``viscous`` and ``coulomb`` for both directions alike.
+        ``errors`` has keys of ``PARAMETERS``, or ``viscous`` and ``coulomb`` for both directions alike; arrays (m,)
+        make m models of one.
 
         >>> FrictionModel(100.0, 400.0, 400.0, 20.0, 20.0).with_errors({"coulomb": 0.05}).coulomb
         (21.0, 21.0)
@@ -67,9 +67,10 @@ class FrictionModel:
             if name in errors:
                 both |= {f"{name}_positive": errors[name], f"{name}_negative": errors[name]}
         for name, error in both.items():
-            if not math.isfinite(error) or error <= -1.0:
+            bad = np.extract(~(np.isfinite(error) & np.greater(error, -1.0)), error)
+            if bad.size:
                 raise InputError(
-                    f"mismatch: found {error:g} on {name.replace('_', ' ')}, so the estimate is not positive; "
+                    f"mismatch: found {bad[0]:g} on {name.replace('_', ' ')}, so the estimate is not positive; "
                     "expected more than -1"
                 )
         return replace(self, **{name: getattr(self, name) * (1.0 + error) for name, error in both.items()})

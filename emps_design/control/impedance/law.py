@@ -47,7 +47,7 @@ class ApparentImpedance:
 
 @dataclass(frozen=True)
 class ImpedanceLaw:
-    """The impedance law with everything that decides how it behaves.
+    """The impedance law with everything that decides how it behaves, or many that differ in their estimates.
 
     ``mass`` M_a [kg], ``damping`` B [N/(m/s)], ``estimate`` the law's X, ``stiffness`` K [N/m] about
     ``rest_position`` q_0 [m]; ``filter`` [rad/s] low-passes acceleration and current alike (inf: none),
@@ -105,8 +105,8 @@ class ImpedanceLaw:
         """Gain of the law's recursion in its own current, kappa (Mh/M_a - 1); 0 with a force sensor."""
         return 0.0 if self.force_sensor else self.current_factor * (self.ratio - 1.0)
 
-    def with_errors(self, errors: dict[str, float]) -> ImpedanceLaw:
-        """Return the law with estimates ``(1 + error)`` times its own."""
+    def with_errors(self, errors: dict[str, Any]) -> ImpedanceLaw:
+        """Return the law with estimates ``(1 + error)`` times its own; errors (m,) make it m laws."""
         return replace(self, estimate=self.estimate.with_errors(errors))
 
     def check_period(self, period: float) -> None:
@@ -146,7 +146,7 @@ class ImpedanceLaw:
                 plant.mass / r, (viscous - viscous_hat) / r + self.damping, (coulomb - coulomb_hat) / r
             )
         d = 1.0 + self.recursion_gain
-        if d == 0.0:
+        if np.any(np.equal(d, 0.0)):
             raise InputError("mass M_a: 1 + kappa (Mh/M_a - 1) = 0, the law has no solution with an ideal current loop")
         if self.current_factor == DERIVED:  # D = r, written so that equal numbers cancel exactly
             return ApparentImpedance(
@@ -191,6 +191,8 @@ def impedance_law(axis: Axis, mass: float, damping: float, filter: float | None 
 def law_for(axis: Axis, law: ImpedanceLaw, period: float) -> Law:
     """``law`` as a controller of ``axis`` at a sampling ``period`` [s], for ``Plant.closed_loop(law=...)``.
 
+    Many laws have a row of gains each.
+
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.plant import Plant
     >>> axis = machine("emps2018")
@@ -207,7 +209,7 @@ def law_for(axis: Axis, law: ImpedanceLaw, period: float) -> Law:
         force_gain=axis.drive.gain, current_time_constant=axis.drive.current_time_constant, delay=delay,
         reference_velocity=law.reference_velocity,
     )  # fmt: skip
-    return law_with(np.array(gains, dtype=float), delay)
+    return law_with(np.stack(np.broadcast_arrays(*gains), axis=-1).astype(float), delay)
 
 
 def _finite(name: str, value: float, unit: str, lower: float = -math.inf, open_below: bool = False) -> None:

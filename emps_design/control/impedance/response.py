@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
-from emps_design.control.impedance.sampled import Clock, Environment, sampled_loop, sampled_loops
+from emps_design.control.impedance.sampled import Clock, Environment, SampledLoop, sampled_loop, sampled_loops
 from emps_design.control.plant.discretisation import ESTIMATORS
 
 
@@ -26,13 +26,18 @@ def impedance_error(
 
     Against the target ``M_a s + B + K/s``, at the middles of ``points`` equal spans; a number, 0.1 is 10 %.
     """
+    return error_of(sampled_loops(n, clock, **options), n, band, points)
+
+
+def error_of(loops: SampledLoop, n: dict[str, Any], band: float = 20.0, points: int = 40) -> np.ndarray:
+    """The same for the ``loops`` of the numbers ``n``, closed before."""
     omega = (np.arange(points) + 0.5) * band / points
-    found = impedance_response(n, clock, omega, **options)
-    s = 1j * omega[None, :]
+    s = 1j * omega
     mass, damping, stiffness = (
         np.atleast_1d(np.asarray(n[name], dtype=float))[:, None] for name in ("apparent_mass", "damping", "stiffness")
     )
     target = mass * s + damping + stiffness / s
+    found = 1.0 / np.atleast_2d(loops.admittance(omega))
     return np.sqrt(np.mean(np.abs(found / target - 1.0) ** 2, axis=1))
 
 

@@ -57,15 +57,18 @@ def corner_errors(mismatch: float, two_quadrant: bool = False) -> list[dict[str,
     return [dict(zip(names, corner, strict=True)) for corner in product(errors, repeat=len(names))]
 
 
-def drift_speed(law: ImpedanceLaw, plant: FrictionModel, direction: int = 1) -> float:
+def drift_speed(law: ImpedanceLaw, plant: FrictionModel, direction: int = 1) -> Any:
     """Speed [m/s] that free motion in ``direction`` tends to: above zero it creeps, below zero dry friction stops it.
 
-    Infinite where the apparent damping is not positive and nothing else stops the motion.
+    Infinite where the apparent damping is not positive and nothing else stops the motion. A float, or (m,) for a law
+    whose estimate holds arrays.
     """
     z = law.apparent(plant, direction)
-    if z.damping <= 0.0:
-        return math.inf if z.damping < 0.0 or z.coulomb_left < 0.0 else -math.inf if z.coulomb_left > 0.0 else 0.0
-    return -z.coulomb_left / z.damping
+    left, damping = np.asarray(z.coulomb_left), np.asarray(z.damping)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        undamped = np.where((damping < 0.0) | (left < 0.0), np.inf, np.where(left > 0.0, -np.inf, 0.0))
+        found = np.where(damping > 0.0, -left / damping, undamped)
+    return found if found.ndim else float(found)
 
 
 def creep_speed(law: ImpedanceLaw, plant: FrictionModel) -> float:

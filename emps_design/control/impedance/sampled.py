@@ -110,7 +110,12 @@ def extended_loop(axis: Axis, law: ImpedanceLaw, velocity: float = 0.1) -> Sampl
 
 def spectral_radius(n: dict[str, Any], clock: Clock, **options: Any) -> np.ndarray:
     """Largest modulus of the poles for many loops at once, shape (m,); arguments of :func:`sampled_loops`."""
-    return np.atleast_1d(np.abs(np.linalg.eigvals(sampled_loops(n, clock, **options).A)).max(axis=-1))
+    return radius_of(sampled_loops(n, clock, **options))
+
+
+def radius_of(loops: SampledLoop) -> np.ndarray:
+    """The same for ``loops`` closed before."""
+    return np.atleast_1d(np.abs(np.linalg.eigvals(loops.A)).max(axis=-1))
 
 
 def recursion_poles(law: ImpedanceLaw, clock: Clock) -> np.ndarray:

@@ -7,7 +7,7 @@ import pytest
 
 from emps_design.comanipulation.run import run_task
 from emps_design.comanipulation.task import Task
-from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, impedance_law
+from emps_design.control.impedance.law import DERIVED, PRINTED, FrictionModel, ImpedanceLaw, impedance_law
 from emps_design.control.impedance.passivity import (
     admittance_polynomials,
     contact_map,
@@ -35,6 +35,7 @@ from emps_design.control.impedance.sampled import (
     sampled_loop,
     spectral_radius,
 )
+from emps_design.control.loop.transfer import transfer
 from emps_design.errors import InputError
 
 
@@ -192,6 +193,30 @@ def test_many_loops_at_once_are_the_single_ones(axis, plant, clock):
     together = spectral_radius({**numbers(law, plant), "apparent_mass": masses}, clock)
     alone = [sampled_loop(impedance_law(axis, mass, 100.0), plant, clock).radius for mass in masses]
     np.testing.assert_allclose(together, alone, rtol=1e-9)
+
+
+@pytest.mark.parametrize("force_sensor", [False, True])
+@pytest.mark.parametrize("factor", [DERIVED, PRINTED])
+@pytest.mark.parametrize("delay", [0, 2])
+def test_errors_of_many_estimates_at_once_are_the_single_ones(plant, force_sensor, factor, delay):
+    clock = Clock(1e-3, 5e-4, delay)
+    law = ImpedanceLaw(50.0, 100.0, plant, 20.0, filter=500.0, current_factor=factor, force_sensor=force_sensor)
+    drawn = np.random.default_rng(4).uniform(-0.05, 0.05, (3, 50))
+    errors = dict(zip(over(0.0), drawn, strict=True))
+    together = impedance_error(numbers(law.with_errors(errors), plant), clock, force_sensor=force_sensor)
+    single = [dict(zip(errors, one, strict=True)) for one in drawn.T.tolist()]
+    alone = [impedance_error(numbers(law.with_errors(e), plant), clock, force_sensor=force_sensor)[0] for e in single]
+    np.testing.assert_allclose(together, alone, rtol=1e-9)
+
+
+def test_systems_that_are_not_alike_are_solved_one_by_one():
+    random = np.random.default_rng(6)
+    A, b, c, d = random.normal(size=(5, 4, 4)), *random.normal(size=(2, 5, 4)), random.normal(size=5)
+    z = np.exp(1j * np.linspace(0.1, 3.0, 6)).reshape(2, 3)
+    together = transfer(A, b, c, d, z)
+    assert together.shape == (5, 2, 3)
+    alone = [transfer(*one, z) for one in zip(A, b, c, d, strict=True)]
+    np.testing.assert_allclose(together, alone, rtol=1e-12)
 
 
 def test_impedance_error_grows_with_a_slower_filter(axis, plant, clock):
