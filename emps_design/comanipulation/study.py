@@ -16,18 +16,18 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.comanipulation.measures import Measures
-from emps_design.comanipulation.run import run_many
+from emps_design.comanipulation.run import in_threads, run_many
 from emps_design.comanipulation.task import Task, fitted_task
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
-from emps_design.control.impedance.response import impedance_error
+from emps_design.control.impedance.response import error_of
 from emps_design.control.impedance.robustness import VERDICTS, check_mismatch, corner_errors
-from emps_design.control.impedance.sampled import Clock, numbers, spectral_radius
+from emps_design.control.impedance.sampled import Clock, numbers, radius_of, sampled_loops
 from emps_design.control.loop.sampled_loop import MARGINAL
 from emps_design.errors import InputError
 from emps_design.laws.friction_model import PARAMETERS
 
 MOST = 1_000_000  # plants; more would not fit into memory
-TOGETHER = 10_000  # plants whose poles are computed in one call, which hears no interrupt
+TOGETHER = 2_500  # plants whose poles are computed in one call, which hears no interrupt
 CALM = ("stable", "dead_band")  # verdicts of a carriage that comes to rest
 BOUNDED = (*CALM, "creeping")  # neither a limit cycle nor unstable
 
@@ -227,32 +227,43 @@ def mismatch_study(
     rows = np.vstack([[list(corner.values()) for corner in corners], drawn])
     errors = rows if split else rows[:, [0, 1, 1, 2, 2]]
 
-    laws = [law.with_errors(dict(zip(PARAMETERS, row, strict=True))) for row in errors.tolist()]
-    clock = Clock.of(axis)
-    options: dict[str, Any] = {"velocity_estimator": law.velocity_estimator, "force_sensor": law.force_sensor}
-    error, radius = np.zeros(len(errors)), np.zeros(len(errors))
-    for some in (slice(start, start + TOGETHER) for start in range(0, len(errors), TOGETHER)):
-        for direction in (1, -1) if split or plant.two_quadrant else (1,):
-            n = {
-                **numbers(law, plant, direction),
-                "mass_hat": law.estimate.mass * (1.0 + errors[some, 0]),
-                "viscous_hat": law.estimate.viscous[0 if direction > 0 else 1]
-                * (1.0 + errors[some, 1 if direction > 0 else 2]),
-            }
-            error[some] = np.maximum(error[some], impedance_error(n, clock, **options))
-            radius[some] = np.maximum(radius[some], spectral_radius(n, clock, **options))
+    off = _with_errors(law, errors)
+    directions = (1, -1) if split or plant.two_quadrant else (1,)
+    parts = [errors[start : start + TOGETHER] for start in range(0, len(errors), TOGETHER)]
+
+    def judged(part: np.ndarray) -> np.ndarray:
+        return _judged(axis, _with_errors(law, part), directions)
+
+    error, radius = np.hstack(list(in_threads(judged, parts, workers)))
     error[radius > 1.0 + MARGINAL] = np.nan
     task = fitted_task(axis, law, mismatch) if task is None else task
-    measures = run_many(axis, laws, task, workers, progress)
+    measures = run_many(axis, [off], task, workers, progress)
     if split or plant.two_quadrant:  # let go moving the other way too; each plant is judged by its worse direction
-        other = run_many(axis, laws, task.reversed, workers, progress)
+        other = run_many(axis, [off], task.reversed, workers, progress)
         worse = other.verdict > measures.verdict
         measures = replace(measures, raw=np.where(worse[:, None], other.raw, measures.raw))
-    beyond = _beyond(axis, laws[: len(corners)], task)
+    beyond = _beyond(axis, _with_errors(law, errors[: len(corners)]), task)
     return MismatchStudy(axis.name, law, mismatch, seed, task, len(corners), errors, error, radius, measures, beyond)
 
 
-def _beyond(axis: Axis, laws: list[ImpedanceLaw], task: Task) -> tuple[dict[str, str], ...]:
+def _judged(axis: Axis, laws: ImpedanceLaw, directions: tuple[int, ...]) -> np.ndarray:
+    """Error of the apparent impedance and largest pole modulus (2, m) of ``laws``, in the worse of the directions."""
+    clock, plant = Clock.of(axis), FrictionModel.of(axis)
+    options: dict[str, Any] = {"velocity_estimator": laws.velocity_estimator, "force_sensor": laws.force_sensor}
+    found = []
+    for direction in directions:
+        n = numbers(laws, plant, direction)
+        loops = sampled_loops(n, clock, **options)
+        found.append([error_of(loops, n), radius_of(loops)])
+    return np.max(found, axis=0)
+
+
+def _with_errors(law: ImpedanceLaw, errors: np.ndarray) -> ImpedanceLaw:
+    """As many laws as there are rows of ``errors`` (m, 5), in the order of ``PARAMETERS``."""
+    return law.with_errors(dict(zip(PARAMETERS, errors.T, strict=True)))
+
+
+def _beyond(axis: Axis, laws: ImpedanceLaw, task: Task) -> tuple[dict[str, str], ...]:
     """Worst verdict of ``laws`` on machines that differ from ``axis`` in one thing that the law does not know of."""
     drive, sampling = axis.drive, axis.sampling
     lag = drive.current_time_constant
@@ -264,7 +275,7 @@ def _beyond(axis: Axis, laws: list[ImpedanceLaw], task: Task) -> tuple[dict[str,
     }
     found = []
     for what, change in changes.items():
-        verdicts = run_many(axis, laws, task, machine=axis.replace(**change)).verdict
+        verdicts = run_many(axis, [laws], task, machine=axis.replace(**change)).verdict
         found.append({"what": what, "verdict": VERDICTS[int(verdicts.max())]})
     return tuple(found)
 

@@ -14,7 +14,8 @@ from emps_design.effects import Effect, Parameter
 from emps_design.errors import InputError
 
 
-def _hand_force(q, v, t, tau, x, p, b):
+def hand_force(q, v, t, tau, x, p, b):
+    """Force [N] with which a hand resists the motion."""
     return p[1] * (v - p[4]) + p[2] * (q - p[3] - p[4] * (t - p[5]))
 
 
@@ -47,7 +48,7 @@ HAND = Effect(
         Parameter("intended_velocity", r"\dot q_i", "m/s"),
         Parameter("since", "t_i", "s"),
     ),
-    force=_hand_force,
+    force=hand_force,
     inertia=_hand_inertia,
     no_regressor="its intention is not measured",
 )

@@ -19,6 +19,7 @@ import numba
 from llvmlite import ir
 from numba import cfunc, extending, njit, types
 from numba.core.dispatcher import Dispatcher
+from numba.core.extending import _Intrinsic as Intrinsic
 
 from emps_design.errors import SimulationError
 
@@ -94,6 +95,11 @@ def _with_compiled_neighbours(function: Callable[..., Any]) -> Callable[..., Any
     return linked
 
 
+def built_in(function: Callable[..., Any]) -> Any:
+    """The kernel ``function`` as a part of a stepper that is made for it, in place of a call by address."""
+    return njit(forceinline=True, **_OPTIONS)(_with_compiled_neighbours(function))
+
+
 def cached(contract: bool = False) -> Callable[[Callable[..., Any]], Any]:
     """Compile a stepper with a disk cache that is renewed when any file it is built from changes.
 
@@ -138,6 +144,7 @@ def source_files(function: Callable[..., Any]) -> set[Path]:
             for name in code.co_names
         ]
         open_ends += [value.py_func for value in reached if isinstance(value, Dispatcher)]
+        found |= {Path(value._defn.__code__.co_filename) for value in reached if isinstance(value, Intrinsic)}
     return found
 
 

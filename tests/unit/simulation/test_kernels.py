@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -130,9 +131,11 @@ def test_editing_an_effects_file_renews_its_cache_and_no_other(tmp_path):
 
 
 def test_the_steppers_cache_depends_on_every_file_it_is_built_from():
-    from emps_design.simulation.kernels import baseline, batch, hold_loop
+    from emps_design.comanipulation import lanes as side_by_side
+    from emps_design.simulation.kernels import baseline, batch, hold_loop, lanes
     from emps_design.simulation.kernels.compile import source_files
 
+    assert Path(lanes.__file__) in source_files(side_by_side.run_lanes.py_func)
     files = {
         hold_loop.run: {
             "baseline",
@@ -147,6 +150,15 @@ def test_the_steppers_cache_depends_on_every_file_it_is_built_from():
         },
         baseline.run_folded: {"baseline", "compile", "friction_period"},
         batch.run_lanes: {"batch", "compile", "friction_period"},
+        side_by_side.run_lanes: {
+            "compile",
+            "environment",
+            "friction_period",
+            "impedance",
+            "lanes",
+            "measures",
+            "motion",
+        },
     }
     for dispatcher, names in files.items():
         assert {path.stem for path in source_files(dispatcher.py_func)} == names
