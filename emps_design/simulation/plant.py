@@ -294,6 +294,8 @@ class Plant:
             if effect.slopes is not None:
                 settings[[motion.VISCOUS_P, motion.VISCOUS_N]] += effect.slopes(mine)
                 settings[motion.BRAKING] += effect.slopes(mine)[0] if effect.winding else 0.0
+        mass = settings[motion.MASS]
+        settings[motion.MOBILITY] = 1.0 / mass if mass != 0.0 else np.inf
         states = self._states + (4 if energy else 0)
         settings[motion.FREE], settings[motion.STATES] = self._free, states
         settings[motion.TOLERANCE], settings[motion.ENERGY] = tolerance, self._states if energy else 0

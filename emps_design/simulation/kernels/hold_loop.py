@@ -8,6 +8,8 @@ from event to event (:mod:`event_steps`), whichever is the first that can.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from emps_design.simulation.kernels.baseline import SWINGS, swing
@@ -147,12 +149,14 @@ def run(
         position[k], velocity[k] = y[0], y[1]
         seen = y[0] + total(SENSOR, y_, t, tau, plant) if senses else y[0]
         if resolution > 0.0:
-            seen = np.floor(seen / resolution + 0.5) * resolution
+            if not abs(seen) < np.inf:
+                return DIVERGED, k, 0.0
+            seen = math.floor(seen / resolution + 0.5) * resolution
         encoder[k] = seen
         force = push[k] if push.size else 0.0
         if holds:
             force -= total(HELD, y_, t, tau, plant)
-        if (weighed or k == 0) and not balance(y_, t, tau, force, s, plant)[2] > 0.0:
+        if (weighed or k == 0) and not 0.0 < balance(y_, t, tau, force, s, plant)[2] < np.inf:
             return MASSLESS, k, 0.0
         felt = force
         if touched:
@@ -228,12 +232,13 @@ def run(
             way = s if not free else 1.0 if y[1] > 0.0 else -1.0
             if slides and way * y[1] > 0.0:
                 if fresh and steady:
-                    k1[1] += (tau + drive[0] + force - before_force) / k2[1]
+                    k1[1] += (tau + drive[0] + (force - before_force)) * k2[1]
                 else:
                     fresh = begin(y_, t + start, tau, force, way, steady, plant, work)
                 fresh = fresh and slide(y_, t + start, h, tau, force, way, feel, plant, work, new)
                 if fresh:
-                    for i in range(size):
+                    y[0], y[1] = new[0], new[1]
+                    for i in range(2, size):
                         y[i] = new[i]
                         largest[i] = max(largest[i], abs(new[i]))
                     reached = tau + drive[0] * (1.0 - drive[4])

@@ -15,14 +15,14 @@ import math
 
 import numpy as np
 
-from emps_design.simulation.kernels.compile import call_kernel, call_rate, part
+from emps_design.simulation.kernels.compile import call_kernel, call_rate, inlined, part
 
 # Rows of the table of hooks: one list of (address, first own state in y, first parameter) for each.
 FORCE, DRY, INERTIA, COMMAND, ACTUATOR, DELAY, SENSOR, RATE, GUARD, JUMP, TOUCH, TOUCH_MASS, HELD, MEMORY = range(14)
 # Places in ``settings``.
 (PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, SLIDES, EXACT, ENERGY,
- VISCOUS_P, VISCOUS_N, BRAKING, LEVEL, MASS, LINEAR) = range(18)  # fmt: skip
-SETTINGS = 18
+ VISCOUS_P, VISCOUS_N, BRAKING, LEVEL, MASS, MOBILITY, LINEAR) = range(19)  # fmt: skip
+SETTINGS = 19
 
 ORDER = 4  # of convergence, measured in the tests
 # What one step may be wrong by in position [m], velocity [m/s], and relative to the largest value of an own state.
@@ -41,7 +41,7 @@ def motor(t, tau, plant):
     return tau + drive[0] * math.exp(-(t - drive[1]) / lag)
 
 
-@part
+@inlined
 def total(row, y, t, tau, plant):
     """Sum of the kernels of one hook."""
     b, hooks, starts, p, _, _ = plant
@@ -51,38 +51,40 @@ def total(row, y, t, tau, plant):
     return value
 
 
-@part
+@inlined
 def dry(y, t, acting, plant):
     """Level of the dry friction [N] in motion, for the motor force behind the back-EMF."""
     return max(0.0, plant[4][LEVEL] + total(DRY, y, t, acting, plant))
 
 
-@part
+@inlined
 def pull(y, t, acting, push, plant):
-    """Force without dry friction [N] and mass [kg], for the motor force behind the back-EMF."""
-    b, settings = plant[0], plant[4]
+    """Force without dry friction [N] and mobility [1/kg], for the motor force behind the back-EMF."""
+    b, settings, starts = plant[0], plant[4], plant[2]
     net = acting + push - b[1] * y[1] - b[3] - total(FORCE, y, t, acting, plant)
-    return net, settings[MASS] + total(INERTIA, y, t, acting, plant)
+    if starts[INERTIA + 1] == starts[INERTIA]:
+        return net, settings[MOBILITY]
+    return net, 1.0 / (settings[MASS] + total(INERTIA, y, t, acting, plant))
 
 
-@part
+@inlined
 def weigh(y, t, acting, push, s, plant):
     """What :func:`balance` gives, for a motor force ``acting`` before the back-EMF: kernels get what the plant gets."""
     v = y[1]
     acting -= plant[4][BRAKING] * v
-    net, mass = pull(y, t, acting, push, plant)
+    net, mobility = pull(y, t, acting, push, plant)
     # Dry friction is of the direction of motion, also where a stage of a step is beyond its end; at rest it is the one
     # that would have to be overcome: of the direction in which the rest pushes.
     if s * v < 0.0 or v == 0.0:
         y[1] = math.copysign(NUDGE, s if s != 0.0 else net)
     level = dry(y, t, acting, plant)
     y[1] = v
-    return net, level, mass
+    return net, level, mobility
 
 
 @part
 def balance(y, t, tau, push, s, plant):
-    """Force without dry friction [N], level of it [N] in motion with direction ``s`` or at rest, and mass [kg]."""
+    """Force without dry friction [N], level of it [N] towards ``s`` or at rest, and mobility [1/kg]."""
     return weigh(y, t, motor(t, tau, plant), push, s, plant)
 
 
@@ -99,16 +101,16 @@ def held(y, t, tau, push, plant):
 def derivative(y, t, tau, push, s, plant, dy):
     """Time derivative of the whole state in motion with direction ``s``, or at rest."""
     b, hooks, starts, p, settings, _ = plant
-    net, level, mass = balance(y, t, tau, push, s, plant)
+    net, level, mobility = balance(y, t, tau, push, s, plant)
     if settings[FREE] > 0.0:
         dy[0] = y[1]
-        dy[1] = net / mass
+        dy[1] = net * mobility
     elif s == 0.0:
         dy[0] = 0.0
         dy[1] = 0.0
     else:
         dy[0] = y[1]
-        dy[1] = (net - s * level) / mass
+        dy[1] = (net - s * level) * mobility
     if settings[STATES] == 2.0:
         return
     acting = motor(t, tau, plant) - settings[BRAKING] * y[1]
