@@ -169,7 +169,7 @@ def step(y, t, h, tau, push, s, plant, bounds, work, new):
     for i in range(n):
         new[i] = y[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
         if i < judged:
-            wrong = h * max(abs(k2[i] - k3[i]), abs(k1[i] - k2[i] - k3[i] + k4[i]))
+            wrong = h * (abs(k2[i] - k3[i]) + abs(k1[i] - k2[i] - k3[i] + k4[i]))
             rough = worse(rough, wrong, i, new, largest)
     if rough <= _ROUGH * settings[TOLERANCE]:
         return rough / settings[TOLERANCE]
