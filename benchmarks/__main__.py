@@ -183,7 +183,7 @@ def _five(axis, record, rows) -> None:
         fast = plant.closed_loop(record.q_ref, q0=q0, quantise=False)
         tight = plant.closed_loop(record.q_ref, q0=q0, quantise=False, tolerance=1e-4)
         seconds = _median(lambda plant=plant: plant.closed_loop(record.q_ref, q0=q0))
-        add(rows, f"replay, five effects ({label})", 1e3 * seconds, "ms", 6.0)
+        add(rows, f"replay, five effects ({label})", 1e3 * seconds, "ms", 2.0)
         difference = float(np.abs(fast.position - tight.position).max())
         add(rows, f"five effects ({label}), position against tight steps", difference, "m", 1e-9)
 

@@ -124,6 +124,6 @@ def _kernels(plant: Plant, name: str, structures: dict[str, str]) -> Any:
         if effect.initial is not None and i != plant.lagging:
             start = effect.initial.__name__
             kind = found[start].result
-            places_ = int(plant.states_at[i]), int(plant.parameters_at[i])
+            places_ = plant.states_at[i], plant.parameters_at[i]
             initial.append((printer.functions[start], printer.declared(kind, "").strip(), *places_, len(items(kind))))
     return list(functions), forms, places, initial, calls

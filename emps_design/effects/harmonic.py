@@ -22,7 +22,7 @@ SHORTEST = 5e-4  # m of an ordinary stroke, below which no period of travel is s
 
 def along_travel(q: float, v: float, t: float, tau: float, x: Any, p: Any, b: Any) -> float:
     """One harmonic of the position ``q`` [m], a kernel: ``p`` = amplitude, phase [rad], travel of a period [m]."""
-    return p[0] * math.sin(2.0 * math.pi * q / p[2] + p[1])
+    return p[0] * math.sin(2.0 * math.pi / p[2] * q + p[1])
 
 
 def columns(angle: np.ndarray) -> np.ndarray:

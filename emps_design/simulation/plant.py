@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from emps_design.effects import Effect
 from emps_design.errors import InputError, SimulationError
 from emps_design.laws import Law, law_of
 from emps_design.simulation.effect_hooks import hooks_of, sees_command, summed_of, touches_motion
-from emps_design.simulation.environment import HAND, Hand, Wall
+from emps_design.simulation.environment import Hand, Wall
 from emps_design.simulation.kernels import baseline as core
 from emps_design.simulation.kernels import hold_loop as stepper
 from emps_design.simulation.kernels import motion
@@ -49,17 +50,18 @@ class Plant:
         self.parameters = tuple(values for _, values in both)
         own = len(effects)
         self._outside = range(own, len(both))
-        self._held = [own + i for i, thing in enumerate(environment) if isinstance(thing, Hand) and thing.held]
+        hands = {own + i: thing for i, thing in enumerate(environment) if isinstance(thing, Hand)}
+        self._hands, self._held = list(hands), [i for i, hand in hands.items() if hand.held]
         self._lag = axis.drive.current_time_constant
         # An effect that is a lag of the motor force takes the place of an ideal current loop.
         lags = [i for i, effect in enumerate(self.effects) if effect.lag]
         self.lagging = lags[0] if lags and self._lag == 0 else -1
         self._free = any(effect.takes_dry for effect in self.effects)
         self._p = np.concatenate([_EMPTY, *self.parameters])
-        self.parameters_at = np.cumsum([0] + [len(values) for values in self.parameters])
+        self.parameters_at = list(accumulate(map(len, self.parameters), initial=0))
         own = [0 if i == self.lagging else len(effect.states) for i, effect in enumerate(self.effects)]
-        self.states_at = 2 + np.cumsum([0, *own])
-        self._states = int(self.states_at[-1])
+        self.states_at = list(accumulate(own, initial=2))
+        self._states = self.states_at[-1]
         self._floors = [
             FLOORS.get(state.unit, 1e-6)
             for i, effect in enumerate(self.effects)
@@ -92,9 +94,9 @@ class Plant:
         for i, effect in enumerate(self.effects):
             if i != self.lagging and not effect.winding:
                 for row, kernel in hooks_of(effect, i in self._outside, i in self._held):
-                    rows[row].append((kernel, int(self.states_at[i]), int(self.parameters_at[i])))
+                    rows[row].append((kernel, self.states_at[i], self.parameters_at[i]))
         table = np.array([number for row in rows for entry in row for number in entry] or [0], np.int64)
-        return table, np.cumsum([0] + [len(row) for row in rows])
+        return table, np.array(list(accumulate(map(len, rows), initial=0)), np.int64)
 
     def closed_loop(
         self,
@@ -177,7 +179,7 @@ class Plant:
         motor, energy, tolerance, method,
     ) -> Run:  # fmt: skip
         b, p = self.numbers(baseline, parameters)
-        hands = self.effects.count(HAND)
+        hands = len(self._hands)
         if hands > 1 or (intention is not None and not hands):
             raise InputError(f"intention: found {hands} hands at the carriage, expected one; see Plant.touched_by")
         if not (np.isfinite(q0) and np.isfinite(v0)):
@@ -294,6 +296,8 @@ class Plant:
             if effect.slopes is not None:
                 settings[[motion.VISCOUS_P, motion.VISCOUS_N]] += effect.slopes(mine)
                 settings[motion.BRAKING] += effect.slopes(mine)[0] if effect.winding else 0.0
+        mass = settings[motion.MASS]
+        settings[motion.MOBILITY] = 1.0 / mass if mass != 0.0 else np.inf
         states = self._states + (4 if energy else 0)
         settings[motion.FREE], settings[motion.STATES] = self._free, states
         settings[motion.TOLERANCE], settings[motion.ENERGY] = tolerance, self._states if energy else 0
@@ -358,9 +362,9 @@ class Plant:
 
     def _intended(self, intention: Any, n: int, period: float) -> tuple[np.ndarray, np.ndarray]:
         """Columns that the hand's intention writes to its parameters at every sample, and where."""
-        if intention is None and HAND not in self.effects:
+        if intention is None and not self._hands:
             return _NO_SIGNALS, _NO_SLOTS
-        hand = self.effects.index(HAND)
+        hand = self._hands[0]
         wanted = np.zeros(n) if intention is None else np.asarray(intention, dtype=float)
         columns = intention_columns(wanted, self.parameters[hand], hand in self._held, n, period)
         return columns, self.parameters_at[hand] + np.arange(6)

@@ -29,7 +29,7 @@ def test_runge_kutta_has_the_order_it_declares():
 
 
 def test_sliding_has_the_order_it_declares():
-    order = measured_order(axis_with("nonlinear_viscous_friction", "elastic_force"), [16, 24, 48, 96])
+    order = measured_order(axis_with("nonlinear_viscous_friction", "elastic_force"), [48, 64, 96, 128])
     assert order == pytest.approx(smooth_period.ORDER, abs=0.3)
 
 

@@ -17,10 +17,10 @@ SMOOTH = 1e-4  # m/s
 
 
 def force(q, v, t, tau, x, p, b):
-    bend = sqrt(v * v + SMOOTH * SMOOTH) / SPEED
+    bend = sqrt(v * v + SMOOTH * SMOOTH) * (1.0 / SPEED)
     if p[1] != 2.0:  # a power takes longer than all else here
         bend = bend ** (p[1] - 1.0)
-    return p[0] * (v / SPEED) * bend
+    return p[0] * (1.0 / SPEED) * v * bend
 
 
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:

@@ -149,9 +149,11 @@ def source_files(function: Callable[..., Any]) -> set[Path]:
 
 
 # A piece of a stepper: compiled into whatever calls it, cached with that. Divisions by a constant, or several by the
-# same number, may become products with its reciprocal: a division takes as long as five of them.
-part = njit(fastmath={"arcp"}, **_OPTIONS)
-inlined = njit(inline="always", **_OPTIONS)  # a short piece that is called in every sample
+# same number, may become products with its reciprocal: a division takes as long as five of them. A product and a sum
+# may be rounded once.
+_PART: dict[str, Any] = {"fastmath": {"arcp", "contract"}, **_OPTIONS}
+part = njit(**_PART)
+inlined = njit(forceinline=True, **_PART)  # one that is called in every sample: a call hands its results over in memory
 
 
 _double, _void = ir.DoubleType(), ir.VoidType()

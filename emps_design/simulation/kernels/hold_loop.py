@@ -143,12 +143,15 @@ def run(
             settings[GAIN], settings[BRAKING] = motor_rows[k, 0], motor_rows[k, 1]
         position[k], velocity[k] = y[0], y[1]
         seen = y[0] + total(SENSOR, y_, t, tau, plant) if senses else y[0]
-        seen = encoded(seen, resolution)
+        if resolution > 0.0:
+            if not abs(seen) < np.inf:  # a way out of its own, lest the division be done for an exact encoder too
+                return DIVERGED, k, 0.0
+            seen = encoded(seen, resolution)
         encoder[k] = seen
         force = push[k] if push.size else 0.0
         if holds:
             force -= total(HELD, y_, t, tau, plant)
-        if (weighed or k == 0) and not balance(y_, t, tau, force, s, plant)[2] > 0.0:
+        if (weighed or k == 0) and not 0.0 < balance(y_, t, tau, force, s, plant)[2] < np.inf:
             return MASSLESS, k, 0.0
         felt = force
         if touched:
@@ -224,12 +227,13 @@ def run(
             way = s if not free else 1.0 if y[1] > 0.0 else -1.0
             if slides and way * y[1] > 0.0:
                 if fresh and steady:
-                    k1[1] += (tau + drive[0] + force - before_force) / k2[1]
+                    k1[1] += (tau + drive[0] + (force - before_force)) * k2[1]
                 else:
                     fresh = begin(y_, t + start, tau, force, way, steady, plant, work)
                 fresh = fresh and slide(y_, t + start, h, tau, force, way, feel, plant, work, new)
                 if fresh:
-                    for i in range(size):
+                    y[0], y[1] = new[0], new[1]
+                    for i in range(2, size):
                         y[i] = new[i]
                         largest[i] = max(largest[i], abs(new[i]))
                     reached = tau + drive[0] * (1.0 - drive[4])

@@ -44,7 +44,7 @@ def solve(h, s, plant, work, solution, spare):
     for i in range(n):
         stage[i] = 0.0
     derivative(stage, 0.0, 0.0, 0.0, s, plant, rest)
-    mass = balance(stage, 0.0, 0.0, 0.0, 0.0, plant)[2]
+    mobility = balance(stage, 0.0, 0.0, 0.0, 0.0, plant)[2]
     for j in range(n):
         unit = s if j == 1 else 1.0
         stage[j] = unit
@@ -70,7 +70,7 @@ def solve(h, s, plant, work, solution, spare):
     row[size] = parts if parts <= _PARTS else 0.0
     for i in range(n):
         a[size * i + n + 2] = rest[i]
-    a[size + n], a[size + n + 1] = 1.0 / mass, 1.0 / mass
+    a[size + n], a[size + n + 1] = mobility, mobility
     if lag > 0.0:
         a[size * n + n] = -1.0 / lag
         rate = max(rate, 1.0 / lag)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from emps_design.simulation.kernels.compile import part, shifted
+from emps_design.simulation.kernels.compile import inlined, part, shifted
 from emps_design.simulation.kernels.motion import BRAKING, FREE, LAG, RATE, STATES, TOLERANCE, balance, pull, weigh
 from emps_design.simulation.kernels.path_memory import bent, remember, stiffness, tends
 
@@ -15,7 +15,11 @@ ORDER = 3  # of convergence, measured in the tests
 # Second difference of the acceleration times step squared [m], and velocity missed [m/s], of a step that is good.
 _BEND, _MISSED = 6e-9, 3e-10
 _UNSTOPPED = 0.3  # of that tolerance where no stop forgets what was missed before
-_EVEN = 1e-9  # m/s^2, acceleration missed in the middle of a step by the slope of the last one: one evaluation will do
+_EVEN = 1e-9  # m/s^2, acceleration missed in the middle of a step by what the last ones lead to: one evaluation will do
+# A parabola of time goes through the accelerations in the middle of three steps. What it is at the end of the third is
+# what the one before leads to, and for each m/s^2 that one misses in the middle of the step so much more of position,
+# velocity, acceleration and slope, in units of the step (Nordsieck's form of a multistep method).
+_TO_PLACE, _TO_SPEED, _TO_END, _TO_SLOPE = 19.0 / 48.0, 25.0 / 24.0, 15.0 / 8.0, 2.0
 _AGAIN = 10.0  # times as much as what is missed once counts what is missed in step after step alike
 _CUBIC = 15.0  # a parabola misses this many times less of a step than its curve has changed since the last one
 SPEEDS = 20  # octaves of speed, up to 5 m/s
@@ -30,43 +34,44 @@ def begin(y, t, tau, push, s, steady, plant, work):
     """
     drive, settings, starts = plant[5], plant[4], plant[2]
     rub = 0.0 if settings[FREE] > 0.0 else s
-    net, level, mass = weigh(y, t, tau + drive[0], push, s, plant)
-    whole = (net - rub * level) / mass
-    work[0][0], work[0][1], work[1][0], work[1][1] = 0.0, whole, 1.0 / mass, mass
-    work[2][0], work[2][1] = level, 0.0
+    net, level, mobility = weigh(y, t, tau + drive[0], push, s, plant)
+    whole = (net - rub * level) * mobility
+    work[0][0], work[0][1], work[1][0], work[1][1] = 0.0, whole, mobility, mobility
+    work[2][0], work[2][1], work[4][0] = level, 0.0, 0.0
     for i in range(starts[RATE], starts[RATE + 1]):
         at = plant[1][3 * i + 1]
         work[2][at], work[4][at] = tends(i, work[5], t, tau, level, s, plant, work[3])
     if steady or drive[0] == 0.0:
         return True
-    net, level, mass = weigh(y, t, tau + 0.5 * drive[0], push, s, plant)
-    half = (net - rub * level) / mass
-    net, level, mass = weigh(y, t, tau, push, s, plant)
-    none = (net - rub * level) / mass
+    net, level, mobility = weigh(y, t, tau + 0.5 * drive[0], push, s, plant)
+    half = (net - rub * level) * mobility
+    net, level, mobility = weigh(y, t, tau, push, s, plant)
+    none = (net - rub * level) * mobility
     work[1][0] = (whole - none) / drive[0]
     return settings[LAG] * abs(whole - 2.0 * half + none) <= _MISSED * settings[TOLERANCE]
 
 
-@part
+@inlined
 def slide(y, t, h, tau, push, s, feel, plant, work, new):
     """Slide through ``h`` on one evaluation, two or few more; returns whether the step is good.
 
     Simpson's rule over the acceleration at both ends and in the middle (Lobatto IIIA), for axes without guards and
     jumps, and without own states but memories of the path. ``work[0][1]`` is the acceleration at the start, known from
-    the end of the last step; ``work[0][0]`` the slope it had there without viscous decay (0: not known), ``work[1]``
-    what a newton of the gap behind a lag adds to the acceleration, and the mass (see :func:`begin`), ``work[2]`` the
-    level of the dry friction and its curve along the path (see :func:`remember`). ``feel`` holds the derivative of the
-    acceleration by velocity (see :func:`feeling`): velocities that were off are answered by it, positions by the
-    stiffness of the memories, and the sweep is repeated until what that leaves is below the tolerance. Where the
-    acceleration in the middle is what the last step leads to expect, within the tolerance, the one evaluation there is
-    enough. Where its second difference is large, one step is too long and the general method takes over.
+    the end of the last step; ``work[0][0]`` the slope it had there without viscous decay (0: not known) and
+    ``work[4][0]`` that slope's own, ``work[1]`` what a newton of the gap behind a lag adds to the acceleration, and the
+    mobility (see :func:`begin`), ``work[2]`` the level of the dry friction and its curve along the path (see
+    :func:`remember`). ``feel`` holds the derivative of the acceleration by velocity (see :func:`feeling`): velocities
+    that were off are answered by it, positions by the stiffness of the memories, and the sweep is repeated until what
+    that leaves is below the tolerance. Where the acceleration in the middle is what the last steps lead to expect,
+    within the tolerance, the one evaluation there is enough. Where its second difference is large, one step is too long
+    and the general method takes over.
     """
     stage, settings, half = work[5], plant[4], t + 0.5 * h
     tolerance, bend_most, rub = settings[TOLERANCE], _BEND, s
     if settings[FREE] > 0.0:  # no stop forgets what was missed before
         tolerance, bend_most, rub = _UNSTOPPED * tolerance, _UNSTOPPED * _BEND, 0.0
     remembers, level0, curve, off, rough = settings[STATES] > 2.0, work[2][0], work[2][1], 0.0, 0.0
-    decay = plant[0][1] / work[1][1]
+    decay = plant[0][1] * work[1][1]
     # What the gap of the motor force does on its way to zero is known: to acceleration, velocity and position.
     drive, lag = plant[5], settings[LAG]
     gap = drive[0] * work[1][0]
@@ -77,28 +82,36 @@ def slide(y, t, h, tau, push, s, feel, plant, work, new):
     inside, last = tau + drive[0] * (1.0 - drive[3]), tau + drive[0] * (1.0 - drive[4])
     a0 = work[0][1] - gap
     slope = work[0][0] - decay * a0
+    bow = work[4][0] - decay * slope
+    per, fades = 1.0 / h, h * decay
     stage[0] = y[0] + half_q + 0.5 * h * (y[1] + 0.25 * h * (a0 + h / 6.0 * slope))
-    stage[1] = y[1] + half_v + 0.5 * h * (a0 + 0.25 * h * slope)
+    # The same with the bow, and a0 last: it waits for the command, and everything after waits for it.
+    known = y[1] + half_v + 0.125 * h * h * (work[0][0] + h / 6.0 * (work[4][0] - decay * work[0][0]))
+    stage[1] = known + 0.5 * h * (1.0 - 0.25 * fades * (1.0 - fades / 6.0)) * a0
     end, level1, level2 = 0.0, level0, level0
     for sweep in range(4):
         if s * stage[1] <= 0.0:
             return False
         if remembers:
             level = level1 = remember(y, stage, half, inside, level0, curve, s, plant, work)
-            if h * work[3][0] > _MISSED * settings[TOLERANCE] * work[1][1]:
+            if h * work[3][0] * work[1][1] > _MISSED * settings[TOLERANCE]:
                 return False
-            net, mass = pull(stage, half, inside - settings[BRAKING] * stage[1], push, plant)
+            net, mobility = pull(stage, half, inside - settings[BRAKING] * stage[1], push, plant)
         else:
-            net, level, mass = weigh(stage, half, inside, push, s, plant)
-        middle = (net - rub * level) / mass - half_a
+            net, level, mobility = weigh(stage, half, inside, push, s, plant)
+        middle = (net - rub * level) * mobility - half_a
         if sweep == 0:
-            bend = middle - a0 - 0.5 * h * slope
-            if work[0][0] != 0.0 and abs(bend) <= _EVEN * tolerance:  # the slope of the last step is known
-                even = slope + bend / h  # from the middle of the last step to that of this one
-                new[0] = y[0] + full_q + h * (y[1] + h * (0.5 * middle - h / 12.0 * even))
-                new[1] = y[1] + full_v + h * (middle + bend / 24.0)
-                end = middle + 0.5 * h * even
-                work[0][0] = even + decay * end
+            more = middle - (a0 + 0.5 * h * (slope + 0.25 * h * bow))
+            if work[0][0] != 0.0 and abs(more) <= _EVEN * tolerance:
+                place = y[0] + full_q + h * (y[1] + 0.5 * h * (a0 + h / 3.0 * (slope + 0.25 * h * bow)))
+                speed = y[1] + full_v + h * (a0 + 0.5 * h * (slope + h / 3.0 * bow))
+                new[0] = place + _TO_PLACE * h * h * more
+                new[1] = speed + _TO_SPEED * h * more
+                end = a0 + h * (slope + 0.5 * h * bow) + _TO_END * more
+                slope += h * bow + _TO_SLOPE * per * more
+                bow += per * per * more
+                work[4][0] = bow + decay * slope
+                work[0][0] = slope + decay * end
                 work[0][1] = end + full_a
                 if remembers:
                     level2 = remember(stage, new, t + h, last, level1, curve, s, plant, work)
@@ -112,10 +125,10 @@ def slide(y, t, h, tau, push, s, feel, plant, work, new):
         used = end
         if remembers:
             level = level2 = remember(stage, new, t + h, last, level1, curve, s, plant, work)
-            net, mass = pull(new, t + h, last - settings[BRAKING] * new[1], push, plant)
+            net, mobility = pull(new, t + h, last - settings[BRAKING] * new[1], push, plant)
         else:
-            net, level, mass = weigh(new, t + h, last, push, s, plant)
-        end = (net - rub * level) / mass - full_a
+            net, level, mobility = weigh(new, t + h, last, push, s, plant)
+        end = (net - rub * level) * mobility - full_a
         if abs(a0 - 2.0 * middle + end) * h * h > bend_most * tolerance:
             return False
         moved = h / 6.0 * (end - used)
@@ -123,7 +136,7 @@ def slide(y, t, h, tau, push, s, feel, plant, work, new):
         missed = y[1] + half_v + h / 24.0 * (5.0 * a0 + 8.0 * middle - end) - stage[1]
         place = y[0] + half_q + h * (0.5 * y[1] + h / 96.0 * (7.0 * a0 + 6.0 * middle - end))
         if remembers:
-            stiff = stiffness(stage, half, inside, level1, s, plant, work[3]) / mass
+            stiff = stiffness(stage, half, inside, level1, s, plant, work[3]) * mobility
             off = -4.0 * stiff * (place - stage[0])
             # What a gap behind a lag moves is no polynomial of time, and no more is the force that answers it.
             late = stiff * half_q * min(0.25, (h / lag) ** 4 / 2880.0) if lag > 0.0 else 0.0
@@ -131,7 +144,7 @@ def slide(y, t, h, tau, push, s, feel, plant, work, new):
             rough = swings * abs(off) + _AGAIN * (4.0 * abs(late) + swings * swings / 480.0 * max(abs(a0), abs(middle)))
             if rub == 0.0:
                 curved = bent(y, stage, new, level0, level1, level2)
-                weight = work[3][1] / mass
+                weight = work[3][1] * mobility
                 if h * abs(curved - work[2][1]) * weight > _CUBIC * _MISSED * tolerance:
                     return False
                 rough += _AGAIN * abs(curved - curve) * weight
@@ -139,7 +152,9 @@ def slide(y, t, h, tau, push, s, feel, plant, work, new):
         i = 2 * min(max(math.frexp(1e5 * y[1])[1], 0), SPEEDS - 1) + (2 * SPEEDS if s > 0.0 else 0)
         if h * (feel[i + 1] * (4.0 * abs(missed) + abs(moved)) + abs(rough)) <= 6.0 * _MISSED * tolerance:
             new[1] += h / 6.0 * (feel[i] * (4.0 * missed + moved) + off)
-            work[0][0] = 2.0 * (end - middle) / h + 0.5 * decay * (middle + end)
+            slope = per * (a0 - 4.0 * middle + 3.0 * end)
+            work[4][0] = 4.0 * per * per * (a0 - 2.0 * middle + end) + decay * slope
+            work[0][0] = slope + decay * end
             work[0][1] = end + full_a
             work[2][0], work[2][1] = level2, curve
             return s * new[1] > 0.0
@@ -178,12 +193,12 @@ def feeling(y, plant, work, feel):
         sign = 2.0 * side - 1.0
         row = shifted(feel, 2 * SPEEDS * side)
         stage[1] = sign * 0.5e-5
-        net, level, mass = balance(stage, 0.0, 0.0, 0.0, sign, plant)
-        last, speed = (net - sign * level) / mass, stage[1]
+        net, level, mobility = balance(stage, 0.0, 0.0, 0.0, sign, plant)
+        last, speed = (net - sign * level) * mobility, stage[1]
         for i in range(SPEEDS):
             stage[1] = sign * 1e-5 * 2.0**i
-            net, level, mass = balance(stage, 0.0, 0.0, 0.0, sign, plant)
-            value = (net - sign * level) / mass
+            net, level, mobility = balance(stage, 0.0, 0.0, 0.0, sign, plant)
+            value = (net - sign * level) * mobility
             row[2 * i] = (value - last) / (stage[1] - speed)
             last, speed = value, stage[1]
         for i in range(SPEEDS):
