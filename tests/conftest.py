@@ -32,6 +32,12 @@ def _compiled_once(request, tmp_path_factory):
         compile_steppers()
 
 
+@pytest.fixture
+def sketched(monkeypatch):
+    """Pages whose pictures are made but not drawn, which takes longest: for tests of the words around them."""
+    monkeypatch.setattr("emps_design.report.page.svg", lambda figure, key="": "<svg></svg>")
+
+
 @pytest.fixture(scope="session")
 def emps_data() -> Path:
     """Folder with DATA_EMPS.mat and DATA_EMPS_PULSES.mat."""
