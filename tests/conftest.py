@@ -22,6 +22,22 @@ settings.register_profile("any machine", deadline=None, suppress_health_check=[H
 settings.load_profile("any machine")
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _compiled_once(request, tmp_path_factory):
+    """Steppers on disk before the first test of several workers."""
+    if hasattr(request.config, "workerinput"):
+        from tests.compiled_once import compile_steppers, wait_for_each_other
+
+        wait_for_each_other(tmp_path_factory.getbasetemp().parent)
+        compile_steppers()
+
+
+@pytest.fixture
+def sketched(monkeypatch):
+    """Pages whose pictures are made but not drawn, which takes longest: for tests of the words around them."""
+    monkeypatch.setattr("emps_design.report.page.svg", lambda figure, key="": "<svg></svg>")
+
+
 @pytest.fixture(scope="session")
 def emps_data() -> Path:
     """Folder with DATA_EMPS.mat and DATA_EMPS_PULSES.mat."""

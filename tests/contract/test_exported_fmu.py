@@ -3,6 +3,7 @@
 import io
 import shutil
 import zipfile
+from functools import cache
 
 import numpy as np
 import pytest
@@ -87,6 +88,12 @@ def instances(unit, folder, count, said=None):
     return made
 
 
+@cache
+def unit_with(name):
+    """The unit of the axis called ``name`` of those below."""
+    return machine_unit("m", dict(with_every_effect())[name])
+
+
 def with_every_effect():
     """Axes that have every effect between them: each of these alone, the others together."""
     tables = {one.name: {"kind": one.name, **one.checks[0][0]} for one in EFFECTS}
@@ -107,7 +114,7 @@ def test_the_machine_moves_as_in_our_simulation(name, axis, tmp_path):
     push = 5.0 * np.sin(0.02 * np.arange(u.size))
     run = Plant.of(axis).open_loop(u, disturbance=push, q0=0.02)
     signals = {"u": u, "f_ext": push}
-    q, position, v = replayed(machine_unit("m", axis), tmp_path, signals, ["q", "position", "v"], 1e-3, q_start=0.02)
+    q, position, v = replayed(unit_with(name), tmp_path, signals, ["q", "position", "v"], 1e-3, q_start=0.02)
     assert np.ptp(run.position) > 1e-3
     np.testing.assert_array_equal(q, run.q)
     np.testing.assert_allclose(position, run.position, rtol=0.0, atol=1e-9)
@@ -127,7 +134,7 @@ def stepped(made, commands, first, period):
 @pytest.mark.parametrize(("name", "axis"), list(with_every_effect()), ids=ALONE)
 def test_a_master_steps_back_and_the_machine_moves_the_same_again(name, axis, tmp_path):
     """Whatever was done in between, and as often as it likes; the state of one instance is for no other."""
-    made, other = instances(machine_unit("m", axis), tmp_path, 2)
+    made, other = instances(unit_with(name), tmp_path, 2)
     u, period = 3.0 * np.sin(0.03 * np.arange(600)), axis.sampling.period
     stepped(made, u[:300], 0, period)
     state = made.getFMUState()

@@ -81,7 +81,7 @@ def test_what_is_read_is_taken(line, files, capsys):
     assert app.run(line.format(**files).split()) in (0, 4)
 
 
-def test_a_report_on_an_axis_with_an_impedance_law_takes_the_options_of_the_law(tmp_path, capsys):
+def test_a_report_on_an_axis_with_an_impedance_law_takes_the_options_of_the_law(tmp_path, capsys, sketched):
     law = {"kind": "impedance", "mass": 50.0, "damping": 100.0, "filter": 500.0}
     (tmp_path / "law.toml").write_text(machine("emps2018").replace(controller=law).to_toml())
     line = f"report {tmp_path}/law.toml --mismatch 0.01 --filter 80Hz --out {tmp_path}/out.html --json"

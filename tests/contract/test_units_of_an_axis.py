@@ -103,14 +103,13 @@ def once(work):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_no_unit_of_another_machine(machine, command, capsys, monkeypatch):
+def test_no_unit_of_another_machine(machine, command, capsys, monkeypatch, sketched):
     name, folder = machine
     monkeypatch.setenv("COLUMNS", "250")  # no unit in two lines
-    # What takes longest is computed and drawn once, for the lines and for the document.
+    # What takes longest is computed once, for the lines and for the document.
     monkeypatch.setattr("emps_design.discrepancy.diagnose", once(diagnose))
     monkeypatch.setattr("emps_design.report.assemble.assemble_report", once(assemble_report))
     assert wrong(name, run(COMMANDS[command], folder, capsys)) == []
-    monkeypatch.setattr("emps_design.report.page.svg", lambda figure, key: "<svg></svg>")
     document = run(f"{COMMANDS[command]} --json", folder, capsys)
     assert wrong(name, NAMES.sub("", document)) == []
     for page in [*folder.glob("*.html"), *folder.glob("*/*.html"), *folder.glob("*/*.json"), *folder.glob("*/*.toml")]:

@@ -41,7 +41,7 @@ def test_text(files, capsys):
     assert "the model is within the 95 % circle" in text
 
 
-def test_the_report_shows_the_response_beside_the_model(files, capsys):
+def test_the_report_shows_the_response_beside_the_model(files, capsys, sketched):
     record, out, page = (str(files / name) for name in ("record.npz", "seen.csv", "page.html"))
     assert command(["frf", record, "--out", out]) == 0
     assert command(["report", "emps2019", "--frf", out, "--crossover", "30", "--out", page]) == 0

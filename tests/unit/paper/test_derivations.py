@@ -18,30 +18,34 @@ from emps_design.paper.latex import document
 from emps_design.paper.printed import EQUATIONS, TABLE_TEXT
 from emps_design.paper.written import Equation, latex, text
 
-STEPS = [one for _, steps in derivation().values() for one in steps]
+
+@pytest.fixture(scope="module")
+def steps():
+    """Every step of every part, derived where a test asks: a module is imported by every worker."""
+    return [one for _, part in derivation().values() for one in part]
 
 
 def verdicts(steps):
     return {one.number: one.verdict for one in steps if one.number}
 
 
-def test_every_claim_holds_and_every_step_says_what_it_assumes():
-    assert [one.title for one in STEPS if not one.holds] == []
-    assert [one.title for one in STEPS if not one.assumes] == []
+def test_every_claim_holds_and_every_step_says_what_it_assumes(steps):
+    assert [one.title for one in steps if not one.holds] == []
+    assert [one.title for one in steps if not one.assumes] == []
 
 
-def test_every_printed_equation_is_compared():
-    compared = {one.number for one in STEPS if one.printed is not None}
+def test_every_printed_equation_is_compared(steps):
+    compared = {one.number for one in steps if one.printed is not None}
     assert compared - {""} == set(EQUATIONS) == {str(number) for number in range(1, 31)}
 
 
-def test_what_is_not_as_printed():
+def test_what_is_not_as_printed(steps):
     places = [one.place for one in find_errata()]
     assert [p for p in places if p.startswith("(")] == [
         "(1)", "(8)", "(9)", "(10)", "(13)", "(15)", "(16)", "(18)", "(26)", "(27)", "(30)",
     ]  # fmt: skip
-    assert {"8", "9", "26", "13"} <= {one.number for one in STEPS if "once" in one.verdict}
-    found = verdicts(STEPS)
+    assert {"8", "9", "26", "13"} <= {one.number for one in steps if "once" in one.verdict}
+    found = verdicts(steps)
     assert found["26"] == "as printed once M_o is read as M_a"
     assert found["30"] == "not as printed"
 

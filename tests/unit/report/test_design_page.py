@@ -49,7 +49,7 @@ def test_the_page_has_every_picture_with_a_caption(page):
     assert len(titles) == page.count("<svg ") == 15
 
 
-def test_the_page_of_a_pi_design_shows_and_says_pi():
+def test_the_page_of_a_pi_design_shows_and_says_pi(sketched):
     drive = {"kind": "cascade", "velocity": {"kp": 99.0, "ti": 0.1}, "filters": [{"kind": "lowpass", "frequency": 200}]}
     axis = machine("emps2018").replace(controller=drive)
     page = design_page(design_results(retune_velocity_loop(axis, crossover=60.0))).html()
@@ -71,7 +71,7 @@ def test_the_page_tells_what_the_printed_law_costs_and_where_print_and_derivatio
         assert said in page, said
 
 
-def test_a_page_has_the_sections_that_were_asked_for():
+def test_a_page_has_the_sections_that_were_asked_for(sketched):
     """No force loop and no impedance law, and no word of theirs, unless asked for or in the axis's controller."""
     report = assemble_report("emps2018", crossover=100.0)
     html = report.page.html()
@@ -84,7 +84,7 @@ def test_a_page_has_the_sections_that_were_asked_for():
     assert not [text for text in report.warnings if "creep" in text or "passive" in text]
 
 
-def test_the_axis_brings_its_own_sections():
+def test_the_axis_brings_its_own_sections(undrawn):
     axis = machine("emps2018")
     cascaded = axis.replace(controller={"kind": "ip_velocity", "k_v1": 556.0, "t_v": 8.4e-3, "k_e1": 2e-3})
     assert assemble_report(cascaded, crossover=100.0).results.force.k_e1 == 2e-3
@@ -101,7 +101,7 @@ def test_captions_name_no_colour_of_a_line(page):
     assert named == []
 
 
-def test_an_unstable_impedance_law_is_announced_first():
+def test_an_unstable_impedance_law_is_announced_first(sketched):
     report = assemble_report("emps2018", crossover=100.0, mass=1.0, damping=1.0)
     html = report.page.html()
     body = html[html.index("<body>") :]
@@ -115,7 +115,7 @@ def test_the_page_is_small_closed_and_repeatable(page):
     assert not re.findall(r'(?:src|href)="(?!#)', page)
 
 
-def test_an_unstable_sampled_loop_is_announced_before_any_margin():
+def test_an_unstable_sampled_loop_is_announced_before_any_margin(sketched):
     axis = machine("emps2018").replace(sampling={"computation_delay": 1})
     design = design_velocity_loop(axis, crossover=100.0, phase_margin_deg=80.0)
     html = design_page(design_results(design)).html()
@@ -158,7 +158,7 @@ def test_a_response_that_does_not_settle_has_no_settling_time():
     assert measure_step(t, 0.5 * t).settling_time is None
 
 
-def test_a_record_gives_the_mechanics_unless_told_otherwise(emps_data):
+def test_a_record_gives_the_mechanics_unless_told_otherwise(emps_data, sketched):
     record = emps_data / "DATA_EMPS.mat"
     report = assemble_report(record=record, crossover=100.0, chain="report")
     assert report.results.velocity.axis.mechanics.mass == pytest.approx(95.1089, abs=0.1085)
@@ -248,7 +248,7 @@ def test_retuned_gains_meet_the_specification_on_the_drive(undrawn):
     assert velocity.sampled.margins.crossover == pytest.approx(150.0, abs=1e-6)
 
 
-def test_a_cascade_shows_the_margins_of_its_own_loops():
+def test_a_cascade_shows_the_margins_of_its_own_loops(sketched):
     cascade = {"kind": "cascade", "position": {"kp": 30.0, "every": 2}, "velocity": {"kp": 300.0, "ti": 0.05}}
     axis = machine("emps2019").replace(controller=cascade)
     report = assemble_report(axis, crossover=100.0)

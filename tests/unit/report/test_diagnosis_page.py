@@ -130,7 +130,7 @@ def invented(verdict="named"):
     return Diagnosis(document(verdict), views, Trace("holdout.npz", t, force, force - large, force - small, (2.0, 5.0)))
 
 
-def test_the_first_screen_has_the_sentence_then_where_then_before_and_after():
+def test_the_first_screen_has_the_sentence_then_where_then_before_and_after(sketched):
     html = diagnosis_page(invented()).html()
     places = [
         html.index(s)
@@ -145,7 +145,7 @@ def test_the_first_screen_has_the_sentence_then_where_then_before_and_after():
     assert places == sorted(places)
 
 
-def test_the_page_tells_everything_the_diagnosis_knows():
+def test_the_page_tells_everything_the_diagnosis_knows(sketched):
     html = diagnosis_page(invented()).html()
     for said in (
         "7.40 ± 0.60 N", "6.63 to 9.37 mm/s", "presliding friction", "&lt; 0.001", "explains less than half",
@@ -157,7 +157,7 @@ def test_the_page_tells_everything_the_diagnosis_knows():
         assert said in html, said
 
 
-def test_the_reference_to_record_is_drawn_where_there_is_one():
+def test_the_reference_to_record_is_drawn_where_there_is_one(sketched):
     diagnosis = invented()
     without = diagnosis_page(diagnosis).html()
     t = np.arange(2000) * 1e-3
@@ -196,7 +196,7 @@ def test_the_first_screen_says_what_was_found_how_sure_what_is_left_and_what_to_
     assert points[2].startswith("Record next: ")
 
 
-def test_what_lost_does_not_come_before_the_answer():
+def test_what_lost_does_not_come_before_the_answer(sketched):
     html = diagnosis_page(invented()).html()
     order = [html.index(f">{title}<") for title in ("What is missing", "What to record next", "Candidates")]
     assert order == sorted(order)
@@ -213,7 +213,7 @@ def test_same_diagnosis_same_bytes_and_small():
     assert len(html.encode()) < 3_000_000
 
 
-def test_the_page_says_what_the_better_model_changes_in_the_design():
+def test_the_page_says_what_the_better_model_changes_in_the_design(sketched):
     delayed = machine("emps2019").replace(effects=[{"kind": "actuator_delay", "delay": 1.6e-3}])
     diagnosis = invented()
     diagnosis.document.pop("design")
@@ -241,7 +241,7 @@ def test_a_model_without_gains_for_the_specification_says_why():
     assert "lower limit binds" in rows[0]["note"]
 
 
-def test_candidates_that_were_never_fitted_are_drawn_by_their_statistic():
+def test_candidates_that_were_never_fitted_are_drawn_by_their_statistic(sketched):
     diagnosis = invented("nothing-missing")
     diagnosis.document["findings"] = []
     for candidate in diagnosis.document["candidates"]:

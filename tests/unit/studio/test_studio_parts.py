@@ -366,7 +366,7 @@ def test_a_law_that_diverges_is_shown_as_unstable():
     assert found.figures()["task"].axes
 
 
-def test_the_report_is_about_the_state():
+def test_the_report_is_about_the_state(sketched):
     text = exports.report_html(state(mass=80.0, damping=150.0, filter=400.0))
     assert "80.00 kg" in text
     assert "150.0 N/(m/s)" in text
