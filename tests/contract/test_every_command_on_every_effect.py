@@ -29,8 +29,6 @@ SIMULATED = {
     "observe": "observe {record} --axis {identified}",
 }
 LAW = {"impedance": "impedance {design} --mass 50 --damping 100"}
-# A law that calms down ten times as fast: what is simulated to judge it takes a fraction of the time.
-BRISK = {"impedance": "impedance {design} --mass 20 --damping 400"}
 LONG = {
     "comanipulation": "simulate {design} --scenario comanipulation --plants 2",
     "diagnose": "diagnose {record} --axis {identified}",
@@ -121,7 +119,6 @@ def test_every_simulating_command_runs(name, size, record, tmp_path, capsys, mon
     monkeypatch.setattr(importlib.import_module("emps_design.discrepancy.diagnose"), "known_effects", lambda: alone)
     lines = SIMULATED | LAW | LONG | REPORT
     if size != "typical":
-        lines |= BRISK
         del lines["diagnose"]
     check(lines, [parameters(name, size)], record, tmp_path, capsys)
 
