@@ -207,9 +207,9 @@ def of_unit_length(columns: np.ndarray) -> np.ndarray:
 
 
 def orthonormal(columns: np.ndarray) -> np.ndarray:
-    """An orthonormal basis (n, k) of ``columns``."""
+    """An orthonormal basis (n, k) of ``columns``; of columns that are all zero it has none."""
     basis, singular, _ = np.linalg.svd(of_unit_length(columns), full_matrices=False)
-    return basis[:, singular > RANK * singular[0]]
+    return basis[:, singular > RANK * singular.max(initial=0.0)]
 
 
 def _asked(axis: Axis, record: Record, q: np.ndarray) -> np.ndarray:

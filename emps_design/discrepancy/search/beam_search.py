@@ -44,7 +44,7 @@ def search(calibration: Calibration, progress: Progress, before: Candidate | Non
     try:
         for _ in range(PASSES):
             _extend(calibration, path, tried, alone, progress)
-            path += _pruned(path[-1], known, judge.accepts)
+            path += _pruned(path[-1], known, tried, judge.accepts)
             better = (
                 _found_before(before, path[-1], tried)
                 or _exchanged(calibration, path[-1], tried, progress)
@@ -54,7 +54,7 @@ def search(calibration: Calibration, progress: Progress, before: Candidate | Non
                 break
             path.append(better)
         else:
-            path += _pruned(path[-1], known, judge.accepts)
+            path += _pruned(path[-1], known, tried, judge.accepts)
         path[-1] = freed(path[-1])
         tried |= _rivals(path, tried)
     except KeyboardInterrupt:
@@ -92,6 +92,7 @@ def _extend(
         # The best is kept even where it leaves more bursts than the baseline, which hardly count in what is accepted.
         leading = [ranked[0], *(f for f in others if baseline.cost - f.cost >= rules.RIVAL * gain)]
         beam = sorted(side_by_side(converged, [(f,) for f in leading]), key=lambda f: f.cost)
+        _remember(tried, {frozenset(f.model.names): f for f in beam})
         path.append(beam[0])
         if (1 - rules.WORTH_AT_FLOOR) * beam[0].cost < noise:
             beam = beam[:1]  # what is to be found on top of another set would have to leave less than noise
@@ -240,16 +241,17 @@ def _late(current: Fit, sound: FitsBySet, accept: Accept) -> list[Fit]:
     return [further] if accept(further, current) else []
 
 
-def _pruned(best: Fit, known: tuple[str, ...], accept: Accept) -> list[Fit]:
+def _pruned(best: Fit, known: tuple[str, ...], tried: FitsBySet, accept: Accept) -> list[Fit]:
     """``best`` without one effect after the other that is no finding beside the rest, ``known`` ones kept.
 
-    What was accepted first may be a stand-in for what was found after it.
+    What was accepted first may be a stand-in for what was found after it. The rest may have been ``tried`` before, and
+    have found a better place than the one it is left in.
     """
     path: list[Fit] = []
     while len(best.model.effects) > len(known) + 1:
         smaller = [best.model.without(i) for i, name in enumerate(best.model.names) if name not in known]
         rests = side_by_side(fit, [(best.with_model(model),) for model in smaller])
-        sound = [rest for rest in rests if admissible(rest)]
+        sound = [_better(rest, tried) for rest in rests if admissible(rest)]
         idle = [rest for rest in sound if not accept(best, rest)]
         if not idle and sound:
             cheapest = _reshaped(best, min(sound, key=lambda f: f.cost))
@@ -259,6 +261,11 @@ def _pruned(best: Fit, known: tuple[str, ...], accept: Accept) -> list[Fit]:
         best = converged(min(idle, key=lambda f: f.cost))
         path.append(best)
     return path
+
+
+def _better(fitted: Fit, tried: FitsBySet) -> Fit:
+    """``fitted``, or what was ``tried`` with the same effects where that leaves less."""
+    return min((fitted, tried.get(frozenset(fitted.model.names), fitted)), key=lambda f: f.cost)
 
 
 def _reshaped(best: Fit, rest: Fit) -> Fit:

@@ -59,11 +59,12 @@ def floor_of_laps(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], 
         raw, smooth = [], []
         for force, split in zip(residuals, splits, strict=True):
             slow = low_pass(force, BAND_HZ, period)
-            for start, stop in _laps(split, len(weights)):
-                raw.append(_difference(force, start, stop, split.lap, weights))
-                smooth.append(_difference(slow, start, stop, split.lap, weights))
+            laps = [(start, stop, split.lap, weights) for start, stop in _laps(split, len(weights))]
+            usual = _steady(*([_difference(signal, *lap) for lap in laps] for signal in (force, slow)))
+            raw += usual[0]
+            smooth += usual[1]
         if raw:
-            found.append(_steady(raw, smooth))
+            found.append((raw, smooth))
     if not found:
         return None
     drifts = len(found) == 2 and _rms(found[1][0]) < rules.DRIFTS * _rms(found[0][0])
@@ -92,7 +93,12 @@ def floor_of_residual(left: Sequence[np.ndarray], period: float, source: str) ->
     """Floor taken from what a model leaves of the used samples, (n_used,) [N] per record; ``source`` says which."""
     from emps_design.identification.filters import low_pass
 
-    return _floor(*_steady(list(left), [low_pass(part, BAND_HZ, period) for part in left]), source)
+    raw, smooth = [], []
+    for force in left:
+        usual = _steady([force], [low_pass(force, BAND_HZ, period)])
+        raw += usual[0]
+        smooth += usual[1]
+    return _floor(raw, smooth, source)
 
 
 def _floor(raw: list[np.ndarray], smooth: list[np.ndarray], source: str) -> Floor:
@@ -131,16 +137,19 @@ def _broadband(parts: list[np.ndarray]) -> tuple[float, np.ndarray]:
 
 
 def usual_rms(left: Sequence[np.ndarray]) -> float:
-    """Rms [N] of ``left``, (n,) per record, without the pieces in which it is far larger than it usually is."""
-    return _rms(_steady(list(left), list(left))[0])
+    """Rms [N] of ``left``, (n,) per record, without the pieces in which it is far larger than it usually is there."""
+    return _rms([part for force in left for part in _steady([force], [force])[0]])
 
 
 def _steady(raw: list[np.ndarray], smooth: list[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Leave out the pieces in which laps differ far more than they usually do.
+    """Leave out the pieces of a record in which its laps differ far more than they usually do.
 
     An event that happens in one lap only (a push, a mass put on) differs between laps without being noise. Pieces, not
-    samples, so that what is kept still has the noise's correlation.
+    samples, so that what is kept still has the noise's correlation. Of each record by itself: at four times the gain
+    the same play of the position is four times the force.
     """
+    if not raw:
+        return [], []
     length = min(PIECE, *(part.size for part in raw))
     typical = np.median([np.std(piece) for part in raw for piece in _pieces(part, length)])
     kept_raw, kept_smooth = [], []

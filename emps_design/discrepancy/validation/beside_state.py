@@ -12,6 +12,7 @@ import numpy as np
 
 from emps_design.discrepancy.checks.preparation import HeldOut
 from emps_design.discrepancy.model.fit import Fit, evaluate, fit
+from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.model.state import beside_state
 from emps_design.discrepancy.search.beside_state import search_beside_state
@@ -64,7 +65,10 @@ def joined(stands: Fit, beside: Beside, data: HeldOut) -> tuple[Fit, list[Asked]
 
 
 def _fitted_around(start: Hypothesis, beside: Beside) -> Fit:
-    """``start`` fitted with the effects of ``beside`` added, whose numbers and deviations stay."""
+    """``start`` fitted with the effects of ``beside`` added, whose numbers and deviations stay.
+
+    From its own baseline and from that of ``beside``: of a model that stood with more effects, friction may be gone.
+    """
     model, theirs = start.model, beside.found.model
     places = {}
     for name in beside.names:
@@ -72,7 +76,9 @@ def _fitted_around(start: Hypothesis, beside: Beside) -> Fit:
         places[index] = len(model.effects)
         model = model.with_effect(theirs.effects[index], theirs.values[index])
     own = tuple(slot for slot in model.slots() if slot.effect < len(start.model.effects))
-    fitted = fit(start.with_model(model), "used", own)
+    begins = (model, replace(model, baseline=theirs.baseline))
+    fits = side_by_side(fit, [(start.with_model(begin), "used", own) for begin in begins])
+    fitted = min(fits, key=lambda f: f.cost)
     moved = [(i, replace(s, effect=places[s.effect])) for i, s in enumerate(beside.found.slots) if s.effect in places]
     rows = np.array([i for i, _ in moved], dtype=int)
     covariance = np.zeros((len(own) + rows.size,) * 2)
