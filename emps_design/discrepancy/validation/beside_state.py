@@ -67,7 +67,7 @@ def joined(stands: Fit, beside: Beside, data: HeldOut) -> tuple[Fit, list[Asked]
 def _fitted_around(start: Hypothesis, beside: Beside) -> Fit:
     """``start`` fitted with the effects of ``beside`` added, whose numbers and deviations stay.
 
-    From its own baseline and from that of ``beside``: of a model that stood with more effects, friction may be gone.
+    From its own baseline and from that of ``beside``: where all that stood was withdrawn, friction may be gone.
     """
     model, theirs = start.model, beside.found.model
     places = {}
@@ -75,10 +75,11 @@ def _fitted_around(start: Hypothesis, beside: Beside) -> Fit:
         index = theirs.names.index(name)
         places[index] = len(model.effects)
         model = model.with_effect(theirs.effects[index], theirs.values[index])
-    own = tuple(slot for slot in model.slots() if slot.effect < len(start.model.effects))
     begins = (model, replace(model, baseline=theirs.baseline))
-    fits = side_by_side(fit, [(start.with_model(begin), "used", own) for begin in begins])
+    free = [tuple(slot for slot in begin.slots() if slot.effect < len(start.model.effects)) for begin in begins]
+    fits = side_by_side(fit, [(start.with_model(b), "used", own) for b, own in zip(begins, free, strict=True)])
     fitted = min(fits, key=lambda f: f.cost)
+    own = fitted.slots
     moved = [(i, replace(s, effect=places[s.effect])) for i, s in enumerate(beside.found.slots) if s.effect in places]
     rows = np.array([i for i, _ in moved], dtype=int)
     covariance = np.zeros((len(own) + rows.size,) * 2)

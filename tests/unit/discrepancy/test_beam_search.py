@@ -9,12 +9,12 @@ import pytest
 
 from emps_design.discrepancy import diagnose, rules
 from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.fit import fit, on_bound
+from emps_design.discrepancy.model.fit import evaluate, fit, on_bound
 from emps_design.discrepancy.model.least_squares import descend
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.whitening import Whitening
-from emps_design.discrepancy.search import extension
+from emps_design.discrepancy.search import beam_search, extension
 from emps_design.discrepancy.search.acceptance import _seen_again
 from emps_design.discrepancy.search.beam_search import _extend, _found_before, _late, _pair, _pruned, _rivals
 from emps_design.discrepancy.search.exchange import exchanges
@@ -48,7 +48,7 @@ def test_a_stand_in_that_was_found_first_goes():
     start = BASELINE.with_effect(LAG, np.array([[2e-4]])).with_effect(DELAY, np.array([[1.5e-3]]))
     both = fit(hypothesis(start, DELAYED))
     worth = lambda better, worse: worse.cost - better.cost > 0.01 * worse.cost  # noqa: E731
-    path = _pruned(both, (), worth)
+    path = _pruned(both, (), {}, worth)
     assert path[-1].model.names == ("actuator_delay",)
     assert path[-1].model.values[0][0, 0] == pytest.approx(1.6e-3, rel=0.02)
 
@@ -123,7 +123,23 @@ def test_a_search_goes_on_from_a_model_found_before_that_leaves_less():
 
 def test_what_is_known_from_the_law_is_never_pruned():
     start = BASELINE.with_effect(LAG, np.array([[1e-4]])).with_effect(SPRING, np.array([[5.0, 0.0]]))
-    assert _pruned(fit(hypothesis(start)), ("actuator_lag",), lambda better, worse: False) == []
+    assert _pruned(fit(hypothesis(start)), ("actuator_lag",), {}, lambda better, worse: False) == []
+
+
+def test_what_was_tried_before_counts_where_the_rest_of_a_model_is_left_in_a_poor_place(monkeypatch):
+    delay = np.array([[1.5e-3]])
+    start = hypothesis(BASELINE.with_effect(LAG, np.array([[2e-4]])).with_effect(DELAY, delay), DELAYED)
+    both, alone = fit(start), fit(start.with_model(BASELINE.with_effect(DELAY, delay)))
+    monkeypatch.setattr(beam_search, "fit", evaluate)  # the rest stays as the model with both left it
+    compared = {}
+
+    def accept(better, worse):
+        compared.setdefault(worse.model.names, worse.cost)
+        return True
+
+    _pruned(both, (), {frozenset(alone.model.names): alone}, accept)
+    assert compared["actuator_delay",] == alone.cost
+    assert compared["actuator_lag",] == evaluate(both.with_model(both.model.without(1))).cost
 
 
 def test_a_rival_is_fitted_as_long_as_the_finding():

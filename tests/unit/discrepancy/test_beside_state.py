@@ -7,10 +7,13 @@ import pytest
 
 from emps_design.discrepancy import diagnose
 from emps_design.discrepancy.model.candidate import Candidate
+from emps_design.discrepancy.model.fit import evaluate, fit
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.state import beside_state
 from emps_design.discrepancy.model.whitening import Whitening
+from emps_design.discrepancy.validation.beside_state import Beside, _fitted_around
+from emps_design.discrepancy.validation.evidence import Asked
 from emps_design.effects import get_effect
 from emps_design.machines import machine
 from emps_design.records import Record
@@ -64,6 +67,19 @@ def test_the_states_explain_nothing_however_often_the_residual_is_taken():
     along = np.abs(follows.T @ beside.gather(once, "used")) / np.linalg.norm(follows, axis=0)
     assert along.max() < 1e-6 * np.linalg.norm(beside.gather(once, "used"))
     assert beside.only(0).states[0] is beside.states[0]
+
+
+def test_what_stands_is_fitted_from_the_baseline_that_was_found_beside_the_state_too():
+    weight = get_effect("mass_change")
+    numbers = Candidate(AXIS.mechanics.array()).with_effect(weight, weight.values({"change": 0.08, "time": AT}))
+    found = fit(beside_state(Hypothesis(problem(WEIGHT), numbers)), "used")
+    # What a model leaves behind of which everything was withdrawn: no friction, and twice the mass.
+    stands = evaluate(Hypothesis(problem(WEIGHT), Candidate(AXIS.mechanics.array() * [2.0, 0.0, 0.0, 1.0])))
+    best = fit(stands.with_model(found.model), "used")
+    around = _fitted_around(stands, Beside(found, [Asked("mass_change", 1.0, 0.01, 1.0, exercised=True)], {}))
+    assert around.model.names == ("mass_change",)
+    assert np.array_equal(around.model.values[0], found.model.values[0])
+    assert around.cost < 1.2 * best.cost < fit(stands, "used").cost
 
 
 @pytest.mark.slow

@@ -9,8 +9,8 @@ from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import evaluate, fit
 from emps_design.discrepancy.model.least_squares import descend
 from emps_design.discrepancy.model.partition import split
-from emps_design.discrepancy.model.problem import Hypothesis, Problem
-from emps_design.discrepancy.search.noise_floor import floor_of_laps, floor_of_residual
+from emps_design.discrepancy.model.problem import Hypothesis, Problem, orthonormal
+from emps_design.discrepancy.search.noise_floor import floor_of_laps, floor_of_residual, usual_rms
 from emps_design.effects import get_effect
 from emps_design.machines import machine
 from emps_design.records import Record
@@ -106,3 +106,18 @@ def test_whitening_makes_coloured_noise_white():
     innovations = floor_of_residual((coloured,), 1e-3, "noise").whitening.apply(coloured)[100:]
     assert innovations.std() == pytest.approx(1.0, abs=0.05)
     assert abs(np.mean(innovations[1:] * innovations[:-1])) < 0.05
+
+
+def test_noise_is_that_of_every_record_and_an_event_is_unlike_the_rest_of_its_own():
+    random = np.random.default_rng(5)
+    quiet, loud = random.standard_normal(20000), 4.0 * random.standard_normal(20000)  # four times the gain
+    assert floor_of_residual((quiet, loud), 1e-3, "noise").force == pytest.approx(np.sqrt((1 + 16) / 2), rel=0.02)
+    pushed = quiet + np.where(np.arange(quiet.size) // 500 == 7, 20.0 * np.sin(np.arange(quiet.size)), 0.0)
+    assert usual_rms([pushed, loud]) == pytest.approx(usual_rms([quiet, loud]), rel=0.01)
+    assert usual_rms([pushed]) == pytest.approx(1.0, rel=0.02)
+
+
+def test_columns_that_are_all_zero_have_no_basis():
+    assert orthonormal(np.zeros((5, 3))).shape == (5, 0)
+    basis = orthonormal(np.array([[1.0, 2.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 3.0]]))
+    assert basis.T @ basis == pytest.approx(np.eye(2))
