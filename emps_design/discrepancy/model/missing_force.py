@@ -22,6 +22,7 @@ from emps_design.observer import motor_share
 CUTOFF_HZ = 60.0
 FASTEST = 0.4  # of the sampling rate, to which a fast command raises the cut-off
 REVERSAL_MARGIN = 0.06  # s on both sides of a reversal, where a zero-phase filter mixes the two directions
+SELDOM = 0.02  # of what is used: where no more is away from reversals, the whole is looked at
 SLOWEST = 2e-3  # m/s, below which the direction of motion is not certain
 
 
@@ -51,7 +52,7 @@ def missing_force(hypothesis: Hypothesis, cutoff_hz: float | None = None) -> tup
         viscous = baseline[VISCOUS] * (measured.v - simulated.v)
         force = held_force(acting, gain, cut) - predicted - inertia - viscous
         away = away_from_reversals(measured.v, record.period) & split.used
-        if not away.any():  # what reverses all the time is seen at reversals or never
+        if away.sum() <= SELDOM * split.used.sum():  # what reverses nearly all the time is seen at reversals or never
             away = away_from_reversals(measured.v, record.period, 0.0) & split.used
         result.append(MissingForce(replace(measured, tau=predicted, voltage=record.u, force_gain=gain), force, away))
     return tuple(result)

@@ -8,8 +8,10 @@ import pytest
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import evaluate, fit
 from emps_design.discrepancy.model.least_squares import descend
+from emps_design.discrepancy.model.missing_force import missing_force
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem, orthonormal
+from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.discrepancy.search.noise_floor import floor_of_laps, floor_of_residual, usual_rms
 from emps_design.effects import get_effect
 from emps_design.machines import machine
@@ -121,3 +123,14 @@ def test_columns_that_are_all_zero_have_no_basis():
     assert orthonormal(np.zeros((5, 3))).shape == (5, 0)
     basis = orthonormal(np.array([[1.0, 2.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 3.0]]))
     assert basis.T @ basis == pytest.approx(np.eye(2))
+
+
+def test_a_motion_that_reverses_nearly_all_the_time_is_looked_at_at_its_reversals():
+    t = 1e-3 * np.arange(6000)
+    shaken = 0.5e-3 * np.sin(2 * np.pi * 9.0 * t)  # a reversal every 56 ms: nowhere 60 ms from one on both sides
+    once = np.where(t < 5.8, shaken, 0.05 * (1.0 - np.cos(2 * np.pi * (t - 5.8))))
+    for q_ref in (shaken, once):
+        run = Plant.of(AXIS).closed_loop(q_ref)
+        record = Record(t=run.t, q_ref=q_ref, q=run.q, u=run.u, period=1e-3)
+        one = Problem(AXIS, (record,), (split(record),), Whitening.none())
+        assert missing_force(Hypothesis(one, Candidate(AXIS.mechanics.array())))[0].away.mean() > 0.5
