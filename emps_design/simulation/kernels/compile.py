@@ -149,11 +149,13 @@ def source_files(function: Callable[..., Any]) -> set[Path]:
 
 
 # A piece of a stepper: compiled into whatever calls it, cached with that. Divisions by a constant, or several by the
-# same number, may become products with its reciprocal: a division takes as long as five of them. A product and a sum
-# may be rounded once.
-_PART: dict[str, Any] = {"fastmath": {"arcp", "contract"}, **_OPTIONS}
-part = njit(**_PART)
-inlined = njit(forceinline=True, **_PART)  # one that is called in every sample: a call hands its results over in memory
+# same number, may become products with its reciprocal: a division takes as long as five of them. The inlined ones are
+# called in every sample: a call hands its results over in memory. In the fused ones a product and a sum may be rounded
+# once; where and whether differs from stepper to stepper, so no piece is fused that is to round alike in several.
+part = njit(fastmath={"arcp"}, **_OPTIONS)
+inlined = njit(inline="always", **_OPTIONS)
+fused = njit(fastmath={"arcp", "contract"}, **_OPTIONS)
+fused_inlined = njit(forceinline=True, fastmath={"arcp", "contract"}, **_OPTIONS)
 
 
 _double, _void = ir.DoubleType(), ir.VoidType()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from emps_design.simulation.kernels.compile import part
+from emps_design.simulation.kernels.compile import fused
 from emps_design.simulation.kernels.friction_period import BREAKAWAY, GUARDED, REVERSAL, STICK, note
 from emps_design.simulation.kernels.motion import (
     CROSSING,
@@ -30,7 +30,7 @@ DONE, DIVERGED, NO_STEP, CHATTER = range(4)  # what :func:`carry` can end with
 _SHORTEST = 1e-12  # s, a step that must be shorter than this does not converge
 
 
-@part
+@fused
 def carry(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, events, found):
     """Carry ``y`` over ``span`` seconds of one command; returns direction, next step, status, time done."""
     starts, settings = plant[2], plant[4]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from emps_design.simulation.kernels.compile import part, shifted
+from emps_design.simulation.kernels.compile import fused, shifted
 from emps_design.simulation.kernels.motion import LAG, STATES, balance, derivative
 
 MORE = 3  # numbers of z besides the state
@@ -18,7 +18,7 @@ _PARTS = 16  # of a period at most; an axis stiffer than that is stepped
 _TERMS = 20  # of Taylor's series, for half a turn at most: the last is below 1e-24
 
 
-@part
+@fused
 def multiply(n, left, right, result):
     """Fill ``result`` with the product of two matrices (n, n), each row by row."""
     for i in range(n):
@@ -29,7 +29,7 @@ def multiply(n, left, right, result):
             result[n * i + j] = value
 
 
-@part
+@fused
 def solve(h, s, plant, work, solution, spare):
     """Fill ``solution`` for direction ``s``: matrix over a part of ``h``, acceleration, and how many parts there are.
 
@@ -94,7 +94,7 @@ def solve(h, s, plant, work, solution, spare):
             solution[i] = other[i]
 
 
-@part
+@fused
 def flow(y, h, force, s, plant, work, solution, new):
     """Slide through ``h`` under ``force`` [N], to ``new``; returns whether it can, the direction ``s`` kept."""
     largest, stage = work[6], work[5]
@@ -127,7 +127,7 @@ def flow(y, h, force, s, plant, work, solution, new):
     return parts > 0
 
 
-@part
+@fused
 def acceleration(n, y, gap, force, row):
     """Of the carriage in the state ``y``, by its ``row`` of A."""
     value = row[n] * gap + row[n + 1] * force + row[n + 2]

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from emps_design.simulation.kernels.compile import call_kernel, call_rate, inlined, part
+from emps_design.simulation.kernels.compile import call_kernel, call_rate, fused, fused_inlined, inlined, part
 
 # Rows of the table of hooks: one list of (address, first own state in y, first parameter) for each.
 FORCE, DRY, INERTIA, COMMAND, ACTUATOR, DELAY, SENSOR, RATE, GUARD, JUMP, TOUCH, TOUCH_MASS, HELD, MEMORY = range(14)
@@ -45,7 +45,7 @@ def friction_of(b, settings):
     return b[0], settings[VISCOUS_P], settings[VISCOUS_N], b[2] + b[3], b[2] - b[3], settings[LAG]
 
 
-@part
+@fused
 def motor(t, tau, plant):
     """Motor force at ``t`` under the command ``tau``: behind a lag, what is left of the gap there was."""
     lag, drive = plant[4][LAG], plant[5]
@@ -54,7 +54,7 @@ def motor(t, tau, plant):
     return tau + drive[0] * math.exp(-(t - drive[1]) / lag)
 
 
-@inlined
+@fused_inlined
 def total(row, y, t, tau, plant):
     """Sum of the kernels of one hook."""
     b, hooks, starts, p, _, _ = plant
@@ -64,13 +64,13 @@ def total(row, y, t, tau, plant):
     return value
 
 
-@inlined
+@fused_inlined
 def dry(y, t, acting, plant):
     """Level of the dry friction [N] in motion, for the motor force behind the back-EMF."""
     return max(0.0, plant[4][LEVEL] + total(DRY, y, t, acting, plant))
 
 
-@inlined
+@fused_inlined
 def pull(y, t, acting, push, plant):
     """Force without dry friction [N] and mobility [1/kg], for the motor force behind the back-EMF."""
     b, settings, starts = plant[0], plant[4], plant[2]
@@ -80,7 +80,7 @@ def pull(y, t, acting, push, plant):
     return net, 1.0 / (settings[MASS] + total(INERTIA, y, t, acting, plant))
 
 
-@inlined
+@fused_inlined
 def weigh(y, t, acting, push, s, plant):
     """What :func:`balance` gives, for a motor force ``acting`` before the back-EMF: kernels get what the plant gets."""
     v = y[1]
@@ -95,13 +95,13 @@ def weigh(y, t, acting, push, s, plant):
     return net, level, mobility
 
 
-@part
+@fused
 def balance(y, t, tau, push, s, plant):
     """Force without dry friction [N], level of it [N] towards ``s`` or at rest, and mobility [1/kg]."""
     return weigh(y, t, motor(t, tau, plant), push, s, plant)
 
 
-@part
+@fused
 def held(y, t, tau, push, plant):
     """Direction in which a carriage at rest leaves, 0: dry friction holds it."""
     net, level, _ = balance(y, t, tau, push, 0.0, plant)
@@ -110,7 +110,7 @@ def held(y, t, tau, push, plant):
     return 1.0 if net > 0.0 else -1.0
 
 
-@part
+@fused
 def derivative(y, t, tau, push, s, plant, dy):
     """Time derivative of the whole state in motion with direction ``s``, or at rest."""
     b, hooks, starts, p, settings, _ = plant
@@ -138,13 +138,13 @@ def derivative(y, t, tau, push, s, plant, dy):
         dy[e + 3] = (acting + push - b[1] * y[1] - b[3] - net) * v
 
 
-@part
+@fused
 def clipped(t, bounds):
     """Stage time kept on this side of the jumps that bound the segment."""
     return min(max(t, bounds[0]), bounds[1])
 
 
-@inlined
+@fused_inlined
 def worse(error, wrong, i, new, largest):
     """The larger one of ``error`` and what state ``i`` is ``wrong`` by, in units of what it may be."""
     if i == 0:
@@ -156,7 +156,7 @@ def worse(error, wrong, i, new, largest):
     return max(error, wrong / scale) if wrong == wrong else np.inf
 
 
-@part
+@fused
 def step(y, t, h, tau, push, s, plant, bounds, work, new):
     """One Runge-Kutta step from ``y`` (its derivative in ``work[0]``) to ``new``; returns the scaled error.
 
@@ -194,7 +194,7 @@ def step(y, t, h, tau, push, s, plant, bounds, work, new):
     return error / settings[TOLERANCE]
 
 
-@part
+@fused
 def margin(event, sign, y, t, tau, push, plant):
     """A number that is positive before the event and negative after it."""
     b, hooks, _, p, _, _ = plant
@@ -208,7 +208,7 @@ def margin(event, sign, y, t, tau, push, plant):
     return sign * call_kernel(hooks[3 * i], y[0], y[1], t, acting, y, hooks[3 * i + 1], p, hooks[3 * i + 2], b)
 
 
-@part
+@fused
 def locate(event, sign, y, t, h, tau, push, s, plant, bounds, work, new):
     """Shorten the step ``h`` until it ends just behind the event; leaves the state there in ``new``."""
     low, high = 0.0, h

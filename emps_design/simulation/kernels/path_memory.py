@@ -11,14 +11,14 @@ import math
 
 import numpy as np
 
-from emps_design.simulation.kernels.compile import call_kernel, call_rate, part
+from emps_design.simulation.kernels.compile import call_kernel, call_rate, fused
 from emps_design.simulation.kernels.motion import BRAKING, DRY, MEMORY, RATE, dry, total
 
 _EVENLY = 1e-6  # relative change of a level or a travel that is next to none
 _STEEPEST = -0.3  # of what the travel of a memory changes along the path
 
 
-@part
+@fused
 def remember(before, y, t, acting, level, curve, s, plant, work):
     """Fill the memories of ``y`` with what those of ``before`` become on the way there; returns the level there [N].
 
@@ -65,7 +65,7 @@ def remember(before, y, t, acting, level, curve, s, plant, work):
     return after
 
 
-@part
+@fused
 def tends(i, y, t, acting, level, s, plant, rate):
     """What memory ``i`` tends to under ``level``, and over which travel: ``dx/d|q| = (end - x)/travel``.
 
@@ -82,7 +82,7 @@ def tends(i, y, t, acting, level, s, plant, rate):
     return first / per, 1.0 / per
 
 
-@part
+@fused
 def stiffness(y, t, acting, level, s, plant, rate):
     """How much more the memories of ``y`` resist further on [N/m]: the force of their rates along the path.
 
@@ -96,7 +96,7 @@ def stiffness(y, t, acting, level, s, plant, rate):
     return s * total(MEMORY, y, t, acting, plant)
 
 
-@part
+@fused
 def bent(first, second, third, level0, level1, level2):
     """Half the second derivative by travel [N/m^2] of a level that is known at three places of the path."""
     to, on = abs(second[0] - first[0]), abs(third[0] - second[0])
@@ -105,7 +105,7 @@ def bent(first, second, third, level0, level1, level2):
     return ((level2 - level1) / on - (level1 - level0) / to) / (to + on)
 
 
-@part
+@fused
 def lens(steps):
     """Integral of x (steps - x) exp(-x) from 0 to ``steps``."""
     if steps < 0.1:

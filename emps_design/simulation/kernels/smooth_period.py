@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from emps_design.simulation.kernels.compile import inlined, part, shifted
+from emps_design.simulation.kernels.compile import fused, fused_inlined, shifted
 from emps_design.simulation.kernels.motion import BRAKING, FREE, LAG, RATE, STATES, TOLERANCE, balance, pull, weigh
 from emps_design.simulation.kernels.path_memory import bent, remember, stiffness, tends
 
@@ -25,7 +25,7 @@ _CUBIC = 15.0  # a parabola misses this many times less of a step than its curve
 SPEEDS = 20  # octaves of speed, up to 5 m/s
 
 
-@part
+@fused
 def begin(y, t, tau, push, s, steady, plant, work):
     """Weigh the forces at the start of a first slide into ``work``; returns whether it can be one.
 
@@ -51,7 +51,7 @@ def begin(y, t, tau, push, s, steady, plant, work):
     return settings[LAG] * abs(whole - 2.0 * half + none) <= _MISSED * settings[TOLERANCE]
 
 
-@inlined
+@fused_inlined
 def slide(y, t, h, tau, push, s, feel, plant, work, new):
     """Slide through ``h`` on one evaluation, two or few more; returns whether the step is good.
 
@@ -163,7 +163,7 @@ def slide(y, t, h, tau, push, s, feel, plant, work, new):
     return False
 
 
-@part
+@fused
 def fading(gap, lag, decay, h, gone):
     """What a force that fades with ``lag`` adds after ``h``, under viscous ``decay``: acceleration, velocity, position.
 
@@ -176,7 +176,7 @@ def fading(gap, lag, decay, h, gone):
     return gap * (1.0 - gone) - decay * v, v - decay * q, q - decay * lag * (0.5 * gap * h * h - q)
 
 
-@part
+@fused
 def feeling(y, plant, work, feel):
     """Fill ``feel``, per direction and octave of speed from 10 um/s, with two numbers [1/s].
 
