@@ -58,7 +58,7 @@ AT_FLOOR = 1.2  # whitened cost per sample up to which a model leaves nothing bu
 
 # What the confirming record says
 ASKED_APART = 0.3  # from all of an effect, beyond which a record refutes it
-SHARE_KNOWN = 0.15  # deviation of the share asked for, beyond which an effect beside something unknown does not stand
+SHARE_KNOWN = 0.1  # deviation of the share asked for, beyond which an effect beside something unknown does not stand
 SURE = 3.0  # standard deviations
 EXERCISED = 0.05  # standard deviations of the noise that an effect must change in the mean to be seen at all
 BETTER_PROPOSAL = 0.98  # of the cost: a proposal for what belongs to a record must leave less than with the old numbers

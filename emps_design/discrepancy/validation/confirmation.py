@@ -46,7 +46,7 @@ def standing(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tuple[Asked,
         judged = _judged(held_out, extended)
         doubtful = [a for a in judged if not a.wanted]
         if refitted and not doubtful:
-            doubtful = [a for a in judged if not (a.stands and _size_known(extended, a.name))]
+            doubtful = [a for a in judged if not _size_known(extended, a.name)]
             if not doubtful:
                 break
         gone = [max(doubtful, key=lambda a: a.astray)] if doubtful else [a for a in judged if not a.stands]
