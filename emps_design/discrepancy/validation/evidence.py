@@ -13,6 +13,7 @@ import numpy as np
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.candidate import BASELINE
 from emps_design.discrepancy.model.fit import STEP
+from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis, Problem, orthonormal
 from emps_design.discrepancy.model.state import states_of
 from emps_design.discrepancy.search.noise_floor import LEFT, floor_of_residual
@@ -93,27 +94,33 @@ def asked_for(hypothesis: Hypothesis) -> tuple[Asked, ...]:
         return ()
     random = np.random.default_rng(0)
     noise = tuple(problem.whitening.undo(random.standard_normal(len(record))) for record in problem.records)
-    whole, disturbed = _left(hypothesis), _left(hypothesis, noise)
+    rests = [hypothesis.with_model(model.without(index)) for index in range(len(model.effects))]
+    models = [hypothesis, *rests]
+    runs = [*((one, None) for one in (*models, *_beside_baseline(hypothesis))), *((one, noise) for one in models)]
+    left = side_by_side(_left, runs)
+    (whole, *lefts), (disturbed, *lefts_disturbed) = left[: -len(models)], left[-len(models) :]
     if whole is None:  # what cannot run tells nothing
         return tuple(Asked(name, 0.0, 0.0, 1.0, exercised=False) for name in model.names)
-    rests = [hypothesis.with_model(model.without(index)) for index in range(len(model.effects))]
-    changes = [_change(_left(rest), whole) for rest in rests]
-    again = [_change(_left(rest, noise), disturbed) for rest in rests]
-    columns, shares = [*changes, *_of_baseline(hypothesis, whole)], []
+    columns = [_change(one, whole) for one in lefts]  # of the effects, then of the baseline's numbers
+    again = [_change(one, disturbed) for one in lefts_disturbed]
     spectrum = floor_of_residual(problem.pick(problem.unfollowed(whole), "used"), problem.period, LEFT).whitening
     states = () if problem.states else states_of(hypothesis)
-    for weighed in (problem, problem.with_whitening(spectrum)):
-        left, design = _gathered(weighed, whole), np.column_stack([_gathered(weighed, c) for c in columns])
-        shares.append(_shares(design, left))
-        if states:
-            shares.append(_shares(design, left, orthonormal(_gathered(weighed, states))))
+    noises = (problem, problem.with_whitening(spectrum))
+    unknown = ((), states) if states else ((),)
+    shares = side_by_side(_shares_of, [(one, whole, columns, other) for one in noises for other in unknown])
     found = []
-    for i, (change, other) in enumerate(zip(changes, again, strict=True)):
+    for i, (change, other) in enumerate(zip(columns[: len(again)], again, strict=True)):
         here, there = _gathered(problem, change), _gathered(problem, other)
         repeats = min(1.0, float(here @ there) / max(float(there @ there), 1e-30))
         exercised = float(np.linalg.norm(here)) > rules.EXERCISED * np.sqrt(here.size)
         found.append(Asked(model.names[i], *shares[0][i], repeats, exercised, tuple(rows[i] for rows in shares[1:])))
     return tuple(found)
+
+
+def _shares_of(weighed: Problem, whole: Forces, columns: list[Forces], states: Forces) -> list[tuple[float, float]]:
+    """Shares of the changes ``columns`` that ``whole`` asks for, where it may be a function of ``states`` as well."""
+    design = np.column_stack([_gathered(weighed, column) for column in columns])
+    return _shares(design, _gathered(weighed, whole), orthonormal(_gathered(weighed, states)) if states else None)
 
 
 def _shares(design: np.ndarray, left: np.ndarray, unknown: np.ndarray | None = None) -> list[tuple[float, float]]:
@@ -163,11 +170,9 @@ def _change(left: Forces | None, whole: Forces | None) -> Forces:
     return tuple(one - other for one, other in zip(left, whole, strict=True))
 
 
-def _of_baseline(hypothesis: Hypothesis, whole: Forces) -> list[Forces]:
-    """What a small step of each baseline number changes in the force."""
+def _beside_baseline(hypothesis: Hypothesis) -> list[Hypothesis]:
+    """The model with a small step of each baseline number."""
     model = hypothesis.model
     slots = model.slots()[: len(BASELINE)]
-    numbers = model.vector(slots)
     steps = np.diag([STEP * slot.magnitude for slot in slots])
-    moved = [hypothesis.with_model(model.with_vector(slots, numbers + step)) for step in steps]
-    return [_change(_left(one), whole) for one in moved]
+    return [hypothesis.with_model(model.with_vector(slots, moved)) for moved in model.vector(slots) + steps]
