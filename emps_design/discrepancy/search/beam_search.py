@@ -149,6 +149,8 @@ def _pair(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Pr
     worth = max(judge.healthy.threshold, rules.WORTH * current.cost)
     alone = [f for key, f in tried.items() if len(key) == len(names) + 1 and not f.model.effects[-1].general]
     begun = sorted((f for f in alone if current.cost - f.cost > worth), key=lambda f: f.cost)[: BEAM[0]]
+    if not begun:
+        return None
     pairs, _ = _round(calibration, begun, 2, _library(calibration, general=False), progress)
     _remember(tried, pairs)
     return _best_accepted(calibration, current, pairs)
@@ -204,24 +206,25 @@ def _round(
     Of those whose short fit gains ``rival`` of what the best one gains. Also returns what each
     effect gained alone on top of the first of them [whitened cost].
     """
-    pool: FitsBySet = {}
-    alone: dict[str, float] = {}
-    for i, member in enumerate(beam):
-        names = " + ".join(member.model.names) or "the baseline"
-        done = 1 - 0.75 ** (number - 1 + i / len(beam))
-        curves = ", as a curve" if any(effect.general for effect in library) else ""
-        progress(f"round {number}: {names}, and what else{curves}", 0.1 + 0.9 * done)
+    names = " + ".join(beam[0].model.names) or "the baseline"
+    curves = ", as a curve" if any(effect.general for effect in library) else ""
+    progress(f"round {number}: {names}, and what else{curves}", 1 - 0.9 * 0.75 ** (number - 1))
+
+    def extended(member: Fit) -> tuple[list[Fit], dict[str, float]]:
         absorbed = tangent(member)
         if member is not calibration.baseline:
             screened = screen(member, library, absorbed)
         else:
             screened = [found for found in calibration.screened if found[0].model.effects[-1] in library]
-        fits, gains = extensions(member, screened, absorbed, rival)
-        alone = alone or gains
-        for extended in fits:
-            key = frozenset(extended.model.names)
-            if key not in pool or extended.cost < pool[key].cost:
-                pool[key] = extended
+        return extensions(member, screened, absorbed, rival)
+
+    pool: FitsBySet = {}
+    found = side_by_side(extended, [(member,) for member in beam])
+    for fitted in (one for fits, _ in found for one in fits):
+        key = frozenset(fitted.model.names)
+        if key not in pool or fitted.cost < pool[key].cost:
+            pool[key] = fitted
+    alone: dict[str, float] = next((gains for _, gains in found if gains), {})
     return {key: fitted for key, fitted in pool.items() if admissible(fitted)}, alone
 
 

@@ -11,6 +11,8 @@ import numpy as np
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import Fit, admissible, evaluate
+from emps_design.discrepancy.model.parallel import side_by_side
+from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.search.extension import extensions
 from emps_design.discrepancy.search.starts import screen, tangent
 from emps_design.effects import Effect
@@ -23,19 +25,23 @@ def exchanges(best: Fit, known: tuple[str, ...], library: tuple[Effect, ...]) ->
     ``known`` effects stay. The others keep their numbers until everything is fitted; so does the baseline, but where a
     stand-in may have bent it the axis file's numbers are tried as well.
     """
-    found = []
+    places: list[tuple[Hypothesis, Effect]] = []
     for index, effect in enumerate(best.model.effects):
         if effect.name in known:
             continue
-        alike = tuple(one for one in library if not one.general and (one is effect or one.confusable(effect)))
         rest = best.with_model(best.model.without(index))
         given = rest.as_given()
-        for hypothesis in (rest, given) if far_apart(rest.model, given.model) else (rest,):
-            without = evaluate(hypothesis)
-            if without.innovations:
-                absorbed = tangent(without)
-                found += extensions(without, screen(without, alike, absorbed), absorbed)[0]
-    return [fitted for fitted in found if admissible(fitted)]
+        places += [(one, effect) for one in ((rest, given) if far_apart(rest.model, given.model) else (rest,))]
+
+    def instead(rest: Hypothesis, effect: Effect) -> list[Fit]:
+        without = evaluate(rest)
+        if not without.innovations:
+            return []
+        alike = tuple(one for one in library if not one.general and (one is effect or one.confusable(effect)))
+        absorbed = tangent(without)
+        return extensions(without, screen(without, alike, absorbed), absorbed)[0]
+
+    return [fitted for fits in side_by_side(instead, places) for fitted in fits if admissible(fitted)]
 
 
 def far_apart(fitted: Candidate, given: Candidate) -> bool:

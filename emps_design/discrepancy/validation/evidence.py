@@ -107,7 +107,9 @@ def asked_for(hypothesis: Hypothesis) -> tuple[Asked, ...]:
     states = () if problem.states else states_of(hypothesis)
     noises = (problem, problem.with_whitening(spectrum))
     unknown = ((), states) if states else ((),)
-    shares = side_by_side(_shares_of, [(one, whole, columns, other) for one in noises for other in unknown])
+    shares: list[list[tuple[float, float]]] = side_by_side(
+        _shares_of, [(one, whole, columns, other) for one in noises for other in unknown]
+    )
     found = []
     for i, (change, other) in enumerate(zip(columns[: len(again)], again, strict=True)):
         here, there = _gathered(problem, change), _gathered(problem, other)

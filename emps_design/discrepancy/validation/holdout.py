@@ -10,6 +10,7 @@ from emps_design.discrepancy.checks.preparation import HeldOut
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import evaluate, fit
 from emps_design.discrepancy.model.missing_force import missing_force
+from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.validation.gap import Comparison, compare
 
@@ -51,7 +52,8 @@ def refit_per_record(hypothesis: Hypothesis) -> Candidate:
     for index, effect in enumerate(hypothesis.model.effects):
         if any(p.per_record for p in effect.parameters):
             rows = [hypothesis.model.values[index][0], *_proposals(hypothesis, index)]
-            trials = [evaluate(hypothesis.with_model(hypothesis.model.with_row(index, row))) for row in rows]
+            models = [hypothesis.model.with_row(index, row) for row in rows]
+            trials = side_by_side(evaluate, [(hypothesis.with_model(model),) for model in models])
             best = min(trials, key=lambda trial: trial.cost)
             if best.cost < rules.BETTER_PROPOSAL * trials[0].cost:
                 hypothesis = hypothesis.with_model(best.model)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.checks.preparation import HeldOut
 from emps_design.discrepancy.model.candidate import BASELINE
 from emps_design.discrepancy.model.fit import Fit, evaluate, fit
+from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.search.acceptance import Judge, explained, force_rms
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.validation.beside_state import Beside, found_beside_state, joined
@@ -145,28 +149,35 @@ def _effect_by_effect(outcome: Outcome, data: HeldOut | None, searched: Fit, ans
     With what stands beside an unknown function of the state, where that leaves less of the confirming ``data``. What
     leaves more than its baseline is not said.
     """
-    stands, withdrawn = standing(data, searched)
-    answers = [
-        replace(
-            answer,
-            verdict="partly-named",
-            baseline=robust(answer.baseline),
-            extended=stands,
-            equivalents=alike_in_company(outcome, stands),
-            asked=[] if data is None else claims_on(data, stands),
-            refuted=withdrawn,
-            given_up=(),
-            held_out=None,
-        )
-    ]
-    if data is not None and (beside := found_beside_state(outcome, data)) is not None:
-        answers.insert(0, _with(beside, answers[0], answer.baseline, data))
+    searches: list[Callable[[], Any]] = [partial(_by_itself, outcome, data, searched, answer)]
+    if data is not None:
+        searches.append(partial(found_beside_state, outcome, data))
+    own, *others = side_by_side(lambda find: find(), [(find,) for find in searches])
+    answers = [own]
+    if data is not None and (beside := others[0]) is not None:
+        answers.insert(0, _with(beside, own, answer.baseline, data))
     compared = [_compared(one, data) for one in answers if _sayable(one)]
     tenable = [one for one in compared if one.left[1] < one.left[0]]
     if tenable:
         return min(tenable, key=lambda one: one.left[1])
     given_up = answer.given_up or answer.extended.model.names
     return replace(answer, verdict="unnamed", equivalents=answers[-1].equivalents, given_up=given_up)
+
+
+def _by_itself(outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer) -> _Answer:
+    """``answer`` with those effects of ``searched`` that stand on their own evidence."""
+    stands, withdrawn = standing(data, searched)
+    return replace(
+        answer,
+        verdict="partly-named",
+        baseline=robust(answer.baseline),
+        extended=stands,
+        equivalents=alike_in_company(outcome, stands),
+        asked=[] if data is None else claims_on(data, stands),
+        refuted=withdrawn,
+        given_up=(),
+        held_out=None,
+    )
 
 
 def _with(beside: Beside, answer: _Answer, baseline: Fit, data: HeldOut) -> _Answer:
