@@ -69,7 +69,7 @@ def diagnose(
         hears(outcome.best.model.to_axis(axis))
         report("confirming on data not used so far", 0.9)
         validation = validate(outcome)
-        rest, more = look_at_the_rest(records, preparation.laws, validation.extended)
+        rest, more = look_at_the_rest(records, parts, preparation.laws, validation.extended)
         return explain(validation.beside_something_unknown() if more else validation, rest)
 
 

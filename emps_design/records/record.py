@@ -107,6 +107,8 @@ class Record:
         """Samples ``start`` to ``stop`` as a record whose time starts at 0 again."""
         cut = slice(start, stop)
         optional: Any = {key: None if column is None else column[cut] for key, column in self._optional.items()}
+        own = {key: value for key, value in self.extra.items() if np.size(value) == 1}
+        own |= {key: value[cut] for key, value in self.extra.items() if np.shape(value)[:1] == (len(self),)}
         return replace(
             self,
             t=self.t[cut] - self.t[cut][0],
@@ -114,7 +116,7 @@ class Record:
             q=self.q[cut],
             u=self.u[cut],
             name=name or f"{self.name}[{start}:{stop}]",
-            extra={key: value for key, value in self.extra.items() if np.size(value) == 1},
+            extra=own,
             measured=None,
             **optional,
         )

@@ -44,15 +44,15 @@ def beginnings(records: tuple[Record, ...], *windows: Interval | None) -> tuple[
 
 
 def look_at_the_rest(
-    records: tuple[Record, ...], laws: tuple[LawCheck, ...], extended: Hypothesis
+    records: tuple[Record, ...], parts: tuple[Record, ...], laws: tuple[LawCheck, ...], extended: Hypothesis
 ) -> tuple[tuple[str, ...], bool]:
-    """What ``extended``, found in the beginnings of ``records``, leaves of the whole of each, and whether of any more.
+    """What ``extended``, found in ``parts`` of ``records``, leaves of the whole of each, and whether of any more.
 
-    One simulation of each, in one go: what changed on the way shows. ``laws`` are the checks of the beginnings, one
-    per record where the controller is known.
+    One simulation of each, in one go: what changed on the way shows. ``parts`` are the :func:`beginnings`; ``laws``
+    their checks, one per record where the controller is known.
     """
     told, more = [], False
-    for index, (record, searched) in enumerate(zip(records, extended.problem.records, strict=True)):
+    for index, (record, searched) in enumerate(zip(records, parts, strict=True)):
         if len(searched) == len(record):
             continue
         head = (

@@ -97,7 +97,11 @@ def prepare(
     laws = tuple(check_law(record, axis, library) for record in records if known)
     judged = tuple(map(beside_the_law, records, laws)) if known else records
     splits = _splits(records, fit_time, confirm_time)
-    problem = Problem(axis, judged, splits, Whitening.none())
+    # Nothing of a record is simulated behind the last sample that is fitted: no filter sees what confirms.
+    ends = [int(np.flatnonzero(one.used)[-1]) + 1 if one.used.any() else len(one.fit) for one in splits]
+    searched = tuple(r if end == len(r) else r.part(0, end, r.name) for r, end in zip(judged, ends, strict=True))
+    splits = tuple(one.until(end) for one, end in zip(splits, ends, strict=True))
+    problem = Problem(axis, searched, splits, Whitening.none())
     held_out = None
     if holdout is not None or confirm_time is not None:
         record, window = judged[0] if holdout is None else beside_the_law(holdout, law), None

@@ -122,9 +122,9 @@ def _details(validation: Validation, missed: MissingForce) -> dict[str, Any]:
 
 def _records(validation: Validation) -> list[dict[str, Any]]:
     preparation = validation.outcome.calibration.preparation
-    roles = [(record, "train") for record in preparation.start.problem.records]
+    roles = [(record, "train") for record in preparation.records]
     held_out = preparation.held_out
-    if held_out is not None and all(held_out.problem.records[0] is not record for record, _ in roles):
+    if held_out is not None and held_out.window is None:
         roles.append((held_out.problem.records[0], "holdout"))
     return [{"name": record.name, "role": role, "sha256": record.sha256} for record, role in roles]
 

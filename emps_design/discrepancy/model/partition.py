@@ -32,6 +32,11 @@ class Split:
         """Samples that either fit or select."""
         return self.fit | self.select
 
+    def until(self, stop: int) -> Split:
+        """The same of the first ``stop`` samples."""
+        strokes = tuple((start, min(end, stop)) for start, end in self.strokes if start < stop)
+        return Split(strokes, self.lap, self.fit[:stop], self.select[:stop])
+
 
 def split(record: Record, fit_share: np.ndarray | None = None, before: int = 0) -> Split:
     """Split ``record`` by whole strokes; ``fit_share`` (n,) bool limits what may be used at all.

@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from emps_design.discrepancy.checks.preparation import prepare
+from emps_design.discrepancy.model.missing_force import missing_force
 from emps_design.discrepancy.model.partition import START_UP, find_lap, find_strokes, split
+from emps_design.machines import machine
 from emps_design.records import Record
-from emps_design.simulation.synthetic import trapezoid_laps
+from emps_design.simulation.synthetic import synthetic_record, trapezoid_laps
 
 
 def record(q_ref: np.ndarray) -> Record:
@@ -55,6 +58,26 @@ def test_what_is_not_allowed_is_not_used():
     q_ref = trapezoid_laps(1e-3, stroke=0.1, laps=3)
     allowed = np.arange(q_ref.size) < q_ref.size // 2
     assert not split(record(q_ref), allowed).used[~allowed].any()
+
+
+def test_what_confirms_is_not_seen_by_what_is_searched():
+    axis = machine("emps2019")
+    lap = synthetic_record(axis, laps=1)
+    push = {"kind": "external_force", "start": 2 * lap.duration, "duration": 0.5, "every": 0.0}
+    whole, other = (
+        synthetic_record(axis.replace(effects=[{**push, "amplitude": force}]), laps=3) for force in (10.0, 30.0)
+    )
+    end = 2 * len(lap)
+    assert np.array_equal(other.u[:end], whole.u[:end])
+    assert not np.array_equal(other.u, whole.u)
+    windows = (0.0, end * whole.period), (end * whole.period, np.inf)
+    one, another = (prepare((made,), axis, (), None, *windows) for made in (whole, other))
+    (searched,), (made,) = one.start.problem.records, one.start.problem.splits
+    assert len(searched) == made.used.size == end
+    assert made.strokes[-1][1] == end
+    assert len(one.held_out.problem.records[0]) == len(whole)
+    seen, again = (missing_force(prepared.start)[0].force for prepared in (one, another))
+    assert np.array_equal(seen, again)
 
 
 def test_single_strokes_of_several_records_take_turns():

@@ -24,13 +24,15 @@ def changed(values, index, value):
 
 
 def test_a_good_record_passes_as_it_is():
-    record = build(name="good", extra={"temperature": 20.0})
+    record = build(name="good", extra={"temperature": 20.0, "kp": Q, "table": np.arange(3.0)})
     assert record.warnings == ()
     assert np.array_equal(record.q, Q)
     assert record.duration == pytest.approx(0.4)
-    assert record.extra == {"temperature": 20.0}
+    assert record.extra["temperature"] == 20.0
     part = record.part(100, 200)
     assert len(part) == 100
+    assert part.extra.keys() == {"temperature", "kp"}
+    assert np.array_equal(part.extra["kp"], Q[100:200])
     assert part.t[0] == 0.0
 
 
