@@ -7,7 +7,7 @@ first guesses. An effect that is a curve of any shape could stand in for others,
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.candidate import Candidate
@@ -56,7 +56,7 @@ def search(calibration: Calibration, progress: Progress, before: Candidate | Non
         else:
             path += _pruned(path[-1], known, tried, judge.accepts)
         path[-1] = freed(path[-1])
-        tried |= _rivals(path, tried)
+        _remember(tried, _rivals(path, tried))
     except KeyboardInterrupt:
         warnings, interrupted = (*warnings, UNFINISHED), True
     return Outcome(calibration, tuple(path), tried, alone, interrupted, warnings)
@@ -77,13 +77,13 @@ def _extend(
         sound, gains = _round(calibration, beam, number, library, progress)
         if not alone:
             alone.update(gains)
-        _remember(tried, sound)
+        _remember(tried, sound.values())
         ranked = _ranked(path[-1], sound, accept)
         if not ranked and number <= CREDIBLE and calibration.judge.leaves_structure(path[-1]):
             fitted = frozenset[str]().union(*(key for key in sound if key > frozenset(path[-1].model.names)))
             rest = tuple(effect for effect in library if effect.name not in fitted)
             further, _ = _round(calibration, path[-1:], number, rest, progress, rules.FAR_BEHIND)
-            _remember(tried, further)
+            _remember(tried, further.values())
             ranked = _ranked(path[-1], further, accept)
         if not ranked:
             break
@@ -92,7 +92,7 @@ def _extend(
         # The best is kept even where it leaves more bursts than the baseline, which hardly count in what is accepted.
         leading = [ranked[0], *(f for f in others if baseline.cost - f.cost >= rules.RIVAL * gain)]
         beam = sorted(side_by_side(converged, [(f,) for f in leading]), key=lambda f: f.cost)
-        _remember(tried, {frozenset(f.model.names): f for f in beam})
+        _remember(tried, beam)
         path.append(beam[0])
         if (1 - rules.WORTH_AT_FLOOR) * beam[0].cost < noise:
             beam = beam[:1]  # what is to be found on top of another set would have to leave less than noise
@@ -115,7 +115,7 @@ def _found_before(before: Candidate | None, current: Fit, tried: FitsBySet) -> F
     found = converged(fit(current.with_model(before)))
     if not admissible(found):
         return None
-    _remember(tried, {frozenset(before.names): found})
+    _remember(tried, [found])
     return found if found.cost < (1 - rules.STILL_PAYS) * current.cost else None
 
 
@@ -134,7 +134,7 @@ def _curve(calibration: Calibration, current: Fit, tried: FitsBySet, progress: P
     if number > MOST_EFFECTS:
         return None
     sound, _ = _round(calibration, [current], number, _library(calibration, general=True), progress)
-    _remember(tried, sound)
+    _remember(tried, sound.values())
     return _best_accepted(calibration, current, sound)
 
 
@@ -152,7 +152,7 @@ def _pair(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Pr
     if not begun:
         return None
     pairs, _ = _round(calibration, begun, 2, _library(calibration, general=False), progress)
-    _remember(tried, pairs)
+    _remember(tried, pairs.values())
     return _best_accepted(calibration, current, pairs)
 
 
@@ -182,15 +182,18 @@ def _exchanged(calibration: Calibration, best: Fit, tried: FitsBySet, progress: 
         return None
     progress("each effect anew beside the others", 0.95)
     others = exchanges(best, known, calibration.preparation.library)
-    _remember(tried, {frozenset(f.model.names): f for f in sorted(others, key=lambda f: -f.cost)})
+    _remember(tried, others)
     least = min(others, key=lambda f: f.cost, default=best)
     pays = best.cost - least.cost > max(judge.healthy.threshold, rules.STILL_PAYS * best.cost)
     return converged(least) if pays else None
 
 
-def _remember(tried: FitsBySet, fits: FitsBySet) -> None:
-    """Keep in ``tried`` the better fit of each set."""
-    tried.update({key: f for key, f in fits.items() if key not in tried or f.cost < tried[key].cost})
+def _remember(tried: FitsBySet, fits: Iterable[Fit]) -> None:
+    """Keep in ``tried`` the best fit of each set."""
+    for fitted in fits:
+        key = frozenset(fitted.model.names)
+        if key not in tried or fitted.cost < tried[key].cost:
+            tried[key] = fitted
 
 
 def _round(
@@ -218,12 +221,9 @@ def _round(
             screened = [found for found in calibration.screened if found[0].model.effects[-1] in library]
         return extensions(member, screened, absorbed, rival)
 
-    pool: FitsBySet = {}
     found = side_by_side(extended, [(member,) for member in beam])
-    for fitted in (one for fits, _ in found for one in fits):
-        key = frozenset(fitted.model.names)
-        if key not in pool or fitted.cost < pool[key].cost:
-            pool[key] = fitted
+    pool: FitsBySet = {}
+    _remember(pool, (one for fits, _ in found for one in fits))
     alone: dict[str, float] = next((gains for _, gains in found if gains), {})
     return {key: fitted for key, fitted in pool.items() if admissible(fitted)}, alone
 
@@ -285,18 +285,17 @@ def _reshaped(best: Fit, rest: Fit) -> Fit:
     return rest
 
 
-def _rivals(path: list[Fit], tried: FitsBySet) -> FitsBySet:
+def _rivals(path: list[Fit], tried: FitsBySet) -> list[Fit]:
     """Models with another effect in the place of one of the best model's that come close, fitted to convergence too.
 
     Else the effect found first would win by having been fitted longer.
     """
     best, names = path[-1], frozenset(path[-1].model.names)
-    close = {}
+    close = []
     for name in names - set(path[0].model.names):
         others = names - {name}
         without = tried.get(others, path[0]).cost
-        for key, rival in tried.items():
-            alike = len(key) == len(names) and others < key and key != names
-            if alike and without - rival.cost >= rules.CLOSE_RIVAL * (without - best.cost):
-                close[key] = converged(rival)
-    return close
+        least = rules.CLOSE_RIVAL * (without - best.cost)
+        alike = [rival for key, rival in tried.items() if len(key) == len(names) and others < key != names]
+        close += [(rival,) for rival in alike if without - rival.cost >= least]
+    return side_by_side(converged, close)
