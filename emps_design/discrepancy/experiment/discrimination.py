@@ -105,7 +105,7 @@ def experiment(outcome: Outcome, named: tuple[str, ...], equivalents: dict[str, 
         if name in named or len(others) > rules.MOST_EQUIVALENTS
     ]
     rivals = [outcome.tried[key] for key in sets if key in outcome.tried]
-    if rivals and best.problem.axis.controller.kind != "none":
+    if rivals and not best.problem.follows:
         left = best.cost / best.problem.samples("used")  # structure that nothing explains blurs like noise
         threshold = outcome.calibration.healthy.threshold
         chosen = choose((best, *rivals[: rules.MOST_EQUIVALENTS]), threshold, np.sqrt(max(1.0, left)))
@@ -119,7 +119,7 @@ def what_to_record(hypothesis: Hypothesis, over: list[str]) -> Experiment:
     name = EXPERIMENTS[over[0]] if over else "speed_staircase"
     why = f"because what is left depends on {' and '.join(over[:2])}" if over else "to see what the rest depends on"
     text = f"{instruction(name)}, {why}; diagnose the new record together with the old"
-    if hypothesis.problem.axis.controller.kind == "none":
+    if hypothesis.problem.follows:
         return Experiment(text)
     envelope = Envelope.of(hypothesis.problem.records)
     reference = excitations(envelope)[name]

@@ -53,7 +53,7 @@ def warnings(validation: Validation) -> list[str]:
 def _limits(validation: Validation) -> list[str]:
     calibration, extended = validation.outcome.calibration, validation.extended
     floor = calibration.floor
-    remarks = [FOLLOWED] if extended.problem.axis.controller.kind == "none" else []
+    remarks = [FOLLOWED] if extended.problem.follows else []
     if not floor.from_laps:
         remarks.append(
             f"noise is {floor.source}, not what differs between laps: what is unlike all candidates, and differs "

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.identification.filters import low_pass
 from emps_design.laws.library import position_pd
 from emps_design.records import Record
 from emps_design.simulation.driven import driven_by
@@ -20,6 +21,9 @@ IN_BAND = 0.9  # of the power of a command
 BANDWIDTH_HZ = 25.0  # of the velocity loop that follows; the encoder's noise, differentiated, sets the upper end
 LEAST_SAMPLES = 40  # per period of that bandwidth: with fewer the two-tap velocity loses too much phase
 FAST_SAMPLES = 12  # the same where the command itself is that fast
+COMPARED = (
+    1.3  # of that bandwidth, up to which forces are compared: beyond it the law only passes on the encoder's noise
+)
 POSITION_SHARE = 0.25  # of the velocity loop's bandwidth, for the position loop around it
 
 
@@ -34,6 +38,17 @@ def band(record: Record) -> float:
     return float(np.searchsorted(power, IN_BAND * power[-1])) / (len(record) * record.period)
 
 
+def bandwidth(record: Record, band_hz: float) -> float:
+    """Bandwidth [Hz] of the velocity loop that follows ``record``, whose :func:`band` is ``band_hz``."""
+    usual = min(BANDWIDTH_HZ, 1 / (LEAST_SAMPLES * record.period))
+    return max(usual, min(band_hz, 1 / (FAST_SAMPLES * record.period)))
+
+
+def followed(force: np.ndarray, record: Record, band_hz: float) -> np.ndarray:
+    """What of a ``force`` (n,) [N] that keeps a model on ``record`` is for its motion, not for the encoder's noise."""
+    return low_pass(force, COMPARED * bandwidth(record, band_hz), record.period)
+
+
 def drive(axis: Axis, record: Record, mass: float, band_hz: float) -> dict[str, Any]:
     """Keywords of :meth:`Plant.closed_loop` that make the simulation of ``record`` start and move as it did.
 
@@ -43,8 +58,7 @@ def drive(axis: Axis, record: Record, mass: float, band_hz: float) -> dict[str, 
     start = driven_by(axis, record)
     if "law" in start:
         return start
-    usual = min(BANDWIDTH_HZ, 1 / (LEAST_SAMPLES * record.period))
-    rate = 2 * np.pi * max(usual, min(band_hz, 1 / (FAST_SAMPLES * record.period)))  # rad/s
+    rate = 2 * np.pi * bandwidth(record, band_hz)  # rad/s
     moved = np.hypot(mass, axis.mechanics.mass) / np.sqrt(2.0)
     kp, kv = POSITION_SHARE * rate, moved * rate / axis.drive.gain
     law = position_pd.LAW.law(position_pd.Table(kp=kp, kv=kv), axis, record.period)

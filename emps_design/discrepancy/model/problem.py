@@ -12,7 +12,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.following import band, drive
+from emps_design.discrepancy.model.following import band, drive, followed
 from emps_design.discrepancy.model.partition import Split
 from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.effects.effect import MASS
@@ -52,8 +52,7 @@ class Problem:
     @cached_property
     def asked(self) -> tuple[np.ndarray | None, ...]:
         """What the law asks for (n,) along every record in which the motor is switched off, None of the others."""
-        loop = self.axis.controller.kind != NONE
-        off = [loop and record.enable is not None and not record.enable.all() for record in self.records]
+        off = [not self.follows and record.enable is not None and not record.enable.all() for record in self.records]
         return tuple(
             _asked(self.axis, record, record.q) if one else None for record, one in zip(self.records, off, strict=True)
         )
@@ -62,6 +61,15 @@ class Problem:
     def period(self) -> float:
         """Sampling period [s], one for all records."""
         return self.records[0].period
+
+    @property
+    def follows(self) -> bool:
+        """Whether models follow the recorded motion, for want of the controller that made it."""
+        return bool(self.axis.controller.kind == NONE)
+
+    def compared(self, left: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+        """What counts of the forces (n,) [N] that a model leaves, one per record: all, unless it follows the motion."""
+        return tuple(map(followed, left, self.records, self.bands)) if self.follows else left
 
     def only(self, record: int) -> Problem:
         """One of the records, by its number, as a problem of its own; its models are :meth:`Candidate.only`."""
@@ -174,15 +182,17 @@ class Hypothesis:
     def residuals(self, disturbance: Sequence[np.ndarray | None] | None = None) -> tuple[np.ndarray, ...]:
         """Measured minus simulated motor force [N], one array (n,) per record, under ``disturbance`` as in `runs`.
 
-        A motor that is switched off has no force to compare: there it is what the law would ask for.
+        A motor that is switched off has no force to compare: there it is what the law would ask for. Where the model
+        follows the recorded motion, only what the law that follows can tell is compared.
         """
         problem = self.problem
-        return tuple(
+        left = tuple(
             force - run.force + (0.0 if asked is None else _missing_while_off(problem.axis, record, asked, run))
             for force, record, asked, run in zip(
                 problem.forces, problem.records, problem.asked, self.runs(disturbance), strict=True
             )
         )
+        return problem.compared(left)
 
     def whitened(self) -> tuple[np.ndarray, ...]:
         """Innovations of :meth:`residuals` in units of the noise."""

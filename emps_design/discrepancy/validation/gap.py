@@ -103,7 +103,10 @@ def _predict(baseline: Hypothesis, extended: Hypothesis) -> Prediction:
     """Simulate the first record from its reference alone with both models, encoder quantised as it is."""
     problem = baseline.problem
     axis, record = problem.axis, problem.records[0]
-    before, after = (
-        Plant.of(one.model.to_axis(axis)).closed_loop(**one.driven(0)).force for one in (baseline, extended)
-    )
-    return Prediction(record, motor_force(axis, record), before, after, problem.splits[0].used)
+    measured = motor_force(axis, record)
+
+    def simulated(one: Hypothesis) -> np.ndarray:
+        force = Plant.of(one.model.to_axis(axis)).closed_loop(**one.driven(0)).force
+        return measured - problem.compared((measured - force,))[0] if problem.follows else force
+
+    return Prediction(record, measured, simulated(baseline), simulated(extended), problem.splits[0].used)
