@@ -90,6 +90,8 @@ def _around_reversals(
         near = np.abs(motion.t - motion.t[turn]) <= REVERSAL_TIME
         since[near], towards[near] = (motion.t - motion.t[turn])[near], np.sign(motion.v[turn])
     kept = window & np.isfinite(since)
+    if not kept.any():  # all of them lie outside of what is looked at
+        return []
     forces = tuple(towards * force for force in pairs)
     return [_binned("time from reversal", "s", since, forces, kept, noise, 60, "in the new direction")]
 
