@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from emps_design.axis import Axis
+from emps_design.discrepancy import diagnose
 from emps_design.discrepancy.checks.preparation import prepare
 from emps_design.discrepancy.model.fit import fit
 from emps_design.discrepancy.model.missing_force import missing_force
@@ -142,3 +143,21 @@ def test_a_pendulum_that_falls_with_the_motor_off_loads_the_gear_by_the_motors_f
     powered = [record for record in every if record.enable.min() > 0.5]
     whole, behind = (missed(axis, PENDULUM, x, dropped) for x in load_fits(axis, powered, back_emf=False))
     assert behind < 50 < 80 < whole  # mrad
+
+
+@pytest.mark.slow
+def test_a_motor_without_its_table_cogs_72_times_a_turn():
+    """Three seconds under an unknown law, without the first half second, in which the cogging holds the motor."""
+    folder = DATA / "real"
+    if not (folder / "odri.toml").exists():
+        pytest.skip(f"the records of the motor are not in {folder}")
+    axis = Axis.load(folder / "odri.toml")
+    record = import_record(folder / "odri_cogging" / "speed_test.npz", axis)
+    found = diagnose(record, axis, fit_time=(0.5, 3.5), library=(get_effect("position_ripple"),))
+    lines = [finding.parameters for finding in found.findings]
+    turns = [2 * np.pi / line["period"]["value"] for line in lines]
+    assert found.verdict == "named"
+    assert turns[:3] == pytest.approx([72.0, 18.0, 24.0], abs=0.02)
+    assert lines[0]["amplitude"]["value"] == pytest.approx(6.9e-3, abs=0.3e-3)  # N m
+    # Noise of the encoder is no reason to take another mass than the one that current and speed tell.
+    assert found.axis.mechanics.mass == pytest.approx(axis.mechanics.mass, rel=0.25)
