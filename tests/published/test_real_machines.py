@@ -159,5 +159,5 @@ def test_a_motor_without_its_table_cogs_72_times_a_turn():
     assert found.verdict == "named"
     assert turns[:3] == pytest.approx([72.0, 18.0, 24.0], abs=0.02)
     assert lines[0]["amplitude"]["value"] == pytest.approx(6.9e-3, abs=0.3e-3)  # N m
-    # Noise of the encoder is no reason to take another mass than the one that current and speed tell.
-    assert found.axis.mechanics.mass == pytest.approx(axis.mechanics.mass, rel=0.25)
+    # What current and speed tell of the mass, the file says; with the encoder's noise compared it came out 13 % low.
+    assert found.axis.mechanics.mass == pytest.approx(axis.mechanics.mass, rel=0.12)
