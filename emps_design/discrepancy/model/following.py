@@ -21,9 +21,7 @@ IN_BAND = 0.9  # of the power of a command
 BANDWIDTH_HZ = 25.0  # of the velocity loop that follows; the encoder's noise, differentiated, sets the upper end
 LEAST_SAMPLES = 40  # per period of that bandwidth: with fewer the two-tap velocity loses too much phase
 FAST_SAMPLES = 12  # the same where the command itself is that fast
-COMPARED = (
-    1.3  # of that bandwidth, up to which forces are compared: beyond it the law only passes on the encoder's noise
-)
+COMPARED = 1.3  # of that bandwidth, up to which forces count: beyond it the law passes on the encoder's noise
 POSITION_SHARE = 0.25  # of the velocity loop's bandwidth, for the position loop around it
 
 

@@ -150,9 +150,9 @@ def _effect_by_effect(outcome: Outcome, data: HeldOut | None, searched: Fit, ans
     leaves more than its baseline is not said.
     """
     searches: list[Callable[[], Any]] = [partial(_by_itself, outcome, data, searched, answer)]
-    if data is not None:
-        searches.append(partial(found_beside_state, outcome, data))
-    own, *others = side_by_side(lambda find: find(), [(find,) for find in searches])
+    if data is not None:  # first, as it takes longer, and this thread hears an interrupt: that ends the search only
+        searches.insert(0, partial(found_beside_state, outcome, data))
+    *others, own = side_by_side(lambda find: find(), [(find,) for find in searches])
     answers = [own]
     if data is not None and (beside := others[0]) is not None:
         answers.insert(0, _with(beside, own, answer.baseline, data))
