@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-START_UP = 50  # samples that no figure counts: the loop's own transient, as in the published figures
 EVERYWHERE = 0.5  # a mark over more than this share of a view points at nothing
 _SCALE = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s")}
 
@@ -102,8 +101,8 @@ def before_after_figure(diagnosis: Any) -> Figure:
     """Draw the confirming record: force measured and simulated, then what each model leaves."""
     trace = diagnosis.trace
     t = np.asarray(trace.t)
-    settled = np.arange(t.size) >= START_UP
-    miss = np.where(settled, np.asarray(trace.measured) - np.asarray(trace.baseline), 0.0)
+    used = np.asarray(trace.used)
+    miss = np.where(used, np.asarray(trace.measured) - np.asarray(trace.baseline), 0.0)
     low, high = trace.window or _window(t, miss)
     inside = (t >= low) & (t <= high)
     models = [(trace.baseline, RED, "baseline model"), (trace.extended, BLUE, "extended model")]
@@ -118,7 +117,7 @@ def before_after_figure(diagnosis: Any) -> Figure:
         top.legend(ncols=3, loc="upper right")
         for y, color, label in models:
             error = np.asarray(trace.measured) - np.asarray(y)
-            bottom.plot(*thin(t[settled], error[settled]), color=color, linewidth=0.9, label=label)
+            bottom.plot(*thin(t[used], error[used]), color=color, linewidth=0.9, label=label)
         bottom.axhline(0.0, color=GREY, linewidth=0.8)
         bottom.axvspan(low, high, color=YELLOW, alpha=0.3, linewidth=0)
         bottom.set(ylabel="measured − simulated [N]", xlabel="time [s]", title="What each model leaves")

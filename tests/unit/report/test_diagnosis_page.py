@@ -10,6 +10,7 @@ import pytest
 from emps_design.machines import machine
 from emps_design.report.diagnosis import VERDICTS, diagnosis_page
 from emps_design.report.diagnosis_design import axis_before, design_change
+from emps_design.report.diagnosis_figures import before_after_figure
 from emps_design.report.diagnosis_sections import answer_points, in_plain_words
 
 
@@ -32,6 +33,7 @@ class Trace:
     measured: np.ndarray
     baseline: np.ndarray
     extended: np.ndarray
+    used: np.ndarray
     window: Any = None
 
 
@@ -127,7 +129,9 @@ def invented(verdict="named"):
             np.full(200, 0.5),
         ),
     ]
-    return Diagnosis(document(verdict), views, Trace("holdout.npz", t, force, force - large, force - small, (2.0, 5.0)))
+    return Diagnosis(
+        document(verdict), views, Trace("holdout.npz", t, force, force - large, force - small, t > 0.05, (2.0, 5.0))
+    )
 
 
 def test_the_first_screen_has_the_sentence_then_where_then_before_and_after(sketched):
@@ -248,3 +252,13 @@ def test_candidates_that_were_never_fitted_are_drawn_by_their_statistic(sketched
         candidate.update(gap=None, accepted=False)
     html = diagnosis_page(diagnosis).html()
     assert "No candidate explained enough to be fitted" in html
+
+
+def test_what_was_not_fitted_is_not_drawn():
+    t = np.arange(6000) * 1e-3
+    missed = np.where(t < 3.0, 50.0, np.sin(t))  # most of it where nothing counts
+    trace = Trace("run", t, missed, np.zeros(t.size), 0.9 * missed, t >= 3.0)
+    top, bottom = before_after_figure(Diagnosis({}, [], trace)).axes
+    drawn = [line.get_xdata() for axes in (top, bottom) for line in axes.lines if len(line.get_xdata()) > 2]
+    assert len(drawn) == 5
+    assert min(x.min() for x in drawn) >= 3.0
