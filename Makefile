@@ -51,7 +51,7 @@ fuzz: $(call MARK,$(EXTRAS))
 hidden: $(call MARK,$(EXTRAS))
 	@$(BIN)/python -m tests.hidden
 	@$(BIN)/python -m tests.hidden --no-laps
-	@for set in several beside unknown small; do $(BIN)/python -m tests.hidden --cases $$set --seed 9902 --count 24; done
+	@for set in several beside unknown small; do $(BIN)/python -m tests.hidden --cases $$set --seed 10002 --count 24; done
 
 coverage: $(call MARK,$(EXTRAS))
 	@$(BIN)/python -m benchmarks.coverage
