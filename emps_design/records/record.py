@@ -121,6 +121,10 @@ class Record:
             **optional,
         )
 
+    def until(self, stop: int) -> Record:
+        """The first ``stop`` samples under the same name; the record itself where it has no more."""
+        return self if stop >= len(self) else self.part(0, stop, self.name)
+
     def save(self, path: str | Path) -> None:
         """Write the record as .npz or .csv, whole or not at all; the same record gives the same bytes."""
         path = Path(path)

@@ -39,7 +39,7 @@ def beginnings(records: tuple[Record, ...], *windows: Interval | None) -> tuple[
             stop = moving + SEARCHED // len(records)
         else:
             stop = round(last / record.period)
-        parts.append(record if stop >= len(record) else record.part(0, stop, record.name))
+        parts.append(record.until(stop))
     return tuple(parts)
 
 

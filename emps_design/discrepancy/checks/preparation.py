@@ -99,8 +99,7 @@ def prepare(
     splits = _splits(records, fit_time, confirm_time)
     # Nothing of a record is simulated behind the last sample that is fitted: no filter sees what confirms.
     ends = [int(np.flatnonzero(one.used)[-1]) + 1 if one.used.any() else len(one.fit) for one in splits]
-    searched = tuple(r if end == len(r) else r.part(0, end, r.name) for r, end in zip(judged, ends, strict=True))
-    splits = tuple(one.until(end) for one, end in zip(splits, ends, strict=True))
+    searched, splits = tuple(map(Record.until, judged, ends)), tuple(map(Split.until, splits, ends))
     problem = Problem(axis, searched, splits, Whitening.none())
     held_out = None
     if holdout is not None or confirm_time is not None:

@@ -95,7 +95,7 @@ def _details(validation: Validation, missed: MissingForce) -> dict[str, Any]:
     calibration, axis = outcome.calibration, extended.problem.axis
     unseen = not_excluded(calibration, extended.model.names)
     shown: dict[str, Any] = {
-        "simulation": "inverse model" if axis.controller.kind == "none" else "closed loop",
+        "simulation": "inverse model" if extended.problem.follows else "closed loop",
         "candidates": _candidates(validation),
         "parameters": _parameters(validation),
         "not_excluded": unseen,
