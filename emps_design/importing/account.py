@@ -140,5 +140,6 @@ def record_table(assigned: tuple[Assignment, ...]) -> str:
     for one in assigned:
         title = plain_title(one.title)[0].replace("\\", "\\\\").replace('"', '\\"')
         unit = f', unit = "{one.unit}"' if one.unit and KEYS[one.name] not in ("command", "enable") else ""
-        lines.append(f'{KEYS[one.name]} = {{ column = "{title}"{unit} }}')
+        delay = f", delay = {one.delay!r}" if one.delay else ""
+        lines.append(f'{KEYS[one.name]} = {{ column = "{title}"{unit}{delay} }}')
     return "\n".join(lines) + "\n"

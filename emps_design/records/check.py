@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.errors import RecordError
-from emps_design.records.clock import Resampled, on_one_clock
+from emps_design.records.clock import Resampled, between_samples, on_one_clock
 from emps_design.records.columns import OPTIONAL
 from emps_design.records.layout import LONGEST, NAMED, RECOGNISED, Assignment, Layout, assign
 
@@ -64,6 +64,11 @@ def checked(
         named = {name: values[part].copy() for name, values in named.items()}  # the block is let go
         first_row, n = first_row + part.start, named["t"].size
         _fits(n, source, LONGEST)
+    for one in assigned:
+        if one.delay:  # in place, so that no long signal is in memory twice
+            values, t = named[one.name], named["t"]
+            values[:] = between_samples(one.name, t, values, t + one.delay)
+            notes.append(f"{one.name}: read {1e3 * one.delay:g} ms earlier than it was recorded")
     exported = layout.resample or any(one.how != NAMED for one in assigned)
     found, clock_notes, resampled = on_one_clock(named, layout.period if exported else None, source, first_row)
     notes += clock_notes

@@ -107,12 +107,7 @@ def _resampled(signals: dict[str, np.ndarray], wanted: float, typical: float) ->
     period = wanted if 0.5 <= wanted / mean <= 1.5 else nominal(float(f"{mean:.3g}"))
     grid = np.arange(int(np.floor((t[-1] - t[0]) / period * (1 + 1e-12))) + 1) * period
     at = grid + t[0]
-    new = {"t": grid}
-    for name, values in signals.items():
-        if name in STEPWISE:
-            new[name] = values[np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 1)]
-        elif name != "t":
-            new[name] = np.interp(at, t, values)
+    new = {name: grid if name == "t" else between_samples(name, t, values, at) for name, values in signals.items()}
     step = np.diff(t)
     costs = ", ".join(
         f"{name} {interpolation_error(t, signals[name])[0]:.2g}" for name in ("q", "q_ref", "u") if name in signals
@@ -124,6 +119,13 @@ def _resampled(signals: dict[str, np.ndarray], wanted: float, typical: float) ->
         f"{bridged}; put on {1e3 * period:.4g} ms by linear interpolation, off by at most (rms) {costs}"
     )
     return Resampled(new, period, (note,), {name: values.copy() for name, values in signals.items()})
+
+
+def between_samples(name: str, t: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """The signal called ``name`` of ``values`` at ``t`` [s], (n,), at other times ``at`` (m,): a switch is held."""
+    if name in STEPWISE:
+        return values[np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 1)]
+    return np.interp(at, t, values)
 
 
 def interpolation_error(t: np.ndarray, values: np.ndarray) -> tuple[float, float]:

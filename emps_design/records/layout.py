@@ -58,14 +58,17 @@ class Layout:
 
 @dataclass(frozen=True)
 class Assignment:
-    """The column ``title`` of a file is ``name`` of the record: ``factor`` times its values in ``unit``."""
+    """The column ``title`` of a file is ``name`` of the record: ``factor`` times its values in ``unit``.
+
+    It was recorded ``delay`` [s] later than it acts.
+    """
 
     name: str
     title: str
     unit: str = ""
     factor: float = 1.0
     how: str = NAMED
-    remark: str = ""
+    delay: float = 0.0
 
 
 def assign(titles: Sequence[str], layout: Layout, source: str) -> list[Assignment]:
@@ -147,7 +150,7 @@ def _mapped(name: str, column: Column, titles: Sequence[str], layout: Layout, so
     except InputError as error:
         raise RecordError(f"{source}: [record] {key}: {error}") from error
     shown = unit or (layout.unit(name) if column.scale is None else "")
-    return Assignment(name, title, shown, column.sign * factor, MAPPED)
+    return Assignment(name, title, shown, column.sign * factor, MAPPED, delay=column.delay)
 
 
 def _factor(unit: str, name: str, scale: float | None, layout: Layout) -> float:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+LONGEST_DELAY = 0.1  # s; what is recorded later than that was not recorded with the rest
 
 
 class Column(BaseModel):
-    """One column: its title with or without the bracketed unit, its unit, and what it is multiplied by."""
+    """One column: its title with or without the bracketed unit, its unit, what it is multiplied by, and its delay."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -18,6 +20,9 @@ class Column(BaseModel):
         None, description="what its numbers are multiplied by"
     )
     sign: Literal[1, -1] = Field(1, description="-1 where the file counts the other way")
+    delay: Annotated[float, Field(ge=-LONGEST_DELAY, le=LONGEST_DELAY, allow_inf_nan=False)] = Field(
+        0.0, description="how much later than it acts it is recorded, in s"
+    )
 
 
 class ColumnMap(BaseModel):
@@ -39,6 +44,12 @@ class ColumnMap(BaseModel):
     excitation: Column | None = None
     supply: Column | None = None
     enable: Column | None = None
+
+    @model_validator(mode="after")
+    def _time_is_the_clock(self) -> ColumnMap:
+        if self.time is not None and self.time.delay:
+            raise ValueError(f"time: found delay {self.time.delay:g}, expected it of the columns that are late")
+        return self
 
     @property
     def named(self) -> dict[str, Column]:

@@ -10,12 +10,19 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.checks.controller_law import LawCheck, beside_the_law, check_law
-from emps_design.discrepancy.checks.requirements import check_records, check_same_drive, same_run
+from emps_design.discrepancy.checks.requirements import (
+    ONE_SPEED,
+    check_records,
+    check_same_drive,
+    keeps_one_speed,
+    same_run,
+)
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.partition import Split, split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.effects import Effect
+from emps_design.effects.effect import COULOMB, MASS, VISCOUS
 from emps_design.effects.sizes import sized, sizes
 from emps_design.errors import InputError
 from emps_design.records import Record
@@ -110,7 +117,11 @@ def prepare(
         if not inside.all():
             window = float(record.t[inside][0]), float(record.t[inside][-1])
         held_out = HeldOut(Problem(axis, (record,), (split(record, inside),), Whitening.none()), window, law)
-    start = Hypothesis(problem, _as_the_axis_says(Candidate.of(axis, factors), laws))
+    held: tuple[int, ...] = ()
+    if problem.follows and all(map(keeps_one_speed, searched, problem.masks("used"))):
+        held = MASS, VISCOUS, COULOMB
+        warnings.append(ONE_SPEED)
+    start = Hypothesis(problem, _as_the_axis_says(Candidate.of(axis, factors, held), laws))
     plant = tuple(effect for effect in library if effect.channel != "controller")
     return Preparation(records, start, plant, laws, held_out, tuple(warnings))
 

@@ -14,6 +14,10 @@ from emps_design.records import Record
 SLOWEST_PERIOD = 0.8 * 0.5 / CUTOFF_HZ  # s, for the filters of the missing force
 MEMORY = 1700  # bytes for each sample, measured on an hour at 1 kHz
 MOST_SAMPLES = 1_000_000  # 1.7 GB
+ONE_SPEED = (
+    "one speed, one way, and a controller that is not known: mass and friction stay as the axis file says, as they "
+    "would pass for forces along the travel; record strokes at several speeds to have them fitted"
+)
 DRIVE = {"gtau", "kp", "kv"}  # numbers of the drive that a record may carry
 
 
@@ -78,6 +82,12 @@ def check_same_drive(record: Record, other: Record, axis: Axis) -> None:
 def same_run(one: Record, other: Record) -> bool:
     """Whether two records hold the same measurement, whatever their names."""
     return len(one) == len(other) and np.array_equal(one.q, other.q) and np.array_equal(one.u, other.u)
+
+
+def keeps_one_speed(record: Record, used: np.ndarray) -> bool:
+    """Whether ``record`` goes one way at about one speed in all the samples ``used`` (n,)."""
+    v = np.gradient(record.q, record.period)[used]
+    return bool(np.std(v) < rules.ONE_SPEED * abs(np.mean(v)))
 
 
 def _not_excited(record: Record) -> list[str]:

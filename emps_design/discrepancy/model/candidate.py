@@ -41,20 +41,21 @@ class Slot:
 class Candidate:
     """Baseline (4,) and one array (n_records, n_parameters) per effect; rows differ in what belongs to one record.
 
-    ``sizes`` are the bounds and least sizes of the baseline's numbers.
+    ``sizes`` are the bounds and least sizes of the baseline's numbers; those at the places ``held`` are never free.
     """
 
     baseline: np.ndarray
     effects: tuple[Effect, ...] = ()
     values: tuple[np.ndarray, ...] = ()
     sizes: tuple[Parameter, ...] = BASELINE
+    held: tuple[int, ...] = ()
 
     @classmethod
-    def of(cls, axis: Axis, factors: Mapping[str, float]) -> Candidate:
+    def of(cls, axis: Axis, factors: Mapping[str, float], held: tuple[int, ...] = ()) -> Candidate:
         """The baseline of ``axis``, sized by its ``factors`` of :func:`~emps_design.effects.sizes.sizes`."""
         _, *rest = (sized_parameter(parameter, factors) for parameter in BASELINE)
         least = LEAST_MASS * axis.mechanics.mass
-        return cls(axis.mechanics.array(), sizes=(replace(BASELINE[0], lower=least, scale=least), *rest))
+        return cls(axis.mechanics.array(), sizes=(replace(BASELINE[0], lower=least, scale=least), *rest), held=held)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -87,7 +88,8 @@ class Candidate:
             # A constant force may have to grow to the size of the friction before a spring fits.
             magnitudes = np.maximum(np.abs(self.baseline), [parameter.scale for parameter in self.sizes])
             magnitudes[OFFSET] = max(magnitudes[OFFSET], self.baseline[COULOMB])
-            slots += [Slot(-1, i, None, q, s) for i, (q, s) in enumerate(zip(self.sizes, magnitudes, strict=True))]
+            numbers = enumerate(zip(self.sizes, magnitudes, strict=True))
+            slots += [Slot(-1, i, None, q, s) for i, (q, s) in numbers if i not in self.held]
         for index, (effect, values) in enumerate(zip(self.effects, self.values, strict=True)):
             for place, parameter in enumerate(effect.parameters):
                 held = parameter.held_at(values[:, place]) or (frozen and not parameter.per_record)

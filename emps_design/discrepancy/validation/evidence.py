@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.model.candidate import BASELINE
 from emps_design.discrepancy.model.fit import STEP
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis, Problem, orthonormal
@@ -175,6 +174,6 @@ def _change(left: Forces | None, whole: Forces | None) -> Forces:
 def _beside_baseline(hypothesis: Hypothesis) -> list[Hypothesis]:
     """The model with a small step of each baseline number."""
     model = hypothesis.model
-    slots = model.slots()[: len(BASELINE)]
+    slots = tuple(slot for slot in model.slots() if slot.effect < 0)
     steps = np.diag([STEP * slot.magnitude for slot in slots])
     return [hypothesis.with_model(model.with_vector(slots, moved)) for moved in model.vector(slots) + steps]

@@ -9,7 +9,6 @@ from typing import Any
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.checks.preparation import HeldOut
-from emps_design.discrepancy.model.candidate import BASELINE
 from emps_design.discrepancy.model.fit import Fit, evaluate, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.search.acceptance import Judge, explained, force_rms
@@ -236,7 +235,8 @@ def wrong_numbers(fitted: Fit) -> list[int]:
     off = fitted.model.baseline - fitted.problem.axis.mechanics.array()
     return [
         slot.place
-        for slot in fitted.slots[: len(BASELINE)]
-        if abs(off[slot.place]) > rules.OFF_SURELY * fitted.std(-1, slot.place)
+        for slot in fitted.slots
+        if slot.effect < 0
+        and abs(off[slot.place]) > rules.OFF_SURELY * fitted.std(-1, slot.place)
         and abs(off[slot.place]) > rules.OFF * slot.magnitude
     ]

@@ -215,6 +215,24 @@ def test_without_a_controller_the_models_follow_the_recorded_motion(effect):
     assert answer.axis.controller.kind == "none"
 
 
+def test_one_speed_and_an_unknown_controller_tell_neither_mass_nor_friction():
+    """The ripple drives the shaft round and round, and mass times acceleration is a line along the turn like it."""
+    numbers = {"mass": 0.5, "viscous": 2.0, "coulomb": 5.0, "offset": 0.0}
+    loop = {"kind": "position_pd", "kp": 20.0, "kv": 1.3}
+    motor = AXIS.replace(motion="rotary", mechanics=numbers, controller=loop)
+    ripple = {"kind": "position_ripple", "amplitude": 8.0, "phase": 0.3, "period": 2 * np.pi / 18}
+    turning = Plant.of(motor.replace(effects=[ripple])).closed_loop(4.0 * np.arange(7000) * 1e-3)
+    measured = turning.u + 4e-3 * np.random.default_rng(0).standard_normal(7000)
+    made = Record(t=turning.t, q_ref=turning.q, q=turning.q, u=measured, period=1e-3, name="turns")
+    unknown = motor.replace(controller={"kind": "none"}, mechanics={"mass": 0.55})
+    answer = diagnose(made, unknown, fit_time=(0.5, 7.0), library=(get_effect("position_ripple"),))
+    assert [f.effect for f in answer.findings] == ["position_ripple"]
+    assert answer.findings[0].parameters["amplitude"]["value"] == pytest.approx(8.0, rel=0.05)
+    mechanics = answer.axis.mechanics
+    assert (mechanics.mass, mechanics.viscous, mechanics.coulomb) == tuple(unknown.mechanics.array()[:3])
+    assert any("mass and friction stay as the axis file says" in text for text in answer.details["warnings"])
+
+
 def test_the_confirming_record_withdraws_what_it_does_not_ask_for():
     # A spring that is there on the training record only: nothing of it is in the other one.
     spring = {"kind": "elastic_force", "stiffness": 80.0, "rest_position": 0.05}

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from emps_design.errors import RecordError
+from emps_design.errors import AxisError, RecordError
 from emps_design.importing import import_bytes, import_record
+from emps_design.importing.account import record_table
 from emps_design.machines import machine
 from emps_design.records import record_from_bytes
 from emps_design.records.check import PLAIN
@@ -79,6 +80,36 @@ def test_counts_scale_and_sign():
         "command": {"column": "Momentensollwert", "scale": 10},
     }
     assert same(read(text, columns))
+
+
+def test_a_column_that_is_recorded_late_is_read_earlier(tmp_path):
+    late, delay = np.interp(T - 3e-3, T, U), {"delay": 3e-3}
+    header = "Zeit [ms];Lageistwert [mm];Lagesollwert [mm];Momentensollwert [%]"
+    text = "\n".join([header, *rows(1e3 * T, 1e3 * Q, 1e3 * Q_REF, late, digits=12)])
+    columns = {**GERMAN, "command": {**GERMAN["command"], **delay}}
+    record = read(text, columns)
+    np.testing.assert_allclose(record.u[:-3], U[:-3], atol=1e-6)
+    np.testing.assert_allclose(record.u[-3:], late[-1])  # what was not recorded any more
+    assert "u: read 3 ms earlier than it was recorded" in record.warnings
+    record.save(tmp_path / "a.npz")  # read once, it is late no more
+    again = record_from_bytes((tmp_path / "a.npz").read_bytes(), "a.npz", layout=layout(columns))
+    assert np.array_equal(again.u, record.u)
+    assert 'command = { column = "Momentensollwert", unit = "%", delay = 0.003 }' in record_table(record.assigned) or (
+        'command = { column = "Momentensollwert", delay = 0.003 }' in record_table(record.assigned)
+    )
+
+
+def test_a_switch_that_is_recorded_late_stays_a_switch():
+    text = "\n".join(["t;q;q_ref;u;on", *rows(T, Q, Q_REF, U, T > 0.1)])
+    record = read(text, {"enable": {"column": "on", "delay": 0.0125}})
+    assert set(record.enable) == {0.0, 1.0}
+    assert T[np.argmax(record.enable)] == pytest.approx(0.0885, abs=1e-3)
+
+
+@pytest.mark.parametrize("table", [{"time": {"column": "t", "delay": 1e-3}}, {"command": {"column": "u", "delay": 1.0}}])
+def test_a_delay_that_cannot_be_is_refused(table):
+    with pytest.raises(AxisError, match=r"record.*delay"):
+        machine("emps2019").replace(record=table)
 
 
 @pytest.mark.parametrize("comma", [False, True])
