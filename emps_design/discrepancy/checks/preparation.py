@@ -16,6 +16,7 @@ from emps_design.discrepancy.checks.requirements import (
     check_same_drive,
     keeps_one_speed,
     same_run,
+    told_by_one_speed,
 )
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.partition import Split, split
@@ -120,6 +121,7 @@ def prepare(
     held: tuple[int, ...] = ()
     if problem.follows and all(map(keeps_one_speed, searched, problem.masks("used"))):
         held = MASS, VISCOUS, COULOMB
+        library = tuple(filter(told_by_one_speed, library))
         warnings.append(ONE_SPEED)
     start = Hypothesis(problem, _as_the_axis_says(Candidate.of(axis, factors, held), laws))
     plant = tuple(effect for effect in library if effect.channel != "controller")

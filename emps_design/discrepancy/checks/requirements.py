@@ -7,6 +7,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.missing_force import CUTOFF_HZ
+from emps_design.effects import Effect
 from emps_design.errors import RecordError
 from emps_design.laws import recorded_gains
 from emps_design.records import Record
@@ -15,8 +16,9 @@ SLOWEST_PERIOD = 0.8 * 0.5 / CUTOFF_HZ  # s, for the filters of the missing forc
 MEMORY = 1700  # bytes for each sample, measured on an hour at 1 kHz
 MOST_SAMPLES = 1_000_000  # 1.7 GB
 ONE_SPEED = (
-    "one speed, one way, and a controller that is not known: mass and friction stay as the axis file says, as they "
-    "would pass for forces along the travel; record strokes at several speeds to have them fitted"
+    "one speed, one way, and a controller that is not known: mass and friction stay as the axis file says, and of the "
+    "effects only forces with a place or a time are looked for, as all others would pass for them; record strokes at "
+    "several speeds for the rest"
 )
 DRIVE = {"gtau", "kp", "kv"}  # numbers of the drive that a record may carry
 
@@ -88,6 +90,11 @@ def keeps_one_speed(record: Record, used: np.ndarray) -> bool:
     """Whether ``record`` goes one way at about one speed in all the samples ``used`` (n,)."""
     v = np.gradient(record.q, record.period)[used]
     return bool(np.std(v) < rules.ONE_SPEED * abs(np.mean(v)))
+
+
+def told_by_one_speed(effect: Effect) -> bool:
+    """Whether one speed tells ``effect``: a force with a place on the travel, or with a time."""
+    return effect.channel == "plant" and effect.inertia is None and effect.over in ("q", "t")
 
 
 def _not_excited(record: Record) -> list[str]:
