@@ -17,8 +17,8 @@ MEMORY = 1700  # bytes for each sample, measured on an hour at 1 kHz
 MOST_SAMPLES = 1_000_000  # 1.7 GB
 ONE_SPEED = (
     "one speed, one way, and a controller that is not known: mass and friction stay as the axis file says, and of the "
-    "effects only forces with a place or a time are looked for, as all others would pass for them; record strokes at "
-    "several speeds for the rest"
+    "effects only forces with a place or a time are looked for. All others would pass for these, such as "
+    "friction that changes along the travel: record strokes at several speeds to tell them apart"
 )
 DRIVE = {"gtau", "kp", "kv"}  # numbers of the drive that a record may carry
 
@@ -93,8 +93,8 @@ def keeps_one_speed(record: Record, used: np.ndarray) -> bool:
 
 
 def told_by_one_speed(effect: Effect) -> bool:
-    """Whether one speed tells ``effect``: a force with a place on the travel, or with a time."""
-    return effect.channel == "plant" and effect.inertia is None and effect.over in ("q", "t")
+    """Whether one speed tells ``effect``: a force with a place on the travel, or with a time, and no friction."""
+    return effect.channel == "plant" and effect.over in ("q", "t") and effect.inertia is effect.dry is None
 
 
 def _not_excited(record: Record) -> list[str]:
