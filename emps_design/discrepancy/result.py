@@ -184,7 +184,9 @@ class Diagnosis:
             "gap": gap,
             "gap_inverse_60hz": inverse,
             "model_file": self.model_file,
-            "remedies": [f.remedy for f in self.findings if f.remedy],
+            "remedies": list(
+                dict.fromkeys(f.remedy for f in self.findings if f.remedy)
+            ),  # once for all lines of a ripple
             "experiment": None if self.experiment is None else self.experiment.to_dict(),
             **({} if self.response is None else {"response": self.response.to_dict()}),
             **shown,
