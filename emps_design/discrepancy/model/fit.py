@@ -11,7 +11,7 @@ from emps_design.discrepancy.model.candidate import Candidate, Slot
 from emps_design.discrepancy.model.least_squares import WORST, descend
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
-from emps_design.effects import Motion
+from emps_design.effects import Motion, kind_of
 from emps_design.errors import SimulationError
 from emps_design.records import Record
 
@@ -80,8 +80,29 @@ def sensitivities(fitted: Fit, slots: tuple[Slot, ...], part: str) -> np.ndarray
 
 
 def admissible(fitted: Fit) -> bool:
-    """Whether every number of ``fitted`` is inside its bounds and still means its effect."""
-    return not on_bound(fitted) and plausible(fitted)
+    """Whether every number of ``fitted`` is inside its bounds and still means its effect, and every line is one."""
+    return not on_bound(fitted) and plausible(fitted) and _lines_apart(fitted)
+
+
+def _lines_apart(fitted: Fit) -> bool:
+    """Whether further lines of an effect are there for sure, and repeat once more or less than others on the travel.
+
+    Two lines that differ by less are one whose size or phase changes along the travel.
+    """
+    model = fitted.model
+    travel = max(float(np.ptp(record.q)) for record in fitted.problem.records)
+    for index, effect in enumerate(model.effects):
+        if not (effect.after and effect.repeats):
+            continue
+        names = [parameter.name for parameter in effect.parameters]
+        amplitude, repeat = names.index(effect.linear[0]), names.index(effect.repeats)
+        if model.values[index][0, amplitude] < rules.SURE * fitted.std(index, amplitude):
+            return False
+        alike = [i for i, other in enumerate(model.effects) if kind_of(other.name) == kind_of(effect.name)]
+        times = [travel / model.values[i][0, repeat] for i in alike if i != index]
+        if any(abs(travel / model.values[index][0, repeat] - other) < 1.0 for other in times):
+            return False
+    return True
 
 
 def plausible(hypothesis: Hypothesis) -> bool:

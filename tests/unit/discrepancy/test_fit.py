@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.fit import evaluate, fit
+from emps_design.discrepancy.model.fit import admissible, evaluate, fit
 from emps_design.discrepancy.model.least_squares import descend
 from emps_design.discrepancy.model.missing_force import missing_force
 from emps_design.discrepancy.model.partition import split
@@ -48,6 +48,22 @@ def test_an_effect_comes_back_with_the_baseline():
     fitted = fit(Hypothesis(problem([hidden]), start))
     assert fitted.model.values[0][0, 0] == pytest.approx(2e-3, abs=4 * fitted.std(0, 0))
     assert fitted.std(0, 0) < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("period", "amplitude", "apart"), [(2.6e-3, 1.0, True), (2.53e-3, 1.0, False), (2.6e-3, 1e-3, False)]
+)
+def test_a_further_line_of_a_ripple_is_apart_from_the_others_and_sure(period, amplitude, apart):
+    """Over 100 mm 2.5 mm go 40 times, 2.53 mm go 39.5 times; and a millinewton is lost in the noise."""
+    model = Candidate(AXIS.mechanics.array())
+    hidden = []
+    for line, (size, length) in zip(
+        get_effect("position_ripple").several(), [(2.0, 2.5e-3), (amplitude, period)], strict=False
+    ):
+        numbers = {"amplitude": size, "phase": 0.5, "period": length}
+        model = model.with_effect(line, np.atleast_2d(line.values(numbers)))
+        hidden.append({"kind": "position_ripple", **numbers})
+    assert admissible(fit(Hypothesis(problem(hidden), model), part="used", steps=2)) is apart
 
 
 def test_bounds_hold_and_a_model_that_cannot_run_costs_a_lot():
