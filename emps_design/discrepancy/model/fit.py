@@ -69,14 +69,24 @@ def evaluate(hypothesis: Hypothesis, slots: tuple[Slot, ...] = (), covariance: n
 
 
 def sensitivities(fitted: Fit, slots: tuple[Slot, ...], part: str) -> np.ndarray:
-    """What ``STEP`` magnitudes of each number in ``slots`` change in the whitened residual on ``part``, (n, k)."""
+    """What ``STEP`` magnitudes of each number in ``slots`` change in the whitened residual on ``part``, (n, k).
+
+    A step beyond which the model cannot be simulated tells nothing: its column is 0.
+    """
     model, base = fitted.model, fitted.residual(part)
+
+    def changed(moved: Hypothesis) -> np.ndarray:
+        try:
+            return moved.residual(part) - base
+        except SimulationError:
+            return np.zeros_like(base)
+
     x, moves = model.vector(slots), []
     for k, slot in enumerate(slots):
         moved, step = x.copy(), STEP * slot.magnitude
         moved[k] += step * (1 if x[k] + step <= slot.quantity.upper else -1)
         moves.append((fitted.with_model(model.with_vector(slots, moved)),))
-    return np.column_stack([left - base for left in side_by_side(lambda moved: moved.residual(part), moves)])
+    return np.column_stack(side_by_side(changed, moves))
 
 
 def admissible(fitted: Fit) -> bool:
