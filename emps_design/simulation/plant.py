@@ -72,7 +72,7 @@ class Plant:
         ]
         self._hooks, self._starts = self._table()
         moving = [effect for i, effect in enumerate(self.effects) if i not in (*self.lagging, *self._held)]
-        dynamic = any((e.states and not e.by_travel) or e.guard or e.jump_time for e in moving)
+        dynamic = any((e.states and not e.by_travel) or e.guard for e in moving)
         stepped = [effect for effect in moving if effect.slopes is None and touches_motion(effect)]
         self._exact = not stepped and not twice
         self._affine = all(effect.affine for effect in stepped) and not twice

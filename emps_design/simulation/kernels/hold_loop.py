@@ -2,8 +2,8 @@
 
 A period is cut where a delayed voltage arrives and where a kernel jumps in time. Each piece is stepped exactly where
 the effects leave the friction plant as it is (:mod:`friction_period`) or are affine in the motion
-(:mod:`linear_period`), in one slide where they have no own states but memories of the path (:mod:`smooth_period`), or
-from event to event (:mod:`event_steps`), whichever is the first that can.
+(:mod:`linear_period`), in one slide where they have no own states but memories of the path and nothing jumps
+(:mod:`smooth_period`), or from event to event (:mod:`event_steps`), whichever is the first that can.
 """
 
 from __future__ import annotations
@@ -236,7 +236,7 @@ def run(
                     reached, fresh, start = tau + drive[0], False, end
                     continue
             way = s if not free else 1.0 if y[1] > 0.0 else -1.0
-            if slides and way * y[1] > 0.0:
+            if slides and way * y[1] > 0.0 and bounds[1] == np.inf:
                 if fresh and steady:
                     k1[1] += (tau + (drive[0] + drive[5]) + (force - before_force)) * k2[1]
                 else:

@@ -66,16 +66,16 @@ def begin(y, t, tau, push, s, steady, plant, work):
 def slide(y, t, h, tau, push, s, feel, plant, work, new):
     """Slide through ``h`` on one evaluation, two or few more; returns whether the step is good.
 
-    Simpson's rule over the acceleration at both ends and in the middle (Lobatto IIIA), for axes without guards and
-    jumps, and without own states but memories of the path. ``work[0][1]`` is the acceleration at the start, known from
-    the end of the last step; ``work[0][0]`` the slope it had there without viscous decay (0: not known) and
-    ``work[4][0]`` that slope's own, ``work[1]`` what a newton of the gap behind a lag adds to the acceleration, and the
-    mobility (see :func:`begin`), ``work[2]`` the level of the dry friction and its curve along the path (see
-    :func:`remember`). ``feel`` holds the derivative of the acceleration by velocity (see :func:`feeling`): velocities
-    that were off are answered by it, positions by the stiffness of the memories, and the sweep is repeated until what
-    that leaves is below the tolerance. Where the acceleration in the middle is what the last steps lead to expect,
-    within the tolerance, the one evaluation there is enough. Where its second difference is large, one step is too long
-    and the general method takes over.
+    Simpson's rule over the acceleration at both ends and in the middle (Lobatto IIIA), for axes without guards, and
+    without own states but memories of the path, where no kernel jumps in time. ``work[0][1]`` is the acceleration at
+    the start, known from the end of the last step; ``work[0][0]`` the slope it had there without viscous decay (0: not
+    known) and ``work[4][0]`` that slope's own, ``work[1]`` what a newton of the gap behind a lag adds to the
+    acceleration, and the mobility (see :func:`begin`), ``work[2]`` the level of the dry friction and its curve along
+    the path (see :func:`remember`). ``feel`` holds the derivative of the acceleration by velocity (see
+    :func:`feeling`): velocities that were off are answered by it, positions by the stiffness of the memories, and the
+    sweep is repeated until what that leaves is below the tolerance. Where the acceleration in the middle is what the
+    last steps lead to expect, within the tolerance, the one evaluation there is enough. Where its second difference is
+    large, one step is too long and the general method takes over.
     """
     stage, settings, half = work[5], plant[4], t + 0.5 * h
     tolerance, bend_most, rub = settings[TOLERANCE], _BEND, s
