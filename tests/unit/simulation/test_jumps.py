@@ -19,6 +19,7 @@ JUMPS = {
 OTHERS = {
     "alone": [],
     "friction": [{"kind": "stribeck_friction", "excess": 9.0, "stribeck_velocity": 0.01, "exponent": 2.0}],
+    "lag": [{"kind": "actuator_lag", "time_constant": 1e-5}],
     "contact": [{"kind": "presliding_friction", "stiffness": 1e6}],
 }
 
