@@ -121,7 +121,7 @@ def _kernels(plant: Plant, name: str, structures: dict[str, str]) -> Any:
             if place not in places:
                 places[place] = len(places) + 1
                 forms[form].append((places[place], printer.functions[kernel.__name__]))
-        if effect.initial is not None and i != plant.lagging:
+        if effect.initial is not None and i not in plant.lagging:
             start = effect.initial.__name__
             kind = found[start].result
             places_ = plant.states_at[i], plant.parameters_at[i]

@@ -9,7 +9,7 @@ them. All kernels but ``actuator`` and ``rate`` share one argument list::
 |---|---|---|
 | ``q``, ``v`` | carriage position and velocity on the encoder's side | m, m/s |
 | ``t`` | time since the record's first sample | s |
-| ``tau`` | motor force that acts, behind delay and lag (of a second lag: what is behind the first) | N |
+| ``tau`` | motor force that acts, behind delay and lags (of a third lag: what is behind the first two) | N |
 | ``x`` | the effect's own states | as declared |
 | ``p`` | its parameters, in the order of ``parameters`` | as declared |
 | ``b`` | the baseline: mass, viscous, coulomb, offset (``b[0]`` to ``b[3]``) | kg, N/(m/s), N, N |

@@ -24,6 +24,7 @@ from emps_design.simulation.run import Run
 # Own states smaller than this need not be known relatively: a load that has hardly begun to move, by unit.
 FLOORS = {"m": 1e-6, "m/s": 1e-4, "N": 1e-2}
 METHODS = ("general", "linear", "plain", "folded")  # of stepping; what is exact by one is by those before it
+_ASUNDER = 1e-7  # least relative difference of two lags
 _EMPTY = np.zeros(0)
 _NO_SIGNALS, _NO_SLOTS = np.zeros((0, 0)), np.zeros(0, np.int64)
 
@@ -53,28 +54,30 @@ class Plant:
         hands = {own + i: thing for i, thing in enumerate(environment) if isinstance(thing, Hand)}
         self._hands, self._held = list(hands), [i for i, hand in hands.items() if hand.held]
         self._lag = axis.drive.current_time_constant
-        # An effect that is a lag of the motor force takes the place of an ideal current loop.
+        # An effect that is a lag of the motor force is no state: two lags, the current loop's among them, are known.
         lags = [i for i, effect in enumerate(self.effects) if effect.lag]
-        self.lagging = lags[0] if lags and self._lag == 0 else -1
+        self.lagging = lags[: 1 if self._lag > 0 else 2]
+        twice = len(self.lagging) + (self._lag > 0) > 1
         self._free = any(effect.takes_dry for effect in self.effects)
         self._p = np.concatenate([_EMPTY, *self.parameters])
         self.parameters_at = list(accumulate(map(len, self.parameters), initial=0))
-        own = [0 if i == self.lagging else len(effect.states) for i, effect in enumerate(self.effects)]
+        own = [0 if i in self.lagging else len(effect.states) for i, effect in enumerate(self.effects)]
         self.states_at = list(accumulate(own, initial=2))
         self._states = self.states_at[-1]
         self._floors = [
             FLOORS.get(state.unit, 1e-6)
             for i, effect in enumerate(self.effects)
             for state in effect.states
-            if i != self.lagging
+            if i not in self.lagging
         ]
         self._hooks, self._starts = self._table()
-        moving = [effect for i, effect in enumerate(self.effects) if i != self.lagging and i not in self._held]
-        dynamic = any((e.states and not e.by_travel) or e.guard or e.jump_time for e in moving)
+        moving = [effect for i, effect in enumerate(self.effects) if i not in (*self.lagging, *self._held)]
+        dynamic = any((e.states and not e.by_travel) or e.guard for e in moving)
         stepped = [effect for effect in moving if effect.slopes is None and touches_motion(effect)]
-        self._exact = not stepped
-        self._affine = all(effect.affine for effect in stepped)
-        seen = any(sees_command(effect) for i, effect in enumerate(self.effects) if i != self.lagging)
+        self._exact = not stepped and not twice
+        self._affine = all(effect.affine for effect in stepped) and not twice
+        seen = any(sees_command(effect) for i, effect in enumerate(self.effects) if i not in self.lagging)
+        dynamic |= twice and (seen or any(effect.states for effect in moving))  # what a slide knows is for one lag
         # A contact whose friction jumps with every command bends anew in no time: that is stepped through.
         self._slides = 0 if dynamic or (seen and self._free) else 1 if seen else 2
 
@@ -92,7 +95,7 @@ class Plant:
     def _table(self) -> tuple[np.ndarray, np.ndarray]:
         rows: list[list[tuple[int, int, int]]] = [[] for _ in range(motion.MEMORY + 1)]
         for i, effect in enumerate(self.effects):
-            if i != self.lagging and not effect.winding:
+            if i not in self.lagging and not effect.winding:
                 for row, kernel in hooks_of(effect, i in self._outside, i in self._held):
                     rows[row].append((kernel, self.states_at[i], self.parameters_at[i]))
         table = np.array([number for row in rows for entry in row for number in entry] or [0], np.int64)
@@ -281,11 +284,8 @@ class Plant:
         drive, settings = self.axis.drive, np.zeros(motion.SETTINGS)
         settings[motion.PERIOD], settings[motion.GAIN] = period, drive.gain
         settings[motion.LIMIT], settings[motion.RESOLUTION] = drive.command_limit, resolution
-        settings[motion.DELAYED], settings[motion.LAG] = self.axis.sampling.computation_delay, self._lag
-        if self.lagging >= 0:
-            at = self.lagging
-            mine = p[self.parameters_at[at] : self.parameters_at[at + 1]]
-            settings[motion.LAG] = self.effects[at].lag(q0, v0, 0.0, 0.0, _EMPTY, mine, b)
+        settings[motion.DELAYED] = self.axis.sampling.computation_delay
+        settings[motion.LAG], settings[motion.BEHIND] = self._lags(b, p, q0, v0)
         settings[motion.BRAKING] = drive.braking
         settings[motion.VISCOUS_P] = settings[motion.VISCOUS_N] = b[1] + drive.braking
         settings[motion.LEVEL], settings[motion.MASS] = b[2], b[0]
@@ -307,13 +307,21 @@ class Plant:
         y, floors = np.zeros(states), np.zeros(states)
         y[0], y[1] = q0, v0
         for i, effect in enumerate(self.effects):
-            if effect.initial is not None and i != self.lagging:
+            if effect.initial is not None and i not in self.lagging:
                 own = p[self.parameters_at[i] : self.parameters_at[i + 1]]
                 y[self.states_at[i] : self.states_at[i + 1]] = effect.initial(q0, own, b)
         floors[2 : self._states] = self._floors
         guards = int(self._starts[motion.GUARD + 1] - self._starts[motion.GUARD])
         scratch = np.zeros(stepper.room(states, guards))
         return Prepared(b, p, settings, y, self._hooks, self._starts, columns, slots, floors, scratch)
+
+    def _lags(self, b: np.ndarray, p: np.ndarray, q0: float, v0: float) -> tuple[float, float]:
+        """Time constants [s] of the lags that are known functions of time, 0: none."""
+        ends = [(self.effects[i], self.parameters_at[i], self.parameters_at[i + 1]) for i in self.lagging]
+        lags = [self._lag, *(one.lag(q0, v0, 0.0, 0.0, _EMPTY, p[start:end], b) for one, start, end in ends)]
+        first, second, *_ = *(one for one in lags if one != 0.0), 0.0, 0.0
+        # Two equal ones have no partial fractions; so little apart they cannot be told.
+        return first, first * (1.0 + _ASUNDER) if abs(second - first) < _ASUNDER * first else second
 
     def _general(self, law, reference, push, noise, motor, q0, v0, period, energy, events, found, ready):
         n, y = reference.size, ready.y

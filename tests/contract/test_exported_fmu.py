@@ -151,14 +151,15 @@ def test_a_master_steps_back_and_the_machine_moves_the_same_again(name, axis, tm
     np.testing.assert_array_equal(stepped(other, u[300:], 300, period), first)
 
 
-def test_a_users_effect_and_a_real_current_loop_are_in_the_machine(tmp_path):
+@pytest.mark.parametrize("more", [[], [{"kind": "actuator_lag", "time_constant": 2e-4}]], ids=["alone", "behind a lag"])
+def test_a_users_effect_and_a_real_current_loop_are_in_the_machine(more, tmp_path):
     (tmp_path / "mine.py").write_text(OWN, encoding="utf-8")
     effects.load_file(tmp_path / "mine.py")
     try:
         table = machine("emps2018").to_dict()
         table["drive"]["current_time_constant"] = 5e-4
         table["sampling"]["computation_delay"] = 2
-        axis = Axis.from_dict(table).replace(effects=[{"kind": "mine", "size": 3.0}])
+        axis = Axis.from_dict(table).replace(effects=[{"kind": "mine", "size": 3.0}, *more])
         u = 3.0 * np.sin(0.01 * np.arange(1500))
         run = Plant.of(axis).open_loop(u, q0=0.1)
         (position,) = replayed(

@@ -24,6 +24,7 @@ from emps_design.simulation.kernels.motion import (
     locate,
     margin,
     step,
+    turning,
 )
 
 DONE, DIVERGED, NO_STEP, CHATTER = range(4)  # what :func:`carry` can end with
@@ -50,6 +51,8 @@ def carry(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, even
     while span - done > INSTANT:
         now = t + done
         rest = span - done
+        if s == 0.0 and not free:  # whether friction holds is asked where a step ends: the force must not turn within
+            rest = min(rest, turning(now, plant))
         at = clipped(now, bounds)
         h = rest
         start = y[1]

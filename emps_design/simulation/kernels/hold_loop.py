@@ -2,11 +2,13 @@
 
 A period is cut where a delayed voltage arrives and where a kernel jumps in time. Each piece is stepped exactly where
 the effects leave the friction plant as it is (:mod:`friction_period`) or are affine in the motion
-(:mod:`linear_period`), in one slide where they have no own states but memories of the path (:mod:`smooth_period`), or
-from event to event (:mod:`event_steps`), whichever is the first that can.
+(:mod:`linear_period`), in one slide where they have no own states but memories of the path and nothing jumps
+(:mod:`smooth_period`), or from event to event (:mod:`event_steps`), whichever is the first that can.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -17,10 +19,12 @@ from emps_design.simulation.kernels.friction_period import advance, follow, resp
 from emps_design.simulation.kernels.linear_period import MORE, flow, solve
 from emps_design.simulation.kernels.motion import (
     ACTUATOR,
+    BEHIND,
     BRAKING,
     COMMAND,
     DELAY,
     DELAYED,
+    DRIVE,
     EXACT,
     FREE,
     GAIN,
@@ -86,14 +90,14 @@ def run(
     ``scratch`` has room for :func:`room` numbers.
     """
     # Pointers from here on: arrays in tuples would be counted, at ten times the cost of the arithmetic.
-    drive = pointer(scratch)  # gap between motor force and command, since when, and what a slide keeps
+    drive = pointer(scratch)  # gap of motor force and command, since when, what a slide keeps; the same of a second lag
     plant = (
         pointer(arrays[0]), pointer(arrays[1]), pointer(arrays[2]), pointer(arrays[3]), pointer(arrays[4]), drive
     )  # fmt: skip
     _, hooks, starts, p, settings, _ = plant
     n, size = reference.size, y.size
     y_, gains_, memory_, events_, found_ = pointer(y), pointer(gains), pointer(memory), pointer(events), pointer(found)
-    bounds, free_row = shifted(drive, 5), shifted(drive, 5)
+    bounds, free_row = shifted(drive, DRIVE), shifted(drive, DRIVE)
     k1, k2, k3 = shifted(free_row, 2), shifted(free_row, 2 + size), shifted(free_row, 2 + 2 * size)
     k4, k5, stage = shifted(k3, size), shifted(k3, 2 * size), shifted(k3, 3 * size)
     largest, new, before = shifted(stage, size), shifted(stage, 2 * size), shifted(stage, 3 * size)
@@ -115,6 +119,10 @@ def run(
     bounds[0], bounds[1] = -np.inf, np.inf
     slides, steady = settings[SLIDES] > 0.0, settings[SLIDES] > 1.0
     exact, lagged = settings[EXACT] > 0.0, settings[LAG] > 0.0
+    # One lag behind another is the sum of both alone, in shares: the partial fractions of 1/((1 + T s)(1 + T' s)).
+    twice, share = settings[BEHIND] > 0.0, 1.0
+    if twice:
+        share = settings[LAG] / (settings[LAG] - settings[BEHIND])
     feel = shifted(before, starts[GUARD + 1] - starts[GUARD])
     if slides:
         feeling(y_, plant, work, feel)
@@ -129,8 +137,9 @@ def run(
         solve(period, 1.0, plant, work, onwards, spare)
         solve(period, -1.0, plant, work, backwards, spare)
     fresh, before_force = False, 0.0
-    tau, reached, s, hint = 0.0, 0.0, 0.0, period
-    drive[0], drive[1], drive[2], drive[3], drive[4] = 0.0, 0.0, 0.0, 0.0, 0.0
+    tau, reached, other, s, hint = 0.0, 0.0, 0.0, 0.0, period
+    for i in range(DRIVE):
+        drive[i] = 0.0
     swings = (0.0, 0.0, 0.0)
     free = settings[FREE] > 0.0
     if y[1] != 0.0 and not free:  # without stick there is no direction to keep
@@ -216,7 +225,9 @@ def run(
                 start = end
                 continue
             if lagged:
-                drive[0], drive[1] = reached - tau, t + start
+                drive[0], drive[1] = reached - share * tau, t + start
+            if twice:
+                drive[5] = other - (1.0 - share) * tau
             if linear and h == period and s * y[1] > 0.0:
                 flowed = flow(y_, h, tau + force, s, plant, work, onwards if s > 0.0 else backwards, new)
                 if flowed:
@@ -225,9 +236,9 @@ def run(
                     reached, fresh, start = tau + drive[0], False, end
                     continue
             way = s if not free else 1.0 if y[1] > 0.0 else -1.0
-            if slides and way * y[1] > 0.0:
+            if slides and way * y[1] > 0.0 and bounds[1] == np.inf:
                 if fresh and steady:
-                    k1[1] += (tau + drive[0] + (force - before_force)) * k2[1]
+                    k1[1] += (tau + (drive[0] + drive[5]) + (force - before_force)) * k2[1]
                 else:
                     fresh = begin(y_, t + start, tau, force, way, steady, plant, work)
                 fresh = fresh and slide(y_, t + start, h, tau, force, way, feel, plant, work, new)
@@ -236,12 +247,17 @@ def run(
                     for i in range(2, size):
                         y[i] = new[i]
                         largest[i] = max(largest[i], abs(new[i]))
-                    reached = tau + drive[0] * (1.0 - drive[4])
-                    before_force = reached + force
+                    reached = share * tau + drive[0] * (1.0 - drive[4])
+                    if twice:
+                        other = (1.0 - share) * tau + drive[5] * (1.0 - drive[6])
+                    before_force = reached + other + force
                     start = end
                     continue
             fresh = False
             reached = motor(t + end, tau, plant)
+            if twice:
+                other = (1.0 - share) * tau + drive[5] * math.exp(-h / settings[BEHIND])
+                reached -= other
             s, hint, status, done = carry(
                 y_, t + start, end - start, tau, force, s, hint, plant, bounds, work, new, before, events_, found_
             )
@@ -254,4 +270,4 @@ def run(
 def room(states: int, guards: int) -> int:
     """Length of ``scratch`` for an axis with so many states and guards."""
     size = states + MORE
-    return 9 + 8 * states + guards + 4 * SPEEDS + 2 * size * (size + 1) + 3 * size * size
+    return DRIVE + 4 + 8 * states + guards + 4 * SPEEDS + 2 * size * (size + 1) + 3 * size * size

@@ -2,8 +2,9 @@
 
 State ``y = [q, v, own states of the effects ..., (work of motor, push, friction, effects)]``, the work where the energy
 balance is asked for. Under a current loop that is not ideal the motor force decays towards its command, a known
-function of time within a hold period. The step is the classical Runge-Kutta rule of order 4 with Zonneveld's embedded
-rule of order 3 (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, table II.4.2).
+function of time within a hold period, and behind a second lag the sum of two. The step is the classical Runge-Kutta
+rule of order 4 with Zonneveld's embedded rule of order 3 (Hairer, Norsett, Wanner, Solving Ordinary Differential
+Equations I, table II.4.2).
 
 ``plant`` is everywhere (baseline, table of hooks, start of each row of the table, parameters, settings, drive): bare
 pointers, as arrays in tuples would be counted at ten times the cost of the arithmetic.
@@ -21,8 +22,9 @@ from emps_design.simulation.kernels.compile import call_kernel, call_rate, fused
 FORCE, DRY, INERTIA, COMMAND, ACTUATOR, DELAY, SENSOR, RATE, GUARD, JUMP, TOUCH, TOUCH_MASS, HELD, MEMORY = range(14)
 # Places in ``settings``.
 (PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, SLIDES, EXACT, ENERGY,
- VISCOUS_P, VISCOUS_N, BRAKING, LEVEL, MASS, MOBILITY, LINEAR) = range(19)  # fmt: skip
-SETTINGS = 19
+ VISCOUS_P, VISCOUS_N, BRAKING, LEVEL, MASS, MOBILITY, LINEAR, BEHIND) = range(20)  # fmt: skip
+SETTINGS = 20
+DRIVE = 7  # numbers of ``drive``
 
 ORDER = 4  # of convergence, measured in the tests
 # What one step may be wrong by in position [m], velocity [m/s], and relative to the largest value of an own state.
@@ -47,11 +49,26 @@ def friction_of(b, settings):
 
 @fused
 def motor(t, tau, plant):
-    """Motor force at ``t`` under the command ``tau``: behind a lag, what is left of the gap there was."""
-    lag, drive = plant[4][LAG], plant[5]
+    """Motor force at ``t`` under the command ``tau``: behind lags, what is left of the gaps there were."""
+    settings, drive = plant[4], plant[5]
+    lag, behind = settings[LAG], settings[BEHIND]
     if lag == 0.0:
         return tau
-    return tau + drive[0] * math.exp(-(t - drive[1]) / lag)
+    force = tau + drive[0] * math.exp(-(t - drive[1]) / lag)
+    if behind > 0.0:
+        force += drive[5] * math.exp(-(t - drive[1]) / behind)
+    return force
+
+
+@fused
+def turning(t, plant):
+    """How long after ``t`` the motor force turns [s]: behind one lag it never does, but only grows or falls."""
+    settings, drive = plant[4], plant[5]
+    lag, behind = settings[LAG], settings[BEHIND]
+    if behind == 0.0 or not drive[0] * drive[5] < 0.0:
+        return np.inf
+    after = drive[1] + math.log(-drive[5] * lag / (drive[0] * behind)) * lag * behind / (lag - behind) - t
+    return after if after > CROSSING else np.inf
 
 
 @fused_inlined

@@ -8,7 +8,18 @@ from __future__ import annotations
 import math
 
 from emps_design.simulation.kernels.compile import fused, fused_inlined, shifted
-from emps_design.simulation.kernels.motion import BRAKING, FREE, LAG, RATE, STATES, TOLERANCE, balance, pull, weigh
+from emps_design.simulation.kernels.motion import (
+    BEHIND,
+    BRAKING,
+    FREE,
+    LAG,
+    RATE,
+    STATES,
+    TOLERANCE,
+    balance,
+    pull,
+    weigh,
+)
 from emps_design.simulation.kernels.path_memory import bent, remember, stiffness, tends
 
 ORDER = 3  # of convergence, measured in the tests
@@ -34,7 +45,7 @@ def begin(y, t, tau, push, s, steady, plant, work):
     """
     drive, settings, starts = plant[5], plant[4], plant[2]
     rub = 0.0 if settings[FREE] > 0.0 else s
-    net, level, mobility = weigh(y, t, tau + drive[0], push, s, plant)
+    net, level, mobility = weigh(y, t, tau + (drive[0] + drive[5]), push, s, plant)
     whole = (net - rub * level) * mobility
     work[0][0], work[0][1], work[1][0], work[1][1] = 0.0, whole, mobility, mobility
     work[2][0], work[2][1], work[4][0] = level, 0.0, 0.0
@@ -55,16 +66,16 @@ def begin(y, t, tau, push, s, steady, plant, work):
 def slide(y, t, h, tau, push, s, feel, plant, work, new):
     """Slide through ``h`` on one evaluation, two or few more; returns whether the step is good.
 
-    Simpson's rule over the acceleration at both ends and in the middle (Lobatto IIIA), for axes without guards and
-    jumps, and without own states but memories of the path. ``work[0][1]`` is the acceleration at the start, known from
-    the end of the last step; ``work[0][0]`` the slope it had there without viscous decay (0: not known) and
-    ``work[4][0]`` that slope's own, ``work[1]`` what a newton of the gap behind a lag adds to the acceleration, and the
-    mobility (see :func:`begin`), ``work[2]`` the level of the dry friction and its curve along the path (see
-    :func:`remember`). ``feel`` holds the derivative of the acceleration by velocity (see :func:`feeling`): velocities
-    that were off are answered by it, positions by the stiffness of the memories, and the sweep is repeated until what
-    that leaves is below the tolerance. Where the acceleration in the middle is what the last steps lead to expect,
-    within the tolerance, the one evaluation there is enough. Where its second difference is large, one step is too long
-    and the general method takes over.
+    Simpson's rule over the acceleration at both ends and in the middle (Lobatto IIIA), for axes without guards, and
+    without own states but memories of the path, where no kernel jumps in time. ``work[0][1]`` is the acceleration at
+    the start, known from the end of the last step; ``work[0][0]`` the slope it had there without viscous decay (0: not
+    known) and ``work[4][0]`` that slope's own, ``work[1]`` what a newton of the gap behind a lag adds to the
+    acceleration, and the mobility (see :func:`begin`), ``work[2]`` the level of the dry friction and its curve along
+    the path (see :func:`remember`). ``feel`` holds the derivative of the acceleration by velocity (see
+    :func:`feeling`): velocities that were off are answered by it, positions by the stiffness of the memories, and the
+    sweep is repeated until what that leaves is below the tolerance. Where the acceleration in the middle is what the
+    last steps lead to expect, within the tolerance, the one evaluation there is enough. Where its second difference is
+    large, one step is too long and the general method takes over.
     """
     stage, settings, half = work[5], plant[4], t + 0.5 * h
     tolerance, bend_most, rub = settings[TOLERANCE], _BEND, s
@@ -81,6 +92,15 @@ def slide(y, t, h, tau, push, s, feel, plant, work, new):
     full_a, full_v, full_q = fading(gap, lag, decay, h, drive[4])
     inside, last = tau + drive[0] * (1.0 - drive[3]), tau + drive[0] * (1.0 - drive[4])
     a0 = work[0][1] - gap
+    behind = settings[BEHIND]
+    if behind > 0.0:
+        gap, gone = drive[5] * work[1][0], -math.expm1(-0.5 * h / behind)
+        drive[6] = -math.expm1(-h / behind)
+        more_a, more_v, more_q = fading(gap, behind, decay, 0.5 * h, gone)
+        half_a, half_v, half_q = half_a + more_a, half_v + more_v, half_q + more_q
+        more_a, more_v, more_q = fading(gap, behind, decay, h, drive[6])
+        full_a, full_v, full_q = full_a + more_a, full_v + more_v, full_q + more_q
+        inside, last, a0 = inside + drive[5] * (1.0 - gone), last + drive[5] * (1.0 - drive[6]), a0 - gap
     slope = work[0][0] - decay * a0
     bow = work[4][0] - decay * slope
     per, fades = 1.0 / h, h * decay
