@@ -90,8 +90,8 @@ def sensitivities(fitted: Fit, slots: tuple[Slot, ...], part: str) -> np.ndarray
 
 
 def admissible(fitted: Fit) -> bool:
-    """Whether every number of ``fitted`` is inside its bounds and still means its effect, and every line is one."""
-    return not on_bound(fitted) and plausible(fitted) and _lines_apart(fitted)
+    """Whether ``fitted`` runs, its numbers are inside their bounds and mean their effects, and its lines are apart."""
+    return bool(fitted.innovations) and not on_bound(fitted) and plausible(fitted) and _lines_apart(fitted)
 
 
 def _lines_apart(fitted: Fit) -> bool:

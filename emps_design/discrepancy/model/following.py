@@ -39,7 +39,12 @@ def band(record: Record) -> float:
 def bandwidth(record: Record, band_hz: float) -> float:
     """Bandwidth [Hz] of the velocity loop that follows ``record``, whose :func:`band` is ``band_hz``."""
     usual = min(BANDWIDTH_HZ, 1 / (LEAST_SAMPLES * record.period))
-    return max(usual, min(band_hz, 1 / (FAST_SAMPLES * record.period)))
+    return max(usual, min(band_hz, _fastest(record)))
+
+
+def _fastest(record: Record) -> float:
+    """The highest bandwidth [Hz] at which ``record`` can be followed by a law that is computed once a sample."""
+    return 1 / (FAST_SAMPLES * record.period)
 
 
 def followed(force: np.ndarray, record: Record, band_hz: float) -> np.ndarray:
@@ -50,14 +55,15 @@ def followed(force: np.ndarray, record: Record, band_hz: float) -> np.ndarray:
 def drive(axis: Axis, record: Record, mass: float, band_hz: float) -> dict[str, Any]:
     """Keywords of :meth:`Plant.closed_loop` that make the simulation of ``record`` start and move as it did.
 
-    ``mass`` [kg] is the model's: a heavier one would else be followed less, and leave less of the force. ``band_hz`` is
-    the :func:`band` of the record.
+    ``mass`` [kg] is the model's: a heavier one would else be followed less, and leave less of the force, and the loop
+    of a much lighter one would be too fast for the sampling. ``band_hz`` is the :func:`band` of the record.
     """
     start = driven_by(axis, record)
     if "law" in start:
         return start
-    rate = 2 * np.pi * bandwidth(record, band_hz)  # rad/s
-    moved = np.hypot(mass, axis.mechanics.mass) / np.sqrt(2.0)
+    own = bandwidth(record, band_hz)
+    rate = 2 * np.pi * own  # rad/s
+    moved = min(np.hypot(mass, axis.mechanics.mass) / np.sqrt(2.0), mass * _fastest(record) / own)
     kp, kv = POSITION_SHARE * rate, moved * rate / axis.drive.gain
     law = position_pd.LAW.law(position_pd.Table(kp=kp, kv=kv), axis, record.period)
     past = np.concatenate((np.full(2, record.q[0]), record.q[:-2]))

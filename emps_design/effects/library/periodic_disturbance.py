@@ -11,6 +11,8 @@ from emps_design.effects import guesses as search
 from emps_design.effects import harmonic
 from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
 
+MOVED = 0.5  # of the mean square of the velocity
+
 
 def force(q, v, t, tau, x, p, b):
     return -p[0] * sin(2.0 * pi * p[2] * t + p[1])
@@ -28,7 +30,11 @@ def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarra
 
 
 def plausible(parameters: Parameters, motion: Motion) -> bool:
-    return parameters["frequency"] * float(motion.t[-1]) > 20  # fewer turns are a drift, or follow the program
+    if parameters["frequency"] * float(motion.t[-1]) <= 20:
+        return False  # fewer turns are a drift, or follow the program
+    # A machine that swings at this frequency itself is moved at it, and the force would pass for its inertia.
+    line = np.mean(motion.v * np.exp(-2j * pi * parameters["frequency"] * motion.t))
+    return bool(2.0 * abs(line) ** 2 < MOVED * np.mean(motion.v**2))
 
 
 def expression(q, v, t, tau, p, b):

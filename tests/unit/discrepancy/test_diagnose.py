@@ -216,6 +216,17 @@ def test_without_a_controller_the_models_follow_the_recorded_motion(effect):
     assert answer.axis.controller.kind == "none"
 
 
+@pytest.mark.parametrize("share", [0.01, 0.05, 0.08, 1.0])
+def test_a_record_is_followed_by_a_light_model_too(share):
+    """The law that follows is sized by the model's mass as well: by the file's alone its loop would swing."""
+    unknown = AXIS.replace(controller={"kind": "none"})
+    start = prepare((record(),), unknown, SHORT, None, None, None).start
+    model = dataclasses.replace(start.model, baseline=start.model.baseline * [share, 1.0, 1.0, 1.0])
+    run = start.with_model(model).run(0)
+    assert np.abs(run.q - start.problem.records[0].q).max() < 6e-3  # m
+    assert np.abs(np.diff(run.u)).max() < 1.0  # V, from sample to sample
+
+
 def test_one_speed_and_an_unknown_controller_tell_neither_mass_nor_friction():
     """The ripple drives the shaft round and round, and mass times acceleration is a line along the turn like it."""
     numbers = {"mass": 0.5, "viscous": 2.0, "coulomb": 5.0, "offset": 0.0}

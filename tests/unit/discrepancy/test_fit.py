@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.fit import admissible, evaluate, fit
+from emps_design.discrepancy.model.fit import admissible, evaluate, fit, sensitivities
 from emps_design.discrepancy.model.least_squares import descend
 from emps_design.discrepancy.model.missing_force import missing_force
 from emps_design.discrepancy.model.partition import split
@@ -14,6 +14,7 @@ from emps_design.discrepancy.model.problem import Hypothesis, Problem, orthonorm
 from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.discrepancy.search.noise_floor import floor_of_laps, floor_of_residual, usual_rms
 from emps_design.effects import get_effect
+from emps_design.errors import SimulationError
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
@@ -64,6 +65,24 @@ def test_a_further_line_of_a_ripple_is_apart_from_the_others_and_sure(period, am
         model = model.with_effect(line, np.atleast_2d(line.values(numbers)))
         hidden.append({"kind": "position_ripple", **numbers})
     assert admissible(fit(Hypothesis(problem(hidden), model), part="used", steps=2)) is apart
+
+
+def test_a_step_that_cannot_be_simulated_tells_nothing(monkeypatch):
+    fitted = evaluate(Hypothesis(problem(), Candidate(AXIS.mechanics.array())))
+    slots, residuals = fitted.model.slots(), Hypothesis.residuals
+
+    def heavier_is_unstable(hypothesis):
+        if hypothesis.model.baseline[0] > AXIS.mechanics.mass:
+            raise SimulationError("unstable", 0.1)
+        return residuals(hypothesis)
+
+    before = sensitivities(fitted, slots, "fit")
+    monkeypatch.setattr(Hypothesis, "residuals", heavier_is_unstable)
+    columns = sensitivities(fitted, slots, "fit")
+    assert not columns[:, 0].any()
+    assert np.array_equal(columns[:, 1:], before[:, 1:])
+    assert admissible(fitted)
+    assert not admissible(evaluate(fitted.with_model(Candidate(AXIS.mechanics.array() * 1.1))))
 
 
 def test_bounds_hold_and_a_model_that_cannot_run_costs_a_lot():

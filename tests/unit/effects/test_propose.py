@@ -73,3 +73,16 @@ def test_the_cogging_of_a_shaft_that_turns_on_and_on():
     force = np.sin(72 * q) + 0.3 * np.random.default_rng(4).standard_normal(t.size)
     found = get_effect("position_ripple").propose(turning, force, B, np.ones(t.size, bool))
     assert found[0]["period"] == pytest.approx(2 * np.pi / 72, rel=5e-3)
+
+
+@pytest.mark.parametrize(("swings", "told"), [(2.0, False), (0.5, True)])
+def test_a_periodic_disturbance_is_told_from_the_motion_of_a_machine_that_swings(swings, told):
+    """A force at the frequency at which the machine is swung to and fro would pass for its inertia."""
+    t = np.arange(12_000) * 1e-3
+    q, rate = 0.1 * np.sin(2 * np.pi * swings * t), 2 * np.pi * swings
+    v, a = 0.1 * rate * np.cos(rate * t), -(rate**2) * q
+    motion = Motion(t, q, v, a, v, 1e-3)
+    disturbance = {"amplitude": 1.0, "phase": 0.0, "frequency": 2.0}
+    assert get_effect("periodic_disturbance").plausible(disturbance, motion) is told
+    turning = Motion(t, 5.0 * t + q, 5.0 + v, a, v, 1e-3)  # which the disturbance itself may swing
+    assert get_effect("periodic_disturbance").plausible(disturbance, turning)
