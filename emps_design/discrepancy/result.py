@@ -184,9 +184,8 @@ class Diagnosis:
             "gap": gap,
             "gap_inverse_60hz": inverse,
             "model_file": self.model_file,
-            "remedies": list(
-                dict.fromkeys(f.remedy for f in self.findings if f.remedy)
-            ),  # once for all lines of a ripple
+            # Once for all lines of a ripple.
+            "remedies": list(dict.fromkeys(f.remedy for f in self.findings if f.remedy)),
             "experiment": None if self.experiment is None else self.experiment.to_dict(),
             **({} if self.response is None else {"response": self.response.to_dict()}),
             **shown,

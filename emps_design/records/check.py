@@ -68,7 +68,8 @@ def checked(
         if one.delay:  # in place, so that no long signal is in memory twice
             values, t = named[one.name], named["t"]
             values[:] = between_samples(one.name, t, values, t + one.delay)
-            notes.append(f"{one.name}: read {1e3 * one.delay:g} ms earlier than it was recorded")
+            way = "earlier" if one.delay > 0 else "later"
+            notes.append(f"{one.name}: read {1e3 * abs(one.delay):g} ms {way} than it was recorded")
     exported = layout.resample or any(one.how != NAMED for one in assigned)
     found, clock_notes, resampled = on_one_clock(named, layout.period if exported else None, source, first_row)
     notes += clock_notes

@@ -94,7 +94,8 @@ def keeps_one_speed(record: Record, used: np.ndarray) -> bool:
 
 def told_by_one_speed(effect: Effect) -> bool:
     """Whether one speed tells ``effect``: a force with a place on the travel, or with a time, and no friction."""
-    return effect.channel == "plant" and effect.over in ("q", "t") and effect.inertia is effect.dry is None
+    force = effect.channel == "plant" and effect.inertia is None and effect.dry is None
+    return force and effect.over in ("q", "t")
 
 
 def _not_excited(record: Record) -> list[str]:
