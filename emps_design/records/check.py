@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.errors import RecordError
-from emps_design.records.clock import Resampled, between_samples, on_one_clock
+from emps_design.records.clock import Resampled, between_samples, held, on_one_clock
 from emps_design.records.columns import OPTIONAL
 from emps_design.records.layout import LONGEST, NAMED, RECOGNISED, Assignment, Layout, assign
 
@@ -131,8 +131,7 @@ def _held(values: Any, t: np.ndarray, resampled: Resampled) -> Any:
     """A further column of the file on the new clock, each value held until the next; anything else as it is."""
     if np.size(values) != t.size or np.asarray(values).dtype.kind not in "buif":
         return values
-    at = resampled.signals["t"] + t[0]
-    return np.ravel(values)[np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 1)]
+    return held(t, np.ravel(values), resampled.signals["t"] + t[0])
 
 
 def _fits(n: int, source: str, most: int) -> None:

@@ -123,9 +123,12 @@ def _resampled(signals: dict[str, np.ndarray], wanted: float, typical: float) ->
 
 def between_samples(name: str, t: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
     """The signal called ``name`` of ``values`` at ``t`` [s], (n,), at other times ``at`` (m,): a switch is held."""
-    if name in STEPWISE:
-        return values[np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 1)]
-    return np.interp(at, t, values)
+    return held(t, values, at) if name in STEPWISE else np.interp(at, t, values)
+
+
+def held(t: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """``values`` (n,) at the times ``t`` [s], each held until the next, at the times ``at`` (m,)."""
+    return values[np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 1)]
 
 
 def interpolation_error(t: np.ndarray, values: np.ndarray) -> tuple[float, float]:
