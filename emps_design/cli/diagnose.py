@@ -23,6 +23,7 @@ FILES = {
     "diagnosis.json": JSON,
     "holdout_prediction.csv": TABLE,
     "experiment.csv": TABLE,
+    "closest_model.toml": AXIS,
     "report.html": PAGE,
 }
 
@@ -42,6 +43,9 @@ def command(
             min=0, max=100_000, help="calibrate on so many simulated records, searched like this one (199: minutes)"
         ),
     ] = 0,
+    closest_model: Annotated[
+        bool, typer.Option("--closest-model", help="also look for the model that follows most closely, cause or not")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help=OVERWRITE)] = False,
     as_json: Annotated[bool, typer.Option("--json", help="one JSON document on standard output")] = False,
 ) -> None:
@@ -68,6 +72,7 @@ def command(
             searches=healthy_runs,
             progress=partial.hears(bar),
             searched=partial.knows,
+            closest=closest_model,
         )
     if out is not None:
         diagnosis = diagnosis.with_file("model.toml")
@@ -95,10 +100,11 @@ def _window(text: str | None, option: str) -> tuple[float, float] | None:
 def _write(diagnosis: Any, out: Path, axis: str) -> None:
     """Write everything into ``out``, all files together or none."""
     from emps_design.discrepancy.experiment.discrimination import FILE
+    from emps_design.discrepancy.validation.closest import FILE as CLOSEST_FILE
     from emps_design.report.diagnosis import diagnosis_page
 
     make_folder(out)
-    trace = diagnosis.trace
+    trace, followed = diagnosis.trace, diagnosis.closest and diagnosis.closest.axis
     with write_together(out) as aside:
         whose = f"numbers that belong to one record (phases, times) are those of {trace.name}"
         head = f"# {one_line(axis)}, extended by emps-design diagnose; {whose}\n"
@@ -109,9 +115,14 @@ def _write(diagnosis: Any, out: Path, axis: str) -> None:
         if diagnosis.experiment is not None and diagnosis.experiment.q_ref is not None:
             experiment = diagnosis.experiment
             _table(aside / experiment.file, ("t", "q_ref"), (experiment.t, experiment.q_ref))
+        if followed is not None:
+            describes = f"# {one_line(axis)}, described by emps-design diagnose as closely as it could; {whose}\n"
+            write_text(aside / CLOSEST_FILE, describes + followed.to_toml())
         write_text(aside / "report.html", diagnosis_page(diagnosis).html())
     if diagnosis.experiment is None or diagnosis.experiment.q_ref is None:
         (out / FILE).unlink(missing_ok=True)  # of a diagnosis before this one
+    if followed is None:
+        (out / CLOSEST_FILE).unlink(missing_ok=True)
 
 
 def _table(path: Path, titles: Sequence[str], columns: Sequence[Any]) -> None:
@@ -148,11 +159,15 @@ def _show(document: dict[str, Any], out: Path | None) -> None:
         console.print(table, width=min(80, console.width))
     if document.get("experiment"):
         console.print(f"Next experiment: {document['experiment']['text']}", highlight=False)
+    closest = document.get("closest")
+    if closest:
+        console.print(f"Closest model: {closest['text']}", highlight=False)
     for remedy in document["remedies"]:
         console.print(f"Remedy: {remedy}", highlight=False)
     if out is not None:
         reference = (document["experiment"] or {}).get("file")
-        written = ["model.toml", "diagnosis.json", "holdout_prediction.csv", *([reference] if reference else [])]
+        more = [name for name in (reference, (closest or {}).get("model_file")) if name]
+        written = ["model.toml", "diagnosis.json", "holdout_prediction.csv", *more]
         console.print(f"Written: {out}/report.html, {', '.join(written)}")
         if reference:
             try_it = f"emps-design simulate {out}/model.toml --reference {out}/{reference}"

@@ -17,6 +17,7 @@ from emps_design.discrepancy.search.calibration import Progress, calibrate, firs
 from emps_design.discrepancy.search.noise_floor import LEFT, Floor, floor_of_residual
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.search.suspects import at_first_sight, told
+from emps_design.discrepancy.validation.closest import closest_of
 from emps_design.discrepancy.validation.verdict import validate
 from emps_design.effects import Effect, known_effects
 from emps_design.records import Record
@@ -37,6 +38,7 @@ def diagnose(
     searches: int = 0,
     progress: Progress | None = None,
     searched: Callable[[Axis], None] | None = None,
+    closest: bool = False,
 ) -> Diagnosis:
     """Find where the closed-loop simulation of ``axis`` and ``records`` disagree, and which effect is missing.
 
@@ -45,7 +47,8 @@ def diagnose(
     effect; its starts and bounds are sized to the axis. ``searches`` healthy records are simulated and searched like
     this one, for the gain that chance alone reaches; 0 takes a linearisation of that. ``progress(stage, share)``
     hears how far it is, ``searched(model)`` the model with which a search ended, before it is confirmed. Of records
-    too long to be searched whole the beginning is, and what its model leaves of the rest is told. Raises
+    too long to be searched whole the beginning is, and what its model leaves of the rest is told. With ``closest`` the
+    answer also has the model that follows the records most closely, whatever its effects stand for. Raises
     :class:`InputError` for records that cannot be judged, and where the controller of ``axis`` is not the one that
     made them.
     """
@@ -70,7 +73,10 @@ def diagnose(
         report("confirming on data not used so far", 0.9)
         validation = validate(outcome)
         rest, more = look_at_the_rest(records, parts, preparation.laws, validation.extended)
-        return explain(validation.beside_something_unknown() if more else validation, rest)
+        if closest:
+            report("looking for the model that follows most closely", 0.95)
+        following = closest_of(validation) if closest else None
+        return explain(validation.beside_something_unknown() if more else validation, rest, following)
 
 
 def _repeated(outcome: Outcome, seed: int, searches: int, report: Progress) -> Outcome:

@@ -13,6 +13,7 @@ from emps_design.discrepancy.explain.extent import EVERYWHERE
 from emps_design.discrepancy.explain.residual_views import View
 from emps_design.discrepancy.explain.unexplained import FROM_THE_LAW
 from emps_design.discrepancy.search.noise_floor import Floor
+from emps_design.discrepancy.validation.closest import Closest
 from emps_design.discrepancy.validation.gap import Gap, Prediction
 from emps_design.frequency_response.comparison import Comparison
 from emps_design.notebook import table
@@ -94,7 +95,8 @@ class Diagnosis:
     """The answer of :func:`emps_design.discrepancy.diagnose`.
 
     ``trace`` is the force over time of the record that confirms, or of the training record; ``response`` what excited
-    records give as a frequency response, beside the extended model.
+    records give as a frequency response, beside the extended model; ``closest`` the model that follows the records most
+    closely, where it was asked for.
     """
 
     verdict: str
@@ -108,6 +110,7 @@ class Diagnosis:
     details: Mapping[str, Any] = field(default_factory=dict)
     experiment: Experiment | None = None
     response: Comparison | None = None
+    closest: Closest | None = None
     model_file: str | None = None
 
     @property
@@ -166,6 +169,7 @@ class Diagnosis:
         | ``not_excluded`` | [{effect, label, size, unit, text}]: the smallest size that would have been seen |
         | ``experiment`` | :meth:`Experiment.to_dict`: what would separate what these data cannot, or None |
         | ``response`` | of records with an excitation: {coupling, model}, as those of ``frf --json`` |
+        | ``closest`` | where asked for: {text, model_file, effects, gap, gap_inverse_60hz, share_of_force} |
         | ``records`` | [{name, role, sha256}] with role "train" or "holdout" |
         | ``calibration`` | str, how the threshold was found |
         | ``assumptions``, ``warnings`` | [str] |
@@ -188,6 +192,7 @@ class Diagnosis:
             "remedies": list(dict.fromkeys(f.remedy for f in self.findings if f.remedy)),
             "experiment": None if self.experiment is None else self.experiment.to_dict(),
             **({} if self.response is None else {"response": self.response.to_dict()}),
+            **({} if self.closest is None else {"closest": self.closest.to_dict(self.model_file is not None)}),
             **shown,
         }
 

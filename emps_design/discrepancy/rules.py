@@ -43,6 +43,7 @@ LEAST_EXPLAINED = 0.4  # of the excess over noise, below which a search is given
 ENOUGH_ROUNDS = 3
 IN_REACH = 1.5  # times the cost of a fit: another shape that leaves more after its first steps does not become the best
 STILL_PAYS = 0.005  # of the cost: a fit that gains less has converged
+WORTH_DESCRIBING = 0.002  # of the cost: what the model that follows most closely must gain by an effect more
 ON_BOUND = 1e-6  # of a number's magnitude: a parameter this close to its bound ended on it
 
 # What is accepted

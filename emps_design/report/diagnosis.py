@@ -13,6 +13,7 @@ from emps_design.report.diagnosis_experiment import experiment_section
 from emps_design.report.diagnosis_sections import (
     answer_points,
     candidates_section,
+    closest_section,
     findings_section,
     gap_section,
     in_plain_words,
@@ -70,6 +71,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     sections = [
         findings_section(findings),
         unexplained_section(document),
+        closest_section(document),
         experiment_section(document.get("experiment"), getattr(diagnosis, "experiment", None)),
         remedy_section(document),
         parameters_section(document),

@@ -150,6 +150,27 @@ def unexplained_section(document: Mapping[str, Any]) -> Section | None:
     )
 
 
+def closest_section(document: Mapping[str, Any]) -> Section | None:
+    """What the model that follows most closely leaves, beside the one that is named."""
+    closest = document.get("closest")
+    if not closest:
+        return None
+    blocks: list[Any] = [Text(sentence_of(closest["text"]))]
+    if "gap" in closest:
+        rows = [
+            [word, record, document[key][part]["extended"], closest[key][part]["extended"], document[key].get("floor")]
+            for key, word in (("gap", document["simulation"]), ("gap_inverse_60hz", "inverse model, 60 Hz"))
+            for part, record in (("train", "training"), ("holdout", "held out"))
+            if part in closest[key]
+        ]
+        caption = "The model for a simulation or a feed-forward that is to come close; for a cause, the one above."
+        headers = ["force error", "record", "named model [N rms]", "closest model [N rms]", "floor [N rms]"]
+        blocks.append(Table(headers, rows, caption))
+    if closest.get("model_file"):
+        blocks.append(Text(html("Its axis file: <code>{}</code>.", closest["model_file"])))
+    return Section("The closest model", *blocks)
+
+
 def candidates_section(diagnosis: Diagnosis, candidates: Sequence[Mapping[str, Any]]) -> Section | None:
     """What was tried, and what each would have left."""
     if not candidates:

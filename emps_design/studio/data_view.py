@@ -19,11 +19,10 @@ from emps_design.report.page import inline
 from emps_design.studio.columns_view import ColumnsView
 from emps_design.studio.jobs import Job
 from emps_design.studio.panes import blocks, html, message
+from emps_design.studio.record_work import CLOSEST_MODEL, NAMED_MODEL, WORK
 from emps_design.studio.state import FRICTIONS, State
-from emps_design.units import Units
 
 LIMIT_MB = 100
-Options = dict[str, str]  # what the tab chose: friction model and filter of an identification
 SUFFIXES = (".mat", ".csv", ".txt", ".tsv", ".npz")
 # The dropper is content with every file that arrived whole; one that is refused must not wear its green tick.
 REFUSED = """
@@ -126,7 +125,10 @@ class DataView:
         self.filter = pn.widgets.Select(
             label="Filter of Identify", options=list(CHAINS), value=DEFAULT_CHAIN, width=110, margin=(4, 6)
         )
-        for choice in (self.friction, self.filter):
+        self.sought = pn.widgets.Select(
+            label="Model of Diagnose", options=[NAMED_MODEL, CLOSEST_MODEL], width=200, margin=(4, 6)
+        )
+        for choice in (self.friction, self.filter, self.sought):
             choice.param.watch(self._of_others, "value")
         self.buttons = {
             name: pn.widgets.Button(label=name, disabled=True, width=110, margin=(24, 6, 4, 6)) for name in WORK
@@ -152,6 +154,7 @@ class DataView:
                         pn.pane.HTML("Friction model", margin=(29, 0, 0, 6)),
                         self.friction,
                         self.filter,
+                        self.sought,
                         margin=0,
                     ),
                     pn.Row(*self.buttons.values(), self.take, margin=(-14, 0, 0, 0)),
@@ -211,8 +214,9 @@ class DataView:
             self._of_others(event)
 
     def _of_others(self, event: Any) -> None:
-        """Show no result of other choices than those that stand above it; only Identify reads friction and filter."""
-        if self.record is not None and (self._work == "Identify" or event.obj is self.machine):
+        """Show no result of other choices than those that stand above it."""
+        reader = "Diagnose" if event.obj is self.sought else "Identify"
+        if self.record is not None and (self._work == reader or event.obj is self.machine):
             self._show(self.record)
 
     @property
@@ -267,7 +271,7 @@ class DataView:
         record, axis = self.record, self._axis
         if name == "Law" and self.model is not None:  # a controller goes on what was found of the same record
             axis = self.model
-        options = {"friction": self.friction.value, "chain": self.filter.value}
+        options = {"friction": self.friction.value, "chain": self.filter.value, "sought": self.sought.value}
 
         def of_this_record(show: Callable[[Any], None]) -> Callable[[Any], None]:
             return lambda outcome: show(outcome) if self.record is record else None
@@ -291,109 +295,3 @@ class DataView:
             self._take(self.model)
             self.machine.options = list(self._machines())
             self._say(f"The design tab now works on {self.model.name}.", "good")
-
-
-def _blocks(units: Units, *blocks: Any) -> str:
-    """Blocks of a report page as HTML in the ``units`` of an axis, without the page around them."""
-    from emps_design.report import Page, Section
-
-    text = Page("", "", (), (Section("Result", *blocks),), units=units).html()
-    start = text.index("</h2>", text.index('<section id="result">')) + len("</h2>")
-    return text[start : text.index("</section>", start)]
-
-
-def identify_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
-    """Identify ``record`` and return the section of the report about it, and the axis it gives."""
-    from emps_design.identification.tested import identify_tested
-    from emps_design.report.record import identification_blocks
-
-    progress("identifying", 0.2)
-    found = identify_tested(record, axis, model=options["friction"], chain=options["chain"])
-    progress("drawing", 0.7)
-    values = ", ".join(
-        f"{name.replace('_', ' ')} {quantity(e.value, e.quantity.unit)}" for name, e in found.parameters.items()
-    )
-    complete = all(estimate.determined for estimate in found.parameters.values())
-    return {
-        "text": f"Identified: {values}; force error {quantity(found.rms_error, 'N')} rms.",
-        "html": _blocks(axis.units, *identification_blocks(found, axis)),
-        "model": found.to_axis(name=f"{axis.name.split(' from ')[0]} from {record.name}") if complete else None,
-        "level": "good" if complete else "warning",
-    }
-
-
-def observe_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
-    """Observe the external force of ``record`` with the parameters of ``axis``."""
-    from emps_design.identification.observation import observe
-    from emps_design.report.observation import observation_blocks
-
-    progress("observing", 0.2)
-    found = observe(record, axis)
-    progress("drawing", 0.7)
-    least = min(found.methods.values(), key=lambda method: method.smallest.value).smallest.value
-    return {
-        "text": f"Observed with {axis.name}: forces below {quantity(least, 'N', 3)} cannot be told from errors.",
-        "html": _blocks(axis.units, *observation_blocks(found)),
-    }
-
-
-def law_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
-    """Tell which controller made ``record``; return its table, and ``axis`` with it where it is told."""
-    from emps_design.identification.controller import identify_law
-    from emps_design.report.law import law_blocks
-
-    progress("trying structures", 0.2)
-    found = identify_law(record, axis.drive.command_unit)
-    progress("drawing", 0.9)
-    table, name = found.controller, f"{axis.name.split(' with the law')[0]} with the law of {record.name}"
-    return {
-        "text": f"Law {found.verdict}: {found.in_words or found.reason}.",
-        "html": _blocks(axis.units, *law_blocks(found)),
-        "model": None if table is None else Axis.from_dict({**axis.to_dict(), "controller": table, "name": name}, name),
-        "level": "good" if found.verdict == "told" else "warning",
-    }
-
-
-def response_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
-    """Estimate the frequency response of ``record``; return it beside the model, and the axis that fits it."""
-    from emps_design.frequency_response import estimate_response
-    from emps_design.report.frequency_response import response_blocks
-
-    found = estimate_response(record, axis, progress=lambda stage, fraction: progress(stage, 0.5 * fraction))
-    progress("fitting", 0.6)
-    compared = found.comparison
-    chain = compared.chain
-    progress("drawing", 0.8)
-    return {
-        "text": f"Response at {len(found.response)} lines by the {found.instrument}: {compared.agreement.sentence}.",
-        "html": _blocks(axis.units, *response_blocks(compared, found.spectral_ratio)),
-        "model": chain.on(axis).replace(name=f"{axis.name} with the response of {record.name}"),
-        "level": "warning" if found.warnings else "good",
-    }
-
-
-def diagnose_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
-    """Find where ``record`` and ``axis`` disagree; return the page's summary and the extended model."""
-    from emps_design.discrepancy.diagnose import diagnose
-    from emps_design.report.diagnosis import diagnosis_page, typeset
-
-    found = diagnose(record, axis, progress=progress)
-    progress("drawing", 0.98)
-    page = diagnosis_page(found)
-    shown = [*page.summary, *(block for section in page.sections for block in section.blocks)]
-    document = found.to_dict()
-    return {
-        "text": typeset(document.get("sentence", document["verdict"])),
-        "html": _blocks(axis.units, *shown),
-        "model": found.axis.replace(name=f"{axis.name} diagnosed on {record.name}"),
-        "level": "warning" if document["findings"] else "good",
-    }
-
-
-WORK = {
-    "Identify": identify_work,
-    "Law": law_work,
-    "Observe": observe_work,
-    "Response": response_work,
-    "Diagnose": diagnose_work,
-}

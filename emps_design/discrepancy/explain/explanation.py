@@ -24,6 +24,7 @@ from emps_design.discrepancy.model.missing_force import MissingForce, missing_fo
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.result import Diagnosis, Finding
 from emps_design.discrepancy.search.acceptance import force_rms
+from emps_design.discrepancy.validation.closest import Closest
 from emps_design.discrepancy.validation.gap import most_missed
 from emps_design.discrepancy.validation.verdict import Validation, wrong_numbers
 from emps_design.effects import get_effect, kind_of
@@ -31,10 +32,10 @@ from emps_design.effects import get_effect, kind_of
 SHOWN_CANDIDATES = 10
 
 
-def explain(validation: Validation, rest: tuple[str, ...] = ()) -> Diagnosis:
+def explain(validation: Validation, rest: tuple[str, ...] = (), closest: Closest | None = None) -> Diagnosis:
     """Say what a validation means: what is missing and where, how much of the gap is closed, what to record next.
 
-    ``rest`` says what was not searched, and what is left there.
+    ``rest`` says what was not searched, and what is left there; ``closest`` what follows most closely, where asked for.
     """
     outcome, problem = validation.outcome, validation.extended.problem
     held_out = outcome.calibration.preparation.held_out
@@ -62,6 +63,7 @@ def explain(validation: Validation, rest: tuple[str, ...] = ()) -> Diagnosis:
         details=details,
         experiment=_experiment(validation, details.get("unexplained")),
         response=measured_response(outcome.calibration.preparation.records, extended),
+        closest=closest,
     )
 
 

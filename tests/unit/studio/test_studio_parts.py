@@ -17,11 +17,13 @@ import pytest
 
 pytest.importorskip("panel", reason="the extra 'studio' is not installed")
 
+from emps_design import discrepancy
 from emps_design.axis import Axis
 from emps_design.cli.app import run
 from emps_design.control.position import PositionLoopDesign
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.control.velocity.structure import PI_WITH_REFERENCE_FILTER
+from emps_design.discrepancy.validation.closest import Closest
 from emps_design.errors import EmpsError, InputError, RecordError, SpecificationError
 from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine, machine_names
@@ -34,6 +36,7 @@ from emps_design.studio.design_view import DesignView
 from emps_design.studio.feasible import KINDS, feasible, plane, reachable_frequencies
 from emps_design.studio.jobs import Job
 from emps_design.studio.plots import PlanePlot
+from emps_design.studio.record_work import CLOSEST_MODEL
 from emps_design.studio.simulated import simulate
 from emps_design.studio.state import CHOICES, SPECIFICATIONS, TASKS, State
 from tests.browser.conftest import Studio
@@ -548,7 +551,7 @@ def test_labels_and_tables_are_in_the_units_of_the_axis():
 
 
 def test_an_excited_record_gives_its_response_and_the_axis_that_fits_it():
-    from emps_design.studio.data_view import response_work
+    from emps_design.studio.record_work import response_work
     from tests.unit.frequency_response.cases import experiment, two_mass
 
     stages = []
@@ -561,7 +564,7 @@ def test_an_excited_record_gives_its_response_and_the_axis_that_fits_it():
 
 def test_the_law_of_a_record_is_shown_and_designed_on(monkeypatch):
     from emps_design.identification import controller
-    from emps_design.studio.data_view import law_work
+    from emps_design.studio.record_work import law_work
 
     axis = machine("emps2019")
     record = synthetic_record(axis, laps=1)
@@ -610,6 +613,32 @@ def test_the_law_goes_on_the_axis_that_was_identified(at_once, monkeypatch):
     view._start("Law")
     assert view.model.mechanics == identified
     assert view.model.controller.kp == 12.0
+
+
+def test_the_model_that_follows_most_closely_is_designed_on_where_it_is_sought(at_once, monkeypatch):
+    closest = machine("emps2019").replace(mechanics={"mass": 91.0})
+    asked = []
+
+    def diagnose(record, axis, progress, closest=False):
+        asked.append(closest)
+        return answer if closest else replace(answer, closest=None)
+
+    record = synthetic_record(machine("emps2019"), laps=3)
+    answer = discrepancy.diagnose(record, machine("emps2019"), library=())
+    answer = replace(answer, closest=Closest("it follows", closest))
+    monkeypatch.setattr(discrepancy, "diagnose", diagnose)
+    view = DataView(lambda: {"axis": machine("emps2019")}, "axis", state, lambda *turn: None, lambda axis: None)
+    view._show(record)
+    view._start("Diagnose")
+    assert view.model.mechanics == answer.axis.mechanics
+    assert "It follows." not in view.result.object
+    view._work = "Diagnose"  # as it is once a job has begun
+    view.sought.value = CLOSEST_MODEL
+    assert view.model is None  # of the other choice
+    view._start("Diagnose")
+    assert view.model.mechanics.mass == 91.0
+    assert "It follows." in view.result.object
+    assert asked == [False, True]
 
 
 def test_a_motion_of_ones_own_is_simulated_under_the_design_and_under_the_drive(at_once):

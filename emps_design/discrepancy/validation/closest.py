@@ -1,0 +1,82 @@
+"""The model that follows the records most closely, judged on the confirming data beside the one that is named."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.discrepancy.search.description import described
+from emps_design.discrepancy.validation.gap import Comparison, Gap, compare
+from emps_design.discrepancy.validation.holdout import compare_on
+from emps_design.discrepancy.validation.verdict import Validation
+from emps_design.effects import get_effect, kind_of
+from emps_design.quantities import rounded
+
+FILE = "closest_model.toml"
+UNNEEDED = "what the model leaves is noise: nothing could follow the records more closely"
+
+
+@dataclass(frozen=True)
+class Closest:
+    """An ``axis`` whose simulation follows the records more closely than the named model's, and by how much.
+
+    ``effects`` are the labels of those that it has and the named model has not. ``axis`` None: there is none, and
+    ``text`` says why. ``train`` and ``holdout`` have its force error as ``extended``; ``share`` is that of the judged
+    record's closed loop over the rms of its motor force.
+    """
+
+    text: str
+    axis: Axis | None = None
+    effects: tuple[str, ...] = ()
+    train: Gap | None = None
+    holdout: Gap | None = None
+    share: float | None = None
+
+    def to_dict(self, written: bool) -> Mapping[str, Any]:
+        """The document's ``closest``: gaps in the contract's form, the effects, and the file if it was ``written``."""
+        judged = {name: gap for name, gap in (("train", self.train), ("holdout", self.holdout)) if gap is not None}
+        gaps = {
+            name: {"unit": "N", **{part: gap.to_dict(measure) for part, gap in judged.items()}}
+            for name, measure in (("gap", ""), ("gap_inverse_60hz", "_60hz"))
+        }
+        known = {} if self.axis is None else {"effects": list(self.effects), **gaps, "share_of_force": self.share}
+        return {"text": self.text, "model_file": FILE if written and self.axis is not None else None, **known}
+
+
+def closest_of(validation: Validation) -> Closest:
+    """The model that follows most closely, where that leaves less of the data that judge than the named one does."""
+    outcome, named = validation.outcome, validation.extended
+    judge = outcome.calibration.judge
+    if not (judge.leaves_structure(named) or judge.leaves_force(named)):
+        return Closest(UNNEEDED)
+    problem, data = named.problem, outcome.calibration.preparation.held_out
+    model = described(outcome.best, outcome.calibration.preparation.library).model
+    baseline = validation.baseline.model
+    train = compare(problem, baseline, model)
+    held_out = None
+    if data is not None:
+        data = replace(data, problem=data.problem.with_whitening(problem.whitening))
+        held_out = compare_on(data, baseline, model)
+    judged, before = held_out or train, validation.held_out or validation.train
+    where = "training" if held_out is None else "held-out"
+    errors = f"{rounded(judged.gap.extended)} N instead of {rounded(before.gap.extended)} N of the {where} force"
+    if judged.gap.extended >= before.gap.extended:
+        return Closest(f"curves over position, velocity and path follow no more closely: they leave {errors}")
+    more = tuple(
+        dict.fromkeys(get_effect(kind_of(name)).label for name in model.names if name not in named.model.names)
+    )
+    listed = ", ".join(label.lower() for label in more) or "other numbers"
+    text = f"with {listed} the simulation leaves {errors}; that describes the machine, and names no cause"
+    axis = judged.extended.to_axis(problem.axis)
+    return Closest(text, axis, more, train.gap, None if held_out is None else held_out.gap, _share(judged))
+
+
+def _share(judged: Comparison) -> float:
+    """The closed loop's force error over the rms of the motor force, on what is used of the record that judges."""
+    prediction = judged.prediction
+    left = (prediction.measured - prediction.extended)[prediction.used]
+    return float(np.linalg.norm(left) / np.linalg.norm(prediction.measured[prediction.used]))
