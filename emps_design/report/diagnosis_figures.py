@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BESIDE = (60, 1)  # widths of a map and of the bar that reads it
+DECADE = 10.0
 EVERYWHERE = 0.5  # a mark over more than this share of a view points at nothing
 _SCALE = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s")}
 
@@ -93,6 +94,8 @@ def _draw_view(axes: Axes, view: Any) -> None:
     )
     if view.quantity in SPECTRAL and x.size and x[0] > 0:
         axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")  # 10 rather than 10 to a power, which has to be set as mathematics
+        axes.xaxis.set_minor_formatter("{x:g}" if x[-1] < DECADE * x[0] else "")
     if view.title:
         axes.set_title(view.title)
     axes.margins(x=0.01)
