@@ -9,7 +9,7 @@ import numpy as np
 
 from emps_design.report.display import quantity, words
 from emps_design.report.page import Picture, Section, Table, Text, html
-from emps_design.report.style import BLUE, look, subplots, thin
+from emps_design.report.style import BLUE, look, plain_subplots, thin
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -60,12 +60,11 @@ def experiment_section(chosen: Mapping[str, Any] | None, experiment: Any = None)
 def reference_figure(t: np.ndarray, q_ref: np.ndarray) -> Figure:
     """Draw a reference: position [m] (n,) over ``t`` [s], and its velocity."""
     with look():
-        figure, (top, bottom) = subplots(2, 1, height=3.6, sharex=True)
+        figure, (top, bottom) = plain_subplots(2, 1, height=3.6, sharex=True)
         top.plot(*thin(t, 1e3 * q_ref), color=BLUE, linewidth=1.3)
         top.set_ylabel("reference [mm]")
         bottom.plot(*thin(t, 1e3 * np.gradient(q_ref, t)), color=BLUE, linewidth=0.9)
         bottom.set(ylabel="velocity [mm/s]", xlabel="time [s]")
         for axes in (top, bottom):
             axes.margins(x=0.01)
-        figure.align_ylabels()
     return figure

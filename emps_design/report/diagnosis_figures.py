@@ -9,12 +9,14 @@ import numpy as np
 
 from emps_design.discrepancy.explain.residual_views import SPECTRAL
 from emps_design.report.display import words
-from emps_design.report.style import BLACK, BLUE, GREY, RED, YELLOW, look, subplots, thin
+from emps_design.report.style import BLACK, BLUE, GREY, RED, YELLOW, look, plain_subplots, thin
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+BESIDE = (60, 1)  # widths of a map and of the bar that reads it
+DECADE = 10.0
 EVERYWHERE = 0.5  # a mark over more than this share of a view points at nothing
 _SCALE = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s")}
 
@@ -22,7 +24,7 @@ _SCALE = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s")}
 def where_figure(diagnosis: Any) -> Figure:
     """Draw the first view of ``diagnosis`` large: mean residual force before and after over one quantity."""
     with look():
-        figure, axes = subplots(height=3.3)
+        figure, axes = plain_subplots(height=3.3)
         _draw_view(axes, diagnosis.views[0])
         axes.legend(loc="best")
     return figure
@@ -32,7 +34,7 @@ def views_figure(views: Sequence[Any]) -> Figure:
     """Draw every view, two beside each other."""
     rows = -(-len(views) // 2)
     with look():
-        figure, grid = subplots(rows, 2, height=2.5 * rows, squeeze=False)
+        figure, grid = plain_subplots(rows, 2, height=2.5 * rows, squeeze=False)
         for axes, view in zip(grid.flat, views, strict=False):
             _draw_view(axes, view)
         for axes in grid.flat[len(views) :]:
@@ -46,10 +48,10 @@ def map_figure(missing: Mapping[str, Any]) -> Figure:
     force = np.array(missing["force"], float)
     most = float(np.nanmax(np.abs(force)))
     with look():
-        figure, axes = subplots(height=3.6)
+        figure, (axes, bar) = plain_subplots(1, 2, height=3.6, width_ratios=BESIDE)
         places = (1e3 * np.array(missing["position"]), 1e3 * np.array(missing["velocity"]))
         shown = axes.pcolormesh(*places, force, cmap="PuOr", vmin=-most, vmax=most, shading="nearest", rasterized=True)
-        figure.colorbar(shown, ax=axes, label="missing force [N]")
+        figure.colorbar(shown, cax=bar, label="missing force [N]")
         axes.set(xlabel="position [mm]", ylabel="velocity [mm/s]")
         axes.grid(visible=False)
     return figure
@@ -59,11 +61,11 @@ def spectrum_figure(spectrum: Mapping[str, Any]) -> Figure:
     """Draw the spectrum of the missing force over time, as ``spectrum_over_time`` of a diagnosis has it."""
     force = np.array(spectrum["force"], float)
     with look():
-        figure, axes = subplots(height=3.0)
+        figure, (axes, bar) = plain_subplots(1, 2, height=3.0, width_ratios=BESIDE)
         shown = axes.pcolormesh(
             spectrum["time"], spectrum["frequency"], force, cmap="Purples", vmin=0.0, shading="nearest", rasterized=True
         )
-        figure.colorbar(shown, ax=axes, label="missing force [N rms in a line]")
+        figure.colorbar(shown, cax=bar, label="missing force [N rms in a line]")
         axes.set(xlabel="time [s]", ylabel="frequency [Hz]")
         axes.grid(visible=False)
     return figure
@@ -92,6 +94,8 @@ def _draw_view(axes: Axes, view: Any) -> None:
     )
     if view.quantity in SPECTRAL and x.size and x[0] > 0:
         axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")  # 10 rather than 10 to a power, which has to be set as mathematics
+        axes.xaxis.set_minor_formatter("{x:g}" if x[-1] < DECADE * x[0] else "")
     if view.title:
         axes.set_title(view.title)
     axes.margins(x=0.01)
@@ -109,7 +113,7 @@ def before_after_figure(diagnosis: Any) -> Figure:
     if np.array_equal(trace.baseline, trace.extended):
         models = models[:1]
     with look():
-        figure, (top, bottom) = subplots(2, 1, height=5.0, sharex=False)
+        figure, (top, bottom) = plain_subplots(2, 1, height=5.0, sharex=False)
         top.plot(*thin(t[inside], trace.measured[inside]), color=BLACK, linewidth=1.9, label="measured")
         for y, color, label in models:
             top.plot(*thin(t[inside], np.asarray(y)[inside]), color=color, linewidth=1.2, label=label)
@@ -161,7 +165,7 @@ def _bars(
     """Bars with their values, cut at ``limit``, and vertical lines (where, colour, style, label) to compare with."""
     bars = [min(value, limit) if limit else value for value in values]
     with look():
-        figure, axes = subplots(height=1.1 + 0.27 * max(len(shown), 2))
+        figure, axes = plain_subplots(height=1.0 + 0.27 * max(len(shown), 2), above=18.0)
         colors = [BLUE if c.get("accepted") else "#B8BFC9" for c in shown]
         axes.barh(range(len(shown)), bars, color=colors, height=0.68, zorder=2)
         axes.set_yticks(range(len(shown)), [c.get("label") or words(c["effect"]) for c in shown])
@@ -177,5 +181,5 @@ def _bars(
         axes.margins(x=0.12)
         axes.set_xlim(left=0)
         if axes.get_legend_handles_labels()[0]:
-            figure.legend(loc="outside upper right", ncols=2)
+            axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.0)
     return figure

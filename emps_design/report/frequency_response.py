@@ -12,7 +12,7 @@ from emps_design.frequency_response.resonances import resonances
 from emps_design.frequency_response.response import BAND
 from emps_design.report.display import number
 from emps_design.report.page import Callout, Picture, Section, Table, Text
-from emps_design.report.style import BLUE, GREEN, GREY, RED, look, subplots
+from emps_design.report.style import BLUE, GREEN, GREY, RED, look, plain_subplots
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,7 +34,7 @@ def response_figure(compared: Comparison, ratio: np.ndarray | None = None) -> Fi
     f, std = response.frequency, response.std
     reach = BAND * std
     with look():
-        figure, (top, middle, bottom) = subplots(
+        figure, (top, middle, bottom) = plain_subplots(
             3, 1, height=7.2, sharex=True, gridspec_kw={"height_ratios": (1.3, 1.0, 0.7)}
         )
         level = 20.0 * np.log10(response.magnitude)

@@ -92,6 +92,21 @@ def subplots(
     return figure, figure.subplots(rows, columns, **options)
 
 
+def plain_subplots(
+    rows: int = 1, columns: int = 1, height: float = 3.2, above: float = 0.0, **options: Any
+) -> tuple[Figure, Any]:
+    """Return what :func:`subplots` does, for axes with nothing around them but labels and titles.
+
+    They are laid out in a fraction of the time; ``above`` [points] is kept free over them.
+    """
+    from matplotlib.figure import Figure
+
+    from emps_design.report.margins import Margins
+
+    figure = Figure(figsize=(WIDTH, height), layout=Margins(above))
+    return figure, figure.subplots(rows, columns, **options)
+
+
 def labelled(figure: Figure, units: Units) -> Figure:
     """Put everything written in ``figure`` into the units and words of an axis, and return the figure."""
     from matplotlib.text import Text
