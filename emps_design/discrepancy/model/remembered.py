@@ -1,4 +1,4 @@
-"""Residuals of models that were simulated before: a search comes back to them, with other noise and other neighbours."""
+"""Residuals of models that were simulated before: a search comes back to them, with other noise or neighbours."""
 
 from __future__ import annotations
 
