@@ -55,7 +55,12 @@ def json_text(document: Any) -> str:
     }
     """
     text = json.dumps(plain(document), indent=1, allow_nan=False, ensure_ascii=False)
-    return "".join(c if c.isprintable() or c == "\n" else _escaped(c) for c in text)
+    return "\n".join(line if line.isprintable() else _printable(line) for line in text.split("\n"))
+
+
+def _printable(line: str) -> str:
+    """``line`` with what is not printable in it escaped."""
+    return "".join(c if c.isprintable() else _escaped(c) for c in line)
 
 
 def _escaped(character: str) -> str:

@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 
 APART = 5e-10  # s, the two sides of a jump in time
 CROSSING = 1e-13  # s, the step over a guard's zero
+HOOKS = ("force", "dry", "inertia", "sensor", "command", "delay", "rate")
 
 
 class Reference:
@@ -19,15 +20,17 @@ class Reference:
 
     def __init__(self, axis):
         self.axis = axis
-        self.b = axis.mechanics.array()
+        self.b = axis.mechanics.array().tolist()  # plain numbers: many times as fast as those of an array
         self.gain = axis.drive.force_gain
         self.limit = axis.drive.command_limit
         self.period = axis.sampling.period
         self.effects = [one.effect for one in axis.effects]
-        self.p = [one.effect.values(one.parameters) for one in axis.effects]
-        self.at = 2 + np.cumsum([0] + [len(effect.states) for effect in self.effects])
+        self.p = [one.effect.values(one.parameters).tolist() for one in axis.effects]
+        self.at = (2 + np.cumsum([0] + [len(effect.states) for effect in self.effects])).tolist()
         self.free = any(effect.takes_dry for effect in self.effects)
         self.bounds = (-np.inf, np.inf)
+        self.lags = [i for i, effect in enumerate(self.effects) if effect.lag is not None]
+        self.have = {hook: [i for i, effect in enumerate(self.effects) if getattr(effect, hook)] for hook in HOOKS}
 
     def call(self, hook, i, t, y, tau):
         """One kernel of effect ``i``: a lag gets the force commanded, all others the force behind it."""
@@ -38,13 +41,11 @@ class Reference:
 
     def acting(self, t, y, tau):
         """Motor force [N] behind the lag, of which there is one at most here."""
-        return tau - sum(self.call("force", i, t, y, tau) for i, one in enumerate(self.effects) if one.lag is not None)
+        return tau - sum([self.call("force", i, t, y, tau) for i in self.lags])
 
     def total(self, hook, t, y, tau):
         t = min(max(t, self.bounds[0]), self.bounds[1])
-        return sum(
-            self.call(hook, i, t, y, tau) for i, effect in enumerate(self.effects) if getattr(effect, hook) is not None
-        )
+        return sum([self.call(hook, i, t, y, tau) for i in self.have[hook]])
 
     def balance(self, t, y, tau):
         mass, viscous, coulomb, offset = self.b
@@ -53,17 +54,17 @@ class Reference:
         return net, level, mass + self.total("inertia", t, y, tau)
 
     def slope(self, t, y, tau, s):
+        dy, y = np.zeros_like(y), y.tolist()
         net, level, mass = self.balance(t, y, tau)
-        dy = np.zeros_like(y)
         if self.free:
             dy[:2] = y[1], net / mass
         elif s:
             dy[:2] = y[1], (net - s * level) / mass
         inside = min(max(t, self.bounds[0]), self.bounds[1])
-        for i, effect in enumerate(self.effects):
-            if effect.rate is not None:
-                own, force = slice(self.at[i], self.at[i + 1]), self.acting(t, y, tau) if effect.lag is None else tau
-                effect.rate(y[0], y[1], inside, force, y[own], self.p[i], self.b, level, dy[own])
+        for i in self.have["rate"]:
+            effect = self.effects[i]
+            own, force = slice(self.at[i], self.at[i + 1]), self.acting(t, y, tau) if effect.lag is None else tau
+            effect.rate(y[0], y[1], inside, force, y[own], self.p[i], self.b, level, dy[own])
         return dy
 
     def leaves(self, t, y, tau):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -14,6 +14,7 @@ from emps_design.axis import Axis
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.following import band, drive, followed
 from emps_design.discrepancy.model.partition import Split
+from emps_design.discrepancy.model.remembered import Remembered
 from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.effects.effect import MASS
 from emps_design.laws import NONE, law_of
@@ -30,7 +31,7 @@ class Problem:
     """Records of one axis and what is needed to judge a model of them.
 
     ``states`` are functions (n, k) along each record that explain nothing: what they could follow of the used samples
-    is taken from every residual.
+    is taken from every residual. ``remembered`` are residuals of the same records, judged with other noise too.
     """
 
     axis: Axis
@@ -38,6 +39,7 @@ class Problem:
     splits: tuple[Split, ...]
     whitening: Whitening
     states: tuple[np.ndarray, ...] = ()
+    remembered: Remembered = field(default_factory=Remembered, compare=False, repr=False)
 
     @cached_property
     def bands(self) -> tuple[float, ...]:
@@ -185,6 +187,13 @@ class Hypothesis:
         A motor that is switched off has no force to compare: there it is what the law would ask for. Where the model
         follows the recorded motion, only what the law that follows can tell is compared.
         """
+        if disturbance is not None:
+            return self._residuals(disturbance)
+        problem, model = self.problem, self.model
+        objects = (problem.axis, *problem.records, *model.effects)
+        return problem.remembered.get(objects, (model.baseline, *model.values), self._residuals)
+
+    def _residuals(self, disturbance: Sequence[np.ndarray | None] | None = None) -> tuple[np.ndarray, ...]:
         problem = self.problem
         left = tuple(
             force - run.force + (0.0 if asked is None else _missing_while_off(problem.axis, record, asked, run))
