@@ -78,6 +78,8 @@ def findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
     if not findings:
         return None
     alike = any(finding.get("equivalents") for finding in findings)
+    notes = [finding.get("note", "") for finding in findings]
+    shared = len(set(notes)) == 1
     headers = [
         "effect",
         "p-value",
@@ -87,11 +89,13 @@ def findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
         "acts in the",
         "where",
         "force up to [N]",
+        *([] if shared else ["remark"]),
+        *(["cannot be told from"] if alike else []),
     ]
-    headers.append("remark")
+    remark = f" {sentence_of(notes[0])}" if shared and notes[0] else ""
     blocks: list[Any] = [
         Table(
-            [*headers, *(["cannot be told from"] if alike else [])],
+            headers,
             [
                 [
                     html("<b>{}</b>", _label(f)),
@@ -102,13 +106,13 @@ def findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
                     f.get("where", {}).get("channel", "plant"),
                     f.get("where", {}).get("text", ""),
                     f.get("where", {}).get("force", {}).get("value"),
-                    f.get("note", ""),
+                    *([] if shared else [note]),
                     *([", ".join(words(e) for e in f.get("equivalents") or ()) or "—"] if alike else []),
                 ]
-                for f in findings
+                for f, note in zip(findings, notes, strict=True)
             ],
             "Findings in the order they were accepted; the gap is the rms error of the simulated force, and the force "
-            "is what the effect itself contributes.",
+            f"is what the effect itself contributes.{remark}",
         )
     ]
     rows = [

@@ -51,7 +51,7 @@ def views(
         moving = window & before.away & (sign * motion.v > 0)
         if moving.sum() > 200:
             result.append(_binned("position", "m", motion.q, pairs, moving, noise, 60, title))
-    result.append(_binned("acceleration", "m/s2", motion.a, pairs, window, noise, 41))
+    result.append(_binned("acceleration", "m/s^2", motion.a, pairs, window, noise, 41))
     result.append(_binned("motor force", "N", before.motion.tau, pairs, window, noise, 41))
     spare = command_limit - np.abs(np.asarray(motion.voltage))
     resisting = tuple(np.sign(motion.tau) * force for force in pairs)
