@@ -63,7 +63,7 @@ def closest_of(validation: Validation) -> Closest:
         held_out = compare_on(data, baseline, model)
     judged, before = held_out or train, validation.held_out or validation.train
     where = "training" if held_out is None else "held-out"
-    errors = f"{rounded(judged.gap.extended)} N instead of {rounded(before.gap.extended)} N of the {where} force"
+    errors = f"{rounded(judged.gap.extended, 3)} N instead of {rounded(before.gap.extended, 3)} N of the {where} force"
     if judged.gap.extended >= before.gap.extended:
         return Closest(f"curves over position, velocity and path follow no more closely: they leave {errors}")
     more = tuple(
