@@ -20,6 +20,7 @@ from emps_design.laws import law_of
 from emps_design.records import Record
 from emps_design.simulation.kernels import baseline as core
 from emps_design.simulation.kernels.batch import LANES, ROWS, run_lanes
+from emps_design.simulation.kernels.lanes import room
 from emps_design.simulation.plant import Plant
 from emps_design.simulation.plants import Plants
 from emps_design.simulation.scenarios import DROPPED
@@ -202,7 +203,7 @@ def _side_by_side(task: dict[str, Any], baselines: np.ndarray) -> np.ndarray:
     q0 = float(measured_q[0] if measured_q.size else reference[0])
     first = min(DROPPED, reference.size - 1)
     result = np.empty((len(padded), len(METRICS)))
-    scratch, none = np.zeros((ROWS, LANES)), np.zeros(2, np.int64)
+    scratch, none = room(ROWS), np.zeros(2, np.int64)
     run_lanes(padded, numbers, (q0, 0.0), reference, push, measured_q, measured_u, first, scratch, none, result)
     n = reference.size - first
     result[:, :3] = np.sqrt(result[:, :3] / n)
