@@ -39,6 +39,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "": (0.0, 1e6),
 }
 ANY_OTHER = (1e-15, 1e15)
+PEOPLE = ("Stribeck", "Maxwell")  # whose capital a label keeps
 
 
 def check_magnitude(name: str, value: float, unit: str, positive: bool = False) -> float:
@@ -162,3 +163,12 @@ def rounded(value: float, places: int = 2) -> str:
     """
     small = 0.0 < abs(value) < 10.0 ** (1 - places)
     return f"{value:.{places}g}" if small else f"{value:.{places}f}"
+
+
+def inside(label: str) -> str:
+    """``label`` as it stands inside a sentence: without its capital, unless that is a name's.
+
+    >>> inside("Position ripple"), inside("Stribeck friction"), inside("Back-EMF braking")
+    ('position ripple', 'Stribeck friction', 'back-EMF braking')
+    """
+    return label if label.startswith(PEOPLE) else label[:1].lower() + label[1:]

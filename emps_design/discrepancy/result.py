@@ -17,7 +17,7 @@ from emps_design.discrepancy.validation.closest import Closest
 from emps_design.discrepancy.validation.gap import Gap, Prediction
 from emps_design.frequency_response.comparison import Comparison
 from emps_design.notebook import table
-from emps_design.quantities import display_unit, rounded
+from emps_design.quantities import display_unit, inside, rounded
 
 SCHEMA = "emps-design/diagnosis/1"
 MOST_IN_FULL = 2  # findings with all their numbers in the sentence
@@ -133,7 +133,7 @@ class Diagnosis:
                 text = "; ".join(finding.in_words() for finding in self.findings)
             else:
                 text = f"{len(self.findings)} effects are missing: "
-                text += ", ".join(f"{f.label.lower()} (up to {f.where['force']['value']:.3g} N)" for f in self.findings)
+                text += ", ".join(f"{inside(f.label)} (up to {f.where['force']['value']:.3g} N)" for f in self.findings)
             rest = ""
             if self.verdict == "partly-named":
                 rest = f" Something else is missing that no effect explains: {self.details['unexplained']['text']}."

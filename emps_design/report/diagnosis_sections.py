@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from emps_design.discrepancy.search.acceptance import explained
+from emps_design.quantities import inside
 from emps_design.report import diagnosis_figures as figures
 from emps_design.report.display import NOTHING, interval, probability, quantity, sentence_of, with_std, words
 from emps_design.report.footer import inputs_table, versions
@@ -31,7 +32,7 @@ def in_plain_words(document: Mapping[str, Any]) -> str:
             "The machine does not do what its model says, and none of the causes that were tried explains it. "
             "More measuring is needed before anything is changed."
         )
-    names = [_label(finding).lower() for finding in findings]
+    names = [inside(_label(finding)) for finding in findings]
     listed = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
     closed = ""
     if None not in (before, after, floor) and before > max(floor, after):
@@ -62,7 +63,7 @@ def _share(confirmed: Mapping[str, float] | None) -> str:
 def answer_points(document: Mapping[str, Any]) -> Points:
     """What was found and how sure, what is left, and what to record next, one line each."""
     lines = [
-        f"Found: {_label(f).lower()}, up to {quantity(f['where']['force']['value'], 'N', 3)}; {how_sure(f)}."
+        f"Found: {inside(_label(f))}, up to {quantity(f['where']['force']['value'], 'N', 3)}; {how_sure(f)}."
         for f in document["findings"]
         if f.get("where", {}).get("force")
     ]

@@ -26,6 +26,7 @@ from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.effects import Effect, get_effect, kind_of
 from emps_design.errors import SimulationError
+from emps_design.quantities import inside
 from emps_design.simulation import Run
 
 FILE = "experiment.csv"
@@ -274,7 +275,7 @@ def _safe(hypothesis: Hypothesis, q_ref: np.ndarray, seen: np.ndarray) -> bool:
 
 def _text(excitation: str, apart: _Apart, needed: float, duration: float) -> str:
     one, other = apart.effects
-    names = f"{one.label.lower()} from {other.label.lower()}"
+    names = f"{inside(one.label)} from {inside(other.label)}"
     far = f"{apart.distance:.2g} N rms and {apart.over_noise:.1f} standard deviations of the noise"
     if apart.over_noise < needed:
         return (

@@ -14,7 +14,7 @@ from emps_design.discrepancy.search.calibration import Calibration
 from emps_design.discrepancy.search.starts import Start, Tangent, tangent
 from emps_design.effects import Effect, Parameter
 from emps_design.errors import SimulationError
-from emps_design.quantities import display_unit
+from emps_design.quantities import display_unit, inside
 
 ABSURD = 1e3  # times the typical size of a parameter
 HIDDEN = "any size: these records do not bring it out"
@@ -61,7 +61,7 @@ def least_visible(rows: Sequence[Mapping[str, Any]]) -> str | None:
     if not bounded:
         return None
     row = max(bounded, key=lambda row: row["size"])
-    return f"{row['text'].removesuffix(' or more')} ({row['label'].lower()})"
+    return f"{row['text'].removesuffix(' or more')} ({inside(row['label'])})"
 
 
 def _by_amplitude(starts: Sequence[Start], gain: float, least: float) -> tuple[Parameter, float | None]:

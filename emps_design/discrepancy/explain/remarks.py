@@ -8,7 +8,7 @@ from emps_design.discrepancy.search.acceptance import force_rms
 from emps_design.discrepancy.search.calibration import Calibration
 from emps_design.discrepancy.validation.verdict import Validation
 from emps_design.effects import get_effect, kind_of
-from emps_design.quantities import rounded
+from emps_design.quantities import inside, rounded
 
 ASSUMPTIONS = (
     "the force gain of the drive is known: an error of it scales every mechanical parameter and shows nowhere else",
@@ -42,7 +42,7 @@ def warnings(validation: Validation) -> list[str]:
     if preparation.held_out is not None:
         remarks += _of_holdout(validation, preparation.held_out)
     if validation.given_up:
-        labels = ", ".join(get_effect(kind_of(name)).label.lower() for name in validation.given_up)
+        labels = ", ".join(inside(get_effect(kind_of(name)).label) for name in validation.given_up)
         remarks.append(
             f"a model with {labels} explains {100 * validation.share:.0f} % of the gap, and does not stand: too little "
             "of it, not on both records, or too many others would do"
@@ -77,12 +77,12 @@ def _limits(validation: Validation) -> list[str]:
 
 def _of_holdout(validation: Validation, held_out: HeldOut) -> list[str]:
     remarks = [
-        f"{get_effect(kind_of(a.name)).label.lower()} fitted the training record and is withdrawn: the confirming "
+        f"{inside(get_effect(kind_of(a.name)).label)} fitted the training record and is withdrawn: the confirming "
         f"record asks for {a.share:.2f} +- {a.std:.2f} of it"
         for a in validation.refuted
     ]
     if held_out.added not in ("", *validation.extended.model.names):
-        label = get_effect(held_out.added).label.lower()
+        label = inside(get_effect(held_out.added).label)
         remarks.append(f"{label} on the confirming record, seen in its voltage: taken as known there, by both models")
     elif held_out.law is not None and held_out.law.unexplained:
         remarks.append("the controller's law has a gap on the confirming record too, taken as known there")

@@ -11,6 +11,7 @@ from emps_design.effects import Effect, Motion
 from emps_design.effects.effect import MASS, VISCOUS
 from emps_design.effects.guesses import absorb, thin
 from emps_design.observer import motor_force
+from emps_design.quantities import inside
 
 BLOCK_TIME = 8e-3  # s, of the means that are looked at
 LEAST = 0.1  # share of the residual, below which nothing stands out
@@ -83,5 +84,5 @@ def told(shares: dict[str, float]) -> str:
     '; suspects: end stop 41 %, backlash 30 %'
     """
     ranked = sorted(((share, label) for label, share in shares.items() if share >= LEAST), reverse=True)[:MOST]
-    named = ", ".join(f"{label[0].lower()}{label[1:]} {100 * min(share, 1.0):.0f} %" for share, label in ranked)
+    named = ", ".join(f"{inside(label)} {100 * min(share, 1.0):.0f} %" for share, label in ranked)
     return f"; suspects: {named}" if named else ""

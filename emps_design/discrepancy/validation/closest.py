@@ -14,7 +14,7 @@ from emps_design.discrepancy.validation.gap import Comparison, Gap, compare
 from emps_design.discrepancy.validation.holdout import compare_on
 from emps_design.discrepancy.validation.verdict import Validation
 from emps_design.effects import get_effect, kind_of
-from emps_design.quantities import rounded
+from emps_design.quantities import inside, rounded
 
 FILE = "closest_model.toml"
 UNNEEDED = "what the model leaves is noise: nothing could follow the records more closely"
@@ -69,7 +69,7 @@ def closest_of(validation: Validation) -> Closest:
     more = tuple(
         dict.fromkeys(get_effect(kind_of(name)).label for name in model.names if name not in named.model.names)
     )
-    listed = ", ".join(label.lower() for label in more) or "other numbers"
+    listed = ", ".join(map(inside, more)) or "other numbers"
     text = f"with {listed} the simulation leaves {errors}; that describes the machine, and names no cause"
     axis = judged.extended.to_axis(problem.axis)
     return Closest(text, axis, more, train.gap, None if held_out is None else held_out.gap, _share(judged))

@@ -191,7 +191,7 @@ def test_the_first_screen_says_what_was_found_how_sure_what_is_left_and_what_to_
     left = {"rms": 2.3, "share": 0.18, "over": ["position"], "text": "2.3 N rms over the noise; it follows position"}
     diagnosis.document["unexplained"] = left | {"map": diagnosis.document.get("unexplained", {}).get("map")}
     plain = in_plain_words(diagnosis.document)
-    assert "one cause has been found: stribeck friction" in plain
+    assert "one cause has been found: Stribeck friction" in plain
     assert "played no part in finding them agrees" in plain
     assert "Something is left that nothing known explains" in plain
     points = [str(line) for line in answer_points(diagnosis.document).items]
