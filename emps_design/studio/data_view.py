@@ -126,7 +126,7 @@ class DataView:
             label="Filter of Identify", options=list(CHAINS), value=DEFAULT_CHAIN, width=110, margin=(4, 6)
         )
         self.sought = pn.widgets.Select(
-            label="Model of Diagnose", options=[NAMED_MODEL, CLOSEST_MODEL], width=200, margin=(4, 6)
+            label="Model of Diagnose", options=[NAMED_MODEL, CLOSEST_MODEL], width=100, margin=(4, 6)
         )
         for choice in (self.friction, self.filter, self.sought):
             choice.param.watch(self._of_others, "value")

@@ -11,7 +11,7 @@ from emps_design.report.display import quantity
 from emps_design.units import Units
 
 Options = dict[str, str]  # what the tab chose: friction model and filter of Identify, model of Diagnose
-NAMED_MODEL, CLOSEST_MODEL = "what has a name", "what follows most closely"
+NAMED_MODEL, CLOSEST_MODEL = "named", "closest"
 
 
 def _blocks(units: Units, *blocks: Any) -> str:
