@@ -83,12 +83,17 @@ def _settings() -> dict[str, Any]:
 
 
 def subplots(
-    rows: int = 1, columns: int = 1, height: float = 3.2, width: float = WIDTH, **options: Any
+    rows: int = 1,
+    columns: int = 1,
+    height: float = 3.2,
+    width: float = WIDTH,
+    layout: Any = "constrained",
+    **options: Any,
 ) -> tuple[Figure, Any]:
     """Return a figure of the page's width [in] without a display, and its axes; call inside :func:`look`."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = Figure(figsize=(width, height), layout=layout)
     return figure, figure.subplots(rows, columns, **options)
 
 
@@ -99,12 +104,9 @@ def plain_subplots(
 
     They are laid out in a fraction of the time; ``above`` [points] is kept free over them.
     """
-    from matplotlib.figure import Figure
-
     from emps_design.report.margins import Margins
 
-    figure = Figure(figsize=(WIDTH, height), layout=Margins(above))
-    return figure, figure.subplots(rows, columns, **options)
+    return subplots(rows, columns, height, layout=Margins(above), **options)
 
 
 def labelled(figure: Figure, units: Units) -> Figure:

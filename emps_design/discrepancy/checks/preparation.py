@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -46,6 +46,10 @@ class HeldOut:
     def added(self) -> str:
         """Name of the effect that the controller adds here, or ""."""
         return "" if self.law is None else self.law.added
+
+    def with_whitening(self, whitening: Whitening) -> HeldOut:
+        """The same data judged with other noise."""
+        return replace(self, problem=self.problem.with_whitening(whitening))
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -59,8 +59,7 @@ def closest_of(validation: Validation) -> Closest:
     train = compare(problem, baseline, model)
     held_out = None
     if data is not None:
-        data = replace(data, problem=data.problem.with_whitening(problem.whitening))
-        held_out = compare_on(data, baseline, model)
+        held_out = compare_on(data.with_whitening(problem.whitening), baseline, model)
     judged, before = held_out or train, validation.held_out or validation.train
     where = "training" if held_out is None else "held-out"
     errors = f"{rounded(judged.gap.extended, 3)} N instead of {rounded(before.gap.extended, 3)} N of the {where} force"

@@ -76,7 +76,7 @@ def validate(outcome: Outcome) -> Validation:
     calibration = outcome.calibration
     problem, data = calibration.baseline.problem, calibration.preparation.held_out
     if data is not None:
-        data = replace(data, problem=data.problem.with_whitening(problem.whitening))
+        data = data.with_whitening(problem.whitening)
     start = fit(calibration.baseline, part="used")
     searched = calibration.judge.refitted(outcome.best) if len(outcome.path) > 1 else start
     answer, share, left_over = _all_or_nothing(outcome, data, start, searched)
