@@ -126,7 +126,8 @@ def refit(drive: Drive, q_ref: np.ndarray, u: np.ndarray) -> Drive:
         jacobian = np.column_stack(columns) / 2
         normal, slope = jacobian.T @ jacobian, jacobian.T @ r
         for _ in range(5):
-            moved = x - step * np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slope)
+            downhill = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slope)
+            moved = np.maximum(x - step * downhill, lowest)  # beyond a bound no step of a number changes anything
             left = residual(moved)
             if left @ left < r @ r:
                 break
@@ -136,7 +137,7 @@ def refit(drive: Drive, q_ref: np.ndarray, u: np.ndarray) -> Drive:
         gained, x, r, damping = 1 - (left @ left) / (r @ r), moved, left, damping / 10
         if gained < 1e-4:
             break
-    return replace(drive, **dict(zip(names, np.maximum(x, lowest), strict=True)))
+    return replace(drive, **dict(zip(names, x, strict=True)))
 
 
 def own_gap(drive: Drive, q_ref: np.ndarray, u: np.ndarray, hidden: dict[str, float], own: dict[str, float]) -> float:

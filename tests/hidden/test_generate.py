@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.hidden.drives import EFFECTS, FURTHER, TURNING, UNKNOWN
-from tests.hidden.generate import SMALL, Case, cases, main, make
+from tests.hidden.drives import EFFECTS, FURTHER, TURNING, UNKNOWN, draw_drive
+from tests.hidden.generate import SMALL, Case, cases, main, make, refit, run
 from tests.hidden.plant import NAMES, numbers
+from tests.hidden.programs import laps
 
 
 def test_sets_are_complete():
@@ -69,6 +70,16 @@ def test_a_healthy_drive_has_no_gap():
     truth = make(cases("healthy")[0], seed=5)["truth.json"]
     assert truth["effects"] == ["none"]
     assert truth["baseline_closed_loop"] == pytest.approx(truth["floor_closed_loop"], rel=0.02)
+
+
+def test_a_baseline_stays_within_its_bounds():
+    rng = np.random.default_rng(4)
+    drive = draw_drive(rng)
+    q_ref = laps(rng, drive.travel, drive.speeds, drive.acceleration, 1, drive.period)
+    u = run(replace(drive, viscous=-2 * drive.viscous), q_ref, numbers())[1]  # a plant that drives itself
+    fitted = refit(drive, q_ref, u)
+    assert fitted.viscous == 0.0
+    assert fitted.mass == pytest.approx(drive.mass, rel=0.05)
 
 
 def test_an_unknown_number_is_refused():
