@@ -15,7 +15,7 @@ SEED = 20
         (Case(("position_ripple",), 2, 2), True),
         (Case(("mass_change",), 2, 2), True),
         (Case(("elastic_force",), 2, 2), False),
-        (Case(("unknown_cross",), 1, 1), False),
+        (Case(("unknown_magnet",), 1, 1), False),
         (Case((), 1, 0), False),
     ],
     ids=lambda value: getattr(value, "name", value),
