@@ -9,7 +9,7 @@ import numpy as np
 
 from emps_design.discrepancy.model.missing_force import CUTOFF_HZ, SLOWEST, MissingForce
 from emps_design.effects import Motion
-from emps_design.effects.guesses import thin
+from emps_design.effects.guesses import squares_explained, thin
 
 REVERSAL_TIME = 0.2  # s, drawn on both sides of a reversal
 MAP_CELLS = 36  # of position and of velocity in the map
@@ -98,15 +98,15 @@ def _around_reversals(
 
 def _periods(motion: Motion, pairs: tuple[np.ndarray, np.ndarray], away: np.ndarray) -> list[View]:
     """Amplitude of the force at each period of position (Lomb and Scargle), away from reversals."""
-    from scipy.signal import lombscargle
-
     kept = thin(away)
     stroke = float(np.ptp(motion.q))
     if kept.size < 200 or stroke <= 0:
         return []
     periods = np.geomspace(stroke / 3, stroke / 300, 400)
-    q = motion.q[kept]
-    amplitudes = [np.sqrt(4 * lombscargle(q, f[kept] - f[kept].mean(), 2 * np.pi / periods) / kept.size) for f in pairs]
+    phase = motion.q[kept][:, None] * (2 * np.pi / periods)
+    waves, mean = (np.sin(phase), np.cos(phase)), np.full((kept.size, 1), kept.size**-0.5)
+    explained = [squares_explained(f[kept] - f[kept].mean(), mean, *waves) for f in pairs]
+    amplitudes = [np.sqrt(2 * squares / kept.size) for squares in explained]
     return [View("period of position", "m", periods[::-1], amplitudes[0][::-1], amplitudes[1][::-1])]
 
 
