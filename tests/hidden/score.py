@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+import resource
 import subprocess
 import sys
 import tempfile
-import time
 import tomllib
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -45,7 +45,7 @@ class Score:
     exact: bool
     false: tuple[str, ...]
     closed: float
-    seconds: float
+    seconds: float  # of processor time: it depends little on what else the machine does
     note: str = ""
     seen: tuple[str, ...] = ()  # of the hidden effects, those whose own share of the gap stands out of the noise
     share: float = 1.0  # of the ordinary size at which the effect was hidden
@@ -110,7 +110,7 @@ def gap_closed(case: Path, out: Path, truth: dict) -> float:
 def score(case: Path, timeout: float = TIMEOUT) -> Score:
     """Diagnose one case in a process of its own; a crash or a late answer is wrong."""
     truth = json.loads((case / "truth.json").read_text(encoding="utf-8"))
-    hidden, started = tuple(truth["effects"]), time.monotonic()
+    hidden, started = tuple(truth["effects"]), _processor_time()
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "emps_design.cli", "diagnose", str(case / "train.npz")]
         command += [
@@ -124,14 +124,14 @@ def score(case: Path, timeout: float = TIMEOUT) -> Score:
         ]
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=True)
-            seconds, answer = time.monotonic() - started, json.loads(done.stdout)
+            seconds, answer = _processor_time() - started, json.loads(done.stdout)
             result, exact, false = judge(answer, truth)
             closed = gap_closed(case, Path(folder), truth)
         except (subprocess.SubprocessError, ValueError, OSError) as error:
             # That of what ran too long is bytes, and says no more than how far it was.
             told = error.stderr if isinstance(error, subprocess.CalledProcessError) else ""
             said = (told or str(error)).strip().splitlines()[-1:]
-            return Score(case.name, hidden, (), "", "wrong", False, (), math.nan, time.monotonic() - started, *said)
+            return Score(case.name, hidden, (), "", "wrong", False, (), math.nan, _processor_time() - started, *said)
     named = tuple(f["effect"] for f in answer["findings"])
     said = Score(case.name, hidden, named, answer["verdict"], result, exact, false, closed, seconds)
     claims = {name for f in answer["findings"] for name in (f["effect"], *f["equivalents"][:MOST_EQUIVALENTS])}
@@ -139,10 +139,16 @@ def score(case: Path, timeout: float = TIMEOUT) -> Score:
     return replace(said, seen=tuple(truth.get("seen", said.known)), share=truth.get("share", 1.0))
 
 
+def _processor_time() -> float:
+    """Seconds that the processes which this one started, and which have ended, have had of a processor."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def score_all(folder: Path, only: str = "", jobs: int = 1, timeout: float = TIMEOUT) -> Iterator[Score]:
-    """Scores of the cases below ``folder``, as they are done, in order."""
+    """Scores of the cases below ``folder``, as they are done, in order; ``jobs`` processes each score one at a time."""
     chosen = sorted(path.parent for path in folder.glob("*/truth.json") if only in path.parent.name)
-    with ThreadPoolExecutor(jobs) as pool:
+    with ProcessPoolExecutor(jobs) as pool:
         yield from pool.map(partial(score, timeout=timeout), chosen)
 
 
@@ -171,7 +177,7 @@ def summary(scores: list[Score]) -> dict[str, Any]:
         "asked_for": {"count": sum(asked), "of": len(asked), "interval": wilson(sum(asked), len(asked))},
         "false_names": {"count": false, "of": named, "interval": wilson(false, named)},
         "median_gap_closed": float(np.median(closed)) if closed else math.nan,
-        "median_seconds": float(np.median([s.seconds for s in scores])) if scores else math.nan,
+        "median_processor_seconds": float(np.median([s.seconds for s in scores])) if scores else math.nan,
     }
 
 
@@ -180,12 +186,14 @@ def wilson(count: int, of: int) -> list[float]:
 
     >>> [round(end, 3) for end in wilson(9, 10)]
     [0.596, 0.982]
+    >>> wilson(0, 15)[0]
+    0.0
     """
     if not of:
         return [0.0, 1.0]
     z, share = 1.96, count / of
     middle, half = share + z**2 / (2 * of), z * math.sqrt(share * (1 - share) / of + z**2 / (4 * of**2))
-    return [(middle - half) / (1 + z**2 / of), (middle + half) / (1 + z**2 / of)]
+    return [max(middle - half, 0.0) / (1 + z**2 / of), min((middle + half) / (1 + z**2 / of), 1.0)]
 
 
 def share_found(scores: list[Score]) -> list[tuple[float, int, int]]:
@@ -216,7 +224,7 @@ def table(scores: list[Score], seed: int, which: str = "all", repeats: bool = Tr
         f"{count['abstained']} abstained, {count['too_small']} too small, of {count['effects']}. "
         f"Healthy: {count['false_alarms']} false alarms of {count['healthy']}. "
         f"Unknown physics alone: {count['unknown_right']} of {count['unknown']} called unnamed. "
-        f"Median gap closed {count['median_gap_closed']:.2f}, median time {count['median_seconds']:.0f} s.",
+        f"Median gap closed {count['median_gap_closed']:.2f}, median of {count['median_processor_seconds']:.0f} s of processor time.",
         "",
         f"Effects that stand out of the noise: {_counted(asked)} named. Names: {_counted(false)} false "
         "(in brackets 95 %, Wilson).",
