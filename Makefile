@@ -5,6 +5,7 @@ VENV ?= .venv
 EXTRAS ?= test,studio
 FUZZ ?= 10000
 KILLS ?= 200
+SEED ?= 10002
 # The versions that everything was tested with; CONSTRAINTS= takes the newest that pyproject.toml allows.
 CONSTRAINTS ?= constraints.txt
 WORKERS ?= auto
@@ -49,9 +50,8 @@ fuzz: $(call MARK,$(EXTRAS))
 	@$(BIN)/python -m tests.kills $(KILLS)
 
 hidden: $(call MARK,$(EXTRAS))
-	@$(BIN)/python -m tests.hidden
-	@$(BIN)/python -m tests.hidden --no-laps
-	@for set in several beside unknown small; do $(BIN)/python -m tests.hidden --cases $$set --seed 10002 --count 24; done
+	@for set in "all" "all --no-laps" "several --count 40" "beside --count 24" "unknown --count 24" "small --count 24" \
+		"healthy --count 200"; do $(BIN)/python -m tests.hidden --seed $(SEED) --cases $$set || exit 1; done
 
 coverage: $(call MARK,$(EXTRAS))
 	@$(BIN)/python -m benchmarks.coverage

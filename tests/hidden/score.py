@@ -224,7 +224,8 @@ def table(scores: list[Score], seed: int, which: str = "all", repeats: bool = Tr
         f"{count['abstained']} abstained, {count['too_small']} too small, of {count['effects']}. "
         f"Healthy: {count['false_alarms']} false alarms of {count['healthy']}. "
         f"Unknown physics alone: {count['unknown_right']} of {count['unknown']} called unnamed. "
-        f"Median gap closed {count['median_gap_closed']:.2f}, median of {count['median_processor_seconds']:.0f} s of processor time.",
+        f"Medians: {count['median_gap_closed']:.2f} of the gap closed, "
+        f"{count['median_processor_seconds']:.0f} s of processor time.",
         "",
         f"Effects that stand out of the noise: {_counted(asked)} named. Names: {_counted(false)} false "
         "(in brackets 95 %, Wilson).",
