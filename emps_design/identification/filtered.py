@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from emps_design.effects import Motion
 class Filtered:
     """A record after its chain of filters.
 
-    ``motion`` has one row for each sample of the record that was kept (None once W is made of it), and ``reduce``
+    ``motion`` has one row for each sample of the record that was kept (none once W is made of it), and ``reduce``
     brings such a column to the rate of the regression. At that rate are ``t`` [s], ``force`` [N] and ``f_ext`` [N],
     which rows are ``used``, and which lie ``away`` from rest; ``period`` [s] is the time between two rows.
     ``cutoff_hz`` [Hz] is the low-pass of the position (None: the chain has none), ``band_hz`` [Hz] what the regression
@@ -22,7 +22,7 @@ class Filtered:
     """
 
     chain: str
-    motion: Motion | None = field(repr=False)
+    motion: Motion = field(repr=False)
     t: np.ndarray = field(repr=False)
     force: np.ndarray
     f_ext: np.ndarray | None
@@ -34,3 +34,8 @@ class Filtered:
     band_hz: float
     decimation: int
     text: str
+
+    def without_motion(self) -> Filtered:
+        """The same with no row of motion: three columns of the whole record, which nothing needs once W is made."""
+        none = np.zeros(0)
+        return replace(self, motion=Motion(none, none, none, none, none, self.motion.period))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -70,7 +69,7 @@ def identify(
         cutoff_hz = chosen
     filtered = filter_record(record, axis, chain, cutoff_hz)
     W, Y = regression(filtered, model)
-    filtered = replace(filtered, motion=None)  # three columns of the whole record, which nothing after this needs
+    filtered = filtered.without_motion()
     names = tuple(p.name for p in parameters_of(model))
     fit = least_squares(W, Y, names, filtered.used)
     extra: dict[str, Any] = {

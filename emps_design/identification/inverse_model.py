@@ -180,7 +180,8 @@ def _triangle(W: np.ndarray, Y: np.ndarray) -> np.ndarray:
     r = np.zeros((0, W.shape[1] + 1))
     for start in range(0, len(W), BLOCK):
         block = slice(start, start + BLOCK)
-        r = np.linalg.qr(np.vstack([r, np.column_stack([W[block], Y[block]])]), mode="r")
+        # An array by this mode; numpy's annotations have what the other modes return.
+        r = np.asarray(np.linalg.qr(np.vstack([r, np.column_stack([W[block], Y[block]])]), mode="r"))
     return r
 
 

@@ -164,10 +164,7 @@ def observe(
     del seen, offline
     share = 1 / (1 + len(online))
     for index, (name, one) in enumerate(online.items(), 1):
-        begun = index * share
-        force = observe_online(
-            one, record.q, record.u, lambda done, n=name, b=begun: tell(f"{n} observer", b + share * done)
-        )
+        force = observe_online(one, record.q, record.u, _stage(tell, f"{name} observer", index * share, share))
         methods[name] = _judge(record, axis, force, one.delay, ends[name], parameter, settings[name])
     return Observation(
         record=record.name,
@@ -178,6 +175,11 @@ def observe(
         methods=methods,
         warnings=tuple(warnings),
     )
+
+
+def _stage(tell: Callable[[str, float], None], name: str, begun: float, share: float) -> Callable[[float], None]:
+    """What a stage tells that has ``begun`` at that fraction of the whole and takes a ``share`` of it."""
+    return lambda done: tell(name, begun + share * done)
 
 
 def direct_validation(record: Record, axis: Axis, model: str = "asymmetric", **options: Any) -> Identification:

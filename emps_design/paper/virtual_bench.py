@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from emps_design.records import Record
 from emps_design.simulation import Plant
 
 
-def friction_noise(q, v, t, tau, x, p, b):
+def friction_noise(q: float, v: float, t: float, tau: float, x: np.ndarray, p: np.ndarray, b: np.ndarray) -> float:
     """Kernel of a force [N] that follows samples ``p[2:]`` at ``p[0]`` Hz and grows with speed over ``p[1]`` m/s."""
     k = int(t * p[0])
     share = t * p[0] - k
@@ -47,7 +48,7 @@ _NOISE = Effect(
 )
 
 
-def bent_friction(q, v, t, tau, x, p, b):
+def bent_friction(q: float, v: float, t: float, tau: float, x: np.ndarray, p: np.ndarray, b: np.ndarray) -> float:
     """Kernel: ``p[0]`` or ``p[1]`` [N] at 0.1 m/s forth and back, to the power ``p[2]`` of the speed; odd near rest."""
     amount = p[0] if v > 0.0 else p[1]
     return amount * (v / 0.1) * ((v * v + 1e-8) / 0.01) ** (0.5 * (p[2] - 1.0))
@@ -56,8 +57,8 @@ def bent_friction(q, v, t, tau, x, p, b):
 def bend_of(velocity: np.ndarray, given: Mapping[str, float] | None = None) -> np.ndarray:
     """Force of the bend [N] at velocities (n,) [m/s]."""
     n = numbers() if given is None else given
-    p = (n["bend_positive"], n["bend_negative"], n["bend_exponent"])
-    return np.array([bent_friction(0.0, v, 0.0, 0.0, None, p, None) for v in velocity])
+    p, none = np.array([n["bend_positive"], n["bend_negative"], n["bend_exponent"]]), np.zeros(0)
+    return np.array([bent_friction(0.0, v, 0.0, 0.0, none, p, none) for v in velocity])
 
 
 # As the package's nonlinear viscous friction, but with an amount for each direction, as Tables I and II ask for.
@@ -191,7 +192,8 @@ def comanipulation_experiment(n: Mapping[str, float], rng: np.random.Generator, 
 
 def identification_trajectory(n: Mapping[str, float], period: float) -> np.ndarray:
     """Position reference (n,) [m]: trapezoids of velocity, ramps half of the time, at four speeds, forth and back."""
-    samples, pieces = int(n["duration"] / period), []
+    samples = int(n["duration"] / period)
+    pieces: list[np.ndarray] = []
     shares = (1.0, 0.35, 0.7, 0.2)
     while sum(map(len, pieces)) < samples:
         share = shares[(len(pieces) // 2) % len(shares)]
@@ -211,7 +213,8 @@ def operator_force(n: Mapping[str, float], period: float, rng: np.random.Generat
     >>> len(force), bool(abs(force).max() <= 5.0)
     (40000, True)
     """
-    samples, force, level = int(n["hand_duration"] / period), [], 0.0
+    samples, level = int(n["hand_duration"] / period), 0.0
+    force: list[float] = []
     while len(force) < samples:
         # Forth and back by the same, so that the carriage stays in its small workspace.
         size = rng.uniform(n["hand_least"], 1.0) * n["hand_force"]
@@ -236,7 +239,9 @@ def break_away_test(axis: Axis, direction: float, rate: float = 0.5) -> float:
     return float(gain * abs(u[moved[0]]))
 
 
-def _machine(axis, n, rng, scale, samples) -> tuple[Plant, dict]:
+def _machine(
+    axis: Axis, n: Mapping[str, float], rng: np.random.Generator, scale: float, samples: int
+) -> tuple[Plant, dict[str, Any]]:
     """The bench's machine for one experiment of so many samples, and the options of its simulation."""
     period = axis.sampling.period
     decay = np.exp(-period / n["friction_noise_time"])

@@ -162,11 +162,12 @@ def assemble_report(
         from emps_design.report.frequency_response import response_section
 
         measured = response_section(Comparison(response, loaded))
-    assessed, stops = None, ()
+    assessed = None
+    stops: tuple[str, ...] = ()
     controller = loaded.controller
     if mass is None and has_impedance_law(loaded):
         mass, damping = controller.mass, controller.damping
-    if mass is not None:
+    if mass is not None and damping is not None:
         from emps_design.comanipulation.assessment import assess_impedance
         from emps_design.report.impedance import impedance_section
 
@@ -216,7 +217,10 @@ def _force_loop(
     return gain, hand or 0.0, environment or 0.0
 
 
-def _from_record(record, axis, model, chain, design_on, inputs, tell):
+def _from_record(
+    record: str | Path | Record, axis: Axis, model: str, chain: str | None, design_on: str,
+    inputs: dict[str, str | None], tell: Progress,
+) -> tuple[Axis, tuple[Identification, ...], Section]:  # fmt: skip
     """Identify ``axis`` from ``record``: the axis to design on, what was found, and the section that tells it."""
     from emps_design.identification.chains import DEFAULT_CHAIN
     from emps_design.identification.tested import identify_tested

@@ -146,12 +146,12 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
     blocks.append(Facts(tuple(facts)))
     blocks += [Text(note) for note in results.notes]
     blocks.append(_achieved_table(velocity))
-    if sampled.stable:
-        lost = velocity.plant_input.phase_margin_deg - sampled.margins.phase_margin_deg
+    continuous, left = velocity.plant_input.phase_margin_deg, sampled.margins.phase_margin_deg
+    if continuous is not None and left is not None:  # nothing is left of a loop that is unstable
         blocks.append(
             Text(
-                f"At the plant input, sampling, hold, current loop, delay and velocity estimator take {lost:.1f}° of "
-                f"the {angle(velocity.plant_input.phase_margin_deg)} that the continuous loop has there."
+                "At the plant input, sampling, hold, current loop, delay and velocity estimator take "
+                f"{continuous - left:.1f}° of the {angle(continuous)} that the continuous loop has there."
             )
         )
     warnings = [w for w in velocity.warnings if not w.startswith("the sampled loop is unstable")]

@@ -22,6 +22,7 @@ from emps_design.report.page import Callout, Html, Picture, Section, Table, Text
 
 if TYPE_CHECKING:
     from emps_design.comanipulation.assessment import ImpedanceAssessment
+    from emps_design.comanipulation.study import MismatchStudy
 
 OMEGA = np.geomspace(0.2, 300.0, 300)  # rad/s
 BAND = 20.0  # rad/s, the operator's range in section II-C of the paper
@@ -50,7 +51,7 @@ def impedance_section(found: ImpedanceAssessment) -> Section:
         *_maps(found),
     ]
     if found.study is not None:
-        blocks += [*_mismatch_blocks(found, document["mismatch"])]
+        blocks += _mismatch_blocks(found, found.study, document["mismatch"])
     blocks.append(_errata_table())
     if document["warnings"]:
         blocks.append(Callout("warning", "To read with the numbers", items=tuple(document["warnings"])))
@@ -188,10 +189,10 @@ def _maps(found: ImpedanceAssessment) -> list[Picture]:
     return pictures
 
 
-def _mismatch_blocks(found: ImpedanceAssessment, mismatch: Mapping[str, Any]) -> list[Any]:
+def _mismatch_blocks(found: ImpedanceAssessment, study: MismatchStudy, mismatch: Mapping[str, Any]) -> list[Any]:
     from emps_design.comanipulation.run import run_task
 
-    study, worst = found.study, mismatch["worst"]
+    worst = mismatch["worst"]
     percent = f"±{100 * mismatch['mismatch']:g} %"
     task = study.task
     law = found.law

@@ -14,23 +14,23 @@ from emps_design.effects import Effect, Parameter
 from emps_design.errors import InputError
 
 
-def hand_force(q, v, t, tau, x, p, b):
+def hand_force(q: float, v: float, t: float, tau: float, x: np.ndarray, p: np.ndarray, b: np.ndarray) -> float:
     """Force [N] with which a hand resists the motion."""
     return p[1] * (v - p[4]) + p[2] * (q - p[3] - p[4] * (t - p[5]))
 
 
-def _hand_inertia(q, v, t, tau, x, p, b):
+def _hand_inertia(q: float, v: float, t: float, tau: float, x: np.ndarray, p: np.ndarray, b: np.ndarray) -> float:
     return p[0]
 
 
-def _wall_force(q, v, t, tau, x, p, b):
+def _wall_force(q: float, v: float, t: float, tau: float, x: np.ndarray, p: np.ndarray, b: np.ndarray) -> float:
     depth = p[3] * (q - p[0])
     if depth <= 0.0:
         return 0.0
     return p[3] * max(0.0, p[1] * depth * (1.0 + p[2] * p[3] * v))
 
 
-def _wall_guard(q, v, t, tau, x, p, b):
+def _wall_guard(q: float, v: float, t: float, tau: float, x: np.ndarray, p: np.ndarray, b: np.ndarray) -> float:
     return p[3] * (q - p[0])
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import accumulate
 from typing import Any
 
@@ -61,8 +61,8 @@ class Plant:
         self._free = any(effect.takes_dry for effect in self.effects)
         self._p = np.concatenate([_EMPTY, *self.parameters])
         self.parameters_at = list(accumulate(map(len, self.parameters), initial=0))
-        own = [0 if i in self.lagging else len(effect.states) for i, effect in enumerate(self.effects)]
-        self.states_at = list(accumulate(own, initial=2))
+        states = [0 if i in self.lagging else len(effect.states) for i, effect in enumerate(self.effects)]
+        self.states_at = list(accumulate(states, initial=2))
         self._states = self.states_at[-1]
         self._floors = [
             FLOORS.get(state.unit, 1e-6)
@@ -178,8 +178,10 @@ class Plant:
         )  # fmt: skip
 
     def _simulate(
-        self, law, reference, q_ref, baseline, parameters, disturbance, noise, q0, v0, period, quantise, intention,
-        motor, energy, tolerance, method,
+        self, law: Law | None, reference: np.ndarray, q_ref: np.ndarray, baseline: np.ndarray | None,
+        parameters: Sequence[np.ndarray] | None, disturbance: np.ndarray | None, noise: np.ndarray | None, q0: float,
+        v0: float, period: float, quantise: bool, intention: np.ndarray | None, motor: np.ndarray, energy: bool,
+        tolerance: float, method: str,
     ) -> Run:  # fmt: skip
         b, p = self.numbers(baseline, parameters)
         hands = len(self._hands)
@@ -197,7 +199,7 @@ class Plant:
             raise InputError(f"method: found {method!r}, expected one of {', '.join(possible)} for this axis")
         method = fastest if method == "auto" else method
         events, found = np.empty((n + 1000, 3)), np.array([0, n + 1000])
-        if method in ("general", "linear"):
+        if law is None or method in ("general", "linear"):
             ready = self.prepared(b, p, q0, v0, n, period, resolution, intention, energy, tolerance)
             ready.settings[motion.LINEAR] *= method == "linear"
             rows, balance = self._general(
@@ -247,7 +249,10 @@ class Plant:
         ends = zip(self.effects, self.parameters_at, self.parameters_at[1:], strict=False)
         return not self._exact and self._affine and all(e.affine(p[start:end]) for e, start, end in ends if e.affine)
 
-    def _core(self, method, b, law, reference, push, noise, start, period, resolution, events, found):
+    def _core(
+        self, method: str, b: np.ndarray, law: Law, reference: np.ndarray, push: np.ndarray, noise: np.ndarray,
+        start: tuple[float, float], period: float, resolution: float, events: np.ndarray, found: np.ndarray,
+    ) -> Iterable[np.ndarray]:  # fmt: skip
         n, drive, delay = reference.size, self.axis.drive, self.axis.sampling.computation_delay
         b = b + np.array([0.0, drive.braking, 0.0, 0.0])
         position, velocity, u, encoder = np.empty((4, n))
@@ -318,12 +323,15 @@ class Plant:
     def _lags(self, b: np.ndarray, p: np.ndarray, q0: float, v0: float) -> tuple[float, float]:
         """Time constants [s] of the lags that are known functions of time, 0: none."""
         ends = [(self.effects[i], self.parameters_at[i], self.parameters_at[i + 1]) for i in self.lagging]
-        lags = [self._lag, *(one.lag(q0, v0, 0.0, 0.0, _EMPTY, p[start:end], b) for one, start, end in ends)]
+        lags = [self._lag, *(one.lag(q0, v0, 0.0, 0.0, _EMPTY, p[start:end], b) for one, start, end in ends if one.lag)]
         first, second, *_ = *(one for one in lags if one != 0.0), 0.0, 0.0
         # Two equal ones have no partial fractions; so little apart they cannot be told.
         return first, first * (1.0 + _ASUNDER) if abs(second - first) < _ASUNDER * first else second
 
-    def _general(self, law, reference, push, noise, motor, q0, v0, period, energy, events, found, ready):
+    def _general(
+        self, law: Law | None, reference: np.ndarray, push: np.ndarray, noise: np.ndarray, motor: np.ndarray, q0: float,
+        v0: float, period: float, energy: bool, events: np.ndarray, found: np.ndarray, ready: Prepared,
+    ) -> tuple[Iterable[np.ndarray], dict[str, float] | None]:  # fmt: skip
         n, y = reference.size, ready.y
         braking = ready.settings[motion.BRAKING]
         motor[:, 1] += np.where(motor[:, 0] != 0.0, braking - self.axis.drive.braking, 0.0)

@@ -103,13 +103,14 @@ def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
     if push is not None:
         warnings.append("the record's f_ext acts on the simulated carriage")
     axis = axis.supplied_by(record)
-    how = {"period": record.period, "quantise": quantise}
     if closed:
+        how = {"period": record.period, "quantise": quantise}
         run = _closed_loop(axis, lambda axis: {**driven_by(axis, record), **how})
     else:
         run = Plant.of(axis).open_loop(
-            record.u, push, float(record.q[0]), supply=record.supply, enable=record.enable, **how
-        )
+            record.u, push, float(record.q[0]), period=record.period, quantise=quantise, supply=record.supply,
+            enable=record.enable,
+        )  # fmt: skip
         warnings.append("axis without a controller: simulated in open loop from the recorded voltage")
     pairs = {
         "position": (record.q, run.q),
@@ -141,7 +142,9 @@ class Breakaway:
 
     def to_dict(self) -> dict[str, Any]:
         """Break-away forces with units."""
-        both = self.forward is not None and self.backward is not None
+        friction = constant = None
+        if self.forward is not None and self.backward is not None:
+            friction, constant = 0.5 * (self.forward - self.backward), 0.5 * (self.forward + self.backward)
         forces = ("peak", "forward", "backward", "static_friction", "constant_force")
         return {
             "scenario": "breakaway",
@@ -150,8 +153,8 @@ class Breakaway:
             "peak": self.peak,
             "forward": self.forward,
             "backward": self.backward,
-            "static_friction": 0.5 * (self.forward - self.backward) if both else None,
-            "constant_force": 0.5 * (self.forward + self.backward) if both else None,
+            "static_friction": friction,
+            "constant_force": constant,
             "units": {"rate": "N/s", **dict.fromkeys(forces, "N")},
             "run": self.run.to_dict(),
             "warnings": list(self.warnings),

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import socket
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import panel as pn
 
@@ -47,18 +49,19 @@ class Session:
         self.tab = pn.widgets.RadioButtonGroup(
             label="Tab", options=list(TABS), value=TABS[0], color="primary", margin=6
         )
-        views = (self.design, self.motion, self.simulation, self.data, self.compensation, self.files)
+        views = (
+            self.design.view, self.motion.view, self.simulation.view, self.data.view, self.compensation.view,
+            self.files.view,
+        )  # fmt: skip
         self.views = dict(zip(TABS, views, strict=True))
         for name, view in self.views.items():
-            view.view.visible = name == TABS[0]
+            view.visible = name == TABS[0]
         self.tab.param.watch(self._turn_to, "value")
-        self.root = pn.Column(
-            self.tab, *(view.view for view in self.views.values()), sizing_mode="stretch_width", margin=0
-        )
+        self.root = pn.Column(self.tab, *views, sizing_mode="stretch_width", margin=0)
 
-    def _turn_to(self, event) -> None:
+    def _turn_to(self, event: Any) -> None:
         for name, view in self.views.items():
-            view.view.visible = name == event.new
+            view.visible = name == event.new
 
     def _changed(self, state: State) -> None:
         self.state = state
@@ -77,7 +80,9 @@ class Session:
         self.data.show(self.state)
 
 
-def serve(axis: Axis, record: str | Path | None = None, port: int = 0, ready=None) -> None:
+def serve(
+    axis: Axis, record: str | Path | None = None, port: int = 0, ready: Callable[[str], None] | None = None
+) -> None:
     """Serve the studio on 127.0.0.1 until it is interrupted; ``ready(address)`` is called once it listens.
 
     ``port`` 0 takes a free one. Raises :class:`RecordError` for a record that cannot be read and :class:`OSError` for

@@ -42,6 +42,7 @@ class Field:
         self.choice = choice = CHOICES[name]
         self.whole = isinstance(choice.step, int)
         common = {"label": choice.label, "width": width, "margin": (2, 6, 2, 6)}
+        self.field: pn.widgets.TextInput | pn.widgets.IntInput | pn.widgets.FloatInput
         if choice.frequency:
             self.field = pn.widgets.TextInput(value=_written(value), **common)
         else:
@@ -50,7 +51,7 @@ class Field:
             self.field = widget(value=value, step=choice.step, **common)
         self.field.param.watch(self._heard, "value")
 
-    def _heard(self, event) -> None:
+    def _heard(self, event: Any) -> None:
         if self._quiet or event.new is None:
             return
         waiting, self._moved = self._moved is not None, event.obj

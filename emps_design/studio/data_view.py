@@ -130,12 +130,7 @@ class DataView:
         )
         for choice in (self.friction, self.filter, self.sought):
             choice.param.watch(self._of_others, "value")
-        self.buttons = {
-            name: pn.widgets.Button(label=name, disabled=True, width=110, margin=(24, 6, 4, 6)) for name in WORK
-        }
-        for name, button in self.buttons.items():
-            button.color = "primary"
-            button.on_click(lambda event, name=name: self._start(name))
+        self.buttons = {name: self._button(name) for name in WORK}
         self.take = pn.widgets.Button(
             label="Design on this model", disabled=True, width=180, color="success", margin=(24, 6, 4, 6)
         )
@@ -263,6 +258,12 @@ class DataView:
     def _own(self, text: str) -> str:
         """``text`` in the units and words of the axis of the record."""
         return self._axis.units.text(text)
+
+    def _button(self, name: str) -> pn.widgets.Button:
+        """A button that starts the work ``name``."""
+        button = pn.widgets.Button(label=name, disabled=True, width=110, color="primary", margin=(24, 6, 4, 6))
+        button.on_click(lambda event: self._start(name))
+        return button
 
     def _start(self, name: str) -> None:
         if self.record is None:

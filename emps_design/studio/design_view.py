@@ -103,7 +103,7 @@ class DesignView:
 
         return first_try(self.state.axis, self.state.frequency, kind)
 
-    def _machine_chosen(self, event) -> None:
+    def _machine_chosen(self, event: Any) -> None:
         self.set_state(self.state.with_axis(self.machines[event.new]))
         self._changed(self.state)
 
@@ -133,7 +133,7 @@ class DesignView:
         self._show_controls()
         self._changed(self.state)
 
-    def _pinned(self, event) -> None:
+    def _pinned(self, event: Any) -> None:
         if self._quiet:
             return
         self.state = replace(self.state, pinned=replace(self.state, pinned=None) if event.new else None)
@@ -205,9 +205,10 @@ class DesignView:
             notes.append(reachable.text)
         else:
             notes += [reachable.text, reachable.beyond]
-        if not reachable.empty:
+        low, high = reachable.low, reachable.high
+        if low is not None and high is not None:
             phase = reachable.nearest(self.state.phase_margin_deg)
-            self.knobs["phase_margin_deg"].limit(reachable.low, reachable.high)
+            self.knobs["phase_margin_deg"].limit(low, high)
             if phase != self.state.phase_margin_deg:
                 notes.append(f"The phase margin asked for moved from {self.state.phase_margin_deg:g}° to {phase:g}°.")
                 self.state = self.state.changed(phase_margin_deg=phase)

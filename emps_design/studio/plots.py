@@ -6,19 +6,9 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from bokeh.models import (
-    BoxAnnotation,
-    ColumnDataSource,
-    DataRange1d,
-    FixedTicker,
-    HoverTool,
-    Label,
-    Legend,
-    LegendItem,
-    LinearColorMapper,
-    Range1d,
-    Span,
-)
+from bokeh.models import ColumnDataSource, DataRange1d, FixedTicker, HoverTool, LinearColorMapper, Range1d
+from bokeh.models.annotations import BoxAnnotation, Label, Legend, LegendItem, Span, Title
+from bokeh.models.renderers import GlyphRenderer
 from bokeh.plotting import figure
 
 from emps_design.report.loops import broken_loops
@@ -33,10 +23,10 @@ ASPECT = 1.28  # width over height: two rows fit both screens
 _TURN = np.linspace(0.0, 2.0 * np.pi, 120)
 
 
-def blank(title: str, x: str, y: str, aspect: float = ASPECT, **options: Any):
+def blank(title: str, x: str, y: str, aspect: float = ASPECT, **options: Any) -> figure:
     """An empty figure in the studio's look, its axes named with their units."""
     plot = figure(
-        title=title,
+        title=Title(text=title, text_font_size="12px"),
         x_axis_label=x,
         y_axis_label=y,
         aspect_ratio=aspect,
@@ -49,7 +39,6 @@ def blank(title: str, x: str, y: str, aspect: float = ASPECT, **options: Any):
     plot.html_attributes = {"aria-label": title}
     plot.toolbar.autohide = True
     plot.toolbar.logo = None
-    plot.title.text_font_size = "12px"
     plot.axis.axis_label_text_font_style = "normal"
     plot.axis.axis_label_text_font_size = "11px"
     plot.axis.major_label_text_font_size = "10px"
@@ -58,7 +47,7 @@ def blank(title: str, x: str, y: str, aspect: float = ASPECT, **options: Any):
     return plot
 
 
-def _frame(plot, x: tuple[float, float], y: tuple[float, float]) -> None:
+def _frame(plot: figure, x: tuple[float, float], y: tuple[float, float]) -> None:
     """Let ``plot`` show at least these ranges, a circle as a circle, whatever its data are."""
     corners = plot.scatter(list(x), list(y), alpha=0.0)
     plot.x_range = DataRange1d(renderers=[corners], range_padding=0.0)
@@ -67,6 +56,11 @@ def _frame(plot, x: tuple[float, float], y: tuple[float, float]) -> None:
 
 def _source(*names: str) -> ColumnDataSource:
     return ColumnDataSource({name: [] for name in names})
+
+
+def _legend(items: list[LegendItem], **look: Any) -> Legend:
+    """A legend in small type; its ``look`` is not checked, for bokeh's annotations refuse a number as padding."""
+    return Legend(items=items, label_text_font_size="10px", **look)
 
 
 class LoopPlots:
@@ -88,7 +82,7 @@ class LoopPlots:
         self.step = self._step()
         self.z_plane = self._z_plane()
 
-    def _bode(self):
+    def _bode(self) -> tuple[figure, figure]:
         magnitude = blank("Bode: magnitude", "frequency [rad/s]", "magnitude [dB]", x_axis_type="log")
         phase = blank(
             "Bode: phase",
@@ -107,12 +101,12 @@ class LoopPlots:
         phase.scatter("w", "phase", source=self.marks, color="color", size=8)
         magnitude.yaxis.ticker = FixedTicker(ticks=[-60, -30, 0, 30, 60])
         phase.yaxis.ticker = FixedTicker(ticks=[-360, -270, -180, -90])
-        magnitude.y_range = Range1d(-70, 60)
-        phase.y_range = Range1d(-370, -60)
+        magnitude.y_range = Range1d(start=-70, end=60)
+        phase.y_range = Range1d(start=-370, end=-60)
         phase.add_tools(HoverTool(tooltips=[("frequency", "@w{0.0} rad/s"), ("phase", "@phase{0.0}°")]))
         return magnitude, phase
 
-    def _nyquist(self):
+    def _nyquist(self) -> figure:
         plot = blank("Nyquist", "real part", "imaginary part", match_aspect=True)
         plot.patch("re", "im", source=self.circle, fill_color=RED, fill_alpha=0.10, line_color=None)
         plot.line(np.cos(_TURN), np.sin(_TURN), color=GREY, line_dash="dashed")
@@ -123,25 +117,25 @@ class LoopPlots:
         _frame(plot, (-2.3, 1.2), (-2.2, 1.2))
         return plot
 
-    def _step(self):
+    def _step(self) -> figure:
         plot = blank("Step of the velocity reference", "time [ms]", "velocity / reference")
         plot.add_layout(self.overshoot_band)
         plot.add_layout(BoxAnnotation(bottom=0.98, top=1.02, fill_color=GREY, fill_alpha=0.15))
         items = []
         for key, color, dash in _LINES:
-            line = plot.line("t", "y", source=self.steps[key], color=color, line_dash=dash, line_width=2)
+            line: GlyphRenderer = plot.line("t", "y", source=self.steps[key], color=color, line_dash=dash, line_width=2)
             items.append(LegendItem(label=key, renderers=[line]))
         self.pinned_item = items[-1]
         self.pinned_item.visible = False
-        plot.add_layout(Legend(items=items, location="bottom_right", label_text_font_size="10px", padding=4, spacing=0))
-        plot.y_range = Range1d(0.0, 1.6)
+        plot.add_layout(_legend(items, location="bottom_right", padding=4, spacing=0))
+        plot.y_range = Range1d(start=0.0, end=1.6)
         self.unstable_note = Label(
             x=8, y=60, x_units="screen", y_units="screen", text="", text_color=RED, text_font_size="13px"
         )
         plot.add_layout(self.unstable_note)
         return plot
 
-    def _z_plane(self):
+    def _z_plane(self) -> figure:
         plot = blank("Poles of the sampled loop, z plane", "real part", "imaginary part", match_aspect=True)
         plot.patch(np.cos(_TURN), np.sin(_TURN), fill_color="#EEF7FD", line_color=BLACK)
         plot.scatter("re", "im", source=self.poles["pinned"], marker="diamond", size=9, color=GREY, fill_alpha=0.3)
@@ -159,10 +153,11 @@ class LoopPlots:
             self.lines[key].data = _curve_data(curve)
         marks: dict[str, list] = {"w": [], "phase": [], "re": [], "im": [], "color": []}
         for curve in loop.curves:
-            if curve.margins.stable and curve.margins.crossover is not None:
-                at = complex(curve.response(np.array([curve.margins.crossover]))[0])
-                marks["w"].append(curve.margins.crossover)
-                marks["phase"].append(curve.margins.phase_margin_deg - 180.0)
+            w, margin = curve.margins.crossover, curve.margins.phase_margin_deg
+            if w is not None and margin is not None:  # an unstable loop has neither
+                at = complex(curve.response(np.array([w]))[0])
+                marks["w"].append(w)
+                marks["phase"].append(margin - 180.0)
                 marks["re"].append(at.real)
                 marks["im"].append(at.imag)
                 marks["color"].append(curve.color)
@@ -224,6 +219,8 @@ class PlanePlot:
         self.cells = _source("kind", "x", "width")
         self.marks = {key: _source("x", "y") for key in ("here", "pinned")}
         self.plot = blank("What can be specified", "", "phase margin [deg]", x_axis_type="log")
+        # As a dict: bokeh's annotations of image leave the mapper out.
+        colors: dict[str, Any] = {"color_mapper": LinearColorMapper(palette=list(self.COLORS), low=-0.5, high=3.5)}
         self.plot.image(
             "kind",
             source=self.cells,
@@ -231,7 +228,7 @@ class PlanePlot:
             y=self.PHASES[0],
             dw="width",
             dh=self.PHASES[1] - self.PHASES[0],
-            color_mapper=LinearColorMapper(palette=list(self.COLORS), low=-0.5, high=3.5),
+            **colors,
         )
         self.plot.scatter(
             "x", "y", source=self.marks["pinned"], marker="diamond", size=14, color=GREY, line_color=BLACK
@@ -239,14 +236,15 @@ class PlanePlot:
         self.plot.scatter("x", "y", source=self.marks["here"], size=13, color="white", line_color=BLACK, line_width=3)
         self.plot.grid.visible = False
         # Boxes outside the ranges: the legend names every class, whatever the plane shows.
-        boxes = [self.plot.rect([1.0], [-9.0], 0.1, 0.1, color=color, line_color=None) for color in self.COLORS]
+        boxes: list[GlyphRenderer] = [
+            self.plot.rect([1.0], [-9.0], 0.1, 0.1, color=color, line_color=None) for color in self.COLORS
+        ]
         items = [LegendItem(label=name, renderers=[box]) for name, box in zip(KINDS, boxes, strict=True)]
-        legend = Legend(
-            items=items, location="bottom_left", label_text_font_size="10px", glyph_height=10, glyph_width=10
-        )
-        legend.padding, legend.spacing, legend.margin, legend.background_fill_alpha = 3, -4, 4, 0.85
+        legend = _legend(items, location="bottom_left", glyph_height=10, glyph_width=10, padding=3, spacing=-4)
+        legend.margin, legend.background_fill_alpha = 4, 0.85
         self.plot.add_layout(legend)
-        self.plot.x_range, self.plot.y_range = Range1d(1.0, 10.0), Range1d(*self.PHASES)
+        self.plot.x_range = Range1d(start=1.0, end=10.0)
+        self.plot.y_range = Range1d(start=self.PHASES[0], end=self.PHASES[1])
 
     def color(self, found: Plane) -> None:
         """Colour the plane by what was ``found``."""

@@ -99,28 +99,38 @@ class VelocityLoopDesign:
     @cached_property
     def velocity_error(self) -> Margins:
         """Margins of T_vo, the loop broken at the velocity error: phi_v and w_v of (7), read back from the gains."""
+        return _continuous_margins(*self._velocity_error)
+
+    @cached_property
+    def _velocity_error(self) -> tuple[float, float]:
+        """Crossover [rad/s] and phase margin [rad] of T_vo."""
         if self.structure.form == "pi":
-            return self.plant_input
+            return self._plant_input
         mass, damping = self.axis.mechanics.mass, self.axis.mechanics.viscous + self.gain
-        x = positive_root(mass**2, damping**2, -(self.K_v**2))
-        return _continuous_margins(math.sqrt(x), math.atan2(damping, mass * math.sqrt(x)))
+        w = math.sqrt(positive_root(mass**2, damping**2, -(self.K_v**2)))
+        return w, math.atan2(damping, mass * w)
 
     @cached_property
     def plant_input(self) -> Margins:
         """Margins of the loop broken at the plant input, continuous and without any delay."""
+        return _continuous_margins(*self._plant_input)
+
+    @cached_property
+    def _plant_input(self) -> tuple[float, float]:
+        """Crossover [rad/s] and phase margin [rad] of L."""
         mass, viscous = self.axis.mechanics.mass, self.axis.mechanics.viscous
         w = math.sqrt(positive_root(mass**2, viscous**2 - self.gain**2, -(self.K_v**2)))
-        return _continuous_margins(w, math.atan(w * self.t_v) + math.atan2(viscous, mass * w))
+        return w, math.atan(w * self.t_v) + math.atan2(viscous, mass * w)
 
     @property
     def crossover(self) -> float:
         """Crossover of T_vo [rad/s], achieved."""
-        return float(self.velocity_error.crossover)
+        return self._velocity_error[0]
 
     @property
     def phase_margin_deg(self) -> float:
         """Phase margin of T_vo [deg], achieved."""
-        return float(self.velocity_error.phase_margin_deg)
+        return math.degrees(self._velocity_error[1])
 
     @property
     def feasible_phase_margin_deg(self) -> tuple[float, float]:

@@ -150,13 +150,13 @@ def nearest_that_works(pairs: Pairs, requested: dict[str, float]) -> dict[str, A
         frequencies = np.unique([_round(asked * 1.01**step) for step in FINE])
         lines.append((frequencies, np.full(frequencies.size, phase)))
     coarse = np.unique([_round(asked * 1.1**step) for step in COARSE])
-    plane = tuple(grid.ravel() for grid in np.meshgrid(coarse, PHASES[PHASES % 5.0 == 0.0]))
+    X, Y = np.meshgrid(coarse, PHASES[PHASES % 5.0 == 0.0])
+    places = [*lines, (X.ravel(), Y.ravel())]  # and the plane
     judge = lru_cache(lambda place: pairs.judge(*places[place]))  # the plane only where neither line has one
-    places = [*lines, plane]
     on_lines, anywhere = range(len(lines)), [len(lines)]
     for level, chosen in ((2, on_lines), (2, anywhere), (1, on_lines), (1, anywhere)):
-        found = [_nearest(pairs, asked, phase, *places[place], judge(place) >= level) for place in chosen]
-        found = sorted((one for one in found if one is not None), key=lambda one: one[0])
+        nearest = [_nearest(pairs, asked, phase, *places[place], judge(place) >= level) for place in chosen]
+        found = sorted((one for one in nearest if one is not None), key=lambda one: one[0])
         if found:
             first, *others = [{name: w, "phase_margin_deg": angle} for _, w, angle in found]
             return {**first, **({"or": others[0]} if others else {})}
