@@ -36,10 +36,9 @@ class Filter:
         """The notch of a ``frequency`` [Hz], a ``damping`` and a ``depth``, its gain at that frequency."""
         return cls("notch", (float(np.log(frequency)), float(np.log(damping)), float(depth)))
 
-    def moved(self, step: np.ndarray, period: float) -> Filter:
-        """The filter with its numbers changed by ``step``, kept within what a filter can be at this ``period`` [s]."""
-        at = zip(self.numbers, step, _bounds(self.kind, period), strict=False)
-        return Filter(self.kind, tuple(float(min(max(x + d, low), high)) for x, d, (low, high) in at))
+    def within(self, period: float) -> tuple[tuple[float, float, float], ...]:
+        """Each sought number, with the bounds of what it can be at this ``period`` [s]."""
+        return tuple((x, low, high) for x, (low, high) in zip(self.numbers, _bounds(self.kind, period), strict=False))
 
     @property
     def frequency(self) -> float:
@@ -75,12 +74,41 @@ class Filter:
         top = np.array([1.0 + depth * width + half * half, middle, 1.0 - depth * width + half * half])
         return top, np.array([1.0 + width + half * half, middle, 1.0 - width + half * half])
 
+    def slopes(self, period: float) -> list[tuple[np.ndarray, np.ndarray]]:
+        """How numerator and denominator in z^-1 change with each sought number.
+
+        >>> low = Filter.lowpass(100.0)
+        >>> (numerator, denominator), = low.slopes(1e-3)
+        >>> further = Filter("lowpass", (low.numbers[0] + 1e-6,)).coefficients(1e-3)
+        >>> bool(np.allclose((further[1] - low.coefficients(1e-3)[1]) / 1e-6, denominator, rtol=1e-5))
+        True
+        """
+        half = np.pi * self.frequency * period
+        if self.kind == "lowpass":
+            return [(np.array([half, half]), np.array([half, half]))]
+        depth, width = self.numbers[2], 2.0 * float(np.exp(self.numbers[1])) * half
+        frequency, damping = 2.0 * half * half * np.array([1.0, 2.0, 1.0]), width * np.array([1.0, 0.0, -1.0])
+        return [
+            (frequency + depth * damping, frequency + damping),
+            (depth * damping, damping),
+            (damping, np.zeros(3)),
+        ]
+
 
 @cache
 def _bounds(kind: str, period: float) -> tuple[tuple[float, float], ...]:
     """What the sought numbers of a filter can be at this ``period`` [s]."""
     lowest, highest = (float(np.log(share / period)) for share in CORNER[kind])
     return (lowest, highest), (float(np.log(DAMPING[0])), float(np.log(DAMPING[1]))), DEPTH
+
+
+def moved(filters: tuple[Filter, ...], steps: np.ndarray, period: float) -> tuple[Filter, ...]:
+    """The ``filters`` with their numbers changed by ``steps``, kept within what a filter can be at this ``period``."""
+    left, done = iter(steps), []
+    for one in filters:
+        numbers = [min(max(x + next(left), low), high) for x, low, high in one.within(period)]
+        done.append(Filter(one.kind, tuple(map(float, numbers))))
+    return tuple(done)
 
 
 def filtered(filters: tuple[Filter, ...], columns: np.ndarray, period: float) -> np.ndarray:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from emps_design.identification.controller.filters import Filter, derivatives, filtered
+from emps_design.identification.controller.filters import Filter, derivatives, filtered, moved
 from emps_design.identification.controller.regressors import COLUMNS, Signals, Timing, regressors
 from emps_design.identification.controller.structures import Structure
 
@@ -152,7 +152,7 @@ def fit(
             share *= SHORTER
             if share < SHORTEST or now.cost - best.cost < CONVERGED * best.cost:
                 break
-            trial = _moved(best.filters, share * move, period)
+            trial = moved(best.filters, share * move, period)
             continue
         gained = np.inf if best is None else best.cost - now.cost
         best, share = now, 1.0
@@ -161,15 +161,6 @@ def fit(
         slopes = derivatives(trial, raw @ now.beta, period)
         near = within or (wi / NEAR, wi * NEAR)
         move = np.clip(solve(compress(signals, columns, slopes), start.structure, period, near)[2], -LARGEST, LARGEST)
-        trial = _moved(trial, move, period)
+        trial = moved(trial, move, period)
     assert best is not None
     return best
-
-
-def _moved(filters: tuple[Filter, ...], move: np.ndarray, period: float) -> tuple[Filter, ...]:
-    done, start = [], 0
-    for one in filters:
-        stop = start + len(one.numbers)
-        done.append(one.moved(move[start:stop], period))
-        start = stop
-    return tuple(done)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.identification.controller.filters import Filter
+from emps_design.identification.controller.filters import Filter, moved
 from emps_design.identification.controller.regressors import DELAYS, ESTIMATORS, EVERY, Signals, Timing, regressors
 from emps_design.identification.controller.spectra import (
     Spectra,
@@ -18,6 +18,7 @@ from emps_design.identification.controller.spectra import (
     normal,
     rates,
     response,
+    squares_and_slopes,
     transform,
 )
 from emps_design.identification.controller.structures import PROPORTIONAL, Structure
@@ -25,8 +26,8 @@ from emps_design.identification.controller.structures import PROPORTIONAL, Struc
 MOST_FILTERS = 3
 WORTH = 20.0  # of the information criterion: what a further filter must gain
 FILTER_SHOWS = 0.1  # share of the residual's rms that it must take away where the noise is on the position
+STILL_GAINS = 1e-8  # of the logarithm of the squares: a step that gains less is the last one
 FURTHEST = 6.0  # that the logarithm of an integral rate moves from where it was scanned
-SLOPE_STEP = 1e-6  # of a sought number
 STEPS, FIRST_STEPS = 40, 12  # of the minimisation over filters, and to choose among starts
 TURNS = 8  # of timing and filters, at most
 LOWPASSES = np.geomspace(0.003, 0.5, 16)  # of the sampling frequency
@@ -180,39 +181,25 @@ def polish(spectrum: Spectrum, start: Candidate, steps: int = STEPS) -> Candidat
     from scipy.optimize import minimize
 
     s = spectrum.at(start.timing)
-    integral = bool(start.structure.form)
-    if not (integral or start.filters):
+    furthest = FURTHEST if start.structure.form else 0.0
+    bounds = [(-furthest, furthest)]
+    bounds += [(low - x, high - x) for f in start.filters for x, low, high in f.within(s.period)]
+    if not np.any(bounds):
         return start
 
-    delay = response((), s, start.timing.delay)
-
-    def unpacked(x: np.ndarray) -> tuple[float, tuple[Filter, ...]]:
-        at, filters = int(integral), []
-        for one in start.filters:
-            filters.append(one.moved(x[at : at + len(one.numbers)], s.period))
-            at += len(one.numbers)
-        return start.wi * float(np.exp(np.clip(x[0], -FURTHEST, FURTHEST))) if integral else 0.0, tuple(filters)
+    def numbers(x: np.ndarray) -> tuple[float, tuple[Filter, ...]]:
+        return start.wi * float(np.exp(x[0])), moved(start.filters, x[1:], s.period)
 
     def squares(x: np.ndarray) -> tuple[float, np.ndarray]:
-        """Logarithm of the squares that are left, and its slopes by forward differences, all in one go."""
-        points = [unpacked(moved) for moved in np.vstack([x, x + SLOPE_STEP * np.eye(x.size)])]
-        known: dict[Filter, np.ndarray] = {}
-        rows = []
-        for _, filters in points:
-            row = delay
-            for one in filters:
-                if one not in known:
-                    known[one] = response((one,), s, 0)
-                row = row * known[one]
-            rows.append(row)
-        rates_of = np.array([wi for wi, _ in points])
-        left = np.log(least(s, normal(s, np.stack(rows)), start.structure, rates_of)[0])
-        return float(left[0]), (left[1:] - left[0]) / SLOPE_STEP
+        """Logarithm of the squares that are left, and its slopes."""
+        wi, filters = numbers(x)
+        left, slopes = squares_and_slopes(s, filters, start.timing.delay, start.structure, wi)
+        return float(np.log(left)), slopes / left
 
-    size = int(integral) + sum(len(f.numbers) for f in start.filters)
-    options = {"gtol": 1e-6, "maxiter": steps}
-    found = minimize(squares, np.zeros(size), jac=True, method="BFGS", options=options)
-    wi, filters = unpacked(found.x)
+    # Ends where a step gains next to nothing: squares this near to each other are rounded, and their slopes with them.
+    options = {"ftol": STILL_GAINS, "gtol": 1e-6, "maxiter": steps}
+    found = minimize(squares, np.zeros(len(bounds)), jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    wi, filters = numbers(found.x)
     return candidate(s, start.structure, start.timing, filters, wi)
 
 

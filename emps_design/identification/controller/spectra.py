@@ -118,17 +118,42 @@ def least(
     return np.maximum(s.power.sum() - np.einsum("mi,mi->m", found, a), 1e-14 * s.power.sum()), found / scale
 
 
+def squares_and_slopes(
+    s: Spectra, filters: tuple[Filter, ...], delay: int, structure: Structure, wi: float
+) -> tuple[float, np.ndarray]:
+    """Squares left, and their slopes (1 + n_numbers,) over the logarithm of ``wi`` and the numbers of the filters.
+
+    The linear coefficients are at their best: to first order it does not matter how they move.
+    """
+    h = response(filters, s, delay)
+    gram, answer = normal(s, h)
+    squares, linear = least(s, (gram, answer), structure, np.array([wi]))
+    beta = structure.combination(wi) @ linear[0]
+    by_rate = (beta - structure.combination(0.0) @ linear[0]) @ (gram @ beta - answer)
+    by_response = np.abs(h) ** 2 * _explained(s, beta) - h * (s.answer @ beta).conj()
+    slopes = [by_rate]
+    for one in filters:
+        top, bottom = one.coefficients(s.period)
+        powers = s.back[: len(top)]
+        over_top, over_bottom = by_response / (top @ powers), by_response / (bottom @ powers)
+        slopes += [float((t @ powers @ over_top - b @ powers @ over_bottom).real) for t, b in one.slopes(s.period)]
+    return float(squares[0]), 2.0 * np.array(slopes)
+
+
 def coloured(s: Spectra, h: np.ndarray, beta: np.ndarray) -> float:
     """Squares left, weighed as for noise that is white on the recorded position instead of on the command.
 
     Rounded once more than the controller saw it, a position leaves such a residual, coloured by the law itself.
     """
-    width = len(COLUMNS)
-    explained = np.einsum("bij,i,j->b", s.regressors.reshape(-1, width, width), beta, beta)
-    left = s.power - 2.0 * (h.conj() * (s.answer @ beta)).real + np.abs(h) ** 2 * explained
+    left = s.power - 2.0 * (h.conj() * (s.answer @ beta)).real + np.abs(h) ** 2 * _explained(s, beta)
     shape = np.maximum(np.abs(h * (s.position @ beta)) ** 2, 1e-300)
     shape = shape / np.exp(np.average(np.log(shape), weights=s.counts))
     return float(max(np.sum(np.maximum(left, 0.0) / shape), 1e-14 * s.power.sum()))
+
+
+def _explained(s: Spectra, beta: np.ndarray) -> np.ndarray:
+    """Power (n_bands,) of the regressors' combination ``beta`` (n_columns,), before any filter."""
+    return s.regressors @ np.outer(beta, beta).ravel()
 
 
 def rates(s: Spectra) -> np.ndarray:
