@@ -144,9 +144,7 @@ def recursion_radius(n: dict[str, Any], clock: Clock, velocity_estimator: str = 
     return np.abs(poles).max(axis=-1, initial=0.0)
 
 
-def _law(
-    n: dict[str, Any], clock: Clock, velocity_estimator: str, force_sensor: bool, force_gain: float = 1.0
-) -> Law:
+def _law(n: dict[str, Any], clock: Clock, velocity_estimator: str, force_sensor: bool, force_gain: float = 1.0) -> Law:
     friction = SimpleNamespace(mass=n["mass_hat"], viscous=(n["viscous_hat"],) * 2, coulomb=(0.0, 0.0))
     gains = gains_of(
         friction, n["apparent_mass"], n["damping"], (n["filter"], n["current_filter"]), clock.period,
