@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from emps_design.axis import Axis
 from emps_design.comanipulation.study import MismatchStudy, mismatch_study
 from emps_design.comanipulation.wall_limit import WallLimit, wall_limit
@@ -28,7 +30,14 @@ from emps_design.control.impedance.robustness import (
     verdict,
     worst_radius,
 )
-from emps_design.control.impedance.sampled import Clock, SampledLoop, extended_loop, recursion_poles, sampled_loop
+from emps_design.control.impedance.sampled import (
+    Clock,
+    SampledLoop,
+    extended_loop,
+    extended_radius,
+    recursion_poles,
+    sampled_loop,
+)
 from emps_design.control.loop.sampled_loop import MARGINAL
 from emps_design.errors import SpecificationError, UnstableError
 from emps_design.laws.friction_model import left_out
@@ -92,10 +101,11 @@ class ImpedanceAssessment:
         if self.stable:
             return None
 
-        def accept(law: ImpedanceLaw) -> bool:
-            return self.extended is None or extended_loop(self.axis, law).stable
+        def accept(law: ImpedanceLaw, masses: np.ndarray, filters: np.ndarray) -> np.ndarray:
+            return extended_radius(self.axis, law, masses, filters) <= 1.0 + MARGINAL
 
-        return nearest_stable(self.law, self.plant, self.clock, self.mismatch or 0.0, accept)
+        extended = None if self.extended is None else accept
+        return nearest_stable(self.law, self.plant, self.clock, self.mismatch or 0.0, extended)
 
     @property
     def reason(self) -> str:

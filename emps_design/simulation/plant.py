@@ -378,9 +378,8 @@ class Plant:
 
     def _intended(self, intention: Any, n: int, period: float) -> tuple[np.ndarray, np.ndarray]:
         """Columns that the hand's intention writes to its parameters at every sample, and where."""
-        if intention is None and not self._hands:
+        if intention is None:  # it means to stay at 0, as its parameters say
             return _NO_SIGNALS, _NO_SLOTS
-        hand = self._hands[0]
-        wanted = np.zeros(n) if intention is None else np.asarray(intention, dtype=float)
+        hand, wanted = self._hands[0], np.asarray(intention, dtype=float)
         columns = intention_columns(wanted, self.parameters[hand], hand in self._held, n, period)
         return columns, self.parameters_at[hand] + np.arange(6)

@@ -21,7 +21,7 @@ def folder(tmp_path_factory):
     """A folder with a short synthetic record and the axis it came from."""
     folder = tmp_path_factory.mktemp("cli")
     axis = machine("emps2019")
-    synthetic_record(axis, laps=1).save(folder / "record.npz")
+    synthetic_record(axis, laps=1, stroke=0.1).save(folder / "record.npz")
     (folder / "axis.toml").write_text(axis.to_toml())
     return folder
 
@@ -37,7 +37,7 @@ DOCUMENTS = {
     "gains-bandwidth": ("gains emps2019 --bandwidth 160 --phase-margin 60", "k_v1 t_v bandwidth"),
     "force": ("force --k-e1 0.005", "k_e1 k_c stable k_e1_max.continuous k_e1_max.sampled poles warnings"),
     "impedance": (
-        "impedance --mass 50 --damping 100 --mismatch 0.02",
+        "impedance --mass 50 --damping 300 --mismatch 0.02 --plants 20",
         "derived.apparent_mass derived.apparent_damping derived.coulomb_left printed.apparent_mass "
         "printed.apparent_damping printed.coulomb_left sampled.stable sampled.poles mismatch.creep_speed "
         "mismatch.dead_band mismatch.worst.parameters mismatch.worst.verdict mismatch.stable_share "

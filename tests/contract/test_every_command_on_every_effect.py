@@ -28,7 +28,8 @@ SIMULATED = {
     "identify": "identify {record} --axis {identified}",
     "observe": "observe {record} --axis {identified}",
 }
-LAW = {"impedance": "impedance {design} --mass 50 --damping 100"}
+# The time a law takes to come to rest decides how long it is pressed against walls: this damping shortens it.
+LAW = {"impedance": "impedance {design} --mass 50 --damping 300"}
 LONG = {
     "comanipulation": "simulate {design} --scenario comanipulation --plants 2",
     "diagnose": "diagnose {record} --axis {identified}",

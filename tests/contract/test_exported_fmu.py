@@ -94,6 +94,12 @@ def unit_with(name):
     return machine_unit("m", dict(with_every_effect())[name])
 
 
+@cache
+def plain_unit():
+    """The unit of an axis without effects."""
+    return machine_unit("m", machine("emps2019"))
+
+
 def with_every_effect():
     """Axes that have every effect between them: each of these alone, the others together."""
     tables = {one.name: {"kind": one.name, **one.checks[0][0]} for one in EFFECTS}
@@ -207,13 +213,13 @@ def test_the_folder_has_both_units_and_says_what_is_in_them(tmp_path, capsys, mo
 
 
 def test_the_same_axis_gives_the_same_bytes():
-    assert machine_unit("m", machine("emps2019")) == machine_unit("m", machine("emps2019"))
+    assert machine_unit("m", machine("emps2019")) == plain_unit()
 
 
 def test_what_a_unit_refuses(tmp_path):
     """A step that is no whole number of samples, an output that is set, a value that is not finite."""
     said = []
-    (made,) = instances(machine_unit("m", machine("emps2019")), tmp_path, 1, said)
+    (made,) = instances(plain_unit(), tmp_path, 1, said)
     for refused in (
         lambda: made.setFloat64([3], [1.0]),
         lambda: made.setFloat64([1], [float("nan")]),

@@ -4,6 +4,7 @@ import ctypes
 import re
 import shutil
 import subprocess
+from functools import cache
 
 import numpy as np
 import pytest
@@ -128,6 +129,14 @@ def test_100000_samples_have_the_simulations_bits(kind, estimator, tmp_path):
     np.testing.assert_array_equal(found.view(np.int64), run.u.view(np.int64))
 
 
+def assert_noticed(folder, changed):
+    """What ``make check`` builds and runs first fails: that in double precision, which knows every bit."""
+    build = ["make", "-B", "check_double", "CFLAGS=-O1 -std=c99 -ffp-contract=off"]
+    subprocess.run(build, cwd=folder, capture_output=True, check=True)
+    done = subprocess.run(["./check_double", "vectors.csv"], cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode != 0, f"{changed}: {done.stdout}"
+
+
 def numbers_of(source):
     """Places of the numbers of the gains and of the limit in C ``source``."""
     table = source.index("static const real LIMIT")
@@ -152,8 +161,7 @@ def test_one_changed_coefficient_is_noticed(kind, tmp_path):
         counts = value in range(2, 10)  # of filters, of samples
         changed = value - 1.0 if counts else 1.0 - value if value in (0.0, 1.0) else value * (1.0 + 1e-4)
         path.write_text(f"{source[:start]}{changed!r}{source[end:]}", encoding="utf-8")
-        done = make_check(tmp_path)
-        assert done.returncode != 0, f"{source[start:end]} -> {changed!r}: {done.stdout}"
+        assert_noticed(tmp_path, f"{source[start:end]} -> {changed!r}")
 
 
 PROGRAM = trapezoid_laps(1e-3, 0.05, 0.15, 1.0, laps=1)
@@ -168,20 +176,32 @@ COMPENSATED = {
 }
 
 
-def compensated(name, target):
-    """A compensated block, what goes into it in a closed loop of 100,000 samples, and the command of the simulation."""
+@cache
+def compensation(name):
+    """An axis and what compensates its effects."""
     axis = machine("emps2019").replace(**COMPENSATED[name])
-    found = compensate(axis, PROGRAM)
+    return axis, compensate(axis, PROGRAM)
+
+
+@cache
+def compensated_run(name):
+    """What goes into a compensated block in a closed loop of 100,000 samples, and the command of the simulation."""
+    axis, found = compensation(name)
     run = Plant.of(axis).closed_loop(LONG, voltage_noise=found.feedforward.along(LONG), method="general")
-    inputs = LONG, run.q, run.f_ext, *motion_ahead(LONG, 1e-3, found.feedforward.wait)
-    return export_controller(axis, target, found.to_dict()), inputs, run.u
+    return (LONG, run.q, run.f_ext, *motion_ahead(LONG, 1e-3, found.feedforward.wait)), run.u
+
+
+def compensated_block(name, target):
+    """A block of a law with its compensation."""
+    axis, found = compensation(name)
+    return export_controller(axis, target, found.to_dict())
 
 
 @compiled
 @pytest.mark.parametrize("name", COMPENSATED)
 def test_a_compensated_law_has_the_simulations_bits(name, tmp_path):
     """``make check`` with the feed-forward inside, and 100,000 samples of a closed loop with it."""
-    exported, inputs, u = compensated(name, "c")
+    exported, (inputs, u) = compensated_block(name, "c"), compensated_run(name)
     exported.write(tmp_path)
     assert_proved(tmp_path, exported)
     answers = Compiled(tmp_path, exported).run(*inputs)
@@ -194,8 +214,7 @@ def block_called(name):
     if name in OBSERVERS:
         return export_observer(machine("emps2018").replace(**OBSERVERS[name]), "c", 30.0)
     if name in COMPENSATED:
-        axis = machine("emps2019").replace(**COMPENSATED[name])
-        return export_controller(axis, "c", compensate(axis, PROGRAM).to_dict())
+        return compensated_block(name, "c")
     return export_controller(axis_with(get_law(name)), "c")
 
 
@@ -218,8 +237,7 @@ def test_a_static_checker_has_nothing_to_say(name, tmp_path):
 
 @compiled
 def test_one_changed_number_of_the_feed_forward_is_noticed(tmp_path):
-    axis = machine("emps2019").replace(**COMPENSATED["several"])
-    exported = export_controller(axis, "c", compensate(axis, PROGRAM).to_dict())
+    exported = compensated_block("several", "c")
     exported.write(tmp_path)
     path = tmp_path / f"{exported.name}.c"
     source = path.read_text(encoding="utf-8")
@@ -230,7 +248,7 @@ def test_one_changed_number_of_the_feed_forward_is_noticed(tmp_path):
             continue
         changed = f"{source[:start]}{value * (1.0 + 1e-6)!r}{source[begin + match.end(1) :]}"
         path.write_text(changed, encoding="utf-8")
-        assert make_check(tmp_path).returncode != 0, match[0]
+        assert_noticed(tmp_path, match[0])
 
 
 def observed(name, target):

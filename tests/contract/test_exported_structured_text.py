@@ -10,10 +10,8 @@ from emps_design.codegen import export_controller
 from emps_design.codegen.program import ARRAY, INT, REAL
 from emps_design.codegen.reader import read_program
 from emps_design.codegen.st import KEYWORDS, functions_in_st
-from emps_design.compensation import compensate
 from emps_design.laws import LAWS
-from emps_design.machines import machine
-from tests.contract.test_exported_laws import COMPENSATED, OBSERVED, PROGRAM, compensated, laps, observed
+from tests.contract.test_exported_laws import COMPENSATED, OBSERVED, compensated_block, compensated_run, laps, observed
 from tests.contract.test_laws import axis_with
 from tests.unit.codegen.structured_text import Blocks
 
@@ -54,7 +52,7 @@ def test_100000_samples_have_the_simulations_bits(kind):
 
 @pytest.mark.parametrize("name", COMPENSATED)
 def test_100000_samples_of_a_compensated_law_have_the_simulations_bits(name):
-    exported, inputs, u = compensated(name, "st")
+    exported, (inputs, u) = compensated_block(name, "st"), compensated_run(name)
     blocks = Blocks(exported.files[f"{exported.name}.st"])
     found = blocks.run(exported.name, np.arange(u.size) == 0, *inputs)
     assert found.size == 100_000
@@ -72,8 +70,7 @@ def test_the_text_of_the_observer_gives_the_bits_of_100000_samples_and_of_the_ve
 
 @pytest.mark.parametrize("name", COMPENSATED)
 def test_the_text_of_a_compensated_law_gives_the_bits_of_the_vectors(name):
-    axis = machine("emps2019").replace(**COMPENSATED[name])
-    assert_the_text_gives_the_vectors(export_controller(axis, "st", compensate(axis, PROGRAM).to_dict()))
+    assert_the_text_gives_the_vectors(compensated_block(name, "st"))
 
 
 @EVERY

@@ -45,7 +45,8 @@ COMMANDS = {
     "observe": "observe {record} --axis {axis} --out {folder}/observed.csv --force",
     "diagnose": "diagnose {record} --axis {axis} --out {folder}/found --force",
     "diagnose an effect": "diagnose {puzzle} --axis {axis} --out {folder}/named --force",
-    "report": "report {axis} --record {record} --k-e1 0.01 --mass 50 --damping 100 --out {folder}/page.html --force",
+    "report": "report {axis} --record {record} --crossover 60 --k-e1 0.01 --mass 50 --damping 100 "
+    "--out {folder}/page.html --force",
     "compensate": "compensate {axis}",
     "excite": "excite {axis} --stroke 2 --speed 0.2 --out {folder}/excitation.csv --force",
     "init": "init {folder}/started --machine {axis} --force",
@@ -75,9 +76,9 @@ def machine(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param)
     axis = Axis.from_dict(AXES[request.param])
     (folder / "axis.toml").write_text(axis.to_toml())
-    synthetic_record(axis, laps=1).save(folder / "record.npz")
+    synthetic_record(axis, laps=1, stroke=0.1).save(folder / "record.npz")
     ripple = {"kind": "position_ripple", "amplitude": 0.5 * axis.mechanics.coulomb, "period": 0.02, "phase": 0.5}
-    synthetic_record(axis.replace(effects=[ripple]), laps=1).save(folder / "puzzle.npz")
+    synthetic_record(axis.replace(effects=[ripple]), laps=1, stroke=0.1).save(folder / "puzzle.npz")
     return request.param, folder
 
 
@@ -90,25 +91,30 @@ def run(command: str, folder, capsys) -> str:
     return printed.out + printed.err
 
 
-def once(work):
-    """``work``, which gives its first result ever after."""
-    results = []
+def once(work, kept, key):
+    """``work``, whose first result is ``kept`` under ``key`` and given ever after."""
 
-    def kept(*arguments, **options):
-        if not results:
-            results.append(work(*arguments, **options))
-        return results[0]
+    def asked(*arguments, **options):
+        if key not in kept:
+            kept[key] = work(*arguments, **options)
+        return kept[key]
 
-    return kept
+    return asked
+
+
+@pytest.fixture(scope="module")
+def kept(machine):
+    """Results that several tests of one axis look at."""
+    return {}
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_no_unit_of_another_machine(machine, command, capsys, monkeypatch, sketched):
+def test_no_unit_of_another_machine(machine, kept, command, capsys, monkeypatch, sketched):
     name, folder = machine
     monkeypatch.setenv("COLUMNS", "250")  # no unit in two lines
-    # What takes longest is computed once, for the lines and for the document.
-    monkeypatch.setattr("emps_design.discrepancy.diagnose", once(diagnose))
-    monkeypatch.setattr("emps_design.report.assemble.assemble_report", once(assemble_report))
+    # What takes longest is computed once, for the lines, for the document and for the pictures.
+    monkeypatch.setattr("emps_design.discrepancy.diagnose", once(diagnose, kept, command))
+    monkeypatch.setattr("emps_design.report.assemble.assemble_report", once(assemble_report, kept, "report"))
     assert wrong(name, run(COMMANDS[command], folder, capsys)) == []
     document = run(f"{COMMANDS[command]} --json", folder, capsys)
     assert wrong(name, NAMES.sub("", document)) == []
@@ -131,13 +137,12 @@ def test_the_axes_have_their_own_units(machine, capsys):
         assert units == {"mass": "kg", "viscous": "N/(m/s)", "coulomb": "N", "constant_force": "N"}
 
 
-def test_pictures_too(machine):
+def test_pictures_too(machine, kept):
     from matplotlib.text import Text
 
     name, folder = machine
-    page = assemble_report(
-        folder / "axis.toml", folder / "record.npz", crossover=60.0, k_e1=0.01, mass=50.0, damping=100.0
-    ).page
+    report = once(assemble_report, kept, "report")
+    page = report(folder / "axis.toml", folder / "record.npz", crossover=60.0, k_e1=0.01, mass=50.0, damping=100.0).page
     page.html()
     written = [text.get_text() for picture in page.pictures() for text in picture.figure.findobj(Text)]
     assert len(written) > 100

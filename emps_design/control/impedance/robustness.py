@@ -233,12 +233,13 @@ def nearest_stable(
     plant: FrictionModel,
     clock: Clock,
     mismatch: float,
-    accept: Callable[[ImpedanceLaw], bool] | None = None,
+    accept: Callable[[ImpedanceLaw, np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> dict[str, float] | None:
     """The law nearest to ``law`` that is stable at every corner of ``mismatch``: damping, then mass and filter.
 
     Acceleration and current share the filter. Distance is that of the logarithms of M_a and filter; the grid has
-    steps of a few percent. ``accept`` may refuse a candidate for reasons of its own. None where none was found.
+    steps of a few percent. ``accept(law, masses, filters)`` may refuse some of the masses [kg] and filters [rad/s] for
+    reasons of its own. None where none was found.
     """
     damping = law.damping
     if damping <= mismatch * max(plant.viscous):
@@ -250,9 +251,10 @@ def nearest_stable(
     grid_mass, grid_filter = np.meshgrid(masses, filters)
     both = replace(law, damping=damping, current_filter=None)
     stable = worst_radius(both, plant, clock, mismatch, grid_mass, grid_filter) <= 1.0 + MARGINAL
+    if accept is not None and stable.any():
+        stable[stable] = accept(both, grid_mass[stable], grid_filter[stable])
+    if not stable.any():
+        return None
     distance = np.hypot(np.log(grid_mass / law.mass), np.log(grid_filter / wanted_filter))
-    for place in np.argsort(np.where(stable, distance, np.inf), axis=None, kind="stable")[: int(stable.sum())]:
-        mass, filter = float(grid_mass.flat[place]), float(grid_filter.flat[place])
-        if accept is None or accept(replace(both, mass=mass, filter=filter)):
-            return {"mass": mass, "damping": float(damping), "filter": filter}
-    return None
+    place = int(np.argmin(np.where(stable, distance, np.inf)))
+    return {"mass": float(grid_mass.flat[place]), "damping": float(damping), "filter": float(grid_filter.flat[place])}

@@ -108,6 +108,20 @@ def extended_loop(axis: Axis, law: ImpedanceLaw, velocity: float = 0.1) -> Sampl
     return close(sample_axis(axis, velocity), linear_law(law_for(axis, law, period), period, float(np.sign(velocity))))
 
 
+def extended_radius(
+    axis: Axis, law: ImpedanceLaw, masses: np.ndarray, filters: np.ndarray, velocity: float = 0.1
+) -> np.ndarray:
+    """Largest modulus of the poles of :func:`extended_loop` for many M_a [kg] and filters [rad/s] at once, shape (m,).
+
+    Acceleration and current share the filter; ``law`` gives the rest.
+    """
+    clock, direction = Clock.of(axis), 1 if velocity > 0.0 else -1
+    n = numbers(law, FrictionModel.of(axis), direction)
+    n |= {"apparent_mass": masses, "filter": filters, "current_filter": filters}
+    laws = _law(n, clock, law.velocity_estimator, law.force_sensor, axis.drive.gain)
+    return radius_of(close(sample_axis(axis, velocity), linear_law(laws, clock.period, float(direction))))
+
+
 def spectral_radius(n: dict[str, Any], clock: Clock, **options: Any) -> np.ndarray:
     """Largest modulus of the poles for many loops at once, shape (m,); arguments of :func:`sampled_loops`."""
     return radius_of(sampled_loops(n, clock, **options))
@@ -130,11 +144,12 @@ def recursion_radius(n: dict[str, Any], clock: Clock, velocity_estimator: str = 
     return np.abs(poles).max(axis=-1, initial=0.0)
 
 
-def _law(n: dict[str, Any], clock: Clock, velocity_estimator: str, force_sensor: bool) -> Law:
+def _law(n: dict[str, Any], clock: Clock, velocity_estimator: str, force_sensor: bool, force_gain: float = 1.0) -> Law:
     friction = SimpleNamespace(mass=n["mass_hat"], viscous=(n["viscous_hat"],) * 2, coulomb=(0.0, 0.0))
     gains = gains_of(
         friction, n["apparent_mass"], n["damping"], (n["filter"], n["current_filter"]), clock.period,
         velocity_estimator, stiffness=n["stiffness"], current_factor=n["current_factor"],
-        force_sensor=force_sensor, current_time_constant=clock.current_time_constant, delay=clock.delay,
+        force_sensor=force_sensor, force_gain=force_gain, current_time_constant=clock.current_time_constant,
+        delay=clock.delay,
     )  # fmt: skip
     return law_with(gains, clock.delay)

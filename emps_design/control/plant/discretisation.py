@@ -282,8 +282,10 @@ def filter_response(filters: Iterable[Filter], w: np.ndarray, period: float) -> 
     >>> round(float(abs(filter_response([notch], np.array([314.16]), 1e-4)[0])), 3)
     0.1
     """
+    found = np.ones(np.shape(w), dtype=complex)
+    if not filters:
+        return found
     z = np.exp(1j * np.asarray(w) * period)
-    found = np.ones(z.shape, dtype=complex)
     for one in filters:
         b, a = filter_polynomials(one, period)
         found = found * np.polyval(b, z) / np.polyval(a, z)
