@@ -52,7 +52,14 @@ def identify_law(records: Record | Sequence[Record], command_unit: str = "V") ->
     >>> found.verdict, found.controller["kind"], round(found.controller["kp"], 1), round(found.controller["kv"], 1)
     ('told', 'position_pd', 50.0, 40.0)
     """
-    several = [records] if isinstance(records, Record) else _alike(records)
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1):  # the matrices here are tall and thin: BLAS threads would only spin
+        return _identified([records] if isinstance(records, Record) else _alike(records), command_unit)
+
+
+def _identified(several: list[Record], command_unit: str) -> LawEstimate:
+    """The controller that made ``several`` records of one kind."""
     name = " + ".join(one.name for one in several)
     read = [signals_of(own_samples(one)) for one in several]
     for one, said in zip(several, read, strict=True):
