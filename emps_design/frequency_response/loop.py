@@ -104,14 +104,14 @@ def measured_margins(response: FrequencyResponse, axis: Axis, draws: int = DRAWS
         found, stable = several.margins()
         ends = [(*several.sensitive(row), *map(np.ravel, several.loci(row))) for row in (0, -1)]
     else:
-        law_on_grid = law_response(law, grid, period)
+        L = -law_response(law, grid, period) * plant.position(grid[None], np.arange(len(rows))[:, None])
 
         def loop(w: np.ndarray, which: np.ndarray, delay: np.ndarray | float = 0.0) -> np.ndarray:
-            by = law_on_grid if w.shape == (1, grid.size) else law_response(law, w, period)
-            return -by * plant.position(w, which, delay)
+            if w.shape == (1, grid.size):
+                return L
+            return -law_response(law, w, period) * plant.position(w, which, delay)
 
         found = margin_arrays(loop, len(rows), grid, math.pi / period, loop)
-        L = loop(grid[None], np.arange(len(rows))[:, None])
         stable = stable_loops(grid, L)
         ends = [(grid, L[row], L[row], grid) for row in (0, -1)]
     values = {name: _number(found[name][0]) if stable[0] else None for name in CROSSINGS}

@@ -70,7 +70,7 @@ class MeasuredPlant:
 
     def continuous(self, w: np.ndarray, rows: np.ndarray | int = 0) -> np.ndarray:
         """Force to velocity of the ``rows`` at ``w`` [rad/s]; both broadcast."""
-        w, rows = np.broadcast_arrays(np.asarray(w, dtype=float), rows)
+        w = np.asarray(w, dtype=float)
         x = np.log(self.frequency)
         at = np.clip(np.searchsorted(self.frequency, w) - 1, 0, x.size - 2)
         beside = np.clip(np.log(w), x[0], x[-1]) - x[at]

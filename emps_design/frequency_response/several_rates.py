@@ -22,7 +22,7 @@ import numpy as np
 
 from emps_design.control.loop.margins import KEYS
 from emps_design.control.loop.periodic import lifted
-from emps_design.control.loop.transfer import transfer
+from emps_design.control.loop.transfer import transfers
 from emps_design.errors import InputError
 from emps_design.frequency_response.measured_plant import MeasuredPlant, stable_loops
 from emps_design.laws.linear import LinearLaw
@@ -66,23 +66,28 @@ class SeveralRates:
 
     def _law(self, w: np.ndarray) -> np.ndarray:
         """Command over position (..., N, N) between the frequencies of :meth:`_places`."""
-        cycle, period, law = self.law.cycle, self.plant.period, self.law
-        A, B, C, D = lifted(law.A, law.B[..., [1]], law.C[:, None, :], law.D[:, None, [1]])
-        several = np.broadcast_to(A, (cycle, *A.shape))
-        z = np.exp(1j * w * cycle * period)
-        samples = np.stack(
-            [transfer(several, B.T, np.broadcast_to(c, B.T.shape), d, z) for c, d in zip(C, D, strict=True)]
-        )
+        cycle, period = self.law.cycle, self.plant.period
+        A, B, C, D = self._lifted
+        several, rows = np.broadcast_to(A, (cycle, *A.shape)), np.broadcast_to(C[:, None, :], (cycle, *B.T.shape))
+        samples = np.moveaxis(transfers(several, B.T, rows, D, np.exp(1j * w * cycle * period)), (0, 1), (-2, -1))
         turns = np.exp(1j * period * self._places(w)[..., None, :] * np.arange(cycle)[:, None])
-        return turns.conj().swapaxes(-1, -2) @ np.moveaxis(samples, (0, 1), (-2, -1)) @ turns / cycle
+        return turns.conj().swapaxes(-1, -2) @ samples @ turns / cycle
+
+    @cached_property
+    def _lifted(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        law = self.law
+        return lifted(law.A, law.B[..., [1]], law.C[:, None, :], law.D[:, None, [1]])
 
     @cached_property
     def _law_on_grid(self) -> np.ndarray:
         return self._law(self.grid)
 
-    def matrix(self, w: np.ndarray, rows: np.ndarray | int, delay: np.ndarray | float = 0.0) -> np.ndarray:
-        """The open loop (..., N, N) of the ``rows`` at ``w`` (...) [rad/s], ``delay`` [s] more."""
-        law = self._law_on_grid if w is self.grid else self._law(w)
+    def matrix(
+        self, w: np.ndarray, rows: np.ndarray | int, delay: np.ndarray | float = 0.0, law: np.ndarray | None = None
+    ) -> np.ndarray:
+        """The open loop (..., N, N) of the ``rows`` at ``w`` (...) [rad/s], ``delay`` [s] more; ``law`` if known."""
+        if law is None:
+            law = self._law_on_grid if w is self.grid else self._law(w)
         places = self._places(w)
         plant = self.plant.position(np.abs(places), np.asarray(rows)[..., None], np.asarray(delay)[..., None])
         return -law * np.where(places < 0.0, plant.conj(), plant)[..., None, :]
@@ -98,15 +103,18 @@ class SeveralRates:
         sign = np.where(place < 0.0, -1.0, 1.0)
         lag = np.mod(sign * np.angle(value) + np.pi, 2.0 * np.pi)
 
-        def turned(w: np.ndarray, y: np.ndarray, which: np.ndarray, sign: float) -> np.ndarray:
-            factor = np.exp(-1j * sign * y)[..., None, None]
-            return np.linalg.det(unit + factor * self.matrix(w, which))
+        # Each is a function of what is sought at frequencies, where all that does not depend on it is there already.
+        def turned(w: np.ndarray, sign: float) -> Callable[[np.ndarray], np.ndarray]:
+            loop = self.matrix(w, rows)
+            return lambda y: np.linalg.det(unit + np.exp(-1j * sign * y)[..., None, None] * loop)
 
-        def later(w: np.ndarray, y: np.ndarray, which: np.ndarray, sign: float) -> np.ndarray:
-            return np.linalg.det(unit + self.matrix(w, which, y * self.plant.period))
+        def later(w: np.ndarray, sign: float) -> Callable[[np.ndarray], np.ndarray]:
+            law = self._law(w)
+            return lambda y: np.linalg.det(unit + self.matrix(w, rows, y * self.plant.period, law))
 
-        def more(w: np.ndarray, y: np.ndarray, which: np.ndarray, sign: float) -> np.ndarray:
-            return np.linalg.det(unit + np.exp(y)[..., None, None] * self.matrix(w, which))
+        def more(w: np.ndarray, sign: float) -> Callable[[np.ndarray], np.ndarray]:
+            loop = self.matrix(w, rows)
+            return lambda y: np.linalg.det(unit + np.exp(y)[..., None, None] * loop)
 
         for start, at, side, angle in zip(w, place, sign, lag, strict=True):
             true, phase = self._followed(turned, start, angle, side)
@@ -138,17 +146,17 @@ class SeveralRates:
         return w, value, places[at, which]
 
     def _followed(
-        self, gap: Callable[..., np.ndarray], w: float, y: float, sign: float
+        self, gap: Callable[[np.ndarray, float], Callable[[np.ndarray], np.ndarray]], w: float, y: float, sign: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Roots of ``gap(w, y, rows, sign)`` in every row, by Newton's rule from the same start; NaN where none is."""
-        count = len(self.plant.rows)
-        rows, small = np.arange(count), 1e-6
+        """Roots of ``gap(w, sign)(y)`` in every row, by Newton's rule from the same start; NaN where none is."""
+        count, small = len(self.plant.rows), 1e-6
         x, value = np.full(count, math.log(w)), np.full(count, y)
         left = np.full(count, np.inf + 0j)
         for _ in range(TURNS):
-            now = gap(np.exp(x), value, rows, sign)
-            by_x = (gap(np.exp(x + small), value, rows, sign) - now) / small
-            by_y = (gap(np.exp(x), value + small, rows, sign) - now) / small
+            here = gap(np.exp(x), sign)
+            now = here(value)
+            by_x = (gap(np.exp(x + small), sign)(value) - now) / small
+            by_y = (here(value + small) - now) / small
             determinant = by_x.real * by_y.imag - by_x.imag * by_y.real
             with np.errstate(divide="ignore", invalid="ignore"):
                 step_x = (now.imag * by_y.real - now.real * by_y.imag) / determinant

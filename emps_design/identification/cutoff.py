@@ -9,7 +9,7 @@ lower one where that noise would be felt. It depends on motion and encoder, not 
 from __future__ import annotations
 
 from bisect import bisect_left
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -48,11 +48,16 @@ def chosen_cutoff(record: Record) -> float:
     rest = at_rest(part)
     moving = len(rest) - int(rest.sum())
 
-    def keeps(index: int, shares: tuple[float, float]) -> bool:
+    @cache  # the halvings for the two shares meet at the same cut-offs
+    def kept(index: int) -> tuple[int, float, float]:
+        """Rows away from rest, the acceleration's power in them, and all of it."""
         away = away_from(rest, tried[index], part.period)
         power = motion(part, float(tried[index])).a ** 2
-        rows = int(away.sum()) >= shares[0] * moving
-        return rows and float(power[away].sum()) >= shares[1] * float(power.sum())
+        return int(away.sum()), float(power[away].sum()), float(power.sum())
+
+    def keeps(index: int, shares: tuple[float, float]) -> bool:
+        rows, inside, power = kept(index)
+        return rows >= shares[0] * moving and inside >= shares[1] * power
 
     # Both shares grow with the cut-off: the first that is enough, by halving.
     least, enough = (

@@ -66,14 +66,18 @@ def decimate(signal: np.ndarray, factor: int = DECIMATION) -> np.ndarray:
     >>> decimate(np.ones(101), 10).size
     11
     """
-    from scipy.signal import cheby1
-
     if factor == 1:
         return signal
     share = 0.8 / factor
-    sections = cheby1(8, 0.05, share, output="sos")
     rows = decimated_rows(len(signal), factor)
-    return _forwards_and_backwards(sections, signal, _padding(8, len(signal)), share, rows)
+    return _forwards_and_backwards(_chebyshev(share), signal, _padding(8, len(signal)), share, rows)
+
+
+@lru_cache(maxsize=64)
+def _chebyshev(share: float) -> np.ndarray:
+    from scipy.signal import cheby1
+
+    return cheby1(8, 0.05, share, output="sos")
 
 
 def decimated_rows(n: int, factor: int = DECIMATION) -> slice:

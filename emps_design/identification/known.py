@@ -14,7 +14,7 @@ from emps_design.errors import InputError, nearest_name
 from emps_design.identification.chains import CHAINS
 from emps_design.identification.filtered import Filtered
 from emps_design.identification.inverse_model import with_predicted_force
-from emps_design.observer import acting_voltage, effects_force, left_out, motor_share
+from emps_design.observer import acting_voltage, effects_force, left_out, motor_share, sampled_with
 from emps_design.records import Record
 
 
@@ -43,7 +43,7 @@ def identified_effects(model: str, p: Mapping[str, float]) -> list[dict[str, Any
 
 def acting(record: Record, axis: Axis) -> Record:
     """The record with the voltage that acts in place of the recorded one: see :func:`acting_voltage`."""
-    voltage, _ = acting_voltage(axis.replace(sampling={"period": record.period}), record.u)
+    voltage, _ = acting_voltage(sampled_with(axis, record.period), record.u)
     return replace(record, u=voltage * motor_share(axis, record))
 
 
@@ -57,7 +57,7 @@ def filter_record(record: Record, axis: Axis, chain: str, cutoff_hz: float | Non
     """
     if chain not in CHAINS:
         raise InputError(f"`chain`: found {chain!r}, expected {', '.join(CHAINS)}{nearest_name(chain, list(CHAINS))}")
-    voltage, rest = acting_voltage(axis.replace(sampling={"period": record.period}), record.u)
+    voltage, rest = acting_voltage(sampled_with(axis, record.period), record.u)
     share = motor_share(axis, record)
     filtered = CHAINS[chain](replace(record, u=voltage * share), axis.drive.gain, cutoff_hz)
     if axis.drive.braking:

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
         as_driven as as_driven,
         motor_force as motor_force,
         motor_share as motor_share,
+        sampled_with as sampled_with,
     )
     from emps_design.observer.external_force import (
         DEFAULT_CUTOFF_HZ as DEFAULT_CUTOFF_HZ,

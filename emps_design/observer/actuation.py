@@ -48,6 +48,11 @@ def acting_voltage(axis: Axis, u: np.ndarray) -> tuple[np.ndarray, Axis]:
     return u, axis.replace(effects=kept, **used_up)
 
 
+def sampled_with(axis: Axis, period: float) -> Axis:
+    """``axis`` with the ``period`` [s] of a record: itself where it has that already."""
+    return axis if axis.sampling.period == period else axis.replace(sampling={"period": period})
+
+
 def as_driven(axis: Axis, record: Record) -> tuple[Record, Axis]:
     """The record with the voltage that acts, as :func:`acting_voltage` says, and the axis that goes with it.
 
@@ -61,7 +66,7 @@ def as_driven(axis: Axis, record: Record) -> tuple[Record, Axis]:
     >>> [int(np.count_nonzero(half)) for half in np.split(as_driven(machine("emps2019"), off)[0].u, 2)]
     [30, 0]
     """
-    voltage, driven = acting_voltage(axis.replace(sampling={"period": record.period}), record.u)
+    voltage, driven = acting_voltage(sampled_with(axis, record.period), record.u)
     voltage = voltage * motor_share(axis, record)
     if axis.drive.braking and record.enable is not None:
         v = np.gradient(record.q, record.period)

@@ -68,7 +68,8 @@ def in_order(expression: sp.Expr, signals: tuple[sp.Expr, ...], ratio: tuple[sp.
             if expanded.coeff(place) != 0
         )
     )
-    if sp.simplify(found.expression - given) != 0:
+    left = sp.expand(found.expression - given)
+    if left != 0 and sp.simplify(left) != 0:
         raise ValueError(f"not linear in {signals}: {given}")
     return found
 

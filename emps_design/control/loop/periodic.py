@@ -57,18 +57,17 @@ def response(A: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, angle: 
     (c, n, n), (c, n), (c, n), (c,), (f,) -> (f,). Other frequencies come out too, the aliases of it.
     """
     cycle, size = b.shape
-    found = np.empty(angle.size, dtype=complex)
-    for i, turn in enumerate(np.exp(1j * angle)):
-        state, driven = np.eye(size, dtype=complex), np.zeros(size, dtype=complex)
-        for j in range(cycle):
-            state, driven = A[j] @ state, A[j] @ driven + b[j] * turn**j
-        x = np.linalg.solve(turn**cycle * np.eye(size) - state, driven)
-        total = 0.0j
-        for j in range(cycle):
-            total += (c[j] @ x + d[j] * turn**j) / turn**j
-            x = A[j] @ x + b[j] * turn**j
-        found[i] = total / cycle
-    return found
+    turn = np.exp(1j * angle)[:, None, None]
+    forth = turn ** np.arange(cycle + 1)[:, None, None, None]  # what goes in, sample by sample
+    driven = np.zeros((angle.size, size, 1), dtype=complex)
+    for j in range(cycle):
+        driven = A[j] @ driven + b[j][:, None] * forth[j]
+    x = np.linalg.solve(forth[cycle] * np.eye(size) - monodromy(A), driven)
+    total = np.zeros((angle.size, 1, 1), dtype=complex)
+    for j in range(cycle):
+        total += (c[j][None] @ x + d[j] * forth[j]) / forth[j]
+        x = A[j] @ x + b[j][:, None] * forth[j]
+    return total.ravel() / cycle
 
 
 def margins(

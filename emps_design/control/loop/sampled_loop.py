@@ -116,14 +116,19 @@ class SampledLoop:
 
     def simulate(self, w: np.ndarray) -> np.ndarray:
         """Outputs (k, 4) of a single loop from rest under inputs ``w`` (k, i)."""
+        w = np.asarray(w, dtype=float)
         samples = [(self.A, self.B, self.C, self.D)]
         if self.cycle > 1:
             samples = list(zip(self.A, self.B, self.C, self.D, strict=True))
-        state, found = np.zeros(self.A.shape[-1]), np.empty((len(w), len(OUTPUTS)))
-        for k, now in enumerate(np.asarray(w, dtype=float)):
-            A, B, C, D = samples[k % self.cycle]
-            found[k] = C @ state + D @ now
-            state = A @ state + B @ now
+        size, count = self.A.shape[-1], len(samples)
+        states, found = np.zeros((len(w) + 1, size)), np.empty((len(w), len(OUTPUTS)))
+        for j, (_, B, _, _) in enumerate(samples):
+            states[1:][j::count] = (B @ w[j::count, :, None])[..., 0]
+        # Only the state has to be gone through sample by sample.
+        for k in range(len(w)):
+            states[k + 1] += samples[k % count][0] @ states[k]
+        for j, (_, _, C, D) in enumerate(samples):
+            found[j::count] = (C @ states[:-1][j::count, :, None] + D @ w[j::count, :, None])[..., 0]
         return found
 
     def to_ss(self) -> control.StateSpace:

@@ -17,14 +17,21 @@ def transfer(A: np.ndarray, b: np.ndarray, c: np.ndarray, d: Any, z: np.ndarray)
     >>> bool(np.allclose(delay, [-1j, -1.0]))
     True
     """
+    return transfers(A, b, c[None], np.asarray(d)[None], z)[0]
+
+
+def transfers(A: np.ndarray, b: np.ndarray, C: np.ndarray, D: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Return :func:`transfer` for each of several ``C`` (o, ..., n) and ``D`` (o, ...), from systems solved once."""
     if A.ndim == 3 and len(A) > 1:
         alike = _alike(A, b)
         if alike is not None:
-            return _of_alike(A[0], b[0], *alike, c, np.asarray(d), z)
+            return _of_alike(A[0], b[0], *alike, C, D, z)
         if len(A) * z.size > AT_ONCE:  # in pieces that fit into memory
             half = len(A) // 2
-            return np.concatenate([transfer(A[i], b[i], c[i], d[i], z) for i in (slice(half), slice(half, None))])
-    found = np.sum(c[..., None, :] * _solved(A, b[..., None], z)[..., 0], axis=-1) + np.asarray(d)[..., None]
+            pieces = [transfers(A[i], b[i], C[:, i], D[:, i], z) for i in (slice(half), slice(half, None))]
+            return np.concatenate(pieces, axis=1)
+    states = _solved(A, b[..., None], z)[..., 0]
+    found = np.stack([np.sum(c[..., None, :] * states, axis=-1) + d[..., None] for c, d in zip(C, D, strict=True)])
     return found.reshape(*found.shape[:-1], *z.shape)
 
 
@@ -51,10 +58,10 @@ def _alike(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None
     return (column, shares) if np.all(left <= ROUNDING * (np.abs(tables) + np.abs(tables[0]))) else None
 
 
-def _of_alike(A: Any, b: Any, column: Any, shares: Any, c: Any, d: Any, z: np.ndarray) -> np.ndarray:
+def _of_alike(A: Any, b: Any, column: Any, shares: Any, C: Any, D: Any, z: np.ndarray) -> np.ndarray:
     """The transfer functions of systems that are :func:`_alike`, by Sherman and Morrison's formula."""
     first, moved = np.moveaxis(_solved(A, np.column_stack([b, column]), z), -1, 0)
     heard = shares[:, :-1]
     back = (shares[:, -1:] + heard @ first.T) / (1.0 - heard @ moved.T)
-    found = c @ first.T + (c @ moved.T) * back + d[..., None]
-    return found.reshape(len(found), *z.shape)
+    found = np.stack([c @ first.T + (c @ moved.T) * back + d[..., None] for c, d in zip(C, D, strict=True)])
+    return found.reshape(*found.shape[:-1], *z.shape)

@@ -82,11 +82,11 @@ def derive_impedance(model: sp.Eq = MODEL, target: sp.Eq = TARGET) -> tuple[Deri
     [('24', 'as printed'), ('25', 'as printed'), ('26', 'as printed once M_o is read as M_a'), ('27', 'not as printed'),
      ('28', 'as printed'), ('29', 'as printed'), ('30', 'not as printed')]
     """
-    return (*_law_steps(model, target), *_closed_steps(derived_law(model, target)["30"].expression))
-
-
-def _law_steps(model: sp.Eq, target: sp.Eq) -> list[DerivationStep]:
     derived = derived_law(model, target)
+    return (*_law_steps(model, target, derived), *_closed_steps(derived["30"].expression))
+
+
+def _law_steps(model: sp.Eq, target: sp.Eq, derived: dict[str, Sum]) -> list[DerivationStep]:
     of_model = in_order(sp.expand(model.rhs), (y.qdd, y.qd, y.S), RATIO)
     of_target = in_order(sp.expand(target.rhs), (y.qdd, MOVED, AWAY), RATIO)
     # The law put back into the model must leave the target, and the observer must give the force of the model.

@@ -57,13 +57,13 @@ def test_half_power_is_not_minus_3_db():
     assert second_order_bandwidth(w0, z) == pytest.approx(159.90, abs=6e-3)
 
 
-def right_side(number, name):
-    """The derived right-hand side of the step with that equation number and left-hand symbol."""
-    found = [s for s in derive_velocity_loop() if s.number == number and s.equation.lhs == name]
-    return found[0].equation.rhs
-
-
 def test_numbers_equal_the_derived_symbols():
+    steps = derive_velocity_loop()
+
+    def right_side(number, name):
+        """The derived right-hand side of the step with that equation number and left-hand symbol."""
+        return next(s for s in steps if s.number == number and s.equation.lhs == name).equation.rhs
+
     numbers = {
         y.M_1: MASS, y.F_v1: VISCOUS, y.G_tau: FORCE_GAIN, y.omega_v: 130.0, y.phi_v: math.radians(47.0),
     }  # fmt: skip
@@ -79,7 +79,7 @@ def test_numbers_equal_the_derived_symbols():
     at = {**gains, y.s: 77.0j}
     assert complex(right_side("6", y.T_vo).subs(at)) == pytest.approx(complex(design.velocity_error_loop()(77j)))
     assert complex(right_side("8", y.T_vc).subs(at)) == pytest.approx(complex(design.closed_loop()(77j)))
-    by_title = {step.title: step.equation.rhs for step in derive_velocity_loop()}
+    by_title = {step.title: step.equation.rhs for step in steps}
     plant_input = by_title["Loop broken at the plant input"].subs(at)
     assert complex(plant_input) == pytest.approx(complex(design.plant_input_loop()(77j)))
     form = {y.omega_0v: design.omega_0v, y.z_v: design.z_v}
