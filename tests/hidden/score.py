@@ -220,12 +220,7 @@ def table(scores: list[Score], seed: int, which: str = "all", repeats: bool = Tr
         f"(three at most) is what was hidden and no finding is false. {laps}",
         "Rules were chosen with these cases in sight." if steered else "No rule was chosen with these cases in sight.",
         "",
-        f"Cases: {count['right']} right ({count['exact']} by the first name), {count['wrong']} wrong, "
-        f"{count['abstained']} abstained, {count['too_small']} too small, of {count['effects']}. "
-        f"Healthy: {count['false_alarms']} false alarms of {count['healthy']}. "
-        f"Unknown physics alone: {count['unknown_right']} of {count['unknown']} called unnamed. "
-        f"Medians: {count['median_gap_closed']:.2f} of the gap closed, "
-        f"{count['median_processor_seconds']:.0f} s of processor time.",
+        *_in_words(count),
         "",
         f"Effects that stand out of the noise: {_counted(asked)} named. Names: {_counted(false)} false "
         "(in brackets 95 %, Wilson).",
@@ -248,6 +243,23 @@ def table(scores: list[Score], seed: int, which: str = "all", repeats: bool = Tr
         results = [sum(s.result in kind for s in own) for kind in (("right",), ("abstained", "too small"), ("wrong",))]
         lines.append(f"| {' + '.join(truth)} | {len(own)} | {results[0]} | {results[1]} | {results[2]} | {said} |")
     return "\n".join(lines) + "\n"
+
+
+def _in_words(count: dict[str, Any]) -> list[str]:
+    """The counts of the kinds of cases that there are, and the time."""
+    said = [f"{count['median_processor_seconds']:.0f} s of processor time in the median."]
+    if count["unknown"]:
+        said.insert(0, f"Unknown physics alone: {count['unknown_right']} of {count['unknown']} called unnamed.")
+    if count["healthy"]:
+        said.insert(0, f"Healthy: {count['false_alarms']} false alarms of {count['healthy']}.")
+    if count["effects"]:
+        said.insert(
+            0,
+            f"Cases: {count['right']} right ({count['exact']} by the first name), {count['wrong']} wrong, "
+            f"{count['abstained']} abstained, {count['too_small']} too small, of {count['effects']}; "
+            f"{count['median_gap_closed']:.2f} of the gap closed in the median.",
+        )
+    return said
 
 
 def _counted(part: dict[str, Any]) -> str:
