@@ -222,10 +222,10 @@ def table(scores: list[Score], seed: int, which: str = "all", repeats: bool = Tr
         "",
         *_in_words(count),
         "",
-        f"Effects that stand out of the noise: {_counted(asked)} named. Names: {_counted(false)} false "
-        "(in brackets 95 %, Wilson).",
-        "",
     ]
+    if asked["of"] or false["of"]:
+        named = f"Effects that stand out of the noise: {_counted(asked)} named. Names: {_counted(false)} false"
+        lines += [f"{named} (in brackets 95 %, Wilson).", ""]
     sizes = share_found(scores)
     if len(sizes) > 1:
         lines += ["| share of the ordinary size | named | of | 95 % |", "|---|---|---|---|"]
