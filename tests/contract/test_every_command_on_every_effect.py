@@ -28,8 +28,7 @@ SIMULATED = {
     "identify": "identify {record} --axis {identified}",
     "observe": "observe {record} --axis {identified}",
 }
-# The time a law takes to come to rest decides how long it is pressed against walls: this damping shortens it.
-LAW = {"impedance": "impedance {design} --mass 50 --damping 300"}
+LAW = {"impedance": "impedance {design} --mass 50 --damping 100"}
 LONG = {
     "comanipulation": "simulate {design} --scenario comanipulation --plants 2",
     "diagnose": "diagnose {record} --axis {identified}",

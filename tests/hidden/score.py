@@ -247,19 +247,18 @@ def table(scores: list[Score], seed: int, which: str = "all", repeats: bool = Tr
 
 def _in_words(count: dict[str, Any]) -> list[str]:
     """The counts of the kinds of cases that there are, and the time."""
-    said = [f"{count['median_processor_seconds']:.0f} s of processor time in the median."]
-    if count["unknown"]:
-        said.insert(0, f"Unknown physics alone: {count['unknown_right']} of {count['unknown']} called unnamed.")
-    if count["healthy"]:
-        said.insert(0, f"Healthy: {count['false_alarms']} false alarms of {count['healthy']}.")
+    said = []
     if count["effects"]:
-        said.insert(
-            0,
+        said = [
             f"Cases: {count['right']} right ({count['exact']} by the first name), {count['wrong']} wrong, "
             f"{count['abstained']} abstained, {count['too_small']} too small, of {count['effects']}; "
-            f"{count['median_gap_closed']:.2f} of the gap closed in the median.",
-        )
-    return said
+            f"{count['median_gap_closed']:.2f} of the gap closed in the median."
+        ]
+    if count["healthy"]:
+        said.append(f"Healthy: {count['false_alarms']} false alarms of {count['healthy']}.")
+    if count["unknown"]:
+        said.append(f"Unknown physics alone: {count['unknown_right']} of {count['unknown']} called unnamed.")
+    return [*said, f"{count['median_processor_seconds']:.0f} s of processor time in the median."]
 
 
 def _counted(part: dict[str, Any]) -> str:
