@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
@@ -239,7 +240,8 @@ def table(scores: list[Score], seed: int, which: str = "all", repeats: bool = Tr
     ]
     for truth in sorted({s.truth for s in scores}):
         own = [s for s in scores if s.truth == truth]
-        said = "; ".join(" + ".join(s.named) or s.verdict or s.note for s in own)
+        words = Counter(" + ".join(s.named) or s.verdict or s.note for s in own)
+        said = "; ".join(f"{word} ({times} times)" if times > 1 else word for word, times in words.items())
         results = [sum(s.result in kind for s in own) for kind in (("right",), ("abstained", "too small"), ("wrong",))]
         lines.append(f"| {' + '.join(truth)} | {len(own)} | {results[0]} | {results[1]} | {results[2]} | {said} |")
     return "\n".join(lines) + "\n"
