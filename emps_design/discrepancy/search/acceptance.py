@@ -53,7 +53,7 @@ class Judge:
         """Whether ``fitted`` leaves nothing but noise on both parts."""
         parts = ("fit", "select")
         quiet = (_bulk(fitted, part) <= rules.AT_FLOOR * fitted.problem.samples(part) for part in parts)
-        return all(quiet) and not self._whitened_away(fitted)
+        return all(quiet) and not self.leaves_force(fitted)
 
     def leaves_structure(self, fitted: Fit) -> bool:
         """Whether ``fitted`` leaves more than noise could be."""
@@ -67,7 +67,7 @@ class Judge:
         return self._more_than_noise(fitted, _bulk(fitted, "fit") + _bulk(fitted, "select"))
 
     def _more_than_noise(self, fitted: Fit, cost: float) -> bool:
-        return cost > rules.STRUCTURED * fitted.problem.samples("used") or self._whitened_away(fitted)
+        return cost > rules.STRUCTURED * fitted.problem.samples("used") or self.leaves_force(fitted)
 
     def _demands(self, worse: Fit) -> tuple[float, float]:
         """Deviations at which a sample's cost is cut, and the share of the cost that a finding must be worth."""
@@ -88,15 +88,12 @@ class Judge:
                 return index
         return None
 
-    def _whitened_away(self, fitted: Fit) -> bool:
-        """Whether the force left shows structure to which the noise's own model may be blind.
-
-        A noise model made of a residual, and not of laps, holds what structure that residual had.
-        """
-        return not self.floor.from_laps and self.leaves_force(fitted)
-
     def leaves_force(self, fitted: Fit) -> bool:
-        """Whether the force left is more than noise, however it looks once it is whitened."""
+        """Whether the force left is more than noise, however it looks once it is whitened.
+
+        The noise's own model may hold structure: that of the residual it was made of, or, where a drift makes laps
+        differ, the drift's.
+        """
         return bool(usual_rms(_force_left(fitted)) ** 2 > rules.STRUCTURED * self.floor.force**2)
 
 

@@ -15,11 +15,14 @@ from emps_design.discrepancy.model.least_squares import Descent, descend
 from emps_design.discrepancy.model.missing_force import missing_force
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
+from emps_design.discrepancy.model.simplex import simplex
 from emps_design.discrepancy.search.starts import Start, Tangent, bent, starts, tangent
+from emps_design.effects.two_mass import has_play
 
 REFINED = 2  # starts of each effect that are worth a short fit
 SHORT_STEPS = 4
 FIRST_STEPS = 1  # of them, after which only those go on that may still be worth a full fit
+SIMPLEX = 60  # simulations that a first way down may take where play makes the cost rough
 FINALISTS = 4  # effects worth a full fit
 PROMISED = 2  # of the first-order gains, worth one whatever the short fit says
 BENT_EFFECTS, BENT_STARTS = 2, 6  # fitted where the gap bent the baseline
@@ -87,7 +90,7 @@ def converged(fitted: Fit) -> Fit:
 
     A fit that has not converged looks like another effect.
     """
-    further = _revised(_settled(fitted))
+    further = play_anew(_revised(_settled(fitted)))
     return further if admissible(further) else fitted
 
 
@@ -109,7 +112,13 @@ def _short_fits(begins: list[Start], absorbed: Tangent, before: float, share: fl
 def _short_fit(start: Start, begin: Candidate, absorbed: Tangent, steps: int) -> Descent:
     own = tuple(slot for slot in begin.slots() if slot.effect == len(begin.effects) - 1)
     free = absorbed.free if start.anchored else lambda residual: residual
-    return descend(begin, own, lambda m: free(start.hypothesis.with_model(m).residual("fit")), steps)
+
+    def left(model: Candidate) -> np.ndarray:
+        return free(start.hypothesis.with_model(model).residual("fit"))
+
+    if begin is start.model and has_play(begin.effects[-1]):
+        begin = simplex(begin, own, left, SIMPLEX)
+    return descend(begin, own, left, steps)
 
 
 def _promising(begins: list[Hypothesis]) -> list[Hypothesis]:
@@ -134,9 +143,24 @@ def _fitted(begin: Hypothesis) -> Fit:
     """
     ended = fit(begin)
     met = {(slot.effect, slot.place, slot.record) for slot in bounds_met(ended)}
-    if not met:
-        return ended
-    return fit(begin, slots=tuple(s for s in begin.model.slots() if (s.effect, s.place, s.record) not in met))
+    if met:
+        ended = fit(begin, slots=tuple(s for s in begin.model.slots() if (s.effect, s.place, s.record) not in met))
+    found_before = not has_play(begin.model.effects[-1])  # else a simplex was where its short fit began
+    return play_anew(ended) if found_before else ended
+
+
+def play_anew(fitted: Fit) -> Fit:
+    """``fitted`` with the numbers of its play looked for beside what the other numbers absorb, where that leaves less.
+
+    Play found while something else was missing bounces at another place, from which no slope leads away.
+    """
+    model = fitted.model
+    own = tuple(slot for slot in fitted.slots if slot.effect >= 0 and has_play(model.effects[slot.effect]))
+    if not own or not fitted.innovations:
+        return fitted
+    absorbed = tangent(fitted, slots=tuple(slot for slot in fitted.slots if slot not in own))
+    moved = simplex(model, own, lambda m: absorbed.free(fitted.with_model(m).residual("fit")), SIMPLEX)
+    return min((fitted, fit(fitted.with_model(moved), slots=fitted.slots)), key=lambda f: f.cost)
 
 
 def _settled(fitted: Fit) -> Fit:

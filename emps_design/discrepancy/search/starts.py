@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.model.candidate import Candidate
+from emps_design.discrepancy.model.candidate import Candidate, Slot
 from emps_design.discrepancy.model.fit import Fit, sensitivities
 from emps_design.discrepancy.model.missing_force import MissingForce, missing_force
 from emps_design.discrepancy.model.parallel import side_by_side
@@ -61,10 +61,11 @@ class Tangent:
         return vector - self.basis @ (self.basis.T @ vector)
 
 
-def tangent(current: Fit, part: str = "fit") -> Tangent:
-    """Finite-difference sensitivities of the whitened residual to the free numbers of ``current``."""
+def tangent(current: Fit, part: str = "fit", slots: tuple[Slot, ...] | None = None) -> Tangent:
+    """Finite-difference sensitivities of the whitened residual to the numbers of ``current`` in ``slots``, to all."""
     base = current.residual(part)
-    u, s, _ = np.linalg.svd(sensitivities(current, current.model.slots(), part), full_matrices=False)
+    slots = current.model.slots() if slots is None else slots
+    u, s, _ = np.linalg.svd(sensitivities(current, slots, part), full_matrices=False)
     basis = u[:, s > 1e-9 * s[0]]
     return Tangent(base, base - basis @ (basis.T @ base), basis)
 

@@ -51,7 +51,7 @@ def closest_of(validation: Validation) -> Closest:
     """The model that follows most closely, where that leaves less of the data that judge than the named one does."""
     outcome, named = validation.outcome, validation.extended
     judge = outcome.calibration.judge
-    if not (judge.leaves_structure(named) or judge.leaves_force(named)):
+    if not judge.leaves_structure(named):
         return Closest(UNNEEDED)
     problem, data = named.problem, outcome.calibration.preparation.held_out
     model = described(outcome.best, outcome.calibration.preparation.library).model

@@ -135,8 +135,7 @@ def _all_or_nothing(outcome: Outcome, data: HeldOut | None, start: Fit, searched
     if calibration.preparation.unexplained_law:  # known as a command, but not what it is
         verdict = "partly-named" if verdict in ("named", "ambiguous") else "unnamed"
     failed = verdict == "unnamed" and not judge.at_floor(extended)
-    more = judge.leaves_unexplained(extended) or judge.leaves_force(extended)
-    open_gap = more and min(shares) < rules.COMPLETE
+    open_gap = judge.leaves_unexplained(extended) and min(shares) < rules.COMPLETE
     given_up = extended.model.names if verdict == "unnamed" and named else ()
     answer = _Answer(verdict, start, extended, found, asked, refuted, given_up, held_out)
     return answer, shares[-1], (failed or forgotten or open_gap) and not nothing_yet

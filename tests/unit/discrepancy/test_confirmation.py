@@ -94,7 +94,8 @@ def test_a_force_of_more_than_noise_is_left_however_white_it_looks(stiffness, mo
     floor = floor_of_residual(evaluate(Hypothesis(problem(60.0), model(elastic_force=SPRING))).left(), 1e-3, LAPS)
     judge = Judge(floor, SimpleNamespace(threshold=0.0))
     assert judge.leaves_force(fitted) is more
-    assert not judge._whitened_away(fitted)  # what differs between laps has no structure of a model
+    assert judge.leaves_structure(fitted) is more
+    assert judge.at_floor(fitted) is not more
 
 
 def test_what_a_record_does_not_tell_is_not_confirmed():

@@ -11,7 +11,9 @@ from emps_design.discrepancy.model.least_squares import descend
 from emps_design.discrepancy.model.missing_force import missing_force
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem, orthonormal
+from emps_design.discrepancy.model.simplex import simplex
 from emps_design.discrepancy.model.whitening import Whitening
+from emps_design.discrepancy.search.extension import play_anew
 from emps_design.discrepancy.search.noise_floor import floor_of_laps, floor_of_residual, usual_rms
 from emps_design.effects import get_effect
 from emps_design.errors import SimulationError
@@ -49,6 +51,33 @@ def test_an_effect_comes_back_with_the_baseline():
     fitted = fit(Hypothesis(problem([hidden]), start))
     assert fitted.model.values[0][0, 0] == pytest.approx(2e-3, abs=4 * fitted.std(0, 0))
     assert fitted.std(0, 0) < 1e-4
+
+
+@pytest.mark.parametrize("begin", [(1e-4, 60.0, 0.15, 0.4, 0.0), (2e-4, 45.0, 0.15, 0.4, 0.0)])
+def test_play_is_found_where_a_descent_along_slopes_ends_in_a_dent(begin):
+    hidden = {"kind": "backlash", "gap": 8e-5, "frequency": 57.0, "damping": 0.15, "share": 0.32}
+    start = Candidate(AXIS.mechanics.array()).with_effect(get_effect("backlash"), np.array([begin]))
+    dent = fit(Hypothesis(problem([hidden], seed=2), start))
+    found, samples = play_anew(dent), dent.problem.samples("fit")
+    assert found.cost_fit < 1.3 * samples < 3.0 * samples < dent.cost_fit
+    assert found.model.values[0][0] == pytest.approx([8e-5, 57.0, 0.15, 0.32, 0.0], rel=0.03)
+
+
+def test_without_play_nothing_is_found_anew():
+    fitted = evaluate(Hypothesis(problem(), Candidate(AXIS.mechanics.array())))
+    assert play_anew(fitted) is fitted
+
+
+def test_a_simplex_passes_what_cannot_run_and_stays_within_bounds():
+    def residual(model):
+        if model.baseline[0] > 95.0:
+            raise SimulationError("no", 0.0)
+        return np.array([model.baseline[0] - 97.0, model.baseline[1] + 20.0])
+
+    start = Candidate(np.array([90.0, 180.0, 20.0, 0.0]))
+    found = simplex(start, start.slots()[:2], residual, 200)
+    assert found.baseline[0] == pytest.approx(95.0, rel=0.01)
+    assert 0.0 <= found.baseline[1] < 1.0
 
 
 @pytest.mark.parametrize(
