@@ -152,11 +152,12 @@ def _fitted(begin: Hypothesis) -> Fit:
 def play_anew(fitted: Fit) -> Fit:
     """``fitted`` with the numbers of its play looked for beside what the other numbers absorb, where that leaves less.
 
-    Play found while something else was missing bounces at another place, from which no slope leads away.
+    Play found while something else was missing bounces at another place, from which no slope leads away. Beside smooth
+    functions of the state it stays where its short fit found it: they hide most of what else is missing.
     """
     model = fitted.model
     own = tuple(slot for slot in fitted.slots if slot.effect >= 0 and has_play(model.effects[slot.effect]))
-    if not own or not fitted.innovations:
+    if not own or not fitted.innovations or fitted.problem.states:
         return fitted
     absorbed = tangent(fitted, slots=tuple(slot for slot in fitted.slots if slot not in own))
     moved = simplex(model, own, lambda m: absorbed.free(fitted.with_model(m).residual("fit")), SIMPLEX)
