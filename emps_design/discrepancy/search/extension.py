@@ -145,8 +145,7 @@ def _fitted(begin: Hypothesis) -> Fit:
     met = {(slot.effect, slot.place, slot.record) for slot in bounds_met(ended)}
     if met:
         ended = fit(begin, slots=tuple(s for s in begin.model.slots() if (s.effect, s.place, s.record) not in met))
-    found_before = not has_play(begin.model.effects[-1])  # else a simplex was where its short fit began
-    return play_anew(ended) if found_before else ended
+    return ended if has_play(begin.model.effects[-1]) else play_anew(ended)  # the last one's short fit began with that
 
 
 def play_anew(fitted: Fit) -> Fit:

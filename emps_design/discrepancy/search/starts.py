@@ -62,7 +62,7 @@ class Tangent:
 
 
 def tangent(current: Fit, part: str = "fit", slots: tuple[Slot, ...] | None = None) -> Tangent:
-    """Finite-difference sensitivities of the whitened residual to the numbers of ``current`` in ``slots``, to all."""
+    """Finite-difference sensitivities of the whitened residual to the numbers of ``current`` in ``slots``, else all."""
     base = current.residual(part)
     slots = current.model.slots() if slots is None else slots
     u, s, _ = np.linalg.svd(sensitivities(current, slots, part), full_matrices=False)
