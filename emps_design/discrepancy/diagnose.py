@@ -14,7 +14,7 @@ from emps_design.discrepancy.explain.explanation import explain
 from emps_design.discrepancy.result import Diagnosis
 from emps_design.discrepancy.search.beam_search import search
 from emps_design.discrepancy.search.calibration import Progress, calibrate, first_noise
-from emps_design.discrepancy.search.noise_floor import LEFT, Floor, floor_of_residual
+from emps_design.discrepancy.search.noise_floor import LEFT, Floor, floor_of_laps, floor_of_residual
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.search.suspects import at_first_sight, told
 from emps_design.discrepancy.validation.closest import closest_of
@@ -101,15 +101,16 @@ def _repeated(outcome: Outcome, seed: int, searches: int, report: Progress) -> O
 
 
 def _finer(outcome: Outcome) -> Floor | None:
-    """The noise that the best model leaves, where that is clearly less than the noise it was judged by.
+    """The noise read again, where that is clearly less than the noise the best model was judged by.
 
-    The noise was taken from what no model followed yet, or from laps that are not alike; a model that follows shows
-    how much of it was noise.
+    It was taken from what no model followed yet, or from laps that are not alike: what the model knows of one lap and
+    not of another is then no noise.
     """
     floor, best = outcome.calibration.floor, outcome.best
-    finer = floor_of_residual(best.left(), best.problem.period, LEFT)
-    least = rules.FINER_THAN_LAPS if floor.from_laps else rules.FINER
-    pays = finer.force < least * floor.force or finer.force_60hz < least * floor.force_60hz
+    splits, period = best.problem.splits, best.problem.period
+    of_laps = floor_of_laps(best.residuals(), splits, period) if floor.from_laps else None
+    finer = of_laps or floor_of_residual(best.left(), period, LEFT)
+    pays = finer.force < rules.FINER * floor.force or finer.force_60hz < rules.FINER * floor.force_60hz
     return finer if pays else None
 
 

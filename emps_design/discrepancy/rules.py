@@ -23,8 +23,7 @@ LAW_NAMED = 0.9  # share of the structure an effect must explain
 DRIFTS = 0.7  # of the rms of first differences between laps, below which second differences are the floor
 UNUSUAL = 2.5  # times the typical deviation of a piece, beyond which a piece is an event and no noise
 LINE = 25.0  # times the usual power, beyond which a line of the spectrum is a tone
-FINER = 0.95  # of the floor: a model that leaves less than this share shows that it was no noise
-FINER_THAN_LAPS = 0.7  # the same where laps repeat, which tells noise better than any model
+FINER = 0.95  # of the floor: a model that brings it below this share shows that it was no noise
 
 # What chance gains
 LEVEL = 0.01  # share of healthy records on which the threshold is reached, over all candidates together
