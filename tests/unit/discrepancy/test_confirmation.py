@@ -5,11 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from emps_design.discrepancy.diagnose import _finer
 from emps_design.discrepancy.model.bootstrap import rms_interval
 from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.fit import evaluate
+from emps_design.discrepancy.model.fit import evaluate, fit
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
+from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.discrepancy.search.acceptance import Judge
 from emps_design.discrepancy.search.noise_floor import LAPS, floor_of_laps, floor_of_residual
 from emps_design.discrepancy.validation.confirmation import _size_known, standing
@@ -167,3 +169,27 @@ def test_beside_something_unknown_an_effect_needs_a_size_of_its_own(std, known):
     model = SimpleNamespace(names=("elastic_force",), effects=(spring,), values=(np.array([[74.0]]),))
     fitted = SimpleNamespace(model=model, std=lambda effect, place: std)
     assert _size_known(fitted, "elastic_force") is known
+
+
+def test_noise_is_what_differs_between_laps_beyond_what_the_model_knows_of():
+    drift = {"kind": "friction_drift", "change": 0.5, "time_constant": 12.0}
+    curved = {"kind": "nonlinear_viscous_friction", "amount": 6.0, "exponent": 2.0}
+    noise = 4e-3 * np.random.default_rng(3).standard_normal(Q_REF.size)
+    run = Plant.of(AXIS.replace(effects=[drift, curved])).closed_loop(Q_REF, voltage_noise=noise)
+    record = Record(t=run.t, q_ref=Q_REF, q=run.q, u=run.u, period=1e-3, name="run")
+    white = Problem(AXIS, (record,), (split(record),), Whitening(np.array([1.0]), 0.14))
+
+    def of_laps(fitted):
+        return floor_of_laps(fitted.residuals(), white.splits, 1e-3)
+
+    start = fit(Hypothesis(white, Candidate(AXIS.mechanics.array())))
+    effect = get_effect("friction_drift")
+    begun = start.model.with_effect(effect, effect.values({"change": 0.4, "time_constant": 10.0}))
+    drifting = fit(start.with_model(begun))
+    taken = of_laps(start)
+    assert np.std(np.concatenate(drifting.left())) > taken.force  # the friction hides in the noise of unlike laps
+    again = _finer(SimpleNamespace(calibration=SimpleNamespace(floor=taken), best=drifting))
+    assert again.source == LAPS
+    assert again.force == pytest.approx(of_laps(drifting).force)
+    assert again.force < 0.5 * taken.force
+    assert _finer(SimpleNamespace(calibration=SimpleNamespace(floor=again), best=drifting)) is None
