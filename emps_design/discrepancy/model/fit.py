@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from emps_design.discrepancy import rules
+from emps_design.discrepancy.model.bootstrap import PIECE
 from emps_design.discrepancy.model.candidate import Candidate, Slot
 from emps_design.discrepancy.model.least_squares import WORST, descend
 from emps_design.discrepancy.model.parallel import side_by_side
@@ -15,6 +17,7 @@ from emps_design.effects import Motion, kind_of
 from emps_design.errors import SimulationError
 from emps_design.records import Record
 
+NOISES = 3  # that are put on the simulated carriage
 STEP = 1e-3  # finite difference of a sensitivity, in magnitudes of the number
 
 
@@ -36,6 +39,30 @@ class Fit(Hypothesis):
     def whitened(self) -> tuple[np.ndarray, ...]:
         """The innovations, one array (n,) per record."""
         return self.innovations or super().whitened()  # which says why the model cannot be simulated
+
+    @cached_property
+    def loudness(self) -> tuple[np.ndarray, ...]:
+        """How large the noise gets in the innovations, where that is more than its own size, else 1; (n,) per record.
+
+        At a motor's limit, or in play, a loop may let noise grow into bursts of which every one is another. Noise on
+        the simulated carriage tells when.
+        """
+        from scipy.ndimage import uniform_filter1d
+
+        quiet = self.whitened()
+        disturbed = side_by_side(self._disturbed, [(seed,) for seed in range(NOISES)])
+        grown = [
+            np.mean([(one - other) ** 2 for one in ones], axis=0)
+            for *ones, other in zip(*disturbed, quiet, strict=True)
+        ]
+        return tuple(np.sqrt(np.maximum(uniform_filter1d(square, min(PIECE, square.size)), 1.0)) for square in grown)
+
+    def _disturbed(self, seed: int) -> tuple[np.ndarray, ...]:
+        """The innovations with more noise on the carriage; where the model cannot run with it, those without."""
+        try:
+            return self.problem.whiten(self.residuals(self.problem.noise(seed)))
+        except SimulationError:
+            return self.whitened()
 
     def std(self, effect: int, place: int, record: int = 0) -> float:
         """Standard deviation of one number; 0 where it was not free."""

@@ -93,6 +93,11 @@ class Problem:
         """``forces`` (n,) [N], one per record, less what ``states`` follow."""
         return tuple(map(self.whitening.undo, self.whiten(forces))) if self.states else forces
 
+    def noise(self, seed: int) -> tuple[np.ndarray, ...]:
+        """Force [N] drawn from the noise by ``seed``, (n,) per record."""
+        generator = np.random.default_rng(seed)
+        return tuple(self.whitening.undo(generator.standard_normal(len(record))) for record in self.records)
+
     @cached_property
     def _followed(self) -> tuple[np.ndarray, ...]:
         """An orthonormal basis (n, k) per record of what ``states`` follow of the innovations, 0 where none is used."""

@@ -25,13 +25,10 @@ class Judge:
     def accepts(self, better: Fit, worse: Fit) -> bool:
         """Whether ``better``, with one effect more, is a finding over ``worse``."""
         burst, worth = self._demands(worse)
-        before = [_bulk(worse, part, burst) for part in ("fit", "select")]
-        gain_fit, gain_select = (
-            cost - _bulk(better, part, burst) for cost, part in zip(before, ("fit", "select"), strict=True)
-        )
+        before, after = (float(worse.problem.gather(_bulk(f, worse, burst), "used").sum()) for f in (worse, better))
         return (
             worse.cost_fit - better.cost_fit > self.healthy.threshold
-            and gain_fit + gain_select > worth * sum(before)
+            and before - after > worth * before
             and _seen_again(better, worse, burst)
             and share_of_strokes(better, worse, burst) >= rules.STROKES
             and self._faint(better.model) is None
@@ -40,7 +37,7 @@ class Judge:
     def to_beat(self, worse: Fit) -> float:
         """The gain on the fitting part [whitened cost] beyond which an effect added to ``worse`` is looked at."""
         burst, worth = self._demands(worse)
-        return max(self.healthy.threshold, worth * _bulk(worse, "fit", burst))
+        return max(self.healthy.threshold, worth * _cost(worse, "fit", burst))
 
     def refitted(self, hypothesis: Hypothesis) -> Fit:
         """A model fitted to all that may be used, without the effects whose force is lost in the noise by then."""
@@ -52,7 +49,7 @@ class Judge:
     def at_floor(self, fitted: Fit) -> bool:
         """Whether ``fitted`` leaves nothing but noise on both parts."""
         parts = ("fit", "select")
-        quiet = (_bulk(fitted, part) <= rules.AT_FLOOR * fitted.problem.samples(part) for part in parts)
+        quiet = (_cost(fitted, part) <= rules.AT_FLOOR * fitted.problem.samples(part) for part in parts)
         return all(quiet) and not self.leaves_force(fitted)
 
     def leaves_structure(self, fitted: Fit) -> bool:
@@ -60,13 +57,14 @@ class Judge:
         if any(effect.channel == "controller" for effect in fitted.model.effects):
             # The edges of what the controller adds are known to a sample, and a sample missed is a burst.
             return self.leaves_unexplained(fitted)
-        return self._more_than_noise(fitted, fitted.cost)
+        return self._more_than_noise(fitted, np.inf)
 
     def leaves_unexplained(self, fitted: Fit) -> bool:
         """Whether ``fitted`` leaves more than noise could be even where bursts count little, as of play."""
-        return self._more_than_noise(fitted, _bulk(fitted, "fit") + _bulk(fitted, "select"))
+        return self._more_than_noise(fitted, rules.BURST)
 
-    def _more_than_noise(self, fitted: Fit, cost: float) -> bool:
+    def _more_than_noise(self, fitted: Fit, burst: float) -> bool:
+        cost = _cost(fitted, "used", burst)
         return cost > rules.STRUCTURED * fitted.problem.samples("used") or self.leaves_force(fitted)
 
     def _demands(self, worse: Fit) -> tuple[float, float]:
@@ -104,8 +102,7 @@ def share_of_strokes(better: Fit, worse: Fit, burst: float) -> float:
     than ``burst`` deviations.
     """
     gains, losses = 0.0, 0.0
-    for i, split in enumerate(better.problem.splits):
-        change = np.minimum(worse.innovations[i] ** 2, burst**2) - np.minimum(better.innovations[i] ** 2, burst**2)
+    for change, split in zip(_changes(better, worse, burst), better.problem.splits, strict=True):
         for start, stop in split.strokes:
             seen = split.select[start:stop]
             if seen.sum() > START_UP:
@@ -130,13 +127,25 @@ def explained(before: float, after: float, floor: float) -> float:
     return 1 - (after**2 - floor**2) / excess if excess > 0 else 0.0
 
 
-def _bulk(fitted: Fit, part: str, burst: float = rules.BURST) -> float:
-    """Whitened cost on ``part`` in which no sample counts more than ``burst`` deviations.
+def _bulk(fitted: Fit, usual: Fit, burst: float) -> tuple[np.ndarray, ...]:
+    """Squared innovations (n,) per record as noise weighs them where ``usual`` lets it grow, ``burst``^2 at most.
 
     Play that bounces, or an instant missed by a sample, leaves bursts that any effect can rearrange by luck; so
     does noise where a saturated loop lets it grow.
     """
-    return float(np.sum(np.minimum(fitted.residual(part) ** 2, burst**2)))
+    pairs = zip(fitted.innovations, usual.loudness, strict=True)
+    return tuple(np.minimum((innovations / loudness) ** 2, burst**2) for innovations, loudness in pairs)
+
+
+def _cost(fitted: Fit, part: str, burst: float = rules.BURST) -> float:
+    """Cost on ``part`` in which neither bursts count much nor what noise becomes where the model lets it grow."""
+    return float(fitted.problem.gather(_bulk(fitted, fitted, burst), part).sum())
+
+
+def _changes(better: Fit, worse: Fit, burst: float) -> tuple[np.ndarray, ...]:
+    """What ``better`` saves of every sample's cost, (n,) per record."""
+    both = zip(_bulk(worse, worse, burst), _bulk(better, worse, burst), strict=True)
+    return tuple(before - after for before, after in both)
 
 
 def _seen_again(better: Fit, worse: Fit, burst: float) -> bool:
@@ -146,14 +155,13 @@ def _seen_again(better: Fit, worse: Fit, burst: float) -> bool:
     """
     gained = expected = moved = 0.0
     n = better.problem.samples("select")
-    pairs = zip(better.innovations, worse.innovations, strict=True)
-    changes = tuple(np.minimum(worse**2, burst**2) - np.minimum(better**2, burst**2) for better, worse in pairs)
+    changes = _changes(better, worse, burst)
     overall = better.problem.gather(changes, "fit")
-    for split, change, after, before in zip(
-        better.problem.splits, changes, better.innovations, worse.innovations, strict=True
+    for split, change, after, before, loudness in zip(
+        better.problem.splits, changes, better.innovations, worse.innovations, worse.loudness, strict=True
     ):
         gained += float(change[split.select].sum())
-        moved += float(np.sum(np.minimum((after - before)[split.select] ** 2, burst**2)))
+        moved += float(np.sum(np.minimum(((after - before) / loudness)[split.select] ** 2, burst**2)))
         fitted = change[split.fit] if split.fit.any() else overall
         expected += float(fitted.mean()) * int(split.select.sum())
     beyond_chance = gained > rules.CHANCE * np.sqrt(2.0 * n)

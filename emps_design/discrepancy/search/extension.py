@@ -213,12 +213,12 @@ def _tried(begins: list[Hypothesis]) -> list[Fit]:
 
 
 def _forms(fitted: Fit) -> list[Hypothesis]:
-    """The effect found last with its numbers, in other forms than it has: they are not looked for by themselves."""
+    """The effect found last with its numbers, in other forms than it has."""
     model, found = fitted.model, list[Hypothesis]()
     effect, values = model.effects[-1], model.values[-1]
     for place, parameter in enumerate(effect.parameters):
-        others = [start for start in parameter.starts if start != values[0, place]]
-        for other in others if parameter.default is not None else []:
+        forms = parameter.starts if parameter.discrete and len(parameter.starts) > 1 else ()
+        for other in (form for form in forms if form != values[0, place]):
             changed = values.copy()
             changed[:, place] = other
             found.append(fitted.with_model(model.without(len(model.effects) - 1).with_effect(effect, changed)))

@@ -91,8 +91,7 @@ def asked_for(hypothesis: Hypothesis) -> tuple[Asked, ...]:
     problem, model = hypothesis.problem, hypothesis.model
     if not model.effects:
         return ()
-    random = np.random.default_rng(0)
-    noise = tuple(problem.whitening.undo(random.standard_normal(len(record))) for record in problem.records)
+    noise = problem.noise(0)
     rests = [hypothesis.with_model(model.without(index)) for index in range(len(model.effects))]
     models = [hypothesis, *rests]
     runs = [*((one, None) for one in (*models, *_beside_baseline(hypothesis))), *((one, noise) for one in models)]

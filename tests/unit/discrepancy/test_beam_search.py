@@ -15,10 +15,10 @@ from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.discrepancy.search import beam_search, extension
-from emps_design.discrepancy.search.acceptance import _seen_again
+from emps_design.discrepancy.search.acceptance import Judge, _seen_again
 from emps_design.discrepancy.search.beam_search import _extend, _found_before, _late, _pair, _pruned, _rivals
 from emps_design.discrepancy.search.exchange import exchanges
-from emps_design.discrepancy.search.extension import _fitted, extensions, freed
+from emps_design.discrepancy.search.extension import _fitted, converged, extensions, freed
 from emps_design.discrepancy.search.starts import screen, tangent
 from emps_design.effects import get_effect
 from emps_design.machines import machine
@@ -318,10 +318,32 @@ def test_an_effect_that_fades_is_seen_again_by_what_it_changes():
     problem = SimpleNamespace(
         splits=(parts,), samples=lambda part: n // 2, gather=lambda signals, part: signals[0][getattr(parts, part)]
     )
-    fitted = lambda left: SimpleNamespace(problem=problem, innovations=(left,))  # noqa: E731
+    fitted = lambda left: SimpleNamespace(problem=problem, innovations=(left,), loudness=(np.ones(n),))  # noqa: E731
     fading = np.where(later, 0.5, 2.0)
     assert _seen_again(fitted(noise), fitted(noise + fading), 5.0)
     elsewhere = np.where(later, 0.5 * np.sign(np.sin(np.arange(n))), 0.0)  # a stand-in changes what it should not
     assert not _seen_again(fitted(noise + elsewhere), fitted(noise + np.where(later, 0.0, 2.0)), 5.0)
     faint = np.where(later, 0.05, 2.0)
     assert not _seen_again(fitted(noise), fitted(noise + faint), 5.0)
+
+
+def test_a_burst_that_noise_makes_again_and_again_is_no_evidence():
+    worse = fit(hypothesis(BASELINE))
+    burst = np.zeros(Q_REF.size)
+    burst[2000:4000] = 6.0 * np.sin(np.arange(2000))
+    louder = replace(worse, innovations=(worse.innovations[0] + burst,), cost_fit=worse.cost_fit + 2000 * 18.0)
+    usual = np.ones(Q_REF.size)
+    judge = Judge(SimpleNamespace(force=0.2), SimpleNamespace(threshold=30.0))
+    gains = []
+    for loudness in (usual, np.where(burst != 0, 20.0, 1.0)):
+        louder.__dict__["loudness"] = (loudness,)
+        gains.append(louder.cost_fit - worse.cost_fit > judge.to_beat(louder) and judge.accepts(worse, louder))
+    assert gains == [True, False]
+
+
+def test_the_exponent_of_a_curve_changes_with_all_other_numbers_in_their_places():
+    low = {"kind": "stribeck_friction", "excess": 12.0, "stribeck_velocity": 7e-3, "exponent": 1.0}
+    effect = get_effect("stribeck_friction")
+    sharp = BASELINE.with_effect(effect, np.array([[9.0, 9e-3, 2.0]]))
+    found = converged(fit(hypothesis(sharp, low)))
+    assert found.model.values[0][0] == pytest.approx([12.0, 7e-3, 1.0], rel=0.15)

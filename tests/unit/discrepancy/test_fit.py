@@ -63,6 +63,16 @@ def test_play_is_found_where_a_descent_along_slopes_ends_in_a_dent(begin):
     assert found.model.values[0][0] == pytest.approx([8e-5, 57.0, 0.15, 0.32, 0.0], rel=0.03)
 
 
+def test_noise_grows_where_the_motor_is_at_its_limit_and_nowhere_else():
+    healthy = evaluate(Hypothesis(problem(), Candidate(AXIS.mechanics.array())))
+    assert np.array_equal(healthy.loudness[0], np.ones(Q_REF.size))
+    effect = get_effect("actuator_saturation")
+    limited = healthy.model.with_effect(effect, effect.values({"limit": 3.2}))
+    loud = evaluate(healthy.with_model(limited)).loudness[0]
+    assert loud.max() > 10.0
+    assert np.mean(loud == 1.0) > 0.6
+
+
 def test_without_play_nothing_is_found_anew():
     fitted = evaluate(Hypothesis(problem(), Candidate(AXIS.mechanics.array())))
     assert play_anew(fitted) is fitted
