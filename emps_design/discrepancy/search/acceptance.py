@@ -25,10 +25,10 @@ class Judge:
     def accepts(self, better: Fit, worse: Fit) -> bool:
         """Whether ``better``, with one effect more, is a finding over ``worse``."""
         burst, worth = self._demands(worse)
-        before, after = (float(worse.problem.gather(_bulk(f, worse, burst), "used").sum()) for f in (worse, better))
+        gained = float(worse.problem.gather(_changes(better, worse, burst), "used").sum())
         return (
             worse.cost_fit - better.cost_fit > self.healthy.threshold
-            and before - after > worth * before
+            and gained > worth * _cost(worse, "used", burst)
             and _seen_again(better, worse, burst)
             and share_of_strokes(better, worse, burst) >= rules.STROKES
             and self._faint(better.model) is None
@@ -127,13 +127,13 @@ def explained(before: float, after: float, floor: float) -> float:
     return 1 - (after**2 - floor**2) / excess if excess > 0 else 0.0
 
 
-def _bulk(fitted: Fit, usual: Fit, burst: float) -> tuple[np.ndarray, ...]:
-    """Squared innovations (n,) per record as noise weighs them where ``usual`` lets it grow, ``burst``^2 at most.
+def _bulk(fitted: Fit, model: Fit, burst: float) -> tuple[np.ndarray, ...]:
+    """Squared innovations (n,) per record, less where ``model`` lets noise grow, ``burst``^2 at most.
 
     Play that bounces, or an instant missed by a sample, leaves bursts that any effect can rearrange by luck; so
     does noise where a saturated loop lets it grow.
     """
-    pairs = zip(fitted.innovations, usual.loudness, strict=True)
+    pairs = zip(fitted.innovations, model.loudness, strict=True)
     return tuple(np.minimum((innovations / loudness) ** 2, burst**2) for innovations, loudness in pairs)
 
 
