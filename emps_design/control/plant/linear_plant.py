@@ -145,18 +145,22 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
             f"{' and '.join(actuator.names)}: steady motion at {velocity:g} m/s takes {needed:.3g} V and only "
             f"{actuator.reach(needed):.3g} V act; linearised just inside that, where the loop can work"
         )
-    force_row, force_in = np.zeros(count), 0.0  # d(motor force on the carriage)
-    if lag > 0.0:
-        A[-1, -1], B[-1] = -1.0 / lag, slope / lag
-        force_row[-1] = 1.0
-    else:
-        force_in = slope
+    firsts = [2 + sum(sizes[:i]) for i in range(len(sizes))]  # of each member's states
+    lags = [(-1, lag)] * (lag > 0.0)
+    lags += [(first, one.lag(velocity, tau)) for first, one in zip(firsts, members, strict=True) if one.effect.lag]
+    force_row, force_in = np.zeros(count), slope  # d(motor force behind the lags)/d(state) and /d(voltage)
+    for place, constant in lags:
+        A[place], B[place] = force_row / constant, force_in / constant
+        A[place, place] -= 1.0 / constant
+        force_row, force_in = np.eye(count)[place], 0.0
 
     mass = b[MASS]
     drag = np.zeros(count)  # d(resisting forces)/d(state)
     drag[VELOCITY] = b[VISCOUS] + braking
-    drag_tau, first = 0.0, 2
-    for member, size in zip(members, sizes, strict=True):
+    drag_tau = 0.0
+    for member, first, size in zip(members, firsts, sizes, strict=True):
+        if member.effect.lag:
+            continue
         own = slice(first, first + size)
         mass += member.inertia(velocity, tau)
         d_q, d_v, d_tau, d_x = member.slopes(member.force, velocity, tau)
@@ -174,7 +178,6 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
         C[POSITION] += s_q
         C[VELOCITY] += s_v
         C[own] += s_x
-        first += size
         warnings += member.left_out(velocity, tau)
     if not mass > 0.0:
         kinds = " and ".join(entry.kind for entry in axis.effects)

@@ -78,6 +78,10 @@ class Member:
         """By how much the effect delays the voltage [s]."""
         return self._hook(self.effect.delay, 0.0, v, tau, self.x)
 
+    def lag(self, v: float, tau: float) -> float:
+        """The time constant [s] with which the motor force follows the voltage."""
+        return self._hook(self.effect.lag, 0.0, v, tau, self.x)
+
     def _hook(self, hook: Kernel | None, q: float, v: float, tau: float, x: np.ndarray) -> float:
         return 0.0 if hook is None else float(hook(q, v, 0.0, tau, x, self.p, self.b))
 

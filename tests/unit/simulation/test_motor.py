@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from emps_design.axis import Axis
+from emps_design.control.plant.discretisation import sample_axis
 from emps_design.control.plant.linear_plant import linear_plant
 from emps_design.errors import AxisError
 from emps_design.identification import identify
@@ -89,6 +90,18 @@ def test_load_dependent_friction_sees_what_the_winding_carries():
     v = Plant.of(axis).open_loop(np.full(6000, 0.8)).v[-1]
     torque = 0.1 * (0.8 * SUPPLY - 0.4 * v)
     assert torque == pytest.approx((0.02 + 0.01 * v) / (1.0 - 0.2), rel=1e-6)
+
+
+def test_a_lag_found_in_a_record_is_that_of_the_current_loop_in_simulation_and_design():
+    """What a winding brakes acts at once, and what friction feels of the motor is behind the lag, whoever names it."""
+    load = {"kind": "load_dependent_friction", "share": 0.2}
+    lag = {"kind": "actuator_lag", "time_constant": 0.02}
+    first, second = arm(current_time_constant=0.02).replace(effects=[load]), arm().replace(effects=[load, lag])
+    runs = [Plant.of(axis).closed_loop(program()).position for axis in (first, second)]
+    np.testing.assert_allclose(runs[0], runs[1], atol=1e-9)
+    w = np.geomspace(0.1, 500.0, 30)
+    responses = [sample_axis(axis).response(w) for axis in (first, second)]
+    np.testing.assert_allclose(responses[0], responses[1], rtol=1e-6)
 
 
 def test_a_load_that_turns_a_motor_without_current_loads_the_gear_too():
