@@ -67,7 +67,8 @@ class Parameter(Quantity):
     ``starts``: values worth starting a fit from; a scan of a shape parameter uses them as its grid.
     ``scale``: a typical size, where the starts do not give one. ``discrete``: chosen among the starts, never refined.
     ``default``: what it is where a file does not give it, in the effect's first form; a search tries the other starts
-    once the effect is found, and refines none that is an end of the range. None: it has to be given.
+    once the effect is found and structure is left, and refines neither the default nor an end of the range. None: it
+    has to be given.
     Starts, bounds and scale are written for an ordinary linear axis; :mod:`.sizes` has those of another.
     """
 
@@ -80,7 +81,9 @@ class Parameter(Quantity):
 
     def held_at(self, values: np.ndarray) -> bool:
         """Whether a fit leaves ``values`` of the parameter (n,) as they are: a choice, or a form by itself."""
-        return self.discrete or (self.default is not None and bool(np.all(np.isin(values, (self.lower, self.upper)))))
+        if self.default is None:
+            return self.discrete
+        return self.discrete or bool(np.all(np.isin(values, (self.default, self.lower, self.upper))))
 
     def check(self, value: float) -> float:
         """As of any quantity, for an axis up to ``REACH`` times larger or smaller than the ordinary one."""

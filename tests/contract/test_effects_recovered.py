@@ -15,7 +15,7 @@ TRUE = {
     "stribeck_friction": {"excess": 8.0, "stribeck_velocity": 0.01, "exponent": 1.4},
     "presliding_friction": {"stiffness": 1e5},
     "maxwell_slip_friction": {"share": 0.3, "travel": 5e-4},
-    "load_dependent_friction": {"share": 0.1},
+    "load_dependent_friction": {"share": 0.1, "carried_force": 40.0},
     "position_dependent_friction": {"amplitude": 5.0, "phase": 0.4, "length": 0.13},
     "friction_map": {"start": 0.0, "end": 0.15, **HEIGHTS},
     "friction_drift": {"change": -0.4, "time_constant": 2.0},

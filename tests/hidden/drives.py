@@ -106,6 +106,10 @@ def draw_effect(
         return {"load_share": x}, {name: {"share": x}}
     if name == "load_dependent_friction behind the motor's":
         return {"load_share": 0.4, "load_before": 1.0}, {"load_dependent_friction": {"share": 0.4, "motor_side": 1.0}}
+    if name == "load_dependent_friction of a weight":
+        weight = 3.0 * drive.coulomb
+        kind = {"share": 0.2, "carried_force": weight}
+        return {"load_share": 0.2, "load_carried": weight}, {"load_dependent_friction": kind}
     if name == "position_dependent_friction":
         x, length = drive.coulomb * (0.25, 0.4)[big], drive.travel * _between(rng, 0.6, 1.5)
         return (
@@ -259,6 +263,7 @@ TURNING = ("gravity",)  # of an axis that turns: compared between the simulators
 FURTHER = ("maxwell_slip_friction", "friction_ripple", "force_map", "friction_map", "back_emf_braking")
 FORMS = (  # second forms of the above, compared only
     "load_dependent_friction behind the motor's",
+    "load_dependent_friction of a weight",
     "flexible_coupling with a load that rubs",
     "backlash with a load that rubs",
 )

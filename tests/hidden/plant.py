@@ -86,6 +86,7 @@ NAMES = (
     "winding",  # N/(m/s), what the closed winding brakes
     "off_from",  # s, in which the winding is open
     "off_to",  # s
+    "load_carried",  # N, what of the offset the gear carries: a weight
 )
 PLACE = {name: index for index, name in enumerate(NAMES)}
 
@@ -138,7 +139,7 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
     n, tau_2 = len(q_ref), 2.0 * math.pi
     pull, wear = p[56:62], p[62:68]
     crank, crank_length, magnet, magnet_width, thixotropy = p[68], p[69], p[70], p[71], p[72]
-    load_before, far_rub, winding, off_from, off_to = p[73], p[74], p[75], p[76], p[77]
+    load_before, far_rub, winding, off_from, off_to, carried = p[73], p[74], p[75], p[76], p[77], p[78]
     mapped, slipped = map_end > map_start, 0.0
     steps = round(period / STEP)
     h = period / steps
@@ -222,7 +223,7 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
             if load_share != 0.0:
                 heading = v if v != 0.0 else f
                 lost = load_before * (viscous * v + math.copysign(coulomb, heading))
-                level += load_share * abs(tau - offset - lost)
+                level += load_share * abs(tau - offset + carried - lost)
             if travel_a != 0.0:
                 level += travel_a * math.sin(tau_2 * q / travel_l + travel_p)
             if rub_a != 0.0:

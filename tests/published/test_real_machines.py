@@ -66,7 +66,8 @@ def free_run_fit(axis, kinds, first, records, back_emf=True):
     """Least squares, robust, of baseline, ``back_emf`` and effects from ``first`` on the positions; choices stay."""
     parameters = [p for kind in kinds for p in get_effect(kind).parameters]
     size = np.maximum(np.abs(first), 1e-2)
-    free = np.array([*[True] * 4, back_emf, *[not p.discrete for p in parameters]])
+    held = [p.held_at(value) for p, value in zip(parameters, first[5:], strict=True)]
+    free = np.array([*[True] * 4, back_emf, *np.logical_not(held)])
     lower = np.where(np.arange(len(first)) == 0, 1e-3 * first[0], 0.0)
     lower[[3, 6]] = -np.inf  # a constant torque and an angle have a sign
 
@@ -90,9 +91,9 @@ def missed(axis, kinds, x, records):
 
 def load_fits(axis, records, **options):
     """Gravity and a gear that carries all the motor's force; the same of what motor and input stage leave of it."""
-    first = np.array([*axis.mechanics.array(), axis.drive.back_emf, 0.48, 0.0, 0.3, 0.0])
+    first = np.array([*axis.mechanics.array(), axis.drive.back_emf, 0.48, 0.0, 0.3, 0.0, 0.0])
     whole = free_run_fit(axis, PENDULUM, first, records, **options)
-    return whole, free_run_fit(axis, PENDULUM, np.array([*whole[:-1], 1.0]), records, **options)
+    return whole, free_run_fit(axis, PENDULUM, np.array([*whole[:8], 1.0, 0.0]), records, **options)
 
 
 def test_a_pendulum_on_a_servo_needs_friction_that_grows_with_the_load(pendulum):

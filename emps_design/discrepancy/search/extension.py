@@ -6,6 +6,8 @@ may still lead a short fit of them, few a fit of everything.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from emps_design.discrepancy import rules
@@ -213,13 +215,22 @@ def _tried(begins: list[Hypothesis]) -> list[Fit]:
 
 
 def _forms(fitted: Fit) -> list[Hypothesis]:
-    """The effect found last with its numbers, in other forms than it has."""
+    """The model of ``fitted`` with its numbers, in other forms than it has.
+
+    Of the effect found last, and where structure is left of what any effect still has as by default.
+    """
     model, found = fitted.model, list[Hypothesis]()
-    effect, values = model.effects[-1], model.values[-1]
-    for place, parameter in enumerate(effect.parameters):
-        forms = parameter.starts if parameter.discrete and len(parameter.starts) > 1 else ()
-        for other in (form for form in forms if form != values[0, place]):
-            changed = values.copy()
-            changed[:, place] = other
-            found.append(fitted.with_model(model.without(len(model.effects) - 1).with_effect(effect, changed)))
+    structure = fitted.cost > rules.AT_FLOOR * fitted.problem.samples("used")
+    for index, (effect, values) in enumerate(zip(model.effects, model.values, strict=True)):
+        for place, parameter in enumerate(effect.parameters):
+            now = values[0, place]
+            if parameter.discrete and index < len(model.effects) - 1:
+                continue
+            if not parameter.discrete and (now != parameter.default or not structure):
+                continue
+            for other in (form for form in parameter.starts if form != now):
+                row = values.copy()
+                row[:, place] = other
+                changed = replace(model, values=(*model.values[:index], row, *model.values[index + 1 :]))
+                found.append(fitted.with_model(changed))
     return found

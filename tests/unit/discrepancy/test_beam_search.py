@@ -311,6 +311,21 @@ def test_a_curve_of_any_shape_is_named_where_nothing_else_is_found(hidden):
     assert [finding.effect for finding in found.findings] == [hidden["kind"]]
 
 
+@pytest.mark.parametrize("rest", [0.0, 0.5])
+def test_what_a_transmission_carries_of_the_constant_force_is_found_where_it_is_needed(rest):
+    """The preload of a spring is the amplifier's offset to all but the friction that grows with the load."""
+    spring = {"kind": "elastic_force", "stiffness": 150.0, "rest_position": rest}
+    noisy = hypothesis(BASELINE, spring, {"kind": "load_dependent_friction", "share": 0.15})
+    model = BASELINE.with_effect(SPRING, np.array([[150.0, 0.0]]))
+    begin = model.with_effect(get_effect("load_dependent_friction"), np.array([[0.05, 0.0, 0.0]]))
+    found = converged(fit(noisy.with_model(begin)))
+    (stiffness, _), (share, _, carried) = (values[0] for values in found.model.values)
+    assert share == pytest.approx(0.15, rel=0.02)
+    assert carried == pytest.approx(-150.0 * rest, rel=0.02)
+    assert stiffness == pytest.approx(150.0, rel=0.02)
+    assert found.cost < 1.1 * found.problem.samples("used")
+
+
 def test_an_effect_that_fades_is_seen_again_by_what_it_changes():
     n = 10_000
     noise, later = np.random.default_rng(0).standard_normal(n), np.arange(n) >= n // 2

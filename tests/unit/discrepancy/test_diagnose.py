@@ -57,6 +57,21 @@ def test_a_delay_is_named_and_confirmed(delayed):
     assert delayed.findings[0].p_value <= 0.005
 
 
+@pytest.mark.parametrize("weight", [60.0, -60.0])
+def test_the_transmission_of_an_upright_axis_is_loaded_by_the_weight(weight):
+    """The axis file knows of no weight: the constant force is found, and that friction grows with all of it."""
+    friction = {"kind": "load_dependent_friction", "share": 0.2, "carried_force": weight}
+    upright, q_ref = AXIS.replace(mechanics={"offset": weight}, effects=[friction]), trapezoid_laps(1e-3, laps=3)
+    noise = 4e-3 * np.random.default_rng(1).standard_normal(q_ref.size)
+    run = Plant.of(upright).closed_loop(q_ref, voltage_noise=noise)
+    answer = diagnose(Record(t=run.t, q_ref=q_ref, q=run.q, u=run.u, period=1e-3, name="upright"), AXIS)
+    assert answer.verdict == "named"
+    assert [finding.effect for finding in answer.findings] == ["load_dependent_friction"]
+    found = answer.findings[0].parameters
+    assert found["share"]["value"] == pytest.approx(0.2, rel=0.01)
+    assert found["carried_force"]["value"] == pytest.approx(weight, rel=0.01)
+
+
 def test_the_document_has_what_the_contract_asks(delayed):
     document = plain(delayed.to_dict())
     assert json.loads(json.dumps(document, allow_nan=False)) == document
