@@ -33,6 +33,7 @@ LEAST_AMPLITUDE = 0.05  # of a parameter's typical size, below which an effect i
 BENT = 20.0  # whitened cost per sample beyond which a fitted baseline may have been bent by what is missing
 BENT_NUMBER = 0.5  # of the larger one: a mass or friction fitted this far from the axis file's may have been bent too
 SMALLEST_GAIN = 30.0  # in whitened cost; below the chance level of a search over hundreds of shapes
+LOUD = 2.0  # times its own size: noise that grows to this somewhere is weighed while effects are looked for
 WORTH_FITTING = 0.05  # of the largest first-order gain
 RIVAL = 0.5  # a set joins the beam, an effect the full fits, with this share of what the best one explains
 FAR_BEHIND = 0.1  # the same where no rival is accepted: the best ones may stand in for what is found later

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,7 @@ from emps_design.discrepancy.model.least_squares import WORST, descend
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.effects import Motion, kind_of
+from emps_design.effects.two_mass import has_play
 from emps_design.errors import SimulationError
 from emps_design.records import Record
 
@@ -93,6 +94,19 @@ def evaluate(hypothesis: Hypothesis, slots: tuple[Slot, ...] = (), covariance: n
         return Fit(problem, model, slots, np.zeros((len(slots),) * 2), (), WORST, WORST)
     costs = [sum(float(w @ w) for w in problem.pick(innovations, part)) for part in ("fit", "select")]
     return Fit(problem, model, slots, covariance, innovations, *costs)
+
+
+def weighed(fitted: Fit) -> Fit | None:
+    """``fitted`` judged by innovations that count for less where its model lets noise grow; None where it lets none.
+
+    A burst of a saturated loop is another one as soon as any number moves, and a fit that follows each loses its way.
+    Play bounces at every reversal: weighed, little would be left to tell its numbers by, and others took its part.
+    """
+    bounces = any(map(has_play, fitted.model.effects))
+    if bounces or max(float(loud.max()) for loud in fitted.loudness) < rules.LOUD:
+        return None
+    problem = replace(fitted.problem, loudness=fitted.loudness)
+    return evaluate(Hypothesis(problem, fitted.model), fitted.slots, fitted.covariance)
 
 
 def sensitivities(fitted: Fit, slots: tuple[Slot, ...], part: str) -> np.ndarray:

@@ -31,7 +31,8 @@ class Problem:
     """Records of one axis and what is needed to judge a model of them.
 
     ``states`` are functions (n, k) along each record that explain nothing: what they could follow of the used samples
-    is taken from every residual. ``remembered`` are residuals of the same records, judged with other noise too.
+    is taken from every residual. ``loudness`` (n,) along each record is how large noise gets in the innovations, which
+    count for that much less. ``remembered`` are residuals of the same records, judged with other noise too.
     """
 
     axis: Axis
@@ -39,6 +40,7 @@ class Problem:
     splits: tuple[Split, ...]
     whitening: Whitening
     states: tuple[np.ndarray, ...] = ()
+    loudness: tuple[np.ndarray, ...] = ()
     remembered: Remembered = field(default_factory=Remembered, compare=False, repr=False)
 
     @cached_property
@@ -76,7 +78,8 @@ class Problem:
     def only(self, record: int) -> Problem:
         """One of the records, by its number, as a problem of its own; its models are :meth:`Candidate.only`."""
         one = slice(record, record + 1)
-        return replace(self, records=self.records[one], splits=self.splits[one], states=self.states[one])
+        records, splits, states, loudness = self.records[one], self.splits[one], self.states[one], self.loudness[one]
+        return replace(self, records=records, splits=splits, states=states, loudness=loudness)
 
     def with_whitening(self, whitening: Whitening) -> Problem:
         """The same records judged with other noise."""
@@ -85,6 +88,8 @@ class Problem:
     def whiten(self, forces: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
         """Innovations of ``forces`` [N], (n,) or (n, k) per record in units of noise, less what ``states`` follow."""
         innovations = tuple(np.apply_along_axis(self.whitening.apply, 0, force) for force in forces)
+        if self.loudness:
+            innovations = tuple((x.T / loud).T for x, loud in zip(innovations, self.loudness, strict=True))
         if not self.states:
             return innovations
         return tuple(x - basis @ (basis.T @ x) for x, basis in zip(innovations, self._followed, strict=True))

@@ -15,9 +15,9 @@ from emps_design.discrepancy.model.fit import Fit, admissible, evaluate, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.search.calibration import Calibration, Progress
 from emps_design.discrepancy.search.exchange import exchanges, far_apart
-from emps_design.discrepancy.search.extension import converged, extensions, freed
+from emps_design.discrepancy.search.extension import converged, extended, extensions, freed
 from emps_design.discrepancy.search.outcome import Outcome
-from emps_design.discrepancy.search.starts import screen, tangent
+from emps_design.discrepancy.search.starts import tangent
 from emps_design.effects import Effect
 
 BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
@@ -213,15 +213,13 @@ def _round(
     curves = ", as a curve" if any(effect.general for effect in library) else ""
     progress(f"round {number}: {names}, and what else{curves}", 1 - 0.9 * 0.75 ** (number - 1))
 
-    def extended(member: Fit) -> tuple[list[Fit], dict[str, float]]:
-        absorbed = tangent(member)
+    def tries(member: Fit) -> tuple[list[Fit], dict[str, float]]:
         if member is not calibration.baseline:
-            screened = screen(member, library, absorbed)
-        else:
-            screened = [found for found in calibration.screened if found[0].model.effects[-1] in library]
-        return extensions(member, screened, absorbed, rival)
+            return extended(member, library, rival)
+        screened = [found for found in calibration.screened if found[0].model.effects[-1] in library]
+        return extensions(member, screened, tangent(member), rival)
 
-    found = side_by_side(extended, [(member,) for member in beam])
+    found = side_by_side(tries, [(member,) for member in beam])
     pool: FitsBySet = {}
     _remember(pool, (one for fits, _ in found for one in fits))
     alone: dict[str, float] = next((gains for _, gains in found if gains), {})

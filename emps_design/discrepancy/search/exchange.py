@@ -13,8 +13,7 @@ from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import Fit, admissible, evaluate
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
-from emps_design.discrepancy.search.extension import extensions
-from emps_design.discrepancy.search.starts import screen, tangent
+from emps_design.discrepancy.search.extension import extended
 from emps_design.effects import Effect
 from emps_design.effects.effect import COULOMB, MASS, VISCOUS
 
@@ -38,8 +37,7 @@ def exchanges(best: Fit, known: tuple[str, ...], library: tuple[Effect, ...]) ->
         if not without.innovations:
             return []
         alike = tuple(one for one in library if not one.general and (one is effect or one.confusable(effect)))
-        absorbed = tangent(without)
-        return extensions(without, screen(without, alike, absorbed), absorbed)[0]
+        return extended(without, alike)[0]
 
     return [fitted for fits in side_by_side(instead, places) for fitted in fits if admissible(fitted)]
 

@@ -12,13 +12,14 @@ import numpy as np
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.fit import Fit, admissible, bounds_met, evaluate, fit, plausible
+from emps_design.discrepancy.model.fit import Fit, admissible, bounds_met, evaluate, fit, plausible, weighed
 from emps_design.discrepancy.model.least_squares import Descent, descend
 from emps_design.discrepancy.model.missing_force import missing_force
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.model.simplex import simplex
-from emps_design.discrepancy.search.starts import Start, Tangent, bent, starts, tangent
+from emps_design.discrepancy.search.starts import Start, Tangent, bent, screen, starts, tangent
+from emps_design.effects import Effect
 from emps_design.effects.two_mass import has_play
 
 REFINED = 2  # starts of each effect that are worth a short fit
@@ -32,6 +33,27 @@ TRIED_STEPS = 4  # of every fit of an effect with many starts, or of another sha
 PROMISING = 2  # of them go on
 REVISED = 4  # other shapes of an effect that are fitted when it is accepted
 MOST_FITS = 8  # one after the other until they have converged
+
+
+def extended(
+    current: Fit, library: tuple[Effect, ...], rival: float = rules.RIVAL
+) -> tuple[list[Fit], dict[str, float]]:
+    """:func:`extensions` of ``current`` by the effects of ``library``.
+
+    Where its model lets noise grow they are also looked for with that weighed, and then fitted as everything else is.
+    """
+    fits, gains = _looked_for(current, library, rival)
+    quieter = weighed(current)
+    if quieter is not None:
+        found, _ = _looked_for(quieter, library, rival)
+        again = [(current.with_model(one.model), "fit", one.slots) for one in found if one.innovations]
+        fits = sorted((*fits, *side_by_side(fit, again)), key=lambda f: f.cost)
+    return fits, gains
+
+
+def _looked_for(current: Fit, library: tuple[Effect, ...], rival: float) -> tuple[list[Fit], dict[str, float]]:
+    absorbed = tangent(current)
+    return extensions(current, screen(current, library, absorbed), absorbed, rival)
 
 
 def extensions(

@@ -9,7 +9,7 @@ import pytest
 
 from emps_design.discrepancy import diagnose, rules
 from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.fit import evaluate, fit, on_bound
+from emps_design.discrepancy.model.fit import evaluate, fit, on_bound, weighed
 from emps_design.discrepancy.model.least_squares import descend
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
@@ -18,7 +18,7 @@ from emps_design.discrepancy.search import beam_search, extension
 from emps_design.discrepancy.search.acceptance import Judge, _seen_again
 from emps_design.discrepancy.search.beam_search import _extend, _found_before, _late, _pair, _pruned, _rivals
 from emps_design.discrepancy.search.exchange import exchanges
-from emps_design.discrepancy.search.extension import _fitted, converged, extensions, freed
+from emps_design.discrepancy.search.extension import _fitted, converged, extended, extensions, freed
 from emps_design.discrepancy.search.starts import screen, tangent
 from emps_design.effects import get_effect
 from emps_design.machines import machine
@@ -324,6 +324,31 @@ def test_what_a_transmission_carries_of_the_constant_force_is_found_where_it_is_
     assert carried == pytest.approx(-150.0 * rest, rel=0.02)
     assert stiffness == pytest.approx(150.0, rel=0.02)
     assert found.cost < 1.1 * found.problem.samples("used")
+
+
+def test_what_is_looked_for_with_bursts_weighed_is_fitted_as_everything_else_is():
+    limited, play = get_effect("actuator_saturation"), get_effect("backlash")
+    hidden = {"kind": "actuator_saturation", "limit": 3.6}
+    curve = {"kind": "nonlinear_viscous_friction", "amount": 25.0, "exponent": 2.0}
+    noisy = hypothesis(BASELINE.with_effect(limited, np.array([[3.6]])), hidden, curve)
+    current = evaluate(noisy)
+    quieter = weighed(current)
+    assert quieter.cost < 0.9 * current.cost
+    np.testing.assert_allclose(quieter.innovations[0] * current.loudness[0], current.innovations[0])
+    np.testing.assert_array_equal(quieter.problem.only(0).loudness[0], current.loudness[0])
+    kinds = ("nonlinear_viscous_friction", "stribeck_friction", "actuator_lag")
+    library = tuple(map(get_effect, kinds))
+    absorbed = tangent(current)
+    alone, _ = extensions(current, screen(current, library, absorbed), absorbed)
+    found, _ = extended(current, library)
+    assert all(one.problem is current.problem for one in found)
+    assert len(found) > len(alone)
+    assert found[0].cost < alone[0].cost
+    assert weighed(evaluate(hypothesis(BASELINE))) is None
+    bouncing = BASELINE.with_effect(limited, np.array([[3.6]])).with_effect(
+        play, np.array([[1e-4, 60.0, 0.1, 0.3, 0.0]])
+    )
+    assert weighed(evaluate(noisy.with_model(bouncing))) is None
 
 
 def test_an_effect_that_fades_is_seen_again_by_what_it_changes():
