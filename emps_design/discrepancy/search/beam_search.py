@@ -23,7 +23,7 @@ from emps_design.effects import Effect
 BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
 MOST_EFFECTS = 7
 CREDIBLE = 5  # effects of a model up to which the search takes more pains; more stand in for something unknown
-PASSES = 3  # times the search goes on, from an exchange or a curve
+PASSES = 5  # times the search goes on, from an exchange, an effect that was far behind, or a curve
 UNFINISHED = "interrupted: the search was not finished, what follows is what was known by then"
 
 Accept = Callable[[Fit, Fit], bool]
@@ -48,6 +48,7 @@ def search(calibration: Calibration, progress: Progress, before: Candidate | Non
             better = (
                 _found_before(before, path[-1], tried)
                 or _exchanged(calibration, path[-1], tried, progress)
+                or _far_behind(calibration, path[-1], tried, progress)
                 or _beyond(calibration, path[-1], tried, progress)
             )
             if better is None:
@@ -79,12 +80,6 @@ def _extend(
             alone.update(gains)
         _remember(tried, sound.values())
         ranked = _ranked(path[-1], sound, accept)
-        if not ranked and number <= CREDIBLE and calibration.judge.leaves_structure(path[-1]):
-            fitted = frozenset[str]().union(*(key for key in sound if key > frozenset(path[-1].model.names)))
-            rest = tuple(effect for effect in library if effect.name not in fitted)
-            further, _ = _round(calibration, path[-1:], number, rest, progress, rules.FAR_BEHIND)
-            _remember(tried, further.values())
-            ranked = _ranked(path[-1], further, accept)
         if not ranked:
             break
         gain = baseline.cost - ranked[0].cost
@@ -117,6 +112,17 @@ def _found_before(before: Candidate | None, current: Fit, tried: FitsBySet) -> F
         return None
     _remember(tried, [found])
     return found if found.cost < (1 - rules.STILL_PAYS) * current.cost else None
+
+
+def _far_behind(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Progress) -> Fit | None:
+    """``current`` with an effect that gains little beside the best ones, which may be stand-ins: none was accepted."""
+    number, names = 1 + _found(calibration, current), frozenset(current.model.names)
+    if number > CREDIBLE or not calibration.judge.leaves_structure(current):
+        return None
+    rest = tuple(one for one in _library(calibration, general=False) if names | {one.name} not in tried)
+    sound, _ = _round(calibration, [current], number, rest, progress, rules.FAR_BEHIND)
+    _remember(tried, sound.values())
+    return _best_accepted(calibration, current, sound)
 
 
 def _beyond(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Progress) -> Fit | None:
