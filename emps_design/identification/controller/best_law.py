@@ -84,9 +84,15 @@ def best_law(signals: Signals, only: Structure | None = None) -> Found:
         ):
             fitted, other = other, fitted
         rivals = [other, *rivals]
+    fitted, *rivals = map(_in_order, (fitted, *rivals))
     rms = float(np.sqrt(np.mean(_left(free, fitted, held)[free.used] ** 2)))
     share = rms / float(np.std(signals.command[free.used]))
     return Found(white, fitted, rivals, rms, share, limited, limit, holds)
+
+
+def _in_order(found: Fit) -> Fit:
+    """``found`` with its filters by kind and frequency: which of two was found first is a matter of the last digit."""
+    return replace(found, filters=tuple(sorted(found.filters, key=lambda one: (one.kind, one.frequency))))
 
 
 def command_of(signals: Signals, found: Fit, held: np.ndarray | None) -> np.ndarray:
