@@ -16,7 +16,15 @@ from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.discrepancy.search import beam_search, extension
 from emps_design.discrepancy.search.acceptance import Judge, _seen_again
-from emps_design.discrepancy.search.beam_search import _extend, _found_before, _late, _pair, _pruned, _rivals
+from emps_design.discrepancy.search.beam_search import (
+    _extend,
+    _far_behind,
+    _found_before,
+    _late,
+    _pair,
+    _pruned,
+    _rivals,
+)
 from emps_design.discrepancy.search.exchange import exchanges
 from emps_design.discrepancy.search.extension import _fitted, converged, extended, extensions, freed
 from emps_design.discrepancy.search.starts import screen, tangent
@@ -215,6 +223,28 @@ def test_two_effects_are_found_of_which_neither_is_accepted_alone(monkeypatch):
     assert begun == [[("actuator_delay",)]]
     assert frozenset(both.model.names) in tried
     assert _pair(calibration, delayed, tried, lambda stage, done: None) is None
+
+
+def test_what_is_far_behind_is_looked_for_where_structure_is_left_among_what_was_not_fitted(monkeypatch):
+    baseline = fit(hypothesis(BASELINE, {"kind": "elastic_force", "stiffness": 300.0, "rest_position": 0.05}))
+    delayed = fit(baseline.with_model(BASELINE.with_effect(DELAY, np.array([[1.6e-3]]))))
+    sprung = fit(baseline.with_model(BASELINE.with_effect(SPRING, np.array([[250.0, 0.0]]))))
+    asked = []
+
+    def played(calibration, beam, number, library, progress, rival):
+        asked.append((number, [effect.name for effect in library], rival))
+        return {frozenset(sprung.model.names): sprung}, {}
+
+    monkeypatch.setattr(sys.modules[_far_behind.__module__], "_round", played)
+    judge = SimpleNamespace(accepts=lambda better, worse: True, leaves_structure=lambda fitted: fitted is baseline)
+    preparation = SimpleNamespace(library=(DELAY, LAG, SPRING, get_effect("force_map")))
+    calibration = SimpleNamespace(baseline=baseline, judge=judge, preparation=preparation)
+    tried = {frozenset(one.model.names): one for one in (baseline, delayed)}
+    found = _far_behind(calibration, baseline, tried, lambda stage, done: None)
+    assert found.model.names == ("elastic_force",)
+    assert asked == [(1, ["actuator_lag", "elastic_force"], rules.FAR_BEHIND)]
+    assert frozenset(sprung.model.names) in tried
+    assert _far_behind(calibration, sprung, tried, lambda stage, done: None) is None
 
 
 def test_what_promises_much_is_fitted_though_its_short_fit_was_misled(monkeypatch):
