@@ -13,6 +13,7 @@ from emps_design.discrepancy.model.candidate import Candidate, Slot
 from emps_design.discrepancy.model.least_squares import WORST, descend
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
+from emps_design.discrepancy.model.response_surface import bounded, descend_rough
 from emps_design.effects import Motion, kind_of
 from emps_design.effects.two_mass import has_play
 from emps_design.errors import SimulationError
@@ -109,6 +110,37 @@ def weighed(fitted: Fit) -> Fit | None:
     return evaluate(Hypothesis(problem, fitted.model), fitted.slots, fitted.covariance)
 
 
+def play_anew(fitted: Fit) -> Fit:
+    """``fitted`` where surfaces through its neighbourhood lead, if it has play that bounces and leaves structure.
+
+    Play found while something else was missing bounces at another place, from which no slope leads away. Beside smooth
+    functions of the state it stays where its short fit found it: they hide most of what else is missing.
+    """
+    quiet = fitted.cost <= rules.AT_FLOOR * fitted.problem.samples("used")
+    return fitted if quiet or not _bounces(fitted) else _over_surfaces(fitted, "fit")
+
+
+def _bounces(fitted: Fit) -> bool:
+    return any(map(has_play, fitted.model.effects)) and bool(fitted.innovations) and not fitted.problem.states
+
+
+def _over_surfaces(fitted: Fit, part: str) -> Fit:
+    """``fitted`` to ``part`` anew, where that leaves less; how sure its numbers are no slope in a dent tells."""
+    slots = fitted.slots or fitted.model.slots()
+
+    def residual(model: Candidate) -> np.ndarray:
+        return bounded(fitted.with_model(model).residual(part))
+
+    found = descend_rough(fitted.model, slots, residual)
+    moved = evaluate(fitted.with_model(found.model), slots, found.covariance)
+    return min((replace(fitted, slots=slots, covariance=found.covariance), moved), key=_bounded_cost)
+
+
+def _bounded_cost(fitted: Fit) -> float:
+    """Cost in which a burst counts as the logarithm does."""
+    return float(np.sum(bounded(fitted.residual("used")) ** 2)) if fitted.innovations else WORST
+
+
 def sensitivities(fitted: Fit, slots: tuple[Slot, ...], part: str) -> np.ndarray:
     """What ``STEP`` magnitudes of each number in ``slots`` change in the whitened residual on ``part``, (n, k).
 
@@ -187,6 +219,8 @@ def bounds_met(fitted: Fit) -> list[Slot]:
 def refitted(hypothesis: Hypothesis) -> Fit:
     """A model fitted to all that may be used; with its own numbers where that leaves its physics."""
     found = fit(hypothesis, part="used")
+    if _bounces(found):
+        found = _over_surfaces(found, "used")
     return found if admissible(found) else evaluate(hypothesis, found.slots, found.covariance)
 
 

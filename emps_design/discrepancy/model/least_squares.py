@@ -87,7 +87,7 @@ def descend(
             damping, nudge = 1e-3, COARSE
         elif gain < CONVERGED[0] * first + CONVERGED[1]:
             break
-    return Descent(model, float(current @ current), _covariance(jacobian, current) * np.outer(magnitude, magnitude))
+    return Descent(model, float(current @ current), covariance_of(jacobian, current) * np.outer(magnitude, magnitude))
 
 
 def _moves(
@@ -104,7 +104,7 @@ def _moves(
         damping = min(damping * 10, DAMPING[1])
 
 
-def _covariance(jacobian: np.ndarray, left: np.ndarray) -> np.ndarray:
+def covariance_of(jacobian: np.ndarray, left: np.ndarray) -> np.ndarray:
     """Covariance (k, k) of a least-squares fit that leaves ``left`` (n,), in standard deviations of the noise.
 
     Where the model leaves structure its numbers are less sure than noise alone would make them: by its size, and, as

@@ -11,8 +11,9 @@ from collections.abc import Callable, Iterable
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.fit import Fit, admissible, evaluate, fit
+from emps_design.discrepancy.model.fit import Fit, admissible, evaluate, fit, play_anew
 from emps_design.discrepancy.model.parallel import side_by_side
+from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.search.calibration import Calibration, Progress
 from emps_design.discrepancy.search.exchange import exchanges, far_apart
 from emps_design.discrepancy.search.extension import converged, extended, extensions, freed
@@ -257,7 +258,7 @@ def _pruned(best: Fit, known: tuple[str, ...], tried: FitsBySet, accept: Accept)
     path: list[Fit] = []
     while len(best.model.effects) > len(known) + 1:
         smaller = [best.model.without(i) for i, name in enumerate(best.model.names) if name not in known]
-        rests = side_by_side(fit, [(best.with_model(model),) for model in smaller])
+        rests = side_by_side(_fitted_anew, [(best.with_model(model),) for model in smaller])
         sound = [_better(rest, tried) for rest in rests if admissible(rest)]
         idle = [rest for rest in sound if not accept(best, rest)]
         if not idle and sound:
@@ -268,6 +269,11 @@ def _pruned(best: Fit, known: tuple[str, ...], tried: FitsBySet, accept: Accept)
         best = converged(min(idle, key=lambda f: f.cost))
         path.append(best)
     return path
+
+
+def _fitted_anew(hypothesis: Hypothesis) -> Fit:
+    """Fit a model with as much care as the one that has an effect more, or every effect would look needed."""
+    return play_anew(fit(hypothesis))
 
 
 def _better(fitted: Fit, tried: FitsBySet) -> Fit:

@@ -12,7 +12,7 @@ import numpy as np
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.fit import Fit, admissible, bounds_met, evaluate, fit, plausible, weighed
+from emps_design.discrepancy.model.fit import Fit, admissible, bounds_met, evaluate, fit, plausible, play_anew, weighed
 from emps_design.discrepancy.model.least_squares import Descent, descend
 from emps_design.discrepancy.model.missing_force import missing_force
 from emps_design.discrepancy.model.parallel import side_by_side
@@ -114,7 +114,7 @@ def converged(fitted: Fit) -> Fit:
 
     A fit that has not converged looks like another effect.
     """
-    further = play_anew(_revised(_settled(fitted)))
+    further = play_anew(play_anew(_revised(_settled(fitted))))  # the second time far around where the first one ended
     return further if admissible(further) else fitted
 
 
@@ -170,21 +170,6 @@ def _fitted(begin: Hypothesis) -> Fit:
     if met:
         ended = fit(begin, slots=tuple(s for s in begin.model.slots() if (s.effect, s.place, s.record) not in met))
     return ended if has_play(begin.model.effects[-1]) else play_anew(ended)  # the last one's short fit began with that
-
-
-def play_anew(fitted: Fit) -> Fit:
-    """``fitted`` with the numbers of its play looked for beside what the other numbers absorb, where that leaves less.
-
-    Play found while something else was missing bounces at another place, from which no slope leads away. Beside smooth
-    functions of the state it stays where its short fit found it: they hide most of what else is missing.
-    """
-    model = fitted.model
-    own = tuple(slot for slot in fitted.slots if slot.effect >= 0 and has_play(model.effects[slot.effect]))
-    if not own or not fitted.innovations or fitted.problem.states:
-        return fitted
-    absorbed = tangent(fitted, slots=tuple(slot for slot in fitted.slots if slot not in own))
-    moved = simplex(model, own, lambda m: absorbed.free(fitted.with_model(m).residual("fit")), SIMPLEX)
-    return min((fitted, fit(fitted.with_model(moved), slots=fitted.slots)), key=lambda f: f.cost)
 
 
 def _settled(fitted: Fit) -> Fit:

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.fit import admissible, evaluate, fit, sensitivities
+from emps_design.discrepancy.model.fit import admissible, evaluate, fit, play_anew, refitted, sensitivities
 from emps_design.discrepancy.model.least_squares import descend
 from emps_design.discrepancy.model.missing_force import missing_force
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem, orthonormal
 from emps_design.discrepancy.model.simplex import simplex
 from emps_design.discrepancy.model.whitening import Whitening
-from emps_design.discrepancy.search.extension import play_anew
 from emps_design.discrepancy.search.noise_floor import floor_of_laps, floor_of_residual, usual_rms
 from emps_design.effects import get_effect
 from emps_design.errors import SimulationError
@@ -64,6 +63,11 @@ def test_play_is_found_where_a_descent_along_slopes_ends_in_a_dent():
     for found in map(play_anew, ends):
         assert found.cost_fit < 1.3 * samples
         assert found.model.values[0][0] == pytest.approx([8e-5, 57.0, 0.15, 0.32, 0.0], rel=0.03)
+    last = refitted(found)
+    numbers, deviations = last.model.values[0][0][:4], np.array([last.std(0, place) for place in range(4)])
+    assert np.all(np.abs(numbers - [8e-5, 57.0, 0.15, 0.32]) < 5.0 * deviations)
+    assert np.all(deviations > 5e-5 * numbers)  # and no nanometres, as the slopes in a dent promise
+    assert np.all(deviations < 0.1 * numbers)
 
 
 def test_noise_grows_where_the_motor_is_at_its_limit_and_nowhere_else():
