@@ -132,6 +132,8 @@ def _over_surfaces(fitted: Fit, part: str) -> Fit:
         return bounded(fitted.with_model(model).residual(part))
 
     found = descend_rough(fitted.model, slots, residual)
+    if not found.covariance.any():  # no neighbourhood of it runs
+        return fitted
     moved = evaluate(fitted.with_model(found.model), slots, found.covariance)
     return min((replace(fitted, slots=slots, covariance=found.covariance), moved), key=_bounded_cost)
 

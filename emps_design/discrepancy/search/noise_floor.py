@@ -14,6 +14,7 @@ from emps_design.discrepancy.model.whitening import ORDER, Whitening
 
 BAND_HZ = 60.0
 FIRST_DIFFERENCE, SECOND_DIFFERENCE = (-1.0, 1.0), (1.0, -2.0, 1.0)
+TOGETHER = 3  # laps, of which two agree nearly everywhere, even if each is pushed now and then
 NEIGHBOURS = 40  # lines of a spectrum on both sides, the median of which is usual
 LAPS, STROKES, LEFT = "what differs between laps", "what other strokes do not predict", "what the best model leaves"
 
@@ -50,7 +51,9 @@ def floor_of_laps(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], 
 
     ``residuals`` (n,) [N] are what a fitted model leaves: what it knows of one lap and not of another, such as a
     disturbance of the controller, is then not taken for noise. Nor is a drift: where the second difference between
-    three laps is clearly smaller than the difference between two, it is the floor.
+    three laps is clearly smaller than the difference between two, it is the floor. Nor are pushes that do not come with
+    every lap: where two of the laps always agree far better than one and the next, what those two differ by is the
+    floor.
     """
     from emps_design.identification.filters import low_pass
 
@@ -68,7 +71,46 @@ def floor_of_laps(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], 
     if not found:
         return None
     drifts = len(found) == 2 and _rms(found[1][0]) < rules.DRIFTS * _rms(found[0][0])
-    return _floor(*found[drifts], LAPS)
+    floor, agreeing = _floor(*found[drifts], LAPS), _agreeing(residuals, splits, period)
+    if not agreeing[0]:
+        return floor
+    quietest = _floor(*agreeing, LAPS)
+    return quietest if quietest.force < rules.PUSHED * floor.force else floor
+
+
+def _agreeing(
+    residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], period: float
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Differences of the two laps of every three that agree best, piece by piece; unfiltered and low-passed."""
+    from emps_design.identification.filters import low_pass
+
+    raw: list[np.ndarray] = []
+    smooth: list[np.ndarray] = []
+    for force, split in zip(residuals, splits, strict=True):
+        used = np.nonzero(split.used)[0]
+        three = TOGETHER * split.lap
+        if split.lap < PIECE + START_UP or used.size < three - START_UP:
+            continue
+        slow = low_pass(force, BAND_HZ, period)
+        for start in range(int(used[0]), int(used[-1]) + 2 - three + START_UP, three):
+            length = min(split.lap, int(used[-1]) + 1 - start - 2 * split.lap)
+            if not split.used[start : start + three - split.lap + length].all():  # what confirms stays closed
+                continue
+            agreeing = [_pairs(signal, start, split.lap, length) for signal in (force, slow)]
+            best = np.argmin(np.sum(agreeing[0] ** 2, axis=2), axis=0)
+            for kept, pairs in zip((raw, smooth), agreeing, strict=True):
+                kept.append(np.concatenate(pairs[best, np.arange(best.size)]))
+    return _steady(raw, smooth)
+
+
+def _pairs(signal: np.ndarray, start: int, lap: int, length: int) -> np.ndarray:
+    """Differences (3, pieces, samples) of every two of three laps from ``start`` on, with the deviation of one lap.
+
+    Less the usual difference of the two, as a drift makes it.
+    """
+    laps = [_pieces(signal[begin : begin + length], PIECE) for begin in start + lap * np.arange(TOGETHER)]
+    pairs = np.array([laps[1] - laps[0], laps[2] - laps[0], laps[2] - laps[1]]) / np.sqrt(2.0)
+    return pairs - np.median(pairs, axis=(1, 2), keepdims=True)
 
 
 def _laps(split: Split, together: int) -> list[tuple[int, int]]:

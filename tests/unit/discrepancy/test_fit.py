@@ -19,7 +19,7 @@ from emps_design.errors import SimulationError
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
-from emps_design.simulation.synthetic import trapezoid_laps
+from emps_design.simulation.synthetic import synthetic_record, trapezoid_laps
 
 AXIS = machine("emps2019")
 Q_REF = trapezoid_laps(1e-3, stroke=0.1, speed=0.2, laps=3)
@@ -198,6 +198,19 @@ def test_noise_is_that_of_every_record_and_an_event_is_unlike_the_rest_of_its_ow
     pushed = quiet + np.where(np.arange(quiet.size) // 500 == 7, 20.0 * np.sin(np.arange(quiet.size)), 0.0)
     assert usual_rms([pushed, loud]) == pytest.approx(usual_rms([quiet, loud]), rel=0.01)
     assert usual_rms([pushed]) == pytest.approx(1.0, rel=0.02)
+
+
+@pytest.mark.parametrize("offset", [0.0, 5.0])
+def test_pushes_in_more_than_half_of_the_record_are_no_noise(offset):
+    """Half a second each, never at the same place of a lap; and a lap may lie an offset above the one before."""
+    t, splits = 1e-3 * np.arange(Q_REF.size), (split(synthetic_record(AXIS, q_ref=Q_REF)),)
+    noise = np.random.default_rng(5).standard_normal(t.size) + offset * (np.arange(t.size) // splits[0].lap == 2)
+    quiet = floor_of_laps((noise,), splits, 1e-3)
+    assert quiet.force == pytest.approx(1.0, rel=0.05)
+    pushed = floor_of_laps((noise + np.where(t % 2.3 < 0.5, 20.0, 0.0),), splits, 1e-3)
+    assert pushed.force == pytest.approx(1.0, rel=0.2)
+    assert pushed.force_60hz == pytest.approx(quiet.force_60hz, rel=0.3)
+    assert pushed.from_laps
 
 
 def test_columns_that_are_all_zero_have_no_basis():
