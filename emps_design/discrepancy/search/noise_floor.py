@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -14,9 +15,14 @@ from emps_design.discrepancy.model.whitening import ORDER, Whitening
 
 BAND_HZ = 60.0
 FIRST_DIFFERENCE, SECOND_DIFFERENCE = (-1.0, 1.0), (1.0, -2.0, 1.0)
+EVERY_TWO = (FIRST_DIFFERENCE, (-1.0, 0.0, 1.0), (0.0, *FIRST_DIFFERENCE))  # of three laps
 TOGETHER = 3  # laps, of which two agree nearly everywhere, even if each is pushed now and then
 NEIGHBOURS = 40  # lines of a spectrum on both sides, the median of which is usual
 LAPS, STROKES, LEFT = "what differs between laps", "what other strokes do not predict", "what the best model leaves"
+
+Signals = tuple[np.ndarray, np.ndarray]  # a force (n,) [N], unfiltered and low-passed
+Parts = tuple[list[np.ndarray], list[np.ndarray]]  # pieces of such forces
+Way = Callable[[Signals, Split], Parts]  # of laps to differ
 
 
 @dataclass(frozen=True)
@@ -57,60 +63,56 @@ def floor_of_laps(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], 
     """
     from emps_design.identification.filters import low_pass
 
-    found = []
-    for weights in (FIRST_DIFFERENCE, SECOND_DIFFERENCE):
-        raw, smooth = [], []
-        for force, split in zip(residuals, splits, strict=True):
-            slow = low_pass(force, BAND_HZ, period)
-            laps = [(start, stop, split.lap, weights) for start, stop in _laps(split, len(weights))]
-            usual = _steady(*([_difference(signal, *lap) for lap in laps] for signal in (force, slow)))
-            raw += usual[0]
-            smooth += usual[1]
-        if raw:
-            found.append((raw, smooth))
-    if not found:
+    signals = [(force, low_pass(force, BAND_HZ, period)) for force in residuals]
+    ways = partial(_weighted, weights=FIRST_DIFFERENCE), partial(_weighted, weights=SECOND_DIFFERENCE), _agreeing
+    first, second, agreeing = (_differences(signals, splits, way) for way in ways)
+    if not first[0]:
         return None
-    drifts = len(found) == 2 and _rms(found[1][0]) < rules.DRIFTS * _rms(found[0][0])
-    floor, agreeing = _floor(*found[drifts], LAPS), _agreeing(residuals, splits, period)
+    drifts = bool(second[0]) and _rms(second[0]) < rules.DRIFTS * _rms(first[0])
+    floor = _floor(*(second if drifts else first), LAPS)
     if not agreeing[0]:
         return floor
     quietest = _floor(*agreeing, LAPS)
     return quietest if quietest.force < rules.PUSHED * floor.force else floor
 
 
-def _agreeing(
-    residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], period: float
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Differences of the two laps of every three that agree best, piece by piece; unfiltered and low-passed."""
-    from emps_design.identification.filters import low_pass
-
+def _differences(signals: Sequence[Signals], splits: tuple[Split, ...], way: Way) -> Parts:
+    """What laps differ by, in one ``way``, over all records: unfiltered and low-passed, without what is unusual."""
     raw: list[np.ndarray] = []
     smooth: list[np.ndarray] = []
-    for force, split in zip(residuals, splits, strict=True):
-        used = np.nonzero(split.used)[0]
-        three = TOGETHER * split.lap
-        if split.lap < PIECE + START_UP or used.size < three - START_UP:
+    for both, split in zip(signals, splits, strict=True):
+        usual = _steady(*way(both, split))
+        raw += usual[0]
+        smooth += usual[1]
+    return raw, smooth
+
+
+def _weighted(signals: Signals, split: Split, weights: tuple[float, ...]) -> Parts:
+    """Combinations of laps in a row with ``weights``."""
+    laps = _laps(split, len(weights))
+    raw, smooth = ([_difference(signal, start, stop, split.lap, weights) for start, stop in laps] for signal in signals)
+    return raw, smooth
+
+
+def _agreeing(signals: Signals, split: Split) -> Parts:
+    """Differences of the two laps of every three that agree best, piece by piece."""
+    raw: list[np.ndarray] = []
+    smooth: list[np.ndarray] = []
+    for start, stop in _laps(split, TOGETHER)[::TOGETHER]:
+        if stop - start < PIECE:
             continue
-        slow = low_pass(force, BAND_HZ, period)
-        for start in range(int(used[0]), int(used[-1]) + 2 - three + START_UP, three):
-            length = min(split.lap, int(used[-1]) + 1 - start - 2 * split.lap)
-            if not split.used[start : start + three - split.lap + length].all():  # what confirms stays closed
-                continue
-            agreeing = [_pairs(signal, start, split.lap, length) for signal in (force, slow)]
-            best = np.argmin(np.sum(agreeing[0] ** 2, axis=2), axis=0)
-            for kept, pairs in zip((raw, smooth), agreeing, strict=True):
-                kept.append(np.concatenate(pairs[best, np.arange(best.size)]))
-    return _steady(raw, smooth)
+        pairs, slow = (_pairs(signal, start, stop, split.lap) for signal in signals)
+        best = np.argmin(np.sum(pairs**2, axis=2), axis=0), np.arange(pairs.shape[1])
+        raw.append(np.concatenate(pairs[best]))
+        smooth.append(np.concatenate(slow[best]))
+    return raw, smooth
 
 
-def _pairs(signal: np.ndarray, start: int, lap: int, length: int) -> np.ndarray:
-    """Differences (3, pieces, samples) of every two of three laps from ``start`` on, with the deviation of one lap.
-
-    Less the usual difference of the two, as a drift makes it.
-    """
-    laps = [_pieces(signal[begin : begin + length], PIECE) for begin in start + lap * np.arange(TOGETHER)]
-    pairs = np.array([laps[1] - laps[0], laps[2] - laps[0], laps[2] - laps[1]]) / np.sqrt(2.0)
-    return pairs - np.median(pairs, axis=(1, 2), keepdims=True)
+def _pairs(signal: np.ndarray, start: int, stop: int, lap: int) -> np.ndarray:
+    """Differences (3, pieces, samples) of every two of three laps, less the usual one of the two: a drift makes it."""
+    pairs = [_difference(signal, start, stop, lap, weights) for weights in EVERY_TWO]
+    cut = np.array([_pieces(pair, PIECE) for pair in pairs])
+    return cut - np.median(cut, axis=(1, 2), keepdims=True)
 
 
 def _laps(split: Split, together: int) -> list[tuple[int, int]]:
