@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -33,6 +34,46 @@ class Descent:
     covariance: np.ndarray
 
 
+@dataclass(frozen=True)
+class Scaled:
+    """The free numbers ``slots`` of ``start`` in units of their magnitudes, and the ``residual`` of a model."""
+
+    start: Candidate
+    slots: tuple[Slot, ...]
+    residual: Callable[[Candidate], np.ndarray]
+
+    @cached_property
+    def magnitude(self) -> np.ndarray:
+        """The magnitude of every number."""
+        return np.array([s.magnitude for s in self.slots])
+
+    @cached_property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """The lower and the upper ones."""
+        lower, upper = np.array([(s.quantity.lower, s.quantity.upper) for s in self.slots]).reshape(-1, 2).T
+        return lower / self.magnitude, upper / self.magnitude
+
+    @property
+    def begin(self) -> np.ndarray:
+        """The numbers that ``start`` has."""
+        return self.start.vector(self.slots) / self.magnitude
+
+    def at(self, x: np.ndarray) -> Candidate:
+        """The model with the numbers ``x``."""
+        return self.start.with_vector(self.slots, x * self.magnitude)
+
+    def attempt(self, x: np.ndarray) -> np.ndarray | None:
+        """The residual with the numbers ``x``, None where the model cannot be simulated."""
+        try:
+            return self.residual(self.at(x))
+        except SimulationError:
+            return None
+
+    def unscaled(self, covariance: np.ndarray) -> np.ndarray:
+        """``covariance`` (k, k) in the units of the numbers."""
+        return covariance * np.outer(self.magnitude, self.magnitude)
+
+
 def descend(
     start: Candidate, slots: tuple[Slot, ...], residual: Callable[[Candidate], np.ndarray], steps: int
 ) -> Descent:
@@ -42,17 +83,8 @@ def descend(
     much, the next one takes the Jacobian that the step itself corrects (Broyden's rank one); a descent ends on one that
     was computed. It takes as many simulations as ``steps`` steps with computed ones would.
     """
-
-    def attempt(x: np.ndarray) -> np.ndarray | None:
-        try:
-            return residual(start.with_vector(slots, x * magnitude))
-        except SimulationError:
-            return None
-
-    magnitude = np.array([s.magnitude for s in slots])
-    lower = np.array([s.quantity.lower for s in slots]) / magnitude
-    upper = np.array([s.quantity.upper for s in slots]) / magnitude
-    x = start.vector(slots) / magnitude
+    free = Scaled(start, slots, residual)
+    (lower, upper), attempt, x = free.bounds, free.attempt, free.begin
     try:
         current = residual(start)
     except SimulationError:
@@ -76,7 +108,7 @@ def descend(
                     damping = min(tried * 10, DAMPING[1])
                     continue
                 moved, change = trial - x, reached - current
-                model, x, current = start.with_vector(slots, trial * magnitude), trial, reached
+                model, x, current = free.at(trial), trial, reached
                 damping = max(tried / 10, DAMPING[0])
                 if float(current @ current) < (1 - GOES_ON) * cost:
                     secant += np.outer(change - secant @ moved, moved / (moved @ moved))
@@ -87,7 +119,7 @@ def descend(
             damping, nudge = 1e-3, COARSE
         elif gain < CONVERGED[0] * first + CONVERGED[1]:
             break
-    return Descent(model, float(current @ current), covariance_of(jacobian, current) * np.outer(magnitude, magnitude))
+    return Descent(model, float(current @ current), free.unscaled(covariance_of(jacobian, current)))
 
 
 def _moves(

@@ -14,9 +14,8 @@ import numpy as np
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.candidate import Candidate, Slot
-from emps_design.discrepancy.model.least_squares import WORST, Descent, covariance_of
+from emps_design.discrepancy.model.least_squares import WORST, Descent, Scaled, covariance_of
 from emps_design.discrepancy.model.parallel import side_by_side
-from emps_design.errors import SimulationError
 
 ROUNDS = 14  # surfaces, one after the other
 CHANGED = 2.0  # times the cost: as much a number alone changes the residual at the edge of the first neighbourhood
@@ -47,37 +46,26 @@ def descend_rough(start: Candidate, slots: tuple[Slot, ...], residual: Callable[
     neighbourhood smaller. A number is as sure as the last surface says, and as the places agree whose cost is the least
     one but for the roughness of the last neighbourhood. The same start takes the same directions.
     """
-    random, magnitude = np.random.default_rng(0), np.array([s.magnitude for s in slots])
-    lower = np.array([s.quantity.lower for s in slots]) / magnitude
-    upper = np.array([s.quantity.upper for s in slots]) / magnitude
+    random, free = np.random.default_rng(0), Scaled(start, slots, residual)
     been: list[tuple[float, np.ndarray]] = []
 
-    def at(x: np.ndarray) -> Candidate:
-        return start.with_vector(slots, x * magnitude)
-
-    def attempt(x: np.ndarray) -> np.ndarray | None:
-        try:
-            return residual(at(x))
-        except SimulationError:
-            return None
-
     def visit(places: np.ndarray) -> list[np.ndarray] | None:
-        met = side_by_side(attempt, [(place,) for place in places])
+        met = side_by_side(free.attempt, [(place,) for place in places])
         been.extend((float(m @ m), place) for m, place in zip(met, places, strict=True) if m is not None)
         return None if any(m is None for m in met) else met
 
     def least() -> tuple[float, np.ndarray]:
         return min(been, key=lambda one: one[0])
 
-    x = start.vector(slots) / magnitude
+    x = free.begin
     first = visit(x[None])
     covariance, rough = np.zeros((x.size, x.size)), 0.0
     if first is None or not slots:
-        return Descent(start, WORST if first is None else been[0][0], covariance)
-    reach = _reach(attempt, x, first[0])
+        return Descent(start, been[0][0] if been else WORST, covariance)
+    reach = _reach(free.attempt, x, first[0])
     for number in range(ROUNDS):
         directions = np.linalg.qr(random.standard_normal((x.size, x.size)))[0] * np.sqrt(x.size) * reach
-        met = visit(np.clip(np.concatenate([x + directions, x - directions]), lower, upper))
+        met = visit(np.clip(np.concatenate([x + directions, x - directions]), *free.bounds))
         if met is None:
             reach = reach * CLOSER
             continue
@@ -87,7 +75,7 @@ def descend_rough(start: Candidate, slots: tuple[Slot, ...], residual: Callable[
         covariance, rough = covariance_of(jacobian, middle), float(np.std([m @ m for m in met]))
         normal = jacobian.T @ jacobian
         move = -np.linalg.lstsq(normal + RIDGE * np.diag(np.diag(normal)), jacobian.T @ middle, rcond=None)[0]
-        moved = np.clip(x + np.clip(move, -FAR * reach, FAR * reach), lower, upper)
+        moved = np.clip(x + np.clip(move, -FAR * reach, FAR * reach), *free.bounds)
         reached = visit(moved[None])
         x = moved if reached is not None and been[-1][0] < ASTRAY * least()[0] else least()[1]
         if np.all(np.abs(move) < reach) or number % OFTEN == OFTEN - 1:
@@ -95,7 +83,7 @@ def descend_rough(start: Candidate, slots: tuple[Slot, ...], residual: Callable[
     cost, best = least()
     alike = np.array([place for found, place in been if found <= cost + ALIKE * rough])
     covariance = covariance + np.cov(alike.T, bias=True).reshape(covariance.shape)
-    return Descent(at(best), cost, covariance * np.outer(magnitude, magnitude))
+    return Descent(free.at(best), cost, free.unscaled(covariance))
 
 
 def _reach(attempt: Callable[[np.ndarray], np.ndarray | None], x: np.ndarray, first: np.ndarray) -> np.ndarray:
