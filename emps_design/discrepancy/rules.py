@@ -43,6 +43,7 @@ CLOSE_RIVAL = 0.9  # of what an effect explains, from which on another one in it
 LEAST_EXPLAINED = 0.4  # of the excess over noise, below which a search is given up after ENOUGH_ROUNDS
 ENOUGH_ROUNDS = 3
 IN_REACH = 1.5  # times the cost of a fit: another shape that leaves more after its first steps does not become the best
+CREDIBLE = 5  # effects of a model up to which the search takes more pains; more stand in for something unknown
 STILL_PAYS = 0.005  # of the cost: a fit that gains less has converged
 WORTH_DESCRIBING = 0.002  # of the cost: what the model that follows most closely must gain by an effect more
 ON_BOUND = 1e-6  # of a number's magnitude: a parameter this close to its bound ended on it

@@ -25,13 +25,17 @@ STEP = 1e-3  # finite difference of a sensitivity, in magnitudes of the number
 
 @dataclass(frozen=True)
 class Fit(Hypothesis):
-    """A fitted model: its whitened residuals, and the covariance (k, k) of the numbers in ``slots``."""
+    """A fitted model: its whitened residuals, and the covariance (k, k) of the numbers in ``slots``.
+
+    ``surveyed`` says that surfaces through its neighbourhood, as :func:`play_anew` lays them, lead nowhere better.
+    """
 
     slots: tuple[Slot, ...]
     covariance: np.ndarray
     innovations: tuple[np.ndarray, ...]
     cost_fit: float
     cost_select: float
+    surveyed: bool = False
 
     @property
     def cost(self) -> float:
@@ -114,10 +118,12 @@ def play_anew(fitted: Fit) -> Fit:
     """``fitted`` where surfaces through its neighbourhood lead, if it has play that bounces and leaves structure.
 
     Play found while something else was missing bounces at another place, from which no slope leads away. Beside smooth
-    functions of the state it stays where its short fit found it: they hide most of what else is missing.
+    functions of the state it stays where its short fit found it: they hide most of what else is missing. A model with
+    more effects than are credible stands in for something unknown, and is not worth the time.
     """
     quiet = fitted.cost <= rules.AT_FLOOR * fitted.problem.samples("used")
-    return fitted if quiet or not _bounces(fitted) else _over_surfaces(fitted, "fit")
+    done = quiet or fitted.surveyed or len(fitted.model.effects) > rules.CREDIBLE
+    return fitted if done or not _bounces(fitted) else _over_surfaces(fitted, "fit")
 
 
 def _bounces(fitted: Fit) -> bool:
@@ -135,7 +141,8 @@ def _over_surfaces(fitted: Fit, part: str) -> Fit:
     if not found.covariance.any():  # no neighbourhood of it runs
         return fitted
     moved = evaluate(fitted.with_model(found.model), slots, found.covariance)
-    return min((replace(fitted, slots=slots, covariance=found.covariance), moved), key=_bounded_cost)
+    stayed = replace(fitted, slots=slots, covariance=found.covariance, surveyed=True)
+    return min((stayed, moved), key=_bounded_cost)
 
 
 def _bounded_cost(fitted: Fit) -> float:

@@ -23,7 +23,6 @@ from emps_design.effects import Effect
 
 BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
 MOST_EFFECTS = 7
-CREDIBLE = 5  # effects of a model up to which the search takes more pains; more stand in for something unknown
 PASSES = 5  # times the search goes on, from an exchange, an effect that was far behind, or a curve
 UNFINISHED = "interrupted: the search was not finished, what follows is what was known by then"
 
@@ -118,7 +117,7 @@ def _found_before(before: Candidate | None, current: Fit, tried: FitsBySet) -> F
 def _far_behind(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Progress) -> Fit | None:
     """``current`` with an effect that gains little beside the best ones, which may be stand-ins: none was accepted."""
     number, names = 1 + _found(calibration, current), frozenset(current.model.names)
-    if number > CREDIBLE or not calibration.judge.leaves_structure(current):
+    if number > rules.CREDIBLE or not calibration.judge.leaves_structure(current):
         return None
     rest = tuple(one for one in _library(calibration, general=False) if names | {one.name} not in tried)
     sound, _ = _round(calibration, [current], number, rest, progress, rules.FAR_BEHIND)
@@ -185,7 +184,7 @@ def _exchanged(calibration: Calibration, best: Fit, tried: FitsBySet, progress: 
     where structure is left.
     """
     known, judge, found = calibration.baseline.model.names, calibration.judge, _found(calibration, best)
-    if not 2 <= found <= CREDIBLE or (found == 2 and judge.at_floor(best)):
+    if not 2 <= found <= rules.CREDIBLE or (found == 2 and judge.at_floor(best)):
         return None
     progress("each effect anew beside the others", 0.95)
     others = exchanges(best, known, calibration.preparation.library)
@@ -258,7 +257,9 @@ def _pruned(best: Fit, known: tuple[str, ...], tried: FitsBySet, accept: Accept)
     path: list[Fit] = []
     while len(best.model.effects) > len(known) + 1:
         smaller = [best.model.without(i) for i, name in enumerate(best.model.names) if name not in known]
-        rests = side_by_side(_fitted_anew, [(best.with_model(model),) for model in smaller])
+        # With as much care as the best one was fitted, or every effect would look needed.
+        careful = len(best.model.effects) <= rules.CREDIBLE
+        rests = side_by_side(_fitted_anew if careful else fit, [(best.with_model(model),) for model in smaller])
         sound = [_better(rest, tried) for rest in rests if admissible(rest)]
         idle = [rest for rest in sound if not accept(best, rest)]
         if not idle and sound:
@@ -272,7 +273,7 @@ def _pruned(best: Fit, known: tuple[str, ...], tried: FitsBySet, accept: Accept)
 
 
 def _fitted_anew(hypothesis: Hypothesis) -> Fit:
-    """Fit a model with as much care as the one that has an effect more, or every effect would look needed."""
+    """Fit a model, and play in it anew."""
     return play_anew(fit(hypothesis))
 
 

@@ -114,7 +114,10 @@ def converged(fitted: Fit) -> Fit:
 
     A fit that has not converged looks like another effect.
     """
-    further = play_anew(play_anew(_revised(_settled(fitted))))  # the second time far around where the first one ended
+    further = _revised(_settled(fitted))
+    if fitted.surveyed and further.cost > (1 - rules.STILL_PAYS) * fitted.cost:
+        return fitted
+    further = play_anew(play_anew(further))  # the second time far around where the first one ended
     return further if admissible(further) else fitted
 
 

@@ -1,10 +1,12 @@
 """The closed-loop fit gives back what a simulation was made with; its deviations hold; whitening whitens."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import admissible, evaluate, fit, play_anew, refitted, sensitivities
 from emps_design.discrepancy.model.least_squares import descend
@@ -83,6 +85,29 @@ def test_noise_grows_where_the_motor_is_at_its_limit_and_nowhere_else():
 def test_without_play_nothing_is_found_anew():
     fitted = evaluate(Hypothesis(problem(), Candidate(AXIS.mechanics.array())))
     assert play_anew(fitted) is fitted
+
+
+def test_play_is_not_looked_for_where_it_was_before_nor_among_more_effects_than_are_credible():
+    hidden = {"kind": "backlash", "gap": 8e-5, "frequency": 57.0, "damping": 0.15, "share": 0.32}
+    start = Hypothesis(problem([hidden]), Candidate(AXIS.mechanics.array()))
+    play = start.model.with_effect(get_effect("backlash"), np.array([(2e-4, 45.0, 0.15, 0.4, 0.0)]))
+    dent = evaluate(start.with_model(play))
+    assert play_anew(dent) is not dent
+    surveyed = replace(dent, surveyed=True)
+    assert play_anew(surveyed) is surveyed
+    small = {
+        "actuator_lag": {"time_constant": 1e-4},
+        "actuator_delay": {"delay": 1e-4},
+        "actuator_deadzone": {"width": 1e-3},
+        "elastic_force": {"stiffness": 1.0, "rest_position": 0.0},
+        "asymmetric_viscous_friction": {"viscous_difference": 0.1},
+    }
+    for name, values in small.items():
+        effect = get_effect(name)
+        play = play.with_effect(effect, effect.values(values)[None])
+    crowded = evaluate(start.with_model(play))
+    assert len(crowded.model.effects) > rules.CREDIBLE
+    assert play_anew(crowded) is crowded
 
 
 def test_a_simplex_passes_what_cannot_run_and_stays_within_bounds():
