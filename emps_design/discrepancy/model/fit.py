@@ -97,8 +97,8 @@ def evaluate(hypothesis: Hypothesis, slots: tuple[Slot, ...] = (), covariance: n
         innovations = hypothesis.whitened()
     except SimulationError:
         return Fit(problem, model, slots, np.zeros((len(slots),) * 2), (), WORST, WORST)
-    costs = [sum(float(w @ w) for w in problem.pick(innovations, part)) for part in ("fit", "select")]
-    return Fit(problem, model, slots, covariance, innovations, *costs)
+    fitting, selecting = (sum(float(w @ w) for w in problem.pick(innovations, part)) for part in ("fit", "select"))
+    return Fit(problem, model, slots, covariance, innovations, fitting, selecting)
 
 
 def weighed(fitted: Fit) -> Fit | None:
