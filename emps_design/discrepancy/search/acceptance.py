@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,8 @@ from emps_design.discrepancy.model.partition import START_UP
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.search.noise_floor import Floor, usual_rms
 from emps_design.discrepancy.search.null_distribution import Healthy
+
+Accept = Callable[[Fit, Fit], bool]  # whether the first, with one effect more, is a finding over the second
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from emps_design.discrepancy.model.fit import Fit
 from emps_design.discrepancy.search.calibration import Calibration
 
+FitsBySet = dict[frozenset[str], Fit]
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -19,7 +21,7 @@ class Outcome:
 
     calibration: Calibration
     path: tuple[Fit, ...]
-    tried: dict[frozenset[str], Fit] = field(repr=False)
+    tried: FitsBySet = field(repr=False)
     alone: dict[str, float] = field(default_factory=dict, repr=False)
     interrupted: bool = False
     warnings: tuple[str, ...] = ()

@@ -14,7 +14,7 @@ from emps_design.discrepancy.model.least_squares import descend
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.whitening import Whitening
-from emps_design.discrepancy.search import beam_search, extension
+from emps_design.discrepancy.search import extension, pruning
 from emps_design.discrepancy.search.acceptance import Judge, _seen_again
 from emps_design.discrepancy.search.beam_search import (
     _extend,
@@ -22,11 +22,11 @@ from emps_design.discrepancy.search.beam_search import (
     _found_before,
     _late,
     _pair,
-    _pruned,
     _rivals,
 )
 from emps_design.discrepancy.search.exchange import exchanges
 from emps_design.discrepancy.search.extension import _fitted, converged, extended, extensions, freed
+from emps_design.discrepancy.search.pruning import pruned
 from emps_design.discrepancy.search.starts import screen, tangent
 from emps_design.effects import get_effect
 from emps_design.machines import machine
@@ -56,7 +56,7 @@ def test_a_stand_in_that_was_found_first_goes():
     start = BASELINE.with_effect(LAG, np.array([[2e-4]])).with_effect(DELAY, np.array([[1.5e-3]]))
     both = fit(hypothesis(start, DELAYED))
     worth = lambda better, worse: worse.cost - better.cost > 0.01 * worse.cost  # noqa: E731
-    path = _pruned(both, (), {}, worth)
+    path = pruned(both, (), {}, worth)
     assert path[-1].model.names == ("actuator_delay",)
     assert path[-1].model.values[0][0, 0] == pytest.approx(1.6e-3, rel=0.02)
 
@@ -129,23 +129,23 @@ def test_a_search_goes_on_from_a_model_found_before_that_leaves_less():
     assert _found_before(current.model, found, {}) is None  # leaves more
 
 
-def test_what_is_known_from_the_law_is_never_pruned():
+def test_what_is_known_from_the_law_is_neverpruned():
     start = BASELINE.with_effect(LAG, np.array([[1e-4]])).with_effect(SPRING, np.array([[5.0, 0.0]]))
-    assert _pruned(fit(hypothesis(start)), ("actuator_lag",), {}, lambda better, worse: False) == []
+    assert pruned(fit(hypothesis(start)), ("actuator_lag",), {}, lambda better, worse: False) == []
 
 
 def test_what_was_tried_before_counts_where_the_rest_of_a_model_is_left_in_a_poor_place(monkeypatch):
     delay = np.array([[1.5e-3]])
     start = hypothesis(BASELINE.with_effect(LAG, np.array([[2e-4]])).with_effect(DELAY, delay), DELAYED)
     both, alone = fit(start), fit(start.with_model(BASELINE.with_effect(DELAY, delay)))
-    monkeypatch.setattr(beam_search, "fit", evaluate)  # the rest stays as the model with both left it
+    monkeypatch.setattr(pruning, "fit", evaluate)  # the rest stays as the model with both left it
     compared = {}
 
     def accept(better, worse):
         compared.setdefault(worse.model.names, worse.cost)
         return True
 
-    _pruned(both, (), {frozenset(alone.model.names): alone}, accept)
+    pruned(both, (), {frozenset(alone.model.names): alone}, accept)
     assert compared["actuator_delay",] == alone.cost
     assert compared["actuator_lag",] == evaluate(both.with_model(both.model.without(1))).cost
 
