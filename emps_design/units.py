@@ -65,6 +65,7 @@ _UNIT = (
     r"(?:\(m/s\)/N|[NV]/\(m/s(?:\^2)?\)|N/\(m/s\)\^2|[µun]?m/s(?:\^[23])?|mm/s(?:\^2)?|N m(?:/A)?|N/(?:[µum]?m|V|s)|N s"
     r"|kg m\^2|kg|[mk]?[NV]|[nµum]?m|1/m)(?![\w^(%]|/[\w(]| m\b)"
 )
+_TAKE_A_PREFIX = ("V", "A")  # of the units of a command
 _NUMBER = r"[-+−]?(?:\d+\.?\d*|\.\d+)(?:e[-+−]?\d+)?"
 _QUANTITY = re.compile(rf"(?<![\w.])({_NUMBER}(?:(?: \+- | ± | to |–|, | and ){_NUMBER})*) ({_UNIT})")
 _BEFORE = r"(?<=[\])] )|(?<=unbounded )|(?<=per )|(?<=\bin )"
@@ -212,7 +213,7 @@ class Units:
 
     def _whole(self, base: str) -> str:
         """The unit for ``base``, which may have a prefix that this axis's unit cannot take."""
-        prefixed = base[:2] in _PREFIXED and base[1] == "V" and self.command_unit not in _VOLTAGES | _CURRENTS
+        prefixed = base[:2] in _PREFIXED and base[1] == "V" and self.command_unit not in _TAKE_A_PREFIX
         return f"{_PREFIXED[base[:2]]:g} {self.command_unit}" if prefixed else self.unit(base)
 
     def text(self, text: str) -> str:
@@ -256,7 +257,7 @@ class Units:
         head, slash, rest = base.partition("/")
         if self.rotary and head == "mm" and rest in ("", "s"):
             return f"deg{slash}{rest}", 1e-3 / _DEG
-        if head in _PREFIXED and head[1] == "V" and self.command_unit not in _VOLTAGES | _CURRENTS:
+        if head in _PREFIXED and head[1] == "V" and self.command_unit not in _TAKE_A_PREFIX:
             return self.command_unit, _PREFIXED[head]
         return self.unit(base), 1.0
 
@@ -303,6 +304,15 @@ class Units:
         expected = f"{', '.join(most)} or {last}" if most else last
         motion = f"{self.motion} " if column in _MECHANICAL[self.motion] else ""
         raise InputError(f"{motion}{column}: found unit {unit!r}, expected {expected}")
+
+    def command_in(self, unit: str) -> float | None:
+        """How many ``unit`` one unit of this axis's command is; None where nothing says so, as of % of rated.
+
+        >>> Units(command="current", command_unit="mA").command_in("A"), Units(command="current").command_in("V")
+        (0.001, None)
+        """
+        family = _ELECTRICAL[self.command]
+        return family[self.command_unit] / family[unit] if {unit, self.command_unit} <= family.keys() else None
 
     def _known(self, column: str) -> dict[str, float]:
         """The units that a ``column`` may be in, and how much of SI or of the command's unit one is."""

@@ -14,7 +14,7 @@ HEAD = 65536  # bytes that say what a file holds
 OVERWRITE = "Overwrite a file that holds something else."  # the help of --force
 AXIS, PAGE, ARCHIVE, TABLE = "an axis file", "an HTML page", "a NumPy archive", "a text table"
 JSON, MATLAB, ANYTHING = "a JSON document", "a MATLAB file", "something else"
-CODE = "code of emps-design"
+CODE, CONTROLLER = "code of emps-design", "a table of a controller"
 PICTURES = {".png": "a PNG picture", ".svg": "an SVG picture", ".pdf": "a PDF document"}
 
 _MAGIC = (
@@ -29,6 +29,7 @@ _TEXT = (
     (r"<(!doctype )?html\b", PAGE),
     (r"<(\?xml|svg)\b", PICTURES[".svg"]),
     (r"(?m)(\A|.*^)\s*\[?\s*mechanics\b", AXIS),
+    (r"(?m)(\A|.*^)\s*\[\s*controller\b", CONTROLLER),
     (r"\{|\[\s*(\Z|[\[{\"\d-])", JSON),
     (r"[^\n]*[;,\t][^\n]*\n\s*[-+.\d]", TABLE),
 )

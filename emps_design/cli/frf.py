@@ -117,10 +117,10 @@ def _show(found: Estimate, unit: Callable[[str], str]) -> None:
         )
     console.print(table)
     for one in found.resonances:
-        console.print(f"{one.kind} at {one.frequency:.2f} ± {2 * one.std:.2f} Hz, damping {one.damping:.3f}")
+        console.print(f"{one.kind} at {one.frequency:.2f} +- {one.std:.2f} Hz, damping {one.damping:.3f}")
     chain = found.comparison.chain
     values = [
-        f"{name.replace('_', ' ')} {value:.5g} ± {2 * std:.2g} {unit(of)}".rstrip()
+        f"{name.replace('_', ' ')} {value:.5g} +- {std:.2g} {unit(of)}".rstrip()
         for name, (value, std, of) in chain.parameters.items()
     ]
     console.print(f"fitted, {chain.label}: {', '.join(values)} (residuals {chain.misfit:.2g} deviations)")

@@ -104,8 +104,6 @@ def command(
 
         with progress_bar(not as_json or sys.stderr.isatty()) as progress:
             found = identify_several(read, loaded, progress=progress, **options)
-    if out is not None:
-        write_text(out, found.to_axis(name=one_line(out.stem)).to_toml())
     if as_json:
         print_json(found)
     elif len(read) == 1:
@@ -114,6 +112,8 @@ def command(
         _show_several(found)
     for warning in found.warnings:
         tell(warning)
+    if out is not None:  # last: what was found is shown, even where it is no machine
+        write_text(out, found.to_axis(name=one_line(out.stem)).to_toml())
 
 
 def _refuse_ignored(context: typer.Context, estimator: str, records: int) -> None:
@@ -228,11 +228,14 @@ def _show_several(found: SeveralIdentifications) -> None:
             f"{row['mean']:.4f}",
             f"{row['spread']:.4f}",
             f"{row['std']:.4f}",
-            f"{row['drift']:+.4f}" + (" **" if row["drift_significant"] else ""),
+            "-" if row["drift"] is None else f"{row['drift']:+.4f}" + (" **" if row["drift_significant"] else ""),
             row["unit"],
         )
     console.print(table)
-    console.print("spread: std between records; std *: mean within one, for a correlated residual; drift **: p < 1 %")
+    console.print(
+        "spread: std between records; std *: mean within one, for a correlated residual; drift **: p < 1 % over all "
+        "parameters together"
+    )
     title = "force error [N rms]: identified on the row's record, judged on the column's"
     matrix = new_table(title, pad_edge=False, padding=(0, 1, 0, 0))
     matrix.add_column("", overflow="fold")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from emps_design.cli.destinations import AXIS, OVERWRITE, check_out
+from emps_design.cli.destinations import CONTROLLER, OVERWRITE, check_out
 
 if TYPE_CHECKING:
     from emps_design.identification.controller import LawEstimate
@@ -33,7 +33,7 @@ def command(
     from emps_design.importing import import_record
     from emps_design.laws import NONE
 
-    check_out(out, AXIS, (axis, *records), force)
+    check_out(out, CONTROLLER, (axis, *records), force)
     loaded = load_axis(axis)
     loaded = Axis.from_dict({**loaded.to_dict(), "controller": {"kind": NONE}}, loaded.name)
     found = identify_law([import_record(record, loaded) for record in records], loaded.drive.command_unit)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from emps_design.identification.observation import Observation
     from emps_design.records import Record
+    from emps_design.units import Units
 
 LONG = 200_000  # samples from which on it is worth saying how far the work is
 
@@ -57,11 +58,11 @@ def command(
     loaded = load_axis(axis)
     read = import_record(record, loaded)
     if injected is not None:
-        read = with_known_push(read, _voltage(injected, read), loaded.drive.gain)
+        read = with_known_push(read, _voltage(injected, read), loaded.supplied_by(read).drive.gain)
     with progress_bar(len(read) >= LONG) as progress:
         found = observe(read, loaded, cutoff_hz=cutoff, offline_cutoff_hz=offline_cutoff, progress=progress)
     if out is not None:
-        _write(out, found)
+        _write(out, found, loaded.units)
     if as_json:
         print_json(found)
     else:
@@ -91,10 +92,10 @@ def _voltage(injected: str, record: Record) -> np.ndarray:
     return volts * column
 
 
-def _write(out: Path, found: Observation) -> None:
+def _write(out: Path, found: Observation, units: Units) -> None:
     from emps_design.files import write_aside
 
-    names = ["t [s]", *(f"{name} [N]" for name in found.methods)]
+    names = ["t [s]", *(f"{name} [{units.unit('N')}]" for name in found.methods)]
     columns = [found.t, *(result.force for result in found.methods.values())]
     with write_aside(out) as aside, aside.open("w", encoding="utf-8", newline="\n") as file:
         file.write(",".join(names) + "\n")

@@ -62,7 +62,7 @@ def command(
     """The whole design as one self-contained page: specification against achieved, loops, force loop, record."""
     from emps_design.cli.output import print_json, progress_bar, say, tell
     from emps_design.cli.wording import load_axis, speak
-    from emps_design.errors import UnstableError
+    from emps_design.errors import InputError, UnstableError
     from emps_design.files import write_aside
     from emps_design.report.assemble import assemble_report, has_impedance_law
     from emps_design.units import Units
@@ -76,6 +76,8 @@ def command(
         refuse_ignored(context, ["filter", "mismatch"], "goes with the impedance law: --mass and --damping")
     if crossover is None and bandwidth is None:
         crossover = 100.0
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"--out: found {out.name!r}, expected a name that ends in .html")
     check_out(out, PAGE, (axis, record, frf), force)
     with write_aside(out) as aside, progress_bar() as progress:
         report = assemble_report(

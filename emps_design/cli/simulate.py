@@ -196,8 +196,9 @@ def _write(out: Path, result: Any) -> None:
 
 def _draw(path: Path, result: Any) -> None:
     from emps_design.files import write_aside
+    from emps_design.report.style import labelled
 
-    figure = result.run.plot()[0].figure
+    figure = labelled(result.run.plot()[0].figure, result.axis.units)
     with write_aside(path) as aside:
         figure.savefig(aside, format=path.suffix[1:])
 

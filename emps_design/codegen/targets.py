@@ -31,7 +31,7 @@ def _sums(name: str, ahead: Ahead, printed: Printed) -> tuple[list[str], list[di
     return definitions, [{"name": hook, "calls": calls[hook]} for hook in ADDED]
 
 
-def _numbers(ahead: Ahead, number: Callable[[float], str]) -> dict[str, Any]:
+def _numbers(ahead: Ahead, number: Callable[[float], Any]) -> dict[str, Any]:
     """What the templates say of a feed-forward, its numbers as the language has them."""
     return {
         **said_of(ahead),
@@ -94,12 +94,19 @@ def in_st(name: str, block: Block, vectors: Vectors) -> Files:
     return with_page(name, block, vectors, {f"{name}.st": template("block.st").render(words).rstrip() + "\n"})
 
 
+def _as_numbers(ahead: Ahead) -> dict[str, Any]:
+    """What a document says of a feed-forward."""
+    own, there = ahead.feedforward, {"reversal": ahead.reversal}
+    return {**_numbers(ahead, float), **there, "wait": own.wait, "back_emf": own.back_emf}
+
+
 def in_json(name: str, block: Block, vectors: Vectors) -> Files:
     """One document: numbers, equations and vectors."""
     words = words_of(name, block)
     document = {
         "schema": "emps-design/controller/1",
         **{key: words[key] for key in ("name", "axis", "kind", "label", "source", "version")},
+        "origin": block.origin,
         "period": block.axis.sampling.period,
         "limit": None if block.observes else block.limit,
         "units": {"period": "s", "limit": words["output_unit"], "u": words["output_unit"]},
@@ -113,7 +120,7 @@ def in_json(name: str, block: Block, vectors: Vectors) -> Files:
         "memory": block.law.memory,
         "operations": operations_of(block),
         "drives": drive_settings(block.axis, {} if block.observes else gains_of(block.axis)),
-        "feedforward": None if block.ahead is None else _numbers(block.ahead, repr),
+        "feedforward": None if block.ahead is None else _as_numbers(block.ahead),
         "vectors": vectors.to_dict(),
     }
     return {f"{name}.json": json.dumps(document, indent=1, allow_nan=False) + "\n"}

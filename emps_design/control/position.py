@@ -105,9 +105,9 @@ class PositionLoopDesign:
 
     @property
     def feedforwards(self) -> dict[str, dict[str, float]]:
-        """Tables of feed-forward by what they feed; the acceleration is that of the inertia."""
+        """Tables of feed-forward by what they feed; the acceleration is that of all that moves, a load too."""
         loop = self.velocity_loop
-        inertia = float(loop.sampled.plant.linear.mass / loop.axis.drive.gain)
+        inertia = float(loop.axis.mechanics.mass / loop.axis.drive.gain)
         return {
             "none": {},
             "velocity": {"velocity": 1.0},

@@ -35,6 +35,9 @@ def periodic_answer(read: list[Signals], highest: float, tell: Progress) -> tupl
     for one in read:
         if not one.repeats:
             raise RecordError(f"{one.name}: the {one.kind} does not repeat, expected whole periods of it")
+    if len({one.repeats for one in read}) > 1:
+        every = ", ".join(f"{one.name}: {one.repeats * one.period:g} s" for one in read)
+        raise RecordError(f"found periods that differ ({every}), expected the same excitation in every record")
     found: list[Spectra] = []
     for i, one in enumerate(read):
         tell("spectra", i / len(read))

@@ -14,11 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from emps_design.errors import RecordError
 from emps_design.frequency_response.signals import Signals
 
 NEAR = 10  # lines on either side
 ORDER = 2
 AT_ONCE = 2048  # lines fitted together
+FEWEST_BLOCKS = 4  # that averaged spectra are taken of
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,28 +76,36 @@ def local_polynomial(signals: Signals, part: slice, lowest: float, highest: floa
 
 
 def welch(signals: Signals, samples: int, lowest: float, highest: float) -> Answer:
-    """The answer from the averaged spectra of all blocks of ``samples``, which overlap by half, under a Hann window."""
+    """The answer from the averaged spectra of all blocks of ``samples``, which overlap by half, under a Hann window.
+
+    Raises :class:`RecordError` for fewer than :data:`FEWEST_BLOCKS`: how they differ tells the noise.
+    """
     from scipy.fft import rfft
 
     window = np.hanning(samples + 1)[:-1]
-    cross, power, other, count = 0.0, 0.0, 0.0, 0
-    for start, stop in signals.stretches:
-        for begin in range(start, stop - samples + 1, samples // 2):
-            part = slice(begin, begin + samples)
-            r, dq, u = (rfft(window * _detrended(values[part])) for values in (signals.r, signals.dq, signals.u))
-            both = np.stack([dq, u], axis=-1)
-            cross = cross + both * r.conj()[:, None]
-            power = power + np.abs(r) ** 2
-            other = other + both[:, :, None] * both.conj()[:, None, :]
-            count += 1
+    begins = [b for start, stop in signals.stretches for b in range(start, stop - samples + 1, samples // 2)]
+    count = len(begins)
+    if count < FEWEST_BLOCKS:
+        raise RecordError(
+            f"{signals.name}: found {count} blocks of {samples * signals.period:g} s, expected at least "
+            f"{FEWEST_BLOCKS} for averaged spectra; record for longer, or take local-polynomial"
+        )
+    cross, power, other = 0.0, 0.0, 0.0
+    for begin in begins:
+        part = slice(begin, begin + samples)
+        r, dq, u = (rfft(window * _detrended(values[part])) for values in (signals.r, signals.dq, signals.u))
+        both = np.stack([dq, u], axis=-1)
+        cross = cross + both * r.conj()[:, None]
+        power = power + np.abs(r) ** 2
+        other = other + both[:, :, None] * both.conj()[:, None, :]
     frequency = np.arange(samples // 2 + 1) / (samples * signals.period)
     kept = (frequency >= max(lowest, 2.0 / (samples * signals.period))) & (frequency <= highest)
     power = np.maximum(np.asarray(power)[kept], np.finfo(float).tiny)
     z = np.asarray(cross)[kept] / power[:, None]
     # Hann windows that overlap by half: 11/18 of the blocks are independent (Welch's formula, for many of them).
-    freedom = max(1.0, 11.0 / 18.0 * count + 0.5 * (count == 1)) - 1.0 if count > 1 else 0.0
+    freedom = 11.0 / 18.0 * count - 1.0
     left = np.asarray(other)[kept] - z[:, :, None] * z.conj()[:, None, :] * power[:, None, None]
-    noise = left / power[:, None, None] / max(freedom, 1e-3)
+    noise = left / power[:, None, None] / freedom
     return Answer(frequency[kept], z, noise, freedom, power)
 
 

@@ -134,6 +134,11 @@ def estimate_response(
             f"frequency, {nyquist:g} Hz"
         )
     highest = min(high or np.inf, HIGHEST_SHARE * nyquist)
+    if low >= highest:
+        raise RecordError(
+            f"{several[0].name}: found a band from {low:g} to {highest:g} Hz, expected its lowest frequency below its "
+            f"highest, which is at most {HIGHEST_SHARE * nyquist:g} Hz at this sampling"
+        )
     read = [signals_of(record, instrument) for record in several]
     method = _method(read) if method == "auto" else method
     tell = progress or (lambda stage, fraction: None)

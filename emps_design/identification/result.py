@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.errors import AxisError
+from emps_design.errors import AxisError, InputError
 from emps_design.identification.inverse_model import baseline_of
 from emps_design.identification.known import identified_effects
 from emps_design.identification.statistics import LongRun
@@ -100,7 +100,13 @@ class Identification:
         data["name"] = name or self.axis.name
         data["mechanics"] = {"mass": mass, "viscous": viscous, "coulomb": coulomb, "offset": offset}
         data["sampling"] = {**data["sampling"], "period": self.period}
-        return Axis.from_dict(data, f"identified from {self.record}")
+        try:
+            return Axis.from_dict(data, f"identified from {self.record}")
+        except InputError as error:
+            raise InputError(
+                f"{error}; no machine is like that: a force that the model lacks, such as a weight or a spring, bends "
+                "its numbers, and diagnose names it"
+            ) from error
 
     def to_dict(self) -> dict[str, Any]:
         """The contract's ``identify --json``, and what stands beside it."""

@@ -51,7 +51,7 @@ class SeveralIdentifications:
             column = self.values[:, i]
             found = [one.parameters[quantity.name].std_long_run for one in self.identifications]
             within = np.array(found, dtype=float)  # NaN where a record does not determine it
-            slope, p_value = 0.0, 1.0
+            slope, p_value = (0.0, 1.0) if len(column) >= 3 else (None, None)  # two records tell no drift
             if len(column) >= 3 and np.ptp(column) > 0:
                 line = linregress(np.arange(len(column)), column)
                 slope, p_value = float(line.slope), float(line.pvalue)
@@ -64,7 +64,7 @@ class SeveralIdentifications:
                     "std": float(np.mean(within)),
                     "drift": slope,
                     "drift_p_value": p_value,
-                    "drift_significant": p_value < DRIFT_LEVEL / len(parameters_of(self.model)),
+                    "drift_significant": p_value is not None and p_value < DRIFT_LEVEL / len(parameters_of(self.model)),
                     "values": column.tolist(),
                 }
             )

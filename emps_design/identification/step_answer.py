@@ -33,7 +33,7 @@ class Steps:
 def step_answer(force: np.ndarray, truth: np.ndarray, period: float, inner: slice) -> Steps | None:
     """Answer of ``force`` (n,) [N] to the steps of a square wave ``truth`` (n,) [N]; None where that has no steps.
 
-    ``inner`` are the samples that count.
+    ``inner`` are the samples that count: away from edges some must be at either height.
 
     >>> truth = 10.0 * (np.arange(4000) // 500 % 2)
     >>> found = step_answer(np.roll(truth, 3), truth, 1e-3, slice(250, 3750))
@@ -49,14 +49,20 @@ def step_answer(force: np.ndarray, truth: np.ndarray, period: float, inner: slic
     near = np.ones(len(truth), dtype=bool)
     near[inner] = False
     for edge in edges:
-        near[edge - reach : edge + reach] = True
+        near[max(0, edge - reach) : edge + reach] = True
     high = truth > truth.min() + 0.5 * height
-    plateau = float(force[high & ~near].mean() - force[~high & ~near].mean())
+    above, below = force[high & ~near], force[~high & ~near]
+    if not above.size or not below.size:
+        return None
+    plateau = float(above.mean() - below.mean())
     edges = edges[(edges > reach) & (edges < len(truth) - reach)]
     answers = [np.sign(change[e - 1]) * (force[e - reach : e + reach] - force[e - reach]) for e in edges]
-    mean = np.mean([answer for answer in answers if np.all(np.isfinite(answer))], axis=0)
-    share = mean / float(np.mean(mean[-reach // 4 :]))
-    crossing = {level: _first_crossing(share, level) for level in (0.1, 0.5, 0.9)}
+    answers = [answer for answer in answers if np.all(np.isfinite(answer))]
+    crossing = dict.fromkeys((0.1, 0.5, 0.9), float("nan"))
+    if answers:
+        mean = np.mean(answers, axis=0)
+        share = mean / float(np.mean(mean[-reach // 4 :]))
+        crossing = {level: _first_crossing(share, level) for level in crossing}
     complete = bool(np.all(np.isfinite(list(crossing.values()))))
     return Steps(
         edges=int(edges.size),

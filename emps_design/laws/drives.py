@@ -1,7 +1,7 @@
 """What common drives call the gains of a cascade, and in which units: a row for each parameter, from its public manual.
 
-Families whose manual was not found, or gives a gain no unit, are left out. A drive that counts on its motor's side
-needs the gear between motor and axis, which an axis file does not have: numbers here are on the axis's own side.
+Families whose manual was not found, or gives a gain no unit, are left out. A drive counts on its motor's side: where
+the axis file has the reduction between motor and axis, numbers here are on that side too, else on the axis's own.
 """
 
 from __future__ import annotations
@@ -35,16 +35,30 @@ def _times(factor: float) -> Value:
     return lambda gain, axis: factor * gain
 
 
+def side_of(axis: Any) -> str:
+    """Whose force and speed the settings of :func:`drive_settings` are about: the ``motor``'s, or the ``axis``'s."""
+    return "motor" if axis.drive.reduction else "axis"
+
+
 def _force(gain: float, axis: Any) -> float:
-    return float(gain * axis.drive.gain)
+    return float(gain * axis.drive.gain) / (axis.drive.reduction or 1.0) ** 2
+
+
+def _turns(axis: Any) -> bool:
+    """Whether the settings are about something that turns."""
+    return axis.motion == "rotary" or axis.drive.reduction is not None
 
 
 def _torque(gain: float, axis: Any) -> float | None:
-    return _force(gain, axis) if axis.motion == "rotary" else None
+    return _force(gain, axis) if _turns(axis) else None
 
 
 def _current(gain: float, axis: Any) -> float | None:
-    return 1e4 * gain if axis.drive.command == "current" and axis.motion == "rotary" else None
+    """In steps of 0.1 mA; of a command in % of rated nothing says how many amperes it is."""
+    amperes = axis.units.command_in("A")
+    if amperes is None or not _turns(axis):
+        return None
+    return 1e4 * gain * amperes / (axis.drive.reduction or 1.0)
 
 
 def _crossover(gain: float, axis: Any) -> float:
@@ -80,6 +94,8 @@ SETTINGS = (
 def drive_settings(axis: Any, gains: dict[str, float]) -> list[dict[str, Any]]:
     """What each drive's parameters are for ``gains`` of a PI cascade on ``axis``: position.kp, velocity.kp, .ti, SI.
 
+    Of each also the ``side`` that they count on, as :func:`side_of` says.
+
     >>> from emps_design.machines import machine
     >>> rows = drive_settings(machine("emps2019"), {"velocity.ti": 0.018})
     >>> [(row["parameter"], round(row["value"], 9), row["unit"]) for row in rows if row["family"] == "Beckhoff AX5000"]
@@ -90,7 +106,7 @@ def drive_settings(axis: Any, gains: dict[str, float]) -> list[dict[str, Any]]:
         value = one.value(gains[one.gain], axis) if one.gain in gains else None
         if value is not None:
             found.append({"family": one.family, "parameter": one.name, "value": value, "unit": one.unit,
-                          "gain": one.gain, "source": one.source})  # fmt: skip
+                          "gain": one.gain, "side": side_of(axis), "source": one.source})  # fmt: skip
     return found
 
 

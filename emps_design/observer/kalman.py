@@ -11,6 +11,8 @@ from emps_design.axis import Axis
 from emps_design.errors import InputError
 from emps_design.observer.external_force import DEFAULT_CUTOFF_HZ, REST_VELOCITY, Resistance, left_out
 
+SLOWEST = 1e-4  # of the Nyquist frequency, from which on the response is looked at
+
 
 class KalmanForceObserver:
     """Kalman filter with the states position, velocity and external force; the force is a random walk.
@@ -173,11 +175,13 @@ class _SteadyKalman:
 
     @property
     def bandwidth(self) -> float:
-        w = np.geomspace(1e-4, 1.0, 600) * math.pi / self.period
+        w = np.geomspace(SLOWEST, 1.0, 600) * math.pi / self.period
         size = np.abs(self.response(w))
         below = np.flatnonzero(size < math.sqrt(0.5))
-        if not below.size or below[0] == 0:
+        if not below.size:
             return float(w[-1])
+        if below[0] == 0:
+            return float(w[0])
         i = int(below[0])
         share = (size[i - 1] - math.sqrt(0.5)) / (size[i - 1] - size[i])
         return float(w[i - 1] + share * (w[i] - w[i - 1]))
@@ -188,8 +192,10 @@ def _force_rate_for(axis: Axis, bandwidth_hz: float, noise: float) -> float:
     from scipy.optimize import brentq
 
     w, T = 2.0 * math.pi * bandwidth_hz, axis.sampling.period
-    if not 0 < bandwidth_hz < 0.2 / T:
-        raise InputError(f"bandwidth: found {bandwidth_hz:g} Hz, expected between 0 and {0.2 / T:g} Hz")
+    if not 0.5 * SLOWEST / T < bandwidth_hz < 0.2 / T:
+        raise InputError(
+            f"bandwidth: found {bandwidth_hz:g} Hz, expected between {0.5 * SLOWEST / T:g} and {0.2 / T:g} Hz"
+        )
     # Continuous filter of a triple integrator: its bandwidth is near (rate / (mass noise sqrt(T)))^(1/3).
     guess = math.log(axis.mechanics.mass * noise * math.sqrt(T) * w**3)
 

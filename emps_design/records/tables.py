@@ -175,7 +175,8 @@ def _parse(
     rows: list[str], delimiter: str, wanted: list[int], titles: list[str], source: str, first_row: int
 ) -> np.ndarray:
     """Numbers of the ``wanted`` columns, shape (rows, wanted); the slow way is for naming the cell that is wrong."""
-    if not any('"' in row or row[0] == COMMENT or not row.strip() for row in rows):
+    longer = delimiter != " " and max(row.count(delimiter) for row in rows) >= len(titles)
+    if not longer and not any('"' in row or row[0] == COMMENT or not row.strip() for row in rows):
         decimal_comma = delimiter != "," and any("," in row for row in islice(rows, 100))
         points = (row.replace(",", ".") for row in rows) if decimal_comma else rows
         with suppress(ValueError):  # a cell is no number, or a decimal comma comes late: cell by cell finds it
@@ -185,6 +186,11 @@ def _parse(
         if row[0] == COMMENT:
             continue
         cells = split(row, delimiter)
+        if any(cell.strip() for cell in cells[len(titles) :]):
+            raise RecordError(
+                f"{source}: row {first_row + i}: found {len(cells)} cells under {len(titles)} titles, expected as "
+                "many; decimal commas need another delimiter"
+            )
         for k, column in enumerate(wanted):
             cell = cells[column] if column < len(cells) else ""
             value = number(cell)

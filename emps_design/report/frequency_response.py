@@ -63,7 +63,7 @@ def response_figure(compared: Comparison, ratio: np.ndarray | None = None) -> Fi
         if np.any(std > 0.0):
             bottom.loglog(f, std, color=BLUE, linewidth=1.2, label="relative standard deviation")
         bottom.loglog(f, np.maximum(1.0 - response.coherence, 1e-12), color=GREEN, linewidth=1.0, label="1 − coherence")
-        top.set_ylabel("magnitude [dB (m/s)/N]")
+        top.set_ylabel("magnitude [(m/s)/N, dB]")
         middle.set_ylabel("phase [deg]")
         bottom.set_xlabel("frequency [Hz]")
         top.legend(loc="lower left")

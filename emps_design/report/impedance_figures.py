@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from emps_design.control.loop.sampled_loop import MARGINAL
 from emps_design.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED, look, subplots, thin
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def stability_map_figure(found: StabilityMap, mass: float, filter: float) -> Fig
         for e, radius, shade, color in zip(
             found.mismatches, found.radius, shades, (GREEN, BLUE, PURPLE, RED), strict=False
         ):
-            unstable = (radius > 1.0 + 1e-9).astype(float)
+            unstable = (radius > 1.0 + MARGINAL).astype(float)
             axes.contourf(found.masses, found.filters, unstable, levels=[0.5, 1.5], colors=[shade], alpha=0.55)
             if 0.0 < unstable.mean() < 1.0:
                 axes.contour(found.masses, found.filters, unstable, levels=[0.5], colors=[color], linewidths=1.8)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from emps_design.control.loop.sampled_loop import MARGINAL
 from emps_design.report.display import angle, delay, number, quantity, ratio
 from emps_design.report.loops import BrokenLoop, LoopCurve, broken_loops
 from emps_design.report.style import BLACK, BLUE, GREEN, GREY, RED, hertz_axis, look, note, subplots
@@ -170,7 +171,7 @@ def nyquist_plane(axes: Axes, real: tuple[float, float], imaginary: tuple[float,
 
 def z_plane(axes: Axes, poles: np.ndarray, title: str) -> None:
     """Draw sampled ``poles`` and the unit circle, those outside it in red."""
-    turn, inside = np.linspace(0, 2 * np.pi, 300), np.abs(poles) < 1.0
+    turn, inside = np.linspace(0, 2 * np.pi, 300), np.abs(poles) <= 1.0 + MARGINAL
     axes.fill(np.cos(turn), np.sin(turn), color="#EEF7FD", linewidth=0)
     axes.plot(np.cos(turn), np.sin(turn), color=BLACK, linewidth=1.0)
     axes.plot(poles.real[inside], poles.imag[inside], "x", color=BLUE, markersize=9, markeredgewidth=2)

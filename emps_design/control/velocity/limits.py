@@ -9,6 +9,7 @@ of hold, delay, current loop, estimator and filters, in one word: delay.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,6 +32,7 @@ NOISE = 0.05  # of the command's limit: rms of what the encoder's steps make of 
 DELAY = "delay: hold, delay, current loop, estimator and filters leave no more phase"
 PAYS = 1.1  # by how much a filter has to raise the crossover to be worth its place
 GRID = 160
+COARSE, CLOSE = 12, 0.005  # crossovers at which a limit is looked at, and how closely its ends are then found
 NOTCHES = ((0.3, 0.1), (0.7, 0.1), (0.7, 0.3))  # damping and depth
 LOWPASSES = (2.0, 4.0, 8.0)  # corners, in crossovers
 
@@ -109,31 +111,60 @@ def limits(
     """Crossovers [rad/s] up to which each limit lets the loop go, and the one that binds.
 
     ``encoder_noise``: rms of the command at :data:`NOISE` of its limit; ``voltage``: a step of the reference by
-    ``velocity`` [m/s] reaches the limit. None where a limit does not bind below the first.
+    ``velocity`` [m/s] reaches the limit. None where a limit does not bind below the first. A command that a step takes
+    less of again in a faster loop may bind in a range only: ``binding`` says which.
     """
     ends: dict[str, float | None] = {"encoder_noise": None, "voltage": None}
     if not found.crossover:
         return {"loop": 0.0, **ends, "binding": found.limit}
-    for w in np.geomspace(0.05 * found.crossover, found.crossover, 7):
+    limit = axis.drive.command_limit
+
+    def loop(w: float) -> SampledVelocityLoop | None:
         k_v1, t_v = (float(gain) for gain in retuned_gains(plant, w, phase_margin_deg))
-        loop = SampledVelocityLoop(plant, k_v1, t_v, structure)
-        if not math.isfinite(k_v1) or not loop.stable:
-            continue
-        if (
-            ends["encoder_noise"] is None
-            and encoder_voltage_noise(axis, loop)["rms"] > NOISE * axis.drive.command_limit
-        ):
-            ends["encoder_noise"] = float(w)
-        if ends["voltage"] is None and command_in_a_step(axis, loop, abs(velocity)) > axis.drive.command_limit:
-            ends["voltage"] = float(w)
-    noise, voltage = ends["encoder_noise"], ends["voltage"]
+        one = SampledVelocityLoop(plant, k_v1, t_v, structure)
+        return one if math.isfinite(k_v1) and one.stable else None
+
+    def noisy(w: float) -> bool:
+        one = loop(w)
+        return one is not None and encoder_voltage_noise(axis, one)["rms"] > NOISE * limit
+
+    def too_much(w: float) -> bool:
+        one = loop(w)
+        return one is not None and command_in_a_step(axis, one, abs(velocity)) > limit
+
+    grid = np.geomspace(0.05 * found.crossover, found.crossover, COARSE)
+    noise, voltage = _exceeded(noisy, grid), _exceeded(too_much, grid)
     named = {
         f"encoder noise: more than {100.0 * NOISE:g} % of the limit of the command": noise,
         f"voltage: a step of {abs(velocity):g} m/s takes more than the limit": voltage,
-        found.limit: found.crossover,
+        found.limit: (found.crossover, None),
     }
-    first = min((w, name) for name, w in named.items() if w is not None)
-    return {"loop": found.crossover, **ends, "binding": f"{first[1]}, from {first[0]:.4g} rad/s on"}
+    (first, last), name = min((range_, name) for name, range_ in named.items() if range_ is not None)
+    until = "rad/s on" if last is None else f"to {last:.4g} rad/s"
+    ends = {"encoder_noise": noise and noise[0], "voltage": voltage and voltage[0]}
+    return {"loop": found.crossover, **ends, "binding": f"{name}, from {first:.4g} {until}"}
+
+
+def _exceeded(exceeds: Callable[[float], bool], grid: np.ndarray) -> tuple[float, float | None] | None:
+    """Where a limit is first exceeded along ``grid`` (n,), and where no longer; None: nowhere, or to its end."""
+    there = [exceeds(float(w)) for w in grid]
+    if True not in there:
+        return None
+    first = there.index(True)
+    begin = _change(exceeds, grid[first - 1], grid[first]) if first else float(grid[0])
+    if False not in there[first:]:
+        return begin, None
+    last = there.index(False, first)
+    return begin, _change(exceeds, grid[last - 1], grid[last])
+
+
+def _change(exceeds: Callable[[float], bool], low: float, high: float) -> float:
+    """Where between ``low`` and ``high`` [rad/s] the answer changes, to :data:`CLOSE`."""
+    before = exceeds(low)
+    while high > low * (1.0 + CLOSE):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if exceeds(middle) == before else (low, middle)
+    return float(high)
 
 
 def suggest_filter(

@@ -18,6 +18,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from emps_design.errors import InputError
 from emps_design.laws.law import (
     BACKWARD,
     TWO_TAP,
@@ -149,6 +150,11 @@ def coefficients(one, period):
     c = math.pi * one.frequency * period  # w0 T / 2
     if one.kind == "lowpass":
         return c / (1.0 + c), c / (1.0 + c), 0.0, (c - 1.0) / (1.0 + c), 0.0
+    if one.frequency * period >= 0.5:
+        raise InputError(
+            f"filters: found a notch at {one.frequency:g} Hz, expected one below the Nyquist frequency, "
+            f"{0.5 / period:g} Hz"
+        )
     wide, deep = 2.0 * one.damping * c, 2.0 * one.depth * one.damping * c
     first, whole = 2.0 * (c * c - 1.0), 1.0 + wide + c * c
     return (

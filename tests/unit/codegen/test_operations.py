@@ -79,3 +79,51 @@ def test_every_row_has_its_manual_and_goes_into_the_page(tmp_path, capsys):
     document = json.loads((tmp_path / "json" / "emps2019.json").read_text(encoding="utf-8"))
     assert {row["family"] for row in document["drives"]} >= {"Beckhoff AX5000", "Yaskawa Sigma-II"}
     assert drive_settings(machine("emps2019"), gains_of(machine("emps2019"))) == []
+
+
+def turning(**drive):
+    """A motor that takes a current: 0.5 N m/A, 0.01 kg m^2."""
+    return machine("emps2019").replace(
+        motion="rotary", mechanics={"mass": 0.01, "viscous": 0.001, "coulomb": 0.1, "offset": 0.0},
+        drive={"command": "current", "force_gain": 0.5, "command_limit": 10.0, **drive}, controller=CASCADE,
+    )  # fmt: skip
+
+
+def settings(axis, gains):
+    return {(row["family"], row["parameter"]): row["value"] for row in drive_settings(axis, gains)}
+
+
+def test_a_drives_gains_do_not_depend_on_what_the_command_is_counted_in():
+    gains = {"velocity.kp": 2.0}
+    milli = turning(command_unit="mA", force_gain=0.5e-3)
+    expected = settings(turning(), gains)
+    assert settings(milli, {"velocity.kp": 2000.0}) == pytest.approx(expected)
+    rated = settings(turning(command_unit="%", force_gain=0.05), {"velocity.kp": 20.0})
+    assert ("Beckhoff EP7047", "8014:03") not in rated  # nothing says how many amperes a per cent is
+    assert {key: expected[key] for key in rated} == pytest.approx(rated)
+
+
+def test_a_drives_gains_are_on_the_motors_side_where_the_reduction_is_known():
+    gains = {"velocity.kp": 2.0, "velocity.ti": 0.05}
+    data_sheet = {"current_gain": 1.0, "reduction": 100.0, "torque_constant": 0.005}
+    own, geared = settings(turning(), gains), settings(turning(**data_sheet), gains)
+    assert geared["Beckhoff AX5000", "S-0-0100"] == pytest.approx(own["Beckhoff AX5000", "S-0-0100"] / 1e4)
+    assert geared["Beckhoff AX8000", "3140:01"] == pytest.approx(own["Beckhoff AX8000", "3140:01"] / 1e4)
+    assert geared["Beckhoff EP7047", "8014:03"] == pytest.approx(own["Beckhoff EP7047", "8014:03"] / 100.0)
+    assert geared["Beckhoff AX5000", "S-0-0101"] == own["Beckhoff AX5000", "S-0-0101"]
+    sides = {row["side"] for axis in (turning(), turning(**data_sheet)) for row in drive_settings(axis, gains)}
+    assert sides == {"axis", "motor"}
+    pages = [export_controller(axis, "c").files["README.md"] for axis in (turning(), turning(**data_sheet))]
+    assert "On the axis's own side" in pages[0]
+    assert "On the motor's side" in pages[1]
+
+
+def test_a_document_has_its_feed_forward_in_numbers_and_its_origin():
+    axis = machine("emps2019").replace(controller=CASCADE)
+    found = compensate(axis, q_ref=trapezoid_laps(1e-3, stroke=0.1, speed=0.2, laps=1)).to_dict()
+    document = json.loads(export_controller(axis, "json", found, origin="axis.toml of today").files["emps2019.json"])
+    assert document["origin"] == "axis.toml of today"
+    ahead = document["feedforward"]
+    assert all(isinstance(ahead[key], float) for key in ("gain", "back_emf", "reversal", "wait"))
+    assert ahead["gain"] == axis.drive.gain
+    assert all(isinstance(number, float) for number in ahead["own"])

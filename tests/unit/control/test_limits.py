@@ -10,11 +10,12 @@ from emps_design.cli.app import run
 from emps_design.control.loop.margins import disk_margin
 from emps_design.control.plant.discretisation import sample_axis
 from emps_design.control.velocity.design import design_velocity_loop
-from emps_design.control.velocity.limits import GAIN_MARGIN, reach, suggest_filter
-from emps_design.control.velocity.retune import retune_velocity_loop
+from emps_design.control.velocity.implementation import command_in_a_step
+from emps_design.control.velocity.limits import GAIN_MARGIN, limits, reach, suggest_filter
+from emps_design.control.velocity.retune import retune_velocity_loop, retuned_gains
 from emps_design.control.velocity.sampled import SampledVelocityLoop
-from emps_design.control.velocity.structure import PI
-from emps_design.errors import SpecificationError
+from emps_design.control.velocity.structure import IP, PI
+from emps_design.errors import InputError, SpecificationError
 from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine
 
@@ -100,3 +101,24 @@ def test_the_command_suggests_with_retune_only(capsys, tmp_path):
     assert "suggestion" not in json.loads(capsys.readouterr().out)
     assert run(f"{line} --retune".split()) == 0
     assert "Fastest loop with 50 deg" in capsys.readouterr().out
+
+
+def test_the_crossovers_at_which_a_step_takes_too_much_are_its_own_and_end_where_it_takes_less_again():
+    plant = sample_axis(RIGID)
+    fastest = reach(plant, 60.0)
+    found = limits(RIGID, plant, fastest, 60.0, IP, 0.1)
+
+    def demand(w):
+        return command_in_a_step(RIGID, SampledVelocityLoop(plant, *map(float, retuned_gains(plant, w, 60.0)), IP), 0.1)
+
+    begin, end = found["voltage"], float(found["binding"].split(" to ")[1].split()[0])
+    assert demand(begin) == pytest.approx(RIGID.drive.command_limit, rel=0.01)
+    assert demand(end) == pytest.approx(RIGID.drive.command_limit, rel=0.01)
+    assert demand(0.98 * begin) < RIGID.drive.command_limit < demand(1.02 * begin)
+    assert demand(1.02 * end) < RIGID.drive.command_limit < demand(0.98 * end)
+
+
+def test_a_notch_is_below_the_nyquist_frequency():
+    notch = Filter(kind="notch", frequency=600.0, damping=0.1, depth=0.1)
+    with pytest.raises(InputError, match="found a notch at 600 Hz, expected one below the Nyquist frequency, 500 Hz"):
+        assert design_velocity_loop(RIGID, crossover=40.0, filters=(notch,)).sampled.margins

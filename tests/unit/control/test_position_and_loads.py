@@ -136,3 +136,10 @@ def test_a_design_written_to_a_file_keeps_the_drives_feed_forward(tmp_path):
     assert own.feedforward == ahead
     assert own.position["kp"] > 9.0
     assert own.velocity["kp"] > 99.0
+
+
+def test_the_feed_forward_of_the_acceleration_moves_the_load_too():
+    axis = AXIS.replace(effects=[COUPLING])
+    inner = design_velocity_loop(axis, crossover=40.0, phase_margin_deg=50.0, structure=PI)
+    ahead = design_position_loop(inner, "bandwidth", 10.0).feedforwards["velocity and acceleration"]
+    assert ahead["acceleration"] * axis.drive.gain == pytest.approx(axis.mechanics.mass)

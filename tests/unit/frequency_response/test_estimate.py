@@ -198,3 +198,31 @@ def test_steps_of_a_drive_that_counts_no_blocks():
     assert all(step.stop - step.start >= 2 * step.samples for step in steps)
     assert steps_of(np.random.default_rng(1).standard_normal(100_000)) == ()
     assert steps_of(np.zeros(1000)) == ()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"low": 300.0, "high": 100.0}, "found a band from 300 to 100 Hz, expected its lowest frequency below"),
+        ({"method": "local-polynomial", "low": 499.0}, "found a band from 499 to 400 Hz"),
+    ],
+)
+def test_a_band_without_lines_is_refused(options, message):
+    axis = two_mass()
+    with pytest.raises(RecordError, match=message):
+        estimate_response(experiment(axis), axis, **options)
+
+
+def test_averaged_spectra_need_blocks_to_average():
+    axis = two_mass()
+    q_ref, _ = passes(1e-3, 1050, 1, 0.05)
+    rng = np.random.default_rng(0)
+    record = run(axis, q_ref, 0.4 * rng.standard_normal(q_ref.size), 0.5 * rng.standard_normal(q_ref.size))
+    with pytest.raises(RecordError, match="blocks of 1 s, expected at least 4 for averaged spectra"):
+        estimate_response(record, axis, method="welch")
+
+
+def test_periods_that_differ_between_records_are_refused():
+    axis = two_mass()
+    with pytest.raises(RecordError, match="found periods that differ"):
+        estimate_response([experiment(axis), experiment(axis, samples=500)], axis, method="periodic")

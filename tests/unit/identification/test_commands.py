@@ -1,6 +1,7 @@
 """The commands identify and observe, from the command line to files and exit status."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -147,3 +148,16 @@ def test_observe_is_told_of_an_injected_voltage(folder, capsys):
         err = capsys.readouterr().err
         assert words in err
         assert err.count("\n") == 1
+
+
+def test_what_was_found_is_shown_even_where_it_is_no_machine(folder, tmp_path, capsys):
+    """What helps the motion along makes Coulomb friction come out below zero: a table says so, a file cannot."""
+    day = synthetic_record(machine("emps2019"), laps=1)
+    helped = replace(day, u=day.u - 1.5 * np.sign(np.gradient(day.q_ref)), sha256="")
+    helped.save(tmp_path / "helped.npz")
+    out = tmp_path / "found.toml"
+    assert run(["identify", str(tmp_path / "helped.npz"), "--json", "--out", str(out)]) == 2
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["parameters"]["coulomb"]["value"] < 0.0
+    assert printed.err.strip().endswith("diagnose names it")
+    assert not out.exists()

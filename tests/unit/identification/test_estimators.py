@@ -185,3 +185,8 @@ def test_estimators_agree_on_a_noisy_record(record):
         spread = values[0].parameters[name].std_long_run
         for other in values[1:]:
             assert abs(other.parameters[name].value - values[0].parameters[name].value) < 2.5 * spread
+
+
+def test_two_records_tell_no_drift(simulate):
+    rows = identify_several([simulate(0), simulate(1)], AXIS, chain="hold", cutoff_hz=30.0).table()
+    assert {(row["drift"], row["drift_p_value"], row["drift_significant"]) for row in rows} == {(None, None, False)}

@@ -8,6 +8,7 @@ import pytest
 from emps_design.errors import InputError, RecordError
 from emps_design.identification.filters import held_force, low_pass, motion
 from emps_design.identification.observation import direct_validation, observe, with_known_push
+from emps_design.identification.step_answer import step_answer
 from emps_design.machines import machine
 from emps_design.observer import (
     ForceObserver,
@@ -276,3 +277,25 @@ def test_a_motor_that_is_switched_off_gives_no_force_and_brakes_nothing():
         assert float(np.sqrt(np.mean(error**2))) < most, method
     wrong = observe(replace(record, enable=None), axis).methods["offline"].force[off] - push[off]
     assert float(np.sqrt(np.mean(wrong**2))) > 30.0
+
+
+@pytest.mark.parametrize("bandwidth", [0.06, 0.2, 0.35, 0.7, 2.0, 150.0])
+def test_a_bandwidth_that_is_asked_for_is_reached(bandwidth):
+    assert KalmanForceObserver(AXIS, bandwidth_hz=bandwidth).bandwidth_hz == pytest.approx(bandwidth, rel=1e-3)
+
+
+def test_a_bandwidth_too_low_to_be_reached_is_refused():
+    with pytest.raises(InputError, match="bandwidth: found 0.02 Hz, expected between 0.05 and 200 Hz"):
+        KalmanForceObserver(AXIS, bandwidth_hz=0.02)
+
+
+def test_steps_without_a_complete_edge_have_no_delay_and_one_height_alone_is_no_step():
+    truth = np.zeros(4000)
+    truth[50:3950] = 1.0
+    assert step_answer(truth, truth, 1e-3, slice(250, 3750)) is None
+    truth[2000:2050] = 0.0
+    truth[2500:3000] = 0.0
+    force = truth.copy()
+    force[[1990, 2040, 2510, 2990]] = np.nan  # near every edge
+    found = step_answer(force, truth, 1e-3, slice(250, 3750))
+    assert (found.delay, found.rise_time) == (None, None)

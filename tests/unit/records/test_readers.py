@@ -305,3 +305,16 @@ def test_a_long_record_takes_little_more_than_its_samples(tmp_path):
     tracemalloc.stop()
     samples = sum(column.nbytes for column in record.columns.values())
     assert peak < 2.3 * samples
+
+
+def test_more_cells_than_titles_are_refused_unless_they_are_empty():
+    def written(rows):
+        return ("t,q_ref,q,u\n" + "\n".join(rows) + "\n").encode()
+
+    rows = [f"{0.001 * k:.3f},{0.1 * k / 200},{0.0999 * k / 200},{0.1 * (k % 7)}" for k in range(200)]
+    plain = record_from_bytes(written(rows), "a.csv")
+    ended = record_from_bytes(written([f"{row}," for row in rows]), "a.csv")
+    assert np.array_equal(plain.q, ended.q)
+    rows[120] = rows[120].replace("0.120,", "0,120,", 1)
+    with pytest.raises(RecordError, match=r"a.csv: row 122: found 5 cells under 4 titles"):
+        record_from_bytes(written(rows), "a.csv")
