@@ -7,6 +7,7 @@ first guesses. An effect that is a curve of any shape could stand in for others,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 from emps_design.discrepancy import rules
@@ -27,6 +28,8 @@ MOST_EFFECTS = 7
 PASSES = 5  # times the search goes on, from an exchange, an effect that was far behind, or a curve
 UNFINISHED = "interrupted: the search was not finished, what follows is what was known by then"
 
+Step = tuple[frozenset[str], frozenset[str]]  # from the effects of one model to those of another
+
 
 def search(calibration: Calibration, progress: Progress, before: Candidate | None = None) -> Outcome:
     """Extend the baseline of ``calibration`` while its judge accepts the best admissible extension.
@@ -39,6 +42,7 @@ def search(calibration: Calibration, progress: Progress, before: Candidate | Non
     tried: FitsBySet = {frozenset(known): baseline}
     alone: dict[str, float] = {}
     path, warnings, interrupted = [baseline], calibration.warnings, False
+    gone_on: dict[Step, float] = {}  # from one set to another, and its cost there
     try:
         for _ in range(PASSES):
             _extend(calibration, path, tried, alone, progress)
@@ -49,7 +53,7 @@ def search(calibration: Calibration, progress: Progress, before: Candidate | Non
                 or _far_behind(calibration, path[-1], tried, progress)
                 or _beyond(calibration, path[-1], tried, progress)
             )
-            if better is None:
+            if better is None or not _pays_again(better, (_set(path[-1]), _set(better)), gone_on):
                 break
             path.append(better)
         else:
@@ -114,7 +118,7 @@ def _found_before(before: Candidate | None, current: Fit, tried: FitsBySet) -> F
 
 def _far_behind(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Progress) -> Fit | None:
     """``current`` with an effect that gains little beside the best ones, which may be stand-ins: none was accepted."""
-    number, names = 1 + _found(calibration, current), frozenset(current.model.names)
+    number, names = 1 + _found(calibration, current), _set(current)
     if number > rules.CREDIBLE or not calibration.judge.leaves_structure(current):
         return None
     rest = tuple(one for one in _library(calibration, general=False) if names | {one.name} not in tried)
@@ -147,7 +151,7 @@ def _pair(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Pr
 
     From the best few that gain what a finding must be worth: beside much that is missing it is not seen everywhere.
     """
-    judge, names = calibration.judge, frozenset(current.model.names)
+    judge, names = calibration.judge, _set(current)
     if _found(calibration, current) or not judge.leaves_structure(current):
         return None
     worth = max(judge.healthy.threshold, rules.WORTH * current.cost)
@@ -192,10 +196,23 @@ def _exchanged(calibration: Calibration, best: Fit, tried: FitsBySet, progress: 
     return converged(least) if pays else None
 
 
+def _pays_again(better: Fit, step: Step, gone_on: dict[Step, float]) -> bool:
+    """Whether to go on by a ``step`` from one set to another: the same one twice only if ``better`` leaves less now."""
+    pays = better.cost < (1 - rules.STILL_PAYS) * gone_on.get(step, math.inf)
+    if pays:
+        gone_on[step] = better.cost
+    return pays
+
+
+def _set(fitted: Fit) -> frozenset[str]:
+    """The effects of ``fitted``, whatever their order."""
+    return frozenset(fitted.model.names)
+
+
 def _remember(tried: FitsBySet, fits: Iterable[Fit]) -> None:
     """Keep in ``tried`` the best fit of each set."""
     for fitted in fits:
-        key = frozenset(fitted.model.names)
+        key = _set(fitted)
         if key not in tried or fitted.cost < tried[key].cost:
             tried[key] = fitted
 
@@ -251,7 +268,7 @@ def _rivals(path: list[Fit], tried: FitsBySet) -> list[Fit]:
 
     Else the effect found first would win by having been fitted longer.
     """
-    best, names = path[-1], frozenset(path[-1].model.names)
+    best, names = path[-1], _set(path[-1])
     close = []
     for name in names - set(path[0].model.names):
         others = names - {name}

@@ -22,6 +22,7 @@ from emps_design.discrepancy.search.beam_search import (
     _found_before,
     _late,
     _pair,
+    _pays_again,
     _rivals,
 )
 from emps_design.discrepancy.search.exchange import exchanges
@@ -417,3 +418,11 @@ def test_the_exponent_of_a_curve_changes_with_all_other_numbers_in_their_places(
     sharp = BASELINE.with_effect(effect, np.array([[9.0, 9e-3, 2.0]]))
     found = converged(fit(hypothesis(sharp, low)))
     assert found.model.values[0][0] == pytest.approx([12.0, 7e-3, 1.0], rel=0.15)
+
+
+def test_a_search_goes_on_from_one_set_to_another_twice_only_if_it_leaves_less():
+    gone_on = {}
+    step = frozenset({"backlash"}), frozenset({"backlash", "end_stop"})
+    costs = (100.0, 100.0, 99.9, 90.0)
+    assert [_pays_again(SimpleNamespace(cost=cost), step, gone_on) for cost in costs] == [True, False, False, True]
+    assert _pays_again(SimpleNamespace(cost=100.0), step[::-1], gone_on)
