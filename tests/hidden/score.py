@@ -129,15 +129,26 @@ def score(case: Path, timeout: float = TIMEOUT) -> Score:
             result, exact, false = judge(answer, truth)
             closed = gap_closed(case, Path(folder), truth)
         except (subprocess.SubprocessError, ValueError, OSError) as error:
-            # That of what ran too long is bytes, and says no more than how far it was.
-            told = error.stderr if isinstance(error, subprocess.CalledProcessError) else ""
-            said = (told or str(error)).strip().splitlines()[-1:]
-            return Score(case.name, hidden, (), "", "wrong", False, (), math.nan, _processor_time() - started, *said)
+            seconds = _processor_time() - started
+            said = Score(case.name, hidden, (), "", "wrong", False, (), math.nan, seconds, _why(error, timeout))
+            return _with_truth(said, truth)
     named = tuple(f["effect"] for f in answer["findings"])
     said = Score(case.name, hidden, named, answer["verdict"], result, exact, false, closed, seconds)
     claims = {name for f in answer["findings"] for name in (f["effect"], *f["equivalents"][:MOST_EQUIVALENTS])}
-    said = replace(said, claimed=tuple(name for name in said.known if name in claims))
+    return _with_truth(replace(said, claimed=tuple(name for name in said.known if name in claims)), truth)
+
+
+def _with_truth(said: Score, truth: dict[str, Any]) -> Score:
+    """``said`` with what of the case was to be seen, answered or not, and at which share of the ordinary size."""
     return replace(said, seen=tuple(truth.get("seen", said.known)), share=truth.get("share", 1.0))
+
+
+def _why(error: Exception, timeout: float) -> str:
+    """One line on why there was no answer, without the command, which has this machine's paths."""
+    if isinstance(error, subprocess.TimeoutExpired):
+        return f"no answer within {timeout:g} s"
+    told = error.stderr if isinstance(error, subprocess.CalledProcessError) else str(error)
+    return next(iter((told or f"ended with {getattr(error, 'returncode', error)}").strip().splitlines()[-1:]), "")
 
 
 def _processor_time() -> float:

@@ -41,8 +41,11 @@ def test_an_answer_that_comes_too_late_is_wrong_and_has_its_row(tmp_path):
     (tmp_path / "truth.json").write_text('{"effects": ["backlash"]}')
     late = score(tmp_path, timeout=0.2)  # an interpreter takes longer to start
     assert (late.result, late.named) == ("wrong", ())
-    assert "timed out" in late.note
-    assert "timed out" in table([late], 0, "several", True, False)
+    assert late.note == "no answer within 0.2 s"
+    page = table([late], 0, "several", True, False)
+    assert late.note in page
+    assert str(tmp_path) not in page
+    assert summary([late])["asked_for"]["of"] == len(late.seen) == 1  # not answered is not named
 
 
 def test_an_effect_below_the_noise_is_too_small_to_ask_for():
