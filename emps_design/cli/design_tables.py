@@ -169,11 +169,9 @@ def print_force(document: dict[str, Any]) -> None:
 
     margins = document["margins"]
     word = "unbounded" if document["stable"] else "undefined"
-    console.print(
-        f"margins of the sampled force loop: gain {number(margins['gain_margin'], nothing=word)}, "
-        f"phase {number(margins['phase_margin_deg'], nothing=word)} deg at "
-        f"{number(margins['crossover'], nothing='no crossover')} rad/s"
-    )
+    phase, crossover = number(margins["phase_margin_deg"], nothing=word), margins["crossover"]
+    at = f"phase {phase} deg at {number(crossover)} rad/s" if crossover is not None else f"phase {word}: no crossover"
+    console.print(f"margins of the sampled force loop: gain {number(margins['gain_margin'], nothing=word)}, {at}")
     poles = ", ".join(f"{re:.4g}{im:+.4g}j" for re, im in document["continuous"]["poles"])
     console.print(f"continuous poles: {poles} rad/s")
     reading = document["paper_reading"]

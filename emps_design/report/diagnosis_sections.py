@@ -36,8 +36,9 @@ def in_plain_words(document: Mapping[str, Any]) -> str:
     listed = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
     closed = ""
     if None not in (before, after, floor) and before > max(floor, after):
-        closed = f" Together they explain {100 * explained(before, after, floor):.0f} % of the difference."
-        closed = closed.replace("Together they explain", "It explains") if len(names) == 1 else closed
+        whom = "it" if len(names) == 1 else "them"  # and with its numbers fitted anew: no cause has all of the share
+        share = f"{100 * explained(before, after, floor):.0f} %"
+        closed = f" With {whom} the corrected model explains {share} of the difference."
     cause = "one cause has" if len(names) == 1 else f"{len(names)} causes have"
     rest = " Something is left that nothing known explains; it needs another measurement." if left else ""
     sure = " A second record that played no part in finding them agrees." if _agrees(findings) else ""

@@ -194,6 +194,9 @@ def breakaway(axis: Axis, rate: float = 1.0, peak: float | None = None, q0: floa
             limit = float(push[min(at, push.size - 1)])
         limits.append(limit)
         runs.append(run)
+    if any(limit is not None and abs(limit) <= rate * axis.sampling.period for limit in limits):
+        alone = "the carriage leaves without a push: what acts on it at rest is more than its friction holds"
+        return Breakaway(axis, rate, peak, None, None, runs[0], (alone,))
     warnings = [
         f"the carriage held to {side * peak:g} N; raise `peak`"
         for side, limit in zip((1.0, -1.0), limits, strict=True)

@@ -129,7 +129,11 @@ def _alike(records: Sequence[Record]) -> list[Record]:
 def _report(several: Sequence[Record], unit: str, found: Found, steps: np.ndarray | None, why: str = "") -> LawEstimate:
     name = " + ".join(one.name for one in several)
     velocity_reference = found.signals.velocity_reference
-    tried = tuple(described(one, found) for one in [found.fit, *found.rivals])
+    compared: dict[str, dict[str, Any]] = {}  # a structure that was fitted from two beginnings is one
+    for one in [found.fit, *found.rivals]:
+        row = described(one, found)
+        compared.setdefault(row["terms"], row)
+    tried = tuple(compared.values())
     said: dict[str, Any] = {"residual_rms": found.rms, "residual_share": found.share, "tried": tried}
     if found.share > HOLDS or not found.fit.stabilising:
         reason = (

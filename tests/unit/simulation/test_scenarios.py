@@ -175,3 +175,11 @@ def test_command_refuses_in_one_line(arguments, status, message, capsys):
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+
+
+def test_an_arm_that_falls_by_itself_has_no_break_away():
+    arm = machine("emps2019").replace(motion="rotary", effects=[{"kind": "gravity", "torque": 90.0, "angle": 0.5}])
+    found = breakaway(arm, rate=20.0)
+    assert (found.forward, found.backward) == (None, None)
+    assert found.to_dict()["static_friction"] is None
+    assert "leaves without a push" in found.warnings[0]

@@ -269,3 +269,9 @@ def test_the_command_prints_the_table_and_never_reads_the_one_in_the_axis(tmp_pa
     assert 0.0 < answers[0]["residual"]["share"] < 0.01
     assert run(["law", str(tmp_path / "trace.csv")]) == 0
     assert "[controller]" in capsys.readouterr().out
+
+
+def test_no_structure_is_listed_twice():
+    found = identify_law(record_of(Loop(kp=30.0, kv=300.0, noise=0.01, samples=4000)))
+    terms = [row["terms"] for row in found.tried]
+    assert len(set(terms)) == len(terms) > 1
