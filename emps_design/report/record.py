@@ -47,11 +47,12 @@ def _warnings(warnings: Sequence[str]) -> Callout | None:
 
 
 def _force_picture(found: Identification) -> Picture:
+    known = ", both less what the effects of the axis file take" if found.axis.effects else ""
     return Picture(
         force_figure(found),
-        f"Force of the motor, measured and by the {found.model} model with the identified parameters. The middle "
-        "picture enlarges the yellow part. What is left in the lowest picture and repeats from stroke to stroke "
-        "is physics that the model lacks; emps-design diagnose names it.",
+        f"Force of the motor, measured and by the {found.model} model with the identified parameters{known}. "
+        "The middle picture enlarges the yellow part. What is left in the lowest picture and repeats from stroke to "
+        "stroke is physics that the model lacks; emps-design diagnose names it.",
         "Measured against identified force",
     )
 

@@ -129,15 +129,16 @@ def _read_in(axis: Any, units: Units) -> None:
     """Count ``axis`` in what people read where that is another scale: an axis of a plot in mm in deg."""
     label = axis.get_label_text()
     unit, factor = units.read(label.partition("[")[2].partition("]")[0])
-    if factor == 1.0 or axis.get_scale() != "linear":
+    if factor == 1.0 or axis.get_scale() not in ("linear", "log"):
         return
-    from matplotlib.ticker import AutoLocator, FuncFormatter
+    from matplotlib.ticker import AutoLocator, FuncFormatter, LogLocator, NullLocator
 
-    class Scaled(AutoLocator):
+    class Scaled(AutoLocator if axis.get_scale() == "linear" else LogLocator):  # type: ignore[misc]
         def tick_values(self, vmin: float, vmax: float) -> Any:
             return np.asarray(super().tick_values(vmin * factor, vmax * factor)) / factor
 
     axis.set_major_locator(Scaled())
+    axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(lambda value, place: f"{round(value * factor, 9):g}".replace("-", "−")))
     axis.set_label_text(re.sub(r"\[.*\]", f"[{unit}]", label))
 

@@ -7,6 +7,7 @@ import pytest
 
 from emps_design.report import Callout, Facts, Html, Listing, Page, Picture, Points, Section, Table, Text, style
 from emps_design.report.display import delay, frequency, number, quantity, ratio, with_std
+from emps_design.units import Units
 
 
 def picture(caption="a line", points=50):
@@ -125,3 +126,15 @@ def test_thinning_keeps_the_extremes():
 )
 def test_numbers_as_a_reader_sees_them(shown, expected):
     assert shown == expected
+
+
+def test_a_log_axis_of_a_rotary_machine_is_read_in_degrees_too():
+    with style.look():
+        figure, axes = style.subplots(height=2.0)
+        axes.semilogx([3.0, 900.0], [0.0, 1.0])
+        axes.set_xlabel("period of position [mm]")
+        style.labelled(figure, Units("rotary", "current", "A"))
+        figure.canvas.draw()
+    assert axes.get_xlabel() == "period of angle [deg]"
+    ticks = {label.get_text(): label.get_position()[0] for label in axes.get_xticklabels()}
+    assert ticks["10"] == pytest.approx(1e3 * np.radians(10.0))
