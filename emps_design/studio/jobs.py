@@ -37,6 +37,7 @@ class Job:
         self._now: tuple[str, float] = ("", 0.0)
         self._outcome: tuple[str, Any] | None = None
         self._poll: Any = None
+        self._next: tuple[Any, ...] | None = None  # what was started while work was stopping
 
     @property
     def running(self) -> bool:
@@ -44,15 +45,20 @@ class Job:
         return self._poll is not None
 
     def stop(self) -> None:
-        """Ask the work that is going on, if any, to stop."""
+        """Ask the work that is going on, if any, to stop; nothing waits for its end any more."""
+        self._next = None
         self._stop.set()
 
     def start(
         self, work: Callable[[Callable], Any], done: Callable[[Any], None], failed: Callable[[str], None]
     ) -> bool:
-        """Start ``work``; later call ``done(result)`` or ``failed(message)``. False where a job runs already."""
+        """Start ``work``; later call ``done(result)`` or ``failed(message)``. False where a job runs already.
+
+        One that was asked to stop ends first, with no word of it.
+        """
         if self.running:
-            return False
+            self._next = (work, done, failed) if self._stop.is_set() else None
+            return self._next is not None
         self._stop.clear()
         self._outcome, self._now = None, ("starting", 0.0)
         self.bar.value, self.view.visible = 0, True
@@ -86,6 +92,10 @@ class Job:
             self._poll.stop()
             self._poll = None
             self.view.visible, self.stage.object = False, ""
+            if self._next is not None:
+                begin, self._next = self._next, None
+                self.start(*begin)
+                return
             kind, value = self._outcome or ("failed", CANCELLED)
             (done if kind == "done" else failed)(value)
 

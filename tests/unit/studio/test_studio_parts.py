@@ -427,28 +427,51 @@ def test_a_job_that_runs_refuses_a_second_one():
     assert not job.start(lambda progress: None, print, print)
 
 
-def test_work_that_never_looks_up_is_cancelled(monkeypatch):
-    """The poll is called by hand here, where no page calls it."""
-    polls, said = [], []
+@pytest.fixture
+def polled(monkeypatch):
+    """What calls the polls of jobs by hand until none is left, where no page calls them."""
+    polls = []
 
     class Callback:
         def stop(self):
             polls.clear()
 
+    def until_done():
+        end = time.monotonic() + 60.0  # moments on an idle machine
+        while polls and time.monotonic() < end:
+            polls[0]()
+            time.sleep(0.05)
+
     monkeypatch.setattr(jobs.pn.state, "add_periodic_callback", lambda poll, period: polls.append(poll) or Callback())
+    return until_done
 
-    def deaf(progress):
-        while True:
-            sum(range(1000))
 
+def deaf(progress):
+    """Work that never looks up."""
+    while True:
+        sum(range(1000))
+
+
+def test_work_that_never_looks_up_is_cancelled(polled):
+    said = []
     job = Job()
     assert job.start(deaf, lambda result: said.append("done"), said.append)
-    job._stop.set()
-    end = time.monotonic() + 60.0  # moments on an idle machine
-    while polls and time.monotonic() < end:
-        polls[0]()
-        time.sleep(0.05)
+    job.stop()
+    polled()
     assert said == [jobs.CANCELLED]
+    assert not job.running
+
+
+def test_work_begun_while_other_work_stops_is_done_once_that_has_ended(polled):
+    said = []
+    job = Job()
+    assert job.start(deaf, said.append, said.append)
+    job.stop()
+    assert job.start(lambda progress: "first", said.append, said.append)
+    job.stop()  # pressed once more: the newest counts
+    assert job.start(lambda progress: "second", said.append, said.append)
+    polled()
+    assert said == ["second"]
     assert not job.running
 
 
