@@ -100,18 +100,16 @@ def drive_zip(found: Compensation) -> bytes:
 
     axis = found.axis.to_toml(comments=True)
     exported = export_controller(found.axis, "c", found.to_dict(), origin_of("axis.toml", axis.encode()))
-    # What is infinite, the error of an unstable loop, is null.
-    document = json.loads(json.dumps(found.to_dict(), default=float), parse_constant=lambda name: None)
     files = {
         "axis.toml": axis,
-        "compensation.json": _json_text(document),
+        "compensation.json": _json_text(found.to_dict()),
         **{f"code/{name}": content for name, content in exported.files.items()},
     }
     return _zipped({name: text.encode() if isinstance(text, str) else text for name, text in files.items()})
 
 
 def gains_json(state: State) -> str:
-    """The document that ``gains --json`` prints for ``state``."""
+    """The keys and numbers that ``gains --json`` prints for ``state``."""
     from emps_design.control.velocity.comparison import gains_document
 
     document = gains_document(velocity_design(state))
@@ -119,6 +117,8 @@ def gains_json(state: State) -> str:
 
 
 def _json_text(document: Any) -> str:
+    """``document`` as JSON; what is infinite, such as the error of an unstable loop, is null."""
+    document = json.loads(json.dumps(document, default=float), parse_constant=lambda name: None)
     return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False, default=float) + "\n"
 
 
