@@ -71,13 +71,19 @@ class SeveralIdentifications:
         return rows
 
     def mean(self) -> Identification:
-        """The identification whose parameters are the means, with the spread as deviation; from the first record."""
+        """The identification whose parameters are the means, with the spread as deviation; from the first record.
+
+        Its intervals are those in which the parameters of one more record lie with 95 % (Student's t of so many).
+        """
         from dataclasses import replace
 
-        first = self.identifications[0]
+        from scipy.stats import t
+
+        first, count = self.identifications[0], len(self.identifications)
+        reach = float(t.ppf(0.975, count - 1)) * np.sqrt(1.0 + 1.0 / count)
         parameters = {}
         for row in self.table():
-            half = 1.96 * row["spread"]
+            half = float(reach * row["spread"])
             parameters[row["name"]] = replace(
                 first.parameters[row["name"]],
                 value=row["mean"],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -98,7 +99,7 @@ def _quality_table(found: Sequence[Identification]) -> Table:
             [
                 one.model,
                 number(one.rms_error),
-                f"{one.relative_error_percent:.2f} %",
+                f"{one.relative_error_percent:.2f} %" if math.isfinite(one.relative_error_percent) else NOTHING,
                 number(one.condition_number, 3),
                 one.samples,
                 str(round(one.residual.effective_samples)),

@@ -96,7 +96,12 @@ def margins_under_mismatch(design: VelocityLoopDesign, errors: Mapping[str, floa
             k_v1s.append(float(gain) / axis.drive.gain)
             t_vs.append(float(t_v))
     stable = [corner for corner in corners if corner["stable"]]
-    worst = min(corners, key=lambda corner: (corner["stable"], corner["phase_margin_deg"] or 0.0))
+
+    def goodness(corner: dict[str, Any]) -> tuple[bool, float]:
+        margin = corner["phase_margin_deg"]  # None, where nothing crosses over, is unbounded
+        return corner["stable"], math.inf if margin is None else margin
+
+    worst = min(corners, key=goodness)
 
     def interval(key: str) -> list[float] | None:
         values = [corner[key] for corner in stable if corner[key] is not None]

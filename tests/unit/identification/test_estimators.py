@@ -156,6 +156,9 @@ def test_several_records_mean_spread_matrix_and_drift(simulate, truth):
     own = np.diag(found.cross_validation)
     assert np.all(found.cross_validation >= own[None, :] - 1e-12)
     assert found.to_axis("mean").mechanics.mass == pytest.approx(rows["mass"]["mean"])
+    low, high = found.mean().parameters["mass"].interval_95
+    assert 0.5 * (low + high) == pytest.approx(rows["mass"]["mean"])
+    assert high - low == pytest.approx(2 * 2.776 * np.sqrt(1 + 1 / 5) * rows["mass"]["spread"], rel=1e-3)  # t of 4
 
 
 def test_drift_is_found(simulate, reference_plant):
