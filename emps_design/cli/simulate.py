@@ -247,6 +247,8 @@ def _rows(document: dict[str, Any], units: dict[str, str], before: tuple[str, ..
             if isinstance(value, float):
                 unit, factor = for_reader(value, base)
                 text = f"{factor * value:.6g}"
+            elif value is None:
+                unit, text = "", "-"
             else:
                 unit, text = "", ", ".join(map(str, value)) if isinstance(value, list) else str(value)
             rows.append((" ".join(path).replace("_", " "), text, unit))
