@@ -223,6 +223,8 @@ class Units:
         'torque error 1.20 N m rms, below 0.69 deg/s; at most 10.0 A'
         >>> Units(command="torque", command_unit="%").text("12.3 mV of noise, mass 60.5 kg")
         '0.0123 % of noise, mass 60.5 kg'
+        >>> Units("rotary", "current", "mA").text("12 mV of noise, at most 3 V")  # no milli of milliamperes
+        '0.012 mA of noise, at most 3 mA'
         """
         if self.plain:
             return text

@@ -139,7 +139,8 @@ def limits(
         f"voltage: a step of {abs(velocity):g} m/s takes more than the limit": voltage,
         found.limit: (found.crossover, None),
     }
-    (first, last), name = min((range_, name) for name, range_ in named.items() if range_ is not None)
+    ranges = ((name, where) for name, where in named.items() if where is not None)
+    name, (first, last) = min(ranges, key=lambda one: one[1][0])
     until = "rad/s on" if last is None else f"to {last:.4g} rad/s"
     ends = {"encoder_noise": noise and noise[0], "voltage": voltage and voltage[0]}
     return {"loop": found.crossover, **ends, "binding": f"{name}, from {first:.4g} {until}"}

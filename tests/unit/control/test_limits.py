@@ -122,3 +122,11 @@ def test_a_notch_is_below_the_nyquist_frequency():
     notch = Filter(kind="notch", frequency=600.0, damping=0.1, depth=0.1)
     with pytest.raises(InputError, match="found a notch at 600 Hz, expected one below the Nyquist frequency, 500 Hz"):
         assert design_velocity_loop(RIGID, crossover=40.0, filters=(notch,)).sampled.margins
+
+
+def test_two_limits_that_are_met_at_once_are_both_said():
+    axis = RIGID.replace(sampling={"encoder_resolution": 1e-3})
+    plant = sample_axis(axis)
+    found = limits(axis, plant, reach(plant, 60.0), 60.0, IP, 3.0)
+    assert found["encoder_noise"] == found["voltage"]
+    assert " to " in found["binding"] or found["binding"].endswith("rad/s on")
