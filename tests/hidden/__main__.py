@@ -18,7 +18,7 @@ STEERED = {("all", 0), ("quick", 0), ("several", 100), ("beside", 100), ("unknow
 STEERED |= {("several", 9101), ("beside", 9001), ("beside", 9201), ("beside", 9002)}
 STEERED |= {("several", 9302), ("beside", 9302), ("unknown", 9302), ("several", 9402)}
 STEERED |= {("beside", 9602), ("beside", 9702), ("several", 10002), ("beside", 10002)}
-STEERED |= {("several", 10003), ("several", 10004), ("several", 10005)}
+STEERED |= {("several", 10003), ("several", 10004), ("several", 10005), ("beside", 10006), ("beside", 10007)}
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGES, TABLES = REPOSITORY / "docs", REPOSITORY / "benchmarks"
 
