@@ -62,6 +62,21 @@ def check_out(
         )
 
 
+def check_named_out(
+    out: Path | None,
+    kinds: Mapping[str, str],
+    inputs: Sequence[str | Path | None] = (),
+    force: bool = False,
+    option: str = "--out",
+) -> None:
+    """The same where the name says what is written: ``kinds`` by the endings that it may have."""
+    if out is None:
+        return
+    if out.suffix not in kinds:
+        raise InputError(f"{option}: found {out.name!r}, expected a name that ends in {' or '.join(kinds)}")
+    check_out(out, kinds[out.suffix], inputs, force, option)
+
+
 def check_folder(
     out: Path | None, kinds: Mapping[str, str], inputs: Sequence[str | Path | None] = (), force: bool = False
 ) -> None:

@@ -60,10 +60,11 @@ def command(
         vectors = document["vectors"]
         say(f"{vectors['rows']} vectors of the law {document['law']}, axis {document['axis']}")
         say("one step: " + ", ".join(f"{n} {OPERATIONS[kind]}" for kind, n in document["operations"].items()))
-        for row in document["drives"]:
-            if row is document["drives"][0]:
-                side = "motor's" if row["side"] == "motor" else "axis's own"
-                say(f"the same gains by the names of common drives, on the {side} side:")
+        drives = document["drives"]
+        if drives:
+            side = "motor's" if drives[0]["side"] == "motor" else "axis's own"
+            say(f"the same gains by the names of common drives, on the {side} side:")
+        for row in drives:
             say(f"{row['family']}: {row['parameter']} = {row['value']:.6g} {row['unit']} ({row['gain']})")
     print_warnings(document["warnings"])
 

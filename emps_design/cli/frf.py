@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from emps_design.cli.destinations import MATLAB, OVERWRITE, PICTURES, TABLE, check_out
+from emps_design.cli.destinations import MATLAB, OVERWRITE, PICTURES, TABLE, check_named_out
 from emps_design.cli.frequency import HERTZ
 from emps_design.cli.ignored import refuse_force
 
@@ -53,9 +53,7 @@ def command(
             expected = ", ".join(name for name in known if name)
             raise InputError(f"{option}: found {value!r}, expected one of {expected}{nearest_name(value, known)}")
     for option, path, kinds in (("--out", out, OUT), ("--plot", plot, PICTURES)):
-        if path is not None and path.suffix not in kinds:
-            raise InputError(f"{option}: found {path.name!r}, expected a name that ends in {' or '.join(kinds)}")
-        check_out(path, kinds[path.suffix] if path else "", (axis, *records), force, option)
+        check_named_out(path, kinds, (axis, *records), force, option)
     loaded = load_axis(axis)
     read = [import_record(path, loaded) for path in records]
     with progress_bar(sum(map(len, read)) >= LONG) as progress:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from emps_design.cli.destinations import ARCHIVE, OVERWRITE, PAGE, PICTURES, TABLE, check_out
+from emps_design.cli.destinations import ARCHIVE, OVERWRITE, PAGE, PICTURES, TABLE, check_named_out
 
 if TYPE_CHECKING:
     from emps_design.importing.account import Account
@@ -30,14 +30,11 @@ def command(
     """Read a drive's export as the [record] table of an axis says, and say what was taken for what."""
     from emps_design.cli.output import print_json, print_warnings
     from emps_design.cli.wording import load_axis
-    from emps_design.errors import InputError
     from emps_design.importing import import_record
     from emps_design.importing.account import Account
 
     for option, path, kinds in (("--out", out, OUT), ("--plot", plot, DRAWN)):
-        if path is not None and path.suffix not in kinds:
-            raise InputError(f"{option}: found {path.name!r}, expected a name that ends in {' or '.join(kinds)}")
-        check_out(path, kinds[path.suffix] if path else "", (axis, file), force, option)
+        check_named_out(path, kinds, (axis, file), force, option)
     loaded = load_axis(axis)
     account = Account(import_record(file, loaded, resample=True, window=_window(window)), loaded)
     if out is not None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from emps_design.cli.design_options import AsJson, Bandwidth, Crossover, Force, PhaseMargin, within
-from emps_design.cli.destinations import PAGE, check_out
+from emps_design.cli.destinations import PAGE, check_named_out
 from emps_design.cli.frequency import RAD_S
 from emps_design.cli.ignored import refuse_ignored
 
@@ -62,7 +62,7 @@ def command(
     """The whole design as one self-contained page: specification against achieved, loops, force loop, record."""
     from emps_design.cli.output import print_json, progress_bar, say, tell
     from emps_design.cli.wording import load_axis, speak
-    from emps_design.errors import InputError, UnstableError
+    from emps_design.errors import UnstableError
     from emps_design.files import write_aside
     from emps_design.report.assemble import assemble_report, has_impedance_law
     from emps_design.units import Units
@@ -76,9 +76,7 @@ def command(
         refuse_ignored(context, ["filter", "mismatch"], "goes with the impedance law: --mass and --damping")
     if crossover is None and bandwidth is None:
         crossover = 100.0
-    if out.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"--out: found {out.name!r}, expected a name that ends in .html")
-    check_out(out, PAGE, (axis, record, frf), force)
+    check_named_out(out, {".html": PAGE, ".htm": PAGE}, (axis, record, frf), force)
     with write_aside(out) as aside, progress_bar() as progress:
         report = assemble_report(
             axis,

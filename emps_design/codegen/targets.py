@@ -96,8 +96,8 @@ def in_st(name: str, block: Block, vectors: Vectors) -> Files:
 
 def _as_numbers(ahead: Ahead) -> dict[str, Any]:
     """What a document says of a feed-forward."""
-    own, there = ahead.feedforward, {"reversal": ahead.reversal}
-    return {**_numbers(ahead, float), **there, "wait": own.wait, "back_emf": own.back_emf}
+    own = ahead.feedforward
+    return {**_numbers(ahead, float), "reversal": ahead.reversal, "wait": own.wait, "back_emf": own.back_emf}
 
 
 def in_json(name: str, block: Block, vectors: Vectors) -> Files:

@@ -18,7 +18,7 @@ from emps_design.discrepancy.search.acceptance import Accept
 from emps_design.discrepancy.search.calibration import Calibration, Progress
 from emps_design.discrepancy.search.exchange import exchanges, far_apart
 from emps_design.discrepancy.search.extension import converged, extended, extensions, freed
-from emps_design.discrepancy.search.outcome import FitsBySet, Outcome
+from emps_design.discrepancy.search.outcome import FitsBySet, Outcome, set_of
 from emps_design.discrepancy.search.pruning import pruned
 from emps_design.discrepancy.search.starts import tangent
 from emps_design.effects import Effect
@@ -53,7 +53,7 @@ def search(calibration: Calibration, progress: Progress, before: Candidate | Non
                 or _far_behind(calibration, path[-1], tried, progress)
                 or _beyond(calibration, path[-1], tried, progress)
             )
-            if better is None or not _pays_again(better, (_set(path[-1]), _set(better)), gone_on):
+            if better is None or not _pays_again(better, (set_of(path[-1]), set_of(better)), gone_on):
                 break
             path.append(better)
         else:
@@ -118,7 +118,7 @@ def _found_before(before: Candidate | None, current: Fit, tried: FitsBySet) -> F
 
 def _far_behind(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Progress) -> Fit | None:
     """``current`` with an effect that gains little beside the best ones, which may be stand-ins: none was accepted."""
-    number, names = 1 + _found(calibration, current), _set(current)
+    number, names = 1 + _found(calibration, current), set_of(current)
     if number > rules.CREDIBLE or not calibration.judge.leaves_structure(current):
         return None
     rest = tuple(one for one in _library(calibration, general=False) if names | {one.name} not in tried)
@@ -151,7 +151,7 @@ def _pair(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Pr
 
     From the best few that gain what a finding must be worth: beside much that is missing it is not seen everywhere.
     """
-    judge, names = calibration.judge, _set(current)
+    judge, names = calibration.judge, set_of(current)
     if _found(calibration, current) or not judge.leaves_structure(current):
         return None
     worth = max(judge.healthy.threshold, rules.WORTH * current.cost)
@@ -204,15 +204,10 @@ def _pays_again(better: Fit, step: Step, gone_on: dict[Step, float]) -> bool:
     return pays
 
 
-def _set(fitted: Fit) -> frozenset[str]:
-    """The effects of ``fitted``, whatever their order."""
-    return frozenset(fitted.model.names)
-
-
 def _remember(tried: FitsBySet, fits: Iterable[Fit]) -> None:
     """Keep in ``tried`` the best fit of each set."""
     for fitted in fits:
-        key = _set(fitted)
+        key = set_of(fitted)
         if key not in tried or fitted.cost < tried[key].cost:
             tried[key] = fitted
 
@@ -268,7 +263,7 @@ def _rivals(path: list[Fit], tried: FitsBySet) -> list[Fit]:
 
     Else the effect found first would win by having been fitted longer.
     """
-    best, names = path[-1], _set(path[-1])
+    best, names = path[-1], set_of(path[-1])
     close = []
     for name in names - set(path[0].model.names):
         others = names - {name}

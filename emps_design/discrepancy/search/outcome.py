@@ -10,6 +10,11 @@ from emps_design.discrepancy.search.calibration import Calibration
 FitsBySet = dict[frozenset[str], Fit]
 
 
+def set_of(fitted: Fit) -> frozenset[str]:
+    """The effects of ``fitted``, whatever their order."""
+    return frozenset(fitted.model.names)
+
+
 @dataclass(frozen=True)
 class Outcome:
     """The ``path`` of best models, baseline first, found under a ``calibration``.

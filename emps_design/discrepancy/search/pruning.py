@@ -8,7 +8,7 @@ from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.search.acceptance import Accept
 from emps_design.discrepancy.search.extension import converged
-from emps_design.discrepancy.search.outcome import FitsBySet
+from emps_design.discrepancy.search.outcome import FitsBySet, set_of
 
 
 def pruned(best: Fit, known: tuple[str, ...], tried: FitsBySet, accept: Accept) -> list[Fit]:
@@ -41,7 +41,7 @@ def _fitted_anew(hypothesis: Hypothesis) -> Fit:
 
 def _better(fitted: Fit, tried: FitsBySet) -> Fit:
     """``fitted``, or what was ``tried`` with the same effects where that leaves less."""
-    return min((fitted, tried.get(frozenset(fitted.model.names), fitted)), key=lambda f: f.cost)
+    return min((fitted, tried.get(set_of(fitted), fitted)), key=lambda f: f.cost)
 
 
 def _reshaped(best: Fit, rest: Fit) -> Fit:

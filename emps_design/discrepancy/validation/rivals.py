@@ -7,7 +7,7 @@ from emps_design.discrepancy.model.fit import Fit, admissible, evaluate, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.search.noise_floor import LEFT, floor_of_residual
-from emps_design.discrepancy.search.outcome import Outcome
+from emps_design.discrepancy.search.outcome import Outcome, set_of
 
 STEPS = 8
 
@@ -17,7 +17,7 @@ def equivalents(outcome: Outcome) -> dict[str, list[str]]:
     best, judge = outcome.best, outcome.calibration.judge
     threshold, found = judge.healthy.threshold, {}
     for name in best.model.names:
-        others = frozenset(best.model.names) - {name}
+        others = set_of(best) - {name}
         without = outcome.tried.get(others, outcome.path[0]).cost
         # At the floor chance is the only excuse; above it, what is missing may favour either by a few percent.
         margin = threshold
