@@ -22,7 +22,6 @@ LAW_NAMED = 0.9  # share of the structure an effect must explain
 # Noise
 DRIFTS = 0.7  # of the rms of first differences between laps, below which second differences are the floor
 PUSHED = 1 / 3  # of what laps differ by: where two always agree that much better, something pushed the others
-WAS_AN_EFFECT = 0.5  # of what other strokes do not predict: an effect that brings it below was most of it, not noise
 UNUSUAL = 2.5  # times the typical deviation of a piece, beyond which a piece is an event and no noise
 LINE = 25.0  # times the usual power, beyond which a line of the spectrum is a tone
 FINER = 0.95  # of the floor: a model that brings it below this share shows that it was no noise

@@ -8,19 +8,16 @@ from functools import partial
 
 import numpy as np
 
-from emps_design.discrepancy import rules
 from emps_design.discrepancy.checks.preparation import Preparation
-from emps_design.discrepancy.model.fit import Fit, admissible, fit
+from emps_design.discrepancy.model.fit import Fit, fit
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.search.acceptance import Judge
 from emps_design.discrepancy.search.cross_validated_noise import unpredicted
-from emps_design.discrepancy.search.extension import extended
 from emps_design.discrepancy.search.noise_floor import STROKES, Floor, floor_of_laps, floor_of_residual
 from emps_design.discrepancy.search.null_distribution import Healthy, healthy_reference
 from emps_design.discrepancy.search.simulated_null import healthy_runs
 from emps_design.discrepancy.search.starts import Start, screen, tangent
 from emps_design.discrepancy.search.suspects import by_signature, told
-from emps_design.effects import Effect
 from emps_design.simulation import Plant
 
 Progress = Callable[[str, float], None]
@@ -51,24 +48,10 @@ def first_noise(preparation: Preparation) -> tuple[Hypothesis, Floor]:
     Plant(preparation.start.problem.axis, effects)
     rough = fit(preparation.start, steps=BASELINE_STEPS)
     floor = floor_of_laps(rough.residuals(), rough.problem.splits, rough.problem.period)
-    return rough, floor or _noise_of_other_strokes(rough, preparation.library)
-
-
-def _noise_of_other_strokes(baseline: Fit, library: tuple[Effect, ...]) -> Floor:
-    """The noise by what other strokes do not predict of each, beside the best effect where much of it was that effect.
-
-    Few strokes that are not alike do not tell, as a smooth function of the state, what a force like an arm's weight is
-    beyond their own travel; with the effect in its place they do.
-    """
-
-    def left(fitted: Fit) -> Floor:
-        return floor_of_residual(unpredicted(fitted, library), fitted.problem.period, STROKES)
-
-    floor = left(baseline)
-    fits, _ = extended(baseline, tuple(effect for effect in library if not effect.general))
-    best = next((fitted for fitted in fits if admissible(fitted)), None)
-    finer = left(best) if best is not None and best.cost < baseline.cost else floor
-    return finer if finer.force < rules.WAS_AN_EFFECT * floor.force else floor
+    if floor is None:
+        left = unpredicted(rough, preparation.library)
+        floor = floor_of_residual(left, rough.problem.period, STROKES)
+    return rough, floor
 
 
 def calibrate(

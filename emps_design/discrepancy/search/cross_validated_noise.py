@@ -1,17 +1,20 @@
 """Noise where no reference repeats: what a stroke does that a regression on the other strokes does not predict.
 
-The changes that all starts of all effects make in the force, those of the baseline's own numbers, and smooth functions
-of the simulated state and its past are the columns of one ridge regression. It is fitted without one stroke and judged
-on that stroke, in turn, so that no noise is explained by having been seen. What is left holds the noise, and the
-structure that none of this follows: far less than the residual of the baseline alone.
+The changes that the baseline's own numbers make in the force are the columns of a ridge regression; the changes that
+the starts of an effect make, and smooth functions of the simulated state and its past, join it where that pays. It is
+fitted without one stroke and judged on that stroke, in turn, so that no noise is explained by having been seen. What is
+left holds the noise, and the structure that none of this follows: far less than the residual of the baseline alone.
 """
 
 from __future__ import annotations
 
+from contextlib import suppress
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
+from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.fit import Fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import of_unit_length
@@ -21,7 +24,7 @@ from emps_design.effects import Effect
 from emps_design.errors import SimulationError
 
 RIDGES = tuple(10.0**power for power in range(-9, 1))  # of the mean square of a column; the best on strokes not seen
-MOST_SAMPLES = 60_000  # of whole strokes, evenly taken where there are more
+MOST_SAMPLES, MOST_STROKES = 60_000, 100  # of whole strokes, evenly taken where there are more
 
 
 def unpredicted(fitted: Fit, library: tuple[Effect, ...]) -> tuple[np.ndarray, ...]:
@@ -35,18 +38,19 @@ def unpredicted(fitted: Fit, library: tuple[Effect, ...]) -> tuple[np.ndarray, .
     adjusted = tangent(fitted, "used")
     base = adjusted.whole[kept]
 
-    def change(start: Start) -> np.ndarray:
-        try:
-            return of_unit_length((start.hypothesis.residual("used")[kept] - base)[:, None])
-        except SimulationError:
-            return np.empty((base.size, 0))
+    def changes(found: list[Start]) -> np.ndarray:
+        columns = [np.empty((base.size, 0))]
+        for start in found:
+            with suppress(SimulationError):
+                columns.append(of_unit_length((start.hypothesis.residual("used")[kept] - base)[:, None]))
+        return np.column_stack(columns)
 
-    columns = [of_unit_length(one) for one in (adjusted.basis[kept], problem.gather(states_of(fitted), "used")[kept])]
+    known, states = (one[kept] for one in (adjusted.basis, problem.gather(states_of(fitted), "used")))
     screened = screen(fitted, library, tangent(fitted))
-    design = np.column_stack(columns + side_by_side(change, [(start,) for found in screened for start in found]))
+    groups = [of_unit_length(states), *side_by_side(changes, [(found,) for found in screened])]
     edges = np.cumsum([0, *(stroke.stop - stroke.start for stroke in rows)])
     strokes = [slice(start, stop) for start, stop in pairwise(edges)]
-    left = _left_by_others(design, base, strokes)
+    left = _left_by_others(of_unit_length(known), groups, base, strokes)
     records = np.cumsum([split.used.sum() for split in problem.splits])
     return tuple(part for part in np.split(left, np.searchsorted(kept, records[:-1])) if part.size)
 
@@ -54,20 +58,68 @@ def unpredicted(fitted: Fit, library: tuple[Effect, ...]) -> tuple[np.ndarray, .
 def _evenly(strokes: list[slice]) -> list[slice]:
     """Every so many of ``strokes``, so that the regression of a long record stays small."""
     samples = sum(stroke.stop - stroke.start for stroke in strokes)
-    return strokes[:: max(1, -(-samples // MOST_SAMPLES))]
+    return strokes[:: max(1, -(-samples // MOST_SAMPLES), -(-len(strokes) // MOST_STROKES))]
 
 
-def _left_by_others(columns: np.ndarray, force: np.ndarray, strokes: list[slice]) -> np.ndarray:
-    """``force`` (n,) less what ``columns`` (n, k) predict of each stroke from all others."""
-    squares = [columns[s].T @ columns[s] for s in strokes]
-    products = [columns[s].T @ force[s] for s in strokes]
-    square, product = np.sum(squares, axis=0), np.sum(products, axis=0)
-    trials = []
-    for ridge in RIDGES:
+def _left_by_others(
+    known: np.ndarray, groups: list[np.ndarray], force: np.ndarray, strokes: list[slice]
+) -> np.ndarray:
+    """``force`` (n,) less what columns predict of each stroke from all others.
+
+    The columns (n, k) are those ``known`` and of the ``groups``, one after the other, the one that leaves least, as
+    long as it shows that what was left was no noise.
+    """
+    regression = _Regression(np.column_stack([known, *groups]), force, strokes)
+    edges = np.cumsum([0, known.shape[1], *(group.shape[1] for group in groups)])
+    own, *others = (np.arange(start, stop) for start, stop in pairwise(edges))
+    best = regression.best(own)
+    while others:
+        trials = [regression.best(np.concatenate([best.columns, other])) for other in others]
+        place = int(np.argmin([trial.squares for trial in trials]))
+        if trials[place].squares > rules.FINER**2 * best.squares:
+            break
+        best = trials[place]
+        del others[place]
+    return regression.left(best)
+
+
+class _Predictor(NamedTuple):
+    """Some ``columns``, by place, with the ``ridge`` that leaves the least ``squares`` of strokes not seen."""
+
+    columns: np.ndarray
+    ridge: float
+    squares: float
+
+
+class _Regression:
+    """Of a force (n,) on columns (n, k), fitted without each of the strokes and judged on it: by sums of products."""
+
+    def __init__(self, columns: np.ndarray, force: np.ndarray, strokes: list[slice]) -> None:
+        self.columns, self.force, self.strokes = columns, force, strokes
+        self.squares = np.array([columns[s].T @ columns[s] for s in strokes])
+        self.products = np.array([columns[s].T @ force[s] for s in strokes])
+        self.power = float(force @ force)
+
+    def best(self, columns: np.ndarray) -> _Predictor:
+        """``columns`` with the best of the ridges."""
+        own, along = self.squares[:, columns[:, None], columns], self.products[:, columns]
+        costs = []
+        for ridge in RIDGES:
+            x = self._coefficients(own, along, ridge)
+            costs.append(self.power + float(np.einsum("si,sij,sj", x, own, x) - 2.0 * np.sum(x * along)))
+        least = int(np.argmin(costs))
+        return _Predictor(columns, RIDGES[least], costs[least])
+
+    def left(self, found: _Predictor) -> np.ndarray:
+        """Force (n,) [N] that ``found`` does not predict."""
+        own, along = self.squares[:, found.columns[:, None], found.columns], self.products[:, found.columns]
+        coefficients = self._coefficients(own, along, found.ridge)
+        used = self.columns[:, found.columns]
+        return np.concatenate([self.force[s] - used[s] @ x for s, x in zip(self.strokes, coefficients, strict=True)])
+
+    @staticmethod
+    def _coefficients(own: np.ndarray, along: np.ndarray, ridge: float) -> np.ndarray:
+        """Those fitted to all strokes but one, (strokes, k)."""
+        square = own.sum(axis=0)
         keep = ridge * np.trace(square) / len(square) * np.eye(len(square))
-        left = [
-            force[s] - columns[s] @ np.linalg.solve(square - own + keep, product - along)
-            for s, own, along in zip(strokes, squares, products, strict=True)
-        ]
-        trials.append(np.concatenate(left))
-    return min(trials, key=lambda left: float(left @ left))
+        return np.linalg.solve(square - own + keep, (along.sum(axis=0) - along)[:, :, None])[:, :, 0]
