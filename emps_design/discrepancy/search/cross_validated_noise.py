@@ -61,9 +61,7 @@ def _evenly(strokes: list[slice]) -> list[slice]:
     return strokes[:: max(1, -(-samples // MOST_SAMPLES), -(-len(strokes) // MOST_STROKES))]
 
 
-def _left_by_others(
-    known: np.ndarray, groups: list[np.ndarray], force: np.ndarray, strokes: list[slice]
-) -> np.ndarray:
+def _left_by_others(known: np.ndarray, groups: list[np.ndarray], force: np.ndarray, strokes: list[slice]) -> np.ndarray:
     """``force`` (n,) less what columns predict of each stroke from all others.
 
     The columns (n, k) are those ``known`` and of the ``groups``, one after the other, the one that leaves least, as
