@@ -145,6 +145,8 @@ class Diagnosis:
             where = "" if place == EVERYWHERE else f", most of it {place}"
             known = "".join(f"{finding.in_words()}; " for finding in self.findings)  # from the controller's law
             text = f"{known}{'beside that ' if known else ''}the model misses {left} N"
+            both = f" of the held-out record, {rounded(self.train.extended)} N of the training record"
+            text += both if self.details["unexplained"]["record"] == "holdout" else ""
             text = f"{text[0].upper()}{text[1:]} (noise {noise} N){where}, and no effect of the library explains it"
             if "law_gap" in self.details["unexplained"]:
                 text += f", nor {rounded(self.details['unexplained']['law_gap'])} V rms {FROM_THE_LAW}"

@@ -70,6 +70,7 @@ BETTER_FIT = 0.995  # the same for the fit that follows
 
 # The verdict
 EXPLAINED = 0.8  # of the excess over the floor, in force, a model must explain to stand where it does not reach it
+QUIET = 1.5  # times the noise, in force: of all of a record, held out or not, up to which nothing may be missing
 COMPLETE = 0.97  # of the excess: a model that explains more leaves nothing to name, whatever its structure
 HELD = 0.8  # of the share explained on the training record must be explained on the confirming one
 LOST = 0.05  # of what the model explained; if refuted effects carried more, the rest is doubtful too

@@ -28,17 +28,19 @@ def unexplained(validation: Validation) -> dict[str, Any]:
     """The contract's ``unexplained`` of a validation in which structure is left.
 
     ``rms`` [N] is what the model leaves over the noise, ``share`` of the gap's mean square; ``over`` the variables that
-    predict it on data not fitted to, the best first, and ``predicted`` the share of it that each does. ``law_gap`` [V]
+    predict it on data not fitted to, the best first, and ``predicted`` the share of it that each does. ``record`` says
+    where it shows: "train", or "holdout" where training leaves nothing but noise. ``law_gap`` [V]
     is by how much the command differs from the controller's law, where that has no name either.
     """
     judged, floor = validation.held_out or validation.train, validation.outcome.calibration.floor.force
-    extended, most = validation.extended, most_missed(validation.extended)
+    shown = _where_it_shows(validation)
+    most = most_missed(shown)
     left = float(np.sqrt(max(judged.gap.extended**2 - floor**2, 0.0)))
     share = left**2 / max(judged.gap.baseline**2 - floor**2, left**2, 1e-30)
     shares = predicted(validation)
     over = [name for name in sorted(shares, key=lambda name: -shares[name]) if shares[name] > rules.DEPENDS]
-    problem = extended.problem
-    where = described(extent(problem.records[most], extended.residuals()[most], problem.splits[most].used, floor))
+    problem = shown.problem
+    where = described(extent(problem.records[most], shown.residuals()[most], problem.splits[most].used, floor))
     place = "" if where["text"] == EVERYWHERE else f", most of it {where['text']}"
     depends = "it depends on none of position, velocity, time and load alone"
     if over:
@@ -58,8 +60,17 @@ def unexplained(validation: Validation) -> dict[str, Any]:
         **where,
         "text": text,
         "place": where["text"],
-        "map": force_map(missing_force(extended)[most]),
+        "record": "train" if shown is validation.extended else "holdout",
+        "map": force_map(missing_force(shown)[most]),
     }
+
+
+def _where_it_shows(validation: Validation) -> Hypothesis:
+    """The extended model on the training records, or on the confirming data where those leave nothing but noise."""
+    data, held_out = validation.outcome.calibration.preparation.held_out, validation.held_out
+    if data is None or held_out is None or not validation.training_is_quiet:
+        return validation.extended
+    return Hypothesis(data.problem, held_out.extended)
 
 
 def predicted(validation: Validation) -> dict[str, float]:

@@ -107,7 +107,7 @@ def _as_given(fitted: Fit) -> list[Fit]:
 
 def _found_before(before: Candidate | None, current: Fit, tried: FitsBySet) -> Fit | None:
     """The model found ``before``, fitted under this noise, where it leaves less than ``current``."""
-    if before is None or before.names == current.model.names:
+    if before is None or before.names in ((), current.model.names):
         return None
     found = converged(fit(current.with_model(before)))
     if not admissible(found):

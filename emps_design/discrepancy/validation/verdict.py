@@ -44,6 +44,11 @@ class Validation:
     given_up: tuple[str, ...]
     share: float
 
+    @property
+    def training_is_quiet(self) -> bool:
+        """Whether the extended model leaves nothing but noise of the records that it was fitted to."""
+        return self.train.gap.extended <= rules.QUIET * self.outcome.calibration.floor.force
+
     def beside_something_unknown(self) -> Validation:
         """The same findings, where data that were not searched show that something else is missing."""
         named = self.verdict in ("named", "ambiguous", "partly-named")
@@ -120,12 +125,14 @@ def _all_or_nothing(outcome: Outcome, data: HeldOut | None, start: Fit, searched
 
     # What the plant's effects explain, beside a disturbance of the controller that is known from its law.
     named = extended.model.names != start.model.names
-    shares = [explained(force_rms(start), force_rms(extended), floor)]
+    left = [force_rms(extended)]
+    shares = [explained(force_rms(start), left[0], floor)]
     held_out = None if data is None else compare_on(data, start.model, extended.model)
     if held_out is not None:
+        left.append(held_out.gap.extended)
         shares.append(explained(held_out.gap.baseline, held_out.gap.extended, floor))
     found = {n: others for n, others in equivalents(outcome).items() if n in extended.model.names}
-    verdict = _verdict(judge, extended, start, found, shares[-1])
+    verdict = _verdict(judge, extended, start, found, shares[-1], max(left))
     # A gap closed on its own record only was not understood; nor was one of which a good part was refuted.
     forgotten = named and shares[-1] < rules.HELD * shares[0]
     doubtful = lost > rules.LOST and not judge.at_floor(extended)
@@ -212,15 +219,18 @@ def _alone(start: Fit) -> Fit:
     return evaluate(start.with_model(replace(start.model, effects=(), values=())), start.slots, start.covariance)
 
 
-def _verdict(judge: Judge, best: Fit, known: Fit, equivalents: dict[str, list[str]], share: float) -> str:
+def _verdict(judge: Judge, best: Fit, known: Fit, equivalents: dict[str, list[str]], share: float, left: float) -> str:
     """The verdict on ``best``, which explains ``share`` of the force gap; ``known`` is what the search began with.
 
-    Where the model leaves structure, what was found stands only if it explains most of the gap.
+    Where the model leaves structure, what was found stands only if it explains most of the gap. Nothing is missing only
+    where all of the record and the confirming data say so, of which ``left`` [N] is the rms left of the worse one.
     """
     if best.model.names == known.model.names:
         if judge.leaves_structure(best):
             return "unnamed"
         if not best.model.names:
+            if left > rules.QUIET * judge.floor.force:
+                return "unnamed"
             return "parameters-only" if wrong_numbers(best) else "nothing-missing"
     elif not judge.at_floor(best) and share < rules.EXPLAINED:
         return "unnamed"

@@ -420,6 +420,11 @@ def test_the_exponent_of_a_curve_changes_with_all_other_numbers_in_their_places(
     assert found.model.values[0][0] == pytest.approx([12.0, 7e-3, 1.0], rel=0.15)
 
 
+def test_under_finer_noise_nothing_is_gone_on_from_where_nothing_was_found():
+    current = SimpleNamespace(model=SimpleNamespace(names=("stribeck_friction",)))
+    assert _found_before(SimpleNamespace(names=()), current, {}) is None
+
+
 def test_a_search_goes_on_from_one_set_to_another_twice_only_if_it_leaves_less():
     gone_on = {}
     step = frozenset({"backlash"}), frozenset({"backlash", "end_stop"})

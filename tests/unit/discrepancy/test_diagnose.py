@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from emps_design.cli.output import plain
-from emps_design.discrepancy import diagnose
+from emps_design.discrepancy import diagnose, rules
 from emps_design.discrepancy.checks.preparation import prepare
 from emps_design.discrepancy.checks.requirements import check_records, check_same_drive
 from emps_design.discrepancy.model import parallel
@@ -133,6 +133,19 @@ def test_what_no_effect_explains_is_unnamed():
     answer = diagnose(record(DELAYED), AXIS, library=(get_effect("elastic_force"),))
     assert answer.verdict == "unnamed"
     assert answer.findings == ()
+
+
+def test_where_only_the_confirming_record_has_more_than_noise_something_is_missing():
+    answer = diagnose(
+        record(),
+        AXIS,
+        holdout=record({"kind": "elastic_force", "stiffness": 400.0, "rest_position": 0.0}, name="pushed"),
+        library=SHORT,
+    )
+    assert answer.verdict == "unnamed"
+    assert answer.train.extended < rules.QUIET * answer.floor < answer.holdout.extended
+    assert answer.details["unexplained"]["record"] == "holdout"
+    assert "of the held-out record" in answer.sentence
 
 
 @pytest.mark.parametrize(("effects", "verdict"), [((), "unnamed"), ((DELAYED,), "partly-named")])
