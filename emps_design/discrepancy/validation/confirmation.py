@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.checks.preparation import HeldOut
-from emps_design.discrepancy.model.fit import Fit, evaluate, fit
+from emps_design.discrepancy.model.fit import Fit, bounds_met, evaluate, fit
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.search.acceptance import Judge
 from emps_design.discrepancy.validation.evidence import Asked, asked_for
@@ -36,15 +36,16 @@ def standing(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tuple[Asked,
     rest to the unknown: all numbers stay until what is left is wanted. An effect whose share is not known well takes
     the unknown's part till then, lest the others take it; then those that stand are fitted robustly without it, and
     asked for again. A size that now depends on how the rest is weighed was lent by the rest, however alike two records
-    are in that. A curve through knots, or one element of a hysteresis, has no shape of its own to be recognised by:
-    beside something unknown it is part of that.
+    are in that; so was a number that now ends where its physics does. A curve through knots, or one element of a
+    hysteresis, has no shape of its own to be recognised by: beside something unknown it is part of that.
     """
     extended = _less(extended, [effect.name for effect in extended.model.effects if effect.general or effect.element])
     withdrawn: list[Asked] = []
     refitted = False
     while _plant(extended):
         judged = _judged(held_out, extended)
-        doubtful = [a for a in judged if not a.wanted]
+        on_bound = {extended.model.names[slot.effect] for slot in bounds_met(extended)}
+        doubtful = [a for a in judged if not a.wanted or a.name in on_bound]
         if refitted and not doubtful:
             doubtful = [a for a in judged if not _size_known(extended, a.name)]
             if not doubtful:
