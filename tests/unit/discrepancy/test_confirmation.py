@@ -1,5 +1,6 @@
 """What a confirming record asks of a model, and what counts as noise between laps."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -78,16 +79,30 @@ def test_an_effect_stands_beside_something_unknown_and_what_stands_in_for_it_doe
     assert asked[0].confirmed["share"] == pytest.approx(1.0, abs=0.1)
 
 
-def test_what_stands_is_known_as_well_whatever_the_numbers_of_the_model_that_it_was_part_of():
-    axis = AXIS.replace(effects=[{"kind": "elastic_force", **SPRING, "stiffness": 150.0}])
+def with_a_spring(stiffness):
+    """A record of a machine with a spring under the noise of one without."""
+    axis = AXIS.replace(effects=[{"kind": "elastic_force", **SPRING, "stiffness": stiffness}])
     run = Plant.of(axis).closed_loop(Q_REF, voltage_noise=4e-3 * np.random.default_rng(5).standard_normal(Q_REF.size))
     record = Record(t=run.t, q_ref=Q_REF, q=run.q, u=run.u, period=1e-3, name="run")
-    seen = Problem(AXIS, (record,), (split(record),), problem(0.0).whitening)
+    return Problem(AXIS, (record,), (split(record),), problem(0.0).whitening)
+
+
+def test_what_stands_is_known_as_well_whatever_the_numbers_of_the_model_that_it_was_part_of():
     fitted_with_more = model(elastic_force={**SPRING, "stiffness": 130.0})
-    stands, withdrawn = standing(None, evaluate(Hypothesis(seen, fitted_with_more)))
+    stands, withdrawn = standing(None, evaluate(Hypothesis(with_a_spring(150.0), fitted_with_more)))
     assert stands.model.names == ("elastic_force",)
     assert withdrawn == ()
     assert stands.model.values[0][0, 0] == pytest.approx(150.0, rel=0.01)
+
+
+@pytest.mark.parametrize(("largest", "stands"), [(1e9, True), (140.0, False)])
+def test_what_ends_on_a_bound_when_it_is_fitted_anew_does_not_stand(largest, stands):
+    spring = get_effect("elastic_force")
+    stiffness, *others = spring.parameters
+    bounded = replace(spring, parameters=(replace(stiffness, upper=largest), *others))
+    begun = model().with_effect(bounded, bounded.values({**SPRING, "stiffness": 130.0}))
+    found, _ = standing(None, evaluate(Hypothesis(with_a_spring(150.0), begun)))
+    assert bool(found.model.names) is stands
 
 
 @pytest.mark.parametrize(("stiffness", "more"), [(60.0, False), (90.0, True)])
