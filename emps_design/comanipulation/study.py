@@ -19,7 +19,7 @@ from emps_design.comanipulation.measures import Measures
 from emps_design.comanipulation.run import in_threads, run_many
 from emps_design.comanipulation.task import Task, fitted_task
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
-from emps_design.control.impedance.response import error_of
+from emps_design.control.impedance.response import impedance_error
 from emps_design.control.impedance.robustness import VERDICTS, check_mismatch, corner_errors
 from emps_design.control.impedance.sampled import Clock, numbers, radius_of, sampled_loops
 from emps_design.control.loop.sampled_loop import MARGINAL
@@ -254,7 +254,7 @@ def _judged(axis: Axis, laws: ImpedanceLaw, directions: tuple[int, ...]) -> np.n
     for direction in directions:
         n = numbers(laws, plant, direction)
         loops = sampled_loops(n, clock, **options)
-        found.append([error_of(loops, n), radius_of(loops)])
+        found.append([impedance_error(loops, n), radius_of(loops)])
     return np.max(found, axis=0)
 
 

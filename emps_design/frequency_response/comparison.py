@@ -13,6 +13,7 @@ from emps_design.control.loop.transfer import transfer
 from emps_design.control.plant.linear_plant import VELOCITY, linear_plant
 from emps_design.frequency_response.coupling import MassChain, fit_chain
 from emps_design.frequency_response.response import BAND, FrequencyResponse
+from emps_design.stretches import stretches
 
 ROOM = 0.05  # relative difference that is no matter, however certain
 
@@ -76,11 +77,8 @@ def agreement(response: FrequencyResponse, model: np.ndarray) -> Agreement:
     beyond = apart > circle
     # One line in twenty is by chance; two beside one another, or one far outside, are not.
     beyond &= (apart > 2.0 * circle) | np.append(beyond[1:], False) | np.append(False, beyond[:-1])
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], beyond, [False]]).astype(np.int8)))
-    bands = tuple(
-        (float(response.frequency[a]), float(response.frequency[b - 1]))
-        for a, b in zip(edges[::2], edges[1::2], strict=True)
-    )
+    lines = response.frequency
+    bands = [(float(lines[start]), float(lines[stop - 1])) for start, stop in stretches(beyond)]
     widest = sorted(sorted(bands, key=lambda band: band[1] / band[0])[-3:])
     worst = int(np.argmax(apart))
     inside = int(np.count_nonzero(apart <= BAND * response.std))

@@ -14,6 +14,7 @@ import numpy as np
 from emps_design.errors import RecordError
 from emps_design.frequency_response.steps import Step, steps_of
 from emps_design.records import Record
+from emps_design.stretches import stretches
 
 EXCITATION, REFERENCE, COMMAND = INSTRUMENTS = ("excitation", "reference", "command")
 SAME = 1e-3  # share of its power by which one period may differ from the next
@@ -148,27 +149,17 @@ def _stretches(r: np.ndarray, bias: np.ndarray, repeats: int, kind: str) -> list
         busy = np.concatenate([[0.0], np.cumsum((r - np.median(r)) ** 2)])
         power = busy[repeats:] - busy[:-repeats]
         good &= power[: good.size] > 0.1 * np.max(power)
-        runs = [(start, stop + repeats) for start, stop in _runs(good) if stop - start >= repeats // 2]
+        runs = [(start, stop + repeats) for start, stop in stretches(good) if stop - start >= repeats // 2]
         return [(start, stop) for start, stop in runs if stop - start >= 2 * repeats]
     active = np.flatnonzero(np.abs(r - np.median(r)) > 0.0)
     first, last = int(active[0]), int(active[-1]) + 1
     if kind == EXCITATION and fastest > 0.0:
         even = np.abs(np.diff(bias[first:last], prepend=bias[first])) <= 1e-3 * STEADY * fastest + 1e-15
         even &= np.abs(bias[first:last]) > 0.0
-        runs = [(first + a, first + b) for a, b in _runs(even) if b - a >= FEWEST]
+        runs = [(first + a, first + b) for a, b in stretches(even) if b - a >= FEWEST]
         if sum(b - a for a, b in runs) > 0.3 * (last - first):
             return runs
     return [(first, last)]
-
-
-def _runs(good: np.ndarray) -> list[tuple[int, int]]:
-    """First and last (excluded) of each run of true values.
-
-    >>> _runs(np.array([True, True, False, True]))
-    [(0, 2), (3, 4)]
-    """
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def motion(signals: Signals) -> dict[str, float]:
@@ -188,7 +179,7 @@ def motion(signals: Signals) -> dict[str, float]:
         signs = np.sign(blocks[blocks != 0.0])
         reversals += int(np.count_nonzero(np.diff(signs)))
         still = np.abs(blocks) < 0.02 * typical * window
-        rests += window * sum(b - a for a, b in _runs(still) if (b - a) * window >= 5)
+        rests += window * sum(b - a for a, b in stretches(still) if (b - a) * window >= 5)
         count += moved.size
         speed += float(np.sum(np.abs(moved)))
     return {

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from emps_design.stretches import stretches
 from emps_design.studio.ranges import CHOICES, choices_of
 from emps_design.studio.state import State
 
@@ -107,11 +108,10 @@ def feasible(state: State) -> Feasible:
     if not good.any():
         reason = f"{UNSTABLE} with every phase margin" if gains.any() else NO_GAIN
         return Feasible(frequencies, upper, None, None, f"Nothing can be reached {where}: {reason}.")
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(int), [0]])))
-    runs = edges.reshape(-1, 2)
     middle = state.phase_margin_deg
     first, last = min(
-        ((a, b - 1) for a, b in runs), key=lambda run: max(phases[run[0]] - middle, middle - phases[run[1]], 0.0)
+        ((start, stop - 1) for start, stop in stretches(good)),
+        key=lambda run: max(phases[run[0]] - middle, middle - phases[run[1]], 0.0),
     )
     low, high = float(phases[first]), float(phases[last])
     below = None if first == 0 else UNSTABLE if gains[first - 1] else NO_GAIN

@@ -22,6 +22,7 @@ from numpy.polynomial import polynomial as poly
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
 from emps_design.control.impedance.sampled import Clock, Environment, numbers, sampled_loop, spectral_radius
 from emps_design.control.loop.sampled_loop import MARGINAL
+from emps_design.stretches import stretches
 
 Bands = tuple[tuple[float, float], ...]
 
@@ -105,7 +106,8 @@ def passivity(
     loop = sampled_loop(law, plant, clock, direction)
     omega = np.geomspace(1e-5, 1.0, points) * (math.pi / clock.period) * (1.0 - 1e-9)
     active = loop.admittance(omega).real < 0.0
-    return Passivity(stable, _negative_bands(numerator, denominator), loop.stable, _runs(omega, active))
+    where = tuple((float(omega[start]), float(omega[stop - 1])) for start, stop in stretches(active))
+    return Passivity(stable, _negative_bands(numerator, denominator), loop.stable, where)
 
 
 def _negative_bands(numerator: np.ndarray, denominator: np.ndarray) -> Bands:
@@ -134,11 +136,6 @@ def _joined(bands: list[tuple[float, float]]) -> Bands:
         else:
             joined.append((low, high))
     return tuple(joined)
-
-
-def _runs(omega: np.ndarray, active: np.ndarray) -> Bands:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], active, [False]]).astype(int)))
-    return tuple((float(omega[a]), float(omega[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True))
 
 
 @dataclass(frozen=True)

@@ -19,18 +19,12 @@ def impedance_response(n: dict[str, Any], clock: Clock, omega: np.ndarray, **opt
     return 1.0 / np.atleast_2d(sampled_loops(n, clock, **options).admittance(np.asarray(omega, dtype=float)))
 
 
-def impedance_error(
-    n: dict[str, Any], clock: Clock, band: float = 20.0, points: int = 40, **options: Any
-) -> np.ndarray:
-    """Relative error of the apparent impedance over (0, ``band``] rad/s for many loops, rms, shape (m,).
+def impedance_error(loops: SampledLoop, n: dict[str, Any], band: float = 20.0, points: int = 40) -> np.ndarray:
+    """Relative error of the apparent impedance over (0, ``band``] rad/s of the closed ``loops``, rms, shape (m,).
 
-    Against the target ``M_a s + B + K/s``, at the middles of ``points`` equal spans; a number, 0.1 is 10 %.
+    Against the target ``M_a s + B + K/s`` of the numbers ``n``, at the middles of ``points`` equal spans; a number, 0.1
+    is 10 %.
     """
-    return error_of(sampled_loops(n, clock, **options), n, band, points)
-
-
-def error_of(loops: SampledLoop, n: dict[str, Any], band: float = 20.0, points: int = 40) -> np.ndarray:
-    """The same for the ``loops`` of the numbers ``n``, closed before."""
     omega = (np.arange(points) + 0.5) * band / points
     s = 1j * omega
     mass, damping, stiffness = (

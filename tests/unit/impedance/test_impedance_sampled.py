@@ -33,6 +33,7 @@ from emps_design.control.impedance.sampled import (
     numbers,
     recursion_poles,
     sampled_loop,
+    sampled_loops,
     spectral_radius,
 )
 from emps_design.control.loop.transfer import transfer
@@ -203,10 +204,13 @@ def test_errors_of_many_estimates_at_once_are_the_single_ones(plant, force_senso
     law = ImpedanceLaw(50.0, 100.0, plant, 20.0, filter=500.0, current_factor=factor, force_sensor=force_sensor)
     drawn = np.random.default_rng(4).uniform(-0.05, 0.05, (3, 50))
     errors = dict(zip(over(0.0), drawn, strict=True))
-    together = impedance_error(numbers(law.with_errors(errors), plant), clock, force_sensor=force_sensor)
+
+    def error(wrong):
+        n = numbers(law.with_errors(wrong), plant)
+        return impedance_error(sampled_loops(n, clock, force_sensor=force_sensor), n)
+
     single = [dict(zip(errors, one, strict=True)) for one in drawn.T.tolist()]
-    alone = [impedance_error(numbers(law.with_errors(e), plant), clock, force_sensor=force_sensor)[0] for e in single]
-    np.testing.assert_allclose(together, alone, rtol=1e-9)
+    np.testing.assert_allclose(error(errors), [error(one)[0] for one in single], rtol=1e-9)
 
 
 def test_systems_that_are_not_alike_are_solved_one_by_one():
@@ -220,10 +224,8 @@ def test_systems_that_are_not_alike_are_solved_one_by_one():
 
 
 def test_impedance_error_grows_with_a_slower_filter(axis, plant, clock):
-    errors = [
-        float(impedance_error(numbers(impedance_law(axis, 50.0, 100.0, w), plant), clock)[0])
-        for w in (2000.0, 500.0, 200.0, 50.0)
-    ]
+    every = [numbers(impedance_law(axis, 50.0, 100.0, w), plant) for w in (2000.0, 500.0, 200.0, 50.0)]
+    errors = [float(impedance_error(sampled_loops(n, clock), n)[0]) for n in every]
     assert errors == sorted(errors)
     assert errors[1] < 0.05
 
