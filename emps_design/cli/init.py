@@ -82,7 +82,7 @@ def command(
 
 def _from_trace(trace: Path, directory: Path, force: bool, as_json: bool) -> None:
     """Write ``directory``/axis.toml with what ``trace`` tells, and say what is left to fill in."""
-    from emps_design.cli.output import print_json, print_warnings, say
+    from emps_design.cli.output import LOOKING, print_json, print_warnings, progress_bar, say
     from emps_design.errors import InputError
     from emps_design.files import write_text
     from emps_design.identification.controller import TOLD, identify_law
@@ -93,7 +93,11 @@ def _from_trace(trace: Path, directory: Path, force: bool, as_json: bool) -> Non
     if path.exists() and not force:
         raise InputError(f"{directory}: axis.toml exists already; choose another folder, or give --force")
     found = read_trace(trace)
-    law = None if found.record is None else identify_law(found.record, found.units.command_unit)
+    law = None
+    if found.record is not None:
+        with progress_bar() as progress:
+            progress(LOOKING, 0.0)
+            law = identify_law(found.record, found.units.command_unit)
     text = axis_text(found, law.to_toml() if law is not None and law.verdict == TOLD else "")
     make_folder(directory, parents=True)
     write_text(path, text)

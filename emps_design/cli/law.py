@@ -25,7 +25,7 @@ def command(
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     from emps_design.axis import Axis
-    from emps_design.cli.output import print_json, print_warnings
+    from emps_design.cli.output import LOOKING, print_json, print_warnings, progress_bar
     from emps_design.cli.wording import load_axis
     from emps_design.errors import InputError
     from emps_design.files import write_text
@@ -36,7 +36,10 @@ def command(
     check_out(out, CONTROLLER, (axis, *records), force)
     loaded = load_axis(axis)
     loaded = Axis.from_dict({**loaded.to_dict(), "controller": {"kind": NONE}}, loaded.name)
-    found = identify_law([import_record(record, loaded) for record in records], loaded.drive.command_unit)
+    read = [import_record(record, loaded) for record in records]
+    with progress_bar() as progress:
+        progress(LOOKING, 0.0)
+        found = identify_law(read, loaded.drive.command_unit)
     if out is not None and found.controller is None:
         raise InputError(f"{found.record}: {found.reason}; {out} is not written")
     if out is not None:

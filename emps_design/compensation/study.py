@@ -256,7 +256,7 @@ def _selected(
             worst = _worst(trial, tuple(kept), mismatch, phase_deg, only=name)
             trials[name] = (lacking, worst)
             if worst > lacking:
-                harm[name] = worst / lacking
+                harm[name] = worst / lacking if lacking > 0.0 else math.inf
         if not harm:
             return tuple(kept), notes, trials
         name = max(harm, key=lambda one: harm[one])
