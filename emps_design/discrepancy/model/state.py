@@ -28,11 +28,9 @@ def states_of(hypothesis: Hypothesis) -> tuple[np.ndarray, ...]:
 def smooth_of_state(q: np.ndarray, period: float) -> np.ndarray:
     """Smooth functions (n, k) of position ``q`` (n,) [m], velocity, and what came before: no physics assumed.
 
-    A surface over position and velocity for each direction, what fades with the time and the way since a reversal, and
-    fading memories of velocity, of direction, and of motion at all.
+    A surface over position and velocity for each direction, and what friction may remember.
     """
     from numpy.polynomial.chebyshev import chebvander
-    from scipy.signal import lfilter
 
     v = np.gradient(q, period)
     direction, speed = np.tanh(v / SLOWEST), np.abs(v) / np.abs(v).max()
@@ -40,7 +38,21 @@ def smooth_of_state(q: np.ndarray, period: float) -> np.ndarray:
         chebvander(2 * (q - q.min()) / np.ptp(q) - 1, DEGREE)[:, :, None] * chebvander(2 * speed - 1, DEGREE)[:, None]
     )
     surface = surface.reshape(q.size, -1)
-    since = since_reversal(v)
+    return np.column_stack(
+        [surface * (direction > 0)[:, None], surface * (direction <= 0)[:, None], memories(q, period)]
+    )
+
+
+def memories(q: np.ndarray, period: float) -> np.ndarray:
+    """What friction may remember of the motion ``q`` (n,) [m] before, (n, k).
+
+    What fades with the time and the way since a reversal, and fading memories of velocity, of direction, and of motion
+    at all.
+    """
+    from scipy.signal import lfilter
+
+    v = np.gradient(q, period)
+    direction, since = np.tanh(v / SLOWEST), since_reversal(v)
     way = np.cumsum(np.abs(v)) * period
     way -= way[np.arange(q.size) - since]
     fading = [np.exp(-since * period / time) * direction for time in FADING_TIMES]
@@ -49,4 +61,4 @@ def smooth_of_state(q: np.ndarray, period: float) -> np.ndarray:
         share = period / time
         faded = lfilter([share], [1.0, share - 1.0], np.column_stack([v, direction, np.abs(direction)]), axis=0)
         fading += [faded[:, 0], faded[:, 1], faded[:, 2] * direction]
-    return np.column_stack([surface * (direction > 0)[:, None], surface * (direction <= 0)[:, None], *fading])
+    return np.column_stack(fading)

@@ -1,25 +1,33 @@
-"""Effects that stand beside an unknown function of the state, found by the second search and confirmed like any other.
+"""Effects that stand beside an unknown force, found by a second search and confirmed like any other.
 
-Where smooth functions of the state explain nothing, neither does most friction; what is left there of an instant, a
-drift, a delay or a line along the travel has no unknown force to share with, and its numbers are not bent by one.
+The force is of one kind, with which and few effects next to nothing is left, or any function of the state. Where smooth
+functions of the state explain nothing, neither does most friction; what is left there of an instant, a drift, a delay
+or a line along the travel has no unknown force to share with, and its numbers are not bent by one.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from emps_design.discrepancy import rules
 from emps_design.discrepancy.checks.preparation import HeldOut
 from emps_design.discrepancy.model.fit import Fit, evaluate, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.model.state import beside_state
-from emps_design.discrepancy.search.beside_state import search_beside_state
+from emps_design.discrepancy.model.unknown_force import KINDS, beside_kind
+from emps_design.discrepancy.search.beside_state import search_beside
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.validation.confirmation import claims_on, standing
 from emps_design.discrepancy.validation.evidence import Asked
+from emps_design.discrepancy.validation.holdout import adapted
 from emps_design.discrepancy.validation.rivals import alike_in_company
+from emps_design.errors import SimulationError
 
 
 @dataclass(frozen=True)
@@ -38,15 +46,53 @@ class Beside:
 
 def found_beside_state(outcome: Outcome, data: HeldOut) -> Beside | None:
     """What a second search finds beside the state and the confirming ``data`` ask for there; None where nothing."""
-    again = search_beside_state(outcome)
-    if again.best.model.names == outcome.path[0].model.names:
+    return _found(outcome, data, beside_state)
+
+
+def found_beside_kind(outcome: Outcome, data: HeldOut) -> Beside | None:
+    """What is found beside an unknown force of one kind where the two leave next to nothing; None where nothing is.
+
+    Of training and confirming records alike, as much as of a gap without anything unknown.
+    """
+    ranked = []
+    for kind in KINDS:
+        beside = partial(beside_kind, kind=kind)
+        with suppress(SimulationError):
+            ranked.append((fit(beside(outcome.calibration.baseline)).cost, kind, beside))
+    if not ranked:
         return None
-    held_out = Hypothesis(data.problem, outcome.path[0].model.only(0))
-    data = replace(data, problem=beside_state(held_out).problem)
+    beside = min(ranked, key=lambda one: one[0])[2]
+    with suppress(SimulationError):
+        found = _found(outcome, data, beside)
+        if found is not None and _complete(outcome, data, found, beside):
+            return found
+    return None
+
+
+def _found(outcome: Outcome, data: HeldOut, beside: Callable[[Hypothesis], Hypothesis]) -> Beside | None:
+    """What a second search finds ``beside`` an unknown force and the confirming ``data`` ask for there, if anything."""
+    known = outcome.path[0].model
+    again = search_beside(outcome, beside(outcome.calibration.baseline))
+    if again.best.model.names == known.names:
+        return None
+    data = replace(data, problem=beside(Hypothesis(data.problem, known.only(0))).problem)
     found, _ = standing(data, again.calibration.judge.refitted(again.best))
-    if found.model.names == outcome.path[0].model.names:
+    if found.model.names == known.names:
         return None
     return Beside(found, claims_on(data, found), alike_in_company(again, found))
+
+
+def _complete(outcome: Outcome, data: HeldOut, found: Beside, beside: Callable[[Hypothesis], Hypothesis]) -> bool:
+    """Whether ``found`` and the unknown force leave nothing but noise, or next to nothing of the gap, everywhere."""
+    known, model = outcome.path[0], found.found.model
+    there = beside(Hypothesis(data.problem, known.model.only(0)))
+    bare, both = Hypothesis(data.problem, known.model.only(0)), there.with_model(adapted(data, model, model))
+    for before, after in ((known, found.found), (bare, both)):
+        least = before.problem.samples("used")
+        gap, left = (float(np.sum(np.square(one.residual("used")))) - least for one in (before, after))
+        if left > max((rules.STRUCTURED - 1.0) * least, (1.0 - rules.COMPLETE) * gap):
+            return False
+    return True
 
 
 def joined(stands: Fit, beside: Beside, data: HeldOut) -> tuple[Fit, list[Asked]]:

@@ -13,7 +13,7 @@ from emps_design.discrepancy.model.fit import Fit, evaluate, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.search.acceptance import Judge, explained, force_rms
 from emps_design.discrepancy.search.outcome import Outcome
-from emps_design.discrepancy.validation.beside_state import Beside, found_beside_state, joined
+from emps_design.discrepancy.validation.beside_state import Beside, found_beside_kind, found_beside_state, joined
 from emps_design.discrepancy.validation.confirmation import claims_on, confirm, standing
 from emps_design.discrepancy.validation.evidence import Asked
 from emps_design.discrepancy.validation.gap import Comparison, compare
@@ -154,19 +154,24 @@ def _effect_by_effect(outcome: Outcome, data: HeldOut | None, searched: Fit, ans
     With what stands beside an unknown function of the state, where that leaves less of the confirming ``data``. What
     leaves more than its baseline is not said.
     """
-    searches: list[Callable[[], Any]] = [partial(_by_itself, outcome, data, searched, answer)]
-    if data is not None:  # first, as it takes longer, and this thread hears an interrupt: that ends the search only
-        searches.insert(0, partial(found_beside_state, outcome, data))
-    *others, own = side_by_side(lambda find: find(), [(find,) for find in searches])
-    answers = [own]
-    if data is not None and (beside := others[0]) is not None:
-        answers.insert(0, _with(beside, own, answer.baseline, data))
+    by_itself = partial(_by_itself, outcome, data, searched, answer)
+    if data is None:
+        answers = [by_itself()]
+    else:  # the longest first, as this thread hears an interrupt: that ends the search only
+        kind, own = _side_by_side(partial(found_beside_kind, outcome, data), by_itself)
+        beside = kind or found_beside_state(outcome, data)
+        answers = [_with(beside, own, answer.baseline, data)] if beside is not None else []
+        answers += [] if kind else [own]
     compared = [_compared(one, data) for one in answers if _sayable(one)]
     tenable = [one for one in compared if one.left[1] < one.left[0]]
     if tenable:
         return min(tenable, key=lambda one: one.left[1])
     given_up = answer.given_up or answer.extended.model.names
     return replace(answer, verdict="unnamed", equivalents=answers[-1].equivalents, given_up=given_up)
+
+
+def _side_by_side(*searches: Callable[[], Any]) -> list[Any]:
+    return side_by_side(lambda search: search(), [(search,) for search in searches])
 
 
 def _by_itself(outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer) -> _Answer:
