@@ -13,7 +13,7 @@ from emps_design.discrepancy.model.fit import Fit, evaluate, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.search.acceptance import Judge, explained, force_rms
 from emps_design.discrepancy.search.outcome import Outcome
-from emps_design.discrepancy.validation.beside_state import Beside, found_beside_kind, found_beside_state, joined
+from emps_design.discrepancy.validation.beside_unknown import Beside, found_beside_kind, found_beside_state, joined
 from emps_design.discrepancy.validation.confirmation import claims_on, confirm, standing
 from emps_design.discrepancy.validation.evidence import Asked
 from emps_design.discrepancy.validation.gap import Comparison, compare
@@ -29,7 +29,8 @@ class Validation:
     Where structure is left that has no name, both are the robust estimate of the baseline.
     ``confirmed`` is how much of each finding the confirming data ask for; ``equivalents`` of each finding are effects
     that could stand in its place; ``refuted`` is what the held-out data withdrew; ``given_up`` are the effects of a
-    model that explained ``share`` of the gap and did not stand.
+    model that explained ``share`` of the gap and did not stand; ``kind``, one of ``unknown_force.KINDS``, says what the
+    rest is like, where that is known.
     """
 
     outcome: Outcome
@@ -43,6 +44,7 @@ class Validation:
     refuted: tuple[Asked, ...]
     given_up: tuple[str, ...]
     share: float
+    kind: str = ""
 
     @property
     def training_is_quiet(self) -> bool:
@@ -67,6 +69,7 @@ class _Answer:
     refuted: tuple[Asked, ...]
     given_up: tuple[str, ...]
     held_out: Comparison | None
+    kind: str = ""
 
     @property
     def left(self) -> tuple[float, float]:
@@ -105,6 +108,7 @@ def validate(outcome: Outcome) -> Validation:
         refuted=answer.refuted,
         given_up=answer.given_up,
         share=share,
+        kind=answer.kind,
     )
 
 
@@ -191,13 +195,14 @@ def _by_itself(outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _A
 
 
 def _with(beside: Beside, answer: _Answer, baseline: Fit, data: HeldOut) -> _Answer:
-    """``answer`` with what was found ``beside`` the state in the place of what it has of the same name."""
+    """``answer`` with what was found ``beside`` an unknown force in the place of what it has of the same name."""
     both, asked = joined(answer.extended, beside, data)
     own = [name for name in both.model.names if name not in beside.names]
     return replace(
         answer,
         baseline=baseline,
         extended=both,
+        kind=beside.kind,
         equivalents={name: answer.equivalents[name] for name in own} | beside.equivalents,
         asked=asked + beside.asked,
         refuted=tuple(one for one in answer.refuted if one.name not in beside.names),

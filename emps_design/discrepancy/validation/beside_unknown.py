@@ -21,7 +21,7 @@ from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.model.state import beside_state
 from emps_design.discrepancy.model.unknown_force import KINDS, beside_kind
-from emps_design.discrepancy.search.beside_state import search_beside
+from emps_design.discrepancy.search.beside_unknown import search_beside
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.validation.confirmation import claims_on, standing
 from emps_design.discrepancy.validation.evidence import Asked
@@ -32,11 +32,15 @@ from emps_design.errors import SimulationError
 
 @dataclass(frozen=True)
 class Beside:
-    """A fit judged beside the state, how much of its effects the confirming data ask for, and their equivalents."""
+    """A fit judged beside an unknown force, how much of its effects the confirming data ask for, their equivalents.
+
+    ``kind`` of ``KINDS`` is what the force is like; empty where it may be any function of the state.
+    """
 
     found: Fit
     asked: list[Asked]
     equivalents: dict[str, list[str]]
+    kind: str = ""
 
     @property
     def names(self) -> list[str]:
@@ -61,11 +65,11 @@ def found_beside_kind(outcome: Outcome, data: HeldOut) -> Beside | None:
             ranked.append((fit(beside(outcome.calibration.baseline)).cost, kind, beside))
     if not ranked:
         return None
-    beside = min(ranked, key=lambda one: one[0])[2]
+    _, kind, beside = min(ranked, key=lambda one: one[0])
     with suppress(SimulationError):
         found = _found(outcome, data, beside)
         if found is not None and _complete(outcome, data, found, beside):
-            return found
+            return replace(found, kind=kind)
     return None
 
 

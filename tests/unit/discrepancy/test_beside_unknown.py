@@ -1,4 +1,4 @@
-"""What is found beside an unknown force that is a smooth function of the state."""
+"""What is found beside an unknown force: a smooth function of the state, or a force of one kind."""
 
 from dataclasses import replace
 
@@ -11,8 +11,9 @@ from emps_design.discrepancy.model.fit import evaluate, fit
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.state import beside_state
+from emps_design.discrepancy.model.unknown_force import KINDS, beside_kind
 from emps_design.discrepancy.model.whitening import Whitening
-from emps_design.discrepancy.validation.beside_state import Beside, _fitted_around
+from emps_design.discrepancy.validation.beside_unknown import Beside, _fitted_around
 from emps_design.discrepancy.validation.evidence import Asked
 from emps_design.effects import get_effect
 from emps_design.machines import machine
@@ -28,6 +29,10 @@ LIBRARY = [
     get_effect(name)
     for name in ("mass_change", "friction_drift", "actuator_delay", "asymmetric_viscous_friction", "position_ripple")
 ]
+SMOOTH, SLOWER = (
+    np.convolve(np.pad(trapezoid_laps(1e-3, stroke=0.1, speed=speed, laps=4), (200, 0)), np.ones(201) / 201, "valid")
+    for speed in (0.2, 0.15)
+)
 WHITE = Whitening(np.array([1.0]), 0.14)
 
 
@@ -93,3 +98,40 @@ def test_a_weight_put_on_is_named_beside_a_brake_five_times_as_strong(hidden, na
     for finding in answer.findings:
         change = finding.parameters["change"]
         assert change["value"] == pytest.approx(0.08, abs=max(3 * change["std"], 0.008))
+
+
+def crank(q_ref):
+    """The force of a mass of 40 kg that comes and goes along the travel: no effect of the library."""
+    v = np.gradient(q_ref, 1e-3)
+    turn = 2 * np.pi * (q_ref - 0.03) / 0.16
+    return -40.0 * (np.sin(turn) * np.gradient(v, 1e-3) + np.pi / 0.16 * np.cos(turn) * v * v)
+
+
+def with_a_crank(seed, q_ref, *effects, name="run"):
+    noise = 4e-3 * np.random.default_rng(seed).standard_normal(q_ref.size)
+    plant = Plant.of(AXIS.replace(effects=list(effects)))
+    run = plant.closed_loop(q_ref, voltage_noise=noise, disturbance=crank(q_ref))
+    return Record(t=run.t, q_ref=q_ref, q=run.q, u=run.u, period=1e-3, name=name)
+
+
+def test_an_unknown_force_of_its_kind_leaves_nothing_and_one_of_another_kind_does():
+    seen = with_a_crank(1, SMOOTH)
+    start = Hypothesis(Problem(AXIS, (seen,), (split(seen),), WHITE), Candidate(AXIS.mechanics.array()))
+    left = [np.std(beside_kind(start, kind).residual("used")) for kind in KINDS]
+    assert left[0] < 0.4 * np.std(start.residual("used"))
+    assert left[0] < 0.3 * min(left[1:])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "hidden", [({"kind": "stribeck_friction", "excess": 6.0, "stribeck_velocity": 0.01, "exponent": 2.0},), ()]
+)
+def test_friction_is_named_beside_a_mechanism_and_what_the_rest_is_like(hidden):
+    library = [get_effect(name) for name in ("stribeck_friction", "actuator_delay", "position_ripple", "mass_change")]
+    held_out = with_a_crank(2, SLOWER, *hidden, name="other")
+    answer = diagnose(with_a_crank(1, SMOOTH, *hidden), AXIS, library=library, holdout=held_out)
+    assert [finding.effect for finding in answer.findings] == [effect["kind"] for effect in hidden]
+    if hidden:
+        assert answer.verdict == "partly-named"
+        assert answer.findings[0].parameters["excess"]["value"] == pytest.approx(6.0, rel=0.1)
+        assert "like an inertia that varies along the travel" in answer.sentence
