@@ -58,14 +58,17 @@ def found_beside_kind(outcome: Outcome, data: HeldOut) -> Beside | None:
 
     Of training and confirming records alike, as much as of a gap without anything unknown.
     """
+    baseline = outcome.calibration.baseline
     ranked = []
     for kind in KINDS:
         beside = partial(beside_kind, kind=kind)
         with suppress(SimulationError):
-            ranked.append((fit(beside(outcome.calibration.baseline)).cost, kind, beside))
+            ranked.append((fit(beside(baseline)).cost, kind, beside))
     if not ranked:
         return None
-    _, kind, beside = min(ranked, key=lambda one: one[0])
+    left, kind, beside = min(ranked, key=lambda one: one[0])
+    if left > baseline.cost - rules.OF_A_KIND * (baseline.cost - baseline.problem.samples("used")):
+        return None
     with suppress(SimulationError):
         found = _found(outcome, data, beside)
         if found is not None and _complete(outcome, data, found, beside):
