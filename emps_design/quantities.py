@@ -155,6 +155,15 @@ def display_unit(size: float, unit: str) -> tuple[str, float]:
     return unit, 1.0
 
 
+def share_asked(share: float, std: float) -> str:
+    """How much of an effect a record asks for, to a hundredth: no deviation is said to be none.
+
+    >>> share_asked(0.974, 0.102), share_asked(1.003, 0.002)
+    ('0.97 +- 0.10', '1.00 +- 0.01')
+    """
+    return f"{share:.2f} +- {max(std, 0.01):.2f}"
+
+
 def rounded(value: float, places: int = 2) -> str:
     """``value`` with so many decimals, or with as many digits where they would not show it.
 

@@ -134,7 +134,9 @@ def _table(path: Path, titles: Sequence[str], columns: Sequence[Any]) -> None:
 
 def _share(confirmed: dict[str, float] | None) -> str:
     """How much of an effect the held-out record asks for."""
-    return f"{confirmed['share']:.2f} +- {confirmed['std']:.2f}" if confirmed else "-"
+    from emps_design.quantities import share_asked
+
+    return share_asked(confirmed["share"], confirmed["std"]) if confirmed else "-"
 
 
 def _show(document: dict[str, Any], out: Path | None) -> None:

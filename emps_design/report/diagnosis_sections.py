@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from emps_design.discrepancy.search.acceptance import explained
-from emps_design.quantities import inside
+from emps_design.quantities import inside, share_asked
 from emps_design.report import diagnosis_figures as figures
 from emps_design.report.display import NOTHING, interval, probability, quantity, sentence_of, with_std, words
 from emps_design.report.footer import inputs_table, versions
@@ -58,7 +58,7 @@ def how_sure(finding: Mapping[str, Any]) -> str:
 
 
 def _share(confirmed: Mapping[str, float] | None) -> str:
-    return f"{confirmed['share']:.2f} ± {confirmed['std']:.2f}" if confirmed else NOTHING
+    return share_asked(confirmed["share"], confirmed["std"]).replace("+-", "±") if confirmed else NOTHING
 
 
 def answer_points(document: Mapping[str, Any]) -> Points:

@@ -8,7 +8,7 @@ from emps_design.discrepancy.search.acceptance import force_rms
 from emps_design.discrepancy.search.calibration import Calibration
 from emps_design.discrepancy.validation.verdict import Validation
 from emps_design.effects import get_effect, kind_of
-from emps_design.quantities import inside, rounded
+from emps_design.quantities import inside, rounded, share_asked
 
 ASSUMPTIONS = (
     "the force gain of the drive is known: an error of it scales every mechanical parameter and shows nowhere else",
@@ -78,7 +78,7 @@ def _limits(validation: Validation) -> list[str]:
 def _of_holdout(validation: Validation, held_out: HeldOut) -> list[str]:
     remarks = [
         f"{inside(get_effect(kind_of(a.name)).label)} fitted the training record and is withdrawn: the confirming "
-        f"record asks for {a.share:.2f} +- {a.std:.2f} of it"
+        f"record asks for {share_asked(a.share, a.std)} of it"
         for a in validation.refuted
     ]
     if held_out.added not in ("", *validation.extended.model.names):
