@@ -155,8 +155,9 @@ def _all_or_nothing(outcome: Outcome, data: HeldOut | None, start: Fit, searched
 def _effect_by_effect(outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer) -> _Answer:
     """What of ``searched`` stands on its own evidence: all or nothing is the wrong question where structure is left.
 
-    With what stands beside an unknown function of the state, where that leaves less of the confirming ``data``. What
-    leaves more than its baseline is not said.
+    With what stands beside an unknown force: of one kind, where that and few effects leave next to nothing, or any
+    function of the state, where that leaves less of the confirming ``data``. What leaves more than its baseline is not
+    said.
     """
     by_itself = partial(_by_itself, outcome, data, searched, answer)
     if data is None:
