@@ -76,9 +76,7 @@ HELD = 0.8  # of the share explained on the training record must be explained on
 LOST = 0.05  # of what the model explained; if refuted effects carried more, the rest is doubtful too
 MOST_EQUIVALENTS = 3
 EQUIVALENT = 0.03  # of what a finding gains: a rival this close is an equivalent where structure is left
-OF_A_KIND = (
-    2 / 3
-)  # of what the baseline leaves beyond noise: an unknown force of a kind that explains less is not of it
+OF_A_KIND = 2 / 3  # of what the baseline leaves beyond noise: a kind of unknown force that explains less is not it
 DEPENDS = 0.2  # of what is left, from which on a variable that predicts so much of it is named
 OFF = 0.005  # of a number's magnitude: an axis file that is further off, for sure, is wrong
 OFF_SURELY = 3.0  # standard deviations

@@ -34,13 +34,18 @@ def smooth_of_state(q: np.ndarray, period: float) -> np.ndarray:
 
     v = np.gradient(q, period)
     direction, speed = np.tanh(v / SLOWEST), np.abs(v) / np.abs(v).max()
-    surface = (
-        chebvander(2 * (q - q.min()) / np.ptp(q) - 1, DEGREE)[:, :, None] * chebvander(2 * speed - 1, DEGREE)[:, None]
-    )
+    surface = along(q, DEGREE)[:, :, None] * chebvander(2 * speed - 1, DEGREE)[:, None]
     surface = surface.reshape(q.size, -1)
     return np.column_stack(
         [surface * (direction > 0)[:, None], surface * (direction <= 0)[:, None], memories(q, period)]
     )
+
+
+def along(q: np.ndarray, degree: int) -> np.ndarray:
+    """Polynomials in position ``q`` (n,) [m], (n, ``degree`` + 1)."""
+    from numpy.polynomial.chebyshev import chebvander
+
+    return chebvander(2 * (q - q.min()) / np.ptp(q) - 1, degree)
 
 
 def memories(q: np.ndarray, period: float) -> np.ndarray:

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from emps_design.discrepancy.model.problem import Hypothesis
-from emps_design.discrepancy.model.state import memories
+from emps_design.discrepancy.model.state import along, memories
 
 DEGREE = 6  # of the polynomials in position
 PUSH = 0.1  # of the force that a model leaves: rms of a column when its answer is simulated
@@ -21,14 +21,14 @@ PUSH = 0.1  # of the force that a model leaves: rms of a column when its answer 
 
 def inertia(q: np.ndarray, period: float) -> np.ndarray:
     """An inertia that varies along the travel, as of a crank: functions of position times acceleration and speed^2."""
-    v = np.gradient(q, period)
-    return np.column_stack([_along(q) * np.gradient(v, period)[:, None], _along(q) * (v * v)[:, None]])
+    v, shapes = np.gradient(q, period), along(q, DEGREE)
+    return np.column_stack([shapes * np.gradient(v, period)[:, None], shapes * (v * v)[:, None]])
 
 
 def damping(q: np.ndarray, period: float) -> np.ndarray:
     """Friction in proportion to velocity that varies along the travel, for each direction by itself."""
-    v = np.gradient(q, period)[:, None]
-    return np.column_stack([_along(q) * np.maximum(v, 0.0), _along(q) * np.minimum(v, 0.0)])
+    v, shapes = np.gradient(q, period)[:, None], along(q, DEGREE)
+    return np.column_stack([shapes * np.maximum(v, 0.0), shapes * np.minimum(v, 0.0)])
 
 
 KINDS: dict[str, Callable[[np.ndarray, float], np.ndarray]] = {
@@ -55,10 +55,3 @@ def beside_kind(hypothesis: Hypothesis, kind: str) -> Hypothesis:
         columns.append([a - b for a, b in zip(whole, hypothesis.residuals(pushes), strict=True)])
     answers = tuple(np.column_stack(record) for record in zip(*columns, strict=True))
     return Hypothesis(replace(problem, states=answers), hypothesis.model)
-
-
-def _along(q: np.ndarray) -> np.ndarray:
-    """Polynomials in position, (n, ``DEGREE`` + 1)."""
-    from numpy.polynomial.chebyshev import chebvander
-
-    return chebvander(2 * (q - q.min()) / np.ptp(q) - 1, DEGREE)

@@ -7,10 +7,8 @@ or a line along the travel has no unknown force to share with, and its numbers a
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -50,7 +48,7 @@ class Beside:
 
 def found_beside_state(outcome: Outcome, data: HeldOut) -> Beside | None:
     """What a second search finds beside the state and the confirming ``data`` ask for there; None where nothing."""
-    return _found(outcome, data, beside_state)
+    return _found(outcome, beside_state(outcome.calibration.baseline), beside_state(_known_on(data, outcome)), data)
 
 
 def found_beside_kind(outcome: Outcome, data: HeldOut) -> Beside | None:
@@ -61,40 +59,48 @@ def found_beside_kind(outcome: Outcome, data: HeldOut) -> Beside | None:
     baseline = outcome.calibration.baseline
     ranked = []
     for kind in KINDS:
-        beside = partial(beside_kind, kind=kind)
         with suppress(SimulationError):
-            ranked.append((fit(beside(baseline)).cost, kind, beside))
+            start = beside_kind(baseline, kind)
+            ranked.append((fit(start).cost, kind, start))
     if not ranked:
         return None
-    left, kind, beside = min(ranked, key=lambda one: one[0])
+    left, kind, start = min(ranked, key=lambda one: one[0])
     if left > baseline.cost - rules.OF_A_KIND * (baseline.cost - baseline.problem.samples("used")):
         return None
     with suppress(SimulationError):
-        found = _found(outcome, data, beside)
-        if found is not None and _complete(outcome, data, found, beside):
+        there = beside_kind(_known_on(data, outcome), kind)
+        found = _found(outcome, start, there, data)
+        if found is not None and _complete(outcome, data, found, there):
             return replace(found, kind=kind)
     return None
 
 
-def _found(outcome: Outcome, data: HeldOut, beside: Callable[[Hypothesis], Hypothesis]) -> Beside | None:
-    """What a second search finds ``beside`` an unknown force and the confirming ``data`` ask for there, if anything."""
+def _known_on(data: HeldOut, outcome: Outcome) -> Hypothesis:
+    """The model that the search began with, on the confirming ``data``."""
+    return Hypothesis(data.problem, outcome.path[0].model.only(0))
+
+
+def _found(outcome: Outcome, start: Hypothesis, there: Hypothesis, data: HeldOut) -> Beside | None:
+    """What a second search finds from ``start``, beside an unknown force, and the confirming ``data`` ask for.
+
+    ``there`` is beside the force on those data. None where nothing is found or asked for.
+    """
     known = outcome.path[0].model
-    again = search_beside(outcome, beside(outcome.calibration.baseline))
+    again = search_beside(outcome, start)
     if again.best.model.names == known.names:
         return None
-    data = replace(data, problem=beside(Hypothesis(data.problem, known.only(0))).problem)
+    data = replace(data, problem=there.problem)
     found, _ = standing(data, again.calibration.judge.refitted(again.best))
     if found.model.names == known.names:
         return None
     return Beside(found, claims_on(data, found), alike_in_company(again, found))
 
 
-def _complete(outcome: Outcome, data: HeldOut, found: Beside, beside: Callable[[Hypothesis], Hypothesis]) -> bool:
+def _complete(outcome: Outcome, data: HeldOut, found: Beside, there: Hypothesis) -> bool:
     """Whether ``found`` and the unknown force leave nothing but noise, or next to nothing of the gap, everywhere."""
-    known, model = outcome.path[0], found.found.model
-    there = beside(Hypothesis(data.problem, known.model.only(0)))
-    bare, both = Hypothesis(data.problem, known.model.only(0)), there.with_model(adapted(data, model, model))
-    for before, after in ((known, found.found), (bare, both)):
+    model = found.found.model
+    both = there.with_model(adapted(data, model, model))
+    for before, after in ((outcome.path[0], found.found), (_known_on(data, outcome), both)):
         least = before.problem.samples("used")
         gap, left = (float(np.sum(np.square(one.residual("used")))) - least for one in (before, after))
         if left > max((rules.STRUCTURED - 1.0) * least, (1.0 - rules.COMPLETE) * gap):
