@@ -30,8 +30,9 @@ def unexplained(validation: Validation) -> dict[str, Any]:
     ``rms`` [N] is what the model leaves over the noise, ``share`` of the gap's mean square; ``over`` the variables that
     predict it on data not fitted to, the best first, and ``predicted`` the share of it that each does. ``record`` says
     where it shows: "train", or "holdout" where training leaves nothing but noise. ``kind`` is what it is like, "" where
-    that is not known: beside an unknown force of that kind, what is named leaves next to nothing. ``law_gap`` [V] is by
-    how much the command differs from the controller's law, where that has no name either.
+    that is not known: beside an unknown force of that kind, what is named leaves next to nothing, ``kind_leaves`` [N]
+    with the noise. ``law_gap`` [V] is by how much the command differs from the controller's law, where that has no name
+    either.
     """
     judged, floor = validation.held_out or validation.train, validation.outcome.calibration.floor.force
     shown = _where_it_shows(validation)
@@ -48,14 +49,16 @@ def unexplained(validation: Validation) -> dict[str, Any]:
         parts = [f"{name} ({100 * shares[name]:.0f} %)" for name in over[:SAID]]
         depends = f"it follows {' and '.join(parts)} on data that it was not fitted to"
     if validation.kind:
-        depends = f"it is like {validation.kind}"
+        depends = f"it is like {validation.kind}, with which {rounded(validation.kind_leaves)} N would be left"
     text = f"{left:.2g} N rms over the noise{place}, {100 * share:.0f} % of the gap; {depends}"
     laws = [law for law in validation.outcome.calibration.preparation.laws if law.unexplained]
     law_gap = {"law_gap": max(float(np.std(law.gap)) for law in laws)} if laws else {}
+    kind_leaves = {"kind_leaves": validation.kind_leaves} if validation.kind else {}
     if laws:
         text += f", and {rounded(law_gap['law_gap'])} V rms {FROM_THE_LAW}"
     return {
         **law_gap,
+        **kind_leaves,
         "rms": left,
         "share": share,
         "over": over,

@@ -32,7 +32,8 @@ class Problem:
 
     ``states`` are functions (n, k) along each record that explain nothing: what they could follow of the used samples
     is taken from every residual. ``loudness`` (n,) along each record is how large noise gets in the innovations, which
-    count for that much less. ``remembered`` are residuals of the same records, judged with other noise too.
+    count for that much less. ``acting`` is a force (n,) [N] on the carriage along each record besides what was
+    measured. ``remembered`` are residuals of the same records, judged with other noise too.
     """
 
     axis: Axis
@@ -41,6 +42,7 @@ class Problem:
     whitening: Whitening
     states: tuple[np.ndarray, ...] = ()
     loudness: tuple[np.ndarray, ...] = ()
+    acting: tuple[np.ndarray, ...] = ()
     remembered: Remembered = field(default_factory=Remembered, compare=False, repr=False)
 
     @cached_property
@@ -78,8 +80,13 @@ class Problem:
     def only(self, record: int) -> Problem:
         """One of the records, by its number, as a problem of its own; its models are :meth:`Candidate.only`."""
         one = slice(record, record + 1)
-        records, splits, states, loudness = self.records[one], self.splits[one], self.states[one], self.loudness[one]
-        return replace(self, records=records, splits=splits, states=states, loudness=loudness)
+        alone = ("records", "splits", "states", "loudness", "acting")
+        return replace(self, **{name: getattr(self, name)[one] for name in alone})
+
+    def with_acting(self, forces: Sequence[np.ndarray]) -> Problem:
+        """The same records with ``forces`` (n,) [N] on the carriage, one per record, besides what acts already."""
+        acting = tuple(a + b for a, b in zip(self.acting, forces, strict=True)) if self.acting else tuple(forces)
+        return replace(self, acting=acting, remembered=Remembered())
 
     def with_whitening(self, whitening: Whitening) -> Problem:
         """The same records judged with other noise."""
@@ -179,11 +186,12 @@ class Hypothesis:
     def run(self, record: int, disturbance: np.ndarray | None = None) -> Run:
         """Simulation of one record from ``q_ref`` alone (of the recorded motion without a controller).
 
-        ``disturbance`` (n,) [N] acts on the carriage besides what was measured.
+        ``disturbance`` (n,) [N] acts on the carriage besides what was measured and what acts in the problem.
         """
         how = self.driven(record)
-        if disturbance is not None:
-            how["disturbance"] = disturbance + (0.0 if how["disturbance"] is None else how["disturbance"])
+        for force in (disturbance, *self.problem.acting[record : record + 1]):
+            if force is not None:
+                how["disturbance"] = force + (0.0 if how["disturbance"] is None else how["disturbance"])
         return self.simulate(record, **how)
 
     def runs(self, disturbance: Sequence[np.ndarray | None] | None = None) -> tuple[Run, ...]:

@@ -9,49 +9,90 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from emps_design.discrepancy.model.problem import Hypothesis
+from emps_design.discrepancy.model.missing_force import CUTOFF_HZ
+from emps_design.discrepancy.model.problem import RANK, Hypothesis
 from emps_design.discrepancy.model.state import along, memories
+from emps_design.effects import Motion
+from emps_design.identification.filters import motion
 
-DEGREE = 6  # of the polynomials in position
+COARSE, FINE = 6, 12  # degrees of the polynomials in position
 PUSH = 0.1  # of the force that a model leaves: rms of a column when its answer is simulated
 
+# Forces (n, k) along a measured motion, which the force has taken part in, and the simulated position (n,) [m].
+Columns = Callable[[Motion, np.ndarray], np.ndarray]
 
-def inertia(q: np.ndarray, period: float) -> np.ndarray:
+
+def inertia(measured: Motion, simulated: np.ndarray, degree: int) -> np.ndarray:
     """An inertia that varies along the travel, as of a crank: functions of position times acceleration and speed^2."""
-    v, shapes = np.gradient(q, period), along(q, DEGREE)
-    return np.column_stack([shapes * np.gradient(v, period)[:, None], shapes * (v * v)[:, None]])
+    shapes, v, a = along(measured.q, degree), measured.v[:, None], measured.a[:, None]
+    return np.column_stack([shapes * a, shapes * (v * v)])
 
 
-def damping(q: np.ndarray, period: float) -> np.ndarray:
+def damping(measured: Motion, simulated: np.ndarray, degree: int) -> np.ndarray:
     """Friction in proportion to velocity that varies along the travel, for each direction by itself."""
-    v, shapes = np.gradient(q, period)[:, None], along(q, DEGREE)
+    shapes, v = along(measured.q, degree), measured.v[:, None]
     return np.column_stack([shapes * np.maximum(v, 0.0), shapes * np.minimum(v, 0.0)])
 
 
-KINDS: dict[str, Callable[[np.ndarray, float], np.ndarray]] = {
-    "an inertia that varies along the travel": inertia,
-    "viscous friction that varies along the travel": damping,
-    "friction that remembers the motion before": memories,
+def memory(measured: Motion, simulated: np.ndarray) -> np.ndarray:
+    """Friction that remembers the motion before: the simulated one, which stands still where the encoder does not."""
+    return memories(simulated, measured.period)
+
+
+# Of each kind from few columns to many.
+KINDS: dict[str, tuple[Columns, ...]] = {
+    "an inertia that varies along the travel": tuple(partial(inertia, degree=n) for n in (COARSE, FINE)),
+    "viscous friction that varies along the travel": tuple(partial(damping, degree=n) for n in (COARSE, FINE)),
+    "friction that remembers the motion before": (memory,),
 }
 
 
-def beside_kind(hypothesis: Hypothesis, kind: str) -> Hypothesis:
-    """The same model, judged by what no unknown force of a ``kind`` of ``KINDS`` could do beside it.
+def beside_kind(hypothesis: Hypothesis, kind: Columns) -> Hypothesis:
+    """The same model, judged by what no unknown force of a ``kind`` could do beside it.
 
-    Raises :class:`SimulationError` where the model does not run with a force as large as the one that it leaves.
+    What the force does to the loop is taken as linear. Raises :class:`SimulationError` where the model does not run
+    with a force a tenth as large as the one that it leaves.
     """
-    problem = hypothesis.problem
-    states = [KINDS[kind](run.q, problem.period) for run in hypothesis.runs()]
-    whole = hypothesis.residuals()
-    size = [
-        PUSH * np.std(left) / np.maximum(np.std(one, axis=0), 1e-30) for left, one in zip(whole, states, strict=True)
+    states = _answers(hypothesis, _columns(hypothesis, kind))
+    return Hypothesis(replace(hypothesis.problem, states=states), hypothesis.model)
+
+
+def with_kind(hypothesis: Hypothesis, kind: Columns) -> Hypothesis:
+    """:func:`beside_kind` about the loop on which the force of that kind acts that explains most of what is left.
+
+    A force that is a good part of all that moves the carriage changes how the loop answers. Raises as that does.
+    """
+    problem = replace(hypothesis.problem, states=())
+    hypothesis = Hypothesis(problem, hypothesis.model)
+    columns = _columns(hypothesis, kind)
+    left, answers = (problem.whiten(x) for x in (hypothesis.residuals(), _answers(hypothesis, columns)))
+    shares = [
+        np.linalg.lstsq(answer[used], one[used], rcond=RANK)[0]
+        for answer, one, used in zip(answers, left, problem.masks("used"), strict=True)
     ]
+    forces = [column @ share for column, share in zip(columns, shares, strict=True)]
+    return beside_kind(Hypothesis(problem.with_acting(forces), hypothesis.model), kind)
+
+
+def _columns(hypothesis: Hypothesis, kind: Columns) -> list[np.ndarray]:
+    """Forces [N] of a ``kind``, (n, k) along each record, each of ``PUSH`` of the size of what the model leaves."""
     columns = []
-    for place in range(states[0].shape[1]):
-        pushes = [one[:, place] * much[place] for one, much in zip(states, size, strict=True)]
-        columns.append([a - b for a, b in zip(whole, hypothesis.residuals(pushes), strict=True)])
-    answers = tuple(np.column_stack(record) for record in zip(*columns, strict=True))
-    return Hypothesis(replace(problem, states=answers), hypothesis.model)
+    for record, run, left in zip(hypothesis.problem.records, hypothesis.runs(), hypothesis.residuals(), strict=True):
+        one = kind(motion(record, CUTOFF_HZ), run.q)
+        columns.append(one * (PUSH * np.std(left) / np.maximum(np.std(one, axis=0), 1e-30)))
+    return columns
+
+
+def _answers(hypothesis: Hypothesis, columns: list[np.ndarray]) -> tuple[np.ndarray, ...]:
+    """What each of the ``columns`` [N], (n, k) per record, changes in the motor force [N] as a push of the carriage."""
+    whole = hypothesis.residuals()
+    pushed = [
+        hypothesis.residuals(push) for push in zip(*(np.ascontiguousarray(one.T) for one in columns), strict=True)
+    ]
+    return tuple(
+        np.column_stack([a - b for b in there]) for a, there in zip(whole, zip(*pushed, strict=True), strict=True)
+    )

@@ -18,7 +18,8 @@ from emps_design.discrepancy.model.fit import Fit, evaluate, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.model.state import beside_state
-from emps_design.discrepancy.model.unknown_force import KINDS, beside_kind
+from emps_design.discrepancy.model.unknown_force import KINDS, Columns, beside_kind, with_kind
+from emps_design.discrepancy.search.acceptance import force_rms
 from emps_design.discrepancy.search.beside_unknown import search_beside
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.validation.confirmation import claims_on, standing
@@ -32,13 +33,15 @@ from emps_design.errors import SimulationError
 class Beside:
     """A fit judged beside an unknown force, how much of its effects the confirming data ask for, their equivalents.
 
-    ``kind`` of ``KINDS`` is what the force is like; empty where it may be any function of the state.
+    ``kind`` of ``KINDS`` is what the force is like; empty where it may be any function of the state. ``left`` [N] is
+    the rms that the two leave, on training or confirming records, whichever is more.
     """
 
     found: Fit
     asked: list[Asked]
     equivalents: dict[str, list[str]]
     kind: str = ""
+    left: float = np.inf
 
     @property
     def names(self) -> list[str]:
@@ -52,27 +55,50 @@ def found_beside_state(outcome: Outcome, data: HeldOut) -> Beside | None:
 
 
 def found_beside_kind(outcome: Outcome, data: HeldOut) -> Beside | None:
-    """What is found beside an unknown force of one kind where the two leave next to nothing; None where nothing is.
+    """What is found beside an unknown force of one kind, maybe nothing, where the two leave next to nothing; else None.
 
     Of training and confirming records alike, as much as of a gap without anything unknown.
     """
-    baseline = outcome.calibration.baseline
-    ranked = []
-    for kind in KINDS:
-        with suppress(SimulationError):
-            start = beside_kind(baseline, kind)
-            ranked.append((fit(start).cost, kind, start))
-    if not ranked:
+    baseline, known = outcome.calibration.baseline, _known_on(data, outcome)
+    kind = _kind_beside(baseline)
+    if kind is None:
         return None
-    left, kind, start = min(ranked, key=lambda one: one[0])
-    if left > baseline.cost - rules.OF_A_KIND * (baseline.cost - baseline.problem.samples("used")):
-        return None
+    name, columns, start = kind
     with suppress(SimulationError):
-        there = beside_kind(_known_on(data, outcome), kind)
-        found = _found(outcome, start, there, data)
-        if found is not None and _complete(outcome, data, found, there):
-            return replace(found, kind=kind)
+        begin, there = (with_kind(one, columns) for one in _on_both(start, known, data))
+        beside = _found(outcome, begin, there, data) or Beside(fit(begin), [], {})
+        after = [evaluate(with_kind(one, columns)) for one in _on_both(beside.found, there, data)]
+        if all(map(_complete, (outcome.path[0], known), after)):
+            return replace(beside, kind=name, left=max(map(force_rms, after)))
     return None
+
+
+def _kind_beside(baseline: Fit) -> tuple[str, Columns, Fit] | None:
+    """The kind of force beside which ``baseline`` leaves least, its columns and that fit; None where there is none.
+
+    With more columns where these leave clearly less: else they would only take the part of something known.
+    """
+    fits = [(name, columns, one) for name, (columns, *_) in KINDS.items() for one in _fitted_beside(baseline, columns)]
+    if not fits:
+        return None
+    name, columns, best = min(fits, key=lambda found: found[2].cost)
+    for finer in KINDS[name][1:]:
+        for one in _fitted_beside(baseline, finer):
+            if _excess(one) < rules.SHARPER * _excess(best):
+                columns, best = finer, one
+    return (name, columns, best) if _excess(best) <= (1.0 - rules.OF_A_KIND) * _excess(baseline) else None
+
+
+def _fitted_beside(baseline: Fit, columns: Columns) -> list[Fit]:
+    """``baseline`` fitted beside an unknown force; nothing where it does not run with one."""
+    with suppress(SimulationError):
+        return [fit(beside_kind(baseline, columns))]
+    return []
+
+
+def _on_both(found: Fit, there: Hypothesis, data: HeldOut) -> tuple[Hypothesis, Hypothesis]:
+    """``found`` on its records, and on the confirming ``data`` as they are judged ``there``."""
+    return found, there.with_model(adapted(data, found.model, found.model))
 
 
 def _known_on(data: HeldOut, outcome: Outcome) -> Hypothesis:
@@ -96,16 +122,15 @@ def _found(outcome: Outcome, start: Hypothesis, there: Hypothesis, data: HeldOut
     return Beside(found, claims_on(data, found), alike_in_company(again, found))
 
 
-def _complete(outcome: Outcome, data: HeldOut, found: Beside, there: Hypothesis) -> bool:
-    """Whether ``found`` and the unknown force leave nothing but noise, or next to nothing of the gap, everywhere."""
-    model = found.found.model
-    both = there.with_model(adapted(data, model, model))
-    for before, after in ((outcome.path[0], found.found), (_known_on(data, outcome), both)):
-        least = before.problem.samples("used")
-        gap, left = (float(np.sum(np.square(one.residual("used")))) - least for one in (before, after))
-        if left > max((rules.STRUCTURED - 1.0) * least, (1.0 - rules.COMPLETE) * gap):
-            return False
-    return True
+def _complete(before: Hypothesis, after: Hypothesis) -> bool:
+    """Whether ``after`` leaves nothing but noise, or next to nothing of the gap of ``before``."""
+    noise = (rules.STRUCTURED - 1.0) * before.problem.samples("used")
+    return _excess(after) <= max(noise, (1.0 - rules.COMPLETE) * _excess(before))
+
+
+def _excess(hypothesis: Hypothesis) -> float:
+    """Whitened cost over that of noise alone."""
+    return float(np.sum(np.square(hypothesis.residual("used")))) - hypothesis.problem.samples("used")
 
 
 def joined(stands: Fit, beside: Beside, data: HeldOut) -> tuple[Fit, list[Asked]]:

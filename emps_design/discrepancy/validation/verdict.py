@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -30,7 +31,7 @@ class Validation:
     ``confirmed`` is how much of each finding the confirming data ask for; ``equivalents`` of each finding are effects
     that could stand in its place; ``refuted`` is what the held-out data withdrew; ``given_up`` are the effects of a
     model that explained ``share`` of the gap and did not stand; ``kind``, one of ``unknown_force.KINDS``, says what the
-    rest is like, where that is known.
+    rest is like, where that is known, and ``kind_leaves`` [N] what would be left with an unknown force of that kind.
     """
 
     outcome: Outcome
@@ -45,6 +46,7 @@ class Validation:
     given_up: tuple[str, ...]
     share: float
     kind: str = ""
+    kind_leaves: float = math.inf
 
     @property
     def training_is_quiet(self) -> bool:
@@ -70,6 +72,7 @@ class _Answer:
     given_up: tuple[str, ...]
     held_out: Comparison | None
     kind: str = ""
+    kind_leaves: float = math.inf
 
     @property
     def left(self) -> tuple[float, float]:
@@ -88,7 +91,7 @@ def validate(outcome: Outcome) -> Validation:
     start = fit(calibration.baseline, part="used")
     searched = calibration.judge.refitted(outcome.best) if len(outcome.path) > 1 else start
     answer, share, left_over = _all_or_nothing(outcome, data, start, searched)
-    if left_over and searched is not start:
+    if left_over:
         answer = _effect_by_effect(outcome, data, searched, answer)
     if answer.verdict == "unnamed":
         estimate = robust(answer.baseline)
@@ -109,6 +112,7 @@ def validate(outcome: Outcome) -> Validation:
         given_up=answer.given_up,
         share=share,
         kind=answer.kind,
+        kind_leaves=answer.kind_leaves,
     )
 
 
@@ -155,24 +159,28 @@ def _all_or_nothing(outcome: Outcome, data: HeldOut | None, start: Fit, searched
 def _effect_by_effect(outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer) -> _Answer:
     """What of ``searched`` stands on its own evidence: all or nothing is the wrong question where structure is left.
 
-    With what stands beside an unknown force: of one kind, where that and few effects leave next to nothing, or any
-    function of the state, where that leaves less of the confirming ``data``. What leaves more than its baseline is not
-    said.
+    With what stands beside an unknown force: of one kind, where that and few effects, or none, leave next to nothing
+    of the confirming ``data`` too, or any function of the state. Else what leaves more of those data than its baseline
+    is not said.
     """
     by_itself = partial(_by_itself, outcome, data, searched, answer)
+    beside, joint = None, []
     if data is None:
-        answers = [by_itself()]
+        own = by_itself()
     else:  # the longest first, as this thread hears an interrupt: that ends the search only
-        kind, own = _side_by_side(partial(found_beside_kind, outcome, data), by_itself)
-        beside = kind or found_beside_state(outcome, data)
-        answers = [_with(beside, own, answer.baseline, data)] if beside is not None else []
-        answers += [] if kind else [own]
+        beside, own = _side_by_side(partial(found_beside_kind, outcome, data), by_itself)
+        if beside is None or not beside.names:
+            beside = found_beside_state(outcome, data) or beside
+        joint = [_with(beside, own, answer.baseline, data)] if beside and beside.names else []
+    answers = joint if joint and joint[0].kind else [*joint, own]
     compared = [_compared(one, data) for one in answers if _sayable(one)]
-    tenable = [one for one in compared if one.left[1] < one.left[0]]
+    tenable = [one for one in compared if one.kind or one.left[1] < one.left[0]]
     if tenable:
         return min(tenable, key=lambda one: one.left[1])
     given_up = answer.given_up or answer.extended.model.names
-    return replace(answer, verdict="unnamed", equivalents=answers[-1].equivalents, given_up=given_up)
+    if beside and not joint:
+        answer = replace(answer, kind=beside.kind, kind_leaves=beside.left)
+    return replace(answer, verdict="unnamed", equivalents=own.equivalents, given_up=given_up)
 
 
 def _side_by_side(*searches: Callable[[], Any]) -> list[Any]:
@@ -204,6 +212,7 @@ def _with(beside: Beside, answer: _Answer, baseline: Fit, data: HeldOut) -> _Ans
         baseline=baseline,
         extended=both,
         kind=beside.kind,
+        kind_leaves=beside.left,
         equivalents={name: answer.equivalents[name] for name in own} | beside.equivalents,
         asked=asked + beside.asked,
         refuted=tuple(one for one in answer.refuted if one.name not in beside.names),
