@@ -72,7 +72,7 @@ def _left_by_others(known: np.ndarray, groups: list[np.ndarray], force: np.ndarr
     own, *others = (np.arange(start, stop) for start, stop in pairwise(edges))
     best = regression.best(own)
     while others:
-        trials = [regression.best(np.concatenate([best.columns, other])) for other in others]
+        trials = side_by_side(regression.best, [(np.concatenate([best.columns, other]),) for other in others])
         place = int(np.argmin([trial.squares for trial in trials]))
         if trials[place].squares > rules.FINER**2 * best.squares:
             break
