@@ -11,7 +11,7 @@ from emps_design.axis import Axis
 from emps_design.discrepancy.experiment.discrimination import Experiment
 from emps_design.discrepancy.explain.extent import EVERYWHERE
 from emps_design.discrepancy.explain.residual_views import View
-from emps_design.discrepancy.explain.unexplained import FROM_THE_LAW
+from emps_design.discrepancy.explain.unexplained import FROM_THE_LAW, like
 from emps_design.discrepancy.search.noise_floor import Floor
 from emps_design.discrepancy.validation.closest import Closest
 from emps_design.discrepancy.validation.gap import Gap, Prediction
@@ -141,15 +141,18 @@ class Diagnosis:
         if self.details.get("interrupted") and not self.findings:
             return f"Interrupted before anything was found; {gap}."
         if self.verdict == "unnamed":
-            place = self.details["unexplained"]["place"]
+            unexplained = self.details["unexplained"]
+            place = unexplained["place"]
             where = "" if place == EVERYWHERE else f", most of it {place}"
             known = "".join(f"{finding.in_words()}; " for finding in self.findings)  # from the controller's law
             text = f"{known}{'beside that ' if known else ''}the model misses {left} N"
             both = f" of the held-out record, {rounded(self.train.extended)} N of the training record"
-            text += both if self.details["unexplained"]["record"] == "holdout" else ""
+            text += both if unexplained["record"] == "holdout" else ""
             text = f"{text[0].upper()}{text[1:]} (noise {noise} N){where}, and no effect of the library explains it"
-            if "law_gap" in self.details["unexplained"]:
-                text += f", nor {rounded(self.details['unexplained']['law_gap'])} V rms {FROM_THE_LAW}"
+            if "law_gap" in unexplained:
+                text += f", nor {rounded(unexplained['law_gap'])} V rms {FROM_THE_LAW}"
+            if unexplained["kind"]:
+                text += f"; {like(unexplained['kind'], unexplained['kind_leaves'])}"
             return f"{text}."
         least = self.details.get("least_visible")
         rest = f"; an effect of {least} or more would have been seen" if least else ""

@@ -34,14 +34,14 @@ def in_plain_words(document: Mapping[str, Any]) -> str:
         )
     names = [inside(_label(finding)) for finding in findings]
     listed = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    whom = "it" if len(names) == 1 else "them"
     closed = ""
     if None not in (before, after, floor) and before > max(floor, after):
-        whom = "it" if len(names) == 1 else "them"  # and with its numbers fitted anew: no cause has all of the share
-        share = f"{100 * explained(before, after, floor):.0f} %"
+        share = f"{100 * explained(before, after, floor):.0f} %"  # and of its numbers fitted anew, not of a cause alone
         closed = f" With {whom} the corrected model explains {share} of the difference."
     cause = "one cause has" if len(names) == 1 else f"{len(names)} causes have"
     rest = " Something is left that nothing known explains; it needs another measurement." if left else ""
-    sure = " A second record that played no part in finding them agrees." if _agrees(findings) else ""
+    sure = f" A second record that played no part in finding {whom} agrees." if _agrees(findings) else ""
     return f"The machine does not quite do what its model says, and {cause} been found: {listed}.{closed}{sure}{rest}"
 
 

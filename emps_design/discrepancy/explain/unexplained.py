@@ -49,7 +49,7 @@ def unexplained(validation: Validation) -> dict[str, Any]:
         parts = [f"{name} ({100 * shares[name]:.0f} %)" for name in over[:SAID]]
         depends = f"it follows {' and '.join(parts)} on data that it was not fitted to"
     if validation.kind:
-        depends = f"it is like {validation.kind}, with which {rounded(validation.kind_leaves)} N would be left"
+        depends = like(validation.kind, validation.kind_leaves)
     text = f"{left:.2g} N rms over the noise{place}, {100 * share:.0f} % of the gap; {depends}"
     laws = [law for law in validation.outcome.calibration.preparation.laws if law.unexplained]
     law_gap = {"law_gap": max(float(np.std(law.gap)) for law in laws)} if laws else {}
@@ -70,6 +70,15 @@ def unexplained(validation: Validation) -> dict[str, Any]:
         "record": "train" if shown is validation.extended else "holdout",
         "map": force_map(missing_force(shown)[most]),
     }
+
+
+def like(kind: str, leaves: float) -> str:
+    """What is left is of a ``kind`` of unknown force, which ``leaves`` [N] of it and of the noise.
+
+    >>> like("friction that remembers the motion before", 0.5)
+    'it is like friction that remembers the motion before, with which 0.50 N would be left'
+    """
+    return f"it is like {kind}, with which {rounded(leaves)} N would be left"
 
 
 def _where_it_shows(validation: Validation) -> Hypothesis:

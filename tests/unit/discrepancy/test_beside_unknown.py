@@ -147,6 +147,7 @@ def test_friction_is_named_beside_a_mechanism_and_what_the_rest_is_like(hidden):
     assert answer.verdict == ("partly-named" if hidden else "unnamed")
     left = answer.details["unexplained"]
     assert "like an inertia that varies along the travel" in left["text"]
+    assert "like an inertia that varies along the travel" in answer.sentence
     assert left["kind_leaves"] < 1.3 * answer.noise.force < left["rms"]
     if hidden:
         assert answer.findings[0].parameters["excess"]["value"] == pytest.approx(6.0, rel=0.1)

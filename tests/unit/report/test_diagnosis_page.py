@@ -192,7 +192,7 @@ def test_the_first_screen_says_what_was_found_how_sure_what_is_left_and_what_to_
     diagnosis.document["unexplained"] = left | {"map": diagnosis.document.get("unexplained", {}).get("map")}
     plain = in_plain_words(diagnosis.document)
     assert "one cause has been found: Stribeck friction" in plain
-    assert "played no part in finding them agrees" in plain
+    assert "played no part in finding it agrees" in plain
     assert "Something is left that nothing known explains" in plain
     points = [str(line) for line in answer_points(diagnosis.document).items]
     assert "asks for 0.97 ± 0.04 of it" in points[0]
