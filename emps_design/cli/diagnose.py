@@ -16,7 +16,7 @@ from emps_design.cli.output import json_text, new_console, print_json, print_war
 from emps_design.cli.partial_diagnosis import PartialDiagnosis
 from emps_design.errors import InputError, one_line
 from emps_design.files import write_aside, write_text, write_together
-from emps_design.quantities import rounded
+from emps_design.quantities import rounded, share_asked
 
 FILES = {
     "model.toml": AXIS,
@@ -134,8 +134,6 @@ def _table(path: Path, titles: Sequence[str], columns: Sequence[Any]) -> None:
 
 def _share(confirmed: dict[str, float] | None) -> str:
     """How much of an effect the held-out record asks for."""
-    from emps_design.quantities import share_asked
-
     return share_asked(confirmed["share"], confirmed["std"]) if confirmed else "-"
 
 

@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from emps_design.discrepancy.model.missing_force import CUTOFF_HZ
+from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import RANK, Hypothesis
 from emps_design.discrepancy.model.state import along, memories
 from emps_design.effects import Motion
@@ -90,9 +91,8 @@ def _columns(hypothesis: Hypothesis, kind: Columns) -> list[np.ndarray]:
 def _answers(hypothesis: Hypothesis, columns: list[np.ndarray]) -> tuple[np.ndarray, ...]:
     """What each of the ``columns`` [N], (n, k) per record, changes in the motor force [N] as a push of the carriage."""
     whole = hypothesis.residuals()
-    pushed = [
-        hypothesis.residuals(push) for push in zip(*(np.ascontiguousarray(one.T) for one in columns), strict=True)
-    ]
+    pushes = zip(*(np.ascontiguousarray(one.T) for one in columns), strict=True)
+    pushed = side_by_side(hypothesis.residuals, [(push,) for push in pushes])
     return tuple(
         np.column_stack([a - b for b in there]) for a, there in zip(whole, zip(*pushed, strict=True), strict=True)
     )
