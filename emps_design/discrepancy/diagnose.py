@@ -13,6 +13,7 @@ from emps_design.discrepancy.checks.preparation import prepare
 from emps_design.discrepancy.explain.explanation import explain
 from emps_design.discrepancy.result import Diagnosis
 from emps_design.discrepancy.search.beam_search import search
+from emps_design.discrepancy.search.beside_unknown import of_a_kind
 from emps_design.discrepancy.search.calibration import Progress, calibrate, first_noise
 from emps_design.discrepancy.search.noise_floor import LEFT, Floor, floor_of_laps, floor_of_residual
 from emps_design.discrepancy.search.outcome import Outcome
@@ -66,7 +67,7 @@ def diagnose(
         report(f"fitting the baseline{seen}", 0.05)
         rough, floor = first_noise(preparation)
         part = partial(_part, report, *SEARCHES[0])
-        outcome = search(calibrate(preparation, rough, floor, seed, searches, part), part)
+        outcome = search(calibrate(preparation, rough, floor, seed, searches, part), part, of_a_kind)
         hears(outcome.best.model.to_axis(axis))
         outcome = _repeated(outcome, seed, searches, report)
         hears(outcome.best.model.to_axis(axis))
@@ -89,7 +90,7 @@ def _repeated(outcome: Outcome, seed: int, searches: int, report: Progress) -> O
         runs = searches if calibration.healthy.searched else 0  # an interrupt ended the calibration for good
         try:
             calibration = calibrate(calibration.preparation, calibration.baseline, floor, seed, runs, part)
-            again = search(calibration, part, outcome.best.model)
+            again = search(calibration, part, of_a_kind, outcome.best.model)
         except KeyboardInterrupt:
             again = None
         if again is None or again.interrupted:

@@ -8,7 +8,7 @@ first guesses. An effect that is a curve of any shape could stand in for others,
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.candidate import Candidate
@@ -18,12 +18,13 @@ from emps_design.discrepancy.search.acceptance import Accept
 from emps_design.discrepancy.search.calibration import Calibration, Progress
 from emps_design.discrepancy.search.exchange import exchanges, far_apart
 from emps_design.discrepancy.search.extension import converged, extended, extensions, freed
-from emps_design.discrepancy.search.outcome import FitsBySet, Outcome, set_of
+from emps_design.discrepancy.search.outcome import FitsBySet, OfAKind, Outcome, set_of
 from emps_design.discrepancy.search.pruning import pruned
 from emps_design.discrepancy.search.starts import tangent
 from emps_design.effects import Effect
 
 BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
+A_FEW = len(BEAM)  # effects after which the search goes on from one set only
 MOST_EFFECTS = 7
 PASSES = 5  # times the search goes on, from an exchange, an effect that was far behind, or a curve
 UNFINISHED = "interrupted: the search was not finished, what follows is what was known by then"
@@ -31,59 +32,91 @@ UNFINISHED = "interrupted: the search was not finished, what follows is what was
 Step = tuple[frozenset[str], frozenset[str]]  # from the effects of one model to those of another
 
 
-def search(calibration: Calibration, progress: Progress, before: Candidate | None = None) -> Outcome:
+def search(
+    calibration: Calibration,
+    progress: Progress,
+    of_a_kind: Callable[[Calibration], OfAKind | None] | None = None,
+    before: Candidate | None = None,
+) -> Outcome:
     """Extend the baseline of ``calibration`` while its judge accepts the best admissible extension.
 
-    A model that was found ``before``, under other noise, is gone on from where the search leaves more than it. An
-    interrupt from the keyboard ends the search where it is.
+    Where a few effects leave structure, an unknown force ``of_a_kind`` that explains it ends the search. A model that
+    was found ``before``, under other noise, is gone on from where the search leaves more than it. An interrupt from the
+    keyboard ends the search where it is.
     """
-    baseline, judge = calibration.baseline, calibration.judge
-    known = baseline.model.names
-    tried: FitsBySet = {frozenset(known): baseline}
+    baseline = calibration.baseline
+    tried: FitsBySet = {set_of(baseline): baseline}
     alone: dict[str, float] = {}
     path, warnings, interrupted = [baseline], calibration.warnings, False
-    gone_on: dict[Step, float] = {}  # from one set to another, and its cost there
+    force = None
     try:
-        for _ in range(PASSES):
-            _extend(calibration, path, tried, alone, progress)
-            path += pruned(path[-1], known, tried, judge.accepts)
-            better = (
-                _found_before(before, path[-1], tried)
-                or _exchanged(calibration, path[-1], tried, progress)
-                or _far_behind(calibration, path[-1], tried, progress)
-                or _beyond(calibration, path[-1], tried, progress)
-            )
-            if better is None or not _pays_again(better, (set_of(path[-1]), set_of(better)), gone_on):
-                break
-            path.append(better)
-        else:
-            path += pruned(path[-1], known, tried, judge.accepts)
+        more = _extend(calibration, path, tried, alone, progress, A_FEW)
+        if of_a_kind is not None and calibration.judge.leaves_structure(path[-1]):
+            progress("whether it is an unknown force of one kind", 0.6)
+            force = of_a_kind(calibration)
+        if force is None:
+            if more:
+                _extend(calibration, path, tried, alone, progress, MOST_EFFECTS)
+            _go_on(calibration, path, tried, alone, progress, before)
         path[-1] = freed(path[-1])
         _remember(tried, _rivals(path, tried))
     except KeyboardInterrupt:
         warnings, interrupted = (*warnings, UNFINISHED), True
-    return Outcome(calibration, tuple(path), tried, alone, interrupted, warnings)
+    return Outcome(calibration, tuple(path), tried, alone, interrupted, warnings, force)
+
+
+def _go_on(
+    calibration: Calibration,
+    path: list[Fit],
+    tried: FitsBySet,
+    alone: dict[str, float],
+    progress: Progress,
+    before: Candidate | None,
+) -> None:
+    """Prune the last model of ``path``, exchange its effects and extend it again, until nothing leaves less."""
+    known, accepts = calibration.baseline.model.names, calibration.judge.accepts
+    gone_on: dict[Step, float] = {}  # from one set to another, and its cost there
+    for _ in range(PASSES):
+        path += pruned(path[-1], known, tried, accepts)
+        better = (
+            _found_before(before, path[-1], tried)
+            or _exchanged(calibration, path[-1], tried, progress)
+            or _far_behind(calibration, path[-1], tried, progress)
+            or _beyond(calibration, path[-1], tried, progress)
+        )
+        if better is None or not _pays_again(better, (set_of(path[-1]), set_of(better)), gone_on):
+            break
+        path.append(better)
+        _extend(calibration, path, tried, alone, progress, MOST_EFFECTS)
+    else:
+        path += pruned(path[-1], known, tried, accepts)
 
 
 def _extend(
-    calibration: Calibration, path: list[Fit], tried: FitsBySet, alone: dict[str, float], progress: Progress
-) -> None:
+    calibration: Calibration,
+    path: list[Fit],
+    tried: FitsBySet,
+    alone: dict[str, float],
+    progress: Progress,
+    most: int,
+) -> bool:
     """Add effects to the last model of ``path`` while one is accepted, and to ``tried`` what was fitted on the way.
 
-    ``alone`` takes what each effect gained in the very first round.
+    ``alone`` takes what each effect gained in the very first round. Returns whether it has ``most`` effects now, and
+    more might be accepted.
     """
     baseline, accept, beam = calibration.baseline, calibration.judge.accepts, path[-1:]
     noise, library = baseline.problem.samples("used"), _library(calibration, general=False)
     if not _found(calibration, path[-1]):
         beam = [*beam, *_as_given(path[-1])]
-    while (number := 1 + _found(calibration, path[-1])) <= MOST_EFFECTS:
+    while (number := 1 + _found(calibration, path[-1])) <= most:
         sound, gains = _round(calibration, beam, number, library, progress)
         if not alone:
             alone.update(gains)
         _remember(tried, sound.values())
         ranked = _ranked(path[-1], sound, accept)
         if not ranked:
-            break
+            return False
         gain = baseline.cost - ranked[0].cost
         others = ranked[1 : BEAM[min(number, len(BEAM)) - 1]]
         # The best is kept even where it leaves more bursts than the baseline, which hardly count in what is accepted.
@@ -95,7 +128,8 @@ def _extend(
             beam = beam[:1]  # what is to be found on top of another set would have to leave less than noise
         explained = baseline.cost - path[-1].cost
         if number >= rules.ENOUGH_ROUNDS and explained < rules.LEAST_EXPLAINED * (baseline.cost - noise):
-            break
+            return False
+    return True
 
 
 def _as_given(fitted: Fit) -> list[Fit]:

@@ -2,25 +2,90 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 
+import numpy as np
+
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.model.fit import Fit, evaluate, fit
 from emps_design.discrepancy.model.problem import Hypothesis
+from emps_design.discrepancy.model.unknown_force import KINDS, Columns, beside_kind, with_kind
 from emps_design.discrepancy.search.beam_search import search
-from emps_design.discrepancy.search.calibration import calibrate
-from emps_design.discrepancy.search.outcome import Outcome
+from emps_design.discrepancy.search.calibration import Calibration, calibrate
+from emps_design.discrepancy.search.outcome import OfAKind, Outcome
+from emps_design.errors import SimulationError
 
 
-def search_beside(outcome: Outcome, start: Hypothesis) -> Outcome:
-    """Search again from ``start``, the baseline of ``outcome`` where an unknown force explains nothing.
+def search_beside(calibration: Calibration, start: Hypothesis) -> Outcome:
+    """Search again from ``start``, the baseline of ``calibration`` where an unknown force explains nothing.
 
     As any smooth function of the state it could follow most friction too; what happens at an instant, drifts, delays or
     repeats along the travel it cannot. A curve of any shape is one of them, and is not looked for.
     """
-    first = outcome.calibration
-    library = tuple(effect for effect in first.preparation.library if not effect.general and not effect.element)
-    preparation = replace(first.preparation, start=start, library=library)
-    return search(calibrate(preparation, start, first.floor, 0, 0, _silent), _silent)
+    first = calibration.preparation
+    library = tuple(effect for effect in first.library if not effect.general and not effect.element)
+    preparation = replace(first, start=start, library=library)
+    return search(calibrate(preparation, start, calibration.floor, 0, 0, _silent), _silent)
+
+
+def of_a_kind(calibration: Calibration) -> OfAKind | None:
+    """An unknown force of one kind, and what is found beside it, where the two leave next to nothing.
+
+    None where they do not, or where there are no data to confirm them. An interrupt goes on to the search that asks.
+    """
+    baseline = calibration.baseline
+    best = None if calibration.preparation.held_out is None else _kind_beside(baseline)
+    if best is None:
+        return None
+    kind, columns, start = best
+    with suppress(SimulationError):
+        again = search_beside(calibration, with_kind(start, columns))
+        if again.interrupted:
+            raise KeyboardInterrupt
+        found = again.calibration.judge.refitted(again.best)
+        if next_to_nothing(baseline, evaluate(with_kind(found, columns))):
+            return OfAKind(kind, columns, again, found)
+    return None
+
+
+def next_to_nothing(before: Hypothesis, after: Hypothesis) -> bool:
+    """Whether ``after`` leaves nothing but noise, or next to nothing of the gap of ``before``."""
+    return only_noise(after, rules.STRUCTURED) or _excess(after) <= (1.0 - rules.COMPLETE) * _excess(before)
+
+
+def only_noise(hypothesis: Hypothesis, most: float) -> bool:
+    """Whether ``hypothesis`` leaves no more than ``most`` times the whitened cost of noise."""
+    return _excess(hypothesis) <= (most - 1.0) * hypothesis.problem.samples("used")
+
+
+def _kind_beside(baseline: Fit) -> tuple[str, Columns, Fit] | None:
+    """The kind of force beside which ``baseline`` leaves least, its columns and that fit; None where there is none.
+
+    With more columns where these leave clearly less: else they would only take the part of something known.
+    """
+    fits = [(name, columns, one) for name, (columns, *_) in KINDS.items() for one in _fitted_beside(baseline, columns)]
+    if not fits:
+        return None
+    name, columns, best = min(fits, key=lambda found: found[2].cost)
+    for finer in KINDS[name][1:]:
+        for one in _fitted_beside(baseline, finer):
+            if _excess(one) < rules.SHARPER * _excess(best):
+                columns, best = finer, one
+    return (name, columns, best) if _excess(best) <= (1.0 - rules.OF_A_KIND) * _excess(baseline) else None
+
+
+def _fitted_beside(baseline: Fit, columns: Columns) -> list[Fit]:
+    """``baseline`` fitted beside an unknown force; nothing where it does not run with one."""
+    with suppress(SimulationError):
+        return [fit(beside_kind(baseline, columns))]
+    return []
+
+
+def _excess(hypothesis: Hypothesis) -> float:
+    """Whitened cost over that of noise alone."""
+    return float(np.sum(np.square(hypothesis.residual("used")))) - hypothesis.problem.samples("used")
 
 
 def _silent(stage: str, done: float) -> None:
-    """Nothing is told: this is part of the confirmation."""
+    """Nothing is told: this is part of a search, or of the confirmation."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from emps_design.discrepancy.model.fit import Fit
+from emps_design.discrepancy.model.unknown_force import Columns
 from emps_design.discrepancy.search.calibration import Calibration
 
 FitsBySet = dict[frozenset[str], Fit]
@@ -21,7 +22,8 @@ class Outcome:
 
     ``tried`` are all admissible models fitted in full, by their sets of effects; ``alone`` is what each effect gained
     alone in the first round [whitened cost]; ``interrupted``: by the user, before the search had ended; ``warnings``
-    are those of this search and of the ones that it took the place of.
+    are those of this search and of the ones that it took the place of; ``of_a_kind`` is an unknown force that ended the
+    search early, where one explains what it left.
     """
 
     calibration: Calibration
@@ -30,8 +32,23 @@ class Outcome:
     alone: dict[str, float] = field(default_factory=dict, repr=False)
     interrupted: bool = False
     warnings: tuple[str, ...] = ()
+    of_a_kind: OfAKind | None = None
 
     @property
     def best(self) -> Fit:
         """The model accepted last."""
         return self.path[-1]
+
+
+@dataclass(frozen=True)
+class OfAKind:
+    """An unknown force of one ``kind`` of ``unknown_force.KINDS``, by its ``columns``.
+
+    ``outcome`` is that of a search beside it, and ``found`` its best model, maybe without effects, fitted to all of the
+    records that may be used: the two leave next to nothing of these.
+    """
+
+    kind: str
+    columns: Columns
+    outcome: Outcome
+    found: Fit

@@ -18,9 +18,9 @@ from emps_design.discrepancy.model.fit import Fit, evaluate, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.model.state import beside_state
-from emps_design.discrepancy.model.unknown_force import KINDS, Columns, beside_kind, with_kind
+from emps_design.discrepancy.model.unknown_force import with_kind
 from emps_design.discrepancy.search.acceptance import force_rms
-from emps_design.discrepancy.search.beside_unknown import search_beside
+from emps_design.discrepancy.search.beside_unknown import next_to_nothing, only_noise, search_beside
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.validation.confirmation import claims_on, standing
 from emps_design.discrepancy.validation.evidence import Asked
@@ -34,7 +34,8 @@ class Beside:
     """A fit judged beside an unknown force, how much of its effects the confirming data ask for, their equivalents.
 
     ``kind`` of ``KINDS`` is what the force is like; empty where it may be any function of the state. ``left`` [N] is
-    the rms that the two leave, on training or confirming records, whichever is more.
+    the rms that the two leave, on training or confirming records, whichever is more; ``only_noise`` whether that is
+    nothing but noise on both.
     """
 
     found: Fit
@@ -42,6 +43,7 @@ class Beside:
     equivalents: dict[str, list[str]]
     kind: str = ""
     left: float = np.inf
+    only_noise: bool = False
 
     @property
     def names(self) -> list[str]:
@@ -49,56 +51,36 @@ class Beside:
         return [one.name for one in self.asked]
 
 
-def found_beside_state(outcome: Outcome, data: HeldOut) -> Beside | None:
-    """What a second search finds beside the state and the confirming ``data`` ask for there; None where nothing."""
-    return _found(outcome, beside_state(outcome.calibration.baseline), beside_state(_known_on(data, outcome)), data)
-
-
 def found_beside_kind(outcome: Outcome, data: HeldOut) -> Beside | None:
-    """What is found beside an unknown force of one kind, maybe nothing, where the two leave next to nothing; else None.
+    """What the search found beside an unknown force of one kind, maybe nothing; None where there is no such force.
 
-    Of training and confirming records alike, as much as of a gap without anything unknown.
+    Where the two leave next to nothing of the confirming ``data`` either, with the force fitted anew there.
     """
-    baseline, known = outcome.calibration.baseline, _known_on(data, outcome)
-    kind = _kind_beside(baseline)
-    if kind is None:
+    force = outcome.of_a_kind
+    if force is None:
         return None
-    name, columns, start = kind
+    known, alone = _known_on(data, outcome), force.outcome.path[0]
     with suppress(SimulationError):
-        begin, there = (with_kind(one, columns) for one in _on_both(start, known, data))
-        beside = _found(outcome, begin, there, data) or Beside(fit(begin), [], {})
-        after = [evaluate(with_kind(one, columns)) for one in _on_both(beside.found, there, data)]
-        if all(map(_complete, (outcome.path[0], known), after)):
-            return replace(beside, kind=name, left=max(map(force_rms, after)))
+        there = with_kind(_on(data, known, alone), force.columns)
+        beside = _standing(force.outcome, force.found, there, data)
+        if not beside.names:
+            beside = replace(beside, found=alone)
+        both = (beside.found, _on(data, there, beside.found))
+        after = [evaluate(with_kind(one, force.columns)) for one in both]
+        if all(map(next_to_nothing, (outcome.path[0], known), after)):
+            quiet = all(only_noise(one, rules.AT_FLOOR) for one in after)
+            return replace(beside, kind=force.kind, left=max(map(force_rms, after)), only_noise=quiet)
     return None
 
 
-def _kind_beside(baseline: Fit) -> tuple[str, Columns, Fit] | None:
-    """The kind of force beside which ``baseline`` leaves least, its columns and that fit; None where there is none.
-
-    With more columns where these leave clearly less: else they would only take the part of something known.
-    """
-    fits = [(name, columns, one) for name, (columns, *_) in KINDS.items() for one in _fitted_beside(baseline, columns)]
-    if not fits:
+def found_beside_state(outcome: Outcome, data: HeldOut) -> Beside | None:
+    """What a second search finds beside the state and the confirming ``data`` ask for there; None where nothing."""
+    again = search_beside(outcome.calibration, beside_state(outcome.calibration.baseline))
+    if again.best.model.names == outcome.path[0].model.names:
         return None
-    name, columns, best = min(fits, key=lambda found: found[2].cost)
-    for finer in KINDS[name][1:]:
-        for one in _fitted_beside(baseline, finer):
-            if _excess(one) < rules.SHARPER * _excess(best):
-                columns, best = finer, one
-    return (name, columns, best) if _excess(best) <= (1.0 - rules.OF_A_KIND) * _excess(baseline) else None
-
-
-def _fitted_beside(baseline: Fit, columns: Columns) -> list[Fit]:
-    """``baseline`` fitted beside an unknown force; nothing where it does not run with one."""
-    with suppress(SimulationError):
-        return [fit(beside_kind(baseline, columns))]
-    return []
-
-
-def _on_both(found: Fit, there: Hypothesis, data: HeldOut) -> tuple[Hypothesis, Hypothesis]:
-    """``found`` on its records, and on the confirming ``data`` as they are judged ``there``."""
-    return found, there.with_model(adapted(data, found.model, found.model))
+    found = again.calibration.judge.refitted(again.best)
+    beside = _standing(again, found, beside_state(_known_on(data, outcome)), data)
+    return beside if beside.names else None
 
 
 def _known_on(data: HeldOut, outcome: Outcome) -> Hypothesis:
@@ -106,31 +88,19 @@ def _known_on(data: HeldOut, outcome: Outcome) -> Hypothesis:
     return Hypothesis(data.problem, outcome.path[0].model.only(0))
 
 
-def _found(outcome: Outcome, start: Hypothesis, there: Hypothesis, data: HeldOut) -> Beside | None:
-    """What a second search finds from ``start``, beside an unknown force, and the confirming ``data`` ask for.
+def _on(data: HeldOut, there: Hypothesis, found: Fit) -> Hypothesis:
+    """The model of ``found`` on the confirming ``data`` as they are judged ``there``."""
+    return there.with_model(adapted(data, found.model, found.model))
 
-    ``there`` is beside the force on those data. None where nothing is found or asked for.
+
+def _standing(again: Outcome, found: Fit, there: Hypothesis, data: HeldOut) -> Beside:
+    """What the confirming ``data`` ask for of what the search ``again`` ``found``, beside the force as it is ``there``.
+
+    Empty where that is nothing.
     """
-    known = outcome.path[0].model
-    again = search_beside(outcome, start)
-    if again.best.model.names == known.names:
-        return None
     data = replace(data, problem=there.problem)
-    found, _ = standing(data, again.calibration.judge.refitted(again.best))
-    if found.model.names == known.names:
-        return None
-    return Beside(found, claims_on(data, found), alike_in_company(again, found))
-
-
-def _complete(before: Hypothesis, after: Hypothesis) -> bool:
-    """Whether ``after`` leaves nothing but noise, or next to nothing of the gap of ``before``."""
-    noise = (rules.STRUCTURED - 1.0) * before.problem.samples("used")
-    return _excess(after) <= max(noise, (1.0 - rules.COMPLETE) * _excess(before))
-
-
-def _excess(hypothesis: Hypothesis) -> float:
-    """Whitened cost over that of noise alone."""
-    return float(np.sum(np.square(hypothesis.residual("used")))) - hypothesis.problem.samples("used")
+    stands, _ = standing(data, found)
+    return Beside(stands, claims_on(data, stands), alike_in_company(again, stands))
 
 
 def joined(stands: Fit, beside: Beside, data: HeldOut) -> tuple[Fit, list[Asked]]:

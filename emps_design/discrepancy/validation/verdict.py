@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.checks.preparation import HeldOut
@@ -157,49 +155,46 @@ def _all_or_nothing(outcome: Outcome, data: HeldOut | None, start: Fit, searched
 
 
 def _effect_by_effect(outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer) -> _Answer:
-    """What of ``searched`` stands on its own evidence: all or nothing is the wrong question where structure is left.
+    """What stands on its own evidence: all or nothing is the wrong question where structure is left.
 
-    With what stands beside an unknown force: of one kind, where that and few effects, or none, leave next to nothing
-    of the confirming ``data`` too, or any function of the state. Else what leaves more of those data than its baseline
-    is not said.
+    Beside an unknown force of one kind, where that and few effects leave next to nothing of the confirming ``data``
+    too; where none is needed, nothing is said. Else of ``searched``, with what stands beside any function of the state,
+    and only what leaves less of those data than its baseline.
     """
-    by_itself = partial(_by_itself, outcome, data, searched, answer)
-    beside, joint = None, []
-    if data is None:
-        own = by_itself()
-    else:  # the longest first, as this thread hears an interrupt: that ends the search only
-        beside, own = _side_by_side(partial(found_beside_kind, outcome, data), by_itself)
-        if beside is None or not beside.names:
-            beside = found_beside_state(outcome, data) or beside
-        joint = [_with(beside, own, answer.baseline, data)] if beside and beside.names else []
-    answers = joint if joint and joint[0].kind else [*joint, own]
+    force = None if data is None else found_beside_kind(outcome, data)
+    if data is not None and force is not None and (force.names or force.only_noise):
+        nothing = _Answer("partly-named", answer.baseline, answer.baseline, {}, [], (), (), None)
+        answers = [_with(force, nothing, answer.baseline, data)] if force.names else []
+    else:
+        answers = _beside_anything(outcome, data, searched, answer)
     compared = [_compared(one, data) for one in answers if _sayable(one)]
     tenable = [one for one in compared if one.kind or one.left[1] < one.left[0]]
     if tenable:
         return min(tenable, key=lambda one: one.left[1])
     given_up = answer.given_up or answer.extended.model.names
-    if beside and not joint:
-        answer = replace(answer, kind=beside.kind, kind_leaves=beside.left)
-    return replace(answer, verdict="unnamed", equivalents=own.equivalents, given_up=given_up)
+    if force is not None:
+        answer = replace(answer, kind=force.kind, kind_leaves=force.left)
+    return replace(answer, verdict="unnamed", equivalents=answers[-1].equivalents if answers else {}, given_up=given_up)
 
 
-def _side_by_side(*searches: Callable[[], Any]) -> list[Any]:
-    return side_by_side(lambda search: search(), [(search,) for search in searches])
+def _beside_anything(outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer) -> list[_Answer]:
+    """What of ``searched`` stands on its own evidence, and the same with what is found beside the state."""
+    by_itself = partial(_by_itself, outcome, data, searched, answer)
+    if data is None:
+        return [by_itself()]
+    # The longest first, as this thread hears an interrupt: that ends the search only.
+    beside, own = side_by_side(
+        lambda find: find(), [(find,) for find in (partial(found_beside_state, outcome, data), by_itself)]
+    )
+    return [own] if beside is None else [_with(beside, own, answer.baseline, data), own]
 
 
 def _by_itself(outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer) -> _Answer:
     """``answer`` with those effects of ``searched`` that stand on their own evidence."""
     stands, withdrawn = standing(data, searched)
-    return replace(
-        answer,
-        verdict="partly-named",
-        baseline=robust(answer.baseline),
-        extended=stands,
-        equivalents=alike_in_company(outcome, stands),
-        asked=[] if data is None else claims_on(data, stands),
-        refuted=withdrawn,
-        given_up=(),
-        held_out=None,
+    asked = [] if data is None else claims_on(data, stands)
+    return _Answer(
+        "partly-named", robust(answer.baseline), stands, alike_in_company(outcome, stands), asked, withdrawn, (), None
     )
 
 
@@ -213,7 +208,7 @@ def _with(beside: Beside, answer: _Answer, baseline: Fit, data: HeldOut) -> _Ans
         extended=both,
         kind=beside.kind,
         kind_leaves=beside.left,
-        equivalents={name: answer.equivalents[name] for name in own} | beside.equivalents,
+        equivalents={name: answer.equivalents.get(name, []) for name in own} | beside.equivalents,
         asked=asked + beside.asked,
         refuted=tuple(one for one in answer.refuted if one.name not in beside.names),
     )

@@ -17,6 +17,8 @@ from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.discrepancy.search import extension, pruning
 from emps_design.discrepancy.search.acceptance import Judge, _seen_again
 from emps_design.discrepancy.search.beam_search import (
+    A_FEW,
+    MOST_EFFECTS,
     _extend,
     _far_behind,
     _found_before,
@@ -24,6 +26,7 @@ from emps_design.discrepancy.search.beam_search import (
     _pair,
     _pays_again,
     _rivals,
+    search,
 )
 from emps_design.discrepancy.search.exchange import exchanges
 from emps_design.discrepancy.search.extension import _fitted, converged, extended, extensions, freed
@@ -195,9 +198,42 @@ def test_what_is_accepted_is_kept_where_it_leaves_more_bursts(monkeypatch):
         tried,
         {},
         lambda stage, done: None,
+        MOST_EFFECTS,
     )
     assert path == [baseline, worse]
     assert list(tried) == [frozenset({"actuator_lag"})]
+
+
+@pytest.mark.parametrize("explains", [True, False])
+def test_a_force_of_a_kind_that_explains_what_a_few_effects_leave_ends_the_search(monkeypatch, explains):
+    baseline = fit(hypothesis(BASELINE))
+    larger = iter(range(1, MOST_EFFECTS + 1))
+    monkeypatch.setattr(sys.modules[search.__module__], "_go_on", lambda *given: None)
+    monkeypatch.setattr(sys.modules[search.__module__], "freed", lambda found: found)
+    monkeypatch.setattr(sys.modules[search.__module__], "_rivals", lambda path, tried: [])
+    monkeypatch.setattr(sys.modules[search.__module__], "converged", lambda found: found)
+
+    def one_more(calibration, beam, *rest):
+        effect = replace(LAG, name=f"effect_{next(larger)}")
+        model = beam[0].model.with_effect(effect, np.array([[1e-3]]))
+        better = SimpleNamespace(model=model, cost=0.5 * beam[0].cost, problem=baseline.problem)
+        return {frozenset(model.names): better}, {}
+
+    monkeypatch.setattr(sys.modules[search.__module__], "_round", one_more)
+    asked = []
+
+    def of_a_kind(calibration):
+        asked.append(calibration)
+        return "a force" if explains else None
+
+    judge = SimpleNamespace(accepts=lambda better, worse: True, leaves_structure=lambda fitted: True)
+    calibration = SimpleNamespace(
+        baseline=baseline, judge=judge, preparation=SimpleNamespace(library=()), warnings=(), screened=[]
+    )
+    outcome = search(calibration, lambda stage, done: None, of_a_kind)
+    assert asked == [calibration]
+    assert outcome.of_a_kind == ("a force" if explains else None)
+    assert len(outcome.best.model.effects) == (A_FEW if explains else MOST_EFFECTS)
 
 
 def test_two_effects_are_found_of_which_neither_is_accepted_alone(monkeypatch):
