@@ -35,7 +35,7 @@ Step = tuple[frozenset[str], frozenset[str]]  # from the effects of one model to
 def search(
     calibration: Calibration,
     progress: Progress,
-    of_a_kind: Callable[[Calibration], OfAKind | None] | None = None,
+    of_a_kind: Callable[[Calibration, list[Fit]], OfAKind | None] | None = None,
     before: Candidate | None = None,
 ) -> Outcome:
     """Extend the baseline of ``calibration`` while its judge accepts the best admissible extension.
@@ -53,7 +53,7 @@ def search(
         more = _extend(calibration, path, tried, alone, progress, A_FEW)
         if of_a_kind is not None and calibration.judge.leaves_structure(path[-1]):
             progress("whether it is an unknown force of one kind", 0.6)
-            force = of_a_kind(calibration)
+            force = of_a_kind(calibration, path)
         if force is None:
             if more:
                 _extend(calibration, path, tried, alone, progress, MOST_EFFECTS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -16,6 +17,8 @@ from emps_design.discrepancy.search.calibration import Calibration, calibrate
 from emps_design.discrepancy.search.outcome import OfAKind, Outcome
 from emps_design.errors import SimulationError
 
+STARTS = 2  # models of the path beside which a kind of force is looked for
+
 
 def search_beside(calibration: Calibration, start: Hypothesis) -> Outcome:
     """Search again from ``start``, the baseline of ``calibration`` where an unknown force explains nothing.
@@ -29,23 +32,32 @@ def search_beside(calibration: Calibration, start: Hypothesis) -> Outcome:
     return search(calibrate(preparation, start, calibration.floor, 0, 0, _silent), _silent)
 
 
-def of_a_kind(calibration: Calibration) -> OfAKind | None:
+def of_a_kind(calibration: Calibration, path: Sequence[Fit]) -> OfAKind | None:
     """An unknown force of one kind, and what is found beside it, where the two leave next to nothing.
 
-    None where they do not, or where there are no data to confirm them. An interrupt goes on to the search that asks.
+    Looked for beside the first of the models of ``path``, the baseline, and beside the second: a motor at its limit
+    hides of which kind the rest is. None where there is no such force, or where there are no data to confirm it. An
+    interrupt goes on to the search that asks.
     """
-    baseline = calibration.baseline
-    best = None if calibration.preparation.held_out is None else _kind_beside(baseline)
+    if calibration.preparation.held_out is None:
+        return None
+    found = (_explained(calibration, start) for start in path[:STARTS])
+    return next((force for force in found if force is not None), None)
+
+
+def _explained(calibration: Calibration, start: Fit) -> OfAKind | None:
+    """The force that leaves least beside ``start``, with what a search beside it finds; None where more is left."""
+    best = _kind_beside(start)
     if best is None:
         return None
-    kind, columns, start = best
+    kind, columns, beside = best
     with suppress(SimulationError):
-        again = search_beside(calibration, with_kind(start, columns))
+        again = search_beside(calibration, Hypothesis(beside.problem, calibration.baseline.model))
         if again.interrupted:
             raise KeyboardInterrupt
         found = again.calibration.judge.refitted(again.best)
-        if next_to_nothing(baseline, evaluate(with_kind(found, columns))):
-            return OfAKind(kind, columns, again, found)
+        if next_to_nothing(start, evaluate(with_kind(found, columns))):
+            return OfAKind(kind, columns, start, again, found)
     return None
 
 
@@ -59,26 +71,26 @@ def only_noise(hypothesis: Hypothesis, most: float) -> bool:
     return _excess(hypothesis) <= (most - 1.0) * hypothesis.problem.samples("used")
 
 
-def _kind_beside(baseline: Fit) -> tuple[str, Columns, Fit] | None:
-    """The kind of force beside which ``baseline`` leaves least, its columns and that fit; None where there is none.
+def _kind_beside(start: Fit) -> tuple[str, Columns, Fit] | None:
+    """The kind of force beside which ``start`` leaves least, its columns and that fit; None where there is none.
 
     With more columns where these leave clearly less: else they would only take the part of something known.
     """
-    fits = [(name, columns, one) for name, (columns, *_) in KINDS.items() for one in _fitted_beside(baseline, columns)]
+    fits = [(name, columns, one) for name, (columns, *_) in KINDS.items() for one in _fitted_beside(start, columns)]
     if not fits:
         return None
     name, columns, best = min(fits, key=lambda found: found[2].cost)
     for finer in KINDS[name][1:]:
-        for one in _fitted_beside(baseline, finer):
+        for one in _fitted_beside(start, finer):
             if _excess(one) < rules.SHARPER * _excess(best):
                 columns, best = finer, one
-    return (name, columns, best) if _excess(best) <= (1.0 - rules.OF_A_KIND) * _excess(baseline) else None
+    return (name, columns, best) if _excess(best) <= (1.0 - rules.OF_A_KIND) * _excess(start) else None
 
 
-def _fitted_beside(baseline: Fit, columns: Columns) -> list[Fit]:
-    """``baseline`` fitted beside an unknown force; nothing where it does not run with one."""
+def _fitted_beside(start: Fit, columns: Columns) -> list[Fit]:
+    """``start`` fitted beside an unknown force in the loop; nothing where it does not run with one."""
     with suppress(SimulationError):
-        return [fit(beside_kind(baseline, columns))]
+        return [fit(with_kind(fit(beside_kind(start, columns)), columns))]
     return []
 
 

@@ -45,10 +45,11 @@ class OfAKind:
     """An unknown force of one ``kind`` of ``unknown_force.KINDS``, by its ``columns``.
 
     ``outcome`` is that of a search beside it, and ``found`` its best model, maybe without effects, fitted to all of the
-    records that may be used: the two leave next to nothing of these.
+    records that may be used: the two leave next to nothing of what the model ``start`` does.
     """
 
     kind: str
     columns: Columns
+    start: Fit
     outcome: Outcome
     found: Fit

@@ -59,15 +59,16 @@ def found_beside_kind(outcome: Outcome, data: HeldOut) -> Beside | None:
     force = outcome.of_a_kind
     if force is None:
         return None
-    known, alone = _known_on(data, outcome), force.outcome.path[0]
+    known = _known_on(data, outcome)
+    before = (force.start, _on(data, known, force.start))
     with suppress(SimulationError):
-        there = with_kind(_on(data, known, alone), force.columns)
+        there = with_kind(_on(data, known, force.found), force.columns)
         beside = _standing(force.outcome, force.found, there, data)
         if not beside.names:
-            beside = replace(beside, found=alone)
+            beside = replace(beside, found=force.outcome.path[0])
         both = (beside.found, _on(data, there, beside.found))
         after = [evaluate(with_kind(one, force.columns)) for one in both]
-        if all(map(next_to_nothing, (outcome.path[0], known), after)):
+        if all(map(next_to_nothing, before, after)):
             quiet = all(only_noise(one, rules.AT_FLOOR) for one in after)
             return replace(beside, kind=force.kind, left=max(map(force_rms, after)), only_noise=quiet)
     return None
