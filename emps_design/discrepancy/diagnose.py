@@ -12,8 +12,7 @@ from emps_design.discrepancy.checks.long_records import beginnings, look_at_the_
 from emps_design.discrepancy.checks.preparation import prepare
 from emps_design.discrepancy.explain.explanation import explain
 from emps_design.discrepancy.result import Diagnosis
-from emps_design.discrepancy.search.beam_search import search
-from emps_design.discrepancy.search.beside_unknown import of_a_kind
+from emps_design.discrepancy.search.beside_unknown import search_or_kind
 from emps_design.discrepancy.search.calibration import Progress, calibrate, first_noise
 from emps_design.discrepancy.search.noise_floor import LEFT, Floor, floor_of_laps, floor_of_residual
 from emps_design.discrepancy.search.outcome import Outcome
@@ -67,12 +66,12 @@ def diagnose(
         report(f"fitting the baseline{seen}", 0.05)
         rough, floor = first_noise(preparation)
         part = partial(_part, report, *SEARCHES[0])
-        outcome = search(calibrate(preparation, rough, floor, seed, searches, part), part, of_a_kind)
+        outcome = search_or_kind(calibrate(preparation, rough, floor, seed, searches, part), part)
         hears(outcome.best.model.to_axis(axis))
         outcome = _repeated(outcome, seed, searches, report)
         hears(outcome.best.model.to_axis(axis))
         report("confirming on data not used so far", 0.9)
-        validation = validate(outcome)
+        validation = validate(outcome, partial(_part, report, *SEARCHES[-1]))
         rest, more = look_at_the_rest(records, parts, preparation.laws, validation.extended)
         if closest:
             report("looking for the model that follows most closely", 0.95)
@@ -90,7 +89,7 @@ def _repeated(outcome: Outcome, seed: int, searches: int, report: Progress) -> O
         runs = searches if calibration.healthy.searched else 0  # an interrupt ended the calibration for good
         try:
             calibration = calibrate(calibration.preparation, calibration.baseline, floor, seed, runs, part)
-            again = search(calibration, part, of_a_kind, outcome.best.model)
+            again = search_or_kind(calibration, part, outcome.best.model)
         except KeyboardInterrupt:
             again = None
         if again is None or again.interrupted:

@@ -229,6 +229,11 @@ class Hypothesis:
         """Innovations on the samples of ``part`` of all records, in one vector."""
         return self.problem.gather(self.whitened(), part)
 
+    def excess(self) -> float:
+        """Whitened cost of all that may be used over that of noise alone."""
+        innovations = self.residual("used")
+        return float(innovations @ innovations) - innovations.size
+
     def left(self) -> list[np.ndarray]:
         """What the model leaves of the force [N] on the used samples, one array (n_used,) per record.
 

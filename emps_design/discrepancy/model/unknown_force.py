@@ -8,6 +8,7 @@ the closed loop: a column is simulated as a force on the carriage, and not taken
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
@@ -18,9 +19,11 @@ from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import RANK, Hypothesis
 from emps_design.discrepancy.model.state import along, memories
 from emps_design.effects import Motion
+from emps_design.errors import SimulationError
 from emps_design.identification.filters import motion
 
 COARSE, FINE = 6, 12  # degrees of the polynomials in position
+SHARES = (1.0, 0.5, 0.25, 0.125)  # of a force that is put in the loop
 PUSH = 0.1  # of the force that a model leaves: rms of a column when its answer is simulated
 
 # Forces (n, k) along a measured motion, which the force has taken part in, and the simulated position (n,) [m].
@@ -65,7 +68,8 @@ def beside_kind(hypothesis: Hypothesis, kind: Columns) -> Hypothesis:
 def with_kind(hypothesis: Hypothesis, kind: Columns) -> Hypothesis:
     """:func:`beside_kind` about the loop on which the force of that kind acts that explains most of what is left.
 
-    A force that is a good part of all that moves the carriage changes how the loop answers. Raises as that does.
+    A force that is a good part of all that moves the carriage changes how the loop answers; of a motor at its limit so
+    much that only a share of ``SHARES`` of it may leave less. Raises as that does.
     """
     problem = replace(hypothesis.problem, states=())
     hypothesis = Hypothesis(problem, hypothesis.model)
@@ -76,7 +80,18 @@ def with_kind(hypothesis: Hypothesis, kind: Columns) -> Hypothesis:
         for answer, one, used in zip(answers, left, problem.masks("used"), strict=True)
     ]
     forces = [column @ share for column, share in zip(columns, shares, strict=True)]
-    return beside_kind(Hypothesis(problem.with_acting(forces), hypothesis.model), kind)
+    for part in SHARES:
+        acted = Hypothesis(problem.with_acting([part * force for force in forces]), hypothesis.model)
+        if _cost(acted) < _cost(hypothesis):
+            return beside_kind(acted, kind)
+    return beside_kind(hypothesis, kind)
+
+
+def _cost(hypothesis: Hypothesis) -> float:
+    """Whitened cost of what is left; infinite where the model does not run."""
+    with suppress(SimulationError):
+        return float(np.sum(np.square(hypothesis.residual("used"))))
+    return np.inf
 
 
 def _columns(hypothesis: Hypothesis, kind: Columns) -> list[np.ndarray]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.candidate import Candidate
@@ -18,7 +19,7 @@ from emps_design.discrepancy.search.acceptance import Accept
 from emps_design.discrepancy.search.calibration import Calibration, Progress
 from emps_design.discrepancy.search.exchange import exchanges, far_apart
 from emps_design.discrepancy.search.extension import converged, extended, extensions, freed
-from emps_design.discrepancy.search.outcome import FitsBySet, OfAKind, Outcome, set_of
+from emps_design.discrepancy.search.outcome import FitsBySet, Outcome, set_of
 from emps_design.discrepancy.search.pruning import pruned
 from emps_design.discrepancy.search.starts import tangent
 from emps_design.effects import Effect
@@ -32,48 +33,47 @@ UNFINISHED = "interrupted: the search was not finished, what follows is what was
 Step = tuple[frozenset[str], frozenset[str]]  # from the effects of one model to those of another
 
 
-def search(
-    calibration: Calibration,
-    progress: Progress,
-    of_a_kind: Callable[[Calibration, list[Fit]], OfAKind | None] | None = None,
-    before: Candidate | None = None,
-) -> Outcome:
-    """Extend the baseline of ``calibration`` while its judge accepts the best admissible extension.
+def begun(calibration: Calibration, progress: Progress, most: int) -> Outcome:
+    """Extend the baseline of ``calibration`` up to ``most`` effects, while its judge accepts the best admissible one.
 
-    Where a few effects leave structure, an unknown force ``of_a_kind`` that explains it ends the search. A model that
-    was found ``before``, under other noise, is gone on from where the search leaves more than it. An interrupt from the
-    keyboard ends the search where it is.
+    What was found so :func:`finished` may still change. An interrupt from the keyboard ends either where it is.
     """
     baseline = calibration.baseline
-    tried: FitsBySet = {set_of(baseline): baseline}
-    alone: dict[str, float] = {}
-    path, warnings, interrupted = [baseline], calibration.warnings, False
-    force = None
-    try:
-        more = _extend(calibration, path, tried, alone, progress, A_FEW)
-        if of_a_kind is not None and calibration.judge.leaves_structure(path[-1]):
-            progress("whether it is an unknown force of one kind", 0.6)
-            force = of_a_kind(calibration, path)
-        if force is None:
-            if more:
-                _extend(calibration, path, tried, alone, progress, MOST_EFFECTS)
-            _go_on(calibration, path, tried, alone, progress, before)
+    outcome = Outcome(calibration, (baseline,), {set_of(baseline): baseline}, {}, warnings=calibration.warnings)
+    return until_interrupted(outcome, lambda path: _extend(outcome, path, progress, most))
+
+
+def finished(outcome: Outcome, progress: Progress, before: Candidate | None = None) -> Outcome:
+    """A search that was :func:`begun`, gone on with until nothing is accepted any more.
+
+    A model that was found ``before``, under other noise, is gone on from where the search leaves more than it.
+    """
+    if outcome.interrupted:
+        return outcome
+
+    def to_the_end(path: list[Fit]) -> None:
+        if _found(outcome.calibration, path[-1]) >= A_FEW:
+            _extend(outcome, path, progress, MOST_EFFECTS)
+        _go_on(outcome, path, progress, before)
         path[-1] = freed(path[-1])
-        _remember(tried, _rivals(path, tried))
+        _remember(outcome.tried, _rivals(path, outcome.tried))
+
+    return until_interrupted(outcome, to_the_end)
+
+
+def until_interrupted(outcome: Outcome, goes_on: Callable[[list[Fit]], None]) -> Outcome:
+    """``outcome`` with its path as far as ``goes_on`` took it before an interrupt from the keyboard."""
+    path, warnings, interrupted = list(outcome.path), outcome.warnings, False
+    try:
+        goes_on(path)
     except KeyboardInterrupt:
         warnings, interrupted = (*warnings, UNFINISHED), True
-    return Outcome(calibration, tuple(path), tried, alone, interrupted, warnings, force)
+    return replace(outcome, path=tuple(path), warnings=warnings, interrupted=interrupted)
 
 
-def _go_on(
-    calibration: Calibration,
-    path: list[Fit],
-    tried: FitsBySet,
-    alone: dict[str, float],
-    progress: Progress,
-    before: Candidate | None,
-) -> None:
+def _go_on(outcome: Outcome, path: list[Fit], progress: Progress, before: Candidate | None) -> None:
     """Prune the last model of ``path``, exchange its effects and extend it again, until nothing leaves less."""
+    calibration, tried = outcome.calibration, outcome.tried
     known, accepts = calibration.baseline.model.names, calibration.judge.accepts
     gone_on: dict[Step, float] = {}  # from one set to another, and its cost there
     for _ in range(PASSES):
@@ -87,36 +87,32 @@ def _go_on(
         if better is None or not _pays_again(better, (set_of(path[-1]), set_of(better)), gone_on):
             break
         path.append(better)
-        _extend(calibration, path, tried, alone, progress, MOST_EFFECTS)
+        _extend(outcome, path, progress, MOST_EFFECTS)
     else:
         path += pruned(path[-1], known, tried, accepts)
 
 
-def _extend(
-    calibration: Calibration,
-    path: list[Fit],
-    tried: FitsBySet,
-    alone: dict[str, float],
-    progress: Progress,
-    most: int,
-) -> bool:
-    """Add effects to the last model of ``path`` while one is accepted, and to ``tried`` what was fitted on the way.
+def _extend(outcome: Outcome, path: list[Fit], progress: Progress, most: int) -> None:
+    """Add up to ``most`` effects to the last model of ``path`` while one is accepted.
 
-    ``alone`` takes what each effect gained in the very first round. Returns whether it has ``most`` effects now, and
-    more might be accepted.
+    What was fitted on the way is added to ``tried``, what each effect gained in the very first round to ``alone``.
     """
-    baseline, accept, beam = calibration.baseline, calibration.judge.accepts, path[-1:]
+    calibration, tried, beam = outcome.calibration, outcome.tried, path[-1:]
+    baseline, accept = calibration.baseline, calibration.judge.accepts
     noise, library = baseline.problem.samples("used"), _library(calibration, general=False)
     if not _found(calibration, path[-1]):
         beam = [*beam, *_as_given(path[-1])]
     while (number := 1 + _found(calibration, path[-1])) <= most:
+        explained = baseline.cost - path[-1].cost
+        if number > rules.ENOUGH_ROUNDS and explained < rules.LEAST_EXPLAINED * (baseline.cost - noise):
+            break
         sound, gains = _round(calibration, beam, number, library, progress)
-        if not alone:
-            alone.update(gains)
+        if not outcome.alone:
+            outcome.alone.update(gains)
         _remember(tried, sound.values())
         ranked = _ranked(path[-1], sound, accept)
         if not ranked:
-            return False
+            break
         gain = baseline.cost - ranked[0].cost
         others = ranked[1 : BEAM[min(number, len(BEAM)) - 1]]
         # The best is kept even where it leaves more bursts than the baseline, which hardly count in what is accepted.
@@ -126,10 +122,6 @@ def _extend(
         path.append(beam[0])
         if (1 - rules.WORTH_AT_FLOOR) * beam[0].cost < noise:
             beam = beam[:1]  # what is to be found on top of another set would have to leave less than noise
-        explained = baseline.cost - path[-1].cost
-        if number >= rules.ENOUGH_ROUNDS and explained < rules.LEAST_EXPLAINED * (baseline.cost - noise):
-            return False
-    return True
 
 
 def _as_given(fitted: Fit) -> list[Fit]:

@@ -2,22 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 
-import numpy as np
-
 from emps_design.discrepancy import rules
+from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import Fit, evaluate, fit
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.model.unknown_force import KINDS, Columns, beside_kind, with_kind
-from emps_design.discrepancy.search.beam_search import search
-from emps_design.discrepancy.search.calibration import Calibration, calibrate
+from emps_design.discrepancy.search.beam_search import A_FEW, begun, finished, until_interrupted
+from emps_design.discrepancy.search.calibration import Calibration, Progress, calibrate
 from emps_design.discrepancy.search.outcome import OfAKind, Outcome
 from emps_design.errors import SimulationError
 
 STARTS = 2  # models of the path beside which a kind of force is looked for
+IN_TURN = 3  # times that a force in the loop and the numbers beside it are fitted
+
+
+def search_or_kind(calibration: Calibration, progress: Progress, before: Candidate | None = None) -> Outcome:
+    """A search, with the unknown force of one kind that explains what a few effects leave; a plain one ends it.
+
+    Looked for where there are data to confirm it, beside the baseline and beside the effect found first: a motor at its
+    limit hides of which kind the rest is.
+    """
+    outcome, found = begun(calibration, progress, A_FEW), list[OfAKind]()
+
+    def look(path: list[Fit]) -> None:
+        progress("whether it is an unknown force of one kind", 0.6)
+        for start in path[:STARTS]:
+            if not found:
+                found.extend(_of_a_kind(calibration, start))
+
+    confirmed = calibration.preparation.held_out is not None
+    if confirmed and not outcome.interrupted and calibration.judge.leaves_structure(outcome.best):
+        outcome = replace(until_interrupted(outcome, look), of_a_kind=found[0] if found else None)
+    return outcome if outcome.ended_early else finished(outcome, progress, before)
 
 
 def search_beside(calibration: Calibration, start: Hypothesis) -> Outcome:
@@ -26,49 +45,60 @@ def search_beside(calibration: Calibration, start: Hypothesis) -> Outcome:
     As any smooth function of the state it could follow most friction too; what happens at an instant, drifts, delays or
     repeats along the travel it cannot. A curve of any shape is one of them, and is not looked for.
     """
+    return finished(_begun_beside(calibration, start), _silent)
+
+
+def _begun_beside(calibration: Calibration, start: Hypothesis) -> Outcome:
+    """The search beside an unknown force up to as many effects as it takes pains with."""
     first = calibration.preparation
     library = tuple(effect for effect in first.library if not effect.general and not effect.element)
     preparation = replace(first, start=start, library=library)
-    return search(calibrate(preparation, start, calibration.floor, 0, 0, _silent), _silent)
+    return begun(calibrate(preparation, start, calibration.floor, 0, 0, _silent), _silent, rules.CREDIBLE)
 
 
-def of_a_kind(calibration: Calibration, path: Sequence[Fit]) -> OfAKind | None:
-    """An unknown force of one kind, and what is found beside it, where the two leave next to nothing.
+def _of_a_kind(calibration: Calibration, start: Fit) -> list[OfAKind]:
+    """The force that leaves least beside ``start``, with what is found beside it, where they leave next to nothing.
 
-    Looked for beside the first of the models of ``path``, the baseline, and beside the second: a motor at its limit
-    hides of which kind the rest is. None where there is no such force, or where there are no data to confirm it. An
-    interrupt goes on to the search that asks.
+    Else nothing: a search that leaves structure beside the force is not gone on with. An interrupt goes on to the
+    search that asks.
     """
-    if calibration.preparation.held_out is None:
-        return None
-    found = (_explained(calibration, start) for start in path[:STARTS])
-    return next((force for force in found if force is not None), None)
-
-
-def _explained(calibration: Calibration, start: Fit) -> OfAKind | None:
-    """The force that leaves least beside ``start``, with what a search beside it finds; None where more is left."""
     best = _kind_beside(start)
     if best is None:
-        return None
+        return []
     kind, columns, beside = best
     with suppress(SimulationError):
-        again = search_beside(calibration, Hypothesis(beside.problem, calibration.baseline.model))
+        problem = in_turn(beside, columns)[-1].problem
+        again = _begun_beside(calibration, Hypothesis(problem, calibration.baseline.model))
+        if not again.calibration.judge.leaves_structure(again.best):
+            again = finished(again, _silent)
         if again.interrupted:
             raise KeyboardInterrupt
         found = again.calibration.judge.refitted(again.best)
         if next_to_nothing(start, evaluate(with_kind(found, columns))):
-            return OfAKind(kind, columns, start, again, found)
-    return None
+            return [OfAKind(kind, columns, start, again, found)]
+    return []
+
+
+def in_turn(fitted: Fit, columns: Columns) -> list[Fit]:
+    """Fits of the model of ``fitted`` to all that may be used, each with the force in the loop that the last one left.
+
+    Raises :class:`SimulationError` where the model does not run with it.
+    """
+    fits = []
+    for _ in range(IN_TURN):
+        fitted = fit(with_kind(fitted, columns), "used")
+        fits.append(fitted)
+    return fits
 
 
 def next_to_nothing(before: Hypothesis, after: Hypothesis) -> bool:
     """Whether ``after`` leaves nothing but noise, or next to nothing of the gap of ``before``."""
-    return only_noise(after, rules.STRUCTURED) or _excess(after) <= (1.0 - rules.COMPLETE) * _excess(before)
+    return only_noise(after, rules.STRUCTURED) or after.excess() <= (1.0 - rules.COMPLETE) * before.excess()
 
 
 def only_noise(hypothesis: Hypothesis, most: float) -> bool:
     """Whether ``hypothesis`` leaves no more than ``most`` times the whitened cost of noise."""
-    return _excess(hypothesis) <= (most - 1.0) * hypothesis.problem.samples("used")
+    return hypothesis.excess() <= (most - 1.0) * hypothesis.problem.samples("used")
 
 
 def _kind_beside(start: Fit) -> tuple[str, Columns, Fit] | None:
@@ -82,9 +112,9 @@ def _kind_beside(start: Fit) -> tuple[str, Columns, Fit] | None:
     name, columns, best = min(fits, key=lambda found: found[2].cost)
     for finer in KINDS[name][1:]:
         for one in _fitted_beside(start, finer):
-            if _excess(one) < rules.SHARPER * _excess(best):
+            if one.excess() < rules.SHARPER * best.excess():
                 columns, best = finer, one
-    return (name, columns, best) if _excess(best) <= (1.0 - rules.OF_A_KIND) * _excess(start) else None
+    return (name, columns, best) if best.excess() <= (1.0 - rules.OF_A_KIND) * start.excess() else None
 
 
 def _fitted_beside(start: Fit, columns: Columns) -> list[Fit]:
@@ -92,11 +122,6 @@ def _fitted_beside(start: Fit, columns: Columns) -> list[Fit]:
     with suppress(SimulationError):
         return [fit(with_kind(fit(beside_kind(start, columns)), columns))]
     return []
-
-
-def _excess(hypothesis: Hypothesis) -> float:
-    """Whitened cost over that of noise alone."""
-    return float(np.sum(np.square(hypothesis.residual("used")))) - hypothesis.problem.samples("used")
 
 
 def _silent(stage: str, done: float) -> None:

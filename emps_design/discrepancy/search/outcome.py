@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.fit import Fit
 from emps_design.discrepancy.model.unknown_force import Columns
 from emps_design.discrepancy.search.calibration import Calibration
@@ -22,8 +23,8 @@ class Outcome:
 
     ``tried`` are all admissible models fitted in full, by their sets of effects; ``alone`` is what each effect gained
     alone in the first round [whitened cost]; ``interrupted``: by the user, before the search had ended; ``warnings``
-    are those of this search and of the ones that it took the place of; ``of_a_kind`` is an unknown force that ended the
-    search early, where one explains what it left.
+    are those of this search and of the ones that it took the place of; ``of_a_kind`` is an unknown force that explains
+    what a few effects leave, where there is one.
     """
 
     calibration: Calibration
@@ -39,6 +40,11 @@ class Outcome:
         """The model accepted last."""
         return self.path[-1]
 
+    @property
+    def ended_early(self) -> bool:
+        """Whether it was not gone on with, for an unknown force that explains what a few effects leave."""
+        return self.of_a_kind is not None and self.of_a_kind.is_plain
+
 
 @dataclass(frozen=True)
 class OfAKind:
@@ -53,3 +59,8 @@ class OfAKind:
     start: Fit
     outcome: Outcome
     found: Fit
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it explains so much that what else could be said of the records would stand in for it."""
+        return self.start.excess() >= rules.PLAIN * self.start.problem.samples("used")

@@ -18,14 +18,15 @@ from emps_design.discrepancy.model.fit import Fit, evaluate, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.model.state import beside_state
-from emps_design.discrepancy.model.unknown_force import with_kind
+from emps_design.discrepancy.model.unknown_force import Columns, with_kind
 from emps_design.discrepancy.search.acceptance import force_rms
-from emps_design.discrepancy.search.beside_unknown import next_to_nothing, only_noise, search_beside
+from emps_design.discrepancy.search.beside_unknown import in_turn, next_to_nothing, only_noise, search_beside
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.validation.confirmation import claims_on, standing
 from emps_design.discrepancy.validation.evidence import Asked
 from emps_design.discrepancy.validation.holdout import adapted
 from emps_design.discrepancy.validation.rivals import alike_in_company
+from emps_design.discrepancy.validation.robust import robust, widened
 from emps_design.errors import SimulationError
 
 
@@ -34,8 +35,8 @@ class Beside:
     """A fit judged beside an unknown force, how much of its effects the confirming data ask for, their equivalents.
 
     ``kind`` of ``KINDS`` is what the force is like; empty where it may be any function of the state. ``left`` [N] is
-    the rms that the two leave, on training or confirming records, whichever is more; ``only_noise`` whether that is
-    nothing but noise on both.
+    the rms that the two leave, on training or confirming records, whichever is more; ``is_all`` whether that is nothing
+    but noise on both, of so much that nothing else is to be said of the records.
     """
 
     found: Fit
@@ -43,7 +44,7 @@ class Beside:
     equivalents: dict[str, list[str]]
     kind: str = ""
     left: float = np.inf
-    only_noise: bool = False
+    is_all: bool = False
 
     @property
     def names(self) -> list[str]:
@@ -64,14 +65,20 @@ def found_beside_kind(outcome: Outcome, data: HeldOut) -> Beside | None:
     with suppress(SimulationError):
         there = with_kind(_on(data, known, force.found), force.columns)
         beside = _standing(force.outcome, force.found, there, data)
-        if not beside.names:
-            beside = replace(beside, found=force.outcome.path[0])
-        both = (beside.found, _on(data, there, beside.found))
-        after = [evaluate(with_kind(one, force.columns)) for one in both]
+        start = beside.found if beside.names else force.outcome.path[0]
+        beside = replace(beside, found=_in_the_loop(start, force.columns))
+        after = (beside.found, evaluate(with_kind(_on(data, there, beside.found), force.columns)))
         if all(map(next_to_nothing, before, after)):
-            quiet = all(only_noise(one, rules.AT_FLOOR) for one in after)
-            return replace(beside, kind=force.kind, left=max(map(force_rms, after)), only_noise=quiet)
+            is_all = force.is_plain and all(only_noise(one, rules.AT_FLOOR) for one in after)
+            return replace(beside, kind=force.kind, left=max(map(force_rms, after)), is_all=is_all)
     return None
+
+
+def _in_the_loop(found: Fit, columns: Columns) -> Fit:
+    """``found`` with its numbers and the force that acts fitted in turn; no number is known better than it moved."""
+    fits = in_turn(found, columns)
+    last = robust(fits[-1])
+    return evaluate(last, last.slots, widened(last.covariance, [one.model.vector(last.slots) for one in fits]))
 
 
 def found_beside_state(outcome: Outcome, data: HeldOut) -> Beside | None:

@@ -33,10 +33,16 @@ def robust(fitted: Fit) -> Fit:
         found = descend(model, slots, partial(_loss, weighed), STEPS)
         model, covariance = found.model, found.covariance
         numbers.append(model.vector(slots))
-    # A number that depends on how the structure is weighed is not known better than it moved.
+    return evaluate(fitted.with_model(model), slots, widened(covariance, numbers))
+
+
+def widened(covariance: np.ndarray, numbers: list[np.ndarray]) -> np.ndarray:
+    """``covariance`` (k, k) with no deviation smaller than how far ``numbers``, each (k,), lie apart.
+
+    A number that depends on how it is taken from the records is not known better than it moved.
+    """
     wider = np.maximum(1.0, np.ptp(numbers, axis=0) / np.sqrt(np.maximum(np.diag(covariance), 1e-300)))
-    covariance = covariance * np.outer(wider, wider)
-    return evaluate(fitted.with_model(model), slots, covariance)
+    return covariance * np.outer(wider, wider)
 
 
 def _loss(problem: Problem, model: Candidate) -> np.ndarray:

@@ -11,6 +11,8 @@ from emps_design.discrepancy.checks.preparation import HeldOut
 from emps_design.discrepancy.model.fit import Fit, evaluate, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.search.acceptance import Judge, explained, force_rms
+from emps_design.discrepancy.search.beam_search import finished
+from emps_design.discrepancy.search.calibration import Progress
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.validation.beside_unknown import Beside, found_beside_kind, found_beside_state, joined
 from emps_design.discrepancy.validation.confirmation import claims_on, confirm, standing
@@ -80,17 +82,24 @@ class _Answer:
         return self.held_out.gap.baseline, self.held_out.gap.extended
 
 
-def validate(outcome: Outcome) -> Validation:
-    """Refit the search's best model on everything, open the confirming data, and reach a verdict."""
+def validate(outcome: Outcome, progress: Progress) -> Validation:
+    """Refit the search's best model on everything, open the confirming data, and reach a verdict.
+
+    A search that ended early for an unknown force is gone on with where those data do not confirm the force.
+    """
     calibration = outcome.calibration
     problem, data = calibration.baseline.problem, calibration.preparation.held_out
+    force = None
     if data is not None:
         data = data.with_whitening(problem.whitening)
+        force = found_beside_kind(outcome, data)
+    if outcome.ended_early and force is None:
+        outcome = replace(finished(outcome, progress), of_a_kind=None)
     start = fit(calibration.baseline, part="used")
     searched = calibration.judge.refitted(outcome.best) if len(outcome.path) > 1 else start
     answer, share, left_over = _all_or_nothing(outcome, data, start, searched)
-    if left_over:
-        answer = _effect_by_effect(outcome, data, searched, answer)
+    if left_over or outcome.ended_early:
+        answer = _effect_by_effect(outcome, data, searched, answer, force)
     if answer.verdict == "unnamed":
         estimate = robust(answer.baseline)
         answer = replace(answer, baseline=estimate, extended=estimate, asked=[], held_out=None)
@@ -154,15 +163,16 @@ def _all_or_nothing(outcome: Outcome, data: HeldOut | None, start: Fit, searched
     return answer, shares[-1], (failed or forgotten or open_gap) and not nothing_yet
 
 
-def _effect_by_effect(outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer) -> _Answer:
+def _effect_by_effect(
+    outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer, force: Beside | None
+) -> _Answer:
     """What stands on its own evidence: all or nothing is the wrong question where structure is left.
 
-    Beside an unknown force of one kind, where that and few effects leave next to nothing of the confirming ``data``
+    Beside an unknown ``force`` of one kind, where that and few effects leave next to nothing of the confirming ``data``
     too; where none is needed, nothing is said. Else of ``searched``, with what stands beside any function of the state,
     and only what leaves less of those data than its baseline.
     """
-    force = None if data is None else found_beside_kind(outcome, data)
-    if data is not None and force is not None and (force.names or force.only_noise):
+    if data is not None and force is not None and (force.names or force.is_all):
         nothing = _Answer("partly-named", answer.baseline, answer.baseline, {}, [], (), (), None)
         answers = [_with(force, nothing, answer.baseline, data)] if force.names else []
     else:

@@ -17,7 +17,6 @@ from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.discrepancy.search import extension, pruning
 from emps_design.discrepancy.search.acceptance import Judge, _seen_again
 from emps_design.discrepancy.search.beam_search import (
-    A_FEW,
     MOST_EFFECTS,
     _extend,
     _far_behind,
@@ -26,10 +25,10 @@ from emps_design.discrepancy.search.beam_search import (
     _pair,
     _pays_again,
     _rivals,
-    search,
 )
 from emps_design.discrepancy.search.exchange import exchanges
 from emps_design.discrepancy.search.extension import _fitted, converged, extended, extensions, freed
+from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.search.pruning import pruned
 from emps_design.discrepancy.search.starts import screen, tangent
 from emps_design.effects import get_effect
@@ -191,49 +190,10 @@ def test_what_is_accepted_is_kept_where_it_leaves_more_bursts(monkeypatch):
     monkeypatch.setattr(sys.modules[_extend.__module__], "converged", lambda found: found)
     judge = SimpleNamespace(accepts=lambda better, worse: True, leaves_structure=lambda fitted: False)
     path, tried = [baseline], {}
-    preparation = SimpleNamespace(library=())
-    _extend(
-        SimpleNamespace(baseline=baseline, judge=judge, preparation=preparation),
-        path,
-        tried,
-        {},
-        lambda stage, done: None,
-        MOST_EFFECTS,
-    )
+    calibration = SimpleNamespace(baseline=baseline, judge=judge, preparation=SimpleNamespace(library=()))
+    _extend(Outcome(calibration, (baseline,), tried), path, lambda stage, done: None, MOST_EFFECTS)
     assert path == [baseline, worse]
     assert list(tried) == [frozenset({"actuator_lag"})]
-
-
-@pytest.mark.parametrize("explains", [True, False])
-def test_a_force_of_a_kind_that_explains_what_a_few_effects_leave_ends_the_search(monkeypatch, explains):
-    baseline = fit(hypothesis(BASELINE))
-    larger = iter(range(1, MOST_EFFECTS + 1))
-    monkeypatch.setattr(sys.modules[search.__module__], "_go_on", lambda *given: None)
-    monkeypatch.setattr(sys.modules[search.__module__], "freed", lambda found: found)
-    monkeypatch.setattr(sys.modules[search.__module__], "_rivals", lambda path, tried: [])
-    monkeypatch.setattr(sys.modules[search.__module__], "converged", lambda found: found)
-
-    def one_more(calibration, beam, *rest):
-        effect = replace(LAG, name=f"effect_{next(larger)}")
-        model = beam[0].model.with_effect(effect, np.array([[1e-3]]))
-        better = SimpleNamespace(model=model, cost=0.5 * beam[0].cost, problem=baseline.problem)
-        return {frozenset(model.names): better}, {}
-
-    monkeypatch.setattr(sys.modules[search.__module__], "_round", one_more)
-    asked = []
-
-    def of_a_kind(calibration):
-        asked.append(calibration)
-        return "a force" if explains else None
-
-    judge = SimpleNamespace(accepts=lambda better, worse: True, leaves_structure=lambda fitted: True)
-    calibration = SimpleNamespace(
-        baseline=baseline, judge=judge, preparation=SimpleNamespace(library=()), warnings=(), screened=[]
-    )
-    outcome = search(calibration, lambda stage, done: None, of_a_kind)
-    assert asked == [calibration]
-    assert outcome.of_a_kind == ("a force" if explains else None)
-    assert len(outcome.best.model.effects) == (A_FEW if explains else MOST_EFFECTS)
 
 
 def test_two_effects_are_found_of_which_neither_is_accepted_alone(monkeypatch):
@@ -326,7 +286,7 @@ def test_an_interrupt_of_the_second_search_keeps_the_first(monkeypatch):
     run = Plant.of(axis).closed_loop(q_ref, voltage_noise=4e-3 * np.random.default_rng(1).standard_normal(t.size))
     record = Record(t=run.t, q_ref=q_ref, q=run.q, u=run.u, period=1e-3, name="free")
     module = sys.modules["emps_design.discrepancy.diagnose"]
-    searched, calls = module.search, []
+    searched, calls = module.search_or_kind, []
 
     def interrupted(*arguments):
         calls.append(arguments)
@@ -334,7 +294,7 @@ def test_an_interrupt_of_the_second_search_keeps_the_first(monkeypatch):
             raise KeyboardInterrupt
         return searched(*arguments)
 
-    monkeypatch.setattr(module, "search", interrupted)
+    monkeypatch.setattr(module, "search_or_kind", interrupted)
     monkeypatch.setattr(rules, "FINER", 10.0)  # so that there is a second search
     answer = diagnose(record, AXIS, library=(SPRING,))
     assert [f.effect for f in answer.findings] == ["elastic_force"]

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from emps_design.discrepancy import diagnose
 from emps_design.discrepancy.model.candidate import Candidate
@@ -107,18 +108,24 @@ def crank(q):
     return -40.0 * (np.sin(turn) * np.gradient(v, 1e-3) + np.pi / 0.16 * np.cos(turn) * v * v)
 
 
-def with_a_crank(seed, q_ref, *effects, name="run"):
+def seal(q):
+    """Friction of 12 N that comes back with time after every reversal: no effect of the library."""
+    direction = np.tanh(np.gradient(q, 1e-3) / 1e-3)
+    return -12.0 * (direction - lfilter([0.01], [1.0, -0.99], direction))
+
+
+def with_force(force, seed, q_ref, *effects, name="run"):
     noise = 4e-3 * np.random.default_rng(seed).standard_normal(q_ref.size)
     plant = Plant.of(AXIS.replace(effects=list(effects)))
     moved = q_ref
     for _ in range(5):  # until the force is that of the motion which it takes part in
-        run = plant.closed_loop(q_ref, voltage_noise=noise, disturbance=crank(moved))
+        run = plant.closed_loop(q_ref, voltage_noise=noise, disturbance=force(moved))
         moved = run.position
     return Record(t=run.t, q_ref=q_ref, q=run.q, u=run.u, period=1e-3, name=name)
 
 
 def test_an_unknown_force_of_its_kind_leaves_nothing_and_one_of_another_kind_does():
-    seen = with_a_crank(1, SMOOTH)
+    seen = with_force(crank, 1, SMOOTH)
     start = Hypothesis(Problem(AXIS, (seen,), (split(seen),), WHITE), Candidate(AXIS.mechanics.array()))
     left = [np.std(beside_kind(start, coarse).residual("used")) for coarse, *_ in KINDS.values()]
     assert left[0] < 0.1 * np.std(start.residual("used"))
@@ -126,7 +133,7 @@ def test_an_unknown_force_of_its_kind_leaves_nothing_and_one_of_another_kind_doe
 
 
 def test_a_large_unknown_force_leaves_less_with_its_share_on_the_carriage():
-    seen = with_a_crank(1, SLOWER)
+    seen = with_force(crank, 1, SLOWER)
     start = Hypothesis(Problem(AXIS, (seen,), (split(seen),), WHITE), Candidate(AXIS.mechanics.array()))
     inertia = KINDS["an inertia that varies along the travel"][0]
     linear, within = (judge(start, inertia) for judge in (beside_kind, with_kind))
@@ -141,8 +148,8 @@ def test_a_large_unknown_force_leaves_less_with_its_share_on_the_carriage():
 )
 def test_friction_is_named_beside_a_mechanism_and_what_the_rest_is_like(hidden):
     library = [get_effect(name) for name in ("stribeck_friction", "actuator_delay", "position_ripple", "mass_change")]
-    held_out = with_a_crank(2, SLOWER, *hidden, name="other")
-    answer = diagnose(with_a_crank(1, SMOOTH, *hidden), AXIS, library=library, holdout=held_out)
+    held_out = with_force(crank, 2, SLOWER, *hidden, name="other")
+    answer = diagnose(with_force(crank, 1, SMOOTH, *hidden), AXIS, library=library, holdout=held_out)
     assert [finding.effect for finding in answer.findings] == [effect["kind"] for effect in hidden]
     assert answer.verdict == ("partly-named" if hidden else "unnamed")
     left = answer.details["unexplained"]
@@ -151,3 +158,15 @@ def test_friction_is_named_beside_a_mechanism_and_what_the_rest_is_like(hidden):
     assert left["kind_leaves"] < 1.3 * answer.noise.force < left["rms"]
     if hidden:
         assert answer.findings[0].parameters["excess"]["value"] == pytest.approx(6.0, rel=0.1)
+
+
+@pytest.mark.slow
+def test_a_motor_at_its_limit_does_not_hide_of_which_kind_the_rest_is():
+    limit = {"kind": "actuator_saturation", "limit": 3.9}
+    library = [get_effect(name) for name in ("actuator_saturation", "actuator_delay", "position_ripple", "mass_change")]
+    held_out = with_force(seal, 2, SLOWER, limit, name="other")
+    answer = diagnose(with_force(seal, 1, SMOOTH, limit), AXIS, library=library, holdout=held_out)
+    assert [finding.effect for finding in answer.findings] == ["actuator_saturation"]
+    found = answer.findings[0].parameters["limit"]
+    assert abs(found["value"] - 3.9) < 3 * found["std"] < 0.4
+    assert "like friction that remembers the motion before" in answer.sentence
