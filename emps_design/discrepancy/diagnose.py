@@ -12,7 +12,7 @@ from emps_design.discrepancy.checks.long_records import beginnings, look_at_the_
 from emps_design.discrepancy.checks.preparation import prepare
 from emps_design.discrepancy.explain.explanation import explain
 from emps_design.discrepancy.result import Diagnosis
-from emps_design.discrepancy.search.beside_unknown import search_or_kind
+from emps_design.discrepancy.search.beside_force import search_or_kind
 from emps_design.discrepancy.search.calibration import Progress, calibrate, first_noise
 from emps_design.discrepancy.search.noise_floor import LEFT, Floor, floor_of_laps, floor_of_residual
 from emps_design.discrepancy.search.outcome import Outcome
@@ -104,9 +104,10 @@ def _finer(outcome: Outcome) -> Floor | None:
     """The noise read again, where that is clearly less than the noise the best model was judged by.
 
     It was taken from what no model followed yet, or from laps that are not alike: what the model knows of one lap and
-    not of another is then no noise.
+    not of another is then no noise. Nor is what an unknown force of one kind explains.
     """
-    floor, best = outcome.calibration.floor, outcome.best
+    floor, force = outcome.calibration.floor, outcome.of_a_kind
+    best = outcome.best if force is None else force.found
     splits, period = best.problem.splits, best.problem.period
     of_laps = floor_of_laps(best.residuals(), splits, period) if floor.from_laps else None
     finer = of_laps or floor_of_residual(best.left(), period, LEFT)

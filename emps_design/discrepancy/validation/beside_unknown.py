@@ -20,7 +20,7 @@ from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.model.state import beside_state
 from emps_design.discrepancy.model.unknown_force import Columns, with_kind
 from emps_design.discrepancy.search.acceptance import force_rms
-from emps_design.discrepancy.search.beside_unknown import in_turn, next_to_nothing, only_noise, search_beside
+from emps_design.discrepancy.search.beside_force import in_turn, next_to_nothing, only_noise, search_beside
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.validation.confirmation import claims_on, standing
 from emps_design.discrepancy.validation.evidence import Asked

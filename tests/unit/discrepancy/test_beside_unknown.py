@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from emps_design.discrepancy import diagnose
+from emps_design.discrepancy.model import unknown_force
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import evaluate, fit
 from emps_design.discrepancy.model.partition import split
@@ -14,6 +15,8 @@ from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.state import beside_state
 from emps_design.discrepancy.model.unknown_force import KINDS, beside_kind, with_kind
 from emps_design.discrepancy.model.whitening import Whitening
+from emps_design.discrepancy.search import beside_force
+from emps_design.discrepancy.validation import verdict
 from emps_design.discrepancy.validation.beside_unknown import Beside, _fitted_around
 from emps_design.discrepancy.validation.evidence import Asked
 from emps_design.effects import get_effect
@@ -142,6 +145,17 @@ def test_a_large_unknown_force_leaves_less_with_its_share_on_the_carriage():
     assert within.problem.remembered is not start.problem.remembered  # other forces act: other residuals
 
 
+def test_only_as_much_of_a_force_is_put_in_the_loop_as_leaves_less(monkeypatch):
+    seen = with_force(crank, 1, SLOWER)
+    start = Hypothesis(Problem(AXIS, (seen,), (split(seen),), WHITE), Candidate(AXIS.mechanics.array()))
+    inertia = KINDS["an inertia that varies along the travel"][0]
+    (whole,) = with_kind(start, inertia).problem.acting
+    for shares, acting in (((8.0, 0.5), 0.5 * whole), ((8.0,), None)):  # eight times as much is too much
+        monkeypatch.setattr(unknown_force, "SHARES", shares)
+        forces = with_kind(start, inertia).problem.acting
+        assert forces == () if acting is None else np.allclose(forces[0], acting)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "hidden", [({"kind": "stribeck_friction", "excess": 6.0, "stribeck_velocity": 0.01, "exponent": 2.0},), ()]
@@ -158,6 +172,26 @@ def test_friction_is_named_beside_a_mechanism_and_what_the_rest_is_like(hidden):
     assert left["kind_leaves"] < 1.3 * answer.noise.force < left["rms"]
     if hidden:
         assert answer.findings[0].parameters["excess"]["value"] == pytest.approx(6.0, rel=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("confirmed", [True, False])
+def test_a_search_ends_for_a_force_that_the_hold_out_confirms_and_goes_on_where_it_does_not(monkeypatch, confirmed):
+    gone_on = []
+    for module in (beside_force, verdict):
+
+        def recorded(outcome, *rest, goes_on=module.finished, by=module):
+            gone_on.append(by)
+            return goes_on(outcome, *rest)
+
+        monkeypatch.setattr(module, "finished", recorded)
+    if not confirmed:
+        monkeypatch.setattr(verdict, "found_beside_kind", lambda outcome, data: None)
+    library = [get_effect(name) for name in ("actuator_delay", "position_ripple", "mass_change")]
+    answer = diagnose(with_force(crank, 1, SMOOTH), AXIS, library=library, holdout=with_force(crank, 2, SLOWER))
+    assert (verdict in gone_on) is not confirmed
+    assert (answer.verdict, answer.findings) == ("unnamed", ())
+    assert ("inertia" in answer.details["unexplained"]["kind"]) is confirmed
 
 
 @pytest.mark.slow

@@ -203,8 +203,15 @@ def test_noise_is_what_differs_between_laps_beyond_what_the_model_knows_of():
     drifting = fit(start.with_model(begun))
     taken = of_laps(start)
     assert np.std(np.concatenate(drifting.left())) > taken.force  # the friction hides in the noise of unlike laps
-    again = _finer(SimpleNamespace(calibration=SimpleNamespace(floor=taken), best=drifting))
+
+    def finer(floor, best, force=None):
+        return _finer(SimpleNamespace(calibration=SimpleNamespace(floor=floor), best=best, of_a_kind=force))
+
+    again = finer(taken, drifting)
     assert again.source == LAPS
     assert again.force == pytest.approx(of_laps(drifting).force)
     assert again.force < 0.5 * taken.force
-    assert _finer(SimpleNamespace(calibration=SimpleNamespace(floor=again), best=drifting)) is None
+    assert finer(again, drifting) is None
+    # Nor is noise what an unknown force of one kind explains, with what was found beside it.
+    assert finer(taken, start) is None
+    assert finer(taken, start, SimpleNamespace(found=drifting)).force == pytest.approx(again.force)

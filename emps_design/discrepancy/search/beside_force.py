@@ -1,4 +1,4 @@
-"""A second search where a first one leaves structure: what acts beside an unknown force."""
+"""Searches beside an unknown force: of one kind, or any function of the state."""
 
 from __future__ import annotations
 
