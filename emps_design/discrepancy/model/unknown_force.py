@@ -80,18 +80,13 @@ def with_kind(hypothesis: Hypothesis, kind: Columns) -> Hypothesis:
         for answer, one, used in zip(answers, left, problem.masks("used"), strict=True)
     ]
     forces = [column @ share for column, share in zip(columns, shares, strict=True)]
+    before = hypothesis.excess()
     for part in SHARES:
         acted = Hypothesis(problem.with_acting([part * force for force in forces]), hypothesis.model)
-        if _cost(acted) < _cost(hypothesis):
-            return beside_kind(acted, kind)
+        with suppress(SimulationError):
+            if acted.excess() < before:
+                return beside_kind(acted, kind)
     return beside_kind(hypothesis, kind)
-
-
-def _cost(hypothesis: Hypothesis) -> float:
-    """Whitened cost of what is left; infinite where the model does not run."""
-    with suppress(SimulationError):
-        return float(np.sum(np.square(hypothesis.residual("used"))))
-    return np.inf
 
 
 def _columns(hypothesis: Hypothesis, kind: Columns) -> list[np.ndarray]:
