@@ -12,7 +12,7 @@ from emps_design.discrepancy.checks.long_records import beginnings, look_at_the_
 from emps_design.discrepancy.checks.preparation import prepare
 from emps_design.discrepancy.explain.explanation import explain
 from emps_design.discrepancy.result import Diagnosis
-from emps_design.discrepancy.search.beside_force import search_or_kind
+from emps_design.discrepancy.search.beside_force import past_the_kind, search_or_kind
 from emps_design.discrepancy.search.calibration import Progress, calibrate, first_noise
 from emps_design.discrepancy.search.noise_floor import LEFT, Floor, floor_of_laps, floor_of_residual
 from emps_design.discrepancy.search.outcome import Outcome
@@ -23,6 +23,7 @@ from emps_design.effects import Effect, known_effects
 from emps_design.records import Record
 
 SEARCHES = ((0.0, 0.6), (0.6, 0.25), (0.85, 0.15))  # start and share of the progress; noise taken again in between
+CONFIRMATION = (1.0, 0.05)  # the same, beyond the searches: one that ended early may have to go on
 NOT_REPEATED = "interrupted: the search was not repeated on the noise that its model left"
 STILL_FINER = "the model leaves less than the noise it was judged by: more may be there than was found"
 
@@ -54,7 +55,7 @@ def diagnose(
     """
     from threadpoolctl import threadpool_limits
 
-    report, hears = progress or (lambda stage, share: None), searched or (lambda model: None)
+    report, hears = _forward(progress or (lambda stage, share: None)), searched or (lambda model: None)
     records = (records,) if isinstance(records, Record) else tuple(records)
     library = tuple(known_effects().values() if library is None else library)
     # The matrices here are tall and thin: BLAS threads would only spin, and the fits run side by side already.
@@ -71,7 +72,7 @@ def diagnose(
         outcome = _repeated(outcome, seed, searches, report)
         hears(outcome.best.model.to_axis(axis))
         report("confirming on data not used so far", 0.9)
-        validation = validate(outcome, partial(_part, report, *SEARCHES[-1]))
+        validation = validate(outcome, partial(_part, report, *CONFIRMATION))
         rest, more = look_at_the_rest(records, parts, preparation.laws, validation.extended)
         if closest:
             report("looking for the model that follows most closely", 0.95)
@@ -80,11 +81,15 @@ def diagnose(
 
 
 def _repeated(outcome: Outcome, seed: int, searches: int, report: Progress) -> Outcome:
-    """Calibrate and search again as long as the model leaves less than the noise it was judged by, twice at most."""
+    """Calibrate and search again as long as the model leaves less than the noise it was judged by, twice at most.
+
+    A search that stopped at an unknown force of one kind is gone on with under the last noise only: that takes longest.
+    """
+    part = partial(_part, report, *SEARCHES[0])
     for shares in SEARCHES[1:]:
         floor = _finer(outcome)
         if floor is None or outcome.interrupted:
-            return outcome
+            break
         calibration, part = outcome.calibration, partial(_part, report, *shares)
         runs = searches if calibration.healthy.searched else 0  # an interrupt ended the calibration for good
         try:
@@ -95,7 +100,8 @@ def _repeated(outcome: Outcome, seed: int, searches: int, report: Progress) -> O
         if again is None or again.interrupted:
             return replace(outcome, warnings=(*outcome.warnings, NOT_REPEATED))
         outcome = replace(again, warnings=(*outcome.warnings, *again.warnings))
-    if _finer(outcome) is not None:
+    outcome = past_the_kind(outcome, part)
+    if not outcome.interrupted and _finer(outcome) is not None:
         outcome = replace(outcome, warnings=(*outcome.warnings, STILL_FINER))
     return outcome
 
@@ -113,6 +119,18 @@ def _finer(outcome: Outcome) -> Floor | None:
     finer = of_laps or floor_of_residual(best.left(), period, LEFT)
     pays = finer.force < rules.FINER * floor.force or finer.force_60hz < rules.FINER * floor.force_60hz
     return finer if pays else None
+
+
+def _forward(progress: Progress) -> Progress:
+    """``progress`` that never goes back, where a search goes on from an earlier round."""
+    reached = 0.0
+
+    def report(stage: str, share: float) -> None:
+        nonlocal reached
+        reached = max(reached, share)
+        progress(stage, reached)
+
+    return report
 
 
 def _part(report: Progress, start: float, share: float, stage: str, done: float) -> None:

@@ -43,8 +43,10 @@ def begun(calibration: Calibration, progress: Progress, most: int) -> Outcome:
     return until_interrupted(outcome, lambda path: _extend(outcome, path, progress, most))
 
 
-def finished(outcome: Outcome, progress: Progress, before: Candidate | None = None) -> Outcome:
-    """A search that was :func:`begun`, gone on with until nothing is accepted any more.
+def finished(
+    outcome: Outcome, progress: Progress, before: Candidate | None = None, most: int = MOST_EFFECTS
+) -> Outcome:
+    """A search that was :func:`begun`, gone on with up to ``most`` effects until nothing is accepted any more.
 
     A model that was found ``before``, under other noise, is gone on from where the search leaves more than it.
     """
@@ -53,8 +55,8 @@ def finished(outcome: Outcome, progress: Progress, before: Candidate | None = No
 
     def to_the_end(path: list[Fit]) -> None:
         if _found(outcome.calibration, path[-1]) >= A_FEW:
-            _extend(outcome, path, progress, MOST_EFFECTS)
-        _go_on(outcome, path, progress, before)
+            _extend(outcome, path, progress, most)
+        _go_on(outcome, path, progress, before, most)
         path[-1] = freed(path[-1])
         _remember(outcome.tried, _rivals(path, outcome.tried))
 
@@ -71,7 +73,7 @@ def until_interrupted(outcome: Outcome, goes_on: Callable[[list[Fit]], None]) ->
     return replace(outcome, path=tuple(path), warnings=warnings, interrupted=interrupted)
 
 
-def _go_on(outcome: Outcome, path: list[Fit], progress: Progress, before: Candidate | None) -> None:
+def _go_on(outcome: Outcome, path: list[Fit], progress: Progress, before: Candidate | None, most: int) -> None:
     """Prune the last model of ``path``, exchange its effects and extend it again, until nothing leaves less."""
     calibration, tried = outcome.calibration, outcome.tried
     known, accepts = calibration.baseline.model.names, calibration.judge.accepts
@@ -82,12 +84,12 @@ def _go_on(outcome: Outcome, path: list[Fit], progress: Progress, before: Candid
             _found_before(before, path[-1], tried)
             or _exchanged(calibration, path[-1], tried, progress)
             or _far_behind(calibration, path[-1], tried, progress)
-            or _beyond(calibration, path[-1], tried, progress)
+            or _beyond(calibration, path[-1], tried, progress, most)
         )
         if better is None or not _pays_again(better, (set_of(path[-1]), set_of(better)), gone_on):
             break
         path.append(better)
-        _extend(outcome, path, progress, MOST_EFFECTS)
+        _extend(outcome, path, progress, most)
     else:
         path += pruned(path[-1], known, tried, accepts)
 
@@ -153,21 +155,20 @@ def _far_behind(calibration: Calibration, current: Fit, tried: FitsBySet, progre
     return _best_accepted(calibration, current, sound)
 
 
-def _beyond(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Progress) -> Fit | None:
+def _beyond(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Progress, most: int) -> Fit | None:
     """``current`` with what no single effect of the library explains: a curve of any shape, or two effects at once.
 
     Of both the one that leaves less, where either is accepted.
     """
-    found = [_curve(calibration, current, tried, progress), _pair(calibration, current, tried, progress)]
+    curve = _curve(calibration, current, tried, progress) if _found(calibration, current) < most else None
+    found = [curve, _pair(calibration, current, tried, progress)]
     return min((fitted for fitted in found if fitted is not None), key=lambda f: f.cost, default=None)
 
 
 def _curve(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Progress) -> Fit | None:
     """``current`` with a curve of any shape, where that is accepted."""
-    number = 1 + _found(calibration, current)
-    if number > MOST_EFFECTS:
-        return None
-    sound, _ = _round(calibration, [current], number, _library(calibration, general=True), progress)
+    library = _library(calibration, general=True)
+    sound, _ = _round(calibration, [current], 1 + _found(calibration, current), library, progress)
     _remember(tried, sound.values())
     return _best_accepted(calibration, current, sound)
 
@@ -191,8 +192,7 @@ def _pair(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Pr
 
 
 def _best_accepted(calibration: Calibration, current: Fit, sound: FitsBySet) -> Fit | None:
-    ranked = _ranked(current, sound, calibration.judge.accepts)
-    return converged(ranked[0]) if ranked else None
+    return next((converged(best) for best in _ranked(current, sound, calibration.judge.accepts)), None)
 
 
 def _library(calibration: Calibration, *, general: bool) -> tuple[Effect, ...]:

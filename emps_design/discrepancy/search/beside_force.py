@@ -20,7 +20,7 @@ IN_TURN = 3  # times that a force in the loop and the numbers beside it are fitt
 
 
 def search_or_kind(calibration: Calibration, progress: Progress, before: Candidate | None = None) -> Outcome:
-    """A search, with the unknown force of one kind that explains what a few effects leave; a plain one ends it.
+    """A search, stopped at an unknown force of one kind that explains what a few effects leave.
 
     Looked for where there are data to confirm it, beside the baseline and beside the effect found first: a motor at its
     limit hides of which kind the rest is.
@@ -36,7 +36,13 @@ def search_or_kind(calibration: Calibration, progress: Progress, before: Candida
     confirmed = calibration.preparation.held_out is not None
     if confirmed and not outcome.interrupted and calibration.judge.leaves_structure(outcome.best):
         outcome = replace(until_interrupted(outcome, look), of_a_kind=found[0] if found else None)
-    return outcome if outcome.ended_early else finished(outcome, progress, before)
+    return finished(outcome, progress, before) if outcome.of_a_kind is None else outcome
+
+
+def past_the_kind(outcome: Outcome, progress: Progress) -> Outcome:
+    """A search that was stopped at an unknown force, gone on with unless the force is plain: that ends it early."""
+    stopped = outcome.of_a_kind is not None and not outcome.ended_early
+    return finished(outcome, progress) if stopped else outcome
 
 
 def search_beside(calibration: Calibration, start: Hypothesis) -> Outcome:
@@ -45,7 +51,7 @@ def search_beside(calibration: Calibration, start: Hypothesis) -> Outcome:
     As any smooth function of the state it could follow most friction too; what happens at an instant, drifts, delays or
     repeats along the travel it cannot. A curve of any shape is one of them, and is not looked for.
     """
-    return finished(_begun_beside(calibration, start), _silent)
+    return _finished_beside(_begun_beside(calibration, start))
 
 
 def _begun_beside(calibration: Calibration, start: Hypothesis) -> Outcome:
@@ -54,6 +60,11 @@ def _begun_beside(calibration: Calibration, start: Hypothesis) -> Outcome:
     library = tuple(effect for effect in first.library if not effect.general and not effect.element)
     preparation = replace(first, start=start, library=library)
     return begun(calibrate(preparation, start, calibration.floor, 0, 0, _silent), _silent, rules.CREDIBLE)
+
+
+def _finished_beside(outcome: Outcome) -> Outcome:
+    """The search beside an unknown force to its end: more effects than it takes pains with would stand in for it."""
+    return finished(outcome, _silent, most=rules.CREDIBLE)
 
 
 def _of_a_kind(calibration: Calibration, start: Fit) -> list[OfAKind]:
@@ -70,7 +81,7 @@ def _of_a_kind(calibration: Calibration, start: Fit) -> list[OfAKind]:
         problem = in_turn(beside, columns)[-1].problem
         again = _begun_beside(calibration, Hypothesis(problem, calibration.baseline.model))
         if not again.calibration.judge.leaves_structure(again.best):
-            again = finished(again, _silent)
+            again = _finished_beside(again)
         if again.interrupted:
             raise KeyboardInterrupt
         found = again.calibration.judge.refitted(again.best)

@@ -51,6 +51,11 @@ class Beside:
         """Names of the effects, without what is known from the controller's law."""
         return [one.name for one in self.asked]
 
+    @property
+    def is_an_answer(self) -> bool:
+        """Whether it has effects to name, or nothing else is to be said: the records need no other model."""
+        return bool(self.names) or self.is_all
+
 
 def found_beside_kind(outcome: Outcome, data: HeldOut) -> Beside | None:
     """What the search found beside an unknown force of one kind, maybe nothing; None where there is no such force.

@@ -85,7 +85,8 @@ class _Answer:
 def validate(outcome: Outcome, progress: Progress) -> Validation:
     """Refit the search's best model on everything, open the confirming data, and reach a verdict.
 
-    A search that ended early for an unknown force is gone on with where those data do not confirm the force.
+    A search that ended early for an unknown force is gone on with where those data do not confirm the force, or with it
+    no effect that could be named.
     """
     calibration = outcome.calibration
     problem, data = calibration.baseline.problem, calibration.preparation.held_out
@@ -93,7 +94,7 @@ def validate(outcome: Outcome, progress: Progress) -> Validation:
     if data is not None:
         data = data.with_whitening(problem.whitening)
         force = found_beside_kind(outcome, data)
-    if outcome.ended_early and force is None:
+    if outcome.ended_early and (force is None or not force.is_an_answer):
         outcome = replace(finished(outcome, progress), of_a_kind=None)
     start = fit(calibration.baseline, part="used")
     searched = calibration.judge.refitted(outcome.best) if len(outcome.path) > 1 else start
@@ -172,7 +173,7 @@ def _effect_by_effect(
     too; where none is needed, nothing is said. Else of ``searched``, with what stands beside any function of the state,
     and only what leaves less of those data than its baseline.
     """
-    if data is not None and force is not None and (force.names or force.is_all):
+    if data is not None and force is not None and force.is_an_answer:
         nothing = _Answer("partly-named", answer.baseline, answer.baseline, {}, [], (), (), None)
         answers = [_with(force, nothing, answer.baseline, data)] if force.names else []
     else:

@@ -1,12 +1,13 @@
 """What is found beside an unknown force: a smooth function of the state, or a force of one kind."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from emps_design.discrepancy import diagnose
+from emps_design.discrepancy import diagnose, rules
 from emps_design.discrepancy.model import unknown_force
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import evaluate, fit
@@ -175,23 +176,52 @@ def test_friction_is_named_beside_a_mechanism_and_what_the_rest_is_like(hidden):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("confirmed", [True, False])
-def test_a_search_ends_for_a_force_that_the_hold_out_confirms_and_goes_on_where_it_does_not(monkeypatch, confirmed):
+@pytest.mark.parametrize("confirmed", ["as all there is", "with nothing to name", ""])
+def test_a_search_ends_for_a_force_that_answers_and_goes_on_where_it_does_not(monkeypatch, confirmed):
+    def finds(outcome, data, found=verdict.found_beside_kind):
+        beside = found(outcome, data)
+        return replace(beside, is_all=confirmed == "as all there is") if confirmed else None
+
     gone_on = []
     for module in (beside_force, verdict):
 
-        def recorded(outcome, *rest, goes_on=module.finished, by=module):
+        def recorded(outcome, *rest, goes_on=module.finished, by=module, **named):
             gone_on.append(by)
-            return goes_on(outcome, *rest)
+            return goes_on(outcome, *rest, **named)
 
         monkeypatch.setattr(module, "finished", recorded)
-    if not confirmed:
-        monkeypatch.setattr(verdict, "found_beside_kind", lambda outcome, data: None)
+    monkeypatch.setattr(verdict, "found_beside_kind", finds)
     library = [get_effect(name) for name in ("actuator_delay", "position_ripple", "mass_change")]
     answer = diagnose(with_force(crank, 1, SMOOTH), AXIS, library=library, holdout=with_force(crank, 2, SLOWER))
-    assert (verdict in gone_on) is not confirmed
+    assert (verdict in gone_on) is (confirmed != "as all there is")
     assert (answer.verdict, answer.findings) == ("unnamed", ())
-    assert ("inertia" in answer.details["unexplained"]["kind"]) is confirmed
+    assert ("inertia" in answer.details["unexplained"]["kind"]) is bool(confirmed)
+
+
+@pytest.mark.slow
+def test_a_search_goes_on_past_a_force_when_the_noise_is_known(monkeypatch):
+    module = sys.modules["emps_design.discrepancy.diagnose"]
+    stopped, gone_on = [], []
+    monkeypatch.setattr(rules, "PLAIN", 1e9)  # never plain: the search must go on, once
+    monkeypatch.setattr(rules, "FINER", 10.0)  # so that there are three searches
+
+    def searched(*arguments, search=module.search_or_kind):
+        stopped.append(search(*arguments))
+        return stopped[-1]
+
+    def past(outcome, progress, goes_on=beside_force.finished, **named):
+        gone_on.append(outcome)
+        return goes_on(outcome, progress, **named)
+
+    monkeypatch.setattr(module, "search_or_kind", searched)
+    monkeypatch.setattr(beside_force, "finished", past)
+    told = []
+    library = [get_effect(name) for name in ("actuator_delay", "position_ripple", "mass_change")]
+    first, second = with_force(crank, 1, SMOOTH), with_force(crank, 2, SLOWER)
+    diagnose(first, AXIS, library=library, holdout=second, progress=lambda stage, share: told.append(share))
+    assert len(stopped) == len(module.SEARCHES)
+    assert [any(one.path is it.path for it in gone_on) for one in stopped] == [False, False, True]
+    assert told == sorted(told)
 
 
 @pytest.mark.slow
