@@ -145,9 +145,10 @@ class Effect:
                    ``rate`` say the same; the simulation knows the solution and need not step them
     ``slopes``     ``slopes(p) -> (to +, to -)`` N/(m/s): the effect is viscous friction by direction and nothing else.
                    ``force`` says the same; the simulation knows the solution, and the impedance law can hold it
-    ``affine``     ``affine(p) -> bool``: with these parameters ``force`` and ``rate`` are affine in ``q``, ``v``, ``x``
-                   and read neither ``t`` nor ``tau``, and ``dry`` and ``inertia`` never change; the simulation knows
-                   the solution and steps events only
+    ``affine``     ``affine(p) -> (lower, upper)``: with these parameters ``force`` and ``rate`` are affine in ``q``,
+                   ``v``, ``x`` as long as the first own state is within that range [its unit], above it, or below it
+                   (infinite: everywhere), and read neither ``t`` nor ``tau``, and ``dry`` and ``inertia`` never
+                   change; the simulation knows the solution and steps events only. None: they are not
     ``winding``    True: the ``slopes`` are gone where the winding is open, and other effects see the motor force less
                    what they brake. A search needs a record with the motor switched off for a while
     ``sensor``     m, added to the position that the encoder reports
@@ -202,7 +203,7 @@ class Effect:
     delay: Kernel | None = None
     lag: Kernel | None = None
     slopes: Callable[[np.ndarray], tuple[float, float]] | None = None
-    affine: Callable[[np.ndarray], bool] | None = None
+    affine: Callable[[np.ndarray], tuple[float, float] | None] | None = None
     winding: bool = False
     sensor: Kernel | None = None
     rate: Callable[..., None] | None = None

@@ -49,6 +49,14 @@ def load_friction(v: float, share: float, mass: float, b: np.ndarray) -> float:
     return share * b[VISCOUS] * v + coulomb * v / sqrt(v * v + slow * slow + 1e-300)
 
 
+def affine(share: float, half: float) -> tuple[float, float] | None:
+    """Range of the twist [m] around 0 with a play of ``half`` to each side, between and beyond which forces are affine.
+
+    None where a ``share`` of the friction acts on the load, which it brings to rest in a curve.
+    """
+    return (-half, half) if share == 0.0 else None
+
+
 def is_coupling(effect: Effect) -> bool:
     """Whether ``effect`` puts part of the mass behind a coupling, with play or without."""
     return effect.states == STATES

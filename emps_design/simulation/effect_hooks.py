@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dis
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 
 from emps_design.effects import Effect
@@ -15,7 +15,7 @@ from emps_design.simulation.kernels.compile import address
 HOOKS = ("force", "dry", "inertia", "command", "actuator", "delay", "sensor", "rate", "guard", "jump_time")
 # What the stepper takes as one number, where it is the same throughout a run, and where that number stands.
 SUMMED = {"dry": motion.LEVEL, "inertia": motion.MASS}
-_MOTION, _COMMAND = range(5), range(3, 4)  # of a kernel's arguments q, v, t, tau, x, p, b
+_MOTION, _STATE, _COMMAND = range(5), (0, 1, 3, 4), range(3, 4)  # of a kernel's arguments q, v, t, tau, x, p, b
 
 
 def summed_of(effect: Effect, touching: bool) -> Iterator[tuple[int, Kernel]]:
@@ -43,6 +43,8 @@ def hooks_of(effect: Effect, touching: bool, held: bool) -> Iterator[tuple[int, 
         kernel = getattr(effect, hook)
         if kernel is not None and kernel not in summed:
             yield row, address(kernel, hook if hook in ("actuator", "rate") else "kernel")
+    if effect.force is not None and not touching:
+        yield motion.SOLVED if effect.affine or effect.slopes else motion.UNSOLVED, address(effect.force)
     if effect.by_travel and effect.force is not None:
         yield motion.MEMORY, address(effect.force)
     if touching:
@@ -58,13 +60,22 @@ def touches_motion(effect: Effect) -> bool:
 
 def sees_command(effect: Effect) -> bool:
     """Whether a force of ``effect`` reads the motor force, or a mass that may change, so that it jumps with it."""
-    if effect.inertia is not None:
-        return True
+    return effect.inertia is not None or reads_command(effect)
+
+
+def reads_command(effect: Effect) -> bool:
+    """Whether a force of ``effect`` reads the motor force."""
     return any(_reads(kernel, _COMMAND) for kernel in (effect.force, effect.dry) if kernel is not None)
 
 
+def is_smooth(effect: Effect) -> bool:
+    """Whether ``effect`` is a force without a kink between two jumps in time, and a mass that is the same there."""
+    weighs = effect.inertia is not None and _reads(effect.inertia, _STATE)
+    return not (effect.states or effect.guard or weighs)
+
+
 @cache
-def _reads(kernel: Kernel, which: range) -> bool:
+def _reads(kernel: Kernel, which: Sequence[int]) -> bool:
     """Whether ``kernel`` uses one of its arguments ``which``, whatever it calls them."""
     names = [kernel.__code__.co_varnames[i] for i in which]
     read = [step.argval for step in dis.get_instructions(kernel)]

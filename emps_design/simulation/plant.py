@@ -12,7 +12,14 @@ from emps_design.axis import Axis
 from emps_design.effects import Effect
 from emps_design.errors import InputError, SimulationError
 from emps_design.laws import Law, law_of
-from emps_design.simulation.effect_hooks import hooks_of, sees_command, summed_of, touches_motion
+from emps_design.simulation.effect_hooks import (
+    hooks_of,
+    is_smooth,
+    reads_command,
+    sees_command,
+    summed_of,
+    touches_motion,
+)
 from emps_design.simulation.environment import Hand, Wall
 from emps_design.simulation.kernels import baseline as core
 from emps_design.simulation.kernels import hold_loop as stepper
@@ -75,11 +82,24 @@ class Plant:
         dynamic = any((e.states and not e.by_travel) or e.guard for e in moving)
         stepped = [effect for effect in moving if effect.slopes is None and touches_motion(effect)]
         self._exact = not stepped and not twice
-        self._affine = all(effect.affine for effect in stepped) and not twice
         seen = any(sees_command(effect) for i, effect in enumerate(self.effects) if i not in self.lagging)
+        self._solved = self._how_solved(stepped, twice)
         dynamic |= twice and (seen or any(effect.states for effect in moving))  # what a slide knows is for one lag
         # A contact whose friction jumps with every command bends anew in no time: that is stepped through.
         self._slides = 0 if dynamic or (seen and self._free) else 1 if seen else 2
+
+    def _how_solved(self, stepped: list[Effect], twice: bool) -> int:
+        """0: no hold period has a solution; 1: all effects are in it; 2: smooth ones beside it; 3: that see a command.
+
+        Of effects that are affine in pieces it takes one.
+        """
+        solved, others = [one for one in stepped if one.affine], [one for one in stepped if not one.affine]
+        pieces = sum(1 for effect in solved if effect.guard)
+        if not solved or pieces > 1 or twice or self._free or self.environment or not all(map(is_smooth, others)):
+            return 0
+        if any(map(reads_command, others)):
+            return 3 if self._lag == 0 and not self.lagging else 0  # behind a lag what they see is no parabola
+        return 2 if others else 1
 
     @classmethod
     def of(cls, axis: Axis) -> Plant:
@@ -93,7 +113,7 @@ class Plant:
         return Plant(self.axis, effects, (*self.environment, *things))
 
     def _table(self) -> tuple[np.ndarray, np.ndarray]:
-        rows: list[list[tuple[int, int, int]]] = [[] for _ in range(motion.MEMORY + 1)]
+        rows: list[list[tuple[int, int, int]]] = [[] for _ in range(motion.UNSOLVED + 1)]
         for i, effect in enumerate(self.effects):
             if i not in self.lagging and not effect.winding:
                 for row, kernel in hooks_of(effect, i in self._outside, i in self._held):
@@ -201,7 +221,8 @@ class Plant:
         events, found = np.empty((n + 1000, 3)), np.array([0, n + 1000])
         if law is None or method in ("general", "linear"):
             ready = self.prepared(b, p, q0, v0, n, period, resolution, intention, energy, tolerance)
-            ready.settings[motion.LINEAR] *= method == "linear"
+            if self._solved == 1:
+                ready.settings[motion.LINEAR] *= method == "linear"
             rows, balance = self._general(
                 law, reference, push, noise, motor, q0, v0, period, energy, events, found, ready
             )
@@ -241,13 +262,21 @@ class Plant:
         """The fastest way that is exact for this axis."""
         delay = self.axis.sampling.computation_delay
         if self.effects or self._lag > 0 or law is None or not law.state_feedback:
-            return "linear" if self._linear(p) else "general"
+            return "linear" if self._solved == 1 and self._pieces(p) else "general"
         return "plain" if delay or noise.size or resolution > 0 else "folded"
 
-    def _linear(self, p: np.ndarray) -> bool:
-        """Whether every hold period is linear with the parameters ``p``, and not simpler still."""
-        ends = zip(self.effects, self.parameters_at, self.parameters_at[1:], strict=False)
-        return not self._exact and self._affine and all(e.affine(p[start:end]) for e, start, end in ends if e.affine)
+    def _pieces(self, p: np.ndarray) -> list[tuple[int, float, float]]:
+        """Own state and range of every effect that is affine with the parameters ``p``; none where one is not."""
+        found = []
+        for effect, at, start, end in zip(
+            self.effects, self.states_at, self.parameters_at, self.parameters_at[1:], strict=False
+        ):
+            if self._solved and effect.affine:
+                ends = effect.affine(p[start:end])
+                if ends is None:
+                    return []
+                found.append((at, *ends))
+        return found
 
     def _core(
         self, method: str, b: np.ndarray, law: Law, reference: np.ndarray, push: np.ndarray, noise: np.ndarray,
@@ -308,7 +337,10 @@ class Plant:
         settings[motion.TOLERANCE], settings[motion.ENERGY] = tolerance, self._states if energy else 0
         if not energy:
             settings[motion.SLIDES], settings[motion.EXACT] = self._slides, self._exact
-            settings[motion.LINEAR] = self._linear(p)
+            for at, lower, upper in self._pieces(p):
+                settings[motion.LINEAR] = self._solved
+                if np.isfinite(upper - lower):
+                    settings[[motion.TWIST, motion.LOWER, motion.UPPER]] = at, lower, upper
         y, floors = np.zeros(states), np.zeros(states)
         y[0], y[1] = q0, v0
         for i, effect in enumerate(self.effects):

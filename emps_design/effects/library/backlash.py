@@ -43,6 +43,10 @@ def rate(q, v, t, tau, x, p, b, level, dx):
     dx[1] = (transmitted(v, x, p, b) - load_friction(x[1], p[4], mass, b)) / mass
 
 
+def affine(p):
+    return two_mass.affine(p[4], 0.5 * p[0])
+
+
 def initial(q0, p, b):
     return (0.0, 0.0)
 
@@ -66,6 +70,7 @@ EFFECT = Effect(
     dry=dry,
     inertia=inertia,
     rate=rate,
+    affine=affine,
     initial=initial,
     guard=guard,
     states=two_mass.STATES,

@@ -6,7 +6,7 @@ With mass M split into M (1 - share) on the encoder's side and M share behind th
 d = q - q_load [m] and load velocity [m/s].
 """
 
-from math import pi
+from math import inf, pi
 
 from emps_design.effects import two_mass
 from emps_design.effects.effect import COULOMB, MASS, VISCOUS, Effect
@@ -39,7 +39,7 @@ def rate(q, v, t, tau, x, p, b, level, dx):
 
 
 def affine(p):
-    return p[3] == 0.0  # friction brings the load to rest in a curve
+    return two_mass.affine(p[3], inf)
 
 
 def initial(q0, p, b):

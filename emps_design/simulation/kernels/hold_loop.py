@@ -16,7 +16,16 @@ from emps_design.simulation.kernels.baseline import SWINGS, swing
 from emps_design.simulation.kernels.compile import cached, call_actuator, call_kernel, call_law, part, pointer, shifted
 from emps_design.simulation.kernels.event_steps import CHATTER, DIVERGED, DONE, NO_STEP, carry
 from emps_design.simulation.kernels.friction_period import advance, follow, response
-from emps_design.simulation.kernels.linear_period import MORE, flow, solve
+from emps_design.simulation.kernels.linear_period import (
+    MORE,
+    OTHERS,
+    PIECES,
+    flow,
+    learn,
+    others_at,
+    room_of_one,
+    solve_all,
+)
 from emps_design.simulation.kernels.motion import (
     ACTUATOR,
     BEHIND,
@@ -36,6 +45,7 @@ from emps_design.simulation.kernels.motion import (
     LAG,
     LIMIT,
     LINEAR,
+    MOBILITY,
     PERIOD,
     RESOLUTION,
     SENSOR,
@@ -129,13 +139,13 @@ def run(
     friction = friction_of(plant[0], settings)
     forward = response(period, friction[0], friction[1], friction[5])
     backward = response(period, friction[0], friction[2], friction[5])
-    z = size + MORE
-    onwards = shifted(feel, 4 * SPEEDS)
-    backwards, spare = shifted(onwards, z * (z + 1) + 1), shifted(onwards, 2 * z * (z + 1) + 2)
-    linear = settings[LINEAR] > 0.0
+    others = shifted(feel, 4 * SPEEDS)
+    solutions = shifted(others, OTHERS)
+    linear, forced = settings[LINEAR] > 0.0, settings[LINEAR] > 1.0
+    others[0] = 0.0
+    spare = shifted(solutions, 2 * PIECES * room_of_one(size))
     if linear:
-        solve(period, 1.0, plant, work, onwards, spare)
-        solve(period, -1.0, plant, work, backwards, spare)
+        solve_all(period, plant, work, solutions, spare)
     fresh, before_force = False, 0.0
     tau, reached, other, s, hint = 0.0, 0.0, 0.0, 0.0, period
     for i in range(DRIVE):
@@ -160,8 +170,13 @@ def run(
         force = push[k] if push.size else 0.0
         if holds:
             force -= total(HELD, y_, t, tau, plant)
-        if (weighed or k == 0) and not 0.0 < balance(y_, t, tau, force, s, plant)[2] < np.inf:
-            return MASSLESS, k, 0.0
+        if weighed or k == 0:
+            mobility = balance(y_, t, tau, force, s, plant)[2]
+            if not 0.0 < mobility < np.inf:
+                return MASSLESS, k, 0.0
+            if linear and mobility != settings[MOBILITY]:
+                settings[MOBILITY] = mobility
+                solve_all(period, plant, work, solutions, spare)
         felt = force
         if touched:
             felt -= total(TOUCH, y_, t, tau, plant)
@@ -228,13 +243,17 @@ def run(
                 drive[0], drive[1] = reached - share * tau, t + start
             if twice:
                 drive[5] = other - (1.0 - share) * tau
-            if linear and h == period and s * y[1] > 0.0:
-                flowed = flow(y_, h, tau + force, s, plant, work, onwards if s > 0.0 else backwards, new)
-                if flowed:
-                    for i in range(size):
-                        y[i] = new[i]
-                    reached, fresh, start = tau + drive[0], False, end
-                    continue
+            whole_period = h == period and bounds[1] == np.inf
+            if (
+                linear
+                and whole_period
+                and s * y[1] > 0.0
+                and flow(y_, t, h, tau, force, s, plant, work, solutions, others, new)
+            ):
+                for i in range(size):
+                    y[i] = new[i]
+                reached, fresh, start = tau + drive[0], False, end
+                continue
             way = s if not free else 1.0 if y[1] > 0.0 else -1.0
             if slides and way * y[1] > 0.0 and bounds[1] == np.inf:
                 if fresh and steady:
@@ -253,7 +272,7 @@ def run(
                     before_force = reached + other + force
                     start = end
                     continue
-            fresh = False
+            fresh, came = False, s
             reached = motor(t + end, tau, plant)
             if twice:
                 other = (1.0 - share) * tau + drive[5] * math.exp(-h / settings[BEHIND])
@@ -263,11 +282,19 @@ def run(
             )
             if status != DONE:
                 return status, k, start + done
+            if forced and s != 0.0:
+                more = others_at(y_, t + end, tau, s, plant)
+                if whole_period and came == s and others[0] > 0.0:
+                    learn(more, h, others)
+                else:  # they are others in the other direction, and may have jumped
+                    others[0], others[1], others[2], others[3] = 1.0, more, 0.0, 0.0
+            else:
+                others[0] = 0.0
             start = end
     return DONE, n, 0.0
 
 
 def room(states: int, guards: int) -> int:
     """Length of ``scratch`` for an axis with so many states and guards."""
-    size = states + MORE
-    return DRIVE + 4 + 8 * states + guards + 4 * SPEEDS + 2 * size * (size + 1) + 3 * size * size
+    solved = OTHERS + 2 * PIECES * room_of_one.py_func(states) + 3 * (states + MORE) ** 2
+    return DRIVE + 4 + 8 * states + guards + 4 * SPEEDS + solved

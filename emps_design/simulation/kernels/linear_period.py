@@ -1,21 +1,48 @@
-"""Slide through a hold period on its exact solution: where all effects are affine in position, velocity, own states.
+"""Slide through a hold period on the exact solution of what is affine in position, velocity and own states.
 
 Between two events such an axis is ``dz/dt = A z`` with z = [q, v, own states ..., what the motor force lacks of its
-command, command and push, 1], and its solution one matrix for each direction of motion. A comes from the forces
-themselves: the derivative of the state, taken at one unit after the other.
+command, force, 1, slope and curve of the force], and its solution one matrix for each direction of motion and each
+piece: within a range of one own state, above it, and below it. A comes from the forces themselves: the derivative of
+the state, taken at one step after the other.
+
+Other forces on the carriage that are smooth on its way, and depend on nothing but that way and time, follow from what
+they were: a parabola of time leads to the end of a period, and what they are there bends it (a multistep method of
+Adams in Nordsieck's form, for the forces only).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from emps_design.simulation.kernels.compile import fused, shifted
-from emps_design.simulation.kernels.motion import LAG, STATES, balance, derivative
+from emps_design.simulation.kernels.compile import call_rate, fused, shifted
+from emps_design.simulation.kernels.motion import (
+    BRAKING,
+    LAG,
+    LEVEL,
+    LINEAR,
+    LOWER,
+    MOBILITY,
+    RATE,
+    SOLVED,
+    STATES,
+    TOLERANCE,
+    TWIST,
+    UNSOLVED,
+    UPPER,
+    dry,
+    total,
+)
 
-MORE = 3  # numbers of z besides the state
+MORE = 5  # numbers of z besides the state
+WITHIN, ABOVE, BELOW = range(3)  # pieces
+PIECES = 3
+OTHERS = 4  # numbers of what is known of the other forces: how well, the force, its slope and its curve
+_KNOWN = 2.0  # well enough to lead on
 _TURN = 0.5  # rad, of the fastest motion in one part of a period: the velocity is all but a parabola there
 _PARTS = 16  # of a period at most; an axis stiffer than that is stepped
 _TERMS = 20  # of Taylor's series, for half a turn at most: the last is below 1e-24
+# m/s, velocity that other forces would miss without what they are at the end: it leaves a 24th of that.
+_MISSED = 1e-8
 
 
 @fused
@@ -30,28 +57,85 @@ def multiply(n, left, right, result):
 
 
 @fused
-def solve(h, s, plant, work, solution, spare):
-    """Fill ``solution`` for direction ``s``: matrix over a part of ``h``, acceleration, and how many parts there are.
+def affine(y, s, plant, dy):
+    """Time derivative of the state ``y`` that slides towards ``s``, of what is affine, without motor and push."""
+    b, hooks, starts, p, settings, _ = plant
+    net = -(b[1] + settings[BRAKING]) * y[1] - b[3] - total(SOLVED, y, 0.0, 0.0, plant) - s * max(0.0, settings[LEVEL])
+    dy[0], dy[1] = y[1], net * settings[MOBILITY]
+    for i in range(starts[RATE], starts[RATE + 1]):
+        x_at, p_at = hooks[3 * i + 1], hooks[3 * i + 2]
+        call_rate(hooks[3 * i], y[0], y[1], 0.0, 0.0, y, x_at, p, p_at, b, settings[LEVEL], dy)
 
-    None: too many. ``spare`` has room for three matrices.
+
+@fused
+def others_at(y, t, tau, s, plant):
+    """Force [N] of what is not :func:`affine`, in the state ``y`` that slides towards ``s`` under the motor's ``tau``."""
+    acting, level = tau - plant[4][BRAKING] * y[1], max(0.0, plant[4][LEVEL])
+    return s * (level - dry(y, t, acting, plant)) - total(UNSOLVED, y, t, acting, plant)
+
+
+@fused
+def learn(more, h, others):
+    """Take up that ``h`` later the ``others`` are ``more`` [N]."""
+    missed = more - (others[1] + h * (others[2] + 0.5 * h * others[3]))
+    if others[0] < _KNOWN:
+        others[0], others[2] = others[0] + 1.0, missed / h
+    else:
+        others[3] += missed / (h * h)
+        others[2] += 0.5 * missed / h + h * others[3]
+    others[1] = more
+
+
+@fused
+def solve_all(h, plant, work, solutions, spare):
+    """Fill ``solutions`` for both directions and all pieces there are."""
+    length = room_of_one(int(plant[4][STATES]))
+    for piece in range(PIECES):
+        if piece == WITHIN or plant[4][TWIST] > 0.0:
+            solve(h, 1.0, piece, plant, work, shifted(solutions, piece * length), spare)
+            solve(h, -1.0, piece, plant, work, shifted(solutions, (PIECES + piece) * length), spare)
+
+
+@fused
+def room_of_one(n):
+    """Numbers of the solution of one piece in one direction, of ``n`` states."""
+    return (n + MORE) * (n + MORE + 2) + n + 1
+
+
+@fused
+def solve(h, s, piece, plant, work, solution, spare):
+    """Fill ``solution`` for direction ``s`` and a ``piece``.
+
+    Matrix over a part of ``h``, acceleration, rate of the state that has pieces, what a newton that the other forces
+    have more at the end of ``h`` adds to the state, and how many parts there are, 0: too many. ``spare`` has room for
+    three matrices.
     """
     settings, rest, moved, stage = plant[4], work[0], work[1], work[5]
-    n = int(settings[STATES])
-    size, lag = n + MORE, settings[LAG]
+    n, twist = int(settings[STATES]), int(settings[TWIST])
+    size, lag, mobility = n + MORE, settings[LAG], settings[MOBILITY]
     a, other, third = spare, shifted(spare, size * size), shifted(spare, 2 * size * size)
     for i in range(size * size):
         a[i] = 0.0
     for i in range(n):
         stage[i] = 0.0
-    derivative(stage, 0.0, 0.0, 0.0, s, plant, rest)
-    mobility = balance(stage, 0.0, 0.0, 0.0, 0.0, plant)[2]
+    step, begin = 1.0, 0.0
+    if twist > 0:  # by steps that stay in the piece
+        wide = settings[UPPER] - settings[LOWER] if settings[UPPER] > settings[LOWER] else 1.0
+        if piece == WITHIN:
+            step, begin = 0.25 * wide, 0.5 * (settings[LOWER] + settings[UPPER])
+        elif piece == ABOVE:
+            step, begin = wide, settings[UPPER] + wide
+        else:
+            step, begin = -wide, settings[LOWER] - wide
+        stage[twist] = begin
+    affine(stage, s, plant, rest)
     for j in range(n):
-        unit = s if j == 1 else 1.0
-        stage[j] = unit
-        derivative(stage, 0.0, 0.0, 0.0, s, plant, moved)
-        stage[j] = 0.0
+        unit, now = s if j == 1 else step if twist > 0 and j == twist else 1.0, stage[j]
+        stage[j] = now + unit
+        affine(stage, s, plant, moved)
+        stage[j] = now
         for i in range(n):
-            a[size * i + j] = (moved[i] - rest[i]) * unit
+            a[size * i + j] = (moved[i] - rest[i]) / unit
     # The rate of the fastest motion is at most the 16th root of any norm of the 16th power.
     for i in range(n):
         for j in range(n):
@@ -67,15 +151,18 @@ def solve(h, s, plant, work, solution, spare):
         rate = max(rate, np.sqrt(np.sqrt(np.sqrt(np.sqrt(norm)))))
     parts = max(1.0, np.ceil(rate * h / _TURN))
     row = shifted(solution, size * size)
-    row[size] = parts if parts <= _PARTS else 0.0
+    twists, answer = shifted(row, size), shifted(row, 2 * size)
+    answer[n] = parts if parts <= _PARTS else 0.0
     for i in range(n):
-        a[size * i + n + 2] = rest[i]
+        a[size * i + n + 2] = rest[i] - (a[size * i + twist] * begin if twist > 0 else 0.0)
     a[size + n], a[size + n + 1] = mobility, mobility
+    a[size * (n + 1) + n + 3], a[size * (n + 3) + n + 4] = 1.0, 1.0
     if lag > 0.0:
         a[size * n + n] = -1.0 / lag
         rate = max(rate, 1.0 / lag)
     for j in range(size):
         row[j] = a[size + j]
+        twists[j] = a[size * twist + j]
     span, halvings = h / parts, 0
     while rate * span > _TURN:
         span *= 0.5
@@ -92,35 +179,90 @@ def solve(h, s, plant, work, solution, spare):
         multiply(size, solution, solution, other)
         for i in range(size * size):
             solution[i] = other[i]
+    # A parabola of time through 0 a period ago, 0 now and 1 at the end of this one: x (x + 1) / 2.
+    for i in range(n):
+        stage[i] = 0.0
+    force, slope, curve = 0.0, 0.5 / h, 1.0 / (h * h)
+    for _ in range(int(answer[n])):
+        for i in range(n):
+            value = solution[size * i + n + 1] * force + solution[size * i + n + 3] * slope
+            value += solution[size * i + n + 4] * curve
+            for j in range(n):
+                value += solution[size * i + j] * stage[j]
+            moved[i] = value
+        force += h / parts * (slope + 0.5 * h / parts * curve)
+        slope += h / parts * curve
+        for i in range(n):
+            stage[i] = moved[i]
+    for i in range(n):
+        answer[i] = stage[i]
 
 
 @fused
-def flow(y, h, force, s, plant, work, solution, new):
-    """Slide through ``h`` under ``force`` [N], to ``new``; returns whether it can, the direction ``s`` kept."""
-    largest, stage = work[6], work[5]
-    n = int(plant[4][STATES])
+def flow(y, t, h, tau, push, s, plant, work, solutions, others, new):
+    """Slide through ``h`` under the motor's ``tau`` and ``push`` [N], to ``new``; returns whether it can.
+
+    It cannot where the direction ``s`` or the piece changes on the way, or the other forces turn too fast.
+    """
+    settings, largest, stage = plant[4], work[6], work[5]
+    n, twist, forced = int(settings[STATES]), int(settings[TWIST]), settings[LINEAR] > 1.0
+    if forced and others[0] < _KNOWN:
+        return False
     size, gap = n + MORE, plant[5][0]
+    piece, lower, upper = WITHIN, -np.inf, np.inf
+    if twist > 0:
+        lower, upper = settings[LOWER], settings[UPPER]
+        if y[twist] > upper:
+            piece, lower, upper = ABOVE, upper, np.inf
+        elif y[twist] < lower:
+            piece, lower, upper = BELOW, -np.inf, lower
+    solution = shifted(solutions, ((PIECES if s < 0.0 else 0) + piece) * room_of_one(n))
     row = shifted(solution, size * size)
-    parts = int(row[size])
+    twists, answer = shifted(row, size), shifted(row, 2 * size)
+    parts = int(answer[n])
+    force, slope, curve, span = tau + push, 0.0, 0.0, h / parts
+    if forced:
+        if settings[LINEAR] > 2.0:  # they have changed with the motor force
+            others[1] = others_at(y, t, tau, s, plant)
+        force, slope, curve = force + others[1], others[2], others[3]
     for i in range(n):
         stage[i] = y[i]
-    last = acceleration(n, stage, gap, force, row)
+    last, goes = of_row(n, stage, gap, force, row), of_row(n, stage, gap, force, twists)
     for _ in range(parts):
         for i in range(n):
             value = solution[size * i + n] * gap + solution[size * i + n + 1] * force + solution[size * i + n + 2]
+            value += solution[size * i + n + 3] * slope + solution[size * i + n + 4] * curve
             for j in range(n):
                 value += solution[size * i + j] * stage[j]
             new[i] = value
         gap *= solution[size * n + n]
-        first, last = last, acceleration(n, new, gap, force, row)
+        force += span * (slope + 0.5 * span * curve)
+        slope += span * curve
+        first, last = last, of_row(n, new, gap, force, row)
         if not (s * new[1] > 0.0 and abs(new[0]) < 1e3 and abs(new[1]) < 1e3):
             return False
         # A dip between the two: of a parabola it is half of this at most.
-        dip = 0.5 * h / parts * min(abs(first), abs(last))
+        dip = 0.5 * span * min(abs(first), abs(last))
         if s * first < 0.0 and s * last > 0.0 and min(abs(stage[1]), abs(new[1])) < dip:
             return False
+        if twist > 0:
+            went, goes = goes, of_row(n, new, gap, force, twists)
+            dip = 0.5 * span * min(abs(went), abs(goes)) if went * goes < 0.0 else 0.0
+            least, most = min(stage[twist], new[twist]), max(stage[twist], new[twist])
+            if least - (dip if went < 0.0 else 0.0) < lower or most + (dip if went > 0.0 else 0.0) > upper:
+                return False
         for i in range(n):
             stage[i] = new[i]
+    if forced:
+        more = others_at(new, t + h, tau, s, plant)
+        missed = more - (force - tau - push)
+        if abs(missed) * settings[MOBILITY] * h > _MISSED * settings[TOLERANCE]:
+            return False
+        for i in range(n):
+            new[i] += missed * answer[i]
+        if not s * new[1] > 0.0 or (twist > 0 and not lower <= new[twist] <= upper):
+            return False
+        learn(more, h, others)
     for i in range(n):
         largest[i] = max(largest[i], abs(new[i]))
     plant[5][0] = gap
@@ -128,8 +270,8 @@ def flow(y, h, force, s, plant, work, solution, new):
 
 
 @fused
-def acceleration(n, y, gap, force, row):
-    """Of the carriage in the state ``y``, by its ``row`` of A."""
+def of_row(n, y, gap, force, row):
+    """Rate of the state that has this ``row`` of A, in the state ``y``."""
     value = row[n] * gap + row[n + 1] * force + row[n + 2]
     for j in range(n):
         value += row[j] * y[j]

@@ -19,11 +19,12 @@ import numpy as np
 from emps_design.simulation.kernels.compile import call_kernel, call_rate, fused, fused_inlined, inlined, part
 
 # Rows of the table of hooks: one list of (address, first own state in y, first parameter) for each.
-FORCE, DRY, INERTIA, COMMAND, ACTUATOR, DELAY, SENSOR, RATE, GUARD, JUMP, TOUCH, TOUCH_MASS, HELD, MEMORY = range(14)
+(FORCE, DRY, INERTIA, COMMAND, ACTUATOR, DELAY, SENSOR, RATE, GUARD, JUMP, TOUCH, TOUCH_MASS, HELD, MEMORY, SOLVED,
+ UNSOLVED) = range(16)  # fmt: skip
 # Places in ``settings``.
 (PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, SLIDES, EXACT, ENERGY,
- VISCOUS_P, VISCOUS_N, BRAKING, LEVEL, MASS, MOBILITY, LINEAR, BEHIND) = range(20)  # fmt: skip
-SETTINGS = 20
+ VISCOUS_P, VISCOUS_N, BRAKING, LEVEL, MASS, MOBILITY, LINEAR, BEHIND, TWIST, LOWER, UPPER) = range(23)  # fmt: skip
+SETTINGS = 23
 DRIVE = 7  # numbers of ``drive``
 
 ORDER = 4  # of convergence, measured in the tests
