@@ -69,7 +69,7 @@ def affine(y, s, plant, dy):
 
 @fused
 def others_at(y, t, tau, s, plant):
-    """Force [N] of what is not :func:`affine`, in the state ``y`` that slides towards ``s`` under the motor's ``tau``."""
+    """Force [N] of what is not :func:`affine`, in the state ``y`` sliding towards ``s`` under the motor's ``tau``."""
     acting, level = tau - plant[4][BRAKING] * y[1], max(0.0, plant[4][LEVEL])
     return s * (level - dry(y, t, acting, plant)) - total(UNSOLVED, y, t, acting, plant)
 
