@@ -1,9 +1,9 @@
 """Run an axis with any effects: sample, control, hold, and move it through every hold period.
 
 A period is cut where a delayed voltage arrives and where a kernel jumps in time. Each piece is stepped exactly where
-the effects leave the friction plant as it is (:mod:`friction_period`) or are affine in the motion
-(:mod:`linear_period`), in one slide where they have no own states but memories of the path and nothing jumps
-(:mod:`smooth_period`), or from event to event (:mod:`event_steps`), whichever is the first that can.
+the effects leave the friction plant as it is (:mod:`friction_period`) or are affine in the motion, by pieces or beside
+forces that are smooth (:mod:`linear_period`), in one slide where they have no own states but memories of the path and
+nothing jumps (:mod:`smooth_period`), or from event to event (:mod:`event_steps`), whichever is the first that can.
 """
 
 from __future__ import annotations
