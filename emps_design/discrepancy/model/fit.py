@@ -142,10 +142,10 @@ def _over_surfaces(fitted: Fit, part: str) -> Fit:
         return fitted
     moved = evaluate(fitted.with_model(found.model), slots, found.covariance)
     stayed = replace(fitted, slots=slots, covariance=found.covariance, surveyed=True)
-    return min((stayed, moved), key=_bounded_cost)
+    return min((stayed, moved), key=bounded_cost)
 
 
-def _bounded_cost(fitted: Fit) -> float:
+def bounded_cost(fitted: Fit) -> float:
     """Cost in which a burst counts as the logarithm does."""
     return float(np.sum(bounded(fitted.residual("used")) ** 2)) if fitted.innovations else WORST
 

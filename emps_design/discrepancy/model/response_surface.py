@@ -17,13 +17,15 @@ from emps_design.discrepancy.model.candidate import Candidate, Slot
 from emps_design.discrepancy.model.least_squares import WORST, Descent, Scaled, covariance_of
 from emps_design.discrepancy.model.parallel import side_by_side
 
-ROUNDS = 14  # surfaces, one after the other
+ROUNDS = 30  # surfaces, one after the other
 CHANGED = 2.0  # times the cost: as much a number alone changes the residual at the edge of the first neighbourhood
 SOUGHT = 4  # times that edge is corrected before the first surface
 CLOSER = 0.6  # of the neighbourhood is the next one where a surface led no further, and at least
 OFTEN = 4  # times in so many rounds
 FAR = 4.0  # neighbourhoods that a step may lead away
-ASTRAY = 1.5  # times the least cost, beyond which a step is taken back
+ASTRAY = 1.5  # times the least cost, beyond which a step is taken back, and the neighbourhood was too large by far
+FURTHER = 1e-3  # of the least cost less, and a surface has led further
+IN_VAIN = 5  # surfaces one after the other that led no further, though not astray: there is nothing more to find
 RIDGE = 1e-3  # of the diagonal
 ALIKE = 4.0  # times the deviation of the costs on a surface, up to which a place is as good as the best
 
@@ -62,7 +64,7 @@ def descend_rough(start: Candidate, slots: tuple[Slot, ...], residual: Callable[
     covariance, rough = np.zeros((x.size, x.size)), 0.0
     if first is None or not slots:
         return Descent(start, been[0][0] if been else WORST, covariance)
-    reach = _reach(free.attempt, x, first[0])
+    reach, vain = _reach(free.attempt, x, first[0]), 0
     for number in range(ROUNDS):
         directions = np.linalg.qr(random.standard_normal((x.size, x.size)))[0] * np.sqrt(x.size) * reach
         met = visit(np.clip(np.concatenate([x + directions, x - directions]), *free.bounds))
@@ -76,9 +78,15 @@ def descend_rough(start: Candidate, slots: tuple[Slot, ...], residual: Callable[
         normal = jacobian.T @ jacobian
         move = -np.linalg.lstsq(normal + RIDGE * np.diag(np.diag(normal)), jacobian.T @ middle, rcond=None)[0]
         moved = np.clip(x + np.clip(move, -FAR * reach, FAR * reach), *free.bounds)
-        reached = visit(moved[None])
-        x = moved if reached is not None and been[-1][0] < ASTRAY * least()[0] else least()[1]
-        if np.all(np.abs(move) < reach) or number % OFTEN == OFTEN - 1:
+        before, reached = least()[0], visit(moved[None])
+        astray = reached is None or been[-1][0] > ASTRAY * least()[0]
+        x = least()[1] if astray else moved
+        vain = 0 if least()[0] < (1 - FURTHER) * before else vain + (not astray)
+        if vain == IN_VAIN:
+            break
+        if astray:
+            reach = reach * CLOSER**2
+        elif np.all(np.abs(move) < reach) or number % OFTEN == OFTEN - 1:
             reach = reach * CLOSER
     cost, best = least()
     alike = np.array([place for found, place in been if found <= cost + ALIKE * rough])

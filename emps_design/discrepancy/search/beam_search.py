@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.fit import Fit, admissible, evaluate, fit
+from emps_design.discrepancy.model.fit import Fit, admissible, bounded_cost, evaluate, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.search.acceptance import Accept
 from emps_design.discrepancy.search.calibration import Calibration, Progress
@@ -23,6 +23,7 @@ from emps_design.discrepancy.search.outcome import FitsBySet, Outcome, set_of
 from emps_design.discrepancy.search.pruning import pruned
 from emps_design.discrepancy.search.starts import tangent
 from emps_design.effects import Effect
+from emps_design.effects.two_mass import has_play
 
 BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
 A_FEW = len(BEAM)  # effects after which the search goes on from one set only
@@ -217,8 +218,10 @@ def _exchanged(calibration: Calibration, best: Fit, tried: FitsBySet, progress: 
     progress("each effect anew beside the others", 0.95)
     others = exchanges(best, known, calibration.preparation.library)
     _remember(tried, others)
-    least = min(others, key=lambda f: f.cost, default=best)
-    pays = best.cost - least.cost > max(judge.healthy.threshold, rules.STILL_PAYS * best.cost)
+    # Beside play that bounces, the bursts of a few impacts are as large as what another effect would be worth.
+    cost = bounded_cost if any(map(has_play, best.model.effects)) else lambda f: f.cost
+    least = min(others, key=cost, default=best)
+    pays = cost(best) - cost(least) > max(judge.healthy.threshold, rules.STILL_PAYS * cost(best))
     return converged(least) if pays else None
 
 

