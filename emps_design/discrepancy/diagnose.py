@@ -12,6 +12,7 @@ from emps_design.discrepancy.checks.long_records import beginnings, look_at_the_
 from emps_design.discrepancy.checks.preparation import prepare
 from emps_design.discrepancy.explain.explanation import explain
 from emps_design.discrepancy.result import Diagnosis
+from emps_design.discrepancy.search.beam_search import UNFINISHED
 from emps_design.discrepancy.search.beside_force import past_the_kind, search_or_kind
 from emps_design.discrepancy.search.calibration import Progress, calibrate, first_noise
 from emps_design.discrepancy.search.noise_floor import LEFT, Floor, floor_of_laps, floor_of_residual
@@ -98,7 +99,8 @@ def _repeated(outcome: Outcome, seed: int, searches: int, report: Progress) -> O
         except KeyboardInterrupt:
             again = None
         if again is None or again.interrupted:
-            return replace(outcome, warnings=(*outcome.warnings, NOT_REPEATED))
+            told = (NOT_REPEATED, UNFINISHED) if outcome.stopped else (NOT_REPEATED,)
+            return replace(outcome, warnings=(*outcome.warnings, *told), interrupted=outcome.stopped)
         outcome = replace(again, warnings=(*outcome.warnings, *again.warnings))
     outcome = past_the_kind(outcome, part)
     if not outcome.interrupted and _finer(outcome) is not None:

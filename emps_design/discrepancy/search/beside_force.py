@@ -41,8 +41,7 @@ def search_or_kind(calibration: Calibration, progress: Progress, before: Candida
 
 def past_the_kind(outcome: Outcome, progress: Progress) -> Outcome:
     """A search that was stopped at an unknown force, gone on with unless the force is plain: that ends it early."""
-    stopped = outcome.of_a_kind is not None and not outcome.ended_early
-    return finished(outcome, progress) if stopped else outcome
+    return finished(outcome, progress) if outcome.stopped else outcome
 
 
 def search_beside(calibration: Calibration, start: Hypothesis) -> Outcome:

@@ -45,6 +45,11 @@ class Outcome:
         """Whether it was not gone on with, for an unknown force that explains what a few effects leave."""
         return self.of_a_kind is not None and self.of_a_kind.is_plain
 
+    @property
+    def stopped(self) -> bool:
+        """Whether it stopped at an unknown force and is to be gone on with."""
+        return self.of_a_kind is not None and not self.of_a_kind.is_plain
+
 
 @dataclass(frozen=True)
 class OfAKind:

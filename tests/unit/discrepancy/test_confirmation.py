@@ -1,12 +1,13 @@
 """What a confirming record asks of a model, and what counts as noise between laps."""
 
+import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from emps_design.discrepancy.diagnose import _finer
+from emps_design.discrepancy.diagnose import NOT_REPEATED, _finer, _repeated
 from emps_design.discrepancy.model.bootstrap import rms_interval
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import evaluate, fit
@@ -14,7 +15,9 @@ from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.discrepancy.search.acceptance import Judge
+from emps_design.discrepancy.search.beam_search import UNFINISHED
 from emps_design.discrepancy.search.noise_floor import LAPS, floor_of_laps, floor_of_residual
+from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.validation.confirmation import _size_known, standing
 from emps_design.discrepancy.validation.evidence import Asked, asked_for
 from emps_design.effects import get_effect
@@ -215,3 +218,21 @@ def test_noise_is_what_differs_between_laps_beyond_what_the_model_knows_of():
     # Nor is noise what an unknown force of one kind explains, with what was found beside it.
     assert finer(taken, start) is None
     assert finer(taken, start, SimpleNamespace(found=drifting)).force == pytest.approx(again.force)
+
+
+@pytest.mark.parametrize(("is_plain", "unfinished"), [(True, False), (False, True)])
+def test_an_interrupt_of_a_later_search_says_what_was_left_undone(monkeypatch, is_plain, unfinished):
+    """A search that stopped at an unknown force which is not plain was to be gone on with."""
+
+    def interrupted(*arguments):
+        raise KeyboardInterrupt
+
+    module = sys.modules["emps_design.discrepancy.diagnose"]
+    monkeypatch.setattr(module, "_finer", lambda outcome: "finer")
+    monkeypatch.setattr(module, "calibrate", interrupted)
+    calibration = SimpleNamespace(healthy=SimpleNamespace(searched=1), preparation=None, baseline=None)
+    first = Outcome(calibration, ("model",), {}, of_a_kind=SimpleNamespace(is_plain=is_plain))
+    kept = _repeated(first, 0, 1, lambda stage, share: None)
+    assert kept.path == first.path
+    assert kept.warnings == (NOT_REPEATED, UNFINISHED)[: 1 + unfinished]
+    assert kept.interrupted is unfinished
