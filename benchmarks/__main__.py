@@ -51,6 +51,7 @@ CASCADE = {
     ],
     "velocity_estimator": "backward",
 }
+PLAY = {"kind": "backlash", "gap": 1e-4, "frequency": 60.0, "damping": 0.15, "share": 0.4}
 STRIBECK = {"kind": "stribeck_friction", "excess": 5.0, "stribeck_velocity": 0.01, "exponent": 1.0}
 
 
@@ -66,6 +67,7 @@ def main() -> int:
     )
     _replays(axis, record, rows)
     _five(axis, record, rows)
+    _play(axis, record, rows)
     _contact(axis, record, rows)
     _ensembles(axis, record, rows)
     _comanipulation(rows)
@@ -186,6 +188,25 @@ def _five(axis, record, rows) -> None:
         add(rows, f"replay, five effects ({label})", 1e3 * seconds, "ms", 2.0)
         difference = float(np.abs(fast.position - tight.position).max())
         add(rows, f"five effects ({label}), position against tight steps", difference, "m", 1e-9)
+
+
+def _play(axis, record, rows) -> None:
+    """Play in pieces against the same step by step, and beside smooth forces."""
+    q0 = float(record.q[0])
+    alone, beside = (Plant.of(axis.replace(effects=[PLAY, *more])) for more in ((), (STRIBECK, FIVE[2])))
+    exact, stepped = (
+        _median(lambda method=method: alone.closed_loop(record.q_ref, q0=q0, method=method))
+        for method in ("linear", "general")
+    )
+    add(rows, "replay, play", 1e3 * exact, "ms")
+    add(rows, "play step by step over play in pieces", stepped / exact, "times", 2.0, least=True)
+    seconds = _median(lambda: beside.closed_loop(record.q_ref, q0=q0))
+    add(rows, "replay, play beside Stribeck friction and a ripple", 1e3 * seconds, "ms")
+    fast, tight = (
+        beside.closed_loop(record.q_ref, q0=q0, quantise=False, tolerance=tolerance) for tolerance in (1.0, 1e-4)
+    )
+    difference = float(np.abs(fast.position - tight.position).max())
+    add(rows, "play beside Stribeck friction and a ripple, position against tight steps", difference, "m", 1e-8)
 
 
 def _contact(axis, record, rows) -> None:
