@@ -33,6 +33,7 @@ from emps_design.frequency_response.signals import signals_of
 from emps_design.laws import law_of
 from emps_design.laws.linear import linear_law
 from emps_design.machines import machine
+from emps_design.progress import untold
 from tests.unit.frequency_response.cases import exact, experiment, run
 
 AXES, SEED = 50, 9157  # bands and estimator were chosen on other axes, of the seeds 2026 and 7401
@@ -226,7 +227,7 @@ def retuned(seed):
         design = retune_on_response(response, model, crossover, phase)
     new = design.loop_axis.replace(effects=drive.effects)
     after = measured_on(new, design.loop_axis, seed + 1000, 200.0)
-    answer, _ = periodic_answer([signals_of(after)], 200.0, lambda stage, fraction: None)
+    answer, _ = periodic_answer([signals_of(after)], 200.0, untold)
     w, L = 2.0 * np.pi * answer.frequency, 1.0 / answer.z[:, 1] - 1.0
     at = np.flatnonzero((np.abs(L[:-1]) >= 1.0) & (np.abs(L[1:]) < 1.0))
     share = np.log(np.abs(L[at])) / np.log(np.abs(L[at] / L[at + 1]))

@@ -7,7 +7,6 @@ same, and both tables are identified again; what an assumption moves is what it 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,6 +21,7 @@ from emps_design.paper.virtual_bench import (
     comanipulation_experiment,
     identification_experiment,
 )
+from emps_design.progress import Progress
 from emps_design.records import Record
 
 # Without the bend, Table I's friction is the machine's: nothing has to be taken off it.
@@ -144,7 +144,7 @@ def tables_under(assumption: Assumption, experiments: int = 10, seed: int = 1000
 def sweep(
     assumptions: tuple[Assumption, ...] = ASSUMPTIONS,
     experiments: int = 10,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[Tables]:
     """Return the :func:`tables_under` each assumption."""
     found = []

@@ -5,19 +5,19 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from emps_design.cli.flags import in_flags
 from emps_design.cli.wording import in_units, in_words
 from emps_design.errors import one_line, printable
+from emps_design.progress import Progress, untold
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-Progress = Callable[[str, float], None]
 LOOKING = "looking for the controller that made the record"  # what law and init --from take their time for
 NAMES = ("name", "axis", "record", "records", "file", "files", "out", "directory", "machine", "column", "title")
 MESSAGES = ("reason", "warnings")  # keys under which the library's messages stand; all other text is data
@@ -123,10 +123,11 @@ def new_table(title: str, *headings: str, words: Collection[str] = (), whole: bo
 def progress_bar(show: bool = True) -> Iterator[Progress]:
     """Give a ``progress(stage, fraction)`` that draws on standard error: a bar, or one line per stage."""
     if not show:
-        yield lambda stage, fraction: None
+        yield untold
     elif sys.stderr.isatty():
         from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress as Bar
 
         columns = (
             TextColumn("{task.description}"),
@@ -134,7 +135,7 @@ def progress_bar(show: bool = True) -> Iterator[Progress]:
             TextColumn("{task.percentage:3.0f} %"),
             TimeElapsedColumn(),
         )
-        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task("", total=1.0)
             yield lambda stage, fraction: bar.update(task, description=stage, completed=fraction)
     else:

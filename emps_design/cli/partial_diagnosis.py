@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from emps_design.cli.interrupts import heard
-from emps_design.cli.output import Progress, json_text, tell
+from emps_design.cli.output import json_text, tell
 from emps_design.errors import EmpsError
 from emps_design.files import write_text, write_together
+from emps_design.progress import Progress
 
 if TYPE_CHECKING:
     from emps_design.axis import Axis

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -42,6 +41,7 @@ from emps_design.control.loop.sampled_loop import MARGINAL
 from emps_design.errors import SpecificationError, UnstableError
 from emps_design.laws.friction_model import left_out
 from emps_design.notebook import table
+from emps_design.progress import Progress
 
 SHARES = (
     "stable_share", "stable_share_interval", "bounded_share", "bounded_share_interval", "verdicts", "plants", "seed",
@@ -282,7 +282,7 @@ def assess_impedance(
     seed: int = 0,
     two_quadrant: bool | None = None,
     workers: int = 1,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
     **options: Any,
 ) -> ImpedanceAssessment:
     """Assess the law with M_a = ``mass`` [kg], B = ``damping`` [N/(m/s)] on ``axis``; see :class:`ImpedanceAssessment`.

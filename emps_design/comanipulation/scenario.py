@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +11,7 @@ from emps_design.comanipulation.study import MismatchStudy, mismatch_study
 from emps_design.comanipulation.task import fitted_task, guided_task, pushed_task
 from emps_design.control.impedance.law import ImpedanceLaw, impedance_law
 from emps_design.control.impedance.robustness import VERDICTS
+from emps_design.progress import Progress
 
 MASS, DAMPING = 50.0, 100.0  # M_a [kg] and B [N/(m/s)] of the paper's experiments, section IV-B
 
@@ -75,7 +75,7 @@ def run_comanipulation(
     duration: float | None = None,
     two_quadrant: bool | None = None,
     workers: int = 1,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
     **options: Any,
 ) -> Comanipulation:
     """Simulate the co-manipulation task on ``axis`` with estimates off by up to ``mismatch``.

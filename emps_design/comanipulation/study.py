@@ -7,7 +7,6 @@ times the plant's number.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -25,6 +24,7 @@ from emps_design.control.impedance.sampled import Clock, numbers, radius_of, sam
 from emps_design.control.loop.sampled_loop import MARGINAL
 from emps_design.errors import InputError
 from emps_design.laws.friction_model import PARAMETERS
+from emps_design.progress import Progress
 
 MOST = 1_000_000  # plants; more would not fit into memory
 TOGETHER = 2_500  # plants whose poles are computed in one call, which hears no interrupt
@@ -201,7 +201,7 @@ def mismatch_study(
     two_quadrant: bool | None = None,
     task: Task | None = None,
     workers: int = 1,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> MismatchStudy:
     """Try ``law`` with estimates off by up to ``mismatch``: every corner, and ``plants`` drawn with ``seed``.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 
 from emps_design.axis import Axis
 from emps_design.discrepancy import rules
@@ -14,13 +13,14 @@ from emps_design.discrepancy.explain.explanation import explain
 from emps_design.discrepancy.result import Diagnosis
 from emps_design.discrepancy.search.beam_search import UNFINISHED
 from emps_design.discrepancy.search.beside_force import past_the_kind, search_or_kind
-from emps_design.discrepancy.search.calibration import Progress, calibrate, first_noise
+from emps_design.discrepancy.search.calibration import calibrate, first_noise
 from emps_design.discrepancy.search.noise_floor import LEFT, Floor, floor_of_laps, floor_of_residual
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.search.suspects import at_first_sight, told
 from emps_design.discrepancy.validation.closest import closest_of
 from emps_design.discrepancy.validation.verdict import validate
 from emps_design.effects import Effect, known_effects
+from emps_design.progress import Progress, of_part, untold
 from emps_design.records import Record
 
 SEARCHES = ((0.0, 0.6), (0.6, 0.25), (0.85, 0.15))  # start and share of the progress; noise taken again in between
@@ -56,7 +56,7 @@ def diagnose(
     """
     from threadpoolctl import threadpool_limits
 
-    report, hears = _forward(progress or (lambda stage, share: None)), searched or (lambda model: None)
+    report, hears = _forward(progress or untold), searched or (lambda model: None)
     records = (records,) if isinstance(records, Record) else tuple(records)
     library = tuple(known_effects().values() if library is None else library)
     # The matrices here are tall and thin: BLAS threads would only spin, and the fits run side by side already.
@@ -67,13 +67,14 @@ def diagnose(
         seen = told(at_first_sight(preparation.start, preparation.library))
         report(f"fitting the baseline{seen}", 0.05)
         rough, floor = first_noise(preparation)
-        part = partial(_part, report, *SEARCHES[0])
+        searching = of_part(report, 0.1, 0.8)
+        part = of_part(searching, *SEARCHES[0])
         outcome = search_or_kind(calibrate(preparation, rough, floor, seed, searches, part), part)
         hears(outcome.best.model.to_axis(axis))
-        outcome = _repeated(outcome, seed, searches, report)
+        outcome = _repeated(outcome, seed, searches, searching)
         hears(outcome.best.model.to_axis(axis))
         report("confirming on data not used so far", 0.9)
-        validation = validate(outcome, partial(_part, report, *CONFIRMATION))
+        validation = validate(outcome, of_part(searching, *CONFIRMATION))
         rest, more = look_at_the_rest(records, parts, preparation.laws, validation.extended)
         if closest:
             report("looking for the model that follows most closely", 0.95)
@@ -81,17 +82,17 @@ def diagnose(
         return explain(validation.beside_something_unknown() if more else validation, rest, following)
 
 
-def _repeated(outcome: Outcome, seed: int, searches: int, report: Progress) -> Outcome:
+def _repeated(outcome: Outcome, seed: int, searches: int, searching: Progress) -> Outcome:
     """Calibrate and search again as long as the model leaves less than the noise it was judged by, twice at most.
 
     A search that stopped at an unknown force of one kind is gone on with under the last noise only: that takes longest.
     """
-    part = partial(_part, report, *SEARCHES[0])
+    part = of_part(searching, *SEARCHES[0])
     for shares in SEARCHES[1:]:
         floor = _finer(outcome)
         if floor is None or outcome.interrupted:
             break
-        calibration, part = outcome.calibration, partial(_part, report, *shares)
+        calibration, part = outcome.calibration, of_part(searching, *shares)
         runs = searches if calibration.healthy.searched else 0  # an interrupt ended the calibration for good
         try:
             calibration = calibrate(calibration.preparation, calibration.baseline, floor, seed, runs, part)
@@ -133,8 +134,3 @@ def _forward(progress: Progress) -> Progress:
         progress(stage, reached)
 
     return report
-
-
-def _part(report: Progress, start: float, share: float, stage: str, done: float) -> None:
-    """Report ``done`` of a search that is ``share`` of all searching, after ``start`` of it."""
-    report(stage, 0.1 + 0.8 * (start + share * done))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,10 +11,9 @@ from emps_design.frequency_response.broadband import Answer, blocks, local_polyn
 from emps_design.frequency_response.distortion import Distortion, distortion_of
 from emps_design.frequency_response.periodic import Spectra, spectra, step_spectra
 from emps_design.frequency_response.signals import COMMAND, Signals
+from emps_design.progress import Progress
 
 BLOCK = 4.0  # s, of what does not repeat
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)

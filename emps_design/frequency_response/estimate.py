@@ -24,7 +24,6 @@ from emps_design.errors import RecordError
 from emps_design.frequency_response.answers import (
     BLOCK,
     Extra,
-    Progress,
     broadband_answer,
     periodic_answer,
     stepped_answer,
@@ -36,6 +35,7 @@ from emps_design.frequency_response.hold import continuous_from_increments, with
 from emps_design.frequency_response.resonances import Resonance, resonances
 from emps_design.frequency_response.response import BAND, FrequencyResponse
 from emps_design.frequency_response.signals import Signals, motion, signals_of
+from emps_design.progress import Progress, untold
 from emps_design.records import Record
 
 METHODS = ("periodic", "stepped", "local-polynomial", "welch")
@@ -141,7 +141,7 @@ def estimate_response(
         )
     read = [signals_of(record, instrument) for record in several]
     method = _method(read) if method == "auto" else method
-    tell = progress or (lambda stage, fraction: None)
+    tell = progress or untold
     if method == "periodic":
         answer, extra = periodic_answer(read, highest, tell)
     elif method == "stepped":

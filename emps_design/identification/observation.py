@@ -30,6 +30,7 @@ from emps_design.observer import (
     observe_online,
     smallest_observable_force,
 )
+from emps_design.progress import Progress, untold
 from emps_design.records import Record
 
 OFFLINE_CUTOFF_HZ = 60.0
@@ -113,7 +114,7 @@ def observe(
     cutoff_hz: float = DEFAULT_CUTOFF_HZ,
     offline_cutoff_hz: float = OFFLINE_CUTOFF_HZ,
     parameter_std: np.ndarray | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Observation:
     """Observe the external force of ``record`` with the parameters of ``axis``.
 
@@ -155,7 +156,7 @@ def observe(
             "cut-offs"
         )
 
-    tell = progress or (lambda stage, fraction: None)
+    tell = progress or untold
     tell("off-line observer", 0.0)
     seen = motion(record, offline_cutoff_hz)
     parameter = _parameter_bound(seen, axis, parameter_std)
@@ -177,7 +178,7 @@ def observe(
     )
 
 
-def _stage(tell: Callable[[str, float], None], name: str, begun: float, share: float) -> Callable[[float], None]:
+def _stage(tell: Progress, name: str, begun: float, share: float) -> Callable[[float], None]:
     """What a stage tells that has ``begun`` at that fraction of the whole and takes a ``share`` of it."""
     return lambda done: tell(name, begun + share * done)
 

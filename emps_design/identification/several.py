@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,6 +13,7 @@ from emps_design.errors import AxisError, InputError
 from emps_design.identification.identify import identify
 from emps_design.identification.inverse_model import parameters_of
 from emps_design.identification.result import Identification
+from emps_design.progress import Progress
 from emps_design.records import Record
 
 DRIFT_LEVEL = 0.01
@@ -118,7 +119,7 @@ def identify_several(
     records: Sequence[Record],
     axis: Axis | None = None,
     model: str = "symmetric",
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
     **options: Any,
 ) -> SeveralIdentifications:
     """Identify each of ``records`` and judge every set of parameters on every record.

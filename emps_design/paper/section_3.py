@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,6 +16,7 @@ from emps_design.identification.result import Identification
 from emps_design.identification.several import SeveralIdentifications, identify_several
 from emps_design.paper.printed import BREAK_AWAY, RANGES, TABLES
 from emps_design.paper.virtual_bench import Bench, virtual_bench
+from emps_design.progress import Progress
 from emps_design.quantities import Quantity
 from emps_design.records import Record
 
@@ -89,7 +90,7 @@ class SectionThree:
 def reproduce_section_3(
     seed: int = 0,
     given: Mapping[str, float] | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> SectionThree:
     """Run the virtual bench of ``seed`` and evaluate it with the paper's chain of filters.
 

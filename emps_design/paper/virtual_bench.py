@@ -9,7 +9,7 @@ with a gripper in front of it. ``bench_numbers.py`` says of every number whether
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +20,7 @@ from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.effects import Effect, Parameter, get_effect
 from emps_design.machines import machine
 from emps_design.paper.bench_numbers import numbers
+from emps_design.progress import Progress
 from emps_design.records import Record
 from emps_design.simulation import Plant
 
@@ -132,7 +133,7 @@ class Bench:
 def virtual_bench(
     seed: int = 0,
     given: Mapping[str, float] | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Bench:
     """Run the twenty experiments and the break-away test of ``seed``; the same seed gives the same bytes.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ from emps_design.axis import Axis
 from emps_design.errors import InputError, nearest_name
 from emps_design.laws import NONE, get_law
 from emps_design.machines import load_axis, machine_names
+from emps_design.progress import Progress, untold
 from emps_design.report.design import DesignResults, design_page, design_results
 from emps_design.report.page import Page, Section
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from emps_design.laws.library.cascade import Filter
     from emps_design.records import Record
 
-Progress = Callable[[str, float], None]
 DESIGN_ON = ("record", "axis")
 K_E1, WALL = 0.01, 1e4  # (m/s)/N, N/m: of a force loop that was asked for without them
 
@@ -116,7 +115,7 @@ def assemble_report(
     >>> report.results.velocity.axis.name, round(report.results.velocity.k_v1, 2)
     ('emps2018', 556.77)
     """
-    tell = progress or (lambda stage, fraction: None)
+    tell = progress or untold
     if design_on not in (None, *DESIGN_ON):
         raise InputError(
             f"`design_on`: found {design_on!r}, expected {' or '.join(DESIGN_ON)}{nearest_name(design_on, DESIGN_ON)}"

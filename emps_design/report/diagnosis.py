@@ -56,7 +56,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     answer = (Text(typeset(document["sentence"])),) if "sentence" in document else ()
     summary: list[Any] = [Callout(level, in_plain_words(document), verdict), answer_points(document), *answer]
     simulated = document.get("simulation", "closed loop")
-    summary.append(_gap_facts(document["gap"], simulated))
+    summary.append(_gap_facts(document["gap"], simulated, document.get("unexplained") or {}))
     if diagnosis.views:
         summary.append(Picture(figures.where_figure(diagnosis), _where_caption(diagnosis, findings), "Where"))
     if diagnosis.trace is not None:
@@ -121,7 +121,8 @@ def _trace_caption(name: str, simulated: str, extended: bool) -> str:
     )
 
 
-def _gap_facts(gap: Mapping[str, Any], simulated: str) -> Facts:
+def _gap_facts(gap: Mapping[str, Any], simulated: str, unexplained: Mapping[str, Any]) -> Facts:
+    """The force error before and after, and where the unknown is of one kind with a force of that kind as well."""
     part = "holdout" if gap.get("holdout") else "train"
     values = gap[part]
     unit = gap.get("unit", "N")
@@ -131,6 +132,9 @@ def _gap_facts(gap: Mapping[str, Any], simulated: str) -> Facts:
     if before == after:  # one model: nothing was added
         errors = [("force error", before)]
     items = [(name, quantity(value, unit, 3), f"{word}, {simulated}") for name, value in errors]
+    if unexplained.get("kind"):
+        left = quantity(unexplained["kind_leaves"], unit, 3)
+        items.append(("with the unknown force too", left, f"like {unexplained['kind']}; on any record at most"))
     items.append(("noise floor", quantity(floor, unit, 3), gap.get("floor_from", "")))
     if before is not None and after is not None and floor is not None and before > max(floor, after):
         share = f"{100 * explained(before, after, floor):.0f} %"

@@ -8,7 +8,6 @@ loses the others; an interrupt keeps what is finished.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,6 +16,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.errors import InputError, SimulationError
 from emps_design.laws import law_of
+from emps_design.progress import Progress
 from emps_design.records import Record
 from emps_design.simulation.kernels import baseline as core
 from emps_design.simulation.kernels.batch import LANES, ROWS, run_lanes
@@ -84,7 +84,7 @@ def simulate_ensemble(
     disturbance: np.ndarray | None = None,
     workers: int = -1,
     quantise: bool = True,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Ensemble:
     """Simulate every plant in closed loop along ``q_ref`` (n,) [m], or along ``record`` and compare with it.
 
@@ -127,7 +127,7 @@ def _collect(
     status: np.ndarray,
     reasons: dict[int, str],
     workers: int,
-    progress: Callable[[str, float], None] | None,
+    progress: Progress | None,
 ) -> bool:
     """Hand out the parts and gather what comes back, in any order; returns whether it was interrupted."""
     from joblib import Parallel, delayed

@@ -10,6 +10,7 @@ import panel as pn
 from emps_design.compensation import Compensation, compensate
 from emps_design.compensation.feedforward import terms_of
 from emps_design.errors import EmpsError
+from emps_design.progress import Progress
 from emps_design.report.compensation import tracking_figure
 from emps_design.report.page import inline
 from emps_design.report.style import labelled, svg
@@ -78,7 +79,7 @@ class CompensationView:
         state, terms = self._state(), tuple(self.terms.value)
         self._withdraw()
 
-        def work(progress: Callable[[str, float], None]) -> Compensation:
+        def work(progress: Progress) -> Compensation:
             progress("each term in closed loop", 0.2)
             return compensate(controlled(state.axis, state), terms=terms)
 

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from emps_design.errors import EmpsError, InputError
+from emps_design.progress import Progress
 from emps_design.report.display import quantity
 from emps_design.studio.state import State
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from emps_design.axis import Axis
     from emps_design.control.position import PositionLoopDesign
     from emps_design.records import Record
@@ -100,9 +99,7 @@ def reference_of(
     return "there and back", np.concatenate([np.zeros(round(state.pause / period)), way]), None
 
 
-def move(
-    state: State, file: tuple[str, bytes] | None, record: Record | None, progress: Callable[[str, float], None]
-) -> Motion:
+def move(state: State, file: tuple[str, bytes] | None, record: Record | None, progress: Progress) -> Motion:
     """Simulate the motion of ``state`` under the design, and under the axis's own controller where that follows it."""
     from emps_design.laws import law_of
     from emps_design.simulation.scenarios import follow

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from emps_design.axis import Axis
+from emps_design.progress import of_part
 from emps_design.records import Record
 from emps_design.report.display import quantity
 from emps_design.units import Units
@@ -80,7 +81,7 @@ def response_work(record: Record, axis: Axis, options: Options, progress: Callab
     from emps_design.frequency_response import estimate_response
     from emps_design.report.frequency_response import response_blocks
 
-    found = estimate_response(record, axis, progress=lambda stage, fraction: progress(stage, 0.5 * fraction))
+    found = estimate_response(record, axis, progress=of_part(progress, 0.0, 0.5))
     progress("fitting", 0.6)
     compared = found.comparison
     chain = compared.chain

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from emps_design.progress import Progress, of_part, untold
 from emps_design.report.display import quantity
 from emps_design.studio.state import State
 
@@ -76,7 +76,7 @@ class Simulated:
         }
 
 
-def simulate(state: State, progress: Callable[[str, float], None] | None = None) -> Simulated:
+def simulate(state: State, progress: Progress | None = None) -> Simulated:
     """Run the impedance law of ``state`` through its task, over its mismatch, and into its wall."""
     from emps_design.comanipulation.run import run_task
     from emps_design.comanipulation.study import mismatch_study
@@ -85,7 +85,7 @@ def simulate(state: State, progress: Callable[[str, float], None] | None = None)
     from emps_design.control.impedance.law import FrictionModel, impedance_law
     from emps_design.control.impedance.sampled import Clock, Environment, sampled_loop
 
-    tell = progress or (lambda stage, share: None)
+    tell = progress or untold
     axis, mismatch, stiffness = state.axis, state.mismatch_percent / 100.0, state.wall * 1e3
     law = impedance_law(axis, state.mass, state.damping, state.filter)
     if state.task == "guided":
@@ -99,7 +99,7 @@ def simulate(state: State, progress: Callable[[str, float], None] | None = None)
         state.plants,
         state.seed,
         task=task,
-        progress=lambda stage, share: tell(stage, 0.8 * share),
+        progress=of_part(tell, 0.0, 0.8),
     )
     tell("the worst plant", 0.8)
     worst = study.plant(study.worst)

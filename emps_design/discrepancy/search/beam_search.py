@@ -16,7 +16,7 @@ from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import Fit, admissible, bounded_cost, evaluate, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.search.acceptance import Accept
-from emps_design.discrepancy.search.calibration import Calibration, Progress
+from emps_design.discrepancy.search.calibration import Calibration
 from emps_design.discrepancy.search.exchange import exchanges, far_apart
 from emps_design.discrepancy.search.extension import converged, extended, extensions, freed
 from emps_design.discrepancy.search.outcome import FitsBySet, Outcome, set_of
@@ -24,6 +24,7 @@ from emps_design.discrepancy.search.pruning import pruned
 from emps_design.discrepancy.search.starts import tangent
 from emps_design.effects import Effect
 from emps_design.effects.two_mass import has_play
+from emps_design.progress import Progress
 
 BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
 A_FEW = len(BEAM)  # effects after which the search goes on from one set only

@@ -11,9 +11,10 @@ from emps_design.discrepancy.model.fit import Fit, evaluate, fit
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.model.unknown_force import KINDS, Columns, beside_kind, with_kind
 from emps_design.discrepancy.search.beam_search import A_FEW, begun, finished, until_interrupted
-from emps_design.discrepancy.search.calibration import Calibration, Progress, calibrate
+from emps_design.discrepancy.search.calibration import Calibration, calibrate
 from emps_design.discrepancy.search.outcome import OfAKind, Outcome
 from emps_design.errors import SimulationError
+from emps_design.progress import Progress, untold
 
 STARTS = 2  # models of the path beside which a kind of force is looked for
 IN_TURN = 3  # times that a force in the loop and the numbers beside it are fitted
@@ -58,12 +59,12 @@ def _begun_beside(calibration: Calibration, start: Hypothesis) -> Outcome:
     first = calibration.preparation
     library = tuple(effect for effect in first.library if not effect.general and not effect.element)
     preparation = replace(first, start=start, library=library)
-    return begun(calibrate(preparation, start, calibration.floor, 0, 0, _silent), _silent, rules.CREDIBLE)
+    return begun(calibrate(preparation, start, calibration.floor, 0, 0, untold), untold, rules.CREDIBLE)
 
 
 def _finished_beside(outcome: Outcome) -> Outcome:
     """The search beside an unknown force to its end: more effects than it takes pains with would stand in for it."""
-    return finished(outcome, _silent, most=rules.CREDIBLE)
+    return finished(outcome, untold, most=rules.CREDIBLE)
 
 
 def _of_a_kind(calibration: Calibration, start: Fit) -> list[OfAKind]:
@@ -132,7 +133,3 @@ def _fitted_beside(start: Fit, columns: Columns) -> list[Fit]:
     with suppress(SimulationError):
         return [fit(with_kind(fit(beside_kind(start, columns)), columns))]
     return []
-
-
-def _silent(stage: str, done: float) -> None:
-    """Nothing is told: this is part of a search, or of the confirmation."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -18,9 +17,9 @@ from emps_design.discrepancy.search.null_distribution import Healthy, healthy_re
 from emps_design.discrepancy.search.simulated_null import healthy_runs
 from emps_design.discrepancy.search.starts import Start, screen, tangent
 from emps_design.discrepancy.search.suspects import by_signature, told
+from emps_design.progress import Progress
 from emps_design.simulation import Plant
 
-Progress = Callable[[str, float], None]
 BASELINE_STEPS = 20  # of the baseline's fit, which starts from the axis file
 
 

@@ -12,7 +12,6 @@ from emps_design.discrepancy.model.fit import Fit, evaluate, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.search.acceptance import Judge, explained, force_rms
 from emps_design.discrepancy.search.beam_search import finished
-from emps_design.discrepancy.search.calibration import Progress
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.validation.beside_unknown import Beside, found_beside_kind, found_beside_state, joined
 from emps_design.discrepancy.validation.confirmation import claims_on, confirm, standing
@@ -21,6 +20,7 @@ from emps_design.discrepancy.validation.gap import Comparison, compare
 from emps_design.discrepancy.validation.holdout import compare_on
 from emps_design.discrepancy.validation.rivals import alike_in_company, equivalents
 from emps_design.discrepancy.validation.robust import robust
+from emps_design.progress import Progress
 
 
 @dataclass(frozen=True)

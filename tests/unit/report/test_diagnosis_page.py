@@ -200,6 +200,21 @@ def test_the_first_screen_says_what_was_found_how_sure_what_is_left_and_what_to_
     assert points[2].startswith("Record next: ")
 
 
+def test_what_an_unknown_force_of_one_kind_would_leave_stands_beside_what_the_effects_do():
+    """They were fitted beside it: without it the force error may be no less than before."""
+    diagnosis = invented("partly-named")
+    units = {"velocity": "m/s", "position": "m", "force": "N"}
+    map_ = {"velocity": [-0.1, 0.1], "position": [0.0, 0.1], "force": [[1.0, -1.0], [2.0, -2.0]], "units": units}
+    left = {"rms": 2.3, "share": 0.18, "over": [], "text": "2.3 N", "kind": "", "map": map_}
+    diagnosis.document["unexplained"] = left
+    assert "with the unknown force too" not in diagnosis_page(diagnosis).html()
+    left |= {"kind": "an inertia that varies", "kind_leaves": 0.4567}
+    html = diagnosis_page(diagnosis).html()
+    assert html.index("force error after") < html.index("with the unknown force too") < html.index("noise floor")
+    assert "0.457 N" in html
+    assert "like an inertia that varies" in html
+
+
 def test_what_lost_does_not_come_before_the_answer(sketched):
     html = diagnosis_page(invented()).html()
     order = [html.index(f">{title}<") for title in ("What is missing", "What to record next", "Candidates")]
