@@ -96,7 +96,7 @@ def _repeated(outcome: Outcome, seed: int, searches: int, searching: Progress) -
         runs = searches if calibration.healthy.searched else 0  # an interrupt ended the calibration for good
         try:
             calibration = calibrate(calibration.preparation, calibration.baseline, floor, seed, runs, part)
-            again = search_or_kind(calibration, part, outcome.best.model)
+            again = search_or_kind(calibration, part, outcome)
         except KeyboardInterrupt:
             again = None
         if again is None or again.interrupted:

@@ -15,6 +15,7 @@ from emps_design.effects.effect import COULOMB, VISCOUS, Effect, Parameter
 from emps_design.quantities import Quantity
 
 STATES = (Quantity("twist", "d", "m"), Quantity("load_velocity", r"\dot q_l", "m/s"))
+GAP = 0  # place of the gap among the numbers of play, where there is some
 LOWEST = 5.0  # Hz, of the resonance
 SETTLING = 2e-5  # s
 NO_REGRESSOR = "the load is a state that no measured signal gives"

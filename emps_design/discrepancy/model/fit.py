@@ -15,7 +15,7 @@ from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.model.response_surface import bounded, descend_rough
 from emps_design.effects import Motion, kind_of
-from emps_design.effects.two_mass import has_play
+from emps_design.effects.two_mass import GAP, has_play
 from emps_design.errors import SimulationError
 from emps_design.records import Record
 
@@ -41,6 +41,11 @@ class Fit(Hypothesis):
     def cost(self) -> float:
         """Sum of squared innovations over fitting and selecting samples."""
         return self.cost_fit + self.cost_select
+
+    @property
+    def criterion(self) -> float:
+        """The cost and what its numbers gain by chance (Bayesian information criterion, known noise)."""
+        return self.cost + len(self.model.slots()) * float(np.log(self.problem.samples("used")))
 
     def whitened(self) -> tuple[np.ndarray, ...]:
         """The innovations, one array (n,) per record."""
@@ -173,7 +178,14 @@ def sensitivities(fitted: Fit, slots: tuple[Slot, ...], part: str) -> np.ndarray
 
 def admissible(fitted: Fit) -> bool:
     """Whether ``fitted`` runs, its numbers are inside their bounds and mean their effects, and its lines are apart."""
-    return bool(fitted.innovations) and not on_bound(fitted) and plausible(fitted) and _lines_apart(fitted)
+    sound = bool(fitted.innovations) and not on_bound(fitted) and plausible(fitted)
+    return sound and _lines_apart(fitted) and not _closed(fitted)
+
+
+def _closed(fitted: Fit) -> bool:
+    """Whether a gap of play is no more than its deviation: a coupling without one, which is named itself."""
+    effects = enumerate(zip(fitted.model.effects, fitted.model.values, strict=True))
+    return any(has_play(effect) and values[0, GAP] < fitted.std(index, GAP) for index, (effect, values) in effects)
 
 
 def _lines_apart(fitted: Fit) -> bool:

@@ -65,6 +65,12 @@ def finished(
     return until_interrupted(outcome, to_the_end)
 
 
+def with_before(outcome: Outcome, before: Candidate | None) -> Outcome:
+    """``outcome`` gone back to the model found ``before``, under other noise, where that leaves less."""
+    better = _found_before(before, outcome.best, outcome.tried)
+    return outcome if better is None else replace(outcome, path=(*outcome.path, better))
+
+
 def until_interrupted(outcome: Outcome, goes_on: Callable[[list[Fit]], None]) -> Outcome:
     """``outcome`` with its path as far as ``goes_on`` took it before an interrupt from the keyboard."""
     path, warnings, interrupted = list(outcome.path), outcome.warnings, False
@@ -121,7 +127,7 @@ def _extend(outcome: Outcome, path: list[Fit], progress: Progress, most: int) ->
         others = ranked[1 : BEAM[min(number, len(BEAM)) - 1]]
         # The best is kept even where it leaves more bursts than the baseline, which hardly count in what is accepted.
         leading = [ranked[0], *(f for f in others if baseline.cost - f.cost >= rules.RIVAL * gain)]
-        beam = sorted(side_by_side(converged, [(f,) for f in leading]), key=lambda f: f.cost)
+        beam = sorted(side_by_side(converged, [(f,) for f in leading]), key=lambda f: f.criterion)
         _remember(tried, beam)
         path.append(beam[0])
         if (1 - rules.WORTH_AT_FLOOR) * beam[0].cost < noise:
@@ -274,7 +280,7 @@ def _round(
 
 def _ranked(current: Fit, sound: FitsBySet, accept: Accept) -> list[Fit]:
     """Those of ``sound`` that are accepted, best first."""
-    ranked = [f for f in sorted(sound.values(), key=lambda f: f.cost) if accept(f, current)]
+    ranked = [f for f in sorted(sound.values(), key=lambda f: f.criterion) if accept(f, current)]
     return ranked or _late(current, sound, accept)
 
 

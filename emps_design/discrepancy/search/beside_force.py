@@ -6,11 +6,10 @@ from contextlib import suppress
 from dataclasses import replace
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import Fit, evaluate, fit
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.model.unknown_force import KINDS, Columns, beside_kind, with_kind
-from emps_design.discrepancy.search.beam_search import A_FEW, begun, finished, until_interrupted
+from emps_design.discrepancy.search.beam_search import A_FEW, begun, finished, until_interrupted, with_before
 from emps_design.discrepancy.search.calibration import Calibration, calibrate
 from emps_design.discrepancy.search.outcome import OfAKind, Outcome
 from emps_design.errors import SimulationError
@@ -20,8 +19,10 @@ STARTS = 2  # models of the path beside which a kind of force is looked for
 IN_TURN = 3  # times that a force in the loop and the numbers beside it are fitted
 
 
-def search_or_kind(calibration: Calibration, progress: Progress, before: Candidate | None = None) -> Outcome:
+def search_or_kind(calibration: Calibration, progress: Progress, before: Outcome | None = None) -> Outcome:
     """A search, stopped at an unknown force of one kind that explains what a few effects leave.
+
+    What a search found ``before``, under other noise, is tried as well, beside such a force too.
 
     Looked for where there are data to confirm it, beside the baseline and beside the effect found first: a motor at its
     limit hides of which kind the rest is.
@@ -32,12 +33,13 @@ def search_or_kind(calibration: Calibration, progress: Progress, before: Candida
         progress("whether it is an unknown force of one kind", 0.6)
         for start in path[:STARTS]:
             if not found:
-                found.extend(_of_a_kind(calibration, start))
+                found.extend(_of_a_kind(calibration, start, before.of_a_kind if before else None))
 
     confirmed = calibration.preparation.held_out is not None
     if confirmed and not outcome.interrupted and calibration.judge.leaves_structure(outcome.best):
         outcome = replace(until_interrupted(outcome, look), of_a_kind=found[0] if found else None)
-    return finished(outcome, progress, before) if outcome.of_a_kind is None else outcome
+    model = None if before is None else before.best.model
+    return finished(outcome, progress, model) if outcome.of_a_kind is None else outcome
 
 
 def past_the_kind(outcome: Outcome, progress: Progress) -> Outcome:
@@ -67,11 +69,11 @@ def _finished_beside(outcome: Outcome) -> Outcome:
     return finished(outcome, untold, most=rules.CREDIBLE)
 
 
-def _of_a_kind(calibration: Calibration, start: Fit) -> list[OfAKind]:
+def _of_a_kind(calibration: Calibration, start: Fit, before: OfAKind | None) -> list[OfAKind]:
     """The force that leaves least beside ``start``, with what is found beside it, where they leave next to nothing.
 
-    Else nothing: a search that leaves structure beside the force is not gone on with. An interrupt goes on to the
-    search that asks.
+    Or what was found beside one ``before``, where that leaves less. Else nothing: a search that leaves structure beside
+    the force is not gone on with. An interrupt goes on to the search that asks.
     """
     best = _kind_beside(start)
     if best is None:
@@ -80,6 +82,8 @@ def _of_a_kind(calibration: Calibration, start: Fit) -> list[OfAKind]:
     with suppress(SimulationError):
         problem = in_turn(beside, columns)[-1].problem
         again = _begun_beside(calibration, Hypothesis(problem, calibration.baseline.model))
+        if before is not None and not again.interrupted:
+            again = with_before(again, before.found.model)
         if not again.calibration.judge.leaves_structure(again.best):
             again = _finished_beside(again)
         if again.interrupted:

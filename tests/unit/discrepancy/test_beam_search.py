@@ -25,6 +25,7 @@ from emps_design.discrepancy.search.beam_search import (
     _pair,
     _pays_again,
     _rivals,
+    with_before,
 )
 from emps_design.discrepancy.search.exchange import exchanges
 from emps_design.discrepancy.search.extension import _fitted, converged, extended, extensions, freed
@@ -130,6 +131,9 @@ def test_a_search_goes_on_from_a_model_found_before_that_leaves_less():
     assert _found_before(None, current, {}) is None
     assert _found_before(delayed, found, {}) is None  # where the search has ended already
     assert _found_before(current.model, found, {}) is None  # leaves more
+    outcome = Outcome(None, (current,), {})
+    assert with_before(outcome, delayed).path == (current, outcome.tried[frozenset({"actuator_delay"})])
+    assert with_before(outcome, None) is outcome
 
 
 def test_what_is_known_from_the_law_is_neverpruned():

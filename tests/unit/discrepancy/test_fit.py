@@ -75,6 +75,21 @@ def test_play_is_found_where_a_descent_along_slopes_ends_in_a_dent():
     assert np.all(deviations < 0.1 * numbers)
 
 
+def test_play_whose_gap_may_be_none_is_the_coupling():
+    coupling = [35.0, 0.05, 0.4, 0.0]
+    hidden = {"kind": "flexible_coupling", **dict(zip(("frequency", "damping", "share"), coupling, strict=False))}
+    judged, model = problem([hidden]), Candidate(AXIS.mechanics.array())
+    both = (("backlash", [4e-8, *coupling]), ("flexible_coupling", coupling))
+    models = [model.with_effect(get_effect(name), np.array([values])) for name, values in both]
+    deviations = [1e-1] * 4 + [1e-7] + [1e-3] * 3  # of the baseline, the gap, and the coupling
+    play = evaluate(Hypothesis(judged, models[0]), models[0].slots(), np.diag(deviations) ** 2)
+    coupled = evaluate(Hypothesis(judged, models[1]))
+    assert [admissible(play), admissible(coupled)] == [False, True]
+    assert admissible(replace(play, covariance=0.01 * play.covariance))  # a gap of four deviations
+    chance = play.criterion - play.cost - (coupled.criterion - coupled.cost)  # what a number more gains by chance
+    assert chance == pytest.approx(np.log(judged.samples("used")))
+
+
 def test_noise_grows_where_the_motor_is_at_its_limit_and_nowhere_else():
     healthy = evaluate(Hypothesis(problem(), Candidate(AXIS.mechanics.array())))
     assert np.array_equal(healthy.loudness[0], np.ones(Q_REF.size))
