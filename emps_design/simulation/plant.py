@@ -12,14 +12,7 @@ from emps_design.axis import Axis
 from emps_design.effects import Effect
 from emps_design.errors import InputError, SimulationError
 from emps_design.laws import Law, law_of
-from emps_design.simulation.effect_hooks import (
-    hooks_of,
-    is_smooth,
-    reads_command,
-    sees_command,
-    summed_of,
-    touches_motion,
-)
+from emps_design.simulation.effect_hooks import hooks_of, how_solved, sees_command, summed_of, touches_motion
 from emps_design.simulation.environment import Hand, Wall
 from emps_design.simulation.kernels import baseline as core
 from emps_design.simulation.kernels import hold_loop as stepper
@@ -83,23 +76,10 @@ class Plant:
         stepped = [effect for effect in moving if effect.slopes is None and touches_motion(effect)]
         self._exact = not stepped and not twice
         seen = any(sees_command(effect) for i, effect in enumerate(self.effects) if i not in self.lagging)
-        self._solved = self._how_solved(stepped, twice)
+        self._solved = 0 if environment else how_solved(stepped, len(self.lagging) + (self._lag > 0))
         dynamic |= twice and (seen or any(effect.states for effect in moving))  # what a slide knows is for one lag
         # A contact whose friction jumps with every command bends anew in no time: that is stepped through.
         self._slides = 0 if dynamic or (seen and self._free) else 1 if seen else 2
-
-    def _how_solved(self, stepped: list[Effect], twice: bool) -> int:
-        """0: no hold period has a solution; 1: all effects are in it; 2: smooth ones beside it; 3: that see a command.
-
-        Of effects that are affine in pieces it takes one.
-        """
-        solved, others = [one for one in stepped if one.affine], [one for one in stepped if not one.affine]
-        pieces = sum(1 for effect in solved if effect.guard)
-        if not solved or pieces > 1 or twice or self._free or self.environment or not all(map(is_smooth, others)):
-            return 0
-        if any(map(reads_command, others)):
-            return 3 if self._lag == 0 and not self.lagging else 0  # behind a lag what they see is no parabola
-        return 2 if others else 1
 
     @classmethod
     def of(cls, axis: Axis) -> Plant:
@@ -268,14 +248,12 @@ class Plant:
     def _pieces(self, p: np.ndarray) -> list[tuple[int, float, float]]:
         """Own state and range of every effect that is affine with the parameters ``p``; none where one is not."""
         found = []
-        for effect, at, start, end in zip(
-            self.effects, self.states_at, self.parameters_at, self.parameters_at[1:], strict=False
-        ):
-            if self._solved and effect.affine:
-                ends = effect.affine(p[start:end])
+        for i, effect in enumerate(self.effects if self._solved else ()):
+            if effect.affine:
+                ends = effect.affine(p[self.parameters_at[i] : self.parameters_at[i + 1]])
                 if ends is None:
                     return []
-                found.append((at, *ends))
+                found.append((self.states_at[i], *ends))
         return found
 
     def _core(

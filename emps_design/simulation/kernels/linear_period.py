@@ -206,20 +206,22 @@ def flow(y, t, h, tau, push, s, plant, work, solutions, others, new):
     """
     settings, largest, stage = plant[4], work[6], work[5]
     n, twist, forced = int(settings[STATES]), int(settings[TWIST]), settings[LINEAR] > 1.0
-    if forced and others[0] < _KNOWN:
-        return False
     size, gap = n + MORE, plant[5][0]
     piece, lower, upper = WITHIN, -np.inf, np.inf
     if twist > 0:
-        lower, upper = settings[LOWER], settings[UPPER]
-        if y[twist] > upper:
-            piece, lower, upper = ABOVE, upper, np.inf
-        elif y[twist] < lower:
-            piece, lower, upper = BELOW, -np.inf, lower
+        low, high = settings[LOWER], settings[UPPER]
+        if y[twist] > high:
+            piece, lower = ABOVE, high
+        elif y[twist] < low:
+            piece, upper = BELOW, low
+        else:
+            lower, upper = low, high
     solution = shifted(solutions, ((PIECES if s < 0.0 else 0) + piece) * room_of_one(n))
     row = shifted(solution, size * size)
     twists, answer = shifted(row, size), shifted(row, 2 * size)
     parts = int(answer[n])
+    if parts == 0 or (forced and others[0] < _KNOWN):
+        return False
     force, slope, curve, span = tau + push, 0.0, 0.0, h / parts
     if forced:
         if settings[LINEAR] > 2.0:  # they have changed with the motor force
@@ -266,7 +268,7 @@ def flow(y, t, h, tau, push, s, plant, work, solutions, others, new):
     for i in range(n):
         largest[i] = max(largest[i], abs(new[i]))
     plant[5][0] = gap
-    return parts > 0
+    return True
 
 
 @fused
