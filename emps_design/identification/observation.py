@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,7 @@ from emps_design.observer import (
     observe_online,
     smallest_observable_force,
 )
-from emps_design.progress import Progress, untold
+from emps_design.progress import Progress, of_part, untold
 from emps_design.records import Record
 
 OFFLINE_CUTOFF_HZ = 60.0
@@ -165,7 +165,9 @@ def observe(
     del seen, offline
     share = 1 / (1 + len(online))
     for index, (name, one) in enumerate(online.items(), 1):
-        force = observe_online(one, record.q, record.u, _stage(tell, f"{name} observer", index * share, share))
+        force = observe_online(
+            one, record.q, record.u, partial(of_part(tell, index * share, share), f"{name} observer")
+        )
         methods[name] = _judge(record, axis, force, one.delay, ends[name], parameter, settings[name])
     return Observation(
         record=record.name,
@@ -176,11 +178,6 @@ def observe(
         methods=methods,
         warnings=tuple(warnings),
     )
-
-
-def _stage(tell: Progress, name: str, begun: float, share: float) -> Callable[[float], None]:
-    """What a stage tells that has ``begun`` at that fraction of the whole and takes a ``share`` of it."""
-    return lambda done: tell(name, begun + share * done)
 
 
 def direct_validation(record: Record, axis: Axis, model: str = "asymmetric", **options: Any) -> Identification:
