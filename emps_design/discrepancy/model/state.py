@@ -48,6 +48,14 @@ def along(q: np.ndarray, degree: int) -> np.ndarray:
     return chebvander(2 * (q - q.min()) / np.ptp(q) - 1, degree)
 
 
+def slopes_along(q: np.ndarray, degree: int) -> np.ndarray:
+    """Derivatives [1/m] of the polynomials of :func:`along` with respect to ``q``."""
+    from numpy.polynomial.chebyshev import chebder, chebvander
+
+    slopes = chebder(np.eye(degree + 1), scl=2 / np.ptp(q))
+    return chebvander(2 * (q - q.min()) / np.ptp(q) - 1, degree - 1) @ slopes
+
+
 def memories(q: np.ndarray, period: float) -> np.ndarray:
     """What friction may remember of the motion ``q`` (n,) [m] before, (n, k).
 

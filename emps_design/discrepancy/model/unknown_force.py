@@ -9,37 +9,64 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from emps_design.discrepancy.model.missing_force import CUTOFF_HZ
+from emps_design.discrepancy.model.missing_force import CUTOFF_HZ, FASTEST
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import RANK, Hypothesis
-from emps_design.discrepancy.model.state import along, memories
+from emps_design.discrepancy.model.state import along, memories, slopes_along
 from emps_design.effects import Motion
 from emps_design.errors import SimulationError
-from emps_design.identification.filters import motion
+from emps_design.identification.filters import low_pass, motion
+from emps_design.records import Record
 
 COARSE, FINE = 6, 12  # degrees of the polynomials in position
 SHARES = (1.0, 0.5, 0.25, 0.125)  # of a force that is put in the loop
+NOISY = 0.03  # of an acceleration: most that the noise of the encoder may be in the band that is looked at
 PUSH = 0.1  # of the force that a model leaves: rms of a column when its answer is simulated
 
 # Forces (n, k) along a measured motion, which the force has taken part in, and the simulated position (n,) [m].
 Columns = Callable[[Motion, np.ndarray], np.ndarray]
 
 
+@dataclass(frozen=True)
+class Kind:
+    """A kind of unknown force by its ``columns``: the force is any sum of them.
+
+    ``everywhere`` is what the fitted model has a number for, in case it belongs to the kind: beside a model whose
+    numbers are given, a part of the force.
+    """
+
+    name: str
+    columns: Columns
+    everywhere: Columns | None = None
+
+    def beside_given(self) -> Kind:
+        """The same kind beside a model whose numbers are given."""
+        if self.everywhere is None:
+            return self
+        own, same = self.columns, self.everywhere
+        return Kind(self.name, lambda motion, q: np.column_stack([own(motion, q), same(motion, q)]))
+
+
 def inertia(measured: Motion, simulated: np.ndarray, degree: int) -> np.ndarray:
-    """An inertia that varies along the travel, as of a crank: functions of position times acceleration and speed^2."""
-    shapes, v, a = along(measured.q, degree), measured.v[:, None], measured.a[:, None]
-    return np.column_stack([shapes * a, shapes * (v * v)])
+    """An inertia m(q) that varies along the travel, as of a crank: m a + m' v^2 / 2 (Lagrange), m a polynomial."""
+    shapes, slopes = along(measured.q, degree), slopes_along(measured.q, degree)
+    return (shapes * measured.a[:, None] + 0.5 * slopes * measured.v[:, None] ** 2)[:, 1:]
 
 
 def damping(measured: Motion, simulated: np.ndarray, degree: int) -> np.ndarray:
-    """Friction in proportion to velocity that varies along the travel, for each direction by itself."""
-    shapes, v = along(measured.q, degree), measured.v[:, None]
-    return np.column_stack([shapes * np.maximum(v, 0.0), shapes * np.minimum(v, 0.0)])
+    """Friction in proportion to velocity, by polynomials in position."""
+    return along(measured.q, degree)[:, 1:] * measured.v[:, None]
+
+
+def damping_each_way(measured: Motion, simulated: np.ndarray, degree: int) -> np.ndarray:
+    """The same for each direction by itself."""
+    speed = np.abs(measured.v)[:, None]
+    return np.column_stack([damping(measured, simulated, degree), along(measured.q, degree) * speed])
 
 
 def memory(measured: Motion, simulated: np.ndarray) -> np.ndarray:
@@ -47,15 +74,28 @@ def memory(measured: Motion, simulated: np.ndarray) -> np.ndarray:
     return memories(simulated, measured.period)
 
 
-# Of each kind from few columns to many.
-KINDS: dict[str, tuple[Columns, ...]] = {
-    "an inertia that varies along the travel": tuple(partial(inertia, degree=n) for n in (COARSE, FINE)),
-    "viscous friction that varies along the travel": tuple(partial(damping, degree=n) for n in (COARSE, FINE)),
-    "friction that remembers the motion before": (memory,),
-}
+def _by_degree(name: str, columns: Callable[..., np.ndarray], everywhere: Columns) -> list[Kind]:
+    return [Kind(name, partial(columns, degree=degree), everywhere) for degree in (COARSE, FINE)]
 
 
-def beside_kind(hypothesis: Hypothesis, kind: Columns) -> Hypothesis:
+def _acceleration(measured: Motion, simulated: np.ndarray) -> np.ndarray:
+    return measured.a
+
+
+def _velocity(measured: Motion, simulated: np.ndarray) -> np.ndarray:
+    return measured.v
+
+
+# From few columns to many, and of each kind too.
+KINDS: tuple[list[Kind], ...] = (
+    _by_degree("an inertia that varies along the travel", inertia, _acceleration),
+    _by_degree("viscous friction that varies along the travel", damping, _velocity),
+    _by_degree("viscous friction that varies along the travel, each way by itself", damping_each_way, _velocity),
+    [Kind("friction that remembers the motion before", memory)],
+)
+
+
+def beside_kind(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
     """The same model, judged by what no unknown force of a ``kind`` could do beside it.
 
     What the force does to the loop is taken as linear. Raises :class:`SimulationError` where the model does not run
@@ -65,7 +105,7 @@ def beside_kind(hypothesis: Hypothesis, kind: Columns) -> Hypothesis:
     return Hypothesis(replace(hypothesis.problem, states=states), hypothesis.model)
 
 
-def with_kind(hypothesis: Hypothesis, kind: Columns) -> Hypothesis:
+def with_kind(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
     """:func:`beside_kind` about the loop on which the force of that kind acts that explains most of what is left.
 
     A force that is a good part of all that moves the carriage changes how the loop answers; of a motor at its limit so
@@ -89,13 +129,28 @@ def with_kind(hypothesis: Hypothesis, kind: Columns) -> Hypothesis:
     return beside_kind(hypothesis, kind)
 
 
-def _columns(hypothesis: Hypothesis, kind: Columns) -> list[np.ndarray]:
+def _columns(hypothesis: Hypothesis, kind: Kind) -> list[np.ndarray]:
     """Forces [N] of a ``kind``, (n, k) along each record, each of ``PUSH`` of the size of what the model leaves."""
     columns = []
     for record, run, left in zip(hypothesis.problem.records, hypothesis.runs(), hypothesis.residuals(), strict=True):
-        one = kind(motion(record, CUTOFF_HZ), run.q)
+        one = kind.columns(motion(record, band(record)), run.q)
         columns.append(one * (PUSH * np.std(left) / np.maximum(np.std(one, axis=0), 1e-30)))
     return columns
+
+
+def band(record: Record) -> float:
+    """Band [Hz] in which the encoder's noise is a small part of the acceleration, from ``CUTOFF_HZ`` on.
+
+    An inertia that is missed changes how the loop answers up to where it has gain. The noise, taken as white, is what
+    is seen of the position beyond any motion, its usual size: impacts are motion.
+    """
+    fastest = FASTEST / record.period
+    beyond = np.abs(record.q - low_pass(record.q, fastest, record.period))
+    noise = (np.median(beyond) / 0.6745) ** 2 / (1.0 - 2.0 * FASTEST)
+    density = 2.0 * record.period * noise * (2.0 * np.pi) ** 4  # of the acceleration over f^4 [m^2/s^4/Hz^5]
+    size = np.var(motion(record, CUTOFF_HZ).a)
+    most = (5.0 * NOISY**2 * size / max(density, 1e-300)) ** 0.2
+    return float(np.clip(most, CUTOFF_HZ, fastest))
 
 
 def _answers(hypothesis: Hypothesis, columns: list[np.ndarray]) -> tuple[np.ndarray, ...]:

@@ -91,6 +91,7 @@ def _go_on(outcome: Outcome, path: list[Fit], progress: Progress, before: Candid
         better = (
             _found_before(before, path[-1], tried)
             or _exchanged(calibration, path[-1], tried, progress)
+            or _pair(calibration, path[-1], tried, progress)
             or _far_behind(calibration, path[-1], tried, progress)
             or _beyond(calibration, path[-1], tried, progress, most)
         )

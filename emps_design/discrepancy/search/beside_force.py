@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.fit import Fit, evaluate, fit
 from emps_design.discrepancy.model.problem import Hypothesis
-from emps_design.discrepancy.model.unknown_force import KINDS, Columns, beside_kind, with_kind
+from emps_design.discrepancy.model.unknown_force import KINDS, Kind, beside_kind, with_kind
 from emps_design.discrepancy.search.beam_search import A_FEW, begun, finished, until_interrupted, with_before
 from emps_design.discrepancy.search.calibration import Calibration, calibrate
 from emps_design.discrepancy.search.outcome import OfAKind, Outcome
@@ -70,38 +71,35 @@ def _finished_beside(outcome: Outcome) -> Outcome:
 
 
 def _of_a_kind(calibration: Calibration, start: Fit, before: OfAKind | None) -> list[OfAKind]:
-    """The force that leaves least beside ``start``, with what is found beside it, where they leave next to nothing.
+    """The force of the fewest columns that leaves next to nothing beside ``start`` and what is found beside it.
 
     Or what was found beside one ``before``, where that leaves less. Else nothing: a search that leaves structure beside
     the force is not gone on with. An interrupt goes on to the search that asks.
     """
-    best = _kind_beside(start)
-    if best is None:
-        return []
-    kind, columns, beside = best
-    with suppress(SimulationError):
-        problem = in_turn(beside, columns)[-1].problem
-        again = _begun_beside(calibration, Hypothesis(problem, calibration.baseline.model))
-        if before is not None and not again.interrupted:
-            again = with_before(again, before.found.model)
-        if not again.calibration.judge.leaves_structure(again.best):
-            again = _finished_beside(again)
-        if again.interrupted:
-            raise KeyboardInterrupt
-        found = again.calibration.judge.refitted(again.best)
-        if next_to_nothing(start, evaluate(with_kind(found, columns))):
-            return [OfAKind(kind, columns, start, again, found)]
+    for kind, beside in _kinds_beside(start):
+        with suppress(SimulationError):
+            problem = in_turn(beside, kind)[-1].problem
+            again = _begun_beside(calibration, Hypothesis(problem, calibration.baseline.model))
+            if before is not None and not again.interrupted:
+                again = with_before(again, before.found.model)
+            if not again.calibration.judge.leaves_structure(again.best):
+                again = _finished_beside(again)
+            if again.interrupted:
+                raise KeyboardInterrupt
+            found = again.calibration.judge.refitted(again.best)
+            if next_to_nothing(start, evaluate(with_kind(found, kind))):
+                return [OfAKind(kind, start, again, found)]
     return []
 
 
-def in_turn(fitted: Fit, columns: Columns) -> list[Fit]:
+def in_turn(fitted: Fit, kind: Kind) -> list[Fit]:
     """Fits of the model of ``fitted`` to all that may be used, each with the force in the loop that the last one left.
 
     Raises :class:`SimulationError` where the model does not run with it.
     """
     fits = []
     for _ in range(IN_TURN):
-        fitted = fit(with_kind(fitted, columns), "used")
+        fitted = fit(with_kind(fitted, kind), "used")
         fits.append(fitted)
     return fits
 
@@ -116,24 +114,24 @@ def only_noise(hypothesis: Hypothesis, most: float) -> bool:
     return hypothesis.excess() <= (most - 1.0) * hypothesis.problem.samples("used")
 
 
-def _kind_beside(start: Fit) -> tuple[str, Columns, Fit] | None:
-    """The kind of force beside which ``start`` leaves least, its columns and that fit; None where there is none.
+def _kinds_beside(start: Fit) -> Iterator[tuple[Kind, Fit]]:
+    """Each kind of force that is a good part of what ``start`` leaves, and the fit beside it.
 
     With more columns where these leave clearly less: else they would only take the part of something known.
     """
-    fits = [(name, columns, one) for name, (columns, *_) in KINDS.items() for one in _fitted_beside(start, columns)]
-    if not fits:
-        return None
-    name, columns, best = min(fits, key=lambda found: found[2].cost)
-    for finer in KINDS[name][1:]:
-        for one in _fitted_beside(start, finer):
-            if one.excess() < rules.SHARPER * best.excess():
-                columns, best = finer, one
-    return (name, columns, best) if best.excess() <= (1.0 - rules.OF_A_KIND) * start.excess() else None
+    for coarse, *finer in KINDS:
+        for best in _fitted_beside(start, coarse):
+            kind = coarse
+            for more in finer:
+                for one in _fitted_beside(start, more):
+                    if one.excess() < rules.SHARPER * best.excess():
+                        kind, best = more, one
+            if best.excess() <= (1.0 - rules.OF_A_KIND) * start.excess():
+                yield kind, best
 
 
-def _fitted_beside(start: Fit, columns: Columns) -> list[Fit]:
+def _fitted_beside(start: Fit, kind: Kind) -> list[Fit]:
     """``start`` fitted beside an unknown force in the loop; nothing where it does not run with one."""
     with suppress(SimulationError):
-        return [fit(with_kind(fit(beside_kind(start, columns)), columns))]
+        return [fit(with_kind(fit(beside_kind(start, kind)), kind))]
     return []

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.fit import Fit
-from emps_design.discrepancy.model.unknown_force import Columns
+from emps_design.discrepancy.model.unknown_force import Kind
 from emps_design.discrepancy.search.calibration import Calibration
 
 FitsBySet = dict[frozenset[str], Fit]
@@ -53,14 +53,13 @@ class Outcome:
 
 @dataclass(frozen=True)
 class OfAKind:
-    """An unknown force of one ``kind`` of ``unknown_force.KINDS``, by its ``columns``.
+    """An unknown force of one ``kind`` of ``unknown_force.KINDS``.
 
     ``outcome`` is that of a search beside it, and ``found`` its best model, maybe without effects, fitted to all of the
     records that may be used: the two leave next to nothing of what the model ``start`` does.
     """
 
-    kind: str
-    columns: Columns
+    kind: Kind
     start: Fit
     outcome: Outcome
     found: Fit

@@ -14,13 +14,13 @@ from emps_design.discrepancy.model.fit import evaluate, fit
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.state import beside_state
-from emps_design.discrepancy.model.unknown_force import KINDS, beside_kind, with_kind
+from emps_design.discrepancy.model.unknown_force import KINDS, band, beside_kind, inertia, with_kind
 from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.discrepancy.search import beside_force
 from emps_design.discrepancy.validation import verdict
 from emps_design.discrepancy.validation.beside_unknown import Beside, _fitted_around
 from emps_design.discrepancy.validation.evidence import Asked
-from emps_design.effects import get_effect
+from emps_design.effects import Motion, get_effect
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
@@ -112,6 +112,11 @@ def crank(q):
     return -40.0 * (np.sin(turn) * np.gradient(v, 1e-3) + np.pi / 0.16 * np.cos(turn) * v * v)
 
 
+def leaning(q):
+    """Viscous friction that grows along the travel by 400 N/(m/s) on 0.1 m: no effect of the library."""
+    return -4000.0 * (q - 0.05) * np.gradient(q, 1e-3)
+
+
 def seal(q):
     """Friction of 12 N that comes back with time after every reversal: no effect of the library."""
     direction = np.tanh(np.gradient(q, 1e-3) / 1e-3)
@@ -128,19 +133,53 @@ def with_force(force, seed, q_ref, *effects, name="run"):
     return Record(t=run.t, q_ref=q_ref, q=run.q, u=run.u, period=1e-3, name=name)
 
 
+def beside_crank(seed=1):
+    seen = with_force(crank, seed, SMOOTH)
+    return Hypothesis(Problem(AXIS, (seen,), (split(seen),), WHITE), Candidate(AXIS.mechanics.array()))
+
+
 def test_an_unknown_force_of_its_kind_leaves_nothing_and_one_of_another_kind_does():
-    seen = with_force(crank, 1, SMOOTH)
-    start = Hypothesis(Problem(AXIS, (seen,), (split(seen),), WHITE), Candidate(AXIS.mechanics.array()))
-    left = [np.std(beside_kind(start, coarse).residual("used")) for coarse, *_ in KINDS.values()]
+    start = beside_crank()
+    left = [np.std(beside_kind(start, coarse.beside_given()).residual("used")) for coarse, *_ in KINDS]
     assert left[0] < 0.1 * np.std(start.residual("used"))
     assert left[0] < 0.2 * min(left[1:])
+
+
+def test_what_is_the_same_everywhere_is_the_models_where_it_is_fitted_and_the_forces_where_it_is_given():
+    start = beside_crank()
+    heavier = start.with_model(Candidate(AXIS.mechanics.array() * [1.1, 1.0, 1.0, 1.0]))
+    varies = KINDS[0][0]
+    left = [np.std(beside_kind(heavier, kind).residual("used")) for kind in (varies, varies.beside_given())]
+    assert left[1] < 0.5 * left[0]
+    fitted = fit(beside_kind(heavier, varies), "used")
+    assert np.std(fitted.residual("used")) == pytest.approx(left[1], rel=0.3)
+
+
+def test_an_inertia_along_the_travel_is_that_of_lagranges_equation():
+    q = 0.05 + 0.04 * np.sin(np.linspace(0.0, 9.0, 4000))
+    v = np.gradient(q, 1e-3)
+    seen = Motion(t=1e-3 * np.arange(q.size), q=q, v=v, a=np.gradient(v, 1e-3), tau=0.0 * q, period=1e-3)
+    columns = inertia(seen, q, 6)
+    mass = 3.0 * q - 20.0 * q**3  # [kg], less a number
+    momentum = np.gradient(mass * v, 1e-3) - 0.5 * (3.0 - 60.0 * q**2) * v * v  # d/dt dL/dv - dL/dq
+    whole = np.column_stack([columns, seen.a])[5:-5]
+    left = momentum[5:-5] - whole @ np.linalg.lstsq(whole, momentum[5:-5], rcond=None)[0]
+    assert np.std(left) < 1e-4 * np.std(momentum)
+
+
+@pytest.mark.parametrize(
+    ("resolution", "least", "most"), [(1e-9, 399.0, 400.0), (1e-6, 90.0, 200.0), (2e-5, 60.0, 60.0)]
+)
+def test_an_acceleration_is_looked_at_as_far_as_the_encoder_sees_it(resolution, least, most):
+    q = 0.05 * np.sin(2.0 * np.pi * np.arange(5000) * 1e-3)
+    seen = Record(t=1e-3 * np.arange(q.size), q_ref=q, q=np.round(q / resolution) * resolution, u=0.0 * q, period=1e-3)
+    assert least <= band(seen) <= most
 
 
 def test_a_large_unknown_force_leaves_less_with_its_share_on_the_carriage():
     seen = with_force(crank, 1, SLOWER)
     start = Hypothesis(Problem(AXIS, (seen,), (split(seen),), WHITE), Candidate(AXIS.mechanics.array()))
-    inertia = KINDS["an inertia that varies along the travel"][0]
-    linear, within = (judge(start, inertia) for judge in (beside_kind, with_kind))
+    linear, within = (judge(start, KINDS[0][0].beside_given()) for judge in (beside_kind, with_kind))
     assert np.std(within.residual("used")) < 0.95 * np.std(linear.residual("used"))
     assert np.std(within.problem.acting[0] - crank(seen.q)) < 0.1 * np.std(crank(seen.q))
     assert within.problem.remembered is not start.problem.remembered  # other forces act: other residuals
@@ -149,12 +188,24 @@ def test_a_large_unknown_force_leaves_less_with_its_share_on_the_carriage():
 def test_only_as_much_of_a_force_is_put_in_the_loop_as_leaves_less(monkeypatch):
     seen = with_force(crank, 1, SLOWER)
     start = Hypothesis(Problem(AXIS, (seen,), (split(seen),), WHITE), Candidate(AXIS.mechanics.array()))
-    inertia = KINDS["an inertia that varies along the travel"][0]
-    (whole,) = with_kind(start, inertia).problem.acting
+    varies = KINDS[0][0]
+    (whole,) = with_kind(start, varies).problem.acting
     for shares, acting in (((8.0, 0.5), 0.5 * whole), ((8.0,), None)):  # eight times as much is too much
         monkeypatch.setattr(unknown_force, "SHARES", shares)
-        forces = with_kind(start, inertia).problem.acting
+        forces = with_kind(start, varies).problem.acting
         assert forces == () if acting is None else np.allclose(forces[0], acting)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mechanism", [crank, leaning])
+def test_an_asymmetry_of_friction_is_named_beside_what_could_hold_it(mechanism):
+    hidden = {"kind": "asymmetric_viscous_friction", "viscous_difference": 60.0}
+    library = [get_effect(name) for name in ("asymmetric_viscous_friction", "actuator_delay", "mass_change")]
+    held_out = with_force(mechanism, 2, SLOWER, hidden, name="other")
+    answer = diagnose(with_force(mechanism, 1, SMOOTH, hidden), AXIS, library=library, holdout=held_out)
+    assert [finding.effect for finding in answer.findings] == ["asymmetric_viscous_friction"]
+    assert answer.findings[0].parameters["viscous_difference"]["value"] == pytest.approx(60.0, rel=0.1)
+    assert answer.details["unexplained"]["kind"] == KINDS[mechanism is leaning][0].name
 
 
 @pytest.mark.slow
