@@ -37,7 +37,7 @@ def smooth_of_state(q: np.ndarray, period: float) -> np.ndarray:
     surface = along(q, DEGREE)[:, :, None] * chebvander(2 * speed - 1, DEGREE)[:, None]
     surface = surface.reshape(q.size, -1)
     return np.column_stack(
-        [surface * (direction > 0)[:, None], surface * (direction <= 0)[:, None], memories(q, period)]
+        [surface * (direction > 0)[:, None], surface * (direction <= 0)[:, None], memories(q, period), faded(v, period)]
     )
 
 
@@ -59,19 +59,21 @@ def slopes_along(q: np.ndarray, degree: int) -> np.ndarray:
 def memories(q: np.ndarray, period: float) -> np.ndarray:
     """What friction may remember of the motion ``q`` (n,) [m] before, (n, k).
 
-    What fades with the time and the way since a reversal, and fading memories of velocity, of direction, and of motion
-    at all.
+    What fades with the time and the way since a reversal, and fading memories of direction, and of motion at all.
     """
-    from scipy.signal import lfilter
-
     v = np.gradient(q, period)
     direction, since = np.tanh(v / SLOWEST), since_reversal(v)
     way = np.cumsum(np.abs(v)) * period
     way -= way[np.arange(q.size) - since]
     fading = [np.exp(-since * period / time) * direction for time in FADING_TIMES]
     fading += [np.exp(-way / distance) * direction for distance in FADING_WAYS]
-    for time in MEMORIES:
-        share = period / time
-        faded = lfilter([share], [1.0, share - 1.0], np.column_stack([v, direction, np.abs(direction)]), axis=0)
-        fading += [faded[:, 0], faded[:, 1], faded[:, 2] * direction]
-    return np.column_stack(fading)
+    moved = faded(np.abs(direction), period) * direction[:, None]
+    return np.column_stack([*fading, faded(direction, period), moved])
+
+
+def faded(signal: np.ndarray, period: float) -> np.ndarray:
+    """Fading memories (n, k) of a ``signal`` (n,), one for each of ``MEMORIES``."""
+    from scipy.signal import lfilter
+
+    shares = [period / time for time in MEMORIES]
+    return np.column_stack([lfilter([share], [1.0, share - 1.0], signal) for share in shares])

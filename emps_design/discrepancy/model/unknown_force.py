@@ -14,10 +14,10 @@ from functools import partial
 
 import numpy as np
 
-from emps_design.discrepancy.model.missing_force import CUTOFF_HZ, FASTEST
+from emps_design.discrepancy.model.missing_force import CUTOFF_HZ, FASTEST, SLOWEST
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import RANK, Hypothesis
-from emps_design.discrepancy.model.state import along, memories, slopes_along
+from emps_design.discrepancy.model.state import along, faded, memories, slopes_along
 from emps_design.effects import Motion
 from emps_design.errors import SimulationError
 from emps_design.identification.filters import low_pass, motion
@@ -34,22 +34,14 @@ Columns = Callable[[Motion, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of unknown force by its ``columns``: the force is any sum of them.
-
-    ``everywhere`` is what the fitted model has a number for, in case it belongs to the kind: beside a model whose
-    numbers are given, a part of the force.
-    """
+    """A kind of unknown force by its ``columns``: the force is any sum of them."""
 
     name: str
     columns: Columns
-    everywhere: Columns | None = None
 
     def beside_given(self) -> Kind:
-        """The same kind beside a model whose numbers are given."""
-        if self.everywhere is None:
-            return self
-        own, same = self.columns, self.everywhere
-        return Kind(self.name, lambda motion, q: np.column_stack([own(motion, q), same(motion, q)]))
+        """The same kind beside a model whose numbers are given: what it has numbers for is a part of the force."""
+        return replace(self, columns=lambda *along: np.column_stack([self.columns(*along), baseline(*along)]))
 
 
 def inertia(measured: Motion, simulated: np.ndarray, degree: int) -> np.ndarray:
@@ -70,28 +62,33 @@ def damping_each_way(measured: Motion, simulated: np.ndarray, degree: int) -> np
 
 
 def memory(measured: Motion, simulated: np.ndarray) -> np.ndarray:
-    """Friction that remembers the motion before: the simulated one, which stands still where the encoder does not."""
-    return memories(simulated, measured.period)
+    """Friction that remembers the motion before: the simulated one, which stands still where the encoder does not.
+
+    Not only whether it moved, but how fast. What remembers velocity with its sign would be a spring, or viscous.
+    """
+    v = np.gradient(simulated, measured.period)
+    fast = faded(np.abs(v), measured.period) * np.tanh(v / SLOWEST)[:, None]
+    return np.column_stack([memories(simulated, measured.period), fast])
 
 
-def _by_degree(name: str, columns: Callable[..., np.ndarray], everywhere: Columns) -> list[Kind]:
-    return [Kind(name, partial(columns, degree=degree), everywhere) for degree in (COARSE, FINE)]
+def baseline(measured: Motion, simulated: np.ndarray) -> np.ndarray:
+    """What the four numbers of a model act on: acceleration, velocity, its direction, and 1."""
+    v = measured.v
+    return np.column_stack([measured.a, v, np.tanh(v / SLOWEST), np.ones_like(v)])
 
 
-def _acceleration(measured: Motion, simulated: np.ndarray) -> np.ndarray:
-    return measured.a
+def _by_degree(name: str, columns: Callable[..., np.ndarray]) -> tuple[Kind, ...]:
+    return tuple(Kind(name, partial(columns, degree=degree)) for degree in (COARSE, FINE))
 
 
-def _velocity(measured: Motion, simulated: np.ndarray) -> np.ndarray:
-    return measured.v
-
-
-# From few columns to many, and of each kind too.
-KINDS: tuple[list[Kind], ...] = (
-    _by_degree("an inertia that varies along the travel", inertia, _acceleration),
-    _by_degree("viscous friction that varies along the travel", damping, _velocity),
-    _by_degree("viscous friction that varies along the travel, each way by itself", damping_each_way, _velocity),
-    [Kind("friction that remembers the motion before", memory)],
+# Each with few columns and with many, and what is part of another kind before it.
+KINDS: tuple[tuple[tuple[Kind, ...], ...], ...] = (
+    (_by_degree("an inertia that varies along the travel", inertia),),
+    (
+        _by_degree("viscous friction that varies along the travel", damping),
+        _by_degree("viscous friction that varies along the travel, each way by itself", damping_each_way),
+    ),
+    ((Kind("friction that remembers the motion before", memory),),),
 )
 
 
@@ -134,7 +131,8 @@ def _columns(hypothesis: Hypothesis, kind: Kind) -> list[np.ndarray]:
     columns = []
     for record, run, left in zip(hypothesis.problem.records, hypothesis.runs(), hypothesis.residuals(), strict=True):
         one = kind.columns(motion(record, band(record)), run.q)
-        columns.append(one * (PUSH * np.std(left) / np.maximum(np.std(one, axis=0), 1e-30)))
+        rms = np.sqrt(np.mean(one * one, axis=0))
+        columns.append(one * (PUSH * np.std(left) / np.maximum(rms, 1e-30)))
     return columns
 
 

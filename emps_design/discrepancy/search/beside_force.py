@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 
@@ -71,7 +70,7 @@ def _finished_beside(outcome: Outcome) -> Outcome:
 
 
 def _of_a_kind(calibration: Calibration, start: Fit, before: OfAKind | None) -> list[OfAKind]:
-    """The force of the fewest columns that leaves next to nothing beside ``start`` and what is found beside it.
+    """The first kind of force that leaves next to nothing beside ``start`` and what is found beside it.
 
     Or what was found beside one ``before``, where that leaves less. Else nothing: a search that leaves structure beside
     the force is not gone on with. An interrupt goes on to the search that asks.
@@ -104,6 +103,13 @@ def in_turn(fitted: Fit, kind: Kind) -> list[Fit]:
     return fits
 
 
+def acting(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
+    """``hypothesis`` with an unknown force in the loop, found again with that. Raises as :func:`in_turn`."""
+    for _ in range(IN_TURN):
+        hypothesis = with_kind(hypothesis, kind)
+    return hypothesis
+
+
 def next_to_nothing(before: Hypothesis, after: Hypothesis) -> bool:
     """Whether ``after`` leaves nothing but noise, or next to nothing of the gap of ``before``."""
     return only_noise(after, rules.STRUCTURED) or after.excess() <= (1.0 - rules.COMPLETE) * before.excess()
@@ -114,20 +120,30 @@ def only_noise(hypothesis: Hypothesis, most: float) -> bool:
     return hypothesis.excess() <= (most - 1.0) * hypothesis.problem.samples("used")
 
 
-def _kinds_beside(start: Fit) -> Iterator[tuple[Kind, Fit]]:
-    """Each kind of force that is a good part of what ``start`` leaves, and the fit beside it.
+def _kinds_beside(start: Fit) -> list[tuple[Kind, Fit]]:
+    """The kinds of force that are a good part of what ``start`` leaves, and the fits beside them.
+
+    The one that leaves least first, after those that are part of it.
+    """
+    found = [[one for degrees in related for one in _of_few_columns(start, degrees)] for related in KINDS]
+    good = [
+        [(kind, one) for kind, one in related if one.excess() <= (1.0 - rules.OF_A_KIND) * start.excess()]
+        for related in found
+    ]
+    return [one for related in sorted(filter(None, good), key=lambda r: min(f.cost for _, f in r)) for one in related]
+
+
+def _of_few_columns(start: Fit, degrees: tuple[Kind, ...]) -> list[tuple[Kind, Fit]]:
+    """The first of ``degrees`` beside which ``start`` runs, and the fit; none where there is none.
 
     With more columns where these leave clearly less: else they would only take the part of something known.
     """
-    for coarse, *finer in KINDS:
-        for best in _fitted_beside(start, coarse):
-            kind = coarse
-            for more in finer:
-                for one in _fitted_beside(start, more):
-                    if one.excess() < rules.SHARPER * best.excess():
-                        kind, best = more, one
-            if best.excess() <= (1.0 - rules.OF_A_KIND) * start.excess():
-                yield kind, best
+    fits = [(kind, one) for kind in degrees for one in _fitted_beside(start, kind)]
+    best = fits[:1]
+    for kind, one in fits[1:]:
+        if one.excess() < rules.SHARPER * best[0][1].excess():
+            best = [(kind, one)]
+    return best
 
 
 def _fitted_beside(start: Fit, kind: Kind) -> list[Fit]:

@@ -18,9 +18,9 @@ from emps_design.discrepancy.model.fit import Fit, evaluate, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.model.state import beside_state
-from emps_design.discrepancy.model.unknown_force import Kind, with_kind
+from emps_design.discrepancy.model.unknown_force import Kind
 from emps_design.discrepancy.search.acceptance import force_rms
-from emps_design.discrepancy.search.beside_force import in_turn, next_to_nothing, only_noise, search_beside
+from emps_design.discrepancy.search.beside_force import acting, in_turn, next_to_nothing, only_noise, search_beside
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.validation.confirmation import claims_on, standing
 from emps_design.discrepancy.validation.evidence import Asked
@@ -69,11 +69,11 @@ def found_beside_kind(outcome: Outcome, data: HeldOut) -> Beside | None:
     before = (force.start, _on(data, known, force.start))
     with suppress(SimulationError):
         given = force.kind.beside_given()
-        there = with_kind(_on(data, known, force.found), given)
+        there = acting(_on(data, known, force.found), given)
         beside = _standing(force.outcome, force.found, there, data)
         start = beside.found if beside.names else force.outcome.path[0]
         beside = replace(beside, found=_in_the_loop(start, force.kind))
-        after = (beside.found, evaluate(with_kind(_on(data, there, beside.found), given)))
+        after = (beside.found, evaluate(acting(_on(data, there, beside.found), given)))
         if all(map(next_to_nothing, before, after)):
             is_all = force.is_plain and all(only_noise(one, rules.AT_FLOOR) for one in after)
             return replace(beside, kind=force.kind.name, left=max(map(force_rms, after)), is_all=is_all)

@@ -140,7 +140,11 @@ def beside_crank(seed=1):
 
 def test_an_unknown_force_of_its_kind_leaves_nothing_and_one_of_another_kind_does():
     start = beside_crank()
-    left = [np.std(beside_kind(start, coarse.beside_given()).residual("used")) for coarse, *_ in KINDS]
+    left = [
+        np.std(beside_kind(start, coarse.beside_given()).residual("used"))
+        for related in KINDS
+        for coarse, *_ in related
+    ]
     assert left[0] < 0.1 * np.std(start.residual("used"))
     assert left[0] < 0.2 * min(left[1:])
 
@@ -148,7 +152,7 @@ def test_an_unknown_force_of_its_kind_leaves_nothing_and_one_of_another_kind_doe
 def test_what_is_the_same_everywhere_is_the_models_where_it_is_fitted_and_the_forces_where_it_is_given():
     start = beside_crank()
     heavier = start.with_model(Candidate(AXIS.mechanics.array() * [1.1, 1.0, 1.0, 1.0]))
-    varies = KINDS[0][0]
+    varies = KINDS[0][0][0]
     left = [np.std(beside_kind(heavier, kind).residual("used")) for kind in (varies, varies.beside_given())]
     assert left[1] < 0.5 * left[0]
     fitted = fit(beside_kind(heavier, varies), "used")
@@ -179,7 +183,7 @@ def test_an_acceleration_is_looked_at_as_far_as_the_encoder_sees_it(resolution, 
 def test_a_large_unknown_force_leaves_less_with_its_share_on_the_carriage():
     seen = with_force(crank, 1, SLOWER)
     start = Hypothesis(Problem(AXIS, (seen,), (split(seen),), WHITE), Candidate(AXIS.mechanics.array()))
-    linear, within = (judge(start, KINDS[0][0].beside_given()) for judge in (beside_kind, with_kind))
+    linear, within = (judge(start, KINDS[0][0][0].beside_given()) for judge in (beside_kind, with_kind))
     assert np.std(within.residual("used")) < 0.95 * np.std(linear.residual("used"))
     assert np.std(within.problem.acting[0] - crank(seen.q)) < 0.1 * np.std(crank(seen.q))
     assert within.problem.remembered is not start.problem.remembered  # other forces act: other residuals
@@ -188,7 +192,7 @@ def test_a_large_unknown_force_leaves_less_with_its_share_on_the_carriage():
 def test_only_as_much_of_a_force_is_put_in_the_loop_as_leaves_less(monkeypatch):
     seen = with_force(crank, 1, SLOWER)
     start = Hypothesis(Problem(AXIS, (seen,), (split(seen),), WHITE), Candidate(AXIS.mechanics.array()))
-    varies = KINDS[0][0]
+    varies = KINDS[0][0][0]
     (whole,) = with_kind(start, varies).problem.acting
     for shares, acting in (((8.0, 0.5), 0.5 * whole), ((8.0,), None)):  # eight times as much is too much
         monkeypatch.setattr(unknown_force, "SHARES", shares)
@@ -205,7 +209,7 @@ def test_an_asymmetry_of_friction_is_named_beside_what_could_hold_it(mechanism):
     answer = diagnose(with_force(mechanism, 1, SMOOTH, hidden), AXIS, library=library, holdout=held_out)
     assert [finding.effect for finding in answer.findings] == ["asymmetric_viscous_friction"]
     assert answer.findings[0].parameters["viscous_difference"]["value"] == pytest.approx(60.0, rel=0.1)
-    assert answer.details["unexplained"]["kind"] == KINDS[mechanism is leaning][0].name
+    assert answer.details["unexplained"]["kind"] == KINDS[mechanism is leaning][0][0].name
 
 
 @pytest.mark.slow
