@@ -65,7 +65,6 @@ ASKED_APART = 0.3  # from all of an effect, beyond which a record refutes it
 SHARE_KNOWN = 0.1  # deviation of the share asked for, beyond which an effect beside something unknown does not stand
 SURE = 3.0  # standard deviations
 EXERCISED = 0.05  # standard deviations of the noise that an effect must change in the mean to be seen at all
-FOLLOWED = 0.1  # of what a number of the baseline changes: where an unknown force leaves less, the number is its own
 BETTER_PROPOSAL = 0.98  # of the cost: a proposal for what belongs to a record must leave less than with the old numbers
 BETTER_FIT = 0.995  # the same for the fit that follows
 

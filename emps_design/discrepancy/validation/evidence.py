@@ -6,7 +6,7 @@ model leaves is part of the noise, once by its spectrum and once as a smooth fun
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -100,7 +100,6 @@ def asked_for(hypothesis: Hypothesis) -> tuple[Asked, ...]:
     if whole is None:  # what cannot run tells nothing
         return tuple(Asked(name, 0.0, 0.0, 1.0, exercised=False) for name in model.names)
     columns = [_change(one, whole) for one in lefts]  # of the effects, then of the baseline's numbers
-    columns[len(rests) :] = [one for one in columns[len(rests) :] if _stays(problem, one)]
     again = [_change(one, disturbed) for one in lefts_disturbed]
     spectrum = floor_of_residual(problem.pick(problem.unfollowed(whole), "used"), problem.period, LEFT).whitening
     states = () if problem.states else states_of(hypothesis)
@@ -154,12 +153,6 @@ def _shares(design: np.ndarray, left: np.ndarray, unknown: np.ndarray | None = N
 def _gathered(problem: Problem, signals: Forces) -> np.ndarray:
     """Whitened ``signals``, (n,) or (n, k) per record, on the used samples of all records."""
     return problem.gather(problem.whiten(signals), "used")
-
-
-def _stays(problem: Problem, change: Forces) -> bool:
-    """Whether a ``change`` stays beside what the states follow: what little is left of it is no change of its kind."""
-    whole = _gathered(replace(problem, states=()), change)
-    return float(np.linalg.norm(_gathered(problem, change))) > rules.FOLLOWED * float(np.linalg.norm(whole))
 
 
 def _left(hypothesis: Hypothesis, disturbance: Forces | None = None) -> Forces | None:
