@@ -50,10 +50,9 @@ def along(q: np.ndarray, degree: int) -> np.ndarray:
 
 def slopes_along(q: np.ndarray, degree: int) -> np.ndarray:
     """Derivatives [1/m] of the polynomials of :func:`along` with respect to ``q``."""
-    from numpy.polynomial.chebyshev import chebder, chebvander
+    from numpy.polynomial.chebyshev import chebder
 
-    slopes = chebder(np.eye(degree + 1), scl=2 / np.ptp(q))
-    return chebvander(2 * (q - q.min()) / np.ptp(q) - 1, degree - 1) @ slopes
+    return along(q, degree - 1) @ chebder(np.eye(degree + 1), scl=2 / np.ptp(q))
 
 
 def memories(q: np.ndarray, period: float) -> np.ndarray:

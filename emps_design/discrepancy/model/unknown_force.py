@@ -41,7 +41,7 @@ class Kind:
 
     def beside_given(self) -> Kind:
         """The same kind beside a model whose numbers are given: what it has numbers for is a part of the force."""
-        return replace(self, columns=lambda *along: np.column_stack([self.columns(*along), baseline(*along)]))
+        return replace(self, columns=lambda *seen: np.column_stack([self.columns(*seen), baseline(*seen)]))
 
 
 def inertia(measured: Motion, simulated: np.ndarray, degree: int) -> np.ndarray:

@@ -133,8 +133,8 @@ def with_force(force, seed, q_ref, *effects, name="run"):
     return Record(t=run.t, q_ref=q_ref, q=run.q, u=run.u, period=1e-3, name=name)
 
 
-def beside_crank(seed=1):
-    seen = with_force(crank, seed, SMOOTH)
+def beside_crank():
+    seen = with_force(crank, 1, SMOOTH)
     return Hypothesis(Problem(AXIS, (seen,), (split(seen),), WHITE), Candidate(AXIS.mechanics.array()))
 
 
