@@ -10,9 +10,8 @@ from emps_design.discrepancy.model.missing_force import SLOWEST, since_reversal
 from emps_design.discrepancy.model.problem import Hypothesis
 
 DEGREE = 4  # of the polynomials in position and in speed
-FADING_TIMES = (0.02, 0.06, 0.2, 0.6)  # s since a reversal
+FADING_TIMES = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # s, of a memory: if it lasts a stroke it is a spring
 FADING_WAYS = (1e-4, 5e-4, 2e-3, 1e-2)  # m since a reversal
-MEMORIES = (0.03, 0.1, 0.3, 1.0, 3.0)  # s
 
 
 def beside_state(hypothesis: Hypothesis) -> Hypothesis:
@@ -71,8 +70,8 @@ def memories(q: np.ndarray, period: float) -> np.ndarray:
 
 
 def faded(signal: np.ndarray, period: float) -> np.ndarray:
-    """Fading memories (n, k) of a ``signal`` (n,), one for each of ``MEMORIES``."""
+    """Fading memories (n, k) of a ``signal`` (n,), one for each of ``FADING_TIMES``."""
     from scipy.signal import lfilter
 
-    shares = [period / time for time in MEMORIES]
+    shares = [period / time for time in FADING_TIMES]
     return np.column_stack([lfilter([share], [1.0, share - 1.0], signal) for share in shares])

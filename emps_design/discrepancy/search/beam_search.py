@@ -93,7 +93,7 @@ def _go_on(outcome: Outcome, path: list[Fit], progress: Progress, before: Candid
             or _exchanged(calibration, path[-1], tried, progress)
             or _pair(calibration, path[-1], tried, progress)
             or _far_behind(calibration, path[-1], tried, progress)
-            or _beyond(calibration, path[-1], tried, progress, most)
+            or _curve(calibration, path[-1], tried, progress, most)
         )
         if better is None or not _pays_again(better, (set_of(path[-1]), set_of(better)), gone_on):
             break
@@ -164,20 +164,12 @@ def _far_behind(calibration: Calibration, current: Fit, tried: FitsBySet, progre
     return _best_accepted(calibration, current, sound)
 
 
-def _beyond(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Progress, most: int) -> Fit | None:
-    """``current`` with what no single effect of the library explains: a curve of any shape, or two effects at once.
-
-    Of both the one that leaves less, where either is accepted.
-    """
-    curve = _curve(calibration, current, tried, progress) if _found(calibration, current) < most else None
-    found = [curve, _pair(calibration, current, tried, progress)]
-    return min((fitted for fitted in found if fitted is not None), key=lambda f: f.cost, default=None)
-
-
-def _curve(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Progress) -> Fit | None:
-    """``current`` with a curve of any shape, where that is accepted."""
-    library = _library(calibration, general=True)
-    sound, _ = _round(calibration, [current], 1 + _found(calibration, current), library, progress)
+def _curve(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Progress, most: int) -> Fit | None:
+    """``current`` with a curve of any shape, which no single effect of the library explains, where that is accepted."""
+    number = 1 + _found(calibration, current)
+    if number > most:
+        return None
+    sound, _ = _round(calibration, [current], number, _library(calibration, general=True), progress)
     _remember(tried, sound.values())
     return _best_accepted(calibration, current, sound)
 

@@ -117,21 +117,23 @@ def bent(current: Fit, cost: float) -> bool:
 def _values(current: Hypothesis, effect: Effect, missing: tuple[MissingForce, ...]) -> list[np.ndarray]:
     """Parameter arrays (n_records, n_parameters) to try."""
     model, tables = current.model, []
-    switches = [record.enable for record in current.problem.records if record.enable is not None]
+    problem = current.problem
+    switches = [record.enable for record in problem.records if record.enable is not None]
     if effect.winding and not any(np.any(on == 0.0) and np.any(on) for on in switches):
         return []  # of a motor that is never off it is viscous friction
-    for seen, split in zip(missing, current.problem.splits, strict=True):
+    unknown = problem.states or tuple(np.zeros((seen.force.size, 0)) for seen in missing)
+    for seen, split, states in zip(missing, problem.splits, unknown, strict=True):
         if effect.propose is not None:
             force = np.where(split.used, seen.force, 0.0)  # what confirms stays closed
             proposed = effect.propose(seen.motion, force, model.baseline, seen.away)
             shapes = [effect.completed(shape) for shape in proposed]
         else:
             shapes = grid(effect)
-        tables.append([_complete(effect, shape, seen, model) for shape in shapes])
+        tables.append([_complete(effect, shape, seen, states, model) for shape in shapes])
     # The records that miss most propose; the others follow with their own per-record numbers where they do as often.
     own = np.array([p.per_record for p in effect.parameters])
     rows: list[np.ndarray] = []
-    missed = [np.std(force) for force in current.problem.pick(tuple(seen.force for seen in missing), "used")]
+    missed = [np.std(force) for force in problem.pick(tuple(seen.force for seen in missing), "used")]
     for proposer in sorted(np.argsort(missed)[::-1][:PROPOSERS]):
         for index, shape in enumerate(tables[proposer]):
             if shape is None:
@@ -151,14 +153,19 @@ def grid(effect: Effect) -> list[dict[str, float]]:
     return [effect.completed(dict(zip(names, combination, strict=True))) for combination in combinations]
 
 
-def _complete(effect: Effect, shape: dict[str, float], seen: MissingForce, model: Candidate) -> np.ndarray | None:
-    """Fill in what ``shape`` leaves out, by regression of the missing force, and hold everything within bounds."""
+def _complete(
+    effect: Effect, shape: dict[str, float], seen: MissingForce, states: np.ndarray, model: Candidate
+) -> np.ndarray | None:
+    """Fill in what ``shape`` leaves out, by regression of the missing force, and hold everything within bounds.
+
+    Beside ``states`` (n, k), what an unknown force may change in the motor's: it has taken part of the effect's.
+    """
     absent = [p.name for p in effect.parameters if p.name not in shape]
     if absent and effect.regressor is not None and seen.away.sum() > 100:
         columns = effect.regressor(seen.motion, {**{p.name: 0.0 for p in effect.parameters}, **shape}, model.baseline)
         m = seen.motion
         sign = np.sign(m.v)
-        absorbing = np.column_stack([m.a, m.v, sign, np.ones_like(m.v)])
+        absorbing = np.column_stack([m.a, m.v, sign, np.ones_like(m.v), states])
         kept = thin(seen.away)
         design = np.column_stack([columns, absorbing])[kept]
         size = np.sqrt((design**2).mean(axis=0))

@@ -11,12 +11,14 @@ from emps_design.discrepancy import diagnose, rules
 from emps_design.discrepancy.model import unknown_force
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import evaluate, fit
+from emps_design.discrepancy.model.missing_force import missing_force
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.state import beside_state
 from emps_design.discrepancy.model.unknown_force import KINDS, band, beside_kind, inertia, with_kind
 from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.discrepancy.search import beside_force
+from emps_design.discrepancy.search.starts import starts, tangent
 from emps_design.discrepancy.validation import verdict
 from emps_design.discrepancy.validation.beside_unknown import Beside, _fitted_around
 from emps_design.discrepancy.validation.evidence import Asked
@@ -123,6 +125,11 @@ def seal(q):
     return -12.0 * (direction - lfilter([0.01], [1.0, -0.99], direction))
 
 
+def wake(q):
+    """A drag of 12 N towards where the axis was heading in the last 0.2 s: no effect of the library."""
+    return 12.0 * lfilter([0.005], [1.0, -0.995], np.tanh(np.gradient(q, 1e-3) / 2e-3))
+
+
 def with_force(force, seed, q_ref, *effects, name="run"):
     noise = 4e-3 * np.random.default_rng(seed).standard_normal(q_ref.size)
     plant = Plant.of(AXIS.replace(effects=list(effects)))
@@ -198,6 +205,29 @@ def test_only_as_much_of_a_force_is_put_in_the_loop_as_leaves_less(monkeypatch):
         monkeypatch.setattr(unknown_force, "SHARES", shares)
         forces = with_kind(start, varies).problem.acting
         assert forces == () if acting is None else np.allclose(forces[0], acting)
+
+
+SPRING = {"kind": "elastic_force", "stiffness": 100.0, "rest_position": 0.0}
+
+
+@pytest.mark.parametrize("force", [seal, wake])
+def test_an_effect_starts_in_its_own_size_where_an_unknown_force_took_most_of_it(force):
+    seen = with_force(force, 1, SMOOTH, SPRING)
+    baseline = fit(Hypothesis(Problem(AXIS, (seen,), (split(seen),), WHITE), Candidate(AXIS.mechanics.array())))
+    beside = beside_force.in_turn(baseline, KINDS[2][0][0])[-1]
+    assert beside.cost < 0.03 * baseline.cost
+    first, *_ = starts(beside, get_effect("elastic_force"), missing_force(beside), tangent(beside))
+    assert first.model.values[-1][0, 0] == pytest.approx(100.0, rel=0.15)
+
+
+@pytest.mark.slow
+def test_a_spring_is_named_beside_friction_that_remembers():
+    library = [get_effect(name) for name in ("elastic_force", "actuator_delay", "position_ripple", "end_stop")]
+    held_out = with_force(wake, 2, SLOWER, SPRING, name="other")
+    answer = diagnose(with_force(wake, 1, SMOOTH, SPRING), AXIS, library=library, holdout=held_out)
+    assert [finding.effect for finding in answer.findings] == ["elastic_force"]
+    assert answer.findings[0].parameters["stiffness"]["value"] == pytest.approx(100.0, rel=0.1)
+    assert answer.details["unexplained"]["kind"] == KINDS[2][0][0].name
 
 
 @pytest.mark.slow
