@@ -11,6 +11,7 @@ from emps_design.discrepancy.model.problem import Hypothesis
 
 DEGREE = 4  # of the polynomials in position and in speed
 FADING_TIMES = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # s, of a memory: if it lasts a stroke it is a spring
+RESTING_TIME = 0.04  # s, in which a contact ages at rest
 FADING_WAYS = (1e-4, 5e-4, 2e-3, 1e-2)  # m since a reversal
 
 
@@ -57,16 +58,15 @@ def slopes_along(q: np.ndarray, degree: int) -> np.ndarray:
 def memories(q: np.ndarray, period: float) -> np.ndarray:
     """What friction may remember of the motion ``q`` (n,) [m] before, (n, k).
 
-    What fades with the time and the way since a reversal, and fading memories of direction, and of motion at all.
+    How long it rested, the way since a reversal, and fading memories of direction, and of motion at all.
     """
     v = np.gradient(q, period)
-    direction, since = np.tanh(v / SLOWEST), since_reversal(v)
+    direction = np.tanh(v / SLOWEST)
     way = np.cumsum(np.abs(v)) * period
-    way -= way[np.arange(q.size) - since]
-    fading = [np.exp(-since * period / time) * direction for time in FADING_TIMES]
-    fading += [np.exp(-way / distance) * direction for distance in FADING_WAYS]
-    moved = faded(np.abs(direction), period) * direction[:, None]
-    return np.column_stack([*fading, faded(direction, period), moved])
+    way -= way[np.arange(q.size) - since_reversal(v)]
+    fading = np.exp(-way[:, None] / FADING_WAYS)
+    along_it = np.column_stack([rested(v, period), fading, faded(np.abs(direction), period)])
+    return np.column_stack([along_it * direction[:, None], faded(direction, period)])
 
 
 def faded(signal: np.ndarray, period: float) -> np.ndarray:
@@ -75,3 +75,21 @@ def faded(signal: np.ndarray, period: float) -> np.ndarray:
 
     shares = [period / time for time in FADING_TIMES]
     return np.column_stack([lfilter([share], [1.0, share - 1.0], signal) for share in shares])
+
+
+def rested(v: np.ndarray, period: float) -> np.ndarray:
+    """How far a contact has aged, 0 to 1, (n, k) along a velocity ``v`` (n,) [m/s]: at rest it does, sliding undoes it.
+
+    At rest within ``RESTING_TIME``, in sliding within each of ``FADING_TIMES``; aged in full at first.
+
+    >>> v = np.concatenate([np.zeros(3), np.ones(640), np.zeros(1000)])
+    >>> rested(v, 1e-3)[[2, 642, -1], -1].round(3).tolist()
+    [1.0, 0.368, 1.0]
+    """
+    slides, times = np.abs(v) > 0.5 * SLOWEST, np.array(FADING_TIMES)
+    states, now, begin = np.empty((v.size, times.size)), np.ones(times.size), 0
+    for end in np.append(np.flatnonzero(np.diff(slides)) + 1, v.size):
+        aim, own = (0.0, times) if slides[begin] else (1.0, RESTING_TIME)
+        states[begin:end] = aim + (now - aim) * np.exp(-period * np.arange(1, end - begin + 1)[:, None] / own)
+        now, begin = states[end - 1], end
+    return states

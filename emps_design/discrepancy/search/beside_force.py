@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.model.fit import Fit, evaluate, fit
+from emps_design.discrepancy.model.fit import Fit, fit
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.model.unknown_force import KINDS, Kind, beside_kind, with_kind
 from emps_design.discrepancy.search.beam_search import A_FEW, begun, finished, until_interrupted, with_before
@@ -25,15 +25,13 @@ def search_or_kind(calibration: Calibration, progress: Progress, before: Outcome
     What a search found ``before``, under other noise, is tried as well, beside such a force too.
 
     Looked for where there are data to confirm it, beside the baseline and beside the effect found first: a motor at its
-    limit hides of which kind the rest is.
+    limit, or a stop, hides of which kind the rest is.
     """
     outcome, found = begun(calibration, progress, A_FEW), list[OfAKind]()
 
     def look(path: list[Fit]) -> None:
         progress("whether it is an unknown force of one kind", 0.6)
-        for start in path[:STARTS]:
-            if not found:
-                found.extend(_of_a_kind(calibration, start, before.of_a_kind if before else None))
+        found.extend(_of_a_kind(calibration, path[:STARTS], before.of_a_kind if before else None))
 
     confirmed = calibration.preparation.held_out is not None
     if confirmed and not outcome.interrupted and calibration.judge.leaves_structure(outcome.best):
@@ -69,13 +67,13 @@ def _finished_beside(outcome: Outcome) -> Outcome:
     return finished(outcome, untold, most=rules.CREDIBLE)
 
 
-def _of_a_kind(calibration: Calibration, start: Fit, before: OfAKind | None) -> list[OfAKind]:
-    """The first kind of force that leaves next to nothing beside ``start`` and what is found beside it.
+def _of_a_kind(calibration: Calibration, starts: list[Fit], before: OfAKind | None) -> list[OfAKind]:
+    """The first kind of force that leaves next to nothing beside one of ``starts`` and what is found beside it.
 
     Or what was found beside one ``before``, where that leaves less. Else nothing: a search that leaves structure beside
     the force is not gone on with. An interrupt goes on to the search that asks.
     """
-    for kind, beside in _kinds_beside(start):
+    for kind, start, beside in _kinds_beside(starts):
         with suppress(SimulationError):
             problem = in_turn(beside, kind)[-1].problem
             again = _begun_beside(calibration, Hypothesis(problem, calibration.baseline.model))
@@ -85,8 +83,8 @@ def _of_a_kind(calibration: Calibration, start: Fit, before: OfAKind | None) -> 
                 again = _finished_beside(again)
             if again.interrupted:
                 raise KeyboardInterrupt
-            found = again.calibration.judge.refitted(again.best)
-            if next_to_nothing(start, evaluate(with_kind(found, kind))):
+            found = in_turn(again.calibration.judge.refitted(again.best), kind)[-1]
+            if next_to_nothing(start, found):
                 return [OfAKind(kind, start, again, found)]
     return []
 
@@ -120,17 +118,20 @@ def only_noise(hypothesis: Hypothesis, most: float) -> bool:
     return hypothesis.excess() <= (most - 1.0) * hypothesis.problem.samples("used")
 
 
-def _kinds_beside(start: Fit) -> list[tuple[Kind, Fit]]:
-    """The kinds of force that are a good part of what ``start`` leaves, and the fits beside them.
+def _kinds_beside(starts: list[Fit]) -> list[tuple[Kind, Fit, Fit]]:
+    """The kinds of force that are a good part of what one of ``starts`` leaves, that start, and the fit beside them.
 
-    The one that leaves least first, after those that are part of it.
+    The one that leaves least first, after those that are part of it; beside a later start only what leaves clearly less
+    than all others, as it may itself stand in for the force.
     """
-    found = [[one for degrees in related for one in _of_few_columns(start, degrees)] for related in KINDS]
-    good = [
-        [(kind, one) for kind, one in related if one.excess() <= (1.0 - rules.OF_A_KIND) * start.excess()]
-        for related in found
-    ]
-    return [one for related in sorted(filter(None, good), key=lambda r: min(f.cost for _, f in r)) for one in related]
+    found = []
+    for place, start in enumerate(starts):
+        for related in KINDS:
+            fits = [(kind, start, one) for degrees in related for kind, one in _of_few_columns(start, degrees)]
+            good = [one for one in fits if one[-1].excess() <= (1.0 - rules.OF_A_KIND) * start.excess()]
+            if good:
+                found.append((min(one.cost for *_, one in good) / rules.SHARPER**place, good))
+    return [one for _, good in sorted(found, key=lambda ranked: ranked[0]) for one in good]
 
 
 def _of_few_columns(start: Fit, degrees: tuple[Kind, ...]) -> list[tuple[Kind, Fit]]:

@@ -56,7 +56,7 @@ class OfAKind:
     """An unknown force of one ``kind`` of ``unknown_force.KINDS``.
 
     ``outcome`` is that of a search beside it, and ``found`` its best model, maybe without effects, fitted to all of the
-    records that may be used: the two leave next to nothing of what the model ``start`` does.
+    records that may be used with the force in the loop: the two leave next to nothing of what the model ``start`` does.
     """
 
     kind: Kind

@@ -69,9 +69,8 @@ def found_beside_kind(outcome: Outcome, data: HeldOut) -> Beside | None:
     before = (force.start, _on(data, known, force.start))
     with suppress(SimulationError):
         given = force.kind.beside_given()
-        found = _in_the_loop(force.found, force.kind)
-        there = acting(_on(data, known, found), given)
-        beside = _standing(force.outcome, found, there, data)
+        there = acting(_on(data, known, force.found), given)
+        beside = _standing(force.outcome, force.found, there, data)
         start = beside.found if beside.names else force.outcome.path[0]
         beside = replace(beside, found=_in_the_loop(start, force.kind))
         after = (beside.found, evaluate(acting(_on(data, there, beside.found), given)))

@@ -215,7 +215,7 @@ def test_an_effect_starts_in_its_own_size_where_an_unknown_force_took_most_of_it
     seen = with_force(force, 1, SMOOTH, SPRING)
     baseline = fit(Hypothesis(Problem(AXIS, (seen,), (split(seen),), WHITE), Candidate(AXIS.mechanics.array())))
     beside = beside_force.in_turn(baseline, KINDS[2][0][0])[-1]
-    assert beside.cost < 0.03 * baseline.cost
+    assert beside.cost < 0.05 * baseline.cost
     first, *_ = starts(beside, get_effect("elastic_force"), missing_force(beside), tangent(beside))
     assert first.model.values[-1][0, 0] == pytest.approx(100.0, rel=0.15)
 
