@@ -1,6 +1,7 @@
 """What is found beside an unknown force: a smooth function of the state, or a force of one kind."""
 
 import sys
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from emps_design.discrepancy import diagnose, rules
+from emps_design.discrepancy.explain.explanation import explain
 from emps_design.discrepancy.model import unknown_force
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import evaluate, fit
@@ -24,6 +26,7 @@ from emps_design.discrepancy.validation.beside_unknown import Beside, _fitted_ar
 from emps_design.discrepancy.validation.evidence import Asked
 from emps_design.effects import Motion, get_effect
 from emps_design.machines import machine
+from emps_design.progress import untold
 from emps_design.records import Record
 from emps_design.simulation import Plant
 from emps_design.simulation.synthetic import trapezoid_laps
@@ -242,45 +245,67 @@ def test_an_asymmetry_of_friction_is_named_beside_what_could_hold_it(mechanism):
     assert answer.details["unexplained"]["kind"] == KINDS[mechanism is leaning][0][0].name
 
 
+FEW = [get_effect(name) for name in ("stribeck_friction", "actuator_delay", "position_ripple", "mass_change")]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "hidden", [({"kind": "stribeck_friction", "excess": 6.0, "stribeck_velocity": 0.01, "exponent": 2.0},), ()]
-)
-def test_friction_is_named_beside_a_mechanism_and_what_the_rest_is_like(hidden):
-    library = [get_effect(name) for name in ("stribeck_friction", "actuator_delay", "position_ripple", "mass_change")]
-    held_out = with_force(crank, 2, SLOWER, *hidden, name="other")
-    answer = diagnose(with_force(crank, 1, SMOOTH, *hidden), AXIS, library=library, holdout=held_out)
-    assert [finding.effect for finding in answer.findings] == [effect["kind"] for effect in hidden]
-    assert answer.verdict == ("partly-named" if hidden else "unnamed")
+def test_friction_is_named_beside_a_mechanism():
+    hidden = {"kind": "stribeck_friction", "excess": 6.0, "stribeck_velocity": 0.01, "exponent": 2.0}
+    held_out = with_force(crank, 2, SLOWER, hidden, name="other")
+    answer = diagnose(with_force(crank, 1, SMOOTH, hidden), AXIS, library=FEW, holdout=held_out)
+    assert [finding.effect for finding in answer.findings] == ["stribeck_friction"]
+    assert answer.findings[0].parameters["excess"]["value"] == pytest.approx(6.0, rel=0.1)
+    says_what_the_rest_is_like(answer, "partly-named")
+
+
+def says_what_the_rest_is_like(answer, verdict):
     left = answer.details["unexplained"]
+    assert answer.verdict == verdict
     assert "like an inertia that varies along the travel" in left["text"]
     assert "like an inertia that varies along the travel" in answer.sentence
     assert left["kind_leaves"] < 1.3 * answer.noise.force < left["rms"]
-    if hidden:
-        assert answer.findings[0].parameters["excess"]["value"] == pytest.approx(6.0, rel=0.1)
+
+
+@pytest.fixture(scope="module")
+def stopped():
+    """A search that an inertia along the travel ended, nothing else being hidden."""
+    module, found = sys.modules["emps_design.discrepancy.diagnose"], []
+
+    class Searched(Exception):
+        pass
+
+    def before_it_is_confirmed(outcome, progress):
+        found.append(outcome)
+        raise Searched
+
+    with pytest.MonkeyPatch.context() as patch, suppress(Searched):
+        patch.setattr(module, "validate", before_it_is_confirmed)
+        diagnose(with_force(crank, 1, SMOOTH), AXIS, library=FEW, holdout=with_force(crank, 2, SLOWER))
+    return found[0]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("confirmed", ["as all there is", "with nothing to name", ""])
-def test_a_search_ends_for_a_force_that_answers_and_goes_on_where_it_does_not(monkeypatch, confirmed):
+@pytest.mark.parametrize("confirmed", ["as it is", "as all there is", "with nothing to name", ""])
+def test_a_search_ends_for_a_force_that_answers_and_goes_on_where_it_does_not(monkeypatch, stopped, confirmed):
     def finds(outcome, data, found=verdict.found_beside_kind):
         beside = found(outcome, data)
-        return replace(beside, is_all=confirmed == "as all there is") if confirmed else None
+        is_all = {"as it is": beside.is_all, "as all there is": True}.get(confirmed, False)
+        return replace(beside, is_all=is_all) if confirmed else None
 
     gone_on = []
-    for module in (beside_force, verdict):
 
-        def recorded(outcome, *rest, goes_on=module.finished, by=module, **named):
-            gone_on.append(by)
-            return goes_on(outcome, *rest, **named)
+    def recorded(outcome, *rest, goes_on=verdict.finished):
+        gone_on.append(outcome)
+        return goes_on(outcome, *rest)
 
-        monkeypatch.setattr(module, "finished", recorded)
+    monkeypatch.setattr(verdict, "finished", recorded)
     monkeypatch.setattr(verdict, "found_beside_kind", finds)
-    library = [get_effect(name) for name in ("actuator_delay", "position_ripple", "mass_change")]
-    answer = diagnose(with_force(crank, 1, SMOOTH), AXIS, library=library, holdout=with_force(crank, 2, SLOWER))
-    assert (verdict in gone_on) is (confirmed != "as all there is")
+    answer = explain(verdict.validate(stopped, untold))
+    assert bool(gone_on) is (confirmed in ("with nothing to name", ""))
     assert (answer.verdict, answer.findings) == ("unnamed", ())
     assert ("inertia" in answer.details["unexplained"]["kind"]) is bool(confirmed)
+    if confirmed:
+        says_what_the_rest_is_like(answer, "unnamed")
 
 
 @pytest.mark.slow
