@@ -6,7 +6,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.model.missing_force import CUTOFF_HZ
+from emps_design.discrepancy.model.recorded import CUTOFF_HZ
 from emps_design.effects import Effect
 from emps_design.errors import RecordError
 from emps_design.laws import recorded_gains

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.discrepancy.model.missing_force import CUTOFF_HZ, SLOWEST, MissingForce
+from emps_design.discrepancy.model.missing_force import SLOWEST, MissingForce
+from emps_design.discrepancy.model.recorded import CUTOFF_HZ
 from emps_design.effects import Motion
 from emps_design.effects.guesses import squares_explained, thin
 

@@ -15,7 +15,6 @@ from emps_design.axis import Axis
 from emps_design.identification.filters import low_pass
 from emps_design.laws.library import position_pd
 from emps_design.records import Record
-from emps_design.simulation.driven import driven_by
 
 IN_BAND = 0.9  # of the power of a command
 BANDWIDTH_HZ = 25.0  # of the velocity loop that follows; the encoder's noise, differentiated, sets the upper end
@@ -52,15 +51,15 @@ def followed(force: np.ndarray, record: Record, band_hz: float) -> np.ndarray:
     return low_pass(force, COMPARED * bandwidth(record, band_hz), record.period)
 
 
-def drive(axis: Axis, record: Record, mass: float, band_hz: float) -> dict[str, Any]:
+def drive(start: dict[str, Any], axis: Axis, record: Record, mass: float, band_hz: float) -> dict[str, Any]:
     """Keywords of :meth:`Plant.closed_loop` that make the simulation of ``record`` start and move as it did.
 
-    ``mass`` [kg] is the model's: a heavier one would else be followed less, and leave less of the force, and the loop
-    of a much lighter one would be too fast for the sampling. ``band_hz`` is the :func:`band` of the record.
+    ``start`` is :func:`~emps_design.simulation.driven.driven_by` of ``axis`` and ``record``; ``mass`` [kg] is the
+    model's: a heavier one would else be followed less, and leave less of the force, and the loop of a much lighter one
+    would be too fast for the sampling. ``band_hz`` is the :func:`band` of the record.
     """
-    start = driven_by(axis, record)
     if "law" in start:
-        return start
+        return dict(start)
     own = bandwidth(record, band_hz)
     rate = 2 * np.pi * own  # rad/s
     moved = min(np.hypot(mass, axis.mechanics.mass) / np.sqrt(2.0), mass * _fastest(record) / own)

@@ -14,13 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from emps_design.discrepancy.model.problem import Hypothesis
+from emps_design.discrepancy.model.recorded import CUTOFF_HZ, FASTEST
 from emps_design.effects import Motion
 from emps_design.effects.effect import MASS, VISCOUS
 from emps_design.identification.filters import held_force, motion
 from emps_design.observer import motor_share
 
-CUTOFF_HZ = 60.0
-FASTEST = 0.4  # of the sampling rate, to which a fast command raises the cut-off
 REVERSAL_MARGIN = 0.06  # s on both sides of a reversal, where a zero-phase filter mixes the two directions
 SELDOM = 0.02  # of what is used: where no more is away from reversals, the whole is looked at
 SLOWEST = 2e-3  # m/s, below which the direction of motion is not certain
@@ -41,8 +40,8 @@ def missing_force(hypothesis: Hypothesis, cutoff_hz: float | None = None) -> tup
     By default at ``CUTOFF_HZ``, or at twice the band of the command where that is faster.
     """
     problem, baseline = hypothesis.problem, hypothesis.model.baseline
-    gain, result = problem.axis.drive.gain, []
-    for record, run, split, band in zip(problem.records, hypothesis.runs(), problem.splits, problem.bands, strict=True):
+    gain, bands, result = problem.axis.drive.gain, problem.recorded.bands, []
+    for record, run, split, band in zip(problem.records, hypothesis.runs(), problem.splits, bands, strict=True):
         cut = cutoff_hz or max(CUTOFF_HZ, min(2.0 * band, FASTEST / record.period))
         share = motor_share(problem.axis, record)
         acting, played = replace(record, u=share * record.u), replace(record, q=run.q, u=share * run.u)

@@ -12,13 +12,13 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.following import band, drive, followed
+from emps_design.discrepancy.model.following import drive, followed
 from emps_design.discrepancy.model.partition import Split
+from emps_design.discrepancy.model.recorded import Recorded, missing_while_off
 from emps_design.discrepancy.model.remembered import Remembered
 from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.effects.effect import MASS
-from emps_design.laws import NONE, law_of
-from emps_design.observer import motor_force
+from emps_design.laws import law_of
 from emps_design.records import Record
 from emps_design.simulation import Plant, Run
 
@@ -33,7 +33,8 @@ class Problem:
     ``states`` are functions (n, k) along each record that explain nothing: what they could follow of the used samples
     is taken from every residual. ``loudness`` (n,) along each record is how large noise gets in the innovations, which
     count for that much less. ``acting`` is a force (n,) [N] on the carriage along each record besides what was
-    measured. ``remembered`` are residuals of the same records, judged with other noise too.
+    measured. ``known`` is what was read from the records before, ``remembered`` are residuals of the same records,
+    judged with other noise too.
     """
 
     axis: Axis
@@ -43,25 +44,18 @@ class Problem:
     states: tuple[np.ndarray, ...] = ()
     loudness: tuple[np.ndarray, ...] = ()
     acting: tuple[np.ndarray, ...] = ()
+    known: Recorded | None = field(default=None, compare=False, repr=False)
     remembered: Remembered = field(default_factory=Remembered, compare=False, repr=False)
 
-    @cached_property
-    def bands(self) -> tuple[float, ...]:
-        """The :func:`band` of every record [Hz]."""
-        return tuple(band(record) for record in self.records)
+    def __post_init__(self) -> None:
+        if self.known is None or self.known.records is not self.records or self.known.axis is not self.axis:
+            object.__setattr__(self, "known", Recorded(self.axis, self.records))
 
-    @cached_property
-    def forces(self) -> tuple[np.ndarray, ...]:
-        """The motor force (n,) [N] that the command of every record asks for."""
-        return tuple(motor_force(self.axis, record) for record in self.records)
-
-    @cached_property
-    def asked(self) -> tuple[np.ndarray | None, ...]:
-        """What the law asks for (n,) along every record in which the motor is switched off, None of the others."""
-        off = [not self.follows and record.enable is not None and not record.enable.all() for record in self.records]
-        return tuple(
-            _asked(self.axis, record, record.q) if one else None for record, one in zip(self.records, off, strict=True)
-        )
+    @property
+    def recorded(self) -> Recorded:
+        """What is read from the records once, whatever model or noise they are judged by."""
+        assert self.known is not None
+        return self.known
 
     @property
     def period(self) -> float:
@@ -71,11 +65,11 @@ class Problem:
     @property
     def follows(self) -> bool:
         """Whether models follow the recorded motion, for want of the controller that made it."""
-        return bool(self.axis.controller.kind == NONE)
+        return self.recorded.follows
 
     def compared(self, left: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
         """What counts of the forces (n,) [N] that a model leaves, one per record: all, unless it follows the motion."""
-        return tuple(map(followed, left, self.records, self.bands)) if self.follows else left
+        return tuple(map(followed, left, self.records, self.recorded.bands)) if self.follows else left
 
     def only(self, record: int) -> Problem:
         """One of the records, by its number, as a problem of its own; its models are :meth:`Candidate.only`."""
@@ -180,8 +174,8 @@ class Hypothesis:
 
     def driven(self, record: int) -> dict[str, Any]:
         """Keywords of :meth:`simulate` that make it start and move as record number ``record`` did."""
-        problem = self.problem
-        return drive(problem.axis, problem.records[record], self.model.baseline[MASS], problem.bands[record])
+        recorded, mass = self.problem.recorded, self.model.baseline[MASS]
+        return drive(recorded.starts[record], recorded.axis, recorded.records[record], mass, recorded.bands[record])
 
     def run(self, record: int, disturbance: np.ndarray | None = None) -> Run:
         """Simulation of one record from ``q_ref`` alone (of the recorded motion without a controller).
@@ -212,11 +206,11 @@ class Hypothesis:
         return problem.remembered.get(objects, (model.baseline, *model.values), self._residuals)
 
     def _residuals(self, disturbance: Sequence[np.ndarray | None] | None = None) -> tuple[np.ndarray, ...]:
-        problem = self.problem
+        problem, recorded = self.problem, self.problem.recorded
         left = tuple(
-            force - run.force + (0.0 if asked is None else _missing_while_off(problem.axis, record, asked, run))
+            force - run.force + (0.0 if asked is None else missing_while_off(problem.axis, record, asked, run.q))
             for force, record, asked, run in zip(
-                problem.forces, problem.records, problem.asked, self.runs(disturbance), strict=True
+                recorded.forces, problem.records, recorded.asked, self.runs(disturbance), strict=True
             )
         )
         return problem.compared(left)
@@ -252,15 +246,3 @@ def orthonormal(columns: np.ndarray) -> np.ndarray:
     """An orthonormal basis (n, k) of ``columns``; of columns that are all zero it has none."""
     basis, singular, _ = np.linalg.svd(of_unit_length(columns), full_matrices=False)
     return basis[:, singular > RANK * singular.max(initial=0.0)]
-
-
-def _asked(axis: Axis, record: Record, q: np.ndarray) -> np.ndarray:
-    """What the law of ``axis`` would ask for (n,) along the positions ``q`` (n,) [m], in units of the command."""
-    law = law_of(axis, record.period, record.extra)
-    return law.commands(law.followed(record), q, np.inf, record.f_ext)
-
-
-def _missing_while_off(axis: Axis, record: Record, asked: np.ndarray, run: Run) -> np.ndarray:
-    """What the law ``asked`` for along ``record``, less what it would along ``run`` (n,) [N]; 0 while it is on."""
-    more = motor_force(axis, replace(record, u=asked - _asked(axis, record, run.q), enable=None))
-    return np.where(record.enable == 0.0, more, 0.0)

@@ -14,18 +14,15 @@ from functools import partial
 
 import numpy as np
 
-from emps_design.discrepancy.model.missing_force import CUTOFF_HZ, FASTEST, SLOWEST
+from emps_design.discrepancy.model.missing_force import SLOWEST
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import RANK, Hypothesis
 from emps_design.discrepancy.model.state import along, faded, memories, slopes_along
 from emps_design.effects import Motion
 from emps_design.errors import SimulationError
-from emps_design.identification.filters import low_pass, motion
-from emps_design.records import Record
 
 COARSE, FINE = 6, 12  # degrees of the polynomials in position
 SHARES = (1.0, 0.5, 0.25, 0.125)  # of a force that is put in the loop
-NOISY = 0.03  # of an acceleration: most that the noise of the encoder may be in the band that is looked at
 PUSH = 0.1  # of the force that a model leaves: rms of a column when its answer is simulated
 
 # Forces (n, k) along a measured motion, which the force has taken part in, and the simulated position (n,) [m].
@@ -129,26 +126,12 @@ def with_kind(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
 def _columns(hypothesis: Hypothesis, kind: Kind) -> list[np.ndarray]:
     """Forces [N] of a ``kind``, (n, k) along each record, each of ``PUSH`` of the size of what the model leaves."""
     columns = []
-    for record, run, left in zip(hypothesis.problem.records, hypothesis.runs(), hypothesis.residuals(), strict=True):
-        one = kind.columns(motion(record, band(record)), run.q)
+    measured = hypothesis.problem.recorded.motions
+    for seen, run, left in zip(measured, hypothesis.runs(), hypothesis.residuals(), strict=True):
+        one = kind.columns(seen, run.q)
         rms = np.sqrt(np.mean(one * one, axis=0))
         columns.append(one * (PUSH * np.std(left) / np.maximum(rms, 1e-30)))
     return columns
-
-
-def band(record: Record) -> float:
-    """Band [Hz] in which the encoder's noise is a small part of the acceleration, from ``CUTOFF_HZ`` on.
-
-    An inertia that is missed changes how the loop answers up to where it has gain. The noise, taken as white, is what
-    is seen of the position beyond any motion, its usual size: impacts are motion.
-    """
-    fastest = FASTEST / record.period
-    beyond = np.abs(record.q - low_pass(record.q, fastest, record.period))
-    noise = (np.median(beyond) / 0.6745) ** 2 / (1.0 - 2.0 * FASTEST)
-    density = 2.0 * record.period * noise * (2.0 * np.pi) ** 4  # of the acceleration over f^4 [m^2/s^4/Hz^5]
-    size = np.var(motion(record, CUTOFF_HZ).a)
-    most = (5.0 * NOISY**2 * size / max(density, 1e-300)) ** 0.2
-    return float(np.clip(most, CUTOFF_HZ, fastest))
 
 
 def _answers(hypothesis: Hypothesis, columns: list[np.ndarray]) -> tuple[np.ndarray, ...]:

@@ -9,8 +9,9 @@ import numpy as np
 
 from emps_design.discrepancy.model.bootstrap import rms_interval
 from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.missing_force import CUTOFF_HZ, missing_force
+from emps_design.discrepancy.model.missing_force import missing_force
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
+from emps_design.discrepancy.model.recorded import CUTOFF_HZ
 from emps_design.observer import motor_force
 from emps_design.records import Record
 from emps_design.simulation import Plant

@@ -16,8 +16,9 @@ from emps_design.discrepancy.model.fit import evaluate, fit
 from emps_design.discrepancy.model.missing_force import missing_force
 from emps_design.discrepancy.model.partition import split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
+from emps_design.discrepancy.model.recorded import seen_up_to
 from emps_design.discrepancy.model.state import beside_state
-from emps_design.discrepancy.model.unknown_force import KINDS, band, beside_kind, inertia, with_kind
+from emps_design.discrepancy.model.unknown_force import KINDS, beside_kind, inertia, with_kind
 from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.discrepancy.search import beside_force
 from emps_design.discrepancy.search.starts import starts, tangent
@@ -187,7 +188,7 @@ def test_an_inertia_along_the_travel_is_that_of_lagranges_equation():
 def test_an_acceleration_is_looked_at_as_far_as_the_encoder_sees_it(resolution, least, most):
     q = 0.05 * np.sin(2.0 * np.pi * np.arange(5000) * 1e-3)
     seen = Record(t=1e-3 * np.arange(q.size), q_ref=q, q=np.round(q / resolution) * resolution, u=0.0 * q, period=1e-3)
-    assert least <= band(seen) <= most
+    assert least <= seen_up_to(seen) <= most
 
 
 def test_a_large_unknown_force_leaves_less_with_its_share_on_the_carriage():
