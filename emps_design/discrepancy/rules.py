@@ -78,6 +78,7 @@ MOST_EQUIVALENTS = 3
 EQUIVALENT = 0.03  # of what a finding gains: a rival this close is an equivalent where structure is left
 OF_A_KIND = 0.5  # of what the baseline leaves beyond noise: a kind of unknown force that explains less is not it
 PLAIN = 4.0  # times the whitened cost of noise that an unknown force of one kind must explain to be all there is
+FEW_BESIDE = 2  # effects beside it with which it may be
 SHARPER = 0.7  # of what a kind of unknown force leaves beyond noise: finer shapes must leave less to be taken
 DEPENDS = 0.2  # of what is left, from which on a variable that predicts so much of it is named
 OFF = 0.005  # of a number's magnitude: an axis file that is further off, for sure, is wrong

@@ -66,5 +66,9 @@ class OfAKind:
 
     @property
     def is_plain(self) -> bool:
-        """Whether it explains so much that what else could be said of the records would stand in for it."""
-        return self.start.excess() >= rules.PLAIN * self.start.problem.samples("used")
+        """Whether it explains so much, with few effects, that what else could be said would stand in for it.
+
+        What takes many effects and a force may as well be effects only.
+        """
+        few = len(self.found.model.effects) - len(self.outcome.path[0].model.effects) <= rules.FEW_BESIDE
+        return few and self.start.excess() >= rules.PLAIN * self.start.problem.samples("used")
