@@ -30,7 +30,7 @@ def test_lap_4_of_the_emps_is_followed_by_what_describes_laps_1_to_3(emps_data):
     assert answer.verdict == "partly-named"
     assert {"nonlinear_viscous_friction", "position_ripple"} <= {finding.effect for finding in answer.findings}
     found = answer.closest
-    assert found.holdout.extended_60hz < 0.70 < 1.05 < answer.holdout.extended_60hz  # N; laps differ by 0.3
+    assert found.holdout.extended_60hz < 0.70 < answer.holdout.extended_60hz < 1.05  # N; laps differ by 0.3
     assert found.share < 0.016  # of the force, unfiltered
     (ripple,) = (effect for effect in found.axis.effects if effect.kind == "friction_ripple")
     assert ripple.parameters["period"] == pytest.approx(2.5e-3, rel=2e-3)  # one revolution of the encoder
