@@ -54,7 +54,8 @@ class Recorded:
         """What the law asks for (n,) along every record in which the motor is switched off, None of the others."""
         off = [not self.follows and record.enable is not None and not record.enable.all() for record in self.records]
         return tuple(
-            asked(self.axis, record, record.q) if one else None for record, one in zip(self.records, off, strict=True)
+            _commands(self.axis, record, record.q) if one else None
+            for record, one in zip(self.records, off, strict=True)
         )
 
     @cached_property
@@ -78,7 +79,7 @@ def seen_up_to(record: Record) -> float:
     return float(np.clip(most, CUTOFF_HZ, fastest))
 
 
-def asked(axis: Axis, record: Record, q: np.ndarray) -> np.ndarray:
+def _commands(axis: Axis, record: Record, q: np.ndarray) -> np.ndarray:
     """What the law of ``axis`` would ask for (n,) along the positions ``q`` (n,) [m], in units of the command."""
     law = law_of(axis, record.period, record.extra)
     return law.commands(law.followed(record), q, np.inf, record.f_ext)
@@ -86,5 +87,5 @@ def asked(axis: Axis, record: Record, q: np.ndarray) -> np.ndarray:
 
 def missing_while_off(axis: Axis, record: Record, wanted: np.ndarray, q: np.ndarray) -> np.ndarray:
     """What the law ``wanted`` along ``record``, less what it would along ``q`` (n,) [N]; 0 while the motor is on."""
-    more = motor_force(axis, replace(record, u=wanted - asked(axis, record, q), enable=None))
+    more = motor_force(axis, replace(record, u=wanted - _commands(axis, record, q), enable=None))
     return np.where(record.enable == 0.0, more, 0.0)
