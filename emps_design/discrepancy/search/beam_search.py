@@ -17,11 +17,11 @@ from emps_design.discrepancy.model.fit import Fit, admissible, bounded_cost, eva
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.search.acceptance import Accept
 from emps_design.discrepancy.search.calibration import Calibration
-from emps_design.discrepancy.search.exchange import exchanges, far_apart
+from emps_design.discrepancy.search.exchange import exchanges
 from emps_design.discrepancy.search.extension import converged, extended, extensions, freed
 from emps_design.discrepancy.search.outcome import FitsBySet, Outcome, set_of
 from emps_design.discrepancy.search.pruning import pruned
-from emps_design.discrepancy.search.starts import tangent
+from emps_design.discrepancy.search.starts import either_baseline, tangent
 from emps_design.effects import Effect
 from emps_design.effects.two_mass import has_play
 from emps_design.progress import Progress
@@ -137,9 +137,7 @@ def _extend(outcome: Outcome, path: list[Fit], progress: Progress, most: int) ->
 
 def _as_given(fitted: Fit) -> list[Fit]:
     """The baseline ``fitted`` with the axis file's numbers, where what is missing may have bent the fitted ones."""
-    given = fitted.as_given()
-    found = evaluate(given) if far_apart(fitted.model, given.model) else None
-    return [found] if found is not None and found.innovations else []
+    return [given for given in map(evaluate, either_baseline(fitted)[1:]) if given.innovations]
 
 
 def _found_before(before: Candidate | None, current: Fit, tried: FitsBySet) -> Fit | None:

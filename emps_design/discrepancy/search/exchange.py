@@ -6,16 +6,12 @@ resonance at the frequency that made up best for a friction not known yet. Besid
 
 from __future__ import annotations
 
-import numpy as np
-
-from emps_design.discrepancy import rules
-from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import Fit, admissible, evaluate
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.search.extension import extended
+from emps_design.discrepancy.search.starts import either_baseline
 from emps_design.effects import Effect
-from emps_design.effects.effect import COULOMB, MASS, VISCOUS
 
 
 def exchanges(best: Fit, known: tuple[str, ...], library: tuple[Effect, ...]) -> list[Fit]:
@@ -28,9 +24,7 @@ def exchanges(best: Fit, known: tuple[str, ...], library: tuple[Effect, ...]) ->
     for index, effect in enumerate(best.model.effects):
         if effect.name in known:
             continue
-        rest = best.with_model(best.model.without(index))
-        given = rest.as_given()
-        places += [(one, effect) for one in ((rest, given) if far_apart(rest.model, given.model) else (rest,))]
+        places += [(rest, effect) for rest in either_baseline(best.with_model(best.model.without(index)))]
 
     def instead(rest: Hypothesis, effect: Effect) -> list[Fit]:
         without = evaluate(rest)
@@ -40,9 +34,3 @@ def exchanges(best: Fit, known: tuple[str, ...], library: tuple[Effect, ...]) ->
         return extended(without, alike)[0]
 
     return [fitted for fits in side_by_side(instead, places) for fitted in fits if admissible(fitted)]
-
-
-def far_apart(fitted: Candidate, given: Candidate) -> bool:
-    """Whether the mass or a friction that was fitted is far from the axis file's."""
-    numbers = np.array([fitted.baseline, given.baseline])[:, [MASS, VISCOUS, COULOMB]]
-    return bool(np.any(np.ptp(numbers, axis=0) > rules.BENT_NUMBER * numbers.max(axis=0)))

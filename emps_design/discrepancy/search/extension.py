@@ -18,7 +18,7 @@ from emps_design.discrepancy.model.missing_force import missing_force
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.model.simplex import simplex
-from emps_design.discrepancy.search.starts import Start, Tangent, bent, screen, starts, tangent
+from emps_design.discrepancy.search.starts import Start, Tangent, bent, either_baseline, screen, starts, tangent
 from emps_design.effects import Effect
 from emps_design.effects.two_mass import has_play
 
@@ -200,18 +200,23 @@ def _revised(fitted: Fit) -> Fit:
     shapes = [i for i, p in enumerate(effect.parameters) if timed[i] or (p.discrete and p.default is None)]
     if not shapes:
         return fitted
-    without = evaluate(fitted.with_model(model.without(len(model.effects) - 1)))
-    if not without.innovations:
-        return fitted
-    found = starts(without, effect, missing_force(without), tangent(without))
-    other: dict[bytes, Start] = {}  # the best start of each shape: the fit finds the rest
-    for start in found:
-        shape = start.model.values[-1][:, shapes]
-        if start.anchored and not np.array_equal(shape, values[:, shapes]):
-            other.setdefault(shape.tobytes(), start)
-    tried = _in_reach([start.hypothesis for start in list(other.values())[:REVISED]], fitted)
+    rests = either_baseline(fitted.with_model(model.without(len(model.effects) - 1)))
+    begins = [begin for rest in rests for begin in _other_shapes(evaluate(rest), effect, values, shapes)]
+    tried = _in_reach(begins, fitted)
     best = min((fitted, *tried), key=lambda f: f.cost)
     return fitted if best is fitted or not admissible(best) else _settled(best)
+
+
+def _other_shapes(without: Fit, effect: Effect, values: np.ndarray, shapes: list[int]) -> list[Hypothesis]:
+    """``without`` with ``effect`` in the best few shapes other than those in the columns ``shapes`` of ``values``."""
+    if not without.innovations:
+        return []
+    other: dict[bytes, Hypothesis] = {}  # the best start of each shape: the fit finds the rest
+    for start in starts(without, effect, missing_force(without), tangent(without)):
+        shape = start.model.values[-1][:, shapes]
+        if start.anchored and not np.array_equal(shape, values[:, shapes]):
+            other.setdefault(shape.tobytes(), start.hypothesis)
+    return list(other.values())[:REVISED]
 
 
 def _in_reach(begins: list[Hypothesis], fitted: Fit) -> list[Fit]:

@@ -19,6 +19,7 @@ from emps_design.discrepancy.model.missing_force import MissingForce, missing_fo
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.effects import Effect
+from emps_design.effects.effect import COULOMB, MASS, VISCOUS
 from emps_design.effects.guesses import thin
 from emps_design.errors import SimulationError
 
@@ -112,6 +113,17 @@ def starts(current: Fit, effect: Effect, missing: tuple[MissingForce, ...], abso
 def bent(current: Fit, cost: float) -> bool:
     """Whether the gap, of ``cost`` per sample, is so large that it bent the baseline fitted to it."""
     return cost > rules.BENT and not current.model.effects
+
+
+def either_baseline(fitted: Hypothesis) -> list[Hypothesis]:
+    """``fitted``, and the same effects on the axis file's baseline where mass or a friction is far from it.
+
+    What is missing, or stands in for something, may have bent the fitted numbers.
+    """
+    given = fitted.as_given()
+    numbers = np.array([fitted.model.baseline, given.model.baseline])[:, [MASS, VISCOUS, COULOMB]]
+    apart = np.any(np.ptp(numbers, axis=0) > rules.BENT_NUMBER * numbers.max(axis=0))
+    return [fitted, given] if apart else [fitted]
 
 
 def _values(current: Hypothesis, effect: Effect, missing: tuple[MissingForce, ...]) -> list[np.ndarray]:

@@ -420,6 +420,16 @@ def test_the_exponent_of_a_curve_changes_with_all_other_numbers_in_their_places(
     assert found.model.values[0][0] == pytest.approx([12.0, 7e-3, 1.0], rel=0.15)
 
 
+def test_another_exponent_is_tried_from_the_axis_files_friction_where_the_first_one_took_it_over():
+    flattens = {"kind": "nonlinear_viscous_friction", "amount": -5.0, "exponent": 2.0}
+    steep = BASELINE.with_effect(get_effect("nonlinear_viscous_friction"), np.array([[15.0, 0.5]]))
+    stand_in = fit(hypothesis(steep, flattens))
+    assert stand_in.model.baseline[1] < 0.1 * BASELINE.baseline[1]
+    found = converged(stand_in)
+    assert found.model.values[0][0] == pytest.approx([-5.0, 2.0], rel=0.02)
+    assert found.cost < 0.1 * stand_in.cost
+
+
 def test_under_finer_noise_nothing_is_gone_on_from_where_nothing_was_found():
     current = SimpleNamespace(model=SimpleNamespace(names=("stribeck_friction",)))
     assert _found_before(SimpleNamespace(names=()), current, {}) is None
