@@ -62,6 +62,7 @@ AT_FLOOR = 1.2  # whitened cost per sample up to which a model leaves nothing bu
 
 # What the confirming record says
 ASKED_APART = 0.3  # from all of an effect, beyond which a record refutes it
+HALF = 0.5  # of all of an effect: if all weighings of what the model leaves ask for less on average, it is none
 SHARE_KNOWN = 0.1  # deviation of the share asked for, beyond which an effect beside something unknown does not stand
 SURE = 3.0  # standard deviations
 EXERCISED = 0.05  # standard deviations of the noise that an effect must change in the mean to be seen at all

@@ -6,6 +6,7 @@ from emps_design.discrepancy import rules
 from emps_design.discrepancy.checks.preparation import HeldOut
 from emps_design.discrepancy.search.acceptance import force_rms
 from emps_design.discrepancy.search.calibration import Calibration
+from emps_design.discrepancy.validation.evidence import Asked
 from emps_design.discrepancy.validation.verdict import Validation
 from emps_design.effects import get_effect, kind_of
 from emps_design.quantities import inside, rounded, share_asked
@@ -78,7 +79,7 @@ def _limits(validation: Validation) -> list[str]:
 def _of_holdout(validation: Validation, held_out: HeldOut) -> list[str]:
     remarks = [
         f"{inside(get_effect(kind_of(a.name)).label)} fitted the training record and is withdrawn: the confirming "
-        f"record asks for {share_asked(a.share, a.std)} of it"
+        f"record asks for {_amount(a)} of it"
         for a in validation.refuted
     ]
     if held_out.added not in ("", *validation.extended.model.names):
@@ -90,3 +91,9 @@ def _of_holdout(validation: Validation, held_out: HeldOut) -> list[str]:
         names = ", ".join(validation.held_out.refitted)
         remarks.append(f"fitted anew on the confirming record, because they belong to one record: {names}")
     return remarks
+
+
+def _amount(asked: Asked) -> str:
+    """The share that was clearly refuted; of what is hardly wanted that of all weighings together."""
+    told = None if asked.refuted else asked.confirmed
+    return share_asked(asked.share, asked.std) if told is None else share_asked(**told)

@@ -13,14 +13,14 @@ from emps_design.discrepancy.validation.robust import robust
 
 
 def confirm(judge: Judge, held_out: HeldOut, extended: Fit) -> tuple[Fit, list[Asked], tuple[Asked, ...]]:
-    """Withdraw from ``extended`` what the confirming data refute, one after the other, and refit the rest.
+    """Withdraw from ``extended`` what the confirming data refute, or hardly want, one by one, and refit the rest.
 
     Also returns how much of the rest they ask for, and what was withdrawn. An effect of the controller has its evidence
     in the law, and is not asked for.
     """
     refuted: list[Asked] = []
     asked = claims_on(held_out, extended)
-    while doubtful := [a for a in asked if a.refuted]:
+    while doubtful := [a for a in asked if a.refuted or a.hardly_wanted]:
         worst = max(doubtful, key=lambda a: abs(a.share - 1) / a.std)
         refuted.append(worst)
         extended = judge.refitted(extended.with_model(extended.model.without_named([worst.name])))

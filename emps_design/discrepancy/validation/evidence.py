@@ -16,6 +16,7 @@ from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis, Problem, orthonormal
 from emps_design.discrepancy.model.state import states_of
 from emps_design.discrepancy.search.noise_floor import LEFT, floor_of_residual
+from emps_design.effects.two_mass import has_play
 from emps_design.errors import SimulationError
 
 Forces = tuple[np.ndarray, ...]  # one array (n,) [N] per record
@@ -28,7 +29,7 @@ class Asked:
     ``repeats`` is the share that the effect asks of itself when the carriage is disturbed by noise: below 1 where play
     bounces, and no two laps are alike. ``exercised`` False: the record does not bring the effect out, and says nothing
     of it. ``weighed`` are the shares where what the model leaves is itself noise, once by its spectrum and once as a
-    smooth function of the state, each with its deviation.
+    smooth function of the state, each with its deviation. ``bounces``: the effect is such play itself.
     """
 
     name: str
@@ -37,11 +38,18 @@ class Asked:
     repeats: float
     exercised: bool
     weighed: tuple[tuple[float, float], ...] = ()
+    bounces: bool = False
 
     @property
     def refuted(self) -> bool:
         """Whether the record clearly wants another amount of it than the effect itself, or all of it."""
         return self.exercised and self._apart(self.share) - rules.SURE * self.std > rules.ASKED_APART
+
+    @property
+    def hardly_wanted(self) -> bool:
+        """Whether the record wants less than half of it, all weighings taken together: rather none than all."""
+        told = self.confirmed
+        return told is not None and told["share"] < rules.HALF
 
     @property
     def wanted(self) -> bool:
@@ -53,10 +61,10 @@ class Asked:
         """Whether the record clearly wants about all of it.
 
         What stands in for something unknown shares its force with it, and is wanted in another amount as soon as the
-        unknown may be a function of the state too.
+        unknown may be a function of the state too. What play makes of another effect by bouncing is luck: no evidence.
         """
-        if self.repeats < rules.ASKED_APART:  # play that hardly ever bounces alike
-            return self.wanted
+        if self.repeats < rules.ASKED_APART:  # of play that hardly ever bounces alike no more can be asked
+            return self.wanted and self.bounces
         return self.wanted and max(std for _, std in self._all()) <= rules.SHARE_KNOWN * self.repeats
 
     @property
@@ -113,7 +121,10 @@ def asked_for(hypothesis: Hypothesis) -> tuple[Asked, ...]:
         here, there = _gathered(problem, change), _gathered(problem, other)
         repeats = min(1.0, float(here @ there) / max(float(there @ there), 1e-30))
         exercised = float(np.linalg.norm(here)) > rules.EXERCISED * np.sqrt(here.size)
-        found.append(Asked(model.names[i], *shares[0][i], repeats, exercised, tuple(rows[i] for rows in shares[1:])))
+        weighed = tuple(rows[i] for rows in shares[1:])
+        found.append(
+            Asked(model.names[i], *shares[0][i], repeats, exercised, weighed, bounces=has_play(model.effects[i]))
+        )
     return tuple(found)
 
 

@@ -126,6 +126,27 @@ def test_what_a_record_does_not_tell_is_not_confirmed():
     }
 
 
+def test_what_is_lost_in_the_bounces_of_play_does_not_stand_and_the_play_itself_does():
+    for repeats, of_another, of_play in ((0.2, False, True), (0.9, True, True)):
+        shares = dict(share=repeats, std=0.01, repeats=repeats, exercised=True)
+        assert Asked("external_force", **shares).stands is of_another
+        assert Asked("backlash", **shares, bounces=True).stands is of_play
+
+
+@pytest.mark.parametrize(
+    ("share", "weighed", "hardly"),
+    [
+        (0.7, [(0.0, 0.09), (0.36, 0.08), (0.0, 0.11)], True),  # within reach of all of it by the noise of laps alone
+        (1.2, [(0.6, 0.4), (-0.7, 0.4), (0.2, 0.5)], True),  # a share that is not known
+        (0.9, [(0.5, 0.1), (0.8, 0.1), (0.4, 0.1)], False),
+    ],
+)
+def test_what_is_hardly_wanted_however_the_rest_is_weighed_is_neither_refuted_nor_kept(share, weighed, hardly):
+    asked = Asked("stribeck_friction", share, 0.04, 1.0, exercised=True, weighed=tuple(weighed))
+    assert (asked.refuted, asked.hardly_wanted) == (False, hardly)
+    assert not replace(asked, exercised=False).hardly_wanted
+
+
 def test_a_drift_between_laps_is_no_noise():
     lap = split(Record(np.arange(Q_REF.size) * 1e-3, Q_REF, Q_REF, 0 * Q_REF, 1e-3))
     noise = 0.5 * np.random.default_rng(0).standard_normal(Q_REF.size)
