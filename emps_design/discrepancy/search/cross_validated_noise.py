@@ -9,6 +9,7 @@ left holds the noise, and the structure that none of this follows: far less than
 from __future__ import annotations
 
 from contextlib import suppress
+from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -45,12 +46,14 @@ def unpredicted(fitted: Fit, library: tuple[Effect, ...]) -> tuple[np.ndarray, .
                 columns.append(of_unit_length((start.hypothesis.residual("used")[kept] - base)[:, None]))
         return np.column_stack(columns)
 
-    known, states = (one[kept] for one in (adjusted.basis, problem.gather(states_of(fitted), "used")))
+    def smooth() -> np.ndarray:
+        return of_unit_length(problem.gather(states_of(fitted), "used")[kept])
+
     screened = screen(fitted, library, tangent(fitted))
-    groups = [of_unit_length(states), *side_by_side(changes, [(found,) for found in screened])]
+    groups = side_by_side(lambda group: group(), [(smooth,), *((partial(changes, found),) for found in screened)])
     edges = np.cumsum([0, *(stroke.stop - stroke.start for stroke in rows)])
     strokes = [slice(start, stop) for start, stop in pairwise(edges)]
-    left = _left_by_others(of_unit_length(known), groups, base, strokes)
+    left = _left_by_others(of_unit_length(adjusted.basis[kept]), groups, base, strokes)
     records = np.cumsum([split.used.sum() for split in problem.splits])
     return tuple(part for part in np.split(left, np.searchsorted(kept, records[:-1])) if part.size)
 
@@ -67,7 +70,7 @@ def _left_by_others(known: np.ndarray, groups: list[np.ndarray], force: np.ndarr
     The columns (n, k) are those ``known`` and of the ``groups``, one after the other, the one that leaves least, as
     long as it shows that what was left was no noise.
     """
-    regression = _Regression(np.column_stack([known, *groups]), force, strokes)
+    regression = _Regression([known, *groups], force, strokes)
     edges = np.cumsum([0, known.shape[1], *(group.shape[1] for group in groups)])
     own, *others = (np.arange(start, stop) for start, stop in pairwise(edges))
     best = regression.best(own)
@@ -90,12 +93,15 @@ class _Predictor(NamedTuple):
 
 
 class _Regression:
-    """Of a force (n,) on columns (n, k), fitted without each of the strokes and judged on it: by sums of products."""
+    """Of a force (n,) on ``groups`` of columns (n, k), fitted without each of the strokes and judged on it.
 
-    def __init__(self, columns: np.ndarray, force: np.ndarray, strokes: list[slice]) -> None:
-        self.columns, self.force, self.strokes = columns, force, strokes
-        self.squares = np.array([columns[s].T @ columns[s] for s in strokes])
-        self.products = np.array([columns[s].T @ force[s] for s in strokes])
+    By sums of products along each stroke.
+    """
+
+    def __init__(self, groups: list[np.ndarray], force: np.ndarray, strokes: list[slice]) -> None:
+        self.groups, self.force, self.strokes = groups, force, strokes
+        sums = side_by_side(self._sums, [(stroke,) for stroke in strokes])
+        self.squares, self.products = (np.array(one) for one in zip(*sums, strict=True))
         self.power = float(force @ force)
 
     def best(self, columns: np.ndarray) -> _Predictor:
@@ -112,8 +118,21 @@ class _Regression:
         """Force (n,) [N] that ``found`` does not predict."""
         own, along = self.squares[:, found.columns[:, None], found.columns], self.products[:, found.columns]
         coefficients = self._coefficients(own, along, found.ridge)
-        used = self.columns[:, found.columns]
-        return np.concatenate([self.force[s] - used[s] @ x for s, x in zip(self.strokes, coefficients, strict=True)])
+        return np.concatenate(
+            [
+                self.force[stroke] - self._columns(stroke)[:, found.columns] @ x
+                for stroke, x in zip(self.strokes, coefficients, strict=True)
+            ]
+        )
+
+    def _columns(self, stroke: slice) -> np.ndarray:
+        """All columns along one stroke."""
+        return np.column_stack([group[stroke] for group in self.groups])
+
+    def _sums(self, stroke: slice) -> tuple[np.ndarray, np.ndarray]:
+        """Squares (k, k) of the columns along one stroke, and their products (k,) with the force."""
+        columns = self._columns(stroke)
+        return columns.T @ columns, columns.T @ self.force[stroke]
 
     @staticmethod
     def _coefficients(own: np.ndarray, along: np.ndarray, ridge: float) -> np.ndarray:
