@@ -31,7 +31,7 @@ def search_or_kind(calibration: Calibration, progress: Progress, before: Outcome
 
     def look(path: list[Fit]) -> None:
         progress("whether it is an unknown force of one kind", 0.6)
-        found.extend(_of_a_kind(calibration, path[:STARTS], before.of_a_kind if before else None))
+        found.extend(_of_a_kind(calibration, path, before.of_a_kind if before else None))
 
     confirmed = calibration.preparation.held_out is not None
     if confirmed and not outcome.interrupted and calibration.judge.leaves_structure(outcome.best):
@@ -67,13 +67,14 @@ def _finished_beside(outcome: Outcome) -> Outcome:
     return finished(outcome, untold, most=rules.CREDIBLE)
 
 
-def _of_a_kind(calibration: Calibration, starts: list[Fit], before: OfAKind | None) -> list[OfAKind]:
-    """The first kind of force that leaves next to nothing beside one of ``starts`` and what is found beside it.
+def _of_a_kind(calibration: Calibration, path: list[Fit], before: OfAKind | None) -> list[OfAKind]:
+    """The first kind of force that leaves next to nothing beside a start of ``path`` and what is found beside it.
 
-    Or what was found beside one ``before``, where that leaves less. Else nothing: a search that leaves structure beside
-    the force is not gone on with. An interrupt goes on to the search that asks.
+    Or what was found beside one ``before``, where that leaves less. Else nothing, and nothing either where the effects
+    of ``path`` alone leave less; a search that leaves structure beside the force is not gone on with. An interrupt goes
+    on to the search that asks.
     """
-    for kind, start, beside in _kinds_beside(starts):
+    for kind, start, beside in _kinds_beside(path[:STARTS]):
         with suppress(SimulationError):
             problem = in_turn(beside, kind)[-1].problem
             again = _begun_beside(calibration, Hypothesis(problem, calibration.baseline.model))
@@ -84,7 +85,7 @@ def _of_a_kind(calibration: Calibration, starts: list[Fit], before: OfAKind | No
             if again.interrupted:
                 raise KeyboardInterrupt
             found = in_turn(again.calibration.judge.refitted(again.best), kind)[-1]
-            if next_to_nothing(start, found):
+            if next_to_nothing(start, found) and found.excess() < path[-1].excess():
                 return [OfAKind(kind, start, again, found)]
     return []
 

@@ -98,7 +98,7 @@ def validate(outcome: Outcome, progress: Progress) -> Validation:
         outcome = replace(finished(outcome, progress), of_a_kind=None)
     start = fit(calibration.baseline, part="used")
     searched = calibration.judge.refitted(outcome.best) if len(outcome.path) > 1 else start
-    answer, share, left_over = _all_or_nothing(outcome, data, start, searched)
+    answer, share, left_over = _all_or_nothing(outcome, data, start, searched, force)
     if left_over or outcome.ended_early:
         answer = _effect_by_effect(outcome, data, searched, answer, force)
     if answer.verdict == "unnamed":
@@ -124,11 +124,13 @@ def validate(outcome: Outcome, progress: Progress) -> Validation:
     )
 
 
-def _all_or_nothing(outcome: Outcome, data: HeldOut | None, start: Fit, searched: Fit) -> tuple[_Answer, float, bool]:
+def _all_or_nothing(
+    outcome: Outcome, data: HeldOut | None, start: Fit, searched: Fit, force: Beside | None
+) -> tuple[_Answer, float, bool]:
     """The verdict on all effects of ``searched`` together, less what the confirming ``data`` refute.
 
-    ``start`` is the baseline. Also returns the share of the gap that is closed, and whether so much is left over that
-    each effect should stand on its own evidence.
+    ``start`` is the baseline. Also returns the share of the gap that is closed, and whether so much is left over, or
+    explained by an unknown ``force``, that each effect should stand on its own evidence.
     """
     calibration, extended = outcome.calibration, searched
     judge, floor, lost = calibration.judge, calibration.floor.force, 0.0
@@ -158,10 +160,17 @@ def _all_or_nothing(outcome: Outcome, data: HeldOut | None, start: Fit, searched
     if calibration.preparation.unexplained_law:  # known as a command, but not what it is
         verdict = "partly-named" if verdict in ("named", "ambiguous") else "unnamed"
     failed = verdict == "unnamed" and not judge.at_floor(extended)
-    open_gap = judge.leaves_unexplained(extended) and min(shares) < rules.COMPLETE
+    open_gap = judge.leaves_unexplained(extended) and (
+        min(shares) < rules.COMPLETE or _explains(force, max(left), floor)
+    )
     given_up = extended.model.names if verdict == "unnamed" and named else ()
     answer = _Answer(verdict, start, extended, found, asked, refuted, given_up, held_out)
     return answer, shares[-1], (failed or forgotten or open_gap) and not nothing_yet
+
+
+def _explains(force: Beside | None, left: float, floor: float) -> bool:
+    """Whether an unknown ``force``, and the effects to name beside it, explain a good part of what is ``left`` [N]."""
+    return force is not None and bool(force.names) and explained(left, force.left, floor) >= rules.OF_A_KIND
 
 
 def _effect_by_effect(

@@ -286,6 +286,15 @@ def stopped():
 
 
 @pytest.mark.slow
+def test_no_unknown_force_is_needed_where_effects_leave_less(stopped):
+    force, (baseline, *_) = stopped.of_a_kind, stopped.path
+    again = beside_force._of_a_kind(stopped.calibration, [baseline, baseline], None)
+    assert [one.kind for one in again] == [force.kind]
+    better = evaluate(force.found)  # as effects that leave as little would
+    assert beside_force._of_a_kind(stopped.calibration, [baseline, baseline, better], None) == []
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("confirmed", ["as it is", "as all there is", "with nothing to name", ""])
 def test_a_search_ends_for_a_force_that_answers_and_goes_on_where_it_does_not(monkeypatch, stopped, confirmed):
     def finds(outcome, data, found=verdict.found_beside_kind):
@@ -333,6 +342,17 @@ def test_a_search_goes_on_past_a_force_when_the_noise_is_known(monkeypatch):
     assert len(stopped) == len(module.SEARCHES)
     assert [any(one.path is it.path for it in gone_on) for one in stopped] == [False, False, True]
     assert told == sorted(told)
+
+
+@pytest.mark.parametrize(
+    ("names", "leaves", "explains"), [(("mass_change",), 1.2, True), (("mass_change",), 1.7, False), ((), 1.2, False)]
+)
+def test_what_is_left_counts_as_unknown_where_a_force_beside_effects_explains_half_of_it(names, leaves, explains):
+    asked = [Asked(name, 1.0, 0.01, 1.0, exercised=True) for name in names]
+    found = evaluate(Hypothesis(problem(), Candidate(AXIS.mechanics.array())))
+    force = Beside(found, asked, {}, kind="a memory", left=leaves)
+    assert verdict._explains(force, left=1.8, floor=1.0) is explains
+    assert not verdict._explains(None, left=1.8, floor=1.0)
 
 
 @pytest.mark.slow
