@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from emps_design.discrepancy import rules
+from emps_design.discrepancy.model.parallel import CORES, side_by_side
 from emps_design.discrepancy.search.starts import Start
 
 RESAMPLES = 199
@@ -45,12 +46,14 @@ def healthy_reference(screened: list[list[Start]], draws: np.ndarray, seed: int)
     if not screened:  # nothing was tried, so nothing can be gained by chance
         return Healthy(np.zeros(RESAMPLES))
     generator = np.random.default_rng(seed)
-    signatures = np.array([start.signature for found in screened for start in found])  # free of what is absorbed
+    signatures = [start.signature for found in screened for start in found]  # free of what is absorbed
+    halves = [(np.array(signatures[place::CORES]),) for place in range(min(CORES, len(signatures)))]
     largest = np.empty(RESAMPLES)
     for start in range(0, RESAMPLES, TOGETHER):
         some = range(start, min(start + TOGETHER, RESAMPLES))
-        noise = np.array([resampled(draws, signatures.shape[1], generator) for _ in some])
-        largest[some] = np.max((noise @ signatures.T) ** 2, axis=1)
+        noise = np.array([resampled(draws, signatures[0].size, generator) for _ in some])
+        gains = side_by_side(lambda half, noise=noise: np.max((noise @ half.T) ** 2, axis=1), halves)
+        largest[some] = np.max(gains, axis=0)
     return Healthy(np.sort(largest))
 
 
