@@ -87,7 +87,7 @@ def write(rows: list[dict]) -> None:
         own = [row for row in rows if row["estimator"] == name]
         runs = np.array([row["runs"] for row in own])
         shares = {key: np.array([row[key] for row in own]) for key in ("identify_percent", "equation_15_percent")}
-        every = {"axis": "all", "estimator": name, "parameter": "all", "runs": int(runs.sum())}
+        every = {"axis": "all", "estimator": name, "parameter": "all", "runs": int(runs.sum()) // len(PARAMETERS)}
         pooled.append({**every, **{key: float(np.average(share, weights=runs)) for key, share in shares.items()}})
         least = own[int(np.argmin(shares["identify_percent"]))]
         pooled.append({**least, "axis": f"least: {least['axis']}"})

@@ -1,4 +1,4 @@
-/* The exact replay of emps_design.simulation.core in C: the yardstick of the benchmark, compiled where it runs. */
+/* The exact replay of emps_design.simulation.kernels.baseline in C: the yardstick of the benchmark, compiled where it runs. */
 #include <math.h>
 
 static void factors(double a, double h, double *e, double *g1, double *g2) {

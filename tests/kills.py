@@ -1,4 +1,4 @@
-"""Kill real processes at random moments: every command that writes, as often as asked, and what is left is looked at.
+"""Kill real processes at random moments: eleven commands that write, as often as asked, and what is left is looked at.
 
 ``python -m tests.kills 200`` (``make fuzz``) writes ``benchmarks/kills.json``, which docs/measured.md shows. After each
 kill every file is whole, the one of before or the new one; the next run finds nothing in its way and leaves nothing but

@@ -1,13 +1,12 @@
 """The ``constants`` directive: numbers of ``emps_design.discrepancy`` with their words, as their files have them."""
 
-import re
 from pathlib import Path
 
+from assigned import assigned
 from docutils.parsers.rst import Directive
 from measured_tables import table
 
 ROOM = Path(__file__).resolve().parents[2] / "emps_design" / "discrepancy"
-ASSIGNED = re.compile(r"^([A-Z][A-Z_0-9]*) = ([^#]+?)(?:\s+# (.*))?$", re.MULTILINE)
 
 
 class Constants(Directive):
@@ -21,7 +20,7 @@ class Constants(Directive):
             module, *names = line.split()
             path = next(ROOM.rglob(f"{module}.py"))
             self.state.document.settings.env.note_dependency(str(path))
-            found = {name: rest for name, *rest in ASSIGNED.findall(path.read_text(encoding="utf-8"))}
+            found = assigned(path)
             for name in names or found:
                 if name not in found:
                     raise self.error(f"{path}: no constant {name}; found {', '.join(found)}")

@@ -50,7 +50,7 @@ def run(arguments: list[str]) -> int:
     debug = "--debug" in arguments
     as_json = "--json" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
-    begin()
+    begin(arguments[0] if arguments else "")
     try:
         result = _result(arguments)
         sys.stdout.flush()

@@ -22,19 +22,30 @@ FLAGS = {
     "target": "--to",
     "window": "--time",
 }
+# A report identifies too; its own --filter is that of the impedance law.
+FLAGS_OF = {
+    "report": {
+        "chain": "--record-filter",
+        "cutoff_hz": "--cutoff of 'identify'",
+        "external_force_known=True": "--external-force known of 'identify'",
+    }
+}
 
 
-def in_flags(text: str) -> str:
-    """Return ``text`` with every argument of the library as the flag that sets it.
+def in_flags(text: str, command: str = "") -> str:
+    """Return ``text`` with every argument of the library as the flag of ``command`` that sets it.
 
     >>> in_flags("too slow for a cut-off; give `cutoff_hz`, or use `chain='report'`")
     'too slow for a cut-off; give --cutoff, or use --filter report'
+    >>> in_flags("use `chain='hold'`", "report")
+    'use --record-filter hold'
     """
-    return re.sub(r"`([^`]+)`", _flag, text)
+    flags = FLAGS | FLAGS_OF.get(command, {})
 
+    def flag(argument: re.Match[str]) -> str:
+        name, _, value = argument[1].partition("=")
+        if argument[1] in flags:
+            return flags[argument[1]]
+        return f"{flags[name]} {value.strip(chr(39))}".rstrip() if name in flags else argument[0]
 
-def _flag(argument: re.Match[str]) -> str:
-    name, _, value = argument[1].partition("=")
-    if argument[1] in FLAGS:
-        return FLAGS[argument[1]]
-    return f"{FLAGS[name]} {value.strip(chr(39))}".rstrip() if name in FLAGS else argument[0]
+    return re.sub(r"`([^`]+)`", flag, text)

@@ -9,8 +9,7 @@ from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from emps_design.cli.flags import in_flags
-from emps_design.cli.wording import in_units, in_words
+from emps_design.cli.wording import in_command, in_units, in_words
 from emps_design.errors import one_line, printable
 from emps_design.progress import Progress, untold
 
@@ -32,7 +31,7 @@ def plain(value: Any, key: str = "") -> Any:
         return plain(value.to_dict())
     if isinstance(value, str):
         value = value if key in NAMES else in_units(value)
-        return in_flags(value) if key in MESSAGES else value
+        return in_command(value) if key in MESSAGES else value
     if isinstance(value, dict):
         return {str(name): plain(item, str(name)) for name, item in value.items()}
     if isinstance(value, list | tuple):

@@ -24,7 +24,7 @@ def command(
     loaded = load_axis(axis)
     if find_spec("panel") is None:
         raise InputError(
-            "studio: found no panel in this environment, expected the extra: pip install 'emps-design[studio]'"
+            "studio: found no panel in this environment, expected the extra: pip install -e '.[studio]' in the clone"
         )
     from emps_design.studio.app import serve
 

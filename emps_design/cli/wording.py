@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from emps_design.axis import Axis
 
 _at_hand = [Units()]
+_command = [""]
 _asked: list[tuple[str, float, str]] = []  # numbers of the command line, until the axis says their units
 
 
@@ -28,9 +29,9 @@ def load_axis(name_or_path: str | Path) -> Axis:
     return axis
 
 
-def begin() -> None:
-    """Forget the axis and the numbers of the command before."""
-    _at_hand[0] = Units()
+def begin(command: str) -> None:
+    """Forget the axis and the numbers of the command before the ``command`` that begins."""
+    _at_hand[0], _command[0] = Units(), command
     _asked.clear()
 
 
@@ -51,7 +52,12 @@ def check_option(name: str, value: float, base: str) -> float:
 
 def in_words(text: str) -> str:
     """``text`` of the library with flags for arguments, in the units and words of the axis at hand."""
-    return in_flags(_at_hand[0].text(text))
+    return in_command(_at_hand[0].text(text))
+
+
+def in_command(text: str) -> str:
+    """``text`` of the library with the flags of the command at hand for arguments."""
+    return in_flags(text, _command[0])
 
 
 def in_units(value: str) -> str:

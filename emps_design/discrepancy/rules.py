@@ -1,4 +1,4 @@
-"""Every threshold that decides on an answer, in the order of the procedure; docs/theory/diagnosis.md says why each."""
+"""Every threshold that decides on an answer, in the order of the procedure, which docs/theory/diagnosis.md explains."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ import pytest
 import typer
 
 from emps_design.cli.app import COMMANDS, _application
-from emps_design.cli.flags import FLAGS, in_flags
+from emps_design.cli.flags import FLAGS, FLAGS_OF, in_flags
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "emps_design"
@@ -47,8 +47,14 @@ def test_every_argument_that_a_message_names_has_its_flag(module):
 
 def test_every_flag_of_the_table_is_one():
     group = typer.main.get_command(_application([]))
-    known = {name for command in COMMANDS for option in group.commands[command].params for name in option.opts}
-    assert {flag.split()[0] for flag in FLAGS.values()} <= known
+    known = {
+        command: {name for option in group.commands[command].params for name in option.opts} for command in COMMANDS
+    }
+    assert {flag.split()[0] for flag in FLAGS.values()} <= set().union(*known.values())
+    for command, flags in FLAGS_OF.items():
+        for flag in flags.values():
+            name, _, of = flag.partition(" of ")
+            assert name.split()[0] in known[of.strip("'") or command]
 
 
 def test_a_flag_in_a_message_is_seen():

@@ -21,7 +21,8 @@ from emps_design.discrepancy.model.state import along, faded, memories, slopes_a
 from emps_design.effects import Motion
 from emps_design.errors import SimulationError
 
-COARSE, FINE = 6, 12  # degrees of the polynomials in position
+COARSE = 6  # degree of the polynomials in position
+FINE = 12  # the same where that leaves clearly less
 SHARES = (1.0, 0.5, 0.25, 0.125)  # of a force that is put in the loop
 PUSH = 0.1  # of the force that a model leaves: rms of a column when its answer is simulated
 
