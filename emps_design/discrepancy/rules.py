@@ -1,4 +1,4 @@
-"""Every threshold that decides on an answer, in the order of the procedure, which docs/theory/diagnosis.md explains."""
+"""Every threshold that decides on an answer, in the order of docs/theory/diagnosis.md."""
 
 from __future__ import annotations
 
