@@ -33,8 +33,8 @@ def command(
         typer.Option(
             **RAD_S,
             callback=within("rad/s"),
-            help="low-pass of acceleration and current [rad/s, or such as 80Hz]; default that of the axis's controller, "
-            "else 0.5/period; inf: none",
+            help="low-pass of acceleration and current [rad/s, or such as 80Hz], inf: none; default that of the axis's "
+            "controller, else 0.5/period",
         ),
     ] = None,
     unfiltered_current: Annotated[
