@@ -19,6 +19,7 @@ def simplified(source: str) -> str:
     for old, new in (
         (r"\tfrac", r"\frac"), (r"\operatorname", r"\mathrm"), (r"\text", r"\mathrm"),
         (r"\left", ""), (r"\right", ""), (r"\lVert", r"\Vert"), (r"\rVert", r"\Vert"), (r"\begin{aligned}", ""),
+        (r"\lvert", "|"), (r"\rvert", "|"),
         (r"\end{aligned}", ""), ("&", ""), (r"\!", ""), (r"\le ", r"\leq "), (r"\ge ", r"\geq "), (r"\top", "T"),
         (r"\bmod", r"\ \mathrm{mod}\ "),
     ):  # fmt: skip
