@@ -23,6 +23,7 @@ STEERED |= {("all", 10008), ("all", 10009), ("beside", 10010), ("beside", 10011)
 STEERED |= {("beside", 10012), ("unknown", 10013), ("beside", 10015)}
 STEERED |= {("beside", 10016), ("beside", 10017), ("beside", 10018), ("beside", 10019), ("several", 10015)}
 STEERED |= {("beside", 10021), ("several", 10022), ("several", 10024), ("beside", 10025)}
+STEERED |= {("beside", 10027), ("several", 10027)}
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGES, TABLES = REPOSITORY / "docs", REPOSITORY / "benchmarks"
 
