@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis.tables import field_in
+from emps_design.codegen import c, st
 from emps_design.codegen.ahead import Ahead
 from emps_design.codegen.block import Block
-from emps_design.codegen.c import KEYWORDS
 from emps_design.codegen.observer import COMMAND
 from emps_design.codegen.operations import operations_of
 from emps_design.codegen.origin import commit
@@ -39,11 +39,11 @@ CHARACTERS = 120  # of a line of a comment
 def block_name(name: str) -> str:
     """``name`` as an identifier that C and IEC 61131-3 take.
 
-    >>> block_name("emps2018-two-quadrant"), block_name("Achse 3 (Ü)"), block_name("double"), block_name("3")
-    ('emps2018_two_quadrant', 'Achse_3', 'double_2', 'x3')
+    >>> block_name("emps2018-two-quadrant"), block_name("Achse 3 (Ü)"), block_name("double"), block_name("Move")
+    ('emps2018_two_quadrant', 'Achse_3', 'double_2', 'Move_2')
     """
     plain = re.sub("[^0-9A-Za-z]+", "_", name)[:LONGEST_NAME].strip("_") or "axis"
-    return safe_names([plain], KEYWORDS | frozenset({"end_if", "program", "function", "var", "type"}))[plain]
+    return safe_names([plain], c.KEYWORDS | st.KEYWORDS)[plain]
 
 
 def hash_of(content: str | bytes) -> str:

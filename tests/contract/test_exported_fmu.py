@@ -238,6 +238,18 @@ def test_what_a_unit_refuses(tmp_path):
     ]  # fmt: skip
 
 
+def test_outputs_of_a_run_that_has_ended_are_its_last(tmp_path):
+    (made,) = instances(plain_unit(), tmp_path, 1)
+    stepped(made, np.full(100, 5.0), 0, machine("emps2019").sampling.period)
+    last = made.getFloat64([3, 4, 5])
+    made.terminate()
+    assert made.getFloat64([3, 4, 5]) == last
+    made.reset()
+    made.enterInitializationMode(startTime=0.0)
+    assert made.getFloat64([4])[0] == 0.0 < last[1]
+    made.freeInstance()
+
+
 def test_a_command_that_is_ages_on_its_way_is_refused():
     axis = machine("emps2019").replace(sampling={"period": 1e-6})
     late = axis.replace(effects=[{"kind": "actuator_delay", "delay": 0.02}])

@@ -27,6 +27,7 @@ typedef struct {
     model state;
     double start; /* s */
     long long samples;
+    bool begun;   /* the outputs are those of a run, which may have ended */
     bool running;
     void *environment;
     log_message log;
@@ -83,6 +84,7 @@ FMI status fmi3ExitInitializationMode(void *given)
     instance *i = given;
 
     model_begin(&i->state, i->value);
+    i->begun = true;
     i->running = true;
     return OK;
 }
@@ -98,6 +100,7 @@ FMI status fmi3Reset(void *given)
     instance *i = given;
 
     memcpy(i->value, START, sizeof START);
+    i->begun = false;
     i->running = false;
     return OK;
 }
@@ -106,7 +109,7 @@ FMI status fmi3GetFloat64(void *given, const reference *which, size_t count, dou
 {
     instance *i = given;
 
-    if (!i->running) {
+    if (!i->begun) {
         model_begin(&i->state, i->value); /* in initialization mode: what the start values make of the outputs */
     }
     for (size_t n = 0; n < count; n++) {
