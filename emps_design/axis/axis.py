@@ -82,6 +82,11 @@ class Axis(Table):
         return self
 
     @property
+    def damping(self) -> float:
+        """Viscous friction and what the motor's back-EMF brakes [N/(m/s)]: what a loop around the drive sees."""
+        return self.mechanics.viscous + self.drive.braking
+
+    @property
     def units(self) -> Units:
         """The units of this axis, in which its numbers are read and written."""
         return Units(self.motion, self.drive.command, self.drive.command_unit)

@@ -41,7 +41,7 @@ class Table(LawTable):
 
 def observer_of(axis: Axis, cutoff_hz: float) -> ForceObserver:
     """The observer of ``axis``: what a back-EMF brakes joins the viscous friction."""
-    viscous = axis.mechanics.viscous + axis.drive.braking
+    viscous = axis.damping
     return ForceObserver(axis.replace(mechanics={"viscous": viscous}, drive={"back_emf": 0.0}), cutoff_hz)
 
 

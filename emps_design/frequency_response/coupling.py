@@ -82,11 +82,11 @@ class MassChain:
     def on(self, axis: Axis) -> Axis:
         """``axis`` with mass, viscous friction and coupling as the response has them; of three masses not the coupling.
 
-        Its drive, with whatever delay it has, stays as it is.
+        Its drive, with whatever delay and back-EMF it has, stays as it is: what that brakes is part of the response's.
         """
         values, effect = self.parameters, self.effect
         kept = [one for one in axis.effects if effect is None or one.kind != effect["kind"]]
-        mechanics = {"mass": values["mass"][0], "viscous": max(values["viscous"][0], 0.0)}
+        mechanics = {"mass": values["mass"][0], "viscous": max(values["viscous"][0] - axis.drive.braking, 0.0)}
         return axis.replace(mechanics=mechanics, effects=[*kept, *([effect] if effect else [])])
 
     @property

@@ -217,7 +217,7 @@ def _check(
 def _steady_command(axis: Axis, speed: float) -> float:
     """What the passes take, the harder way [V]."""
     m = axis.mechanics
-    return (m.viscous * speed + m.coulomb + abs(m.offset)) / axis.drive.gain
+    return (axis.damping * speed + m.coulomb + abs(m.offset)) / axis.drive.gain
 
 
 def _amplitude(axis: Axis, limits: Limits, speed: float, steady: float, unit: dict[str, float]) -> tuple[float, str]:

@@ -24,14 +24,16 @@ class FrictionModel:
 
     @classmethod
     def of(cls, axis: Any) -> FrictionModel:
-        """Read X from an ``Axis``; effects proportional to speed join the viscous friction, see :func:`left_out`.
+        """Read X from an ``Axis``; what is proportional to speed joins the viscous friction, also the back-EMF.
+
+        Other effects are left out, see :func:`left_out`.
 
         >>> from emps_design.machines import machine
         >>> FrictionModel.of(machine("emps2018-two-quadrant")).viscous_negative
         563.8568
         """
         m = axis.mechanics
-        positive, negative = m.viscous, m.viscous
+        positive, negative = axis.damping, axis.damping
         for entry in axis.effects:
             if entry.effect.slopes is not None:
                 slopes = entry.effect.slopes(entry.effect.values(entry.parameters))

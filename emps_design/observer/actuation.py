@@ -43,7 +43,7 @@ def acting_voltage(axis: Axis, u: np.ndarray) -> tuple[np.ndarray, Axis]:
     used_up = {
         "drive": {"current_time_constant": 0.0, "back_emf": 0.0},
         "sampling": {"computation_delay": 0},
-        "mechanics": {"viscous": axis.mechanics.viscous + axis.drive.braking},
+        "mechanics": {"viscous": axis.damping},
     }
     return u, axis.replace(effects=kept, **used_up)
 

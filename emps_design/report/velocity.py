@@ -32,6 +32,7 @@ def gains_section(velocity: VelocityLoopDesign) -> Section:
     rows = [
         [Html(symbol("M")), quantity(mechanics.mass, "kg", 6), "load-side equivalent mass"],
         [Html(symbol("F_v")), quantity(mechanics.viscous, "N/(m/s)", 6), "viscous friction"],
+        *([["back-EMF", quantity(drive.braking, "N/(m/s)", 6), "what it brakes beside that"]] if drive.braking else []),
         [Html(symbol("F_c")), quantity(mechanics.coulomb, "N", 6), "Coulomb friction"],
         ["offset", quantity(mechanics.offset, "N", 6), "constant force"],
         [Html(symbol("G_tau")), quantity(drive.force_gain, "N/V", 6), "force per volt"],

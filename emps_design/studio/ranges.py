@@ -121,7 +121,7 @@ def _quantities(axis: Axis) -> dict[str, float]:
     mechanics, drive = axis.mechanics, axis.drive
     limited = drive.command_limit < NO_LIMIT
     motor = drive.force_gain * (drive.supply or 1.0) * drive.command_limit if limited else 0.0
-    left, brake = max(motor - mechanics.coulomb, 0.0), mechanics.viscous + drive.braking
+    left, brake = max(motor - mechanics.coulomb, 0.0), axis.damping
     return {
         "mass": mechanics.mass,
         "coulomb": mechanics.coulomb,

@@ -56,13 +56,11 @@ def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> 
     """
     if not axis.effects:
         return []
-    notes, mechanics, linear = [], axis.mechanics, loop.plant.linear
-    if abs(linear.mass - mechanics.mass) > 0.01 * mechanics.mass or (
-        abs(linear.viscous - mechanics.viscous) > 0.01 * mechanics.viscous
-    ):
+    notes, mass, damping, linear = [], axis.mechanics.mass, axis.damping, loop.plant.linear
+    if abs(linear.mass - mass) > 0.01 * mass or abs(linear.viscous - damping) > 0.01 * damping:
         notes.append(
             f"with its effects the carriage has {linear.mass:.4g} kg and a friction slope of {linear.viscous:.4g} "
-            f"N/(m/s) at {velocity:g} m/s; (7) takes {mechanics.mass:.4g} kg and {mechanics.viscous:.4g} "
+            f"N/(m/s) at {velocity:g} m/s; (7) takes {mass:.4g} kg and {damping:.4g} "
             "N/(m/s), the sampled loop takes all"
         )
     if loop.stable:

@@ -87,8 +87,7 @@ class VelocityLoopDesign:
 
     @property
     def _second_order_form(self) -> tuple[float, float]:
-        mechanics = self.axis.mechanics
-        omega_0v, z_v = second_order_form(mechanics.mass, mechanics.viscous, self.gain, self.t_v)
+        omega_0v, z_v = second_order_form(self.axis.mechanics.mass, self.axis.damping, self.gain, self.t_v)
         return float(omega_0v), float(z_v)
 
     @property
@@ -106,7 +105,7 @@ class VelocityLoopDesign:
         """Crossover [rad/s] and phase margin [rad] of T_vo."""
         if self.structure.form == "pi":
             return self._plant_input
-        mass, damping = self.axis.mechanics.mass, self.axis.mechanics.viscous + self.gain
+        mass, damping = self.axis.mechanics.mass, self.axis.damping + self.gain
         w = math.sqrt(positive_root(mass**2, damping**2, -(self.K_v**2)))
         return w, math.atan2(damping, mass * w)
 
@@ -118,7 +117,7 @@ class VelocityLoopDesign:
     @cached_property
     def _plant_input(self) -> tuple[float, float]:
         """Crossover [rad/s] and phase margin [rad] of L."""
-        mass, viscous = self.axis.mechanics.mass, self.axis.mechanics.viscous
+        mass, viscous = self.axis.mechanics.mass, self.axis.damping
         w = math.sqrt(positive_root(mass**2, viscous**2 - self.gain**2, -(self.K_v**2)))
         return w, math.atan(w * self.t_v) + math.atan2(viscous, mass * w)
 
@@ -135,8 +134,8 @@ class VelocityLoopDesign:
     @property
     def feasible_phase_margin_deg(self) -> tuple[float, float]:
         """Open interval of phase margins [deg] that gains can give at the crossover asked for, of (7) or the like."""
-        mechanics, crossover = self.axis.mechanics, self.requested.get("crossover", self.crossover)
-        low, high = self.structure.feasible_phase_margin(mechanics.mass, mechanics.viscous, crossover)
+        axis, crossover = self.axis, self.requested.get("crossover", self.crossover)
+        low, high = self.structure.feasible_phase_margin(axis.mechanics.mass, axis.damping, crossover)
         return float(low), float(high)
 
     @cached_property
@@ -177,24 +176,22 @@ class VelocityLoopDesign:
         if self.structure.form == "pi":
             return self.plant_input_loop()
 
-        mechanics = self.axis.mechanics
-        return control.tf([self.K_v], [mechanics.mass, mechanics.viscous + self.gain, 0.0])
+        return control.tf([self.K_v], [self.axis.mechanics.mass, self.axis.damping + self.gain, 0.0])
 
     def plant_input_loop(self) -> control.TransferFunction:
         """L(s), the loop broken at the plant input."""
         import control
 
-        mechanics = self.axis.mechanics
-        return control.tf([self.gain, self.K_v], [mechanics.mass, mechanics.viscous, 0.0])
+        return control.tf([self.gain, self.K_v], [self.axis.mechanics.mass, self.axis.damping, 0.0])
 
     def closed_loop(self) -> control.TransferFunction:
         """T_vc(s) of (8), from velocity reference to velocity, with the zero of the structure."""
         import control
 
-        mechanics = self.axis.mechanics
         zero = self.structure.zero(self.t_v)
         return control.tf(
-            [zero, 1.0] if zero else [1.0], [mechanics.mass / self.K_v, self.t_v + mechanics.viscous / self.K_v, 1.0]
+            [zero, 1.0] if zero else [1.0],
+            [self.axis.mechanics.mass / self.K_v, self.t_v + self.axis.damping / self.K_v, 1.0],
         )
 
     @cached_property
@@ -326,7 +323,7 @@ def design_velocity_loop(
     """
     requested = check_specification(crossover, bandwidth, phase_margin_deg)
     structure, filters = own_structure(axis, structure), own_filters(axis, filters)
-    mass, viscous, w = axis.mechanics.mass, axis.mechanics.viscous, float(crossover or math.nan)
+    mass, viscous, w = axis.mechanics.mass, axis.damping, float(crossover or math.nan)
     if bandwidth is not None and 0.0 < phase_margin_deg < structure.largest_phase_margin:
         w = float(structure.crossover_of_bandwidth(mass, viscous, bandwidth, phase_margin_deg))
     low, high = structure.feasible_phase_margin(mass, viscous, w)

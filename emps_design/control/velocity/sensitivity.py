@@ -89,10 +89,10 @@ def margins_under_mismatch(design: VelocityLoopDesign, errors: Mapping[str, floa
         plant = sample_axis(axis, design.velocity, design.filters)
         loop = SampledVelocityLoop(plant, design.k_v1, design.t_v, design.structure)
         corners.append({"parameters": shares, "bandwidth": loop.bandwidth, **loop.margins.to_dict()})
-        mechanics = axis.mechanics
-        low, high = design.structure.feasible_phase_margin(mechanics.mass, mechanics.viscous, crossover)
+        mass, damping = axis.mechanics.mass, axis.damping
+        low, high = design.structure.feasible_phase_margin(mass, damping, crossover)
         if low < phase < high:
-            gain, t_v = design.structure.gains(mechanics.mass, mechanics.viscous, crossover, phase)
+            gain, t_v = design.structure.gains(mass, damping, crossover, phase)
             k_v1s.append(float(gain) / axis.drive.gain)
             t_vs.append(float(t_v))
     stable = [corner for corner in corners if corner["stable"]]

@@ -120,8 +120,7 @@ def pairs_by_closed_form(
         inside = (phase > 0.0) & (phase < structure.largest_phase_margin)
         phase = np.where(inside, phase, 45.0)
         if "bandwidth" in requested:
-            mechanics = axis.mechanics
-            found = structure.crossover_of_bandwidth(mechanics.mass, mechanics.viscous, frequency, phase)
+            found = structure.crossover_of_bandwidth(axis.mechanics.mass, axis.damping, frequency, phase)
             inside &= np.isfinite(found)
             frequency = np.where(np.isfinite(found), found, frequency)
         sweep = sweep_velocity_loop(axis, frequency, phase, structure)

@@ -60,7 +60,7 @@ def sweep_velocity_loop(
     w, phase = np.broadcast_arrays(np.asarray(crossover, dtype=float), np.asarray(phase_margin_deg, dtype=float))
     if not np.all(np.isfinite(w) & (w > 0.0)):
         raise InputError("crossover: found a value that is not a positive number of rad/s")
-    mass, viscous, gain = axis.mechanics.mass, axis.mechanics.viscous, axis.drive.gain
+    mass, viscous, gain = axis.mechanics.mass, axis.damping, axis.drive.gain
     low, high = structure.feasible_phase_margin(mass, viscous, w)
     feasible = (phase > low) & (phase < high)
     asked = np.where(feasible, phase, np.nan)
