@@ -198,12 +198,19 @@ def _table(kind: str, laws: tuple[LawKind, ...]) -> type[LawTable]:
     more: dict[str, Any] = {}
     for name, field in fields_of(kind).items():
         if name not in base.model_fields:
+            theirs = [law.table.model_fields[name] for law in laws if name in law.table.model_fields]
+            field = next(filter(_may_wait, theirs), field)  # it is kept as it was written
             optional = copy(field)
             optional.default = None
             constrained: Any = Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation
             optional.metadata = []
             more[name] = (constrained | None, optional)
     return create_model("Controller", __base__=base, **more)
+
+
+def _may_wait(field: FieldInfo) -> bool:
+    """Whether a ``field`` may be left to a record."""
+    return any(FromRecord in (one, *get_args(one)) for one in get_args(field.annotation))
 
 
 REGISTRY.load_environment()

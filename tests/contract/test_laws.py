@@ -308,3 +308,11 @@ def test_a_gain_that_the_record_does_not_give_is_told(columns, message):
 def test_a_gain_that_is_neither_number_nor_column_is_told(given, message):
     with pytest.raises(AxisError, match=message):
         axis_with(laws.get_law("p"), kp=given)
+
+
+def test_a_gain_that_a_record_gives_is_kept_beside_another_law():
+    axis = machine("emps2018").replace(controller={"kind": "p", "kp": {"record": "kp", "scale": 2.0}})
+    designed = axis.replace(controller={"kind": "ip_velocity", "k_v1": 550.0, "t_v": 8.5e-3})
+    assert Axis.from_dict(designed.to_dict()).to_toml() == designed.to_toml()
+    back = designed.replace(controller={"kind": "p"})
+    assert back.controller.kp == axis.controller.kp
