@@ -13,7 +13,7 @@ Source: R. Pintelon and J. Schoukens, System Identification: A Frequency Domain 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -35,6 +35,7 @@ from emps_design.frequency_response.hold import continuous_from_increments, with
 from emps_design.frequency_response.resonances import Resonance, resonances
 from emps_design.frequency_response.response import BAND, FrequencyResponse
 from emps_design.frequency_response.signals import Signals, motion, signals_of
+from emps_design.observer import motor_share
 from emps_design.progress import Progress, untold
 from emps_design.records import Record
 
@@ -118,14 +119,18 @@ def estimate_response(
 ) -> Estimate:
     """Return the response of ``axis`` from force to velocity in ``records``, with its deviations.
 
-    Of ``axis`` only the force gain and the computation delay are read: the force is the command held over its period,
+    Of ``axis`` only the drive's gain and the computation delay are read: the force is the command held over its period,
     that many samples late; hold, difference and delay are divided out, a lag of the current loop is part of
-    what is measured. ``method`` is ``auto`` or one of ``METHODS``; ``instrument`` as for
-    :func:`~emps_design.frequency_response.signals.signals_of`; ``low`` and ``high`` [Hz] bound the lines.
-    Raises :class:`RecordError` where nothing moves the loop from outside, where the excitation is too weak, and for
-    frequencies beyond Nyquist.
+    what is measured. A duty is one of the ``supply`` that the records have at each sample, else of the drive's. Where
+    ``enable`` is 0 the force is 0, and a back-EMF that brakes nothing then is given back. ``method`` is ``auto`` or one
+    of ``METHODS``; ``instrument`` as for :func:`~emps_design.frequency_response.signals.signals_of`; ``low`` and
+    ``high`` [Hz] bound the lines.
+    Raises :class:`RecordError` where nothing moves the loop from outside, where the motor is switched off throughout,
+    where the excitation is too weak, and for frequencies beyond Nyquist; :class:`AxisError` for a duty whose supply
+    neither ``axis`` nor a record has.
     """
     several = [records] if isinstance(records, Record) else list(records)
+    axis = axis.supplied_by(*several)
     period = _same_period(several, axis)
     nyquist = 0.5 / period
     if max(low, high or 0.0) > nyquist:
@@ -139,7 +144,7 @@ def estimate_response(
             f"{several[0].name}: found a band from {low:g} to {highest:g} Hz, expected its lowest frequency below its "
             f"highest, which is at most {HIGHEST_SHARE * nyquist:g} Hz at this sampling"
         )
-    read = [signals_of(record, instrument) for record in several]
+    read = [signals_of(_driven(record, axis), instrument) for record in several]
     method = _method(read) if method == "auto" else method
     tell = progress or untold
     if method == "periodic":
@@ -149,6 +154,22 @@ def estimate_response(
     else:
         answer, extra = broadband_answer(read, method, low, highest, tell)
     return _finished(several, read, axis, answer, method, extra, low, highest)
+
+
+def _driven(record: Record, axis: Axis) -> Record:
+    """The record with a command that, times ``axis.drive.gain``, is the force, supply and switch accounted for.
+
+    They act when the command does, its delay after its sample.
+    """
+    share = motor_share(axis, record)
+    if np.ndim(share) == 0:
+        return record
+    back = np.zeros(len(record))
+    if axis.drive.braking and record.enable is not None:
+        v = np.gradient(record.q, record.period)
+        back = np.where(record.enable != 0.0, 0.0, axis.drive.braking * v / axis.drive.gain)
+    at = np.minimum(np.arange(len(record)) + round(axis.sampling.computation_delay), len(record) - 1)
+    return replace(record, u=record.u * share[at] + back[at])
 
 
 def _same_period(records: list[Record], axis: Axis) -> float:

@@ -2,9 +2,9 @@
 
 The open loop at the plant input is the law as it is computed, exactly, times the measured response with hold,
 computation delay and aliases put back; between the lines log(j w G) is interpolated in log w by a spline. Above
-the highest line the response goes on as the mass line of the last ones, below the lowest as a mass too; a margin that
-lies there is said to. Stability is Nyquist's: 1 + L turns, from 0 to the Nyquist frequency, by a quarter for each
-integrator.
+the highest line the response goes on as the mass line of the last ones, below the lowest as a mass too, to whose phase
+it turns from that of the line; a margin that lies there is said to. Stability is Nyquist's: 1 + L turns, from 0 to the
+Nyquist frequency, by a quarter for each integrator.
 
 The margins are smallest over all crossings. The disk margin is the largest a for which every gain and phase change
 f = (1 + d/2)/(1 - d/2), |d| < a, at the plant input keeps the loop stable: a = 1/max|S - 1/2|. Gain alone may change

@@ -69,13 +69,18 @@ class MeasuredPlant:
         return curved + np.linspace(0.0, 1.0, len(self.rows)) * (straight - curved)
 
     def continuous(self, w: np.ndarray, rows: np.ndarray | int = 0) -> np.ndarray:
-        """Force to velocity of the ``rows`` at ``w`` [rad/s]; both broadcast."""
+        """Force to velocity of the ``rows`` at ``w`` [rad/s]; both broadcast.
+
+        Below the lowest line the modulus goes on as that of a mass, and what the phase there differs by from a mass's
+        falls to 0 with ``w``: where friction rules that is up to 90 deg, and :func:`stable_loops` counts from a mass.
+        """
         w = np.asarray(w, dtype=float)
         x = np.log(self.frequency)
         at = np.clip(np.searchsorted(self.frequency, w) - 1, 0, x.size - 2)
         beside = np.clip(np.log(w), x[0], x[-1]) - x[at]
         cubic, square, slope, start = (self._pieces[power, at, rows] for power in range(4))
-        flat = np.exp(start + beside * (slope + beside * (square + beside * cubic)))
+        logs = start + beside * (slope + beside * (square + beside * cubic))
+        flat = np.exp(logs.real + 1j * logs.imag * np.minimum(w / self.frequency[0], 1.0))
         masses = np.maximum(self.inverse_mass[rows], 1e-300)
         return np.where(w > self.frequency[-1], masses, flat) / (1j * w)
 

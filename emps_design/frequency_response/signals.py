@@ -58,8 +58,9 @@ def signals_of(record: Record, instrument: str = "") -> Signals:
     """Find the instrument of ``record``, its period and the stretches in which the reference runs steadily.
 
     ``instrument`` is ``excitation``, ``reference`` or ``command``, by default the first of the first two that the
-    record has. The command is none, since feedback is in it: it gives the ratio of spectra. Raises
-    :class:`RecordError` where there is none.
+    record has. The command is none, since feedback is in it: it gives the ratio of spectra. Stretches in which the
+    motor is switched off throughout are left out. Raises :class:`RecordError` where there is no instrument, and where
+    the motor is off in all stretches.
     """
     excitation, bias = record.excitation, _reference_increments(record)
     if not instrument:
@@ -80,6 +81,15 @@ def signals_of(record: Record, instrument: str = "") -> Signals:
     repeats = 0
     if instrument != COMMAND and not steps:
         repeats = _repeats(r, bias if instrument == EXCITATION else None)
+    runs = [(one.start, one.stop) for one in steps] or _stretches(r, bias, repeats, instrument)
+    if record.enable is not None:
+        on = [bool(np.any(record.enable[start:stop])) for start, stop in runs]
+        if runs and not any(on):
+            raise RecordError(
+                f"{record.name}: found enable 0 wherever the {instrument} could be used, expected the motor switched on"
+            )
+        runs = [run for run, one in zip(runs, on, strict=True) if one]
+        steps = tuple(step for step in steps if np.any(record.enable[step.start : step.stop]))
     return Signals(
         record.name,
         instrument,
@@ -88,7 +98,7 @@ def signals_of(record: Record, instrument: str = "") -> Signals:
         dq,
         record.period,
         repeats,
-        tuple((one.start, one.stop) for one in steps) or tuple(_stretches(r, bias, repeats, instrument)),
+        tuple(runs),
         bias,
         steps,
     )

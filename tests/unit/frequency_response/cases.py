@@ -20,7 +20,7 @@ def exact(axis, frequency, velocity=0.05):
     plant = linear_plant(axis, velocity)
     s = 2j * np.pi * np.asarray(frequency)
     states = np.linalg.solve(s[:, None, None] * np.eye(plant.C.size) - plant.A, plant.B[:, None])[..., 0]
-    return states[:, VELOCITY] * np.exp(-s * plant.delay) / axis.drive.force_gain
+    return states[:, VELOCITY] * np.exp(-s * plant.delay) / axis.drive.gain
 
 
 def multi_sine(samples, lines, rng, corner=60):

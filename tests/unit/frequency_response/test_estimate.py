@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from emps_design.errors import RecordError
+from emps_design.errors import AxisError, RecordError
 from emps_design.frequency_response import estimate_response
 from emps_design.frequency_response.response import BAND
 from emps_design.frequency_response.signals import signals_of
 from emps_design.frequency_response.steps import steps_of
 from emps_design.machines import machine
 from emps_design.records import Record
+from emps_design.simulation import Plant
 from tests.unit.frequency_response.cases import exact, experiment, multi_sine, passes, run, two_mass
 
 
@@ -226,3 +227,87 @@ def test_periods_that_differ_between_records_are_refused():
     axis = two_mass()
     with pytest.raises(RecordError, match="found periods that differ"):
         estimate_response([experiment(axis), experiment(axis, samples=500)], axis, method="periodic")
+
+
+SUPPLY = 12.0
+
+
+def duty(**drive):
+    """The embedded machine with a duty as its command, at ``SUPPLY`` as strong as with its voltage up to 10 V."""
+    base = machine("emps2019")
+    table = base.to_dict()
+    gain = 10.0 * base.drive.gain / SUPPLY
+    table["drive"] = {"command": "duty", "force_gain": gain, "command_limit": 1.0, "supply": SUPPLY, **drive}
+    table["controller"]["kv"] = 0.1 * base.controller.kv
+    return type(base).from_dict(table)
+
+
+def bare(axis):
+    """``axis`` without a supply of its own."""
+    table = axis.to_dict()
+    del table["drive"]["supply"]
+    return type(axis).from_dict(table)
+
+
+def duty_record(axis, supply, enable=None):
+    """A record of ``axis`` with its ``supply`` (n,), as :func:`experiment` makes it."""
+    q_ref, excitation, rng = *duty_program(), np.random.default_rng(6)
+    found = Plant.of(axis).closed_loop(
+        q_ref, disturbance=0.3 * rng.standard_normal(q_ref.size), voltage_noise=excitation, supply=supply, enable=enable
+    )
+    columns = {"excitation": excitation, "supply": supply, "enable": enable}
+    return Record.from_arrays(1e-3, found.q_ref, found.q, found.u, name="duty", **columns)
+
+
+def duty_program():
+    """Reference and excitation (n,) of four passes with four periods that count on each."""
+    q_ref, starts = passes(1e-3, 5200, 4, 0.05)
+    excitation, rng = np.zeros(q_ref.size), np.random.default_rng(8)
+    lines = np.arange(3, 250, 2)
+    wave = np.tile(0.04 * multi_sine(1000, lines[np.arange(lines.size) % 4 != 3], rng), 5)
+    for start in starts:
+        excitation[start + 200 : start + 5200] = wave
+    return q_ref, excitation
+
+
+def unbiased(found, axis):
+    """The mean of found over exact, less 1, below 60 Hz."""
+    low = found.response.between(0.0, 60.0)
+    return abs(np.mean(low.response / exact(axis, low.frequency)) - 1.0)
+
+
+def test_the_supply_of_a_duty_is_that_of_the_record():
+    axis, n = duty(), duty_program()[0].size
+    record = duty_record(axis, np.full(n, SUPPLY))
+    found, same = estimate_response(record, bare(axis)), estimate_response(replace(record, supply=None), axis)
+    assert np.allclose(found.response.response, same.response.response, rtol=1e-9)
+    assert np.allclose(found.spectral_ratio, same.spectral_ratio, rtol=1e-9)
+    assert found.axis.drive.supply == SUPPLY
+    assert found.comparison.agreement.sentence == same.comparison.agreement.sentence
+    assert covered(found, axis)[0] >= 0.9
+    with pytest.raises(AxisError, match=r"drive\.supply: missing"):
+        estimate_response(replace(record, supply=None), bare(axis))
+
+
+@pytest.mark.parametrize("delay", [0, 2])
+@pytest.mark.parametrize("back_emf", [0.0, 1.0])
+def test_a_supply_that_sags_is_no_change_of_the_plant(back_emf, delay):
+    n = duty_program()[0].size
+    axis = duty(back_emf=back_emf).replace(sampling={"computation_delay": delay})
+    record = duty_record(axis, np.where(np.arange(n) < n // 2, SUPPLY, 0.8 * SUPPLY))
+    for one in (axis, bare(axis)):
+        found = estimate_response(record, one)
+        assert unbiased(found, axis) < 0.01
+        assert covered(found, axis)[0] >= 0.9
+    assert unbiased(estimate_response(replace(record, supply=None), axis), axis) > 0.05
+
+
+def test_where_the_motor_is_off_there_is_no_force():
+    axis, n = duty(back_emf=20.0), duty_program()[0].size
+    supply, enable = np.full(n, SUPPLY), np.ones(n)
+    enable[n // 2 :] = 0.0
+    found = estimate_response(duty_record(axis, supply, enable), axis)
+    assert (found.passes, unbiased(found, axis) < 0.01) == (2, True)
+    record = duty_record(axis, supply, enable)
+    with pytest.raises(RecordError, match="duty: found enable 0 wherever the excitation could be used"):
+        estimate_response(replace(record, enable=np.zeros(n)), axis)

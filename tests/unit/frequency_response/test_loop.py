@@ -74,6 +74,45 @@ def test_stability_is_read_from_the_data():
     assert set(verdicts) == {True, False}
 
 
+@pytest.mark.parametrize("more", [1.0, 4.0])
+@pytest.mark.parametrize("first", [0.4, 0.6, 1.0])
+def test_lines_that_begin_where_friction_rules(first, more):
+    """The viscous corner lies at 0.65 Hz, and four times as high."""
+    base = machine("emps2018")
+    axis = base.replace(mechanics={"viscous": more * base.mechanics.viscous})
+    response = measured(axis, 0.01, np.geomspace(first, 300.0, 200))
+    design = retune_on_response(response, axis, 100.0, 60.0)
+    assert (design.sampled.margins.crossover, design.sampled.margins.phase_margin_deg) == pytest.approx(
+        (100.0, 60.0), 1e-4
+    )
+    gains, verdicts = design.controller_table(), []
+    for scale in (1.0, 13.0):
+        run = axis.replace(controller={**gains, "k_v1": scale * gains["k_v1"]})
+        found, true = measured_margins(response, run, draws=60), true_margins(run)
+        verdicts.append(found.stable)
+        assert found.stable == axis_loop(run, SPEED).stable, scale
+        assert found.stable_share == float(found.stable)
+        if found.stable:
+            for name in COMPARED:
+                assert found.values[name] == pytest.approx(true[name], rel=5e-3), name
+                low, high = found.bands[name]
+                assert low <= found.values[name] <= high
+    assert verdicts == [True, False]
+
+
+@pytest.mark.parametrize(("kp", "stable"), [(400.0, True), (6000.0, False)])
+def test_several_rates_where_friction_rules(kp, stable):
+    base = machine("emps2018")
+    law = {**CASCADE, "velocity": {"kp": kp, "ti": 0.05}, "position": {"kp": 10.0, "every": 4}}
+    axis = base.replace(mechanics={"viscous": 4.0 * base.mechanics.viscous}, controller=law)
+    found = measured_margins(measured(axis, 0.005, np.geomspace(0.4, 300.0, 150)), axis, draws=8)
+    true = nested_loops(axis, SPEED)[-1].margins
+    assert found.stable == true.stable == stable
+    if stable:
+        assert found.values["phase_margin_deg"] == pytest.approx(true.phase_margin_deg, rel=1e-3)
+        assert found.values["delay_margin"] == pytest.approx(true.delay_margin, rel=1e-3)
+
+
 def test_worst_of_several():
     axis = two_mass()
     heavy, light = (axis.replace(mechanics={"mass": kg}) for kg in (120.0, 80.0))
