@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,7 @@ from emps_design.axis import Axis
 from emps_design.records import Record
 from emps_design.records.columns import plain_title, unit_of
 from emps_design.records.layout import MAPPED, NAMED, RECOGNISED, Assignment
-from emps_design.records.mapping import KEYS
+from emps_design.records.mapping import KEYS, Column
 
 FEW_STEPS = 20.5  # of an encoder: increments that are still told apart
 SMALLEST = (20, 5, 0)  # which of the smallest increments may be one step: a few may have been disturbed
@@ -52,10 +54,16 @@ class Account:
 
     @property
     def table(self) -> str:
-        """The ``[record]`` table that says which column is what, "" where the file needs none."""
-        if all(one.how == NAMED for one in self.record.assigned):
+        """The ``[record]`` table that says which column is what, "" where the file needs none.
+
+        What the axis file maps stays in it unchanged, a column that this file does not have too.
+        """
+        assigned = self.record.assigned
+        if all(one.how == NAMED for one in assigned):
             return ""
-        return record_table(self.record.assigned)
+        there = {one.name for one in assigned}
+        absent = {name: column for name, column in self.axis.record.named.items() if name not in there}
+        return record_table(assigned, absent)
 
     def to_dict(self) -> dict[str, Any]:
         """Columns, clock, encoder and notes as plain data."""
@@ -134,12 +142,32 @@ def _grid(increments: np.ndarray, step: float) -> float | None:
     return step
 
 
-def record_table(assigned: tuple[Assignment, ...]) -> str:
-    """The ``[record]`` table of an axis file for columns that were ``assigned``."""
-    lines = ["[record]"]
-    for one in assigned:
-        title = plain_title(one.title)[0].replace("\\", "\\\\").replace('"', '\\"')
-        unit = f', unit = "{one.unit}"' if one.unit and KEYS[one.name] not in ("command", "enable") else ""
-        delay = f", delay = {one.delay!r}" if one.delay else ""
-        lines.append(f'{KEYS[one.name]} = {{ column = "{title}"{unit}{delay} }}')
-    return "\n".join(lines) + "\n"
+def record_table(assigned: Sequence[Assignment], absent: Mapping[str, Column] = MappingProxyType({})) -> str:
+    """The ``[record]`` table of an axis file for columns that were ``assigned``, and ``absent`` ones by name.
+
+    What an axis file says of a column stands there unchanged; of any other, its title and its unit.
+    """
+    entries = {one.name: _entry(one) for one in assigned}
+    entries |= {name: _written(column) for name, column in absent.items()}
+    lines = [f"{KEYS[name]} = {{ {_inline(entry)} }}" for name, entry in entries.items()]
+    return "\n".join(["[record]", *lines]) + "\n"
+
+
+def _entry(one: Assignment) -> dict[str, Any]:
+    """What ``[record]`` has to say of one column; a command in the unit of the axis needs no unit."""
+    if one.entry is not None:
+        return _written(one.entry)
+    own = one.name == "enable" or (one.name == "u" and one.factor == 1.0)
+    return {"column": plain_title(one.title)[0]} | ({"unit": one.unit} if one.unit and not own else {})
+
+
+def _written(column: Column) -> dict[str, Any]:
+    """``column`` as an axis file has it, what is as by default left out."""
+    return column.model_dump(exclude_none=True, exclude_defaults=True)
+
+
+def _inline(entry: dict[str, Any]) -> str:
+    """``entry`` as one line of TOML, without its braces."""
+    import tomli_w
+
+    return ", ".join(tomli_w.dumps(entry).strip("\n").split("\n"))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.errors import RecordError
-from emps_design.records.clock import Resampled, between_samples, held, on_one_clock
+from emps_design.records.clock import GAP, Resampled, between_samples, held, no_gap, on_one_clock, steps_of
 from emps_design.records.columns import OPTIONAL
 from emps_design.records.layout import LONGEST, NAMED, RECOGNISED, Assignment, Layout, assign
 
@@ -22,6 +22,7 @@ LONGEST_STROKE = {"linear": 20.0, "rotary": 1e5}  # m, rad
 HIGHEST_SPEED = {"linear": 20.0, "rotary": 2e4}  # m/s, rad/s
 HIGHEST_VOLTAGE = 1000.0  # V
 HIGHEST = 1e6  # N, N m, and commands that are no voltage
+SAME_TIME = 1e-3  # of a period, within which two times are the same
 SMALLEST_STROKE = 1e-5  # m, rad
 SMALLEST_VOLTAGE = 1e-3  # V
 
@@ -58,18 +59,18 @@ def checked(
             notes.append(f"{one.name}: taken from column {one.title!r} [{one.unit}]")
     for column, values in named.items():
         _finite(values, column, layout.unit(column), source, first_row)
-    if layout.window is not None:
-        part = _part(named["t"], layout.window, source)
+    late = {one.name: one.delay for one in assigned if one.delay}
+    part = slice(0, n) if layout.window is None else _part(named["t"], layout.window, source)
+    _fits(part.stop - part.start, source, LONGEST)
+    if late:
+        part, delay_notes = _shift(named, late, part, source, first_row + part.start)
+        notes += delay_notes
+    if layout.window is not None or part != slice(0, n):
         columns = {title: values[part] if np.size(values) == n else values for title, values in columns.items()}
-        named = {name: values[part].copy() for name, values in named.items()}  # the block is let go
+        named = {name: values[part] for name, values in named.items()}
+        if layout.window is not None:  # the block, most of which is cut off, is let go
+            named = {name: values.copy() for name, values in named.items()}
         first_row, n = first_row + part.start, named["t"].size
-        _fits(n, source, LONGEST)
-    for one in assigned:
-        if one.delay:  # in place, so that no long signal is in memory twice
-            values, t = named[one.name], named["t"]
-            values[:] = between_samples(one.name, t, values, t + one.delay)
-            way = "earlier" if one.delay > 0 else "later"
-            notes.append(f"{one.name}: read {1e3 * abs(one.delay):g} ms {way} than it was recorded")
     exported = layout.resample or any(one.how != NAMED for one in assigned)
     found, clock_notes, resampled = on_one_clock(named, layout.period if exported else None, source, first_row)
     notes += clock_notes
@@ -125,6 +126,55 @@ def _part(t: np.ndarray, window: tuple[float, float], source: str) -> slice:
             f"{window[1]:g} s"
         )
     return slice(int(inside[0]), int(inside[-1]) + 1)
+
+
+def _shift(
+    named: Mapping[str, np.ndarray], late: Mapping[str, float], part: slice, source: str, first_row: int
+) -> tuple[slice, list[str]]:
+    """Move the ``late`` signals (name to delay [s]) within ``part`` to when they act; return what has them all, notes.
+
+    Their values come from all of the file that joins the part without a gap; where that ends, none is made up. Raises
+    :class:`RecordError` where time has a gap or goes back within the part, or where too little is left.
+    """
+    t = named["t"]
+    inside = t[part]
+    typical, _ = steps_of(inside, source, first_row)
+    no_gap(inside, typical, source, first_row)
+    whole = _joined(t, part, typical)
+    known = t[whole]
+    slack = SAME_TIME * typical
+    has_all = np.ones(inside.size, dtype=bool)
+    for delay in late.values():
+        has_all &= (inside + delay >= known[0] - slack) & (inside + delay <= known[-1] + slack)
+    rows = np.flatnonzero(has_all)
+    if rows.size < SHORTEST:
+        raise RecordError(
+            f"{source}: found {rows.size} sample{'' if rows.size == 1 else 's'} left by the delay of "
+            f"{' and '.join(late)}, expected at least {SHORTEST}; correct the delay or take a longer part"
+        )
+    lost = (int(rows[0]), inside.size - 1 - int(rows[-1]))
+    part = slice(part.start + lost[0], part.stop - lost[1])
+    for name, delay in late.items():  # in place, so that no long signal is in memory twice
+        named[name][part] = between_samples(name, known, named[name][whole], t[part] + delay)
+    notes = [
+        f"{name}: read {1e3 * abs(delay):g} ms {'earlier' if delay > 0 else 'later'} than it was recorded"
+        for name, delay in late.items()
+    ]
+    notes += [
+        f"{' and '.join(late)}: not recorded for the {end} {count} sample{'' if count == 1 else 's'}, left out"
+        for end, count in zip(("first", "last"), lost, strict=True)
+        if count
+    ]
+    return part, notes
+
+
+def _joined(t: np.ndarray, part: slice, typical: float) -> slice:
+    """The rows around ``part`` up to where the time ``t`` [s], of ``typical`` steps [s], has a gap or goes back."""
+    step = np.diff(t)
+    ends = (step <= 0.0) | (step > GAP * typical)
+    before, after = np.flatnonzero(ends[: part.start]), np.flatnonzero(ends[part.stop - 1 :])
+    start = int(before[-1]) + 1 if before.size else 0
+    return slice(start, part.stop + int(after[0]) if after.size else t.size)
 
 
 def _held(values: Any, t: np.ndarray, resampled: Resampled) -> Any:

@@ -71,7 +71,7 @@ def on_one_clock(
             f"{typical:.6g} s as elsewhere; sampling must be uniform: resample, or cut the record there"
         )
     del away
-    _no_gap(t, typical, source, first_row)
+    no_gap(t, typical, source, first_row)
     resampled = _resampled(signals, wanted, typical)
     return resampled.period, resampled.notes, resampled
 
@@ -88,7 +88,8 @@ def nominal(period: float) -> float:
     return period
 
 
-def _no_gap(t: np.ndarray, typical: float, source: str, first_row: int) -> None:
+def no_gap(t: np.ndarray, typical: float, source: str, first_row: int) -> None:
+    """Refuse with :class:`RecordError` a time column ``t`` [s] of ``typical`` steps [s] that has a gap."""
     step = np.diff(t)
     gaps = np.flatnonzero(step > GAP * typical)
     if gaps.size:

@@ -60,7 +60,7 @@ class Layout:
 class Assignment:
     """The column ``title`` of a file is ``name`` of the record: ``factor`` times its values in ``unit``.
 
-    It was recorded ``delay`` [s] later than it acts.
+    ``entry`` is what the axis file says of it in ``[record]``, None where it says nothing.
     """
 
     name: str
@@ -68,7 +68,12 @@ class Assignment:
     unit: str = ""
     factor: float = 1.0
     how: str = NAMED
-    delay: float = 0.0
+    entry: Column | None = None
+
+    @property
+    def delay(self) -> float:
+        """How much later than it acts it was recorded [s]."""
+        return 0.0 if self.entry is None else self.entry.delay
 
 
 def assign(titles: Sequence[str], layout: Layout, source: str) -> list[Assignment]:
@@ -107,13 +112,20 @@ def _is_plain(titles: Sequence[str], layout: Layout) -> bool:
 
 
 def _all_mapped(titles: Sequence[str], layout: Layout, source: str) -> dict[str, Assignment]:
-    """The columns that the axis file maps; a reference may be absent where no controller needs one."""
-    found = {}
+    """The columns that the axis file maps, each once; a reference may be absent where no controller needs one."""
+    found: dict[str, Assignment] = {}
     plain = {plain_title(title)[0].casefold() for title in titles}
     for name, column in layout.columns.named.items():
         is_there = plain_title(column.column)[0].casefold() in plain
         if is_there or layout.reference_needed or name not in ("q_ref", "velocity_reference"):
-            found[name] = _mapped(name, column, titles, layout, source)
+            one = _mapped(name, column, titles, layout, source)
+            twin = next((KEYS[other.name] for other in found.values() if other.title == one.title), None)
+            if twin is not None:
+                raise RecordError(
+                    f"{source}: [record] {twin} and {KEYS[name]} both take the column {one.title!r}; give one of them "
+                    "a column of its own, or take it out of [record]"
+                )
+            found[name] = one
     return found
 
 
@@ -150,7 +162,7 @@ def _mapped(name: str, column: Column, titles: Sequence[str], layout: Layout, so
     except InputError as error:
         raise RecordError(f"{source}: [record] {key}: {error}") from error
     shown = unit or (layout.unit(name) if column.scale is None else "")
-    return Assignment(name, title, shown, column.sign * factor, MAPPED, delay=column.delay)
+    return Assignment(name, title, shown, column.sign * factor, MAPPED, column)
 
 
 def _factor(unit: str, name: str, scale: float | None, layout: Layout) -> float:

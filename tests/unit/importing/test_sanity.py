@@ -1,13 +1,19 @@
 """An export that cannot be of its axis is refused in one line that says why; what is odd is noted, nothing mended."""
 
+import json
+import tomllib
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from emps_design.axis import Axis
+from emps_design.cli import app
 from emps_design.errors import RecordError
-from emps_design.importing import import_bytes
-from emps_design.importing.account import Account, encoder_step
+from emps_design.importing import import_bytes, import_record
+from emps_design.importing.account import Account, encoder_step, record_table
 from emps_design.machines import machine
+from emps_design.records.layout import Assignment
 from emps_design.simulation.synthetic import synthetic_record
 
 TABLE = {
@@ -137,3 +143,76 @@ def test_no_step_is_seen_where_there_is_none():
     t = np.arange(5000) / 1000
     assert encoder_step(np.sin(t) + 1e-5 * np.random.default_rng(0).standard_normal(t.size)) is None
     assert encoder_step(np.zeros(100)) is None
+
+
+SCALED = {
+    "position": {"column": "Pos", "scale": 1e-6},
+    "reference": {"column": "Set", "unit": "counts", "scale": 2e-6, "sign": -1},
+    "command": {"column": "Tq", "scale": 0.1, "sign": -1, "delay": 0.002},
+}
+
+
+@pytest.fixture
+def scaled(axis, columns, tmp_path) -> tuple[Axis, Path]:
+    """An axis that maps columns with scale, sign and delay, and a file whose time is known by its title alone."""
+    own = Axis.from_dict({**axis.to_dict(), "record": SCALED})
+    values = {"q": 1e3 * columns["q"], "q_ref": -0.5e3 * columns["q_ref"], "u": -10 * columns["u"]}
+    (tmp_path / "a.csv").write_bytes(trace(columns, ("Time [ms]", "Pos", "Set", "Tq"), **values))
+    return own, tmp_path / "a.csv"
+
+
+def test_the_table_that_is_printed_reads_the_same_record_again(scaled):
+    axis, path = scaled
+    first = import_record(path, axis)
+    table = tomllib.loads(Account(first, axis).to_dict()["record_table"])["record"]
+    assert table == {"time": {"column": "Time", "unit": "ms"}, **SCALED}
+    bare = {key: value for key, value in axis.to_dict().items() if key != "record"}
+    pasted = Axis.from_toml(f"{Axis.from_dict(bare).to_toml()}\n{Account(first, axis).table}")
+    again = import_record(path, pasted)
+    assert {one.how for one in again.assigned} == {"mapped"}
+    assert again.columns.keys() == first.columns.keys()
+    for name, values in first.columns.items():
+        assert np.array_equal(again.columns[name], values), name
+    assert Account(again, pasted).table == Account(first, axis).table
+
+
+def test_import_prints_the_entries_of_the_axis_file_unchanged(scaled, tmp_path, capsys):
+    axis, path = scaled
+    (tmp_path / "axis.toml").write_text(axis.to_toml(), encoding="utf-8")
+    assert app.run(["import", str(path), "--axis", str(tmp_path / "axis.toml"), "--json"]) == 0
+    table = tomllib.loads(json.loads(capsys.readouterr().out)["record_table"])["record"]
+    assert {key: table[key] for key in SCALED} == SCALED
+
+
+def test_a_mapped_reference_that_the_file_lacks_stays_in_the_table(axis, columns):
+    mapping = {"position": {"column": "Pos", "scale": 1e-6}, "reference": {"column": "Set", "unit": "mm", "sign": -1}}
+    own = Axis.from_dict({**axis.to_dict(), "controller": {"kind": "none"}, "record": mapping})
+    three = {"t": columns["t"], "q": 1e3 * columns["q"], "u": columns["u"]}
+    record = import_bytes(trace(three, ("Time [ms]", "Pos", "Voltage [V]")), "a.csv", own)
+    table = tomllib.loads(Account(record, own).table)["record"]
+    assert {key: table[key] for key in mapping} == mapping
+
+
+def test_a_command_in_another_unit_than_that_of_the_axis_keeps_it():
+    one = Assignment("u", "u/mV", "mV", 1e-3)
+    assert record_table((one,)) == '[record]\ncommand = { column = "u/mV", unit = "mV" }\n'
+
+
+def test_a_title_of_any_letters_is_valid_in_the_table():
+    title = 'a "b" \\ \u2028 \x01'
+    assert tomllib.loads(record_table((Assignment("q", title, "mm"),)))["record"]["position"]["column"] == title
+
+
+@pytest.mark.parametrize("other", ["Lageistwert", "lageistwert [mm]"])
+def test_one_column_for_two_keys_is_refused(axis, columns, tmp_path, capsys, other):
+    twice = axis.replace(record={"reference": {"column": other, "unit": "mm"}})
+    message = (
+        r"\[record\] position and reference both take the column 'Lageistwert \[mm\]'; give one of them a column of "
+        r"its own, or take it out of \[record\]"
+    )
+    with pytest.raises(RecordError, match=f"^trace.csv: {message}$"):
+        import_bytes(trace(columns), "trace.csv", twice)
+    (tmp_path / "axis.toml").write_text(twice.to_toml(), encoding="utf-8")
+    (tmp_path / "a.csv").write_bytes(trace(columns))
+    assert app.run(["import", str(tmp_path / "a.csv"), "--axis", str(tmp_path / "axis.toml")]) == 2
+    assert "both take the column" in capsys.readouterr().err

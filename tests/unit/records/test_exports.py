@@ -88,13 +88,60 @@ def test_a_column_that_is_recorded_late_is_read_earlier(tmp_path):
     text = "\n".join([header, *rows(1e3 * T, 1e3 * Q, 1e3 * Q_REF, late, digits=12)])
     columns = {**GERMAN, "command": {**GERMAN["command"], **delay}}
     record = read(text, columns)
-    np.testing.assert_allclose(record.u[:-3], U[:-3], atol=1e-6)
-    np.testing.assert_allclose(record.u[-3:], late[-1])  # what was not recorded any more
+    assert len(record) == N - 3  # what was not recorded any more is not made up
+    np.testing.assert_allclose(record.u, U[:-3], atol=1e-6)
+    np.testing.assert_allclose(record.q, Q[:-3], atol=1e-9)
     assert "u: read 3 ms earlier than it was recorded" in record.warnings
+    assert "u: not recorded for the last 3 samples, left out" in record.warnings
     record.save(tmp_path / "a.npz")  # read once, it is late no more
     again = record_from_bytes((tmp_path / "a.npz").read_bytes(), "a.npz", layout=layout(columns))
     assert np.array_equal(again.u, record.u)
     assert 'command = { column = "Momentensollwert", delay = 0.003 }' in record_table(record.assigned)
+
+
+LATE = {"command": {"column": "u", "delay": 0.05}, "velocity": {"column": "v", "delay": -0.02}}
+LATE_AT = {"u": U, "v": np.cos(6 * T)}  # as they act
+
+
+def delayed(t=T):
+    """A record in which u comes 50 ms late and v 20 ms early, at the times ``t`` [s]."""
+    late = {"u": np.interp(T - 0.05, T, LATE_AT["u"]), "v": np.interp(T + 0.02, T, LATE_AT["v"])}
+    return "\n".join(["t;q;q_ref;u;v;state", *rows(t, Q, Q_REF, late["u"], late["v"], np.arange(N), digits=12)])
+
+
+def test_a_part_of_a_file_takes_late_values_from_beyond_the_part():
+    record = read(delayed(), LATE, units=PLAIN.units, window=(0.1, 0.3))
+    assert len(record) == 201
+    np.testing.assert_allclose(record.u, U[100:301], atol=1e-6)
+    np.testing.assert_allclose(record.velocity, LATE_AT["v"][100:301], atol=1e-6)
+    assert not any("left out" in note for note in record.warnings)
+    near = read(delayed(), LATE, units=PLAIN.units, window=(0.0, 0.37))
+    np.testing.assert_allclose(near.u, U[20:350], atol=1e-6)
+    np.testing.assert_allclose(near.velocity, LATE_AT["v"][20:350], atol=1e-6)
+    assert "u and velocity: not recorded for the first 20 samples, left out" in near.warnings
+    assert "u and velocity: not recorded for the last 21 samples, left out" in near.warnings
+
+
+def test_late_values_are_not_taken_from_beyond_a_gap():
+    gap = T + np.where(np.arange(N) > 300, 0.04, 0.0)
+    record = read(delayed(gap), LATE, units=PLAIN.units, window=(0.1, 0.3))
+    np.testing.assert_allclose(record.u, U[100:251], atol=1e-6)
+    assert "u and velocity: not recorded for the last 50 samples, left out" in record.warnings
+
+
+@pytest.mark.parametrize(
+    ("away", "message"),
+    [(0.04, r"row 392: nothing from 0\.389 s to 0\.43 s"), (-0.2, "row 392: found time going backwards")],
+    ids=["gap", "back"],
+)
+def test_time_that_is_wrong_near_the_end_is_refused_with_a_delay_too(away, message):
+    with pytest.raises(RecordError, match=message):
+        read(delayed(T + np.where(np.arange(N) >= 390, away, 0.0)), LATE, units=PLAIN.units)
+
+
+def test_a_file_that_is_too_short_for_its_delay_is_refused():
+    with pytest.raises(RecordError, match="found 1 sample left by the delay of u and velocity, expected at least 50"):
+        read(delayed(), LATE, units=PLAIN.units, window=(0.349, 0.399))
 
 
 def test_a_switch_that_is_recorded_late_stays_a_switch():
