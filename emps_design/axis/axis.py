@@ -6,6 +6,7 @@ Sign convention: ``G_tau u = M qdd + F_v qd + F_c sign(qd) + offset`` (load side
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -139,7 +140,7 @@ class Axis(Table):
         columns = tables.pop("record", {})
         text = tomli_w.dumps(tables)
         if columns:
-            text += "\n[record]\n" + "".join(f"{key} = {_inline(column)}\n" for key, column in columns.items())
+            text += f"\n{record_toml(columns)}"
         return self._commented(text) if comments else text
 
     def replace(self, **tables: Any) -> Axis:
@@ -189,11 +190,18 @@ class Axis(Table):
         return "\n".join(lines) + "\n"
 
 
-def _inline(table: dict[str, Any]) -> str:
-    """``table`` on one line of TOML."""
+def record_toml(columns: Mapping[str, Mapping[str, Any]]) -> str:
+    """The ``[record]`` table of an axis file: each of the ``columns``, by key, on a line of its own.
+
+    >>> print(record_toml({"position": {"column": "Pos", "scale": 1e-6}}), end="")
+    [record]
+    position = { column = "Pos", scale = 1e-06 }
+    """
     import tomli_w
 
-    return f"{{ {', '.join(tomli_w.dumps(table).splitlines())} }}"
+    # A title may hold what Unicode counts as the end of a line.
+    lines = [", ".join(tomli_w.dumps(column).strip("\n").split("\n")) for column in columns.values()]
+    return "[record]\n" + "".join(f"{key} = {{ {line} }}\n" for key, line in zip(columns, lines, strict=True))
 
 
 def _text(path: Path) -> str:

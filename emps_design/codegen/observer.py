@@ -41,8 +41,7 @@ class Table(LawTable):
 
 def observer_of(axis: Axis, cutoff_hz: float) -> ForceObserver:
     """The observer of ``axis``: what a back-EMF brakes joins the viscous friction."""
-    viscous = axis.damping
-    return ForceObserver(axis.replace(mechanics={"viscous": viscous}, drive={"back_emf": 0.0}), cutoff_hz)
+    return ForceObserver(axis.replace(mechanics={"viscous": axis.damping}, drive={"back_emf": 0.0}), cutoff_hz)
 
 
 def observed_parts(axis: Axis) -> tuple[Part, ...]:

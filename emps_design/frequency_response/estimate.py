@@ -35,7 +35,7 @@ from emps_design.frequency_response.hold import continuous_from_increments, with
 from emps_design.frequency_response.resonances import Resonance, resonances
 from emps_design.frequency_response.response import BAND, FrequencyResponse
 from emps_design.frequency_response.signals import Signals, motion, signals_of
-from emps_design.observer import motor_share
+from emps_design.observer import given_back, motor_share
 from emps_design.progress import Progress, untold
 from emps_design.records import Record
 
@@ -164,12 +164,8 @@ def _driven(record: Record, axis: Axis) -> Record:
     share = motor_share(axis, record)
     if np.ndim(share) == 0:
         return record
-    back = np.zeros(len(record))
-    if axis.drive.braking and record.enable is not None:
-        v = np.gradient(record.q, record.period)
-        back = np.where(record.enable != 0.0, 0.0, axis.drive.braking * v / axis.drive.gain)
     at = np.minimum(np.arange(len(record)) + round(axis.sampling.computation_delay), len(record) - 1)
-    return replace(record, u=record.u * share[at] + back[at])
+    return replace(record, u=record.u * share[at] + given_back(axis, record)[at])
 
 
 def _same_period(records: list[Record], axis: Axis) -> float:

@@ -89,7 +89,7 @@ def signals_of(record: Record, instrument: str = "") -> Signals:
                 f"{record.name}: found enable 0 wherever the {instrument} could be used, expected the motor switched on"
             )
         runs = [run for run, one in zip(runs, on, strict=True) if one]
-        steps = tuple(step for step in steps if np.any(record.enable[step.start : step.stop]))
+        steps = tuple(step for step in steps if (step.start, step.stop) in runs)
     return Signals(
         record.name,
         instrument,

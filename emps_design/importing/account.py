@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.axis import Axis
+from emps_design.axis import Axis, record_toml
 from emps_design.records import Record
 from emps_design.records.columns import plain_title, unit_of
 from emps_design.records.layout import MAPPED, NAMED, RECOGNISED, Assignment
@@ -149,8 +149,7 @@ def record_table(assigned: Sequence[Assignment], absent: Mapping[str, Column] = 
     """
     entries = {one.name: _entry(one) for one in assigned}
     entries |= {name: _written(column) for name, column in absent.items()}
-    lines = [f"{KEYS[name]} = {{ {_inline(entry)} }}" for name, entry in entries.items()]
-    return "\n".join(["[record]", *lines]) + "\n"
+    return record_toml({KEYS[name]: entry for name, entry in entries.items()})
 
 
 def _entry(one: Assignment) -> dict[str, Any]:
@@ -164,10 +163,3 @@ def _entry(one: Assignment) -> dict[str, Any]:
 def _written(column: Column) -> dict[str, Any]:
     """``column`` as an axis file has it, what is as by default left out."""
     return column.model_dump(exclude_none=True, exclude_defaults=True)
-
-
-def _inline(entry: dict[str, Any]) -> str:
-    """``entry`` as one line of TOML, without its braces."""
-    import tomli_w
-
-    return ", ".join(tomli_w.dumps(entry).strip("\n").split("\n"))

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from emps_design.observer.actuation import (
         acting_voltage as acting_voltage,
         as_driven as as_driven,
+        given_back as given_back,
         motor_force as motor_force,
         motor_share as motor_share,
         sampled_with as sampled_with,

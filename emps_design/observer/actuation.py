@@ -67,11 +67,7 @@ def as_driven(axis: Axis, record: Record) -> tuple[Record, Axis]:
     [30, 0]
     """
     voltage, driven = acting_voltage(sampled_with(axis, record.period), record.u)
-    voltage = voltage * motor_share(axis, record)
-    if axis.drive.braking and record.enable is not None:
-        v = np.gradient(record.q, record.period)
-        voltage += np.where(record.enable != 0.0, 0.0, axis.drive.braking * v / axis.drive.gain)
-    return replace(record, u=voltage), driven
+    return replace(record, u=voltage * motor_share(axis, record) + given_back(axis, record)), driven
 
 
 def motor_share(axis: Axis, record: Record) -> Any:
@@ -80,6 +76,14 @@ def motor_share(axis: Axis, record: Record) -> Any:
     if axis.drive.command == "duty" and record.supply is not None:
         share = axis.drive.force_gain * record.supply / axis.drive.gain
     return share if record.enable is None else share * (record.enable != 0.0)
+
+
+def given_back(axis: Axis, record: Record) -> np.ndarray:
+    """Command (n,) that drives as much as the back-EMF would brake, where the motor of ``record`` is off; else 0."""
+    if record.enable is None or not axis.drive.braking:
+        return np.zeros(len(record))
+    v = np.gradient(record.q, record.period)
+    return np.where(record.enable != 0.0, 0.0, axis.drive.braking * v / axis.drive.gain)
 
 
 def motor_force(axis: Axis, record: Record) -> np.ndarray:
