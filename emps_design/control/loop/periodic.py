@@ -11,10 +11,12 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from scipy.optimize import brentq
 
 from emps_design.control.loop.margins import Margins
 
 MOST_GAIN = 1e4  # above this a gain margin is unbounded
+_NEAR = 30.0  # samples of delay up to which every tenth of one is tried
 _TURNS, _FACTORS = np.radians(np.arange(1.0, 181.0)), np.geomspace(1.0, MOST_GAIN, 241)[1:]
 
 
@@ -89,8 +91,10 @@ def margins(
     phase = _first(lambda turn: radius(complex(math.cos(turn), -math.sin(turn))), 0.0, _TURNS)
     gain = _first(lambda factor: radius(factor), 1.0, _FACTORS)
     less = _first(lambda factor: radius(1.0 / factor), 1.0, _FACTORS)
-    delays = period * np.arange(0.1, 200.0, 0.1)
-    delay = None if phase is None else _first(delayed, 0.0, delays)
+    delay = None
+    if phase is not None:
+        near = _first(delayed, 0.0, period * np.arange(0.1, _NEAR, 0.1))
+        delay = near if near is not None else _late_delay(opened, column, row, period)
     return Margins(
         stable=True,
         phase_margin_deg=None if phase is None else math.degrees(phase),
@@ -99,6 +103,34 @@ def margins(
         gain_reduction_margin=None if less is None else 1.0 / less,
         period=period,
     )
+
+
+def _late_delay(opened: np.ndarray, column: np.ndarray, row: np.ndarray, period: float) -> float | None:
+    """The least delay [s] of whole cycles, and parts of one, that brings a pole to the unit circle.
+
+    A delay of m cycles turns all that comes back in a cycle alike, by m theta at a pole exp(j theta): where the loop
+    closed with exp(-j phi) has that pole, the least delay is phi / theta cycles. Between whole cycles the formula is
+    good far above the length of one, where the loop is slow.
+    """
+
+    def poles(turn: float) -> np.ndarray:
+        closed = opened + np.exp(-1j * turn) * column[..., :, None] * row[..., None, :]
+        return np.linalg.eigvals(monodromy(closed))
+
+    def out(turn: float) -> int:
+        return int(np.sum(np.abs(poles(turn)) > 1.0 + 1e-9))
+
+    around = np.linspace(0.0, 2.0 * math.pi, 721)
+    counts = [out(turn) for turn in around]
+    delays = []
+    for i in np.flatnonzero(np.diff(counts)):
+        between = 0.5 * (counts[i] + counts[i + 1])
+        turn = brentq(lambda turn, between=between: out(turn) - between, around[i], around[i + 1])
+        found = poles(turn)
+        angle = float(np.angle(found[np.argmin(np.abs(np.abs(found) - 1.0))]))
+        if angle > 0.0:
+            delays.append(turn / angle * len(opened) * period)
+    return min(delays, default=None)
 
 
 def monodromy_radius(opened: np.ndarray, column: np.ndarray, row: np.ndarray, factor: complex) -> float:

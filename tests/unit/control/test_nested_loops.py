@@ -75,6 +75,20 @@ def test_margins_are_what_brings_the_loop_to_its_limit(every, form):
     assert radius(delay=velocity.delay_margin, position=None, feedforward=None) == pytest.approx(1.0, abs=1e-5)
 
 
+@pytest.mark.parametrize(("kp", "ti", "samples"), [(60.0, 0.1, 61), (40.0, 0.1, 80), (10.0, 0.2, 336)])
+def test_the_delay_margin_of_a_slow_loop_is_exact_too(kp, ti, samples):
+    """Far beyond the delays that are tried one by one."""
+    axis = axis_with(position_gain=1.0 / 30.0, velocity={"kp": kp, "ti": ti}, filters=None)
+    found = {loop.name: loop.margins for loop in nested_loops(axis)}["whole loop"].delay_margin
+    assert found == pytest.approx(samples * T, abs=T)
+    plant, law = sample_axis(axis), linear_law(law_of(axis, T), T, 1.0)
+
+    def radius(delay):
+        return np.abs(close(plant.delayed(delay), law, plant_input=True).poles).max()
+
+    assert radius(found - 0.1 * T) < 1.0 < radius(found + 0.1 * T)
+
+
 def test_a_loop_of_one_rate_may_be_taken_for_a_periodic_one():
     axis = axis_with(1)
     plain = {loop.name: loop.margins for loop in nested_loops(axis)}["whole loop"]
@@ -84,6 +98,7 @@ def test_a_loop_of_one_rate_may_be_taken_for_a_periodic_one():
     assert found.phase_margin_deg == pytest.approx(plain.phase_margin_deg, rel=1e-6)
     assert found.gain_margin == pytest.approx(plain.gain_margin, rel=1e-6)
     assert found.gain_reduction_margin == pytest.approx(plain.gain_reduction_margin or np.nan, rel=1e-6, nan_ok=True)
+    assert found.delay_margin == pytest.approx(plain.delay_margin, rel=0.02)  # as nothing came of the delays tried
     w = np.array([2.0, 50.0, 900.0])
     one = loop.A, loop.B[:, 0], loop.C[1], np.array(loop.D[1, 0])
     doubled = [np.stack([part] * 2) for part in one]
