@@ -163,6 +163,8 @@ def command(
     around = position_loop_asked_for(design, *position, position_every) if design.sampled.stable else None
     if around is not None:
         document["position_loop"] = around.to_dict()
+    elif design.kept_loops:
+        document["controller_loops"] = [loop.to_dict() for loop in design.kept_loops]
     if retune:
         suggested = (machine, phase_margin, design.structure, design.filters, velocity)
         if responses:
@@ -186,14 +188,15 @@ def command(
                 f"unstable at {100 * (1 - study['stable_share']):.3g} % of the mismatch corners"
             )
 
-    stable = design.sampled.stable
+    refused = design.reason if around is not None else design.refused
     if responses:
         from emps_design.frequency_response.loop import measured_document, measured_margins, over_limits
 
         found = [measured_margins(response, design.loop_axis) for response in responses]
         document["measured"] = measured_document(found, limits)
-        if around is not None:
-            whole = [measured_margins(response, around.axis()) for response in responses]
+        if around is not None or design.kept_loops:
+            whole_axis = around.axis() if around is not None else machine.replace(controller=design.controller_table())
+            whole = [measured_margins(response, whole_axis) for response in responses]
             document["measured"]["whole_loop"] = measured_document(whole, limits)
         document["warnings"] += [warning for one in found for warning in one.warnings]
         for loop, said in (("velocity", document["measured"]), ("whole", document["measured"].get("whole_loop"))):
@@ -203,11 +206,13 @@ def command(
             document["warnings"].append("--sensitivity-peak-above: the data have no antiresonance; all lies below")
     measured = document.get("measured", {})
     on_data = measured.get("stable", True) and measured.get("whole_loop", {}).get("stable", True)
-    if stable and on_data and out is not None:
+    if not refused and on_data and out is not None:
         table = design.controller_table() if around is None else around.controller_table()
         document["out"] = write_axis(out, machine.replace(controller=table))
-    if not stable:
-        document["nearest"], document["reason"] = design.nearest_stable, design.reason
+    if design.reason:
+        document["nearest"] = design.nearest_stable
+    if refused:
+        document["reason"] = refused
     elif not on_data:
         document["reason"] = "the loop with these gains is unstable on the measured plant; ask for a slower one"
     if as_json:
@@ -226,7 +231,7 @@ def command(
                 print_measured(document["measured"]["whole_loop"], "whole loop")
     if "reason" in document:
         tell(document["reason"])
-    return 0 if stable and on_data else 4
+    return 0 if on_data and not refused else 4
 
 
 def _responses(paths: list[Path]) -> list[FrequencyResponse]:

@@ -17,6 +17,8 @@ def print_around(document: dict[str, Any]) -> None:
         _print_suggestion(document["suggestion"])
     if "position_loop" in document:
         _print_position_loop(document["position_loop"])
+    if "controller_loops" in document:
+        _print_kept_loops(document["controller_loops"])
     if "load_range" in document:
         _print_load_range(document["load_range"])
 
@@ -84,6 +86,16 @@ def _print_position_loop(found: dict[str, Any]) -> None:
     for name, one in found["following_error"].items():
         errors.add_row(name, *(f"{one[key]:.3g}" for key in ("velocity", "acceleration", "jerk")))
     console.print(errors)
+
+
+def _print_kept_loops(loops: list[dict[str, Any]]) -> None:
+    headings = ("", "broken at the", "phase [deg]", "gain", "delay [ms]")
+    table = new_table("With the axis file's position loop around it", *headings)
+    for one in loops:
+        shown = (("phase_margin_deg", 1.0), ("gain_margin", 1.0), ("delay_margin", 1e3))
+        cells = [_cell(one[key], scale) for key, scale in shown] if one["stable"] else ["unstable", "", ""]
+        table.add_row(one["name"], one["broken"], *cells)
+    new_console().print(table)
 
 
 def _print_load_range(found: dict[str, Any]) -> None:

@@ -7,6 +7,7 @@ import zipfile
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
+from emps_design.errors import EmpsError
 from emps_design.studio.state import State
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def controlled(axis: Axis, state: State) -> Axis:
 
     if axis.controller.kind != "none" and law_of(axis, axis.sampling.period).follows != "rest position":
         return axis
-    return axis.replace(controller=velocity_design(state).controller_table())
+    return axis.replace(controller=_for_the_drive(state))
 
 
 def drive_zip(found: Compensation) -> bytes:
@@ -124,4 +125,12 @@ def _json_text(document: Any) -> str:
 
 def model_toml(state: State) -> str:
     """The axis with the controller of the design, ready for every command."""
-    return state.axis.replace(controller=velocity_design(state).controller_table()).to_toml()
+    return state.axis.replace(controller=_for_the_drive(state)).to_toml()
+
+
+def _for_the_drive(state: State) -> dict[str, Any]:
+    """The controller that ``state`` asks for; :class:`EmpsError` where its loop is unstable."""
+    design = velocity_design(state)
+    if design.refused:
+        raise EmpsError(f"no controller is handed out: {design.refused}")
+    return design.controller_table()

@@ -192,6 +192,28 @@ def test_gains_that_cannot_be_met_exit_3_with_the_nearest(capsys):
     assert document["reason"]
 
 
+CASCADE = {"kind": "cascade", "position": {"kp": 120.0, "every": 4}, "velocity": {"kp": 600.0, "ti": 0.05}}
+
+
+def test_gains_say_what_becomes_of_the_position_loop_around_them(capsys, tmp_path):
+    """It was made for a faster velocity loop: margins where it is stable, and nothing is written where it is not."""
+    axis, out = tmp_path / "axis.toml", tmp_path / "out.toml"
+    axis.write_text(machine("emps2019").replace(controller=CASCADE).to_toml())
+    assert app.run(["gains", str(axis), "--crossover", "100", "--json", "--out", str(out)]) == 0
+    fast = json.loads(capsys.readouterr().out)["controller_loops"]
+    assert [loop["name"] for loop in fast] == ["velocity loop", "position loop", "whole loop"]
+    assert 0.0 < fast[-1]["phase_margin_deg"] < fast[0]["phase_margin_deg"]
+    assert out.exists()
+    assert app.run(["gains", str(axis), "--crossover", "5", "--json", "--out", str(tmp_path / "slow.toml")]) == 4
+    slow = json.loads(capsys.readouterr().out)
+    assert [loop["stable"] for loop in slow["controller_loops"]] == [True, False, False]
+    assert "position loop with kp = 120 is unstable" in slow["reason"]
+    assert not (tmp_path / "slow.toml").exists()
+    made_for_it = ["gains", str(axis), "--crossover", "5", "--position-overshoot", "0", "--json"]
+    assert app.run(made_for_it) == 0
+    assert "controller_loops" not in json.loads(capsys.readouterr().out)
+
+
 def test_an_unstable_force_loop_exits_4_with_the_nearest(capsys):
     assert app.run(["force", "--k-e1", "1", "--environment", "10000", "--json"]) == 4
     document = json.loads(capsys.readouterr().out)

@@ -39,6 +39,8 @@ from emps_design.notebook import table
 if TYPE_CHECKING:
     import control
 
+    from emps_design.control.loop.nested import NestedLoop
+
 
 @dataclass(frozen=True)
 class VelocityLoopDesign:
@@ -227,6 +229,31 @@ class VelocityLoopDesign:
             self.k_v1, self.t_v, self.structure, self.filters, own.velocity_estimator, own.kind == cascade.LAW.name
         )
         return {"kind": kind.name, **table.model_dump(exclude_none=True, exclude_unset=True)}
+
+    @cached_property
+    def refused(self) -> str:
+        """Why the controller of this design goes into no drive, in one line; empty where all of it is stable."""
+        kept = self.kept_loops
+        if self.reason or not kept or kept[-1].margins.stable:
+            return self.reason
+        kp = self.axis.controller.parameters["position"]["kp"]
+        return (
+            f"the axis file's position loop with kp = {kp:g} is unstable around this velocity loop; expected a smaller "
+            "kp, a faster velocity loop, or a position loop made for it: gains --position-overshoot"
+        )
+
+    @cached_property
+    def kept_loops(self) -> tuple[NestedLoop, ...]:
+        """The loops of the axis file's cascade with this velocity loop in it, the whole last; none without a cascade.
+
+        A position loop made for a faster velocity loop may be unstable around this one.
+        """
+        from emps_design.control.loop.nested import nested_loops
+
+        own = self.axis.controller
+        if own.kind != cascade.LAW.name or own.parameters.get("position") is None or not self.sampled.stable:
+            return ()
+        return nested_loops(self.axis.replace(controller=self.controller_table()), self.velocity)
 
     @property
     def loop_axis(self) -> Axis:

@@ -30,6 +30,8 @@ from emps_design.discrepancy.validation.verdict import Validation, wrong_numbers
 from emps_design.effects import get_effect, kind_of
 
 SHOWN_CANDIDATES = 10
+# The picture over the coordinate of an extent.
+_OVER = {"reversals": "time from reversal", "speed": "velocity", "position": "position", "time": "time"}
 
 
 def explain(validation: Validation, rest: tuple[str, ...] = (), closest: Closest | None = None) -> Diagnosis:
@@ -77,7 +79,10 @@ def _experiment(validation: Validation, left: dict[str, Any] | None) -> Experime
 
 
 def _marked(drawn: list[View], found: tuple[Finding, ...]) -> tuple[View, ...]:
-    """The residual over each quantity, the extents of the findings marked, the one that shows most first."""
+    """The residual over each quantity, the extents of the findings marked; first is what tells where the first acts.
+
+    Where it acts everywhere, the one that shows most comes first.
+    """
     marked = []
     for view in drawn:
         marks: list[Any] = []
@@ -87,7 +92,8 @@ def _marked(drawn: list[View], found: tuple[Finding, ...]) -> tuple[View, ...]:
                 marks += map(tuple, place if view.quantity == "time" else [place])
         marked.append(replace(view, marks=tuple(marks)))
     head, tail = marked[:-1], marked[-1:]
-    head.sort(key=lambda view: -shown(view))
+    told = _OVER.get(found[0].where["place"]) if found else None
+    head.sort(key=lambda view: (not (view.quantity == told and shown(view) > 0.0), -shown(view)))
     return (*head, *tail)
 
 

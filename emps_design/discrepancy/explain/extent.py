@@ -86,7 +86,7 @@ def described(found: Extent, others: Sequence[Extent] = ()) -> dict[str, Any]:
     """The contract's ``where`` of an extent, in numbers and words.
 
     ``others`` are the extents of the same effect with its parameters drawn from their covariance: what the ends of the
-    intervals span is given as ``confidence``.
+    intervals span is given as ``confidence``. ``place`` names the coordinate that ``text`` speaks of.
     """
     slow, fast = found.speed
     forwards, backwards = found.forwards > 1 - SHARE, found.forwards < SHARE
@@ -103,6 +103,7 @@ def described(found: Extent, others: Sequence[Extent] = ()) -> dict[str, Any]:
         words += ", both ways"
     result: dict[str, Any] = {
         "text": words or EVERYWHERE,
+        "place": found.place or "everywhere",
         "velocity": [-fast if backwards else slow, fast if forwards else -slow],
         "position": list(found.position),
         "time": [list(interval) for interval in found.time],

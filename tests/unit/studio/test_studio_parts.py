@@ -386,6 +386,14 @@ def test_exports_are_whole_repeatable_and_read_by_the_library():
     assert {"bode_plant_input.svg", "force_loop.svg", "simulation_wall.svg"} <= set(names)
 
 
+def test_no_controller_of_an_unstable_loop_is_handed_out():
+    now = state(frequency=300.0, phase_margin_deg=20.0, computation_delay=2)
+    assert not exports.velocity_design(now).sampled.stable
+    assert json.loads(exports.gains_json(now))["sampled"]["stable"] is False
+    with pytest.raises(EmpsError, match="no controller is handed out: the sampled loop with these gains is unstable"):
+        exports.model_toml(now)
+
+
 def test_an_upload_is_read_like_a_file_and_its_name_leads_nowhere(tmp_path):
     lines = ["t,q_ref,q,u"] + [f"{k * 1e-3:.3f},{k * 1e-5},{k * 1e-5},{np.sin(k):.6f}" for k in range(500)]
     record = read_upload("../../etc/passwd/run.csv", "\n".join(lines), machine("emps2019"))
