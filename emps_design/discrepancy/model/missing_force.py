@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.model.recorded import CUTOFF_HZ, FASTEST
 from emps_design.effects import Motion
@@ -45,11 +46,13 @@ def missing_force(hypothesis: Hypothesis, cutoff_hz: float | None = None) -> tup
         cut = cutoff_hz or max(CUTOFF_HZ, min(2.0 * band, FASTEST / record.period))
         share = motor_share(problem.axis, record)
         acting, played = replace(record, u=share * record.u), replace(record, q=run.q, u=share * run.u)
-        measured, simulated = motion(record, cut), motion(played, cut)
-        predicted = held_force(played, gain, cut)
+        (measured, acted), (simulated, predicted) = side_by_side(
+            lambda seen, driven, cut=cut: (motion(seen, cut), held_force(driven, gain, cut)),
+            [(record, acting), (played, played)],
+        )
         inertia = baseline[MASS] * (measured.a - simulated.a)
         viscous = baseline[VISCOUS] * (measured.v - simulated.v)
-        force = held_force(acting, gain, cut) - predicted - inertia - viscous
+        force = acted - predicted - inertia - viscous
         away = away_from_reversals(measured.v, record.period) & split.used
         if away.sum() <= SELDOM * split.used.sum():  # what reverses nearly all the time is seen at reversals or never
             away = away_from_reversals(measured.v, record.period, 0.0) & split.used

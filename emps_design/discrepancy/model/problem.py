@@ -239,7 +239,8 @@ class Hypothesis:
 def of_unit_length(columns: np.ndarray) -> np.ndarray:
     """``columns`` (n, k) of length 1, without those that are zero."""
     size = np.linalg.norm(columns, axis=0)
-    return columns[:, size > 0] / size[size > 0]
+    moving = size > 0
+    return columns / size if moving.all() else columns[:, moving] / size[moving]
 
 
 def orthonormal(columns: np.ndarray) -> np.ndarray:

@@ -36,9 +36,12 @@ def smooth_of_state(q: np.ndarray, period: float) -> np.ndarray:
     direction, speed = np.tanh(v / SLOWEST), np.abs(v) / np.abs(v).max()
     surface = along(q, DEGREE)[:, :, None] * chebvander(2 * speed - 1, DEGREE)[:, None]
     surface = surface.reshape(q.size, -1)
-    return np.column_stack(
-        [surface * (direction > 0)[:, None], surface * (direction <= 0)[:, None], memories(q, period), faded(v, period)]
-    )
+    remembered, count = (memories(q, period), faded(v, period)), surface.shape[1]
+    functions = np.empty((q.size, 2 * count + sum(part.shape[1] for part in remembered)))
+    np.multiply(surface, (direction > 0)[:, None], out=functions[:, :count])
+    np.multiply(surface, (direction <= 0)[:, None], out=functions[:, count : 2 * count])
+    np.concatenate(remembered, axis=1, out=functions[:, 2 * count :])
+    return functions
 
 
 def along(q: np.ndarray, degree: int) -> np.ndarray:

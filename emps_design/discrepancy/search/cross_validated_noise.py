@@ -118,12 +118,11 @@ class _Regression:
         """Force (n,) [N] that ``found`` does not predict."""
         own, along = self.squares[:, found.columns[:, None], found.columns], self.products[:, found.columns]
         coefficients = self._coefficients(own, along, found.ridge)
-        return np.concatenate(
-            [
-                self.force[stroke] - self._columns(stroke)[:, found.columns] @ x
-                for stroke, x in zip(self.strokes, coefficients, strict=True)
-            ]
-        )
+
+        def along_one(stroke: slice, x: np.ndarray) -> np.ndarray:
+            return self.force[stroke] - self._columns(stroke)[:, found.columns] @ x
+
+        return np.concatenate(side_by_side(along_one, zip(self.strokes, coefficients, strict=True)))
 
     def _columns(self, stroke: slice) -> np.ndarray:
         """All columns along one stroke."""

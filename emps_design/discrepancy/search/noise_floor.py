@@ -10,6 +10,7 @@ import numpy as np
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.bootstrap import PIECE, rms_interval
+from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.partition import START_UP, Split
 from emps_design.discrepancy.model.whitening import ORDER, Whitening
 
@@ -146,10 +147,10 @@ def floor_of_residual(left: Sequence[np.ndarray], period: float, source: str) ->
 
 
 def _floor(raw: list[np.ndarray], smooth: list[np.ndarray], source: str) -> Floor:
-    (force, lags), (force_60hz, _) = _broadband(raw), _broadband(smooth)
+    (force, lags), (force_60hz, _) = side_by_side(_broadband, [(raw,), (smooth,)])
     whitening = Whitening.of_autocovariance(lags)
     draws = np.concatenate([whitening.apply(d - d.mean())[START_UP:] for d in raw])
-    intervals = _interval(raw, force), _interval(smooth, force_60hz)
+    intervals = side_by_side(_interval, [(raw, force), (smooth, force_60hz)])
     return Floor(force, force_60hz, intervals[0], intervals[1], whitening, draws / draws.std(), source)
 
 
@@ -195,11 +196,12 @@ def _steady(raw: list[np.ndarray], smooth: list[np.ndarray]) -> tuple[list[np.nd
     if not raw:
         return [], []
     length = min(PIECE, *(part.size for part in raw))
-    typical = np.median([np.std(piece) for part in raw for piece in _pieces(part, length)])
+    sizes = [np.std(_pieces(part, length), axis=1) for part in raw]
+    typical = np.median(np.concatenate(sizes))
     kept_raw, kept_smooth = [], []
-    for part, slow in zip(raw, smooth, strict=True):
-        usual = [np.std(piece) <= rules.UNUSUAL * typical for piece in _pieces(part, length)]
-        if any(usual):
+    for part, slow, size in zip(raw, smooth, sizes, strict=True):
+        usual = size <= rules.UNUSUAL * typical
+        if usual.any():
             mask = np.repeat(usual, length)
             kept_raw.append(part[: mask.size][mask])
             kept_smooth.append(slow[: mask.size][mask])

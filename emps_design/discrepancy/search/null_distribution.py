@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.model.parallel import CORES, side_by_side
@@ -48,19 +49,23 @@ def healthy_reference(screened: list[list[Start]], draws: np.ndarray, seed: int)
     generator = np.random.default_rng(seed)
     signatures = [start.signature for found in screened for start in found]  # free of what is absorbed
     halves = [(np.array(signatures[place::CORES]),) for place in range(min(CORES, len(signatures)))]
-    largest = np.empty(RESAMPLES)
+    largest, n = np.empty(RESAMPLES), signatures[0].size
     for start in range(0, RESAMPLES, TOGETHER):
         some = range(start, min(start + TOGETHER, RESAMPLES))
-        noise = np.array([resampled(draws, signatures[0].size, generator) for _ in some])
+        drawn = [(draws, n, *blocks(draws.size, n, generator)) for _ in some]
+        noise = np.array(side_by_side(resampled, drawn))
         gains = side_by_side(lambda half, noise=noise: np.max((noise @ half.T) ** 2, axis=1), halves)
         largest[some] = np.max(gains, axis=0)
     return Healthy(np.sort(largest))
 
 
-def resampled(draws: np.ndarray, n: int, generator: np.random.Generator) -> np.ndarray:
-    """``n`` innovations in circular blocks of ``draws`` (m,), each block with a random sign."""
-    blocks = -(-n // BLOCK)
-    ring = np.concatenate((draws, draws[:BLOCK]))
-    begins = generator.integers(0, draws.size, blocks)
-    noise = ring[(begins[:, None] + np.arange(BLOCK)).ravel()[:n]]
-    return noise * generator.choice((-1.0, 1.0), blocks).repeat(BLOCK)[:n]
+def blocks(m: int, n: int, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Where the blocks of ``n`` samples out of ``m`` begin, and a random sign of each."""
+    count = -(-n // BLOCK)
+    return generator.integers(0, m, count), generator.choice((-1.0, 1.0), count)
+
+
+def resampled(draws: np.ndarray, n: int, begins: np.ndarray, signs: np.ndarray) -> np.ndarray:
+    """``n`` innovations in circular blocks of ``draws`` (m,), as :func:`blocks` drew them."""
+    rings = sliding_window_view(np.concatenate((draws, draws[:BLOCK])), BLOCK)
+    return (rings[begins] * signs[:, None]).ravel()[:n]

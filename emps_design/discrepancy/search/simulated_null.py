@@ -16,7 +16,7 @@ from emps_design.discrepancy.model.fit import Fit, fit
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.search.extension import extensions
 from emps_design.discrepancy.search.noise_floor import Floor
-from emps_design.discrepancy.search.null_distribution import Healthy, resampled
+from emps_design.discrepancy.search.null_distribution import Healthy, blocks, resampled
 from emps_design.discrepancy.search.starts import screen, tangent
 from emps_design.effects import Effect
 
@@ -44,6 +44,8 @@ def _healthy_records(baseline: Fit, floor: Floor, generator: np.random.Generator
     """The baseline, and what it would have recorded with resampled noise over its voltage."""
     gain, records = baseline.problem.axis.drive.gain, []
     for record, run in zip(baseline.problem.records, baseline.runs(), strict=True):
-        noise = floor.whitening.undo(resampled(floor.draws, len(record), generator))
+        noise = floor.whitening.undo(
+            resampled(floor.draws, len(record), *blocks(floor.draws.size, len(record), generator))
+        )
         records.append(replace(record, q=run.q, u=run.u + noise / gain))
     return Hypothesis(replace(baseline.problem, records=tuple(records)), baseline.model)

@@ -7,8 +7,9 @@ a fit would gain to first order, whatever the amplitude. That needs no regressor
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
-from itertools import product
+from itertools import chain, product
 
 import numpy as np
 
@@ -76,8 +77,9 @@ def screen(current: Fit, library: tuple[Effect, ...], absorbed: Tangent) -> list
     missing = missing_force(current)
     found = current.model.names
     absent = [effect for effect in library if effect.name not in found and effect.after in ("", *found)]
-    tried = side_by_side(starts, [(current, effect, missing, absorbed) for effect in absent])
-    return [some for some in tried if some]
+    # Those of drive and sensor, last in a library, take longest; short ones at the end keep both cores at work.
+    tried = side_by_side(starts, [(current, effect, missing, absorbed) for effect in reversed(absent)])
+    return [some for some in reversed(tried) if some]
 
 
 def starts(current: Fit, effect: Effect, missing: tuple[MissingForce, ...], absorbed: Tangent) -> list[Start]:
@@ -86,16 +88,18 @@ def starts(current: Fit, effect: Effect, missing: tuple[MissingForce, ...], abso
     A gap so large that it bent the fitted baseline is looked at from the axis file's numbers too: there the gain is
     what the start itself explains.
     """
-    base, found = absorbed.whole, []
+    base = absorbed.whole
     given = current.as_given().model
     far = bent(current, float(base @ base) / base.size)
-    for values in _values(current, effect, missing):
+
+    def from_values(values: np.ndarray) -> list[Start]:
+        found: list[Start] = []
         trial = current.with_model(current.model.with_effect(effect, values))
-        try:
+        with suppress(SimulationError):
             change = absorbed.free(trial.residual("fit") - base)
             size = float(np.linalg.norm(change))
             if size <= (rules.EXERCISED * np.sqrt(base.size) if current.problem.states else 0.0):
-                continue  # all that it does could be a function of the state
+                return []  # all that it does could be a function of the state
             signature = change / size
             # The residual falls when the signature points against it; an effect of the wrong sign gains nothing.
             along = float(absorbed.residual @ signature)
@@ -105,9 +109,10 @@ def starts(current: Fit, effect: Effect, missing: tuple[MissingForce, ...], abso
                 left = other.residual("fit")
                 gain = max(0.0, float(base @ base - left @ left))
                 found.append(Start(other, gain, signature, size, anchored=False))
-        except SimulationError:
-            continue
-    return sorted(found, key=lambda start: -start.gain)
+        return found
+
+    found = side_by_side(from_values, [(values,) for values in _values(current, effect, missing)])
+    return sorted(chain.from_iterable(found), key=lambda start: -start.gain)
 
 
 def bent(current: Fit, cost: float) -> bool:

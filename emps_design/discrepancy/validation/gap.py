@@ -10,6 +10,7 @@ import numpy as np
 from emps_design.discrepancy.model.bootstrap import rms_interval
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.missing_force import missing_force
+from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.recorded import CUTOFF_HZ
 from emps_design.observer import motor_force
@@ -87,9 +88,10 @@ def compare(problem: Problem, baseline: Candidate, extended: Candidate, refitted
     for name, model in zip(("baseline_60hz", "extended_60hz"), models, strict=True):
         missing = problem.pick(tuple(m.force for m in missing_force(model, CUTOFF_HZ)), "used")
         errors[name] = np.concatenate([force - force.mean() for force in missing])
+    intervals = side_by_side(rms_interval, [(error,) for error in errors.values()])
     gap = Gap(
         **{name: float(np.std(error)) for name, error in errors.items()},
-        intervals={name: rms_interval(error) for name, error in errors.items()},
+        intervals=dict(zip(errors, intervals, strict=True)),
     )
     most = most_missed(models[0])
     return Comparison(gap, predictions[most], extended.only(most), refitted)
@@ -110,4 +112,5 @@ def _predict(baseline: Hypothesis, extended: Hypothesis) -> Prediction:
         force = Plant.of(one.model.to_axis(axis)).closed_loop(**one.driven(0)).force
         return measured - problem.compared((measured - force,))[0] if problem.follows else force
 
-    return Prediction(record, measured, simulated(baseline), simulated(extended), problem.splits[0].used)
+    before, after = side_by_side(simulated, [(baseline,), (extended,)])
+    return Prediction(record, measured, before, after, problem.splits[0].used)
