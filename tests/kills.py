@@ -1,4 +1,4 @@
-"""Kill real processes at random moments: eleven commands that write, as often as asked, and what is left is looked at.
+"""Kill real processes at random moments: all commands that write, as often as asked, and what is left is looked at.
 
 ``python -m tests.kills 200`` (``make fuzz``) writes ``benchmarks/kills.json``, which docs/measured.md shows. After each
 kill every file is whole, the one of before or the new one; the next run finds nothing in its way and leaves nothing but
@@ -39,6 +39,11 @@ COMMANDS = {
     "demo": "demo --out {out}/demo.html",
     "init": "init {out}/start --force",
     "import": "import {record} --axis {axis} --out {out}/imported.npz",
+    "law": "law {record} --out {out}/controller.toml",
+    "excite": "excite {axis} --stroke 0.5 --speed 0.05 --to 100Hz --out {out}/program.csv",
+    "frf": "frf {record} --axis {axis} --out {out}/response.csv",
+    "compensate": "compensate {axis} --stroke 0.1 --out {out}/compensated",
+    "export": "export {axis} --to c --out {out}/code",
     "diagnose": "diagnose {record} --axis {axis} --out {out}/found",
 }
 
@@ -103,6 +108,7 @@ class Kills:
             self.lasts = self.finish()
         self.expected = self.files()
         assert self.expected
+        self.content = {self.out / path: (self.out / path).read_bytes() for path in self.expected}
 
     def finish(self) -> float:
         """Run to the end; how long it took [s]."""
@@ -136,7 +142,9 @@ class Kills:
             self.slowest = max(self.slowest, took)
             assert set(self.out.rglob("*.part")) <= before
         for path in self.out.rglob("*"):
-            if path.is_file() and ".part" not in str(path.relative_to(self.out)).replace(".partial", ""):
+            if path in self.content:
+                assert path.read_bytes() == self.content[path], path
+            elif path.is_file() and ".part" not in str(path.relative_to(self.out)).replace(".partial", ""):
                 CHECKS[path.suffix](path)
         whole = [path for path in self.files() if ".part" not in str(path)]
         assert whole == self.expected  # the results of the run before are all there
