@@ -15,6 +15,7 @@ from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
 from emps_design.discrepancy.result import Finding
 from emps_design.discrepancy.search.acceptance import force_rms
+from emps_design.discrepancy.validation.instants import deviation_in_time
 from emps_design.discrepancy.validation.verdict import Validation
 from emps_design.effects import Parameter, kind_of
 from emps_design.errors import SimulationError
@@ -64,10 +65,13 @@ def _finding(validation: Validation, index: int) -> Finding:
 def deviation(fitted: Fit, before: Fit, index: int, place: int, record: int = 0) -> float:
     """Standard deviation of a number of ``fitted`` on ``record``, its baseline's with ``index`` -1.
 
-    Not less than the number moved since ``before``, the same effects on the fitting strokes alone: where play bounces,
-    what a tiny change of a number does to the force says nothing of how well the record determines it.
+    Of an instant, what covers all that leave as little. Else not less than the number moved since ``before``, the same
+    effects on the fitting strokes alone: where play bounces, what a tiny change of a number does to the force says
+    nothing of how well the record determines it.
     """
-    linear = fitted.std(index, place, record)
+    linear, in_time = fitted.std(index, place, record), deviation_in_time(fitted, index, place, record)
+    if in_time > 0.0:
+        return max(linear, in_time)
     if linear == 0.0 or fitted.model.names != before.model.names:
         return linear
     now, then = (fit.model.baseline if index < 0 else fit.model.parameters(record)[index] for fit in (fitted, before))

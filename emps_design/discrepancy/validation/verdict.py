@@ -18,6 +18,7 @@ from emps_design.discrepancy.validation.confirmation import claims_on, confirm, 
 from emps_design.discrepancy.validation.evidence import Asked
 from emps_design.discrepancy.validation.gap import Comparison, compare
 from emps_design.discrepancy.validation.holdout import compare_on
+from emps_design.discrepancy.validation.instants import centred
 from emps_design.discrepancy.validation.rivals import alike_in_company, equivalents
 from emps_design.discrepancy.validation.robust import robust
 from emps_design.progress import Progress
@@ -104,8 +105,8 @@ def validate(outcome: Outcome, progress: Progress) -> Validation:
     if answer.verdict == "unnamed":
         estimate = robust(answer.baseline)
         answer = replace(answer, baseline=estimate, extended=estimate, asked=[], held_out=None)
-    baseline, extended, held_out = _alone(answer.baseline), answer.extended, answer.held_out
-    if data is not None and (held_out is None or baseline is not answer.baseline):
+    baseline, extended, held_out = _alone(answer.baseline), centred(answer.extended), answer.held_out
+    if data is not None and (held_out is None or baseline is not answer.baseline or extended is not answer.extended):
         held_out = compare_on(data, baseline.model, extended.model)
     return Validation(
         outcome=outcome,
