@@ -239,7 +239,7 @@ class VelocityLoopDesign:
         kp = self.axis.controller.parameters["position"]["kp"]
         return (
             f"the axis file's position loop with kp = {kp:g} is unstable around this velocity loop; expected a smaller "
-            "kp, a faster velocity loop, or a position loop made for it: gains --position-overshoot"
+            "kp, a faster velocity loop, or a position loop made for this one"
         )
 
     @cached_property
