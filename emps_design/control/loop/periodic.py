@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import brentq
 
 from emps_design.control.loop.margins import Margins
 
@@ -112,6 +111,7 @@ def _late_delay(opened: np.ndarray, column: np.ndarray, row: np.ndarray, period:
     closed with exp(-j phi) has that pole, the least delay is phi / theta cycles. Between whole cycles the formula is
     good far above the length of one, where the loop is slow.
     """
+    from scipy.optimize import brentq
 
     def poles(turn: float) -> np.ndarray:
         closed = opened + np.exp(-1j * turn) * column[..., :, None] * row[..., None, :]
