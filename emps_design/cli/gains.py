@@ -164,7 +164,7 @@ def command(
     if around is not None:
         document["position_loop"] = around.to_dict()
     elif design.kept_loops:
-        document["controller_loops"] = [loop.to_dict() for loop in design.kept_loops]
+        document["kept_position_loop"] = {"loops": [loop.to_dict() for loop in design.kept_loops]}
     if retune:
         suggested = (machine, phase_margin, design.structure, design.filters, velocity)
         if responses:

@@ -17,8 +17,8 @@ def print_around(document: dict[str, Any]) -> None:
         _print_suggestion(document["suggestion"])
     if "position_loop" in document:
         _print_position_loop(document["position_loop"])
-    if "controller_loops" in document:
-        _print_kept_loops(document["controller_loops"])
+    if "kept_position_loop" in document:
+        _print_kept_loops(document["kept_position_loop"]["loops"])
     if "load_range" in document:
         _print_load_range(document["load_range"])
 

@@ -41,8 +41,8 @@ class Report:
     @property
     def reason(self) -> str:
         """What of the design is unstable, and what nearby is not, in one line; empty where everything is stable."""
-        loops = (self.results.velocity, self.results.force, self.impedance)
-        return "; ".join(loop.reason for loop in loops if loop is not None and loop.reason)
+        others = (loop.reason for loop in (self.results.force, self.impedance) if loop is not None)
+        return "; ".join(reason for reason in (self.results.velocity.refused, *others) if reason)
 
     @property
     def nearest(self) -> dict[str, Any]:
@@ -68,6 +68,9 @@ class Report:
             document["impedance"] = self.impedance.to_dict()
         if self.loops:
             document["controller_loops"] = [loop.to_dict() for loop in self.loops]
+        if self.results.velocity.kept_loops:
+            kept = self.results.velocity.kept_loops
+            document["kept_position_loop"] = {"loops": [loop.to_dict() for loop in kept]}
         if self.reason:
             document["reason"], document["nearest"] = self.reason, self.nearest
         document["inputs"] = dict(self.results.inputs)
@@ -180,7 +183,9 @@ def assemble_report(
         from emps_design.report.controller import controller_section
 
         loops = nested_loops(loaded)
-        parts.append(controller_section(loops))
+        parts.append(controller_section(loops, velocity.kept_loops))
+    if velocity.refused and not velocity.reason:
+        stops += (velocity.refused,)
     results = design_results(
         velocity,
         *around,

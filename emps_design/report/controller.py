@@ -13,8 +13,11 @@ if TYPE_CHECKING:
     from emps_design.control.loop.nested import NestedLoop
 
 
-def controller_section(loops: Sequence[NestedLoop]) -> Section:
-    """Return the section on the nested ``loops`` of a controller, the whole last: stability first, then margins."""
+def controller_section(loops: Sequence[NestedLoop], kept: Sequence[NestedLoop] = ()) -> Section:
+    """Return the section on the nested ``loops`` of a controller, the whole last: stability first, then margins.
+
+    ``kept`` are the loops with the velocity loop of the design in the place of its own.
+    """
     whole = loops[-1].margins
     verdict = Callout("good", "stable.") if whole.stable else Callout("stop", "the controller's loop is unstable.")
     return Section(
@@ -24,12 +27,14 @@ def controller_section(loops: Sequence[NestedLoop]) -> Section:
             "open, the position loop with the velocity loop closed, and the whole where a delay or a current loop sits."
         ),
         verdict,
-        Table(
-            ["loop", "broken at the", "stable", "crossover", "phase margin", "gain margin", "delay margin"],
-            [_row(loop) for loop in loops],
-            "Sampled, each at the rate at which it runs, with filters, delay and current loop.",
-        ),
+        _table(loops, "Sampled, each at the rate at which it runs, with filters, delay and current loop."),
+        *([_table(kept, "The same with the velocity loop designed above in the place of its own.")] if kept else []),
     )
+
+
+def _table(loops: Sequence[NestedLoop], caption: str) -> Table:
+    heads = ["loop", "broken at the", "stable", "crossover", "phase margin", "gain margin", "delay margin"]
+    return Table(heads, [_row(loop) for loop in loops], caption)
 
 
 def _row(loop: NestedLoop) -> list[str]:

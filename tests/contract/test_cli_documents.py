@@ -200,18 +200,25 @@ def test_gains_say_what_becomes_of_the_position_loop_around_them(capsys, tmp_pat
     axis, out = tmp_path / "axis.toml", tmp_path / "out.toml"
     axis.write_text(machine("emps2019").replace(controller=CASCADE).to_toml())
     assert app.run(["gains", str(axis), "--crossover", "100", "--json", "--out", str(out)]) == 0
-    fast = json.loads(capsys.readouterr().out)["controller_loops"]
+    fast = json.loads(capsys.readouterr().out)["kept_position_loop"]["loops"]
     assert [loop["name"] for loop in fast] == ["velocity loop", "position loop", "whole loop"]
     assert 0.0 < fast[-1]["phase_margin_deg"] < fast[0]["phase_margin_deg"]
     assert out.exists()
     assert app.run(["gains", str(axis), "--crossover", "5", "--json", "--out", str(tmp_path / "slow.toml")]) == 4
     slow = json.loads(capsys.readouterr().out)
-    assert [loop["stable"] for loop in slow["controller_loops"]] == [True, False, False]
+    assert [loop["stable"] for loop in slow["kept_position_loop"]["loops"]] == [True, False, False]
     assert "position loop with kp = 120 is unstable" in slow["reason"]
     assert not (tmp_path / "slow.toml").exists()
+    page = ["report", str(axis), "--crossover", "5", "--out", str(tmp_path / "slow.html"), "--json"]
+    assert app.run(page) == 4
+    document = json.loads(capsys.readouterr().out)
+    assert [loop["stable"] for loop in document["controller_loops"]] == [True, True, True]  # as the axis file has them
+    assert document["kept_position_loop"] == slow["kept_position_loop"]
+    assert document["reason"] == slow["reason"]
+    assert "position loop with kp = 120 is unstable" in (tmp_path / "slow.html").read_text()
     made_for_it = ["gains", str(axis), "--crossover", "5", "--position-overshoot", "0", "--json"]
     assert app.run(made_for_it) == 0
-    assert "controller_loops" not in json.loads(capsys.readouterr().out)
+    assert "kept_position_loop" not in json.loads(capsys.readouterr().out)
 
 
 def test_an_unstable_force_loop_exits_4_with_the_nearest(capsys):
