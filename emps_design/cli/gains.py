@@ -161,10 +161,9 @@ def command(
         design = design_velocity_loop(machine, **specification)
     document = gains_document(design)
     around = position_loop_asked_for(design, *position, position_every) if design.sampled.stable else None
-    if around is not None:
+    if around is not None:  # in place of the axis file's, of which nothing more is said
+        document = {key: value for key, value in document.items() if key not in ("kept_position_loop", "reason")}
         document["position_loop"] = around.to_dict()
-    elif design.kept_loops:
-        document["kept_position_loop"] = {"loops": [loop.to_dict() for loop in design.kept_loops]}
     if retune:
         suggested = (machine, phase_margin, design.structure, design.filters, velocity)
         if responses:
@@ -209,11 +208,7 @@ def command(
     if not refused and on_data and out is not None:
         table = design.controller_table() if around is None else around.controller_table()
         document["out"] = write_axis(out, machine.replace(controller=table))
-    if design.reason:
-        document["nearest"] = design.nearest_stable
-    if refused:
-        document["reason"] = refused
-    elif not on_data:
+    if not refused and not on_data:
         document["reason"] = "the loop with these gains is unstable on the measured plant; ask for a slower one"
     if as_json:
         print_json(document)

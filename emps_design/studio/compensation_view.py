@@ -7,6 +7,7 @@ from io import BytesIO
 
 import panel as pn
 
+from emps_design.axis import Axis
 from emps_design.compensation import Compensation, compensate
 from emps_design.compensation.feedforward import terms_of
 from emps_design.errors import EmpsError
@@ -56,9 +57,17 @@ class CompensationView:
 
     def show(self, state: State) -> None:
         """Offer the terms of the axis of ``state`` where that is another than before."""
-        if state.axis != self._axis or (self.found is not None and controlled(state.axis, state) != self.found.axis):
+        if state.axis != self._axis or (self.found is not None and self._controlled(state) != self.found.axis):
             self._axis = state.axis
             self._offer()
+
+    @staticmethod
+    def _controlled(state: State) -> Axis | None:
+        """The axis that would be compensated; None where its design is refused."""
+        try:
+            return controlled(state.axis, state)
+        except EmpsError:
+            return None
 
     def _offer(self) -> None:
         possible, left = terms_of(self._axis)

@@ -96,15 +96,21 @@ def _force_cells(state: State, design: VelocityLoopDesign) -> list[tuple[str, st
 def _impedance_cells(state: State) -> list[tuple[str, str]]:
     from emps_design.control.impedance.law import FrictionModel, impedance_law
     from emps_design.control.impedance.robustness import verdict
-    from emps_design.control.impedance.sampled import Clock
+    from emps_design.control.impedance.sampled import Clock, extended_loop
+    from emps_design.laws.friction_model import left_out
 
     try:
         law = impedance_law(state.axis, state.mass, state.damping, state.filter)
         plant, clock = FrictionModel.of(state.axis), Clock.of(state.axis)
         e = state.mismatch_percent / 100.0
         worst = law.with_errors({"mass": e, "viscous": e, "coulomb": e})
-        exact = verdict(law, plant, clock, state.axis.sampling.encoder_resolution)
-        over = verdict(worst, plant, clock, state.axis.sampling.encoder_resolution)
+        effects = bool(left_out(state.axis))  # which the friction model of the verdict does not hold
+        exact, over = (
+            "unstable"
+            if effects and not extended_loop(state.axis, one).stable
+            else verdict(one, plant, clock, state.axis.sampling.encoder_resolution)
+            for one in (law, worst)
+        )
         felt = worst.apparent(plant)
     except EmpsError as error:
         return [("impedance law", f'<b class="no">{inline(str(error))}</b>')]

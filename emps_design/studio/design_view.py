@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import panel as pn
 
 from emps_design.errors import EmpsError
+from emps_design.report.display import sentence_of
 from emps_design.studio.controls import Knob
 from emps_design.studio.design_tables import laws_table, numbers_table
 from emps_design.studio.feasible import feasible, plane
@@ -228,7 +229,8 @@ class DesignView:
 
         notes, reached = self._feasible_note()
         self.design = velocity_design(self.state)
-        self._say(f"{said} {notes}".strip(), "note" if reached else "stop")
+        refused = f"{sentence_of(self.design.refused)} " if self.design.refused else ""
+        self._say(f"{refused}{said} {notes}".strip(), "note" if reached and not refused else "stop")
         state = self.state
         self.plots.update(self.design, state.place)
         self.plots.require(state.required_phase_deg, state.required_overshoot_percent)

@@ -40,7 +40,10 @@ class Motion:
             f"{quantity(error['rms'], 'm')} rms, {quantity(error['largest'], 'm')} at most"
         )
         clipped = found["saturated_share"]
-        return ("warning" if clipped else "good"), f"{text}; at the limit of the command {100.0 * clipped:.3g} %."
+        text = f"{text}; at the limit of the command {100.0 * clipped:.3g} %."
+        if not self.loop.stable:
+            return "stop", f"The cascade of this design is unstable. {text}"
+        return ("warning" if clipped else "good"), text
 
     def rows(self) -> list[tuple[str, ...]]:
         """Numbers of each run, a row each, after the row of heads."""

@@ -97,7 +97,7 @@ def response_work(record: Record, axis: Axis, options: Options, progress: Callab
 def diagnose_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
     """Find where ``record`` and ``axis`` disagree; return the page's summary and the model that was sought."""
     from emps_design.discrepancy import diagnose
-    from emps_design.report.diagnosis import diagnosis_page, typeset
+    from emps_design.report.diagnosis import VERDICTS, diagnosis_page, typeset
 
     found = diagnose(record, axis, progress=progress, closest=options["sought"] == CLOSEST_MODEL)
     model = found.axis if found.closest is None or found.closest.axis is None else found.closest.axis
@@ -109,7 +109,7 @@ def diagnose_work(record: Record, axis: Axis, options: Options, progress: Callab
         "text": typeset(document.get("sentence", document["verdict"])),
         "html": _blocks(axis.units, *shown),
         "model": model.replace(name=f"{axis.name} diagnosed on {record.name}"),
-        "level": "warning" if document["findings"] else "good",
+        "level": VERDICTS[document["verdict"]][0],
     }
 
 

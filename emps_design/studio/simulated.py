@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from emps_design.laws.friction_model import left_out
 from emps_design.progress import Progress, of_part, untold
 from emps_design.report.display import quantity
 from emps_design.studio.state import State
@@ -35,7 +36,10 @@ class Simulated:
             f"M_a {state.mass:g} kg, B {state.damping:g} N/(m/s), filter {state.filter:g} rad/s on {state.axis.name}: "
             f"the worst of {self.study.corners} corners and {state.plants} random plants is {worst.replace('_', ' ')}."
         )
-        return ("good" if worst in ("stable", "dead_band") else "stop"), text
+        if self.wall.verdict not in ("bouncing", "unstable") and self.wall_poles_stable:
+            return ("good" if worst in ("stable", "dead_band") else "stop"), text
+        poles = "" if self.wall_poles_stable else ", where the poles of the loop are unstable"
+        return "stop", f"{text} Pushed into the wall of {state.wall:g} N/mm it is {self.wall.verdict}{poles}."
 
     def rows(self) -> list[tuple[str, str]]:
         """The verdicts, and what the worst plant feels like."""
@@ -55,7 +59,10 @@ class Simulated:
             ("worst: peak voltage", quantity(worst["peak_voltage"], "V")),
             ("worst: rms force of the hand", quantity(worst["effort"]["rms_force"], "N")),
             (f"pushed into a wall of {state.wall:g} N/mm", wall.verdict + peak),
-            ("poles of the loop at that wall", "stable" if self.wall_poles_stable else "unstable"),
+            (
+                f"poles of the loop at that wall{', without the effects' if left_out(state.axis) else ''}",
+                "stable" if self.wall_poles_stable else "unstable",
+            ),
         ]
 
     def figures(self) -> dict[str, Figure]:

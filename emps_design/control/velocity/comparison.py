@@ -13,8 +13,19 @@ if TYPE_CHECKING:
 
 
 def gains_document(design: VelocityLoopDesign) -> dict[str, Any]:
-    """What ``gains`` says about ``design``: its plain data, and its gains in each structure under ``structures``."""
-    return {**design.to_dict(), "structures": structures_side_by_side(design)}
+    """What ``gains`` says about ``design``: its plain data, and its gains in each structure under ``structures``.
+
+    ``kept_position_loop`` has the loops with the axis file's position loop around it; ``reason`` says why all of it is
+    refused, and ``nearest`` what is not.
+    """
+    document = {**design.to_dict(), "structures": structures_side_by_side(design)}
+    if design.kept_loops:
+        document["kept_position_loop"] = {"loops": [loop.to_dict() for loop in design.kept_loops]}
+    if design.reason:
+        document["nearest"] = design.nearest_stable
+    if design.refused:
+        document["reason"] = design.refused
+    return document
 
 
 def structures_side_by_side(design: VelocityLoopDesign) -> list[dict[str, Any]]:
