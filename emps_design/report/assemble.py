@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,7 @@ from emps_design.laws import NONE, get_law
 from emps_design.machines import load_axis, machine_names
 from emps_design.progress import Progress, untold
 from emps_design.report.design import DesignResults, design_page, design_results
+from emps_design.report.display import quantity
 from emps_design.report.page import Page, Section
 
 if TYPE_CHECKING:
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
     from emps_design.records import Record
 
 DESIGN_ON = ("record", "axis")
-K_E1, WALL = 0.01, 1e4  # (m/s)/N, N/m: of a force loop that was asked for without them
+K_E1, WALL = 1.0, 100.0  # (m/s)/N times the mass, N/m over it: of a force loop that was asked for without them
 
 
 @dataclass(frozen=True)
@@ -98,21 +100,24 @@ def assemble_report(
     frf: str | Path | None = None,
     structure: Structure | None = None,
     filters: tuple[Filter, ...] | None = None,
+    record_axis: Axis | None = None,
     progress: Progress | None = None,
 ) -> Report:
     """Design ``axis`` (or what ``record`` says about it) and return the page with its results.
 
     ``axis``: an :class:`Axis`, a TOML file or an embedded machine; ``record``: a :class:`Record` or its file.
     ``design_on``: "record" takes the mechanics that the record gives (the default where no axis is named), "axis"
-    leaves them as they are; ``model`` of friction and filter ``chain`` are those of ``identify``. ``crossover`` or
-    ``bandwidth`` [rad/s], ``phase_margin_deg`` [deg]; ``retune`` meets the specification when sampled; ``structure``
-    and ``filters`` are those of the axis's controller where they are None. ``frf`` is the file of a measured response,
-    shown beside the model as the first picture.
+    leaves them as they are; ``record_axis`` is what the record was made on, where that is another: it is identified
+    with that one's drive, and left out where its units are others. ``model`` of friction and filter ``chain`` are those
+    of ``identify``. ``crossover`` or ``bandwidth`` [rad/s], ``phase_margin_deg`` [deg]; ``retune`` meets the
+    specification when sampled; ``structure`` and ``filters`` are those of the axis's controller where they are None.
+    ``frf`` is the file of a measured response, shown beside the model as the first picture.
 
     The page has the sections that were asked for or that the axis has. Force loop: with ``k_e1`` [(m/s)/N], ``hand``
     [N/(m/s)] or ``environment`` [N/m], or a k_e1 in the axis's controller; what is left out is 0.01 (m/s)/N and a wall
-    of 1e4 N/m. Impedance law: with ``mass`` [kg] and ``damping`` [N/(m/s)], or an impedance controller of the axis; its
-    ``filter`` [rad/s], tried under a relative ``mismatch``.
+    of 1e4 N/m for a mass of 100 kg, else in proportion, and the page says so. Impedance law: with ``mass`` [kg] and
+    ``damping`` [N/(m/s)], or an impedance controller of the axis; its ``filter`` [rad/s], tried under a relative
+    ``mismatch``.
 
     >>> report = assemble_report("emps2018", crossover=100.0, phase_margin_deg=60.0)
     >>> report.results.velocity.axis.name, round(report.results.velocity.k_v1, 2)
@@ -144,13 +149,18 @@ def assemble_report(
         inputs[Path(frf).name] = hashlib.sha256(Path(frf).read_bytes()).hexdigest()
     notes: list[str] = []
     found: tuple[Identification, ...] = ()
-    if record is not None:
+    if record is not None and record_axis is not None and record_axis.units != loaded.units:
+        notes.append(f"The record was made on {record_axis.name}, an axis with other units: this page leaves it out.")
+    elif record is not None:
         tell("reading the record", 0.05)
-        loaded, found, section = _from_record(record, loaded, model, chain, design_on, inputs, tell)
+        other = record_axis if design_on == "axis" else None
+        made_on, found, section = _from_record(record, other or loaded, model, chain, design_on, inputs, tell)
+        loaded = loaded if design_on == "axis" else made_on
         parts.append(section)
-        notes.append(_basis(loaded, found[0], design_on))
+        notes.append(_basis(loaded, found[0], design_on, made_on.name))
     tell("designing the loops", 0.4)
-    around = _force_loop(loaded.controller.k_e1, k_e1, hand, environment)
+    around, taken = _force_loop(loaded, k_e1, hand, environment)
+    notes += [f"Force loop: {taken}, not asked for."] if taken else []
     law: dict[str, Any] = {"structure": structure, "filters": filters}
     if retune:
         from emps_design.control.velocity.retune import retune_velocity_loop
@@ -210,15 +220,25 @@ def has_impedance_law(axis: Axis) -> bool:
 
 
 def _force_loop(
-    own: float | None, k_e1: float | None, hand: float | None, environment: float | None
-) -> tuple[float | None, float, float]:
-    """Force gain, hand and wall of the page: what was asked for, or the axis's ``own`` gain; None for no force loop."""
+    axis: Axis, k_e1: float | None, hand: float | None, environment: float | None
+) -> tuple[tuple[float | None, float, float], str]:
+    """Force gain, hand and wall of the page: what was asked for, or the axis's own gain; None for no force loop.
+
+    What was left out is sized by the mass, to one digit; the words say what was taken.
+    """
+    own = axis.controller.k_e1
     if k_e1 is None and hand is None and environment is None and own is None:
-        return None, 0.0, 0.0
-    gain = K_E1 if k_e1 is None and own is None else own if k_e1 is None else k_e1
+        return (None, 0.0, 0.0), ""
+    mass, taken = 10.0 ** round(math.log10(axis.mechanics.mass)), []
+    gain = own if k_e1 is None else k_e1
+    if gain is None:
+        gain = K_E1 / mass
+        taken.append(f"a gain of {quantity(gain, '(m/s)/N')}")
     if hand is None and environment is None:
-        environment = WALL
-    return gain, hand or 0.0, environment or 0.0
+        environment = WALL * mass
+        taken.append(f"a wall of {quantity(environment, 'N/m')}")
+    words = f"{' and '.join(taken)} {'were' if len(taken) > 1 else 'was'} taken" if taken else ""
+    return (gain, hand or 0.0, environment or 0.0), words
 
 
 def _from_record(
@@ -241,13 +261,14 @@ def _from_record(
     return (found[0].to_axis() if design_on == "record" else axis), found, section
 
 
-def _basis(axis: Axis, found: Identification, design_on: str) -> str:
+def _basis(axis: Axis, found: Identification, design_on: str, made_on: str) -> str:
     if design_on == "record":
         return (
             f"The gains are for the mechanics identified from {found.record} ({found.model} model), with the drive and "
             f"the sampling of the axis {axis.name}."
         )
-    return f"The gains are for the axis {axis.name} as it is written; {found.record} is compared with it below."
+    shown = "compared with it below" if made_on == axis.name else f"identified below, with the drive of {made_on}"
+    return f"The gains are for the axis {axis.name} as it is written; {found.record} is {shown}."
 
 
 def _input_name(axis: str | Axis) -> str:

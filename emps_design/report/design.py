@@ -24,7 +24,7 @@ ASSUMPTIONS = (
     "The force gain G_tau is known: an error of it scales every mechanical parameter and cannot be seen in a record "
     "without a known payload.",
     "Continuous margins are those of an ideal drive; sampled margins contain the hold, the computation delay, the "
-    "current loop, the velocity estimator and the effects of the axis file.",
+    "current loop, the velocity estimator, the filters of the command and the effects of the axis file.",
     "Margins are read at two places because delay acts at the plant input, while the specification (7) is stated for "
     "the loop broken at the velocity error.",
 )
@@ -148,10 +148,13 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
     blocks.append(_achieved_table(velocity))
     continuous, left = velocity.plant_input.phase_margin_deg, sampled.margins.phase_margin_deg
     if continuous is not None and left is not None:  # nothing is left of a loop that is unstable
+        parts = ["sampling", "hold", "current loop", "delay", "velocity estimator"]
+        parts += ["filters of the command"] * bool(velocity.filters)
+        parts += ["effects of the axis"] * bool(velocity.axis.effects)
         blocks.append(
             Text(
-                "At the plant input, sampling, hold, current loop, delay and velocity estimator take "
-                f"{continuous - left:.1f}° of the {angle(continuous)} that the continuous loop has there."
+                f"At the plant input, {', '.join(parts[:-1])} and {parts[-1]} take {continuous - left:.1f}° of the "
+                f"{angle(continuous)} that the continuous loop has there."
             )
         )
     warnings = [w for w in velocity.warnings if not w.startswith("the sampled loop is unstable")]

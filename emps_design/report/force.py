@@ -56,8 +56,8 @@ def force_section(force: ForceLoopDesign) -> Section:
         Callout("note", "The paper's own reading of (10), (11)", f"{reading}."),
         Picture(
             force_limit_figure(force),
-            "Above the dashed line, where one is drawn, the loop as implemented is unstable (shaded): the “too high "
-            "gain” of the paper. The stiffer the wall, the smaller the gain it allows.",
+            "Shaded, above the dashed line, the loop as implemented is unstable: the “too high gain” of the paper. "
+            "Where all is shaded no gain is stable, where nothing is any. The stiffer the wall, the smaller the gain.",
             "How large the force gain may be",
         ),
         Picture(

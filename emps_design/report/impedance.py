@@ -18,7 +18,7 @@ from emps_design.report.impedance_figures import (
     stability_map_figure,
     task_figure,
 )
-from emps_design.report.page import Callout, Html, Picture, Section, Table, Text
+from emps_design.report.page import Callout, Html, Picture, Section, Table, Text, html
 
 if TYPE_CHECKING:
     from emps_design.comanipulation.assessment import ImpedanceAssessment
@@ -292,6 +292,6 @@ def _errata_table() -> Table:
 
     return Table(
         ["place", "about", "what differs"],
-        [[one.place, one.title, one.text] for one in find_errata()],
+        [[one.place, one.title, html('<span translate="no">{}</span>', one.text)] for one in find_errata()],
         "Where the paper differs from what follows by derivation; emps-design derive shows every step.",
     )

@@ -48,9 +48,10 @@ def gains_section(velocity: VelocityLoopDesign) -> Section:
         *([effect.kind.replace("_", " "), "effect", _parameters(effect)] for effect in axis.effects),
     ]
     equations = ("(7)", "(8)", "(9)") if velocity.structure.form == "ip" else ("PI", "as (8)", "as (9)")
+    solved = "retuned, for the loop as sampled" if velocity.retuned_at else equations[0]
     gains = [
-        [Html(symbol("k_v1")), quantity(velocity.k_v1, "V/(m/s)", 6), f"{equations[0]}; kp of a drive"],
-        [Html(symbol("t_v")), quantity(velocity.t_v, "s", 6), f"{equations[0]}; Tn of a drive"],
+        [Html(symbol("k_v1")), quantity(velocity.k_v1, "V/(m/s)", 6), f"{solved}; kp of a drive"],
+        [Html(symbol("t_v")), quantity(velocity.t_v, "s", 6), f"{solved}; Tn of a drive"],
         [Html(symbol("K_v")), quantity(velocity.K_v, "N/m", 6), equations[1]],
         [Html(symbol("omega_0v")), frequency(velocity.omega_0v, 6), equations[2]],
         [Html(symbol("z_v")), number(velocity.z_v, 6), equations[2]],
@@ -67,7 +68,9 @@ def gains_section(velocity: VelocityLoopDesign) -> Section:
         ),
         Table(["quantity", "value", "meaning"], rows, f"The axis {axis.name} as designed on."),
         Table(["gain", "value", "equation"], gains, "Gains and canonical form of the velocity loop."),
-        Text(
+        None
+        if velocity.retuned_at  # these are the margins that (7) can give
+        else Text(
             f"At this crossover there are gains for phase margins between {angle(low_high[0])} and "
             f"{angle(low_high[1])}."
         ),

@@ -45,7 +45,7 @@ class Session:
             another=lambda: self.motion.show(self.state),
         )  # fmt: skip
         self.compensation = CompensationView(lambda: self.state)
-        self.files = FilesView(lambda: self.state, lambda: self.data.record, self._loaded)
+        self.files = FilesView(lambda: self.state, lambda: self.data.measured, self._loaded)
         self.tab = pn.widgets.RadioButtonGroup(
             label="Tab", options=list(TABS), value=TABS[0], color="primary", margin=6
         )
@@ -72,7 +72,8 @@ class Session:
     def _loaded(self, state: State) -> None:
         if state.pinned is not None:
             velocity_design(state.pinned)  # what cannot be designed is refused before anything changes
-        self.design.machines[state.axis.name] = state.axis
+        if state.axis.name not in machine_names():  # those stay what they are: a state may have changed their clock
+            self.design.machines[state.axis.name] = state.axis
         self.design.machine.options = list(self.design.machines)
         self.design.machine.value = state.axis.name
         self.design.set_state(state)

@@ -169,6 +169,7 @@ class DataView:
     def show(self, state: State) -> None:
         """Show the friction model of ``state``."""
         self.friction.value = state.friction
+        self.machine.options = list(self._machines())
 
     def _dropped(self, event: Any) -> None:
         if not event.new:
@@ -219,6 +220,13 @@ class DataView:
         """The axis that is chosen, with the columns that were chosen for the record."""
         axis = self._machines()[self.machine.value]
         return axis if self._table is None else axis.replace(record=self._table)
+
+    @property
+    def measured(self) -> dict[str, Any]:
+        """The record, its axis and the filter that were chosen, for a report; empty without a record."""
+        if self.record is None:
+            return {}
+        return {"record": self.record, "record_axis": self._axis, "chain": self.filter.value}
 
     def _withdraw(self) -> None:
         """Show no record and no result: after a refused upload the ones before would stand under its name."""

@@ -23,11 +23,15 @@ def numbers_table(state: State, design: VelocityLoopDesign, pinned: VelocityLoop
 
     def row(name: str, shown: VelocityLoopDesign) -> tuple[str, ...]:
         sampled, m = shown.sampled, shown.sampled.margins
-        filters = len(shown.filters)
+        filters, other = len(shown.filters), ""
+        if shown.axis.name != design.axis.name:
+            name = f"{name}, {inline(shown.axis.name)}"
+        if shown.axis.units != design.axis.units:  # the head's are this design's
+            other = f" <code>{shown.axis.units.unit('V/(m/s)')}</code>"
         return (
             name,
             shown.structure.label + (f", {filters} filter{'s' * (filters > 1)}" if filters else ""),
-            f"<b>{number(shown.k_v1)}</b>",
+            f"<b>{number(shown.k_v1)}</b>{other}",
             f"<b>{number(shown.t_v * 1e3)}</b>",
             angle(shown.phase_margin_deg),
             angle(shown.plant_input.phase_margin_deg),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+from collections.abc import Mapping
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from emps_design.axis import Axis
     from emps_design.compensation import Compensation
     from emps_design.control.velocity.design import VelocityLoopDesign
-    from emps_design.records import Record
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the zip format's first day: an archive carries no clock
 
@@ -28,14 +28,18 @@ def velocity_design(state: State) -> VelocityLoopDesign:
     return design_velocity_loop(state.axis, **state.requested)
 
 
-def report_html(state: State, record: Record | None = None) -> str:
-    """The page of ``report`` for ``state``, with the section on ``record`` where one is loaded."""
+def report_html(state: State, measured: Mapping[str, Any] | None = None) -> str:
+    """The page of ``report`` for ``state``, with the section on the record ``measured`` where one is loaded.
+
+    ``measured`` has ``record``, ``record_axis`` and ``chain`` of :func:`~emps_design.report.assemble.assemble_report`.
+    """
     from emps_design.report.assemble import assemble_report
 
     report = assemble_report(
         state.axis,
-        record,
         design_on="axis",
+        model=state.friction,
+        **(measured or {}),
         k_e1=state.k_e1,
         hand=state.hand,
         environment=state.wall * 1e3,

@@ -9,7 +9,6 @@ from typing import Any
 import panel as pn
 
 from emps_design.errors import EmpsError
-from emps_design.records import Record
 from emps_design.report.page import inline
 from emps_design.studio import exports
 from emps_design.studio.panes import html, message
@@ -28,12 +27,12 @@ class FilesView:
     """Buttons that hand out files of the state as it is now, and a field that loads a saved state."""
 
     def __init__(
-        self, state: Callable[[], State], record: Callable[[], Record | None], loaded: Callable[[State], None]
+        self, state: Callable[[], State], measured: Callable[[], dict[str, Any]], loaded: Callable[[State], None]
     ):
-        self._state, self._record, self._loaded = state, record, loaded
+        self._state, self._loaded = state, loaded
         self.message = html()
         made: tuple[tuple[str, str, str, Callable[[], bytes]], ...] = (
-            ("Report (HTML)", "report.html", REPORT, lambda: exports.report_html(state(), record()).encode()),
+            ("Report (HTML)", "report.html", REPORT, lambda: exports.report_html(state(), measured()).encode()),
             ("Figures (SVG)", "figures-svg.zip", VECTORS, lambda: exports.figures_zip(state(), "svg")),
             ("Figures (PNG)", "figures-png.zip", PIXELS, lambda: exports.figures_zip(state(), "png")),
             ("Model (TOML)", "model.toml", MODEL, lambda: exports.model_toml(state()).encode()),
@@ -82,9 +81,10 @@ class FilesView:
     def _load(self, event: Any) -> None:
         if not event.new:
             return
-        name = self.load.filename or "state"
+        name, content = self.load.filename or "state", bytes(event.new)
+        self.load.value = None  # so that the same file is heard again
         try:
-            self._loaded(State.from_toml(bytes(event.new).decode("utf-8", errors="strict"), name))
+            self._loaded(State.from_toml(content.decode("utf-8", errors="strict"), name))
         except UnicodeDecodeError:
             self._say(f"{name}: not UTF-8 text, expected a state saved by the studio", "stop")
             return
@@ -94,4 +94,4 @@ class FilesView:
         self._say(f"{name} is loaded; the design tab shows it", "good")
 
     def _say(self, text: str, level: str) -> None:
-        self.message.object = message(text, level)
+        self.message.object = self._state().axis.units.text(message(text, level))

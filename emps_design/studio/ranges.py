@@ -85,7 +85,22 @@ def choices_of(axis: Axis) -> dict[str, Choice]:
     (0.01, 0.5, 2.0)
     """
     found = sizes(axis)
-    return {name: _sized(choice, found[choice.size]) if choice.size else choice for name, choice in CHOICES.items()}
+    sized = {name: _sized(choice, found[choice.size]) if choice.size else choice for name, choice in CHOICES.items()}
+    for name, value in _own(axis).items():
+        sized[name] = replace(sized[name], lower=min(sized[name].lower, value), upper=max(sized[name].upper, value))
+    return sized
+
+
+def _own(axis: Axis) -> dict[str, float]:
+    """Numbers of the controls that ``axis`` has itself, whatever the range is otherwise."""
+    kp = position_gain(axis)
+    return {"computation_delay": axis.sampling.computation_delay, **({} if kp is None else {"position_kp": kp})}
+
+
+def position_gain(axis: Axis) -> float | None:
+    """The position gain kp [1/s] that the controller of ``axis`` has; None where it has none, or takes a record's."""
+    kp = (axis.controller.position or {}).get("kp")
+    return kp if isinstance(kp, int | float) else None
 
 
 def sizes(axis: Axis) -> dict[str, float]:

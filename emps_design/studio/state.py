@@ -14,7 +14,7 @@ from emps_design.control.velocity.structure import STRUCTURES, own_filters, own_
 from emps_design.errors import InputError, nearest_name
 from emps_design.laws.library.cascade import Filter
 from emps_design.quantities import read_frequency
-from emps_design.studio.ranges import CHOICES, Choice, choices_of
+from emps_design.studio.ranges import CHOICES, Choice, choices_of, position_gain
 
 MOST_FILTERS = 8
 SPECIFICATIONS = ("crossover", "bandwidth")
@@ -104,13 +104,16 @@ class State:
             for name, choice in now.items()
             if getattr(self, name) == before[name].first or not choice.holds(getattr(self, name))
         }
+        if self.position_kp == position_gain(self.axis):  # not set by hand
+            fresh["position_kp"] = now["position_kp"].first
         return replace(self, **fresh)._on(axis)
 
     def _on(self, axis: Axis) -> State:
         """These numbers on ``axis``, with what it says itself: clock, structure, filters, position gain."""
         structure, filters = own_structure(axis).label, own_filters(axis)
-        kp = (axis.controller.position or {}).get("kp", self.position_kp)
-        return replace(self, axis=axis, structure=structure, filters=filters, position_kp=kp, **_clock(axis))
+        kp = position_gain(axis)
+        kept = self.position_kp if kp is None else kp
+        return replace(self, axis=axis, structure=structure, filters=filters, position_kp=kept, **_clock(axis))
 
     def changed(self, **values: Any) -> State:
         """The state with some numbers changed, each within the range of its control, and the axis kept in step.
