@@ -62,7 +62,7 @@ WRONG = {
 NAMES = re.compile(r'"\w+":|"voltage"|# .*extended by.*')  # keys, and what is a name among the values
 # What is about the paper's machine, or about no machine.
 OF_THE_PAPER = re.compile(
-    r"<svg.*?</svg>|<style.*?</style>|<span translate=\"no\">.*?</span>|Unit of the torque constant.*?</tr>|on the EMPS",
+    r"<svg.*?</svg>|<style.*?</style>|<span translate=.no.>.*?</span>|Unit of the torque constant.*?</tr>|on the EMPS",
     re.DOTALL,
 )
 
