@@ -21,6 +21,7 @@ from emps_design.axis import Axis
 from emps_design.control.loop.sampled_loop import axis_loop
 from emps_design.control.plant.discretisation import sample_axis
 from emps_design.errors import InputError, UnstableError
+from emps_design.frequency_response.rehearsal import Bound, Signals, rehearsed
 from emps_design.frequency_response.waves import BLOCKS, GROUP, MultiSine, SteppedSine, Wave
 
 PLACES = ("command", "reference")
@@ -167,20 +168,28 @@ def design_experiment(
     unit = {
         "velocity": wave.peak(velocity),
         "command": wave.peak(one * command),
+        "added": wave.peak(one) if at == PLACES[0] else 0.0,
+        "own": wave.peak(one * (command - 1.0)) if at == PLACES[0] else 0.0,  # the controller's answer
         "position": wave.peak(velocity / (1j * w)),
         "jerk": wave.peak(velocity * (1j * w) ** 2),
     }
     amplitude, bound_by = _amplitude(axis, limits, speed, steady, unit)
     carried = one * period / (1.0 - np.exp(-1j * w * period)) if by == "reference" and _follows_velocity(axis) else one
     trains, each = wave.trains(amplitude * carried, flat, passes)
-    q_ref, excitation = _passes(period, speed, ramp, settle, trains, at)
+
+    def signals(share: float) -> Signals:
+        return _passes(period, speed, ramp, settle, [share * train for train in trains], at)
+
+    share, reached, cut_by = rehearsed(axis, _bounds(axis, limits), signals)
+    amplitude, bound_by = share * amplitude, cut_by or bound_by
+    q_ref, excitation, _ = signals(share)
     peaks = {name: amplitude * value for name, value in unit.items()}
     peaks = {
         **{f"excitation_{name}": value for name, value in peaks.items()},
-        "velocity": speed + peaks["velocity"],
-        "slowest": speed - peaks["velocity"],
-        "command": steady + peaks["command"],
-        "stroke": float(np.ptp(q_ref)) + 2.0 * peaks["position"],
+        "velocity": max(speed + peaks["velocity"], reached.velocity),
+        "slowest": min(speed - peaks["velocity"], reached.slowest),
+        "command": max(steady + peaks["command"], reached.command),
+        "stroke": max(float(np.ptp(q_ref)) + 2.0 * peaks["position"], reached.travel),
     }
     noise = NOISE_SHARE * axis.mechanics.coulomb if noise is None else noise
     std = _expected(axis, speed, w, amplitude * np.abs(one * command), each, noise)
@@ -225,7 +234,7 @@ def _amplitude(axis: Axis, limits: Limits, speed: float, steady: float, unit: di
     gain = axis.drive.gain
     rooms = {
         "speed of the passes": TURNING * speed / unit["velocity"],
-        "command limit": (ROOM * axis.drive.command_limit - steady) / unit["command"],
+        "command limit": (ROOM * axis.drive.command_limit - steady) / max(unit["command"], unit["own"], unit["added"]),
         "stroke": 0.5 * (1.0 - ROOM) * limits.stroke / unit["position"],
     }
     if limits.speed is not None:
@@ -238,6 +247,25 @@ def _amplitude(axis: Axis, limits: Limits, speed: float, steady: float, unit: di
     if not rooms[bound_by] > 0.0:
         raise InputError(f"{bound_by}: steady motion at {speed:.4g} m/s leaves no room for an excitation, go slower")
     return rooms[bound_by], bound_by
+
+
+def _bounds(axis: Axis, limits: Limits) -> list[Bound]:
+    """What the whole experiment must stay within when it is simulated."""
+    unit, gain = axis.units.unit, axis.drive.gain
+    bounds = [
+        Bound(
+            "command limit",
+            (1.0 - 1e-9) * axis.drive.command_limit,
+            lambda found: max(found.command, found.own),
+            unit("V"),
+        ),
+        Bound("stroke", limits.stroke, lambda found: found.travel, unit("m")),
+    ]
+    if limits.speed is not None:
+        bounds.append(Bound("speed limit", limits.speed, lambda found: found.velocity, unit("m/s")))
+    if limits.force is not None:
+        bounds.append(Bound("force limit", limits.force, lambda found: gain * found.command, unit("N")))
+    return bounds
 
 
 def _follows_velocity(axis: Axis) -> bool:
@@ -265,18 +293,20 @@ def _ramp(axis: Axis, limits: Limits, speed: float, steady: float, usual: float)
     return max(0.1, usual, 0.5 * np.pi * axis.mechanics.mass * speed / room) if room > 0.0 else usual
 
 
-def _passes(
-    period: float, speed: float, ramp: float, settle: int, trains: list[np.ndarray], at: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Reference and excitation of all passes; the velocity rises and falls as half a cosine."""
+def _passes(period: float, speed: float, ramp: float, settle: int, trains: list[np.ndarray], at: str) -> Signals:
+    """Reference and excitation of all passes, and where they are excited; the velocity changes as half a cosine."""
     rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(round(ramp / period)) + 0.5) / round(ramp / period))
     velocity, added, rest = [np.zeros(settle)], [np.zeros(settle)], np.zeros(settle)
+    excited = [rest]
     for i, train in enumerate(trains):
         flat = np.ones(settle + train.size)
         velocity += [(-1) ** i * np.concatenate([rise, flat, rise[::-1]]), rest]
-        added += [np.zeros(rise.size + settle), train, np.zeros(rise.size), rest]
+        before, after = np.zeros(rise.size + settle), np.zeros(rise.size)
+        added += [before, train, after, rest]
+        excited += [before, np.ones(train.size), after, rest]
     q_ref, excitation = speed * period * np.cumsum(np.concatenate(velocity)), np.concatenate(added)
-    return (q_ref, excitation) if at == PLACES[0] else (q_ref + excitation, np.zeros(q_ref.size))
+    told = (q_ref, excitation) if at == PLACES[0] else (q_ref + excitation, np.zeros(q_ref.size))
+    return *told, np.concatenate(excited) > 0.0
 
 
 def _expected(

@@ -49,6 +49,56 @@ def test_limits_are_kept_and_deviations_come_as_expected(axis):
     assert estimate.warnings == () or all("left out" in warning for warning in estimate.warnings)
 
 
+SERVO = {
+    "motion": "rotary",
+    "mechanics": {"mass": 2.5e-4, "viscous": 3e-4, "coulomb": 0.012, "offset": 0.002},
+    "drive": {"command": "current", "command_unit": "mA", "force_gain": 1.1e-4, "command_limit": 4000.0},
+    "sampling": {"period": 2.5e-4, "encoder_resolution": 6.283e-4},
+    "controller": {
+        "kind": "cascade",
+        "position": {"kp": 38.8, "every": 4},
+        "velocity": {"kp": 200.0, "ti": 0.019},
+        "filters": [{"kind": "lowpass", "frequency": 600.0}],
+        "velocity_estimator": "backward",
+    },
+}
+ROTARY = {"axis": SERVO, "limits": Limits(60.0, speed=50.0), "speed": 20.0, "band": (5.0, 800.0, 5.0)}
+HEAVY = {
+    "axis": {
+        "mechanics": {"mass": 900.0, "viscous": 400.0, "coulomb": 250.0},
+        "drive": {"force_gain": 42.0, "voltage_limit": 250.0},
+        "controller": {"kind": "cascade", "position": {"kp": 12.0}, "velocity": {"kp": 1200.0, "ti": 0.05}},
+    },
+    "limits": Limits(5.0, force=3000.0),
+    "speed": 0.5,
+    "band": (2.0, 200.0, 2.0),
+}
+
+
+@pytest.mark.parametrize("how", [{}, {"steps": 20}, {"at": "reference"}], ids=["multi-sine", "stepped", "reference"])
+@pytest.mark.parametrize("case", [ROTARY, HEAVY], ids=["rotary", "heavy"])
+def test_what_is_announced_holds_on_ramps_between_steps_and_for_the_controllers_own_share(case, how):
+    """Where the controller answers with more than the sum, its output is what meets the limit of the drive."""
+    axis = machine("emps2019").replace(effects=[], **case["axis"])
+    low, high, resolution = case["band"]
+    found = design_experiment(axis, case["limits"], case["speed"], low, high, resolution, **how)
+    simulated = Plant.of(axis).closed_loop(found.q_ref, voltage_noise=found.excitation)
+    limits, most = case["limits"], np.abs(simulated.u).max()
+    assert np.abs(simulated.v).max() <= min(found.peaks["velocity"] * (1.0 + 1e-9), limits.speed or np.inf)
+    assert most <= found.peaks["command"] * (1.0 + 1e-9)
+    assert most < axis.drive.command_limit
+    assert axis.drive.gain * most <= (limits.force or np.inf)
+    assert np.abs(simulated.u - found.excitation).max() < axis.drive.command_limit  # nor is the controller clipped
+    assert found.peaks["excitation_command"] > 0.01 * found.peaks["command"]
+
+
+def test_passes_that_break_a_limit_by_themselves_are_refused():
+    controller = {"kind": "cascade", "position": {"kp": 40.0}, "velocity": {"kp": 10.0, "ti": 0.01}}
+    axis = machine("emps2019").replace(**(LIGHT | {"controller": controller}))
+    with pytest.raises(InputError, match="speed limit: the passes alone reach .* m/s, expected at most 0.0557 m/s"):
+        design_experiment(axis, Limits(0.4, speed=0.0557), 0.05, low=3.0, high=150.0, resolution=1.0)
+
+
 def test_a_coarse_encoder_costs_at_most_twice_the_expected_deviation():
     axis = machine("emps2019").replace(**LIGHT).replace(sampling={"encoder_resolution": 1e-6})
     newtons = 0.004 * axis.mechanics.mass
