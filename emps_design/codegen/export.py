@@ -15,7 +15,8 @@ from emps_design.codegen.pages import Files, block_name, hash_of
 from emps_design.codegen.targets import in_c, in_json, in_st
 from emps_design.codegen.vectors import Vectors, vectors_of
 from emps_design.compensation.feedforward import FeedForward, terms_of
-from emps_design.errors import InputError
+from emps_design.control.loop.sampled_loop import axis_loop
+from emps_design.errors import AxisError, InputError, UnstableError
 from emps_design.files import write_text, write_together
 from emps_design.laws import law_of
 from emps_design.laws.drives import drive_settings, gains_of
@@ -25,18 +26,23 @@ if TYPE_CHECKING:
 
     from emps_design.axis import Axis
 
+UNTOLD = "whether the loop is stable was not checked: the law is not linear while the carriage slides"
 NO_COMPILER = "no C compiler was found: the units hold their source alone, for the importing tool to compile"
 
 
 @dataclass(frozen=True)
 class Exported:
-    """What was exported: the ``files`` by name with their text, and the ``vectors`` they were proved with."""
+    """What was exported: the ``files`` by name with their text, and the ``vectors`` they were proved with.
+
+    ``checked``: whether the loop was found stable.
+    """
 
     name: str
     target: str
     block: Block
     vectors: Vectors = field(repr=False)
     files: Files = field(repr=False)
+    checked: bool = True
 
     def write(self, folder: Path) -> None:
         """Write the files into ``folder``, which exists, all of them or none."""
@@ -67,7 +73,7 @@ class Exported:
             "drives": drive_settings(self.block.axis, {} if self.block.observes else gains_of(self.block.axis)),
             "units": {"single_precision_bound": self.block.axis.units.unit("N" if self.block.observes else "V")},
             "binary": (binary_for() or None) if self.target == "fmu" else None,
-            "warnings": [NO_COMPILER] if self.target == "fmu" and not binary_for() else [],
+            "warnings": [UNTOLD] * (not self.checked) + [NO_COMPILER] * (self.target == "fmu" and not binary_for()),
         }
 
 
@@ -96,7 +102,8 @@ def export_controller(
 
     ``compensation`` is what :func:`~emps_design.compensation.compensate` found, as plain data; the page says the
     ``origin`` of the axis. The same axis gives the same bytes. Raises :class:`InputError` for another target, for an
-    axis without a controller, for a law that has no translation and for a compensation of another axis.
+    axis without a controller, for a law that has no translation and for a compensation of another axis, and
+    :class:`UnstableError` for a controller whose loop on the axis is unstable.
 
     >>> from emps_design.machines import machine
     >>> list(export_controller(machine("emps2019"), "c").files)
@@ -105,8 +112,22 @@ def export_controller(
     if target not in TARGETS:
         raise InputError(f"`target`: found {target!r}, expected one of {', '.join(TARGETS)}")
     block = replace(Block.of(axis, None if compensation is None else _ahead(axis, compensation)), origin=origin)
+    checked = _checked(axis)
     name, vectors = block_name(axis.name), vectors_of(block)
-    return Exported(name, target, block, vectors, TARGETS[target](name, block, vectors))
+    return Exported(name, target, block, vectors, TARGETS[target](name, block, vectors), checked)
+
+
+def _checked(axis: Axis) -> bool:
+    """Whether the loop of ``axis`` is stable; False where a law is not linear, :class:`UnstableError` where not."""
+    try:
+        loop = axis_loop(axis)
+    except AxisError:
+        return False
+    if not loop.stable:
+        raise UnstableError(
+            f"axis {axis.name}: its loop is unstable, largest pole {loop.radius:.4g}: no code for a drive is written"
+        )
+    return True
 
 
 def _ahead(axis: Axis, found: Mapping[str, Any]) -> Ahead:

@@ -323,6 +323,16 @@ def test_a_compensation_of_another_axis_is_refused():
             export_controller(other, "c", document)
 
 
+def test_code_of_an_unstable_loop_is_not_written(tmp_path, capsys):
+    path, out = tmp_path / "axis.toml", tmp_path / "code"
+    table = {"kind": "cascade", "position": {"kp": 30.0}, "velocity": {"kp": 3e5, "ti": 0.05}}
+    path.write_text(machine("emps2019").replace(controller=table).to_toml())
+    for target in ("c", "st", "fmu", "json"):
+        assert app.run(["export", str(path), "--to", target, "--out", str(out)]) == 4
+        assert "its loop is unstable, largest pole" in capsys.readouterr().err
+        assert not out.exists()
+
+
 @compiled
 def test_a_users_law_is_exported_like_ours(tmp_path):
     own = tmp_path / "hardening.py"
@@ -332,6 +342,7 @@ def test_a_users_law_is_exported_like_ours(tmp_path):
         axis = Axis.from_dict({**machine("emps2019").to_dict(), "controller": OWN_TABLE})
         exported = written(axis, tmp_path)
         assert make_check(tmp_path).returncode == 0
+        assert "not checked: the law is not linear" in exported.to_dict()["warnings"][0]
         reference, run = laps(axis, exported.block.law, 5000)
         np.testing.assert_array_equal(Compiled(tmp_path, exported).run(reference, run.q, run.f_ext), run.u)
     finally:

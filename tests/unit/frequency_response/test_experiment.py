@@ -93,7 +93,7 @@ def test_what_is_announced_holds_on_ramps_between_steps_and_for_the_controllers_
 
 
 def test_passes_that_break_a_limit_by_themselves_are_refused():
-    controller = {"kind": "cascade", "position": {"kp": 40.0}, "velocity": {"kp": 10.0, "ti": 0.01}}
+    controller = {"kind": "cascade", "position": {"kp": 40.0}, "velocity": {"kp": 30.0, "ti": 0.05}}
     axis = machine("emps2019").replace(**(LIGHT | {"controller": controller}))
     with pytest.raises(InputError, match="speed limit: the passes alone reach .* m/s, expected at most 0.0557 m/s"):
         design_experiment(axis, Limits(0.4, speed=0.0557), 0.05, low=3.0, high=150.0, resolution=1.0)

@@ -1,0 +1,207 @@
+"""Pages of axes unlike the paper's: what takes phase, where gains are from, whose units, how large walls are taken."""
+
+import re
+from html import unescape
+
+import numpy as np
+import pytest
+
+from emps_design.axis import Axis
+from emps_design.control.force.design import design_force_loop
+from emps_design.control.velocity.design import design_velocity_loop
+from emps_design.control.velocity.retune import retune_velocity_loop
+from emps_design.machines import machine
+from emps_design.paper import find_errata
+from emps_design.report import Page, Section, Text
+from emps_design.report.assemble import assemble_report
+from emps_design.report.design import design_page, design_results
+from emps_design.report.display import quantity
+from emps_design.report.force_figures import force_limit_figure
+from emps_design.report.impedance import _errata_table
+from emps_design.simulation.synthetic import synthetic_record
+
+JOINT = Axis.from_dict(
+    {
+        "name": "joint",
+        "motion": "rotary",
+        "mechanics": {"mass": 0.0021, "viscous": 0.013, "coulomb": 0.08, "offset": 0.01},
+        "drive": {"command": "current", "force_gain": 0.45, "command_limit": 12.0, "current_time_constant": 0.4e-3},
+        "sampling": {"period": 0.5e-3, "encoder_resolution": 2e-4, "computation_delay": 2},
+    }
+)
+GANTRY = Axis.from_dict(
+    {
+        "name": "gantry",
+        "mechanics": {"mass": 62.0, "viscous": 310.0, "coulomb": 48.0},
+        "drive": {"command": "torque", "command_unit": "%", "force_gain": 15.08, "command_limit": 145.0},
+        "sampling": {"period": 1e-3, "encoder_resolution": 1e-8},
+    }
+)
+LOW = [{"kind": "lowpass", "frequency": 200.0}]
+COUPLING = {"kind": "flexible_coupling", "frequency": 150.0, "damping": 0.1, "share": 0.2}
+
+
+def page_of(velocity) -> str:
+    return design_page(design_results(velocity)).html()
+
+
+def takers(page: str) -> str:
+    """What the page says takes phase at the plant input."""
+    return re.search(r"At the plant input, ([^.]*?) take [\d.]+°", page)[1]
+
+
+def with_filters(axis: Axis) -> Axis:
+    return axis.replace(controller={"kind": "cascade", "velocity": {"kp": 99.0, "ti": 0.1}, "filters": LOW})
+
+
+def test_what_takes_phase_is_named_with_the_filters_and_the_effects_of_the_axis(sketched):
+    plain = machine("emps2018")
+    flexible = plain.replace(effects=[COUPLING])
+    said = [
+        takers(page_of(design_velocity_loop(axis, crossover=50.0)))
+        for axis in (plain, with_filters(plain), flexible, with_filters(flexible))
+    ]
+    always = "sampling, hold, current loop, delay"
+    assert said == [
+        f"{always} and velocity estimator",
+        f"{always}, velocity estimator and filters of the command",
+        f"{always}, velocity estimator and effects of the axis",
+        f"{always}, velocity estimator, filters of the command and effects of the axis",
+    ]
+
+
+def test_margins_are_said_to_contain_the_filters(sketched):
+    assert "the velocity estimator, the filters of the command and the effects of the axis file" in page_of(
+        design_velocity_loop(machine("emps2018"), crossover=50.0)
+    )
+
+
+def test_gains_that_were_retuned_are_not_those_of_equation_7(sketched):
+    asked = page_of(design_velocity_loop(machine("emps2018"), crossover=60.0))
+    assert "(7); kp of a drive" in asked
+    assert "there are gains for phase margins between" in asked
+    retuned = page_of(retune_velocity_loop(machine("emps2018"), crossover=60.0))
+    assert "retuned, for the loop as sampled; kp of a drive" in retuned
+    assert "retuned, for the loop as sampled; Tn of a drive" in retuned
+    assert not re.search(r"\(7\); (kp|Tn) of a drive", retuned)
+    assert "there are gains for phase margins between" not in retuned
+
+
+def test_errata_of_the_paper_stay_in_the_papers_units():
+    units = GANTRY.units
+    page = Page("", "", (), (Section("Errata", Text("k_v1 in V/(m/s)"), _errata_table()),), units=units)
+    written = unescape(page.html())
+    assert "k_v1 in %/(m/s)" in written
+    assert any(units.text(one.text) != one.text for one in find_errata())
+    for one in find_errata():
+        assert one.text in written, one.place
+
+
+@pytest.mark.parametrize(
+    ("axis", "gain", "wall", "said"),
+    [
+        (machine("emps2018"), 0.01, 1e4, "Force loop: a {} was taken, not asked for."),
+        (JOINT, 1e3, 0.1, "Torque loop: a {} was taken, not asked for."),
+    ],
+    ids=["emps2018", "joint"],
+)
+def test_what_a_force_loop_was_not_given_is_taken_by_the_mass_and_said(axis, gain, wall, said, sketched):
+    walled = assemble_report(axis, crossover=100.0, environment=wall)
+    assert walled.results.force.k_e1 == pytest.approx(gain)
+    assert walled.results.force.environment == wall
+    gained = assemble_report(axis, crossover=100.0, k_e1=gain)
+    assert gained.results.force.environment == pytest.approx(wall)
+    assert gained.results.force.k_e1 == gain
+    for report, what in (
+        (walled, f"gain of {quantity(gain, '(m/s)/N')}"),
+        (gained, f"wall of {quantity(wall, 'N/m')}"),
+    ):
+        assert said.format(axis.units.text(what)) in report.page.html()
+    whole = assemble_report(axis, crossover=100.0, k_e1=gain, environment=wall)
+    assert "not asked for" not in whole.page.html()
+
+
+def test_the_gain_and_the_wall_taken_for_a_light_axis_are_no_absurd_ones():
+    taken = assemble_report(JOINT, crossover=100.0, hand=0.01).results.force
+    assert taken.environment == 0.0
+    assert taken.k_c == pytest.approx(1e-3)  # N m/(rad/s), of the size of the axis's own friction
+
+
+def shades(figure) -> list[np.ndarray]:
+    """Corners (n, 2) of each shaded area."""
+    return [path.vertices for shade in figure.axes[0].collections for path in shade.get_paths() if len(path.vertices)]
+
+
+@pytest.mark.parametrize(
+    ("axis", "crossover", "k_e1", "wall"),
+    [
+        (machine("emps2018"), 100.0, 1e-6, 1e4),
+        (machine("emps2018"), 100.0, 50.0, 3e7),
+        (JOINT, 150.0, 500.0, 0.5),
+        (JOINT, 150.0, 500.0, 200.0),
+    ],
+)
+def test_the_design_lies_inside_the_picture_of_the_largest_gain(axis, crossover, k_e1, wall):
+    design = design_force_loop(design_velocity_loop(axis, crossover=crossover), k_e1, environment=wall)
+    axes = force_limit_figure(design).axes[0]
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    assert left < wall / 1e3 < right
+    assert bottom < k_e1 < top
+    marked = [tuple(line.get_xydata()[0]) for line in axes.get_lines() if line.get_marker() in ("o", "X")]
+    assert marked == [(wall / 1e3, k_e1)]
+
+
+def test_without_a_wall_the_picture_is_around_the_stiffness_at_which_the_mass_swings_at_the_crossover():
+    design = design_force_loop(design_velocity_loop(JOINT, crossover=150.0), 500.0, hand=0.01)
+    left, right = force_limit_figure(design).axes[0].get_xlim()
+    assert left < JOINT.mechanics.mass * 150.0**2 / 1e3 < right
+    assert right / left < 1e4
+
+
+def test_the_limit_is_shaded_from_the_dashed_line_to_the_top():
+    design = design_force_loop(design_velocity_loop(JOINT, crossover=150.0), 500.0, hand=0.01, environment=0.5)
+    figure = force_limit_figure(design)
+    bottom, top = figure.axes[0].get_ylim()
+    sampled = figure.axes[0].get_lines()[1].get_ydata()
+    (corners,) = shades(figure)
+    assert corners[:, 1].min() == pytest.approx(np.nanmin(sampled))
+    assert corners[:, 1].max() == pytest.approx(top)
+    assert bottom <= np.nanmin(sampled) < np.nanmax(sampled) <= top
+
+
+def test_where_no_gain_is_stable_the_whole_height_is_shaded():
+    axis = machine("emps2018").replace(sampling={"computation_delay": 2})
+    velocity = design_velocity_loop(axis, crossover=300.0, phase_margin_deg=20.0)
+    design = design_force_loop(velocity, 0.01, environment=1e4)
+    assert design.k_e1_max_sampled == 0.0
+    figure = force_limit_figure(design)
+    bottom, top = figure.axes[0].get_ylim()
+    (corners,) = shades(figure)
+    assert corners[:, 1].min() == pytest.approx(bottom)
+    assert corners[:, 1].max() == pytest.approx(top)
+    assert bottom < design.k_e1 < top
+
+
+def test_a_record_is_identified_with_the_drive_of_the_axis_that_made_it(sketched):
+    made_on = machine("emps2019")
+    other = machine("emps2018").replace(name="other", drive={"force_gain": 70.0})
+    record = synthetic_record(made_on, laps=1)
+    own, alike = (
+        assemble_report(other, record, design_on="axis", crossover=100.0, record_axis=axis) for axis in (made_on, None)
+    )
+    assert own.found[0].parameters["mass"].value == pytest.approx(95.1, abs=1.0)
+    assert alike.found[0].parameters["mass"].value == pytest.approx(95.1 * 70.0 / 35.15, rel=0.02)
+    assert own.results.velocity.axis == alike.results.velocity.axis
+    assert "is identified below, with the drive of emps2019." in own.page.html()
+    assert "is compared with it below." in alike.page.html()
+
+
+def test_a_record_of_an_axis_with_other_units_is_left_out_and_the_page_says_so(sketched):
+    made_on = machine("emps2019")
+    report = assemble_report(
+        JOINT, synthetic_record(made_on, laps=1), design_on="axis", crossover=100.0, record_axis=made_on
+    )
+    page = report.page.html()
+    assert report.found == ()
+    assert "The record was made on emps2019, an axis with other units: this page leaves it out." in page
+    assert "<h2>Record" not in page

@@ -1,0 +1,328 @@
+"""What the studio says: no green word over what is unstable, and each record, unit and gain is that of its own axis."""
+
+import json
+import re
+
+import pytest
+
+pytest.importorskip("panel", reason="the extra 'studio' is not installed")
+
+from panel.widgets import FileDownload
+
+from emps_design import discrepancy
+from emps_design.axis import Axis
+from emps_design.control.impedance.law import FrictionModel, impedance_law
+from emps_design.control.impedance.robustness import verdict
+from emps_design.control.impedance.sampled import Clock, extended_loop
+from emps_design.errors import EmpsError
+from emps_design.machines import machine
+from emps_design.progress import untold
+from emps_design.report import Section
+from emps_design.report.display import sentence_of
+from emps_design.report.page import inline
+from emps_design.simulation.synthetic import synthetic_record
+from emps_design.studio import exports, jobs
+from emps_design.studio.app import Session
+from emps_design.studio.compensation_view import CompensationView
+from emps_design.studio.design_tables import laws_table, numbers_table
+from emps_design.studio.design_view import DesignView
+from emps_design.studio.motion import move
+from emps_design.studio.record_work import NAMED_MODEL, diagnose_work
+from emps_design.studio.simulated import simulate
+from emps_design.studio.state import State
+
+JOINT = Axis.from_dict(
+    {
+        "name": "joint",
+        "motion": "rotary",
+        "mechanics": {"mass": 0.0021, "viscous": 0.013, "coulomb": 0.08, "offset": 0.01},
+        "drive": {"command": "current", "force_gain": 0.45, "command_limit": 12.0, "current_time_constant": 0.4e-3},
+        "sampling": {"period": 0.5e-3, "encoder_resolution": 2e-4, "computation_delay": 2},
+    }
+)
+CASCADE = {
+    "kind": "cascade",
+    "position": {"kp": 60.0, "every": 4},
+    "velocity": {"kp": 150.0, "ti": 0.04},
+    "filters": [{"kind": "lowpass", "frequency": 300.0}],
+}
+DRIVE = machine("emps2018").replace(name="drive", controller=CASCADE)
+FLEXIBLE = machine("emps2018").replace(
+    name="flexible", effects=[{"kind": "flexible_coupling", "frequency": 45.0, "damping": 0.03, "share": 0.3}]
+)
+LATE = JOINT.replace(name="late", sampling={"period": 0.1e-3, "computation_delay": 8})
+RECORD = synthetic_record(machine("emps2019"), laps=1)
+SLOW = [{"kind": "lowpass", "frequency": 0.3}] * 3  # with which no loop is stable
+
+
+def state(**values) -> State:
+    return State.of(machine("emps2018")).changed(**values)
+
+
+def view_of(now: State) -> DesignView:
+    return DesignView(now, {now.axis.name: now.axis}, lambda state: None)
+
+
+def told(text: str) -> str:
+    """The level of the message ``text``."""
+    return re.search(r'<div class="message (\w+)"', text)[1]
+
+
+@pytest.fixture
+def at_once(monkeypatch):
+    """Work of a tab done where it is started."""
+
+    def start(job, work, done, failed):
+        try:
+            found = work(lambda stage, share: None)
+        except EmpsError as error:
+            failed(str(error))
+        else:
+            done(found)
+
+    monkeypatch.setattr(jobs.Job, "start", start)
+
+
+@pytest.mark.parametrize(("frequency", "kp", "clips"), [(20.0, 36.0, False), (12.0, 60.0, True)])
+def test_a_motion_under_an_unstable_cascade_is_stopped_whether_the_command_clips_or_not(frequency, kp, clips):
+    found = move(state(frequency=frequency, position_kp=kp), None, None, untold)
+    assert not found.loop.stable
+    assert (found.runs["this design"].to_dict()["saturated_share"] > 0.0) == clips
+    level, text = found.verdict()
+    assert level == "stop"
+    assert text.startswith("The cascade of this design is unstable. there and back, kp")
+
+
+def test_the_motion_tab_shows_the_stop_beside_a_stable_controller_of_the_axis(at_once):
+    session = Session(machine("emps2018"))
+    session.design.turn("frequency", 30.0)
+    session.design.turn("position_kp", 60.0)
+    session.motion._start()
+    assert told(session.motion.message.object) == "stop"
+    assert "is unstable" in session.motion.message.object
+    session.design.turn("position_kp", 20.0)
+    session.motion._start()
+    assert told(session.motion.message.object) == "good"
+    assert "unstable" not in session.motion.message.object
+
+
+def test_a_position_loop_that_is_unstable_around_a_slow_design_is_said_in_the_design_tab():
+    view = view_of(State.of(DRIVE))
+    assert told(view.message.object) == "note"
+    view.turn("frequency", 12.0)
+    assert view.design.sampled.stable
+    assert view.design.refused.startswith("the axis file's position loop with kp = 60 is unstable")
+    assert told(view.message.object) == "stop"
+    assert inline(sentence_of(view.design.refused)) in view.message.object
+
+
+def test_gains_handed_out_say_that_the_kept_position_loop_is_unstable():
+    slow, fast = (json.loads(exports.gains_json(State.of(DRIVE).changed(frequency=f))) for f in (12.0, 100.0))
+    assert slow["reason"].startswith("the axis file's position loop with kp = 60 is unstable around")
+    assert [loop["stable"] for loop in slow["kept_position_loop"]["loops"]][-1] is False
+    assert "reason" not in fast
+    assert [loop["stable"] for loop in fast["kept_position_loop"]["loops"]][-1] is True
+    with pytest.raises(EmpsError, match="no controller is handed out: the axis file's position loop"):
+        exports.model_toml(State.of(DRIVE).changed(frequency=12.0))
+
+
+def test_an_impedance_law_that_a_coupling_makes_unstable_is_unstable_in_the_design_tab():
+    now = State.of(FLEXIBLE)
+    law = impedance_law(FLEXIBLE, now.mass, now.damping, now.filter)
+    assert not extended_loop(FLEXIBLE, law).stable
+    assert verdict(law, FrictionModel.of(FLEXIBLE), Clock.of(FLEXIBLE)) != "unstable"  # which knows no coupling
+    flexible, rigid = (laws_table(one, exports.velocity_design(one)) for one in (now, state()))
+    assert flexible.count('<b class="no">unstable</b>') == 2  # exact, and over-estimated
+    assert "unstable" not in rigid
+
+
+def test_a_gap_that_no_effect_explains_is_no_good_news(monkeypatch):
+    sought = discrepancy.diagnose
+    monkeypatch.setattr(
+        discrepancy, "diagnose", lambda record, axis, progress, closest: sought(record, axis, library=())
+    )
+    axis = machine("emps2019")
+    ripple = {"kind": "position_ripple", "amplitude": 6.0, "phase": 0.7, "period": 0.005}
+    record = synthetic_record(axis.replace(effects=[ripple]), laps=1)
+    assert sought(record, axis, library=()).to_dict()["verdict"] == "unnamed"
+    found = diagnose_work(record, axis, {"sought": NAMED_MODEL}, untold)
+    assert found["level"] == "warning"
+    assert diagnose_work(RECORD, axis, {"sought": NAMED_MODEL}, untold)["level"] == "good"
+
+
+def test_a_wall_that_is_bounced_off_for_ever_stops_a_law_that_is_stable_in_the_air():
+    found = simulate(state(wall=150.0, mismatch_percent=0.0, plants=0))
+    assert found.worst["verdict"] == "stable"
+    assert found.wall.verdict == "bouncing"
+    level, text = found.verdict()
+    assert level == "stop"
+    assert text.endswith("Pushed into the wall of 150 N/mm it is bouncing, where the poles of the loop are unstable.")
+    soft = simulate(state(wall=10.0, mismatch_percent=0.0, plants=0))
+    assert soft.verdict()[0] == "good"
+    assert "wall" not in soft.verdict()[1]
+
+
+def test_poles_at_the_wall_say_that_the_effects_of_the_axis_are_not_in_them():
+    found = simulate(State.of(FLEXIBLE).changed(plants=0, mismatch_percent=0.0))
+    assert found.verdict()[0] == "stop"
+    assert dict(found.rows())["poles of the loop at that wall, without the effects"] == "stable"
+
+
+def test_what_was_found_for_a_design_is_withdrawn_where_the_next_is_refused(at_once):
+    now = state()
+    view = CompensationView(lambda: now)
+    view._start()
+    assert view.found is not None
+    assert not view.download.disabled
+    refused = now.changed(filters=SLOW)
+    with pytest.raises(EmpsError):
+        exports.controlled(now.axis, refused)
+    view.show(refused)
+    assert view.found is None
+    assert view.download.disabled
+    assert view.picture.object == view.message.object == ""
+
+
+def test_a_turn_to_a_refused_design_reaches_every_tab(at_once):
+    session = Session(machine("emps2018"))
+    session.compensation._start()
+    assert session.compensation.found is not None
+    session.design.turn("filters", SLOW)
+    assert session.design.design.refused
+    assert session.state == session.design.state
+    assert len(session.state.filters) == 3
+    assert session.compensation.found is None
+    assert session.compensation.download.disabled
+
+
+def test_a_pinned_design_of_another_axis_has_its_name_and_its_unit():
+    joint, carriage = (exports.velocity_design(State.of(axis)) for axis in (JOINT, machine("emps2018")))
+    table = numbers_table(state(), carriage, joint)
+    assert "<th>pinned, joint</th>" in table
+    assert "<code>A/(rad/s)</code>" in table
+    alike = numbers_table(state(), carriage, exports.velocity_design(state(frequency=60.0)))
+    assert "<th>pinned</th>" in alike
+    assert "<code>" not in alike
+
+
+def test_the_unit_of_a_pinned_design_is_not_put_into_those_of_the_axis():
+    session = Session(machine("emps2018"))
+    session.design.machines[JOINT.name] = JOINT
+    session.design.machine.options = list(session.design.machines)
+    session.design.pin.value = True
+    session.design.machine.value = "joint"
+    assert "k_v1 [A/(rad/s)]" in session.design.numbers.object
+    assert "<th>pinned, emps2018</th>" in session.design.numbers.object
+    assert "<code>V/(m/s)</code>" in session.design.numbers.object
+
+
+def test_a_long_delay_is_designed_with_and_comes_back_from_a_file():
+    now = State.of(LATE)
+    assert now.computation_delay == 8
+    assert State.from_toml(now.to_toml()) == now
+    view = view_of(now)
+    assert view.design is not None
+    assert view.design.axis.sampling.computation_delay == 8
+    assert view.knobs["computation_delay"].slider.value == view.knobs["computation_delay"].slider.end == 8
+    view.turn("frequency", now.frequency / 2.0)  # nothing of the delay
+    assert view.state.axis.sampling.computation_delay == 8
+
+
+def test_a_high_position_gain_of_an_axis_comes_back_from_a_file():
+    quick = DRIVE.replace(controller={**CASCADE, "position": {"kp": 25000.0}})
+    now = State.of(quick)
+    assert now.position_kp == 25000.0
+    assert State.from_toml(now.to_toml()) == now
+
+
+def load(session: Session, now: State) -> None:
+    session.files.load.filename, session.files.load.value = "state.toml", now.to_toml().encode()
+
+
+def test_a_state_of_an_embedded_machine_leaves_the_machine_in_the_list_as_it_was():
+    session = Session(JOINT)
+    load(session, state(period_ms=4.0, computation_delay=3, frequency=20.0))
+    assert (session.state.period_ms, session.state.axis.sampling.computation_delay) == (4.0, 3)
+    assert session.design.machines["emps2018"] == machine("emps2018")
+    session.design.machine.value = "joint"
+    session.design.machine.value = "emps2018"
+    assert (session.state.period_ms, session.state.computation_delay) == (1.0, 0)
+
+
+def test_the_axis_of_a_loaded_state_is_offered_for_a_record():
+    session = Session(JOINT)
+    before = session.data.machine.value
+    load(session, State.of(DRIVE))
+    assert "drive" in session.design.machine.options
+    assert session.data.machine.options == session.design.machine.options
+    assert session.data.machine.value == before
+    session.data.machine.value = "drive"
+    assert session.data._axis == DRIVE
+
+
+def test_the_same_file_is_loaded_twice():
+    session, now = Session(JOINT), state(frequency=80.0)
+    load(session, now)
+    assert session.files.load.value is None
+    session.design.turn("frequency", 50.0)
+    load(session, now)
+    assert session.state.frequency == session.design.design.crossover == 80.0
+    assert told(session.files.message.object) == "good"
+    session.files.load.value = b"x"
+    assert told(session.files.message.object) == "stop"
+    assert session.files.load.value is None
+    assert session.state.frequency == 80.0
+
+
+def test_a_position_gain_of_an_axis_file_stays_with_that_axis():
+    moved = State.of(DRIVE).with_axis(machine("emps2018"))
+    assert moved.position_kp == State.of(machine("emps2018")).position_kp == 20.0
+    assert State.of(DRIVE).changed(position_kp=33.0).with_axis(machine("emps2018")).position_kp == 33.0
+    assert state().with_axis(DRIVE).position_kp == 60.0
+
+
+@pytest.fixture
+def short(monkeypatch, sketched):
+    """Reports without the section on the impedance law, which takes longest."""
+    monkeypatch.setattr("emps_design.report.impedance.impedance_section", lambda *arguments: Section("Left out"))
+
+
+def test_a_record_is_identified_with_its_own_axis_whatever_is_designed_on(short):
+    other = machine("emps2018").replace(drive={"force_gain": 70.0})
+    session = Session(other, RECORD)
+    session.data.machine.value, session.data.filter.value = "emps2019", "paper"
+    page = exports.report_html(session.state, session.data.measured)
+    record = page[page.index("<h2>Record") :]
+    (mass,) = set(re.findall(r">mass</t.>\s*<td[^>]*>kg</td>\s*<td[^>]*>([\d.]+)</td>", record))
+    assert float(mass) == pytest.approx(95.1, abs=1.0)  # twice as much with the other force gain
+    assert "Filter paper:" in record
+    assert "identified below, with the drive of emps2019" in page
+
+
+def test_a_record_of_other_units_is_left_out_of_the_report_and_the_page_says_so(short):
+    page = exports.report_html(state(), {"record": RECORD, "record_axis": JOINT, "chain": "paper"})
+    assert "The record was made on joint, an axis with other units: this page leaves it out." in page
+    assert "<h2>Record" not in page
+
+
+def test_the_report_is_handed_out_with_the_record_its_axis_and_its_filter(monkeypatch):
+    asked = []
+    monkeypatch.setattr(exports, "report_html", lambda now, measured: asked.append(measured) or "page")
+    session = Session(JOINT, RECORD)
+    session.data.machine.value, session.data.filter.value = "emps2019", "paper"
+    button = session.files.view.select(FileDownload)[0]
+    assert button.callback().read() == b"page"
+    session.data._withdraw()
+    button.callback()
+    assert asked == [{"record": RECORD, "record_axis": machine("emps2019"), "chain": "paper"}, {}]
+
+
+def test_what_the_files_tab_says_is_in_the_units_of_the_axis(monkeypatch):
+    def refuse(now, measured):
+        raise EmpsError("found a wall of 3 N/m")
+
+    monkeypatch.setattr(exports, "report_html", refuse)
+    session = Session(JOINT)
+    with pytest.raises(EmpsError):
+        session.files.view.select(FileDownload)[0].callback()
+    assert "a wall of 3 N m/rad" in session.files.message.object
