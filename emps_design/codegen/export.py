@@ -15,6 +15,7 @@ from emps_design.codegen.pages import Files, block_name, hash_of
 from emps_design.codegen.targets import in_c, in_json, in_st
 from emps_design.codegen.vectors import Vectors, vectors_of
 from emps_design.compensation.feedforward import FeedForward, terms_of
+from emps_design.compensation.study import digest_of
 from emps_design.control.loop.sampled_loop import axis_loop
 from emps_design.errors import AxisError, InputError, UnstableError
 from emps_design.files import write_text, write_together
@@ -140,6 +141,11 @@ def _ahead(axis: Axis, found: Mapping[str, Any]) -> Ahead:
         raise InputError(
             f"compensation: found the terms {', '.join(map(str, kept))} of the axis {found.get('axis')}, expected "
             f"those of {axis.name}; run compensate on this axis"
+        )
+    if found.get("axis_sha256", digest_of(axis)) != digest_of(axis):
+        raise InputError(
+            f"compensation: found one of {axis.name} with other numbers or another controller, expected one of this "
+            "axis; run compensate on it"
         )
     ahead = replace(FeedForward.of(axis, kept), reversal=float(reversal))
     if taken and law_of(axis, axis.sampling.period).follows != "position":

@@ -7,6 +7,7 @@ left out.
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -78,6 +79,7 @@ class Compensation:
         """The contract's keys, and what was assumed."""
         return {
             "axis": self.axis.name,
+            "axis_sha256": digest_of(self.axis),
             "tracking_rms": {
                 "without": self.without,
                 "baseline": self.baseline,
@@ -105,6 +107,11 @@ class Compensation:
             },
             "warnings": list(self.warnings),
         }
+
+
+def digest_of(axis: Axis) -> str:
+    """SHA-256 of all that ``axis`` says but its name."""
+    return hashlib.sha256(axis.replace(name="axis").to_toml().encode()).hexdigest()
 
 
 @dataclass(frozen=True)

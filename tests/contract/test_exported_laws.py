@@ -318,6 +318,7 @@ def test_a_compensation_of_another_axis_is_refused():
         (axis.replace(name="other"), found, "run compensate on this axis"),
         (axis, {**found, "kept": ["position_ripple"]}, "expected those of emps2019"),
         (axis, {}, "expected what compensate writes"),
+        (axis.replace(controller={"kp": 100.0}), found, "with other numbers or another controller"),
     ):
         with pytest.raises(InputError, match=message):
             export_controller(other, "c", document)
