@@ -174,6 +174,15 @@ def rounded(value: float, places: int = 2) -> str:
     return f"{value:.{places}g}" if small else f"{value:.{places}f}"
 
 
+def decimals(size: float, places: int = 4) -> int:
+    """How many decimals show a number of about ``size``: ``places``, and so many digits of one below 0.1.
+
+    >>> decimals(96.2), decimals(0.5), decimals(0.00025), decimals(0.0)
+    (4, 4, 7, 4)
+    """
+    return places if not 0.0 < abs(size) < 0.1 else places - 1 - math.floor(math.log10(abs(size)))
+
+
 def inside(label: str) -> str:
     """``label`` as it stands inside a sentence: without its capital, unless that is a name's.
 

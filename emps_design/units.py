@@ -71,10 +71,10 @@ _QUANTITY = re.compile(rf"(?<![\w.])({_NUMBER}(?:(?: \+- | ± | to |–|, | and 
 _BEFORE = r"(?<=[\])] )|(?<=unbounded )|(?<=per )|(?<=\bin )"
 _AFTER = re.compile(rf"(?:{_BEFORE}|(?<=, )(?={_UNIT}$)|^(?={_UNIT}(?:$| rms)))({_UNIT})")
 _BRACKETS = re.compile(r"\[([^\[\]]*)\]")
-# Not prose: drawings, styles, code, what others wrote, tags, arguments and commands.
+# Not prose: drawings, styles, code, what others wrote and what is quoted of them, tags, arguments and commands.
 _CODE = re.compile(
     r"(<svg\b.*?</svg>|<style\b.*?</style>|<pre\b.*?</pre>|<code\b.*?</code>"
-    r"|<span translate=\"no\">.*?</span>|</?[a-z][^<>]*>"
+    r"|(?<!\w)'[^'\n]{1,80}'(?!\w)|<span translate=\"no\">.*?</span>|</?[a-z][^<>]*>"
     r"|\x60[^\x60]*\x60|emps-design \w+)",
     re.DOTALL,
 )

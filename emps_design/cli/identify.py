@@ -152,7 +152,7 @@ def _one(estimator: str, record: Record, axis: Axis, options: dict[str, Any]) ->
 
 def _show_one(found: Identification) -> None:
     from emps_design.cli.output import new_console, new_table
-    from emps_design.quantities import rounded
+    from emps_design.quantities import decimals, rounded
 
     console = new_console()
     title = f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}"
@@ -163,24 +163,24 @@ def _show_one(found: Identification) -> None:
             table.add_row(name, "not determined", "", "", "", "", estimate.quantity.unit)
             continue
         low, high = estimate.interval_95
-        percent = estimate.relative_std_percent
+        percent, n = estimate.relative_std_percent, decimals(max(abs(estimate.value or 0.0), estimate.std or 0.0))
         table.add_row(
             name,
-            f"{estimate.value:.4f}",
-            f"{estimate.std:.4f}",
+            f"{estimate.value:.{n}f}",
+            f"{estimate.std:.{n}f}",
             "" if percent is None else f"{percent:.2f}",
-            f"{estimate.std_long_run:.4f}",
-            f"{0.5 * (high - low):.4f}",
+            f"{estimate.std_long_run:.{n}f}",
+            f"{0.5 * (high - low):.{n}f}",
             estimate.quantity.unit,
         )
     console.print(table)
     for label, key in ((f"HAC std, lag {found.hac_lag:.2f} s", "std_hac"), ("bootstrap std", "std_bootstrap")):
         known = {name: getattr(e, key) for name, e in found.parameters.items() if getattr(e, key) is not None}
         if known:
-            console.print(f"{label}: {', '.join(f'{name} {std:.4f}' for name, std in known.items())}")
+            console.print(f"{label}: {', '.join(f'{name} {rounded(std, 4)}' for name, std in known.items())}")
     console.print(
-        f"force error {found.rms_error:.4f} N rms, {found.relative_error_percent:.4f} % of the force; "
-        f"condition number {found.condition_number:.1f}"
+        f"force error {rounded(found.rms_error, 4)} N rms, "
+        f"{found.relative_error_percent:.4f} % of the force; condition number {found.condition_number:.1f}"
     )
     console.print(
         f"* {found.samples} rows count as {found.residual.effective_samples:.0f} independent ones (residual correlated "
@@ -193,7 +193,7 @@ def _show_one(found: Identification) -> None:
         judged = found.extra["held_out"]
         share = judged["relative_error_percent"]
         compared = f"{share:.4f} %" if math.isfinite(share) else "where there is no force to compare it with"
-        console.print(f"held out, {judged['on']}: {judged['rms_error']:.4f} N rms, {compared}")
+        console.print(f"held out, {judged['on']}: {rounded(judged['rms_error'], 4)} N rms, {compared}")
     if "cutoff_from_data" in found.extra:
         chosen = found.extra["cutoff_from_data"]["cutoff_hz"]
         if found.chain != "hold":
@@ -218,17 +218,19 @@ def _show_one(found: Identification) -> None:
 
 def _show_several(found: SeveralIdentifications) -> None:
     from emps_design.cli.output import new_console, new_table
+    from emps_design.quantities import decimals
 
     console = new_console()
     headings = ("parameter", "mean", "spread", "std *", "drift/record", "unit")
     table = new_table(f"{len(found.records)} records, {found.model} model", *headings, words=("unit",), whole=True)
     for row in found.table():
+        n = decimals(max(abs(row["mean"]), row["std"]))
         table.add_row(
             row["name"],
-            f"{row['mean']:.4f}",
-            f"{row['spread']:.4f}",
-            f"{row['std']:.4f}",
-            "-" if row["drift"] is None else f"{row['drift']:+.4f}" + (" **" if row["drift_significant"] else ""),
+            f"{row['mean']:.{n}f}",
+            f"{row['spread']:.{n}f}",
+            f"{row['std']:.{n}f}",
+            "-" if row["drift"] is None else f"{row['drift']:+.{n}f}" + (" **" if row["drift_significant"] else ""),
             row["unit"],
         )
     console.print(table)

@@ -13,6 +13,7 @@ from emps_design.cli.frequency import RAD_S
 from emps_design.cli.ignored import refuse_ignored
 from emps_design.cli.output import new_console, print_json, progress_bar, tell
 from emps_design.errors import InputError
+from emps_design.quantities import decimals
 
 
 def command(
@@ -111,7 +112,8 @@ def _print(document: dict[str, Any]) -> None:
     table = Table("felt, ideal current loop", "mass, kg", "damping, N/(m/s)", "Coulomb left, N")
     for name, label in (("derived", "derived"), ("printed", "(30) as printed")):
         values = document[name]
-        table.add_row(label, *(f"{values[key]:.1f}" for key in ("apparent_mass", "apparent_damping", "coulomb_left")))
+        felt = (values[key] for key in ("apparent_mass", "apparent_damping", "coulomb_left"))
+        table.add_row(label, *(f"{value:.{decimals(value, 1)}f}" for value in felt))
     console.print(table)
     found = document.get("mismatch")
     if found is not None:

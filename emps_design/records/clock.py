@@ -64,6 +64,9 @@ def on_one_clock(
     if quantised and on_the_clock:
         notes = (f"t: sampling jitter of {100 * jitter:.2g} % rms of the period",) if jitter > NOTED_JITTER else ()
         return period, notes, None
+    digit = _rounded_to(t, period)
+    if digit:
+        return period, (f"t: stamps rounded to {digit:g} s, taken as a sample every {period:.6g} s",), None
     i = int(np.argmax(away > (LARGEST_JITTER * typical) ** 2))
     if wanted is None:
         raise RecordError(
@@ -74,6 +77,21 @@ def on_one_clock(
     no_gap(t, typical, source, first_row)
     resampled = _resampled(signals, wanted, typical)
     return resampled.period, resampled.notes, resampled
+
+
+def _rounded_to(t: np.ndarray, period: float) -> float:
+    """The decimal [s] to which the stamps ``t`` (n,) of a clock of ``period`` [s] were rounded; 0 where they were not.
+
+    It is at most half a period: of a coarser one a missing sample could not be told.
+
+    >>> _rounded_to(np.round(0.00025 * np.arange(9), 4), 0.00025), _rounded_to(np.array([0.0, 0.1, 0.3]), 0.15)
+    (0.0001, 0.0)
+    """
+    for digit in 10.0 ** -np.arange(9):
+        if np.all(np.abs(t / digit - np.rint(t / digit)) < 1e-4):
+            apart = np.ptp(t - period * np.arange(t.size))
+            return float(digit) if digit <= 0.5 * period and apart <= digit * (1.0 + 1e-6) else 0.0
+    return 0.0
 
 
 def nominal(period: float) -> float:

@@ -229,16 +229,15 @@ def _force_loop(
     own = axis.controller.k_e1
     if k_e1 is None and hand is None and environment is None and own is None:
         return (None, 0.0, 0.0), ""
-    mass, taken = 10.0 ** round(math.log10(axis.mechanics.mass)), []
+    mass, taken = 10.0 ** round(math.log10(axis.mechanics.mass)), ""
     gain = own if k_e1 is None else k_e1
     if gain is None:
         gain = K_E1 / mass
-        taken.append(f"a gain of {quantity(gain, '(m/s)/N')}")
-    if hand is None and environment is None:
+        taken = f"a gain of {quantity(gain, '(m/s)/N')} was taken"
+    elif hand is None and environment is None:
         environment = WALL * mass
-        taken.append(f"a wall of {quantity(environment, 'N/m')}")
-    words = f"{' and '.join(taken)} {'were' if len(taken) > 1 else 'was'} taken" if taken else ""
-    return (gain, hand or 0.0, environment or 0.0), words
+        taken = f"a wall of {quantity(environment, 'N/m')} was taken"
+    return (gain, hand or 0.0, environment or 0.0), taken
 
 
 def _from_record(

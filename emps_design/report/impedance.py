@@ -292,6 +292,9 @@ def _errata_table() -> Table:
 
     return Table(
         ["place", "about", "what differs"],
-        [[one.place, one.title, html('<span translate="no">{}</span>', one.text)] for one in find_errata()],
+        [
+            [html('<span translate="no">{}</span>', words) for words in (one.place, one.title, one.text)]
+            for one in find_errata()
+        ],
         "Where the paper differs from what follows by derivation; emps-design derive shows every step.",
     )

@@ -16,6 +16,7 @@ from emps_design.laws import NONE, known_laws, law_of
 from emps_design.records import Record
 from emps_design.records.check import LONGEST
 from emps_design.records.clock import SHORTEST_PERIOD
+from emps_design.records.layout import Layout
 from emps_design.simulation.plant import Plant
 
 VOLTAGE_NOISE = 0.004  # V, of an ordinary axis
@@ -101,7 +102,9 @@ def synthetic_record(
         disturbance=size["N"] * _force_noise(random, q_ref.size, period),
         voltage_noise=size["V"] * VOLTAGE_NOISE * random.standard_normal(q_ref.size),
     )
-    return Record.from_arrays(period, run.q_ref, run.q, run.u, name=f"synthetic-{axis.name}")
+    return Record.from_arrays(
+        period, run.q_ref, run.q, run.u, name=f"synthetic-{axis.name}", layout=Layout(units=axis.units)
+    )
 
 
 def point_to_point(period: float, stroke: float, speed: float, acceleration: float) -> np.ndarray:

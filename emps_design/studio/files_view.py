@@ -82,7 +82,8 @@ class FilesView:
         if not event.new:
             return
         name, content = self.load.filename or "state", bytes(event.new)
-        self.load.value = None  # so that the same file is heard again
+        self.load.value = None  # here and in the browser, so that the same file is heard again
+        self.load.clear()
         try:
             self._loaded(State.from_toml(content.decode("utf-8", errors="strict"), name))
         except UnicodeDecodeError:

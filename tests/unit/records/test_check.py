@@ -93,3 +93,16 @@ def test_noted(columns, note):
 def test_a_unit_that_overflows_is_refused():
     with pytest.raises(RecordError, match="column u, row 0: found inf, expected a finite number"):
         checked({"t": T, "q_ref": Q, "q": Q, "u [kV]": 1e307 * U}, "r")
+
+
+@pytest.mark.parametrize(("period", "digits"), [(2.5e-4, 4), (1.0 / 3000.0, 4)])
+def test_stamps_that_were_rounded_are_those_of_an_even_clock(period, digits):
+    """4 kHz with one decimal of a millisecond: 0.2, 0.5, 0.8, 1.0 ms. A sample that is missing is still told."""
+    clock, k = np.round(period * np.arange(4000), digits), np.arange(4000)
+    q, u = 0.1 * np.sin(3e-3 * k), np.cos(3e-3 * k) + 0.1 * np.sin(0.3 * k)
+    record = build(clock, q, q, u)
+    assert record.period == pytest.approx(period, rel=1e-9)
+    assert "stamps rounded" in record.warnings[0]
+    there = k != 2000
+    with pytest.raises(RecordError, match="expected .* s as elsewhere"):
+        build(clock[there], q[there], q[there], u[there])
