@@ -71,11 +71,16 @@ class Prediction:
 @dataclass(frozen=True)
 class Comparison:
     """Two models on the same records: the gap over all of them, and of the one that the baseline misses most its
-    prediction and the extended model. ``refitted`` names what was fitted anew for it."""
+    prediction and the extended model. ``refitted`` names what was fitted anew for it.
+
+    ``left`` [N] is what the extended model leaves where its encoder is exact: the record's own steps are noise, those
+    of a second, simulated encoder would be counted as a gap.
+    """
 
     gap: Gap
     prediction: Prediction
     extended: Candidate
+    left: float
     refitted: tuple[str, ...] = ()
 
 
@@ -94,7 +99,8 @@ def compare(problem: Problem, baseline: Candidate, extended: Candidate, refitted
         intervals=dict(zip(errors, intervals, strict=True)),
     )
     most = most_missed(models[0])
-    return Comparison(gap, predictions[most], extended.only(most), refitted)
+    left = np.concatenate([force - force.mean() for force in models[1].left()])
+    return Comparison(gap, predictions[most], extended.only(most), float(np.std(left)), refitted)
 
 
 def most_missed(hypothesis: Hypothesis) -> int:

@@ -148,7 +148,7 @@ def _all_or_nothing(
     shares = [explained(force_rms(start), left[0], floor)]
     held_out = None if data is None else compare_on(data, start.model, extended.model)
     if held_out is not None:
-        left.append(held_out.gap.extended)
+        left.append(min(held_out.left, held_out.gap.extended))
         shares.append(explained(held_out.gap.baseline, held_out.gap.extended, floor))
     found = {n: others for n, others in equivalents(outcome).items() if n in extended.model.names}
     verdict = _verdict(judge, extended, start, found, shares[-1], max(left))
