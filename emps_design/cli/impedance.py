@@ -108,7 +108,10 @@ def _print(document: dict[str, Any]) -> None:
     console.print(
         f"{document['axis']}: impedance law M_a = {law['mass']:g} kg, B = {law['damping']:g} N/(m/s), filter {unit}"
     )
-    console.print(f"sampled loop: {'stable' if sampled['stable'] else 'UNSTABLE'}, released: {sampled['verdict']}")
+    console.print(
+        f"sampled loop: {'stable' if sampled['stable'] else 'UNSTABLE'}, released: {sampled['verdict']}; simulated "
+        f"with encoder and limit: {sampled['simulated'].replace('_', ' ')}"
+    )
     table = Table("felt, ideal current loop", "mass, kg", "damping, N/(m/s)", "Coulomb left, N")
     for name, label in (("derived", "derived"), ("printed", "(30) as printed")):
         values = document[name]

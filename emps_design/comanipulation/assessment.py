@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.comanipulation.run import run_task
 from emps_design.comanipulation.study import MismatchStudy, mismatch_study
+from emps_design.comanipulation.task import fitted_task
 from emps_design.comanipulation.wall_limit import WallLimit, wall_limit
 from emps_design.control.impedance.equivalence import LOW_FREQUENCY, equivalent_loop, safety_words
 from emps_design.control.impedance.law import PRINTED, FrictionModel, ImpedanceLaw, impedance_law
@@ -79,6 +81,11 @@ class ImpedanceAssessment:
     def extended(self) -> SampledLoop | None:
         """The loop with the effects that the friction model cannot hold, linearised; None where there are none."""
         return extended_loop(self.axis, self.law) if left_out(self.axis) else None
+
+    @cached_property
+    def simulated(self) -> str:
+        """The verdict on the whole axis, guided and let go with exact estimates, its encoder and its limit included."""
+        return run_task(self.axis, self.law, fitted_task(self.axis, self.law)).verdict
 
     @cached_property
     def walls(self) -> dict[str, WallLimit]:
@@ -154,6 +161,7 @@ class ImpedanceAssessment:
                 "recursion_gain": law.recursion_gain,
                 "recursion_poles": list(recursion_poles(law, clock)),
                 "verdict": verdict(law, plant, clock, self.axis.sampling.encoder_resolution),
+                "simulated": self.simulated,
             },
             "break_away": break_away(law, plant),
             "coulomb_oscillation": None
@@ -212,6 +220,11 @@ class ImpedanceAssessment:
 
     def _warnings(self, document: dict[str, Any]) -> list[str]:
         words = [self.reason] if not self.stable else []
+        if self.stable and self.simulated == "unstable":
+            words.append(
+                "the poles are stable, but the simulated carriage is not, with the encoder's steps and the limit of "
+                "the command: a finer encoder, a slower filter or a larger apparent mass is needed"
+            )
         words += [
             f"effect {kind} is in the simulated plants and, linearised, in the poles, but not in apparent impedance "
             "and contact"

@@ -235,8 +235,8 @@ def compensate(
     warnings += [f"{name} is left out: {note}" for name, note in notes.items()]
     if trial.braking is None:
         warnings.append(
-            "what the law answers on its own reference goes beyond the limit and is not taken off; in a cascade, give "
-            "the velocity loop the reference's velocity, share 1"
+            "what the law answers on its own reference goes beyond the limit and is not taken off; in a cascade a "
+            "velocity loop of form pi that hears the reference's velocity, share 1, answers with nothing"
         )
     if limited > 0.0:
         warnings.append(f"the command is at its limit {100 * limited:.2g} % of the time")

@@ -86,7 +86,10 @@ def notes(axis: Axis, simulated: bool = False) -> list[str]:
     if taken:
         found.append(f"taken as known from {axis.name}, and kept in the identified axis: {', '.join(taken)}")
     if unused:
-        found.append(f"left out of the regression, for the motion does not give their force: {', '.join(unused)}")
+        found.append(
+            f"left out of the regression, for the motion does not give their force: {', '.join(unused)}; they pull at "
+            "mass and friction, output error (oe) has them in its simulation"
+        )
     own = [one.kind for one in axis.effects if any(p.per_record for p in one.effect.parameters)]
     if own:
         found.append(f"right only if the axis was made from this record, by phase or time: {', '.join(own)}")
