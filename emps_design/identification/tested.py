@@ -15,6 +15,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.errors import EmpsError
 from emps_design.identification.chains import DEFAULT_CHAIN, LONG
+from emps_design.identification.excitation import WEAK_RELIABILITY
 from emps_design.identification.identify import held_out_on, identify
 from emps_design.identification.result import Identification
 from emps_design.records import Record
@@ -59,8 +60,20 @@ def identify_tested(
     weaker = any(one.determined and not led.parameters[name].determined for name, one in plain.parameters.items())
     if weaker or not led.extra["hausman_test"]["bias_matters"]:
         return replace(plain, extra=plain.extra | {"hausman_test": led.extra["hausman_test"]})
+    led = replace(led, warnings=(*led.warnings, *_weakly_led(led)))
     if holdout is None:
         return led
     known = both.get("external_force_known", False)
     judged = held_out_on(holdout, led.axis, led.model, led.values(), led, known)
     return replace(led, extra=led.extra | {"held_out": judged})
+
+
+def _weakly_led(found: Identification) -> list[str]:
+    """Of what instruments alone determine: least squares would not, and they may be off by more than they say."""
+    shares = {name: one.reliability for name, one in found.parameters.items() if one.determined}
+    return [
+        f"{name}: the reference explains {100.0 * share:.2g} % of its column, least squares would not determine it; "
+        "compare output error (oe), or record more acceleration"
+        for name, share in shares.items()
+        if share is not None and share < WEAK_RELIABILITY
+    ]

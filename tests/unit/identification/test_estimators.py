@@ -44,6 +44,7 @@ def test_instruments_are_taken_where_least_squares_is_biased_and_only_there(simu
     noisy, other = simulate(0, std=25.0, time=0.005), simulate(9)
     led = identify_tested(noisy, AXIS, cutoff_hz=60.0, holdout=other)
     assert led.estimator == "instrumental_variables"
+    assert any(text.startswith("mass: the reference explains 44 % of its column") for text in led.warnings)
     low, high = led.parameters["mass"].interval_95
     assert low < truth["mass"] < high
     assert led.extra["held_out"]["on"] == other.name
