@@ -53,7 +53,7 @@ def rehearsed(axis: Axis, bounds: list[Bound], signals: Callable[[float], Signal
     alone = _reached(axis, signals(0.0))
     for bound in bounds:
         if alone is None or bound.reached(alone) > bound.limit:
-            what = "do not end" if alone is None else f"reach {bound.reached(alone):.4g} {bound.unit}"
+            what = "cannot be simulated" if alone is None else f"reach {bound.reached(alone):.4g} {bound.unit}"
             raise InputError(
                 f"{bound.name}: the passes alone {what}, expected at most {bound.limit:.4g} {bound.unit}: "
                 "a lower speed, or more stroke to run to it"
