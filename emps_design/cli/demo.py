@@ -27,10 +27,11 @@ def command(
     from emps_design.errors import InputError
     from emps_design.files import write_text
     from emps_design.machines import machine
-    from emps_design.report.assemble import K_E1, WALL, assemble_report
+    from emps_design.report.assemble import assemble_report, usual_force_loop
     from emps_design.simulation.synthetic import synthetic_record
 
     axis = machine(MACHINE)
+    k_e1, wall = usual_force_loop(axis)
     check_out(out, PAGE, (), force)
     record_file = out.with_suffix(".npz")
     if out.suffix == record_file.suffix:
@@ -43,8 +44,8 @@ def command(
             record=record_file,
             crossover=CROSSOVER,
             phase_margin_deg=PHASE_MARGIN,
-            k_e1=K_E1,
-            environment=WALL,
+            k_e1=k_e1,
+            environment=wall,
             progress=progress,
         )
         write_text(out, report.page.html())

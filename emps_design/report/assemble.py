@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from emps_design.records import Record
 
 DESIGN_ON = ("record", "axis")
-K_E1, WALL = 1.0, 100.0  # (m/s)/N times the mass, N/m over it: of a force loop that was asked for without them
+K_E1, WALL, OF_MASS = 0.01, 1e4, 100.0  # (m/s)/N, N/m, kg: of a force loop that was asked for without them
 
 
 @dataclass(frozen=True)
@@ -219,24 +219,33 @@ def has_impedance_law(axis: Axis) -> bool:
     return axis.controller.kind != NONE and bool(get_law(axis.controller.kind).apparent)
 
 
+def usual_force_loop(axis: Axis) -> tuple[float, float]:
+    """A force gain [(m/s)/N] and a wall [N/m] to begin with, sized by the mass of ``axis`` in powers of ten.
+
+    >>> from emps_design.machines import machine
+    >>> usual_force_loop(machine("emps2018"))
+    (0.01, 10000.0)
+    """
+    scale = 10.0 ** round(math.log10(axis.mechanics.mass / OF_MASS))
+    return K_E1 / scale, WALL * scale
+
+
 def _force_loop(
     axis: Axis, k_e1: float | None, hand: float | None, environment: float | None
 ) -> tuple[tuple[float | None, float, float], str]:
     """Force gain, hand and wall of the page: what was asked for, or the axis's own gain; None for no force loop.
 
-    What was left out is sized by the mass, to one digit; the words say what was taken.
+    What was left out is the usual; the words say what was taken.
     """
     own = axis.controller.k_e1
     if k_e1 is None and hand is None and environment is None and own is None:
         return (None, 0.0, 0.0), ""
-    mass, taken = 10.0 ** round(math.log10(axis.mechanics.mass)), ""
-    gain = own if k_e1 is None else k_e1
+    usual, wall = usual_force_loop(axis)
+    gain, taken = own if k_e1 is None else k_e1, ""
     if gain is None:
-        gain = K_E1 / mass
-        taken = f"a gain of {quantity(gain, '(m/s)/N')} was taken"
+        gain, taken = usual, f"a gain of {quantity(usual, '(m/s)/N')} was taken"
     elif hand is None and environment is None:
-        environment = WALL * mass
-        taken = f"a wall of {quantity(environment, 'N/m')} was taken"
+        environment, taken = wall, f"a wall of {quantity(wall, 'N/m')} was taken"
     return (gain, hand or 0.0, environment or 0.0), taken
 
 

@@ -79,7 +79,7 @@ DOCUMENTS = {
     "export-json": ("export {axis} --to json --out {out}", "files vectors"),
     "derive": ("derive", ""),
     "report": ("report {axis} --record {record} --crossover 100 --out {out}.html", "warnings"),
-    "demo": ("demo --out {out}.html", "machine record out"),
+    "demo": ("demo --out {out}.html", "machine record out force_loop.k_e1 force_loop.k_e1_max.sampled"),
     "init": ("init {out}", "directory files"),
     "import": (
         "import {record} --axis {axis} --out {out}.npz",
@@ -183,6 +183,12 @@ def test_published_design(first):
     # Table I, w = 100 rad/s, phi = 60 deg; FACTS: k_v1 = 556.766 V/(m/s), t_v = 8.45505 ms
     assert math.isclose(document["k_v1"], 556.766, rel_tol=1e-6)
     assert math.isclose(document["t_v"], 8.45505e-3, rel_tol=1e-6)
+
+
+def test_the_demo_shows_the_force_loop_of_the_paper_against_a_wall(first):
+    force = json.loads(first("demo")[1])["force_loop"]
+    assert (force["k_e1"], force["operator"]["environment"]) == (0.01, 1e4)
+    assert force["stable"]
 
 
 def test_gains_that_cannot_be_met_exit_3_with_the_nearest(capsys):
