@@ -61,6 +61,8 @@ class Report:
 
     def to_dict(self) -> dict[str, Any]:
         """Gains, force loop and identification as plain data; ``reason`` and ``nearest`` where a loop is unstable."""
+        from emps_design.control.velocity.comparison import kept_position_loop
+
         document: dict[str, Any] = {"velocity_loop": self.results.velocity.to_dict()}
         if self.results.force is not None:
             document["force_loop"] = self.results.force.to_dict()
@@ -70,9 +72,7 @@ class Report:
             document["impedance"] = self.impedance.to_dict()
         if self.loops:
             document["controller_loops"] = [loop.to_dict() for loop in self.loops]
-        if self.results.velocity.kept_loops:
-            kept = self.results.velocity.kept_loops
-            document["kept_position_loop"] = {"loops": [loop.to_dict() for loop in kept]}
+        document |= kept_position_loop(self.results.velocity)
         if self.reason:
             document["reason"], document["nearest"] = self.reason, self.nearest
         document["inputs"] = dict(self.results.inputs)

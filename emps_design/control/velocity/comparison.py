@@ -19,13 +19,18 @@ def gains_document(design: VelocityLoopDesign) -> dict[str, Any]:
     refused, and ``nearest`` what is not.
     """
     document = {**design.to_dict(), "structures": structures_side_by_side(design)}
-    if design.kept_loops:
-        document["kept_position_loop"] = {"loops": [loop.to_dict() for loop in design.kept_loops]}
+    document |= kept_position_loop(design)
     if design.reason:
         document["nearest"] = design.nearest_stable
     if design.refused:
         document["reason"] = design.refused
     return document
+
+
+def kept_position_loop(design: VelocityLoopDesign) -> dict[str, Any]:
+    """The loops of ``design`` within the axis file's position loop under that key; empty where it has none."""
+    loops = [loop.to_dict() for loop in design.kept_loops]
+    return {"kept_position_loop": {"loops": loops}} if loops else {}
 
 
 def structures_side_by_side(design: VelocityLoopDesign) -> list[dict[str, Any]]:

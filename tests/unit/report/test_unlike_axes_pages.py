@@ -19,16 +19,8 @@ from emps_design.report.display import quantity
 from emps_design.report.force_figures import force_limit_figure
 from emps_design.report.impedance import _errata_table
 from emps_design.simulation.synthetic import synthetic_record
+from tests.unit.unlike_axes import JOINT
 
-JOINT = Axis.from_dict(
-    {
-        "name": "joint",
-        "motion": "rotary",
-        "mechanics": {"mass": 0.0021, "viscous": 0.013, "coulomb": 0.08, "offset": 0.01},
-        "drive": {"command": "current", "force_gain": 0.45, "command_limit": 12.0, "current_time_constant": 0.4e-3},
-        "sampling": {"period": 0.5e-3, "encoder_resolution": 2e-4, "computation_delay": 2},
-    }
-)
 GANTRY = Axis.from_dict(
     {
         "name": "gantry",

@@ -614,21 +614,6 @@ def test_the_law_of_a_record_is_shown_and_designed_on(monkeypatch):
     assert "not told: it never moves" in found["html"]
 
 
-@pytest.fixture
-def at_once(monkeypatch):
-    """Work of a tab done where it is started; what went wrong is raised."""
-
-    def start(job, work, done, failed):
-        try:
-            found = work(lambda stage, share: None)
-        except EmpsError as error:
-            failed(str(error))
-        else:
-            done(found)
-
-    monkeypatch.setattr(jobs.Job, "start", start)
-
-
 def test_the_law_goes_on_the_axis_that_was_identified(at_once, monkeypatch):
     from emps_design.identification import controller
 

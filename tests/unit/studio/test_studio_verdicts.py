@@ -10,7 +10,6 @@ pytest.importorskip("panel", reason="the extra 'studio' is not installed")
 from panel.widgets import FileDownload
 
 from emps_design import discrepancy
-from emps_design.axis import Axis
 from emps_design.control.impedance.law import FrictionModel, impedance_law
 from emps_design.control.impedance.robustness import verdict
 from emps_design.control.impedance.sampled import Clock, extended_loop
@@ -21,7 +20,7 @@ from emps_design.report import Section
 from emps_design.report.display import sentence_of
 from emps_design.report.page import inline
 from emps_design.simulation.synthetic import synthetic_record
-from emps_design.studio import exports, jobs
+from emps_design.studio import exports
 from emps_design.studio.app import Session
 from emps_design.studio.compensation_view import CompensationView
 from emps_design.studio.design_tables import laws_table, numbers_table
@@ -30,16 +29,8 @@ from emps_design.studio.motion import move
 from emps_design.studio.record_work import NAMED_MODEL, diagnose_work
 from emps_design.studio.simulated import simulate
 from emps_design.studio.state import State
+from tests.unit.unlike_axes import JOINT
 
-JOINT = Axis.from_dict(
-    {
-        "name": "joint",
-        "motion": "rotary",
-        "mechanics": {"mass": 0.0021, "viscous": 0.013, "coulomb": 0.08, "offset": 0.01},
-        "drive": {"command": "current", "force_gain": 0.45, "command_limit": 12.0, "current_time_constant": 0.4e-3},
-        "sampling": {"period": 0.5e-3, "encoder_resolution": 2e-4, "computation_delay": 2},
-    }
-)
 CASCADE = {
     "kind": "cascade",
     "position": {"kp": 60.0, "every": 4},
@@ -66,21 +57,6 @@ def view_of(now: State) -> DesignView:
 def told(text: str) -> str:
     """The level of the message ``text``."""
     return re.search(r'<div class="message (\w+)"', text)[1]
-
-
-@pytest.fixture
-def at_once(monkeypatch):
-    """Work of a tab done where it is started."""
-
-    def start(job, work, done, failed):
-        try:
-            found = work(lambda stage, share: None)
-        except EmpsError as error:
-            failed(str(error))
-        else:
-            done(found)
-
-    monkeypatch.setattr(jobs.Job, "start", start)
 
 
 @pytest.mark.parametrize(("frequency", "kp", "clips"), [(20.0, 36.0, False), (12.0, 60.0, True)])
