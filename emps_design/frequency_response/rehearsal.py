@@ -51,12 +51,13 @@ def rehearsed(axis: Axis, bounds: list[Bound], signals: Callable[[float], Signal
     passes alone do not stay within the bounds.
     """
     alone = _reached(axis, signals(0.0))
+    if alone is None:
+        raise InputError("speed: the passes alone cannot be simulated, expected a lower speed")
     for bound in bounds:
-        if alone is None or bound.reached(alone) > bound.limit:
-            what = "cannot be simulated" if alone is None else f"reach {bound.reached(alone):.4g} {bound.unit}"
+        if bound.reached(alone) > bound.limit:
             raise InputError(
-                f"{bound.name}: the passes alone {what}, expected at most {bound.limit:.4g} {bound.unit}: "
-                "a lower speed, or more stroke to run to it"
+                f"{bound.name}: the passes alone reach {bound.reached(alone):.4g} {bound.unit}, expected at most "
+                f"{bound.limit:.4g} {bound.unit}: a lower speed, or more stroke to run to it"
             )
     share, bound_by = 1.0, ""
     for _ in range(TRIES):
@@ -72,9 +73,9 @@ def rehearsed(axis: Axis, bounds: list[Bound], signals: Callable[[float], Signal
     raise InputError(f"{bound_by}: found no excitation that stays within it, expected a lower speed")
 
 
-def _left_for(bound: Bound, alone: Reached | None, found: Reached) -> float:
+def _left_for(bound: Bound, alone: Reached, found: Reached) -> float:
     """The share of an excitation that ``bound`` leaves, from what the passes reach without it and with it."""
-    still = 0.0 if alone is None else bound.reached(alone)
+    still = bound.reached(alone)
     return (bound.limit - still) / (bound.reached(found) - still)
 
 
