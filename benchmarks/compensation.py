@@ -22,6 +22,7 @@ from emps_design.axis import Axis
 from emps_design.compensation import compensate
 from emps_design.compensation.feedforward import BASELINE, FeedForward, terms_of
 from emps_design.compensation.study import Trial, _changes
+from emps_design.laws import law_of
 from tests.hidden.drives import TURNING, draw_drive, draw_effect, turning
 from tests.hidden.generate import run
 from tests.hidden.plant import numbers, simulate
@@ -66,7 +67,9 @@ def tracking(drive, program, hidden, ahead: FeedForward | None = None) -> tuple[
     q_ref = np.concatenate([program, np.full(rest, program[-1])])
     mechanics = np.array([drive.mass, drive.viscous, drive.coulomb, drive.offset, drive.gain, drive.limit])
     law, quiet = np.array([drive.kp, drive.kv]), np.zeros(q_ref.size)
-    added = quiet if ahead is None else ahead.along(q_ref)
+    added = quiet
+    if ahead is not None:  # that simulator's law is told all: what it answers on its own reference is taken off
+        added = ahead.along(q_ref) - law_of(ahead.axis, drive.period).commands(q_ref, q_ref, np.inf)
     q, _ = simulate(q_ref, drive.period, mechanics, drive.resolution, law, hidden, added, quiet)
     error = (q_ref - q)[SKIP : program.size]
     return float(np.sqrt(np.mean(error**2))), float(np.ptp(q[-rest // 2 :]))

@@ -104,5 +104,7 @@ def _show(document: dict[str, Any]) -> None:
     say(f"without feed-forward {rms['without']:.4g}, with inertia, friction and constant force {rms['baseline']:.4g},")
     say(f"with all that is kept {rms['with']:.4g}, and {rms['worst']:.4g} {unit} with every parameter wrong by")
     say(f"{100 * assumed['mismatch']:g} %, phases by {assumed['phase_deg']:g} deg, each the way that does more harm.")
+    if "law" in assumed:
+        say(f"{assumed['law'].capitalize()}.")
     for cure in document["feedback"]:
         say(cure["advice"])

@@ -27,13 +27,12 @@ class Ahead:
     parts: tuple[Part, ...]
     own: tuple[float, ...]
     reversal: float
-    takes_off: bool
 
     @classmethod
-    def of(cls, feedforward: FeedForward, takes_off: bool) -> Ahead:
-        """Read the kernels of ``feedforward``; ``takes_off`` says that the law's answer on the reference goes off."""
+    def of(cls, feedforward: FeedForward) -> Ahead:
+        """Read the kernels of ``feedforward``."""
         parts = parts_of(feedforward.effects(), feedforward.baseline)
-        return cls(feedforward, parts, tuple(feedforward.own().tolist()), feedforward.reversal, takes_off)
+        return cls(feedforward, parts, tuple(feedforward.own().tolist()), feedforward.reversal)
 
     @property
     def repeats(self) -> bool:

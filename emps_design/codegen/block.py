@@ -42,13 +42,14 @@ class Block:
     def of(cls, axis: Axis, ahead: Ahead | None = None) -> Block:
         """Read the controller of ``axis``; :class:`AxisError` without one, ``InputError`` for no plain arithmetic.
 
-        ``ahead`` is fed forward beside it.
+        ``ahead`` is fed forward beside it, and the law is then given its error alone.
 
         >>> from emps_design.machines import machine
         >>> Block.of(machine("emps2019")).program.kernel.name
         'position_pd'
         """
         law = law_of(axis, axis.sampling.period)
+        law = law if ahead is None else law.on_error()
         gains = np.asarray(law.gains, dtype=float)
         if not np.isfinite(gains).all():
             raise AxisError(f"controller of {axis.name}: found gains that are not finite, expected numbers to export")
@@ -87,13 +88,11 @@ class Block:
         ``start`` (n,) is True where the block begins anew; ``reference`` (n,) [m or m/s], ``q`` (n,) [m], ``f_ext``
         (n,) [N]; ``motion`` is position, velocity and acceleration (n,) of the reference that is fed forward.
         """
+        if self.law.error_alone:
+            reference, q = np.zeros(q.size), q - reference
         u, states = self._answers(start, reference, q, f_ext)
         if self.ahead is not None:
-            added = self.ahead.command(*motion)
-            if self.ahead.takes_off:
-                braking, own = self._answers(start, reference, reference, np.zeros(q.size))
-                added, states = added - braking, np.hstack([states, own])
-            u = u + added
+            u = u + self.ahead.command(*motion)
         return np.clip(u, -self.limit, self.limit), states
 
     def rounded_kernel(self, now: Roundings) -> Any:

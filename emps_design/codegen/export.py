@@ -19,7 +19,6 @@ from emps_design.compensation.study import digest_of
 from emps_design.control.loop.sampled_loop import axis_loop
 from emps_design.errors import AxisError, InputError, UnstableError
 from emps_design.files import write_text, write_together
-from emps_design.laws import law_of
 from emps_design.laws.drives import drive_settings, gains_of
 
 if TYPE_CHECKING:
@@ -131,8 +130,8 @@ def _checked(axis: Axis) -> bool:
     return True
 
 
-def _ahead(axis: Axis, found: Mapping[str, Any]) -> Ahead:
-    """The feed-forward of a ``compensation`` for this ``axis``, checked."""
+def _ahead(axis: Axis, found: Mapping[str, Any]) -> Ahead | None:
+    """The feed-forward of a ``compensation`` for this ``axis``, checked; None where nothing was worth it."""
     kept, reversal, taken = found.get("kept"), found.get("reversal"), found.get("law_taken_off")
     if not isinstance(kept, list) or not isinstance(reversal, int | float) or not isinstance(taken, bool):
         raise InputError("compensation: found no kept, reversal and law_taken_off, expected what compensate writes")
@@ -147,10 +146,14 @@ def _ahead(axis: Axis, found: Mapping[str, Any]) -> Ahead:
             f"compensation: found one of {axis.name} with other numbers or another controller, expected one of this "
             "axis; run compensate on it"
         )
-    ahead = replace(FeedForward.of(axis, kept), reversal=float(reversal))
-    if taken and law_of(axis, axis.sampling.period).follows != "position":
-        raise InputError("compensation: found one of a law that follows a velocity, expected a position")
-    return Ahead.of(ahead, taken)
+    if not kept:
+        return None
+    if not taken:
+        raise InputError(
+            "compensation: found one beside a law that answers on its own reference, expected one beside the law on "
+            "its error; run compensate on this axis again"
+        )
+    return Ahead.of(replace(FeedForward.of(axis, kept), reversal=float(reversal)))
 
 
 TARGETS: dict[str, Callable[[str, Block, Vectors], Files]] = {

@@ -38,11 +38,9 @@ def operations_of(block: Block) -> dict[str, int]:
     {'multiply': 4, 'add': 3, 'divide': 0, 'compare': 4, 'call': 0}
     """
     arrays = {5: block.law.gains.tolist()}
-    law = counted(block.program, arrays)
-    total = law + Counter(compare=2)  # the limit
+    total = counted(block.program, arrays) + Counter(compare=2)  # the limit
     if block.ahead is not None:
-        total += _ahead(block.ahead) + Counter(add=1)
-        total += law + Counter(add=1) if block.ahead.takes_off else Counter()
+        total += _ahead(block.ahead) + Counter(add=2)  # the error, the sum
     return {kind: total[kind] for kind in ORDER}
 
 

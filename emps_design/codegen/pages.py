@@ -86,7 +86,6 @@ def words_of(name: str, block: Block) -> dict[str, Any]:
         "parameters": list(map(comment, parameters)),
         "memory": max(1, law.memory),
         "memories": law.memory,
-        "states": law.memory * (2 if block.ahead is not None and block.ahead.takes_off else 1),
         "inputs": 6 if block.ahead is not None else 3,
         "ahead": None,
         "feedforward": None if block.ahead is None else said_of(block.ahead),
@@ -167,5 +166,4 @@ def said_of(ahead: Ahead) -> dict[str, Any]:
         "terms": [term.replace("_", " ") for term in ahead.feedforward.terms],
         "wait": repr(ahead.feedforward.wait),
         "reversal": repr(ahead.reversal) if ahead.reversal > 0.0 else "",
-        "takes_off": ahead.takes_off,
     }

@@ -19,7 +19,7 @@ class SinglePrecision:
         self.block, self.now, self.k = block, Roundings(), 0
         self.gains = [self.now.constant(float(gain)) for gain in block.law.gains]
         self.limit, self.kernel = self.now.constant(block.limit), block.rounded_kernel(self.now)
-        self.memory = [self.now.exact(0.0)] * (2 * block.law.memory)  # the second half on the reference
+        self.memory = [self.now.exact(0.0)] * block.law.memory
 
     def step(self, given: Sequence[float], motion: Sequence[float]) -> tuple[float, bool]:
         """Bound for one sample, inf where there is none, and whether rounding decides a comparison.
@@ -30,6 +30,8 @@ class SinglePrecision:
         if self.block.ahead is not None:
             added, several = self.block.ahead.rounded(motion, self.now)
         inputs = [self.now.exact(x) for x in given]
+        if self.block.law.error_alone:
+            inputs[0], inputs[1] = self.now.exact(0.0), inputs[1] - inputs[0]
         (u, *self.memory), more = every_way(partial(self._answer, inputs, added), self.now)
         self.k += 1
         apart = 2.0 * self.block.limit * (1.0 + HALF_UNIT)  # at most, within the limit
@@ -37,10 +39,6 @@ class SinglePrecision:
 
     def _answer(self, given: Sequence[Rounded], added: Rounded) -> list[Any]:
         """The command and the memory after it."""
-        own = self.block.law.memory
-        mine, braking = self.memory[:own], self.memory[own:]
-        u = self.kernel(self.k, *given, self.limit, self.gains, mine)
-        if self.block.ahead is not None and self.block.ahead.takes_off:
-            reference, still = given[0], self.now.exact(0.0)
-            added = added - self.kernel(self.k, reference, reference, still, self.limit, self.gains, braking)
-        return [largest(smallest(u + added, self.limit), -self.limit), *mine, *braking]
+        memory = list(self.memory)
+        u = self.kernel(self.k, *given, self.limit, self.gains, memory)
+        return [largest(smallest(u + added, self.limit), -self.limit), *memory]

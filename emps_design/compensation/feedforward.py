@@ -1,10 +1,10 @@
-"""Feed-forward along a reference: the command that the model says the motion needs, beside what the law answers.
+"""Feed-forward along a reference: the command that the model says the motion needs, beside the law on its error.
 
 Terms are ``inertia``, ``viscous``, ``coulomb`` and ``constant`` of the baseline, ``lead`` for what is late between
 command and force, and one for each effect of the axis that acts on the carriage as a force of position and velocity.
 Every term is the effect's own kernel, evaluated on the reference. A friction follows the reference's velocity, in
-proportion below a small speed, so it does not chatter at a reversal. What the law itself would answer if the axis
-were on its reference (the braking of a velocity feedback) is taken off, unless the law would reach its limit with it.
+proportion below a small speed, so it does not chatter at a reversal. The law beside it is given the position error
+alone: what it would answer on its own reference (the braking of a velocity feedback) is in the feed-forward already.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import numpy as np
 
 from emps_design.effects import Effect
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
-from emps_design.laws import law_of
 
 if TYPE_CHECKING:
     from emps_design.axis import Axis
@@ -47,23 +46,16 @@ class FeedForward:
         return cls(axis, tuple(terms), axis.mechanics.array(), parameters, braked, lateness(axis))
 
     def along(self, q_ref: np.ndarray) -> np.ndarray:
-        """Command to add (n,) along ``q_ref`` (n,) [m]; what the law answers there is taken off.
+        """Command to add (n,) along ``q_ref`` (n,) [m] to that of the law on its error.
 
         >>> from emps_design.machines import machine
         >>> ahead = FeedForward.of(machine("emps2019"), ("constant",)).along(np.zeros(5))
         >>> ahead.round(4).tolist()
         [-0.09, -0.09, -0.09, -0.09, -0.09]
         """
-        if not self.terms:
-            return np.zeros(q_ref.size)
-        return self.beside(q_ref, answered(self.axis, q_ref))
-
-    def beside(self, q_ref: np.ndarray, braking: np.ndarray | None) -> np.ndarray:
-        """The same, ``braking`` (n,) what the law answers on ``q_ref`` by :func:`answered`; None: nothing taken off."""
         period = self.axis.sampling.period
         q, v, a = motion_ahead(q_ref, period, self.wait)
-        command = replace(self, reversal=self.reversal or reversal_of(q_ref, period)).command(q, v, a)
-        return command if braking is None else command - braking
+        return replace(self, reversal=self.reversal or reversal_of(q_ref, period)).command(q, v, a)
 
     @property
     def wait(self) -> float:
@@ -151,14 +143,3 @@ def motion_ahead(q_ref: np.ndarray, period: float, wait: float) -> tuple[np.ndar
     at = np.arange(q_ref.size) + wait / period
     index = np.arange(q_ref.size)
     return np.interp(at, index, q_ref), np.interp(at, index, v), np.interp(at, index, a)
-
-
-def answered(axis: Axis, q_ref: np.ndarray) -> np.ndarray | None:
-    """What the law of ``axis`` answers (n,) when the axis is exactly on its reference ``q_ref`` (n,) [m].
-
-    None where the law's own limit would cut that: what is left of it cannot be taken off.
-    """
-    law, period = law_of(axis, axis.sampling.period), axis.sampling.period
-    reference = law.reference(q_ref, period)
-    free, limited = (law.commands(reference, q_ref, limit) for limit in (np.inf, axis.drive.command_limit))
-    return free if np.array_equal(free, limited) else None

@@ -21,7 +21,6 @@ from emps_design.compensation.feedforward import (
     BASELINE,
     LEAD,
     FeedForward,
-    answered,
     names_of_effects,
     reversal_of,
     terms_of,
@@ -31,8 +30,10 @@ from emps_design.laws import law_of
 
 if TYPE_CHECKING:
     from emps_design.axis import Axis
+    from emps_design.laws import Law
 
 MISMATCH, PHASE_DEG = 0.02, 10.0  # errors of parameters and of phases
+ON_ERROR = "beside a feed-forward the law is given the position error alone: reference 0, position less the reference"
 PER_RECORD = "its phase is that of one record's zero: home the encoder before it is used"
 
 
@@ -64,7 +65,6 @@ class Compensation:
     mismatch: float
     phase_deg: float
     limited: float
-    takes_off: bool
     unit: str
     feedback: tuple[dict[str, Any], ...] = ()
     warnings: tuple[str, ...] = ()
@@ -92,10 +92,11 @@ class Compensation:
             "kept": list(self.feedforward.terms),
             "reversal": self.feedforward.reversal,
             "lead": self.feedforward.wait,
-            "law_taken_off": self.takes_off,
+            "law_taken_off": bool(self.feedforward.terms),
             "assumed": {
                 "mismatch": self.mismatch,
                 "phase_deg": self.phase_deg,
+                **({"law": ON_ERROR} if self.feedforward.terms else {}),
                 "not_varied": "periods and lengths, whose error is that of the phase, and exponents",
             },
             "limited_share": self.limited,
@@ -128,14 +129,17 @@ class Trial:
         return Plant.of(self.axis)
 
     @cached_property
+    def _law(self) -> Law:
+        return law_of(self.axis, self.axis.sampling.period)
+
+    @cached_property
     def _follows_velocity(self) -> bool:
-        law = law_of(self.axis, self.axis.sampling.period)
-        if law.follows == "rest position":
+        if self._law.follows == "rest position":
             raise InputError(
                 f"controller.kind: found {self.axis.controller.kind!r}, which follows no reference; expected a law "
                 "that follows a position or a velocity"
             )
-        return law.follows == "velocity"
+        return self._law.follows == "velocity"
 
     @property
     def unit(self) -> str:
@@ -143,12 +147,13 @@ class Trial:
         return self.axis.units.unit("m/s" if self._follows_velocity else "m")
 
     def error(self, ahead: np.ndarray | None) -> tuple[np.ndarray, float]:
-        """Tracking error (n,) with ``ahead`` (n,) added to the command, and the share of samples at the limit.
+        """Tracking error (n,) with ``ahead`` (n,) beside the law on its error, and the share of samples at the limit.
 
-        Raises :class:`SimulationError` where the loop is unstable.
+        None for ``ahead``: the law alone, as it is. Raises :class:`SimulationError` where the loop is unstable.
         """
         velocity = self._follows_velocity
-        run = self._plant.closed_loop(self.q_ref, voltage_noise=ahead)
+        law = self._law if ahead is None else self._law.on_error()
+        run = self._plant.closed_loop(self.q_ref, voltage_noise=ahead, law=law)
         wanted = np.gradient(self.q_ref, self.axis.sampling.period) if velocity else self.q_ref
         limited = float(np.mean(np.abs(run.u) >= self.axis.drive.command_limit))
         return wanted - (run.v if velocity else run.position), limited
@@ -161,14 +166,9 @@ class Trial:
             return math.inf, 1.0
         return float(np.sqrt(np.mean(error**2))), limited
 
-    @cached_property
-    def braking(self) -> np.ndarray | None:
-        """What the law answers (n,) on the reference; None where its limit cuts that."""
-        return answered(self.axis, self.q_ref)
-
     def ahead(self, feedforward: FeedForward) -> np.ndarray | None:
         """What ``feedforward`` adds to the command (n,); None for nothing."""
-        return feedforward.beside(self.q_ref, self.braking) if feedforward.terms else None
+        return feedforward.along(self.q_ref) if feedforward.terms else None
 
     def with_ahead(self, feedforward: FeedForward) -> tuple[float, float]:
         """:meth:`run` with ``feedforward``."""
@@ -218,10 +218,10 @@ def compensate(
     if not math.isfinite(without):
         raise UnstableError(f"axis {axis.name}: the loop is unstable without any feed-forward; design it first")
     possible = tuple(name for name in possible if terms is None or name in terms)
-    rigid = tuple(name for name in BASELINE if name in possible)
     baseline, _ = trial.with_terms(tuple(BASELINE))
     alone = {name: trial.with_terms((name,))[0] for name in possible}
     kept, notes, trials = _selected(trial, possible, mismatch, phase_deg)
+    rigid = tuple(name for name in kept if name in BASELINE)
     if trial.with_terms(kept)[0] > trial.with_terms(rigid)[0]:
         notes |= {name: "together with the others it does harm" for name in kept if name not in BASELINE}
         kept = rigid
@@ -233,11 +233,6 @@ def compensate(
     worst = _worst(trial, kept, mismatch, phase_deg)
     warnings = [f"{name} is not compensated: {reason}" for name, reason in left.items()]
     warnings += [f"{name} is left out: {note}" for name, note in notes.items()]
-    if trial.braking is None:
-        warnings.append(
-            "what the law answers on its own reference goes beyond the limit and is not taken off; in a cascade a "
-            "velocity loop of form pi that hears the reference's velocity, share 1, answers with nothing"
-        )
     if limited > 0.0:
         warnings.append(f"the command is at its limit {100 * limited:.2g} % of the time")
     tried = tuple(
@@ -245,7 +240,7 @@ def compensate(
     )
     return Compensation(
         axis, ahead, q_ref, without, baseline, achieved, worst, tried, left, mismatch, phase_deg, limited,
-        trial.braking is not None, trial.unit, tuple(feedback_cures(axis)), tuple(warnings),
+        trial.unit, tuple(feedback_cures(axis)), tuple(warnings),
     )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ at ``q[0]``. Simulations compile it; :mod:`.linear` runs it on linear numbers, w
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
@@ -76,7 +76,7 @@ class Law:
 
     ``gains`` (g,), or (n, g) where a record gives them sample by sample. After ``cycle`` samples the law does the same
     again: 1, but for loops of different rates. For :mod:`.linear` the gains may be a list that holds arrays (m,), of m
-    laws, or symbols.
+    laws, or symbols. With ``error_alone`` it is not told where it is but how far from the reference.
     """
 
     kernel: Callable[..., float]
@@ -85,6 +85,16 @@ class Law:
     follows: str = "position"
     state_feedback: bool = False
     cycle: int = 1
+    error_alone: bool = False
+
+    def on_error(self) -> Law:
+        """The law that is given the position error alone, ``q`` - reference [m], and a reference of 0.
+
+        A linear law answers to it what it would answer to both, less what it would answer on its own reference (the
+        braking of a velocity feedback, its own feed-forward): room for a feed-forward of the whole motion beside it.
+        One that follows a velocity takes the position of its reference in its place.
+        """
+        return replace(self, follows="position", state_feedback=False, error_alone=True)
 
     def commands(
         self, reference: np.ndarray, q: np.ndarray, limit: float, f_ext: np.ndarray | None = None
@@ -92,6 +102,8 @@ class Law:
         """What the law gives (n,) for what it follows, the position and the sensed force (n,), from rest, in Python."""
         rows, memory = self.gains.tolist(), [0.0] * self.memory
         sensed = [0.0] * q.size if f_ext is None else f_ext.tolist()
+        if self.error_alone:
+            reference, q = np.zeros(q.size), q - reference
         samples = enumerate(zip(reference.tolist(), q.tolist(), sensed, strict=True))
         by_sample = np.ndim(self.gains) == 2
         return np.array(

@@ -10,6 +10,7 @@ import panel as pn
 from emps_design.axis import Axis
 from emps_design.compensation import Compensation, compensate
 from emps_design.compensation.feedforward import terms_of
+from emps_design.compensation.study import ON_ERROR
 from emps_design.errors import EmpsError
 from emps_design.progress import Progress
 from emps_design.report.compensation import tracking_figure
@@ -103,6 +104,7 @@ class CompensationView:
         ratio = found.without / found.achieved if found.achieved > 0.0 else float("inf")
         said_above = tuple(f"{name} is not compensated" for name in found.not_compensated)
         more = [line for line in found.warnings if not line.startswith(said_above)]
+        more += [f"{ON_ERROR.capitalize()}."] * bool(found.feedforward.terms)
         self._say(
             f"Tracking error rms {found.without:.3g} {found.unit} without, {found.achieved:.3g} with what is kept "
             f"({ratio:,.0f} times less), {found.worst:.3g} with every parameter wrong; controller "

@@ -16,7 +16,7 @@ from emps_design.codegen import export_controller, export_observer
 from emps_design.compensation import compensate
 from emps_design.compensation.feedforward import motion_ahead
 from emps_design.errors import InputError
-from emps_design.laws import LAWS, get_law
+from emps_design.laws import LAWS, get_law, law_of
 from emps_design.machines import machine
 from emps_design.observer import ForceObserver, as_driven, observe_online
 from emps_design.records import Record
@@ -166,8 +166,10 @@ def test_one_changed_coefficient_is_noticed(kind, tmp_path):
 
 PROGRAM = trapezoid_laps(1e-3, 0.05, 0.15, 1.0, laps=1)
 LONG = trapezoid_laps(1e-3, 0.05, 0.15, 1.0, laps=100)[:100_000]
+CASCADE = {"kind": "cascade", "velocity": {"kp": 40.0, "ti": 0.05, "form": "ip"}}
 COMPENSATED = {
     "rigid": {},
+    "velocity": {"controller": CASCADE},
     "several": {"effects": EFFECTS_HERE[:4]},
     "itself": {"effects": [EFFECTS_HERE[4]]},
     "late": {"effects": [EFFECTS_HERE[5], EFFECTS_HERE[7]]},
@@ -187,7 +189,8 @@ def compensation(name):
 def compensated_run(name):
     """What goes into a compensated block in a closed loop of 100,000 samples, and the command of the simulation."""
     axis, found = compensation(name)
-    run = Plant.of(axis).closed_loop(LONG, voltage_noise=found.feedforward.along(LONG), method="general")
+    law, ahead = law_of(axis, 1e-3).on_error(), found.feedforward.along(LONG)
+    run = Plant.of(axis).closed_loop(LONG, voltage_noise=ahead, law=law, method="general")
     return (LONG, run.q, run.f_ext, *motion_ahead(LONG, 1e-3, found.feedforward.wait)), run.u
 
 
@@ -318,6 +321,7 @@ def test_a_compensation_of_another_axis_is_refused():
         (axis.replace(name="other"), found, "run compensate on this axis"),
         (axis, {**found, "kept": ["position_ripple"]}, "expected those of emps2019"),
         (axis, {}, "expected what compensate writes"),
+        (axis, {**found, "law_taken_off": False}, "run compensate on this axis again"),
         (axis.replace(controller={"kp": 100.0}), found, "with other numbers or another controller"),
     ):
         with pytest.raises(InputError, match=message):

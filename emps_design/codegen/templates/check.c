@@ -10,7 +10,7 @@
 #define TIMED 1000000 /* steps */
 
 #define INPUTS {{ inputs }}
-#define COLUMNS (3 + INPUTS + {{ states }})
+#define COLUMNS (3 + INPUTS + {{ memories }})
 #define LONGEST 4096
 
 int main(int count, char **names)
@@ -65,11 +65,6 @@ int main(int count, char **names)
             double memory = (double)state.memory[i];
             bad = bad || memcmp(&memory, &value[3 + INPUTS + i], sizeof memory) != 0;
         }
-{% if states > memories %}        for (int i = 0; i < {{ memories }}; i++) {
-            double memory = (double)state.braking[i];
-            bad = bad || memcmp(&memory, &value[3 + INPUTS + {{ memories }} + i], sizeof memory) != 0;
-        }
-{% endif %}
 #endif
         if (bad && wrong++ == 0) {
             fprintf(stderr, "vectors.csv, row %ld: found u = %.17g, expected %.17g\n", row, u, expected);

@@ -52,21 +52,18 @@ static real {{ name }}_feedforward(real q, real v, real a)
     state->k = 0;
     for (int i = 0; i < {{ macro }}_MEMORY; i++) {
         state->memory[i] = R(0);
-{% if ahead and ahead.takes_off %}        state->braking[i] = R(0);
-{% endif %}    }
+    }
 }
 
 real {{ name }}_step({{ name }}_state *state, real reference, real q, real f_ext{% if ahead %}, real ahead_q, real ahead_v, real ahead_a{% endif %})
 {
-    real u = {{ kernel }}(state->k, reference, q, f_ext, state->memory);
-{% if ahead %}    real ahead = {{ name }}_feedforward(ahead_q, ahead_v, ahead_a);
-{% if ahead.takes_off %}    real braking = {{ kernel }}(state->k, reference, reference, R(0.0), state->braking);
+{% if ahead %}    /* The law is given the error alone. */
+    real u = {{ kernel }}(state->k, R(0.0), q - reference, f_ext, state->memory);
 
-    u = u + (ahead - braking);
-{% else %}
-    u = u + ahead;
-{% endif %}{% endif %}
-    state->k++;
+    u = u + {{ name }}_feedforward(ahead_q, ahead_v, ahead_a);
+{% else %}    real u = {{ kernel }}(state->k, reference, q, f_ext, state->memory);
+
+{% endif %}    state->k++;
     if (u > LIMIT) {
         u = LIMIT;
     } else if (u < -LIMIT) {

@@ -27,8 +27,7 @@ typedef double {{ name }}_real;
 typedef struct {
     long long k; /* samples since {{ name }}_init */
     {{ name }}_real memory[{{ macro }}_MEMORY]; /* of the law, SI: what the equations above have at k-1, k-2, ... */
-{% if ahead and ahead.takes_off %}    {{ name }}_real braking[{{ macro }}_MEMORY]; /* the same of the law on its reference, whose answer is taken off */
-{% endif %}} {{ name }}_state;
+} {{ name }}_state;
 
 /* Begin anew: the next sample is the first, and the axis has been at rest until then. */
 void {{ name }}_init({{ name }}_state *state);

@@ -34,6 +34,7 @@ from emps_design.simulation.kernels.motion import (
     DELAY,
     DELAYED,
     DRIVE,
+    ERROR_ALONE,
     EXACT,
     FREE,
     GAIN,
@@ -127,6 +128,7 @@ def run(
     commands, waits = starts[COMMAND + 1] > starts[COMMAND], int(settings[DELAYED])
     weighed = starts[INERTIA + 1] > starts[INERTIA]
     bounds[0], bounds[1] = -np.inf, np.inf
+    error_alone = settings[ERROR_ALONE] > 0.0
     slides, steady = settings[SLIDES] > 0.0, settings[SLIDES] > 1.0
     exact, lagged = settings[EXACT] > 0.0, settings[LAG] > 0.0
     # One lag behind another is the sum of both alone, in shares: the partial fractions of 1/((1 + T s)(1 + T' s)).
@@ -185,7 +187,10 @@ def run(
                 felt -= k1[1] * total(TOUCH_MASS, y_, t, tau, plant)
         outside[k] = felt
         if law != 0:
-            volts = call_law(law, k, reference[k], seen, felt, limit, shifted(gains_, k * stride), memory_)
+            told, wanted = seen, reference[k]
+            if error_alone:
+                told, wanted = seen - wanted, 0.0
+            volts = call_law(law, k, wanted, told, felt, limit, shifted(gains_, k * stride), memory_)
         else:
             volts = reference[k]
         if commands:

@@ -154,7 +154,7 @@ def test_every_effect_is_in_the_exported_observer_and_its_feed_forward_or_refuse
         with pytest.raises(InputError, match=f"found {effect.name}, it .*; take such effects out"):
             Block.observer(axis, 20.0)
         return
-    block, ahead = Block.observer(axis, 20.0), Ahead.of(FeedForward.of(axis, (effect.name,)), False)
+    block, ahead = Block.observer(axis, 20.0), Ahead.of(FeedForward.of(axis, (effect.name,)))
     for program in (block.program, *(part.program for part in ahead.parts)):
         sizes = dict(zip(list(program.kernel.parameters)[5:], (8, 4), strict=False))
         assert functions_in_c(program, "x", {})[0]
