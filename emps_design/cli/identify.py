@@ -47,7 +47,7 @@ def command(
     estimator: str = typer.Option(
         "auto",
         "--estimator",
-        help="auto: ls, or iv where a test says that ls is biased; ls: least squares; iv: instruments; oe: closed-loop "
+        help="auto: ls, or iv where a test says that ls is biased, or oe where noise hides a parameter from both; ls: least squares; iv: instruments; oe: closed-loop "
         "output error.",
     ),
     external_force: str = typer.Option(
@@ -188,6 +188,10 @@ def _show_one(found: Identification) -> None:
     )
     if any(estimate.systematic for estimate in found.parameters.values()):
         console.print("95 % ± holds what this filter is off by as well, judged by --filter hold")
+    stepped = {name: one.encoder for name, one in found.parameters.items() if one.encoder}
+    if stepped:
+        each = ", ".join(f"{name} {rounded(rms, 4)}" for name, rms in stepped.items())
+        console.print(f"95 % ± holds what the steps of the encoder do as well, by simulation: {each} rms")
     console.print(f"filter {found.chain}: {found.filter_text}")
     if found.extra.get("held_out"):
         judged = found.extra["held_out"]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.identification.cutoff import LONGEST
+from emps_design.identification.cutoff import LONGEST, first_part
 from emps_design.identification.excitation import WEAK_RELIABILITY, reliability, share_near_gaps
 from emps_design.identification.filtered import Filtered
 from emps_design.identification.inverse_model import LeastSquares, parameters_of, regression
@@ -37,14 +37,16 @@ def assemble(
     seed: int = 0,
     extra: dict[str, Any] | None = None,
     systematic: np.ndarray | None = None,
+    encoder: np.ndarray | None = None,
     notes: Sequence[str] = (),
     weakest: float = WEAK_RELIABILITY,
 ) -> Identification:
     """Put statistics beside ``fit`` and make an :class:`Identification` of it; ``Z`` are the instruments, if any.
 
     ``systematic`` (p,) is what the chain is off by, where that is known (NaN: another chain finds the parameter not
-    determined away from rest): it widens the intervals. ``weakest`` reliability of a column that still determines
-    its parameter; 0 where W was simulated, not measured.
+    determined away from rest), ``encoder`` (p,) what the steps of the encoder do: both widen the intervals, the second
+    where it is more than the residual tells. ``weakest`` reliability of a column that still determines its parameter;
+    0 where W was simulated, not measured.
     """
     residual, spread, lag, period = residual_statistics(filtered, W, fit, Z)
     hac = np.sqrt(np.diag(hac_covariance(W, fit.residual, lag, Z)))
@@ -78,7 +80,10 @@ def assemble(
             estimates[quantity.name] = Estimate(quantity, None, None, reliability=told)
             continue
         bias = 0.0 if systematic is None else float(systematic[i])
-        half = spread.quantile * float(np.hypot(spread.std[i], bias))
+        # Where the residual tells of more than the steps of the encoder do, it has told of them.
+        stepped = 0.0 if encoder is None or encoder[i] <= spread.std[i] else float(encoder[i])
+        known = float(np.hypot(bias, stepped))
+        half = spread.quantile * float(np.hypot(spread.std[i], known))
         if half > abs(fit.value[i]) and quantity.name != "constant_force":
             warnings.append(f"{quantity.name}: its 95 % interval reaches zero; the record hardly determines it")
         estimates[quantity.name] = Estimate(
@@ -89,10 +94,11 @@ def assemble(
             interval_95=_around(fit.value[i], half),
             std_hac=float(hac[i]),
             std_bootstrap=float(boot[i]) if bootstrap else None,
-            interval_95_bootstrap=_around(fit.value[i], spread.quantile * np.hypot(boot[i], bias))
+            interval_95_bootstrap=_around(fit.value[i], spread.quantile * np.hypot(boot[i], known))
             if bootstrap
             else None,
             systematic=None if systematic is None else bias,
+            encoder=None if encoder is None else stepped,
             reliability=told,
         )
     return Identification(
@@ -178,7 +184,7 @@ def told_at_rests(W: np.ndarray, filtered: Filtered, model: str) -> tuple[str, .
 
 def _reliability(record: Record, axis: Axis, model: str, filtered: Filtered, W: np.ndarray) -> np.ndarray | None:
     """Reliability of each column by the same chain on the reference; None where the motion does not follow it."""
-    part = record.part(0, LONGEST) if len(record) > LONGEST else record
+    part = first_part(record)
     if float(np.std(part.q - part.q_ref)) > 0.1 * float(np.std(part.q)):
         return None
     if part is not record:

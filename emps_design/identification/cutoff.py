@@ -109,6 +109,11 @@ def explained_by_frequency(record: Record, cutoff_hz: float) -> dict[str, Any]:
 
 def _looked_at(record: Record) -> tuple[Record, float, float]:
     """The part of ``record`` that is looked at, and the lowest and highest cut-off [Hz] that are tried."""
-    part = record.part(0, LONGEST) if len(record) > LONGEST else record
+    part = first_part(record)
     top = HIGHEST / part.period
     return part, min(FEWEST_PERIODS / part.duration, 0.5 * top), top
+
+
+def first_part(record: Record) -> Record:
+    """``record``, or so much of a long one as is looked at."""
+    return record.part(0, LONGEST, record.name) if len(record) > LONGEST else record

@@ -9,8 +9,8 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.errors import InputError, RankError, RecordError
 from emps_design.identification.assemble import assemble
-from emps_design.identification.chains import DEFAULT_CHAIN
-from emps_design.identification.cutoff import LONGEST, chosen_cutoff, explained_by_frequency
+from emps_design.identification.chains import DEFAULT_CHAIN, LONG
+from emps_design.identification.cutoff import chosen_cutoff, explained_by_frequency, first_part
 from emps_design.identification.excitation import (
     check_record,
     force_free,
@@ -96,8 +96,21 @@ def identify(
         seed=seed,
         extra=extra,
         systematic=systematic,
+        encoder=_encoder(record, axis, model, filtered, fit) if chain == "hold" and len(record) <= LONG else None,
         notes=notes,
     )
+
+
+def _encoder(record: Record, axis: Axis, model: str, filtered: Filtered, fit: LeastSquares) -> np.ndarray | None:
+    """What the steps of the encoder alone do to least squares (p,)."""
+    # Imported here: beside a long record's regression the modules of a simulation are a tenth of its memory.
+    from emps_design.identification.encoder import error_of_steps
+
+    def estimate(seen: Record, exact: Record) -> np.ndarray:
+        again = filter_record(seen, axis, "hold", filtered.cutoff_hz)
+        return least_squares(*regression(again, model), fit.names, again.used).value
+
+    return error_of_steps(first_part(record), axis, model, fit.value, estimate)
 
 
 def _against_hold(
@@ -107,7 +120,7 @@ def _against_hold(
 
     None where too little of the record is away from rest for that chain.
     """
-    part = record.part(0, LONGEST, record.name) if len(record) > LONGEST else record
+    part = first_part(record)
     if part is not record:
         W, Y = regression(filter_record(part, axis, filtered.chain, filtered.cutoff_hz), model)
         fit = least_squares(W, Y, fit.names)

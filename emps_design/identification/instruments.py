@@ -13,25 +13,24 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.errors import AxisError, RecordError, SimulationError
+from emps_design.errors import AxisError
 from emps_design.identification.assemble import assemble, residual_statistics, resolved_steps
 from emps_design.identification.chains import hold_chain
+from emps_design.identification.closed_loop import simulate
+from emps_design.identification.cutoff import first_part
+from emps_design.identification.encoder import error_of_steps
 from emps_design.identification.excitation import check_record
 from emps_design.identification.filtered import Filtered
 from emps_design.identification.inverse_model import (
     LeastSquares,
-    baseline_of,
     least_squares,
     parameters_of,
     regression,
 )
-from emps_design.identification.known import filter_record, identified_effects, known_part, notes
-from emps_design.identification.plausibility import implausible
+from emps_design.identification.known import filter_record, known_part, notes
 from emps_design.identification.result import Identification
 from emps_design.identification.statistics import long_run
 from emps_design.records import Record
-from emps_design.simulation import Plant, Run
-from emps_design.simulation.driven import driven_by
 
 ITERATIONS = 8
 WEAK_INSTRUMENT = 0.1  # share of a column that its instrument explains, below which it says nothing
@@ -111,6 +110,12 @@ def identify_with_instruments(
         value = fit.value
         if change < SETTLED:
             break
+
+    def estimate(seen: Record, exact: Record) -> np.ndarray:
+        again = filter_record(seen, axis, "hold", filtered.cutoff_hz)
+        led = _columns(exact, axis, model, again)
+        return _solve(led, *regression(again, model), names, int(again.used.sum())).value
+
     test = hausman_test(W, Y, Z, filtered, float(np.max(np.abs(value - start.value) / spread.std)))
     extra = {
         "least_squares": dict(zip(names, map(float, start.value), strict=True)),
@@ -126,6 +131,7 @@ def identify_with_instruments(
         fit,
         Z=Z,
         extra=extra,
+        encoder=error_of_steps(first_part(record), axis, model, value, estimate),
         notes=notes(axis),
         weakest=WEAK_INSTRUMENT,
     )
@@ -134,33 +140,12 @@ def identify_with_instruments(
 def instruments(record: Record, axis: Axis, model: str, value: np.ndarray, filtered: Filtered) -> np.ndarray:
     """Columns of the closed-loop simulation from ``q_ref`` with parameters ``value``, filtered alike, (n, p)."""
     run = simulate(record, axis, model, value)
-    led = hold_chain(replace(record, q=run.position, u=run.u), axis.drive.gain, filtered.cutoff_hz)
-    Z, _ = regression(led, model)
+    return _columns(replace(record, q=run.position, u=run.u), axis, model, filtered)
+
+
+def _columns(run: Record, axis: Axis, model: str, filtered: Filtered) -> np.ndarray:
+    Z, _ = regression(hold_chain(run, axis.drive.gain, filtered.cutoff_hz), model)
     return Z * filtered.used[:, None]
-
-
-def simulate(record: Record, axis: Axis, model: str, value: np.ndarray) -> Run:
-    """Closed-loop run of ``record`` from its reference and measured external force with parameters ``value``."""
-    p = dict(zip((q.name for q in parameters_of(model)), map(float, value), strict=True))
-    mechanics = dict(zip(("mass", "viscous", "coulomb", "offset"), baseline_of(model, p).tolist(), strict=True))
-    for name in ("mass", "viscous", "coulomb"):
-        if not mechanics[name] > 0:
-            why = implausible(p, axis) or [
-                "the record does not determine it: record several constant speeds in both directions, with "
-                "acceleration between them"
-            ]
-            raise RecordError(
-                f"{record.name}: {name} came out as {mechanics[name]:.4g}, and no simulation starts from that; {why[0]}"
-            )
-    effects = [*identified_effects(model, p), *known_part(axis, model).effects]
-    machine = axis.replace(mechanics=mechanics, effects=effects, sampling={"period": record.period})
-    try:
-        return Plant.of(machine).closed_loop(**driven_by(machine, record), quantise=False)
-    except SimulationError as error:
-        raise RecordError(
-            f"{record.name}: no simulation with the controller of {axis.name} at {1 / record.period:g} Hz ({error}), "
-            "so the record was made with another one; put its controller into the axis, or use `identify`"
-        ) from error
 
 
 def hausman_test(W: np.ndarray, Y: np.ndarray, Z: np.ndarray, filtered: Filtered, shift: float) -> HausmanTest:

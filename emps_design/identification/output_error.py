@@ -17,10 +17,11 @@ from emps_design.axis import Axis
 from emps_design.errors import AxisError, InputError, RankError, RecordError
 from emps_design.identification.assemble import assemble
 from emps_design.identification.chains import hold_chain
+from emps_design.identification.closed_loop import simulate
 from emps_design.identification.cutoff import chosen_cutoff
+from emps_design.identification.encoder import error_of_steps
 from emps_design.identification.excitation import check_record
 from emps_design.identification.filters import low_pass
-from emps_design.identification.instruments import simulate
 from emps_design.identification.inverse_model import (
     LeastSquares,
     least_squares,
@@ -100,7 +101,16 @@ def identify_by_output_error(
             "force_relative_error_percent": fit.relative_error_percent,
         }
     }
-    found = assemble(record, axis, model, "output_error", filtered, jacobian, fit, extra=extra, notes=said, weakest=0.0)
+
+    def estimate(seen: Record, exact: Record) -> np.ndarray:
+        error = low_pass(motor_force(axis, seen) - motor_force(axis, exact), cutoff_hz, record.period)
+        off = error[edge : len(record) - edge : filtered.decimation] * filtered.used
+        return least_squares(jacobian, off, names, filtered.used).value
+
+    found = assemble(
+        record, axis, model, "output_error", filtered, jacobian, fit,
+        extra=extra, encoder=error_of_steps(record, axis, model, value, estimate), notes=said, weakest=0.0,
+    )  # fmt: skip
     return replace(found, series={**found.series, "measured": measured, "model": measured - residual})
 
 

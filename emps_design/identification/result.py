@@ -21,9 +21,10 @@ class Estimate:
     """One identified parameter: ``value``, ``std`` by (15), ``relative_std_percent`` by (16), and what holds.
 
     ``std_long_run`` and ``interval_95`` allow for the correlation of the residual; ``std_hac`` is the HAC deviation;
-    ``systematic`` what a chain that models neither hold nor rest is off by, judged by the one that does, and part of
-    the interval. All None where the record does not determine the parameter; ``reliability`` says how much of its
-    column is motion.
+    ``systematic`` what a chain that models neither hold nor rest is off by, judged by the one that does, and
+    ``encoder`` the rms of what the steps of the encoder do by simulation, 0 where the residual tells of more: both are
+    part of the interval. All None where the record does not determine the parameter; ``reliability`` says how much of
+    its column is motion.
     """
 
     quantity: Quantity
@@ -35,6 +36,7 @@ class Estimate:
     std_bootstrap: float | None = None
     interval_95_bootstrap: tuple[float, float] | None = None
     systematic: float | None = None
+    encoder: float | None = None
     reliability: float | None = None
 
     @property

@@ -1,8 +1,9 @@
-"""Least squares, or instruments where a test says that least squares is biased: what is done unless told otherwise.
+"""Least squares, or what the record asks for in its place: what is done unless told otherwise.
 
 Noise of the force moves the carriage, the more the lighter it is and the faster its loop, and least squares then takes
-the mass too small. Instruments need the controller, so a record of one that is not known, or that has no reference,
-stays with least squares; so does a record of an hour, for its memory.
+the mass too small: instruments are taken where a test says so. Where the measured acceleration is noise neither
+determines the mass, but output error may, which takes it from its simulation. Both need the controller, so a record of
+one that is not known, or that has no reference, stays with least squares; so does a record of an hour, for its memory.
 """
 
 from __future__ import annotations
@@ -30,9 +31,10 @@ def identify_tested(
     holdout: Record | None = None,
     **both: Any,
 ) -> Identification:
-    """Identify ``axis`` from ``record`` by least squares, or by instruments where least squares is biased.
+    """Identify ``axis`` from ``record`` by least squares, instruments where that is biased, or output error.
 
-    Biased is what the Durbin-Wu-Hausman test says at 1 %, and by half a standard deviation or more. Arguments and
+    Biased is what the Durbin-Wu-Hausman test says at 1 %, and by half a standard deviation or more. Output error is
+    taken where noise leaves neither to determine a parameter, it does, and all agree on the others. Arguments and
     errors are those of :func:`~emps_design.identification.identify`; those that ``both`` estimators take are ``model``,
     ``cutoff_hz`` and ``external_force_known``. Other chains than ``hold`` and a ``bootstrap`` are least squares.
 
@@ -44,8 +46,7 @@ def identify_tested(
     ('least_squares', False)
     """
     plain = identify(record, axis, chain=chain, bootstrap=bootstrap, seed=seed, holdout=holdout, **both)
-    followed = record.q_ref_recorded or record.velocity_reference is not None
-    if chain != "hold" or bootstrap or axis.controller.kind == "none" or not followed:
+    if chain != "hold" or bootstrap or axis.controller.kind == "none" or not record.has_reference:
         return plain
     if len(record) > LONG:
         said = f"{LONG} samples are the most that least squares is tested on; a part of the record says if it is biased"
@@ -57,15 +58,53 @@ def identify_tested(
         led = identify_with_instruments(record, axis, **both)
     except (EmpsError, np.linalg.LinAlgError):  # no simulation with this controller follows the record
         return plain
+    tried = _by_output_error(record, axis, plain, led, **both)
+    if tried is not None:
+        return _held_out(tried, holdout, **both)
     weaker = any(one.determined and not led.parameters[name].determined for name, one in plain.parameters.items())
     if weaker or not led.extra["hausman_test"]["bias_matters"]:
         return replace(plain, extra=plain.extra | {"hausman_test": led.extra["hausman_test"]})
     led = replace(led, warnings=(*led.warnings, *_weakly_led(led)))
+    return _held_out(led, holdout, **both)
+
+
+def _held_out(found: Identification, holdout: Record | None, external_force_known: bool = False, **_: Any) -> Any:
+    """``found`` with what it is worth on ``holdout``."""
     if holdout is None:
-        return led
-    known = both.get("external_force_known", False)
-    judged = held_out_on(holdout, led.axis, led.model, led.values(), led, known)
-    return replace(led, extra=led.extra | {"held_out": judged})
+        return found
+    judged = held_out_on(holdout, found.axis, found.model, found.values(), found, external_force_known)
+    return replace(found, extra=found.extra | {"held_out": judged})
+
+
+def _by_output_error(
+    record: Record, axis: Axis, plain: Identification, led: Identification, **both: Any
+) -> Identification | None:
+    """Output error where it alone determines what noise hides, and agrees with ``led`` on the rest; else None."""
+    hidden = [name for name in led.parameters if _by_noise(plain, name) and _by_noise(led, name)]
+    if not hidden:
+        return None
+    from emps_design.identification.output_error import identify_by_output_error
+
+    try:
+        found = identify_by_output_error(record, axis, **both)
+    except EmpsError:
+        return None
+    ends = {name: one.interval_95 for name, one in found.parameters.items() if one.interval_95 is not None}
+    others = {name: one.interval_95 for name, one in led.parameters.items() if one.interval_95 is not None}
+    told = all(name in ends and ends[name][0] * ends[name][1] > 0.0 for name in hidden)
+    if not told or any(ends[name][0] > high or ends[name][1] < low for name, (low, high) in others.items()):
+        return None
+    said = (
+        f"{', '.join(hidden)}: by output error, for the measured motion is noise there, and least squares and "
+        "instruments do not determine it"
+    )
+    extra = found.extra | {"hausman_test": led.extra["hausman_test"]}
+    return replace(found, extra=extra, warnings=(*found.warnings, said))
+
+
+def _by_noise(found: Identification, name: str) -> bool:
+    one = found.parameters[name]
+    return not one.determined and one.reliability is not None and one.reliability < WEAK_RELIABILITY
 
 
 def _weakly_led(found: Identification) -> list[str]:

@@ -93,6 +93,11 @@ class Record:
         return self.period * len(self)
 
     @property
+    def has_reference(self) -> bool:
+        """Whether what the controller followed was recorded."""
+        return self.q_ref_recorded or self.velocity_reference is not None
+
+    @property
     def columns(self) -> dict[str, np.ndarray]:
         """The signals by their names in a file."""
         reference = {"q_ref": self.q_ref} if self.q_ref_recorded else {}
