@@ -47,8 +47,8 @@ def command(
     estimator: str = typer.Option(
         "auto",
         "--estimator",
-        help="auto: ls, or iv where a test says that ls is biased, or oe where noise hides a parameter from both; ls: least squares; iv: instruments; oe: closed-loop "
-        "output error.",
+        help="auto: ls, or iv where a test says that ls is biased, or oe where noise hides a parameter from both; "
+        "ls: least squares; iv: instruments; oe: closed-loop output error.",
     ),
     external_force: str = typer.Option(
         "refuse", "--external-force", help="refuse a record with one, or known: let the measured force take part."
