@@ -1,16 +1,17 @@
-"""How often 95 % intervals hold the truth: ``make coverage`` writes benchmarks/coverage.json, an axis at a time."""
+"""How often 95 % intervals hold the truth: ``make coverage`` writes benchmarks/coverage*.json, an axis at a time."""
 
 from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.coverage_axes import CASES, FIRST_SEED, Records
+from benchmarks.coverage_axes import CASES, FIRST_SEED, QUIET, Case, Records
 from emps_design.axis import Axis
 from emps_design.cli.output import progress_bar
 from emps_design.errors import EmpsError
@@ -19,13 +20,21 @@ from emps_design.identification import identify
 from emps_design.identification.instruments import identify_with_instruments
 from emps_design.identification.output_error import identify_by_output_error
 from emps_design.identification.result import Identification
+from emps_design.identification.tested import identify_tested
 from emps_design.records import Record
 
 RUNS = int(os.environ.get("EMPS_DESIGN_COVERAGE", "1000"))
 DRAWS = 100  # of the bootstrap
 PARAMETERS = ("mass", "viscous", "coulomb", "constant_force")
 # What is counted: the estimator, and which of its intervals.
-COUNTED = (("ls", "interval_95"), ("bootstrap", "interval_95_bootstrap"), ("iv", "interval_95"), ("oe", "interval_95"))
+COUNTED = (
+    ("ls", "interval_95"),
+    ("bootstrap", "interval_95_bootstrap"),
+    ("iv", "interval_95"),
+    ("oe", "interval_95"),
+    ("auto", "interval_95"),
+)
+TABLES = {"coverage": CASES, "coverage_quiet": QUIET}
 
 
 def estimates(record: Record, axis: Axis, seed: int) -> dict[str, Callable[[], Identification]]:
@@ -34,13 +43,14 @@ def estimates(record: Record, axis: Axis, seed: int) -> dict[str, Callable[[], I
         "ls": lambda: identify(record, axis, bootstrap=DRAWS, seed=seed),
         "iv": lambda: identify_with_instruments(record, axis),
         "oe": lambda: identify_by_output_error(record, axis),
+        "auto": lambda: identify_tested(record, axis),
     }
 
 
-def main() -> None:
-    """Count, and write the file after every axis."""
+def main(table: str, cases: tuple[Case, ...]) -> None:
+    """Count over ``cases``, and write the file of ``table`` after every axis."""
     rows: list[dict] = []
-    for case in CASES:
+    for case in cases:
         records = Records(case)
         truth = records.axis.mechanics.array()
         held = {name: np.zeros(len(PARAMETERS)) for name, _ in COUNTED}
@@ -77,10 +87,10 @@ def main() -> None:
             for name, _ in COUNTED
             for i, parameter in enumerate(PARAMETERS)
         ]
-        write(rows)
+        write(table, rows)
 
 
-def write(rows: list[dict]) -> None:
+def write(table: str, rows: list[dict]) -> None:
     """Write what was counted so far, each estimator over all axes first, and the least of its shares."""
     pooled = []
     for name, _ in COUNTED:
@@ -93,8 +103,9 @@ def write(rows: list[dict]) -> None:
         pooled.append({**least, "axis": f"least: {least['axis']}"})
     date = datetime.now(UTC).date().isoformat()
     document = {"date": date, "runs_each": RUNS, "first_seed": FIRST_SEED, "rows": [*pooled, *rows]}
-    write_text(Path(__file__).with_name("coverage.json"), json.dumps(document, indent=1) + "\n")
+    write_text(Path(__file__).with_name(f"{table}.json"), json.dumps(document, indent=1) + "\n")
 
 
 if __name__ == "__main__":
-    main()
+    for table in sys.argv[1:] or TABLES:
+        main(table, TABLES[table])

@@ -1,4 +1,4 @@
-"""Eight axes unlike the demo, and short records of them: slow force noise, errors of the encoder, rests.
+"""Axes unlike the demo, and short records of them: slow force noise, errors of the encoder, rests.
 
 None of them, and no seed from :data:`FIRST_SEED` on, was looked at while the estimators were made.
 """
@@ -23,7 +23,8 @@ class Case:
 
     ``bandwidth`` [rad/s] of the velocity loop; ``resolution`` of the encoder and standard deviation ``encoder_noise``
     of what it adds before it rounds [m]; ``push`` [N] of the force noise and its correlation time ``push_time`` [s];
-    ``rest`` [s] between two strokes, ``laps`` of two strokes at each of three speeds.
+    ``rest`` [s] between two strokes, ``laps`` of two strokes at each of three speeds; ``any_phase`` moves each record
+    against the steps of the encoder.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Case:
     encoder_noise: float = 0.0
     rest: float = 0.0
     laps: int = 1
+    any_phase: bool = False
 
     def axis(self) -> Axis:
         """The axis, with a force gain of 1 N/V."""
@@ -79,6 +81,21 @@ CASES = (
     Case("2 t, 250 Hz, 5 um rms", (2e3, 900.0, 150.0, -40.0), 250.0, 20.0, 0.4, 0.4, 8.0, 0.1, 1e-6, 5e-6, 0.3, 2),
     Case("20 t, 100 Hz, 50 um", (2e4, 1.2e4, 1.5e3, 200.0), 100.0, 8.0, 0.5, 0.2, 60.0, 0.3, 5e-5, rest=0.5, laps=2),
 )
+# Coarse encoders and hardly any other noise: their steps are what the estimates are off by.
+QUIET = (
+    Case(
+        "0.4 kg, 4 kHz, 5 um, quiet", (0.4, 2.0, 0.5, 0.1), 4e3, 120.0, 0.2, 2.5, 2e-3, 0.03, 5e-6, laps=2,
+        any_phase=True,
+    ),
+    Case(
+        "40 kg, 1 kHz, 50 um, quiet", (40.0, 150.0, 8.0, -1.0), 1e3, 40.0, 0.15, 0.9, 0.05, 0.05, 5e-5, rest=0.1,
+        any_phase=True,
+    ),
+    Case(
+        "500 kg, 500 Hz, 100 um, quiet", (500.0, 900.0, 50.0, 5.0), 500.0, 25.0, 0.12, 0.4, 0.3, 0.1, 1e-4, rest=0.3,
+        any_phase=True,
+    ),
+)  # fmt: skip
 
 
 def encoder_pd(k, reference, q, f_ext, limit, gains, memory):
@@ -115,6 +132,7 @@ class Records:
         kp, kv = (self.axis.controller.parameters[name] for name in ("kp", "kv"))
         gains = np.array([kp * kv, kv, 1.0 / period, case.resolution])
         law = Law(encoder_pd, np.concatenate([gains, noise]), 2)
-        run = self.plant.closed_loop(self.reference, disturbance=push, law=law, quantise=False)
+        reference = self.reference + (case.resolution * random.random() if case.any_phase else 0.0)
+        run = self.plant.closed_loop(reference, disturbance=push, law=law, quantise=False)
         q = case.resolution * np.floor((run.position + noise) / case.resolution + 0.5)
-        return Record(t=run.t, q_ref=self.reference, q=q, u=run.u, period=period, name=f"{case.name}, {seed}")
+        return Record(t=run.t, q_ref=reference, q=q, u=run.u, period=period, name=f"{case.name}, {seed}")

@@ -124,7 +124,8 @@ def _print(document: dict[str, Any]) -> None:
         creep = found["creep_speed"]
         table.add_row("creep speed, mm/s", "unbounded" if math.isinf(creep) else f"{1e3 * creep:.3f}")
         table.add_row("dead band, N", f"{found['dead_band']:.3f}")
-        table.add_row("Coulomb factor without creep", f"{found['coulomb_factor_without_creep']:.4f}")
+        factor = found["coulomb_factor_without_creep"]
+        table.add_row("Coulomb factor without creep", "none" if factor is None else f"{factor:.4f}")
         low, high = found["stable_share_interval"]
         interval = "" if math.isnan(low) else f" (95 %: {100 * low:.2f} to {100 * high:.2f} %)"
         table.add_row("plants that come to rest", f"{100 * found['stable_share']:.2f} %{interval}")

@@ -10,15 +10,16 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.comanipulation.run import run_task
+from emps_design.comanipulation.run import run_many, run_task
 from emps_design.comanipulation.study import MismatchStudy, mismatch_study
 from emps_design.comanipulation.task import fitted_task
 from emps_design.comanipulation.wall_limit import WallLimit, wall_limit
 from emps_design.control.impedance.equivalence import LOW_FREQUENCY, equivalent_loop, safety_words
-from emps_design.control.impedance.law import PRINTED, FrictionModel, ImpedanceLaw, impedance_law
+from emps_design.control.impedance.law import PRINTED, ApparentImpedance, FrictionModel, ImpedanceLaw, impedance_law
 from emps_design.control.impedance.passivity import largest_wall, passivity
 from emps_design.control.impedance.response import relay_oscillation
 from emps_design.control.impedance.robustness import (
+    VERDICTS,
     break_away,
     check_mismatch,
     corner_errors,
@@ -27,6 +28,7 @@ from emps_design.control.impedance.robustness import (
     dead_band,
     drift_threshold,
     nearest_stable,
+    sinking_force,
     smallest_mass,
     verdict,
     worst_radius,
@@ -41,10 +43,13 @@ from emps_design.control.impedance.sampled import (
 )
 from emps_design.control.loop.sampled_loop import MARGINAL
 from emps_design.errors import SpecificationError, UnstableError
-from emps_design.laws.friction_model import left_out
+from emps_design.laws.friction_model import PARAMETERS, left_out
 from emps_design.notebook import table
 from emps_design.progress import Progress
 
+DRAWN, LITTLE = 40, 1e-3  # estimates that are simulated of a law to propose, and their error without a mismatch
+SPEED = 0.1  # m/s, of the slide in which effects are linearised
+SWINGS = ("limit_cycle", "unstable")  # verdicts on a law that is of no use
 SHARES = (
     "stable_share", "stable_share_interval", "bounded_share", "bounded_share_interval", "verdicts", "plants", "seed",
     "task", "varied", "not_varied", "beyond",
@@ -80,7 +85,19 @@ class ImpedanceAssessment:
     @cached_property
     def extended(self) -> SampledLoop | None:
         """The loop with the effects that the friction model cannot hold, linearised; None where there are none."""
-        return extended_loop(self.axis, self.law) if left_out(self.axis) else None
+        if not left_out(self.axis):
+            return None
+        return max((extended_loop(self.axis, self.law, v) for v in self._speeds), key=lambda loop: loop.radius)
+
+    @property
+    def _speeds(self) -> list[float]:
+        return [direction * SPEED for direction in self.plant.directions]
+
+    @cached_property
+    def loop(self) -> SampledLoop:
+        """The sampled loop on the friction model, in the direction of motion in which it is the less stable."""
+        loops = [sampled_loop(self.law, self.plant, self.clock, direction) for direction in self.plant.directions]
+        return max(loops, key=lambda loop: loop.radius)
 
     @cached_property
     def simulated(self) -> str:
@@ -102,24 +119,42 @@ class ImpedanceAssessment:
         """Whether the sampled loop is stable, at every corner of the mismatch, and with the axis's effects."""
         return self.worst_radius <= 1.0 + MARGINAL and (self.extended is None or self.extended.stable)
 
+    @property
+    def swings(self) -> bool:
+        """Whether the simulated carriage swings or grows, whatever the poles say."""
+        return self.simulated in SWINGS
+
+    def _calm(self, law: ImpedanceLaw) -> bool:
+        """Whether ``law`` guided and let go comes to no swing, with estimates anywhere within the mismatch.
+
+        Beside a law that swings one may by chance come to rest: without a mismatch estimates are off a little too.
+        """
+        size = self.mismatch or LITTLE
+        drawn = np.random.default_rng(0).uniform(-size, size, (len(PARAMETERS), DRAWN))
+        errors = np.hstack([np.zeros((len(PARAMETERS), 1)), drawn])
+        off = law.with_errors(dict(zip(PARAMETERS, errors, strict=True)))
+        found = run_many(self.axis, [off], fitted_task(self.axis, law)).verdict
+        return not any(VERDICTS[place] in SWINGS for place in found)
+
     @cached_property
     def nearest(self) -> dict[str, float] | None:
-        """The nearest stable law (mass, damping, filter); None where the law is stable, or none was found."""
-        if self.stable:
+        """The nearest law (mass, damping, filter) that is stable and does not swing; None for none, and if this is."""
+        if self.stable and not self.swings:
             return None
 
         def accept(law: ImpedanceLaw, masses: np.ndarray, filters: np.ndarray) -> np.ndarray:
-            return extended_radius(self.axis, law, masses, filters) <= 1.0 + MARGINAL
+            radius = [extended_radius(self.axis, law, masses, filters, v) for v in self._speeds]
+            return np.max(radius, axis=0) <= 1.0 + MARGINAL
 
         extended = None if self.extended is None else accept
-        return nearest_stable(self.law, self.plant, self.clock, self.mismatch or 0.0, extended)
+        return nearest_stable(self.law, self.plant, self.clock, self.mismatch or 0.0, extended, self._calm)
 
     @property
     def reason(self) -> str:
         """Why the law is refused, in one line; empty where it is stable."""
         if self.stable:
             return ""
-        loop = sampled_loop(self.law, self.plant, self.clock)
+        loop = self.loop
         recursion = abs(recursion_poles(self.law, self.clock)[0])
         if not loop.stable:
             what = f"the sampled loop has a pole of modulus {loop.radius:.5g}"
@@ -129,10 +164,14 @@ class ImpedanceAssessment:
             what = f"at rest the recursion in the law's own current has a pole of modulus {recursion:.5g}"
         else:
             what = f"at a corner of +-{100 * (self.mismatch or 0):g} % a pole reaches modulus {self.worst_radius:.5g}"
+        return f"unstable: {what}; {self._proposal}"
+
+    @property
+    def _proposal(self) -> str:
         if self.nearest is None:
-            return f"unstable: {what}; no stable law was found nearby"
+            return "no law that is stable and does not swing was found nearby"
         return (
-            f"unstable: {what}; nearest stable: mass {self.nearest['mass']:.4g} kg, damping "
+            f"nearest stable: mass {self.nearest['mass']:.4g} kg, damping "
             f"{self.nearest['damping']:.4g} N/(m/s), filter {self.nearest['filter']:.4g} rad/s on both signals"
         )
 
@@ -145,18 +184,18 @@ class ImpedanceAssessment:
     def to_dict(self) -> dict[str, Any]:
         """Keys of the contract, and beside them passivity, contact, rest, and the smallest safe M_a."""
         law, plant, clock = self.law, self.plant, self.clock
-        loop = sampled_loop(law, plant, clock)
+        loop = self.loop
+        nominal = loop.stable and abs(recursion_poles(law, clock)[0]) <= 1.0 + MARGINAL
+        nominal = nominal and (self.extended is None or self.extended.stable)
         oscillation = relay_oscillation(law, plant, clock)
         ideal = replace(law, force_sensor=False, current_factor=1.0)
         document: dict[str, Any] = {
             "axis": self.axis.name,
             "law": law.to_dict(),
-            "derived": ideal.apparent(plant).to_dict(),
-            "printed": replace(ideal, current_factor=PRINTED).apparent(plant).to_dict(),
+            "derived": self._felt(ideal).to_dict(),
+            "printed": self._felt(replace(ideal, current_factor=PRINTED)).to_dict(),
             "sampled": {
-                "stable": loop.stable
-                and abs(recursion_poles(law, clock)[0]) <= 1.0 + MARGINAL
-                and (self.extended is None or self.extended.stable),
+                "stable": nominal,
                 "poles": list((self.extended or loop).poles),
                 "recursion_gain": law.recursion_gain,
                 "recursion_poles": list(recursion_poles(law, clock)),
@@ -167,10 +206,10 @@ class ImpedanceAssessment:
             "coulomb_oscillation": None
             if oscillation is None
             else {"frequency": oscillation[0], "speed": oscillation[1]},
-            "passivity": passivity(law, plant, clock).to_dict() if loop.stable else None,
-            "largest_wall_stiffness": largest_wall(law, plant, clock) if loop.stable else None,
+            "passivity": passivity(law, plant, clock).to_dict() if nominal else None,
+            "largest_wall_stiffness": largest_wall(law, plant, clock) if nominal else None,
             "wall_limit": {name: limit.to_dict() for name, limit in self.walls.items()},
-            "smallest_safe_mass": smallest_mass(law, plant, clock, self.mismatch or 0.0),
+            "smallest_safe_mass": smallest_mass(law, plant, clock, self.mismatch or 0.0, self._calm),
         }
         try:
             document["equivalent_loop"] = equivalent_loop(
@@ -181,12 +220,14 @@ class ImpedanceAssessment:
         if self.study is not None and self.mismatch is not None:
             document["mismatch"] = self._under_mismatch(self.study, self.mismatch)
         if not self.stable:
-            document["reason"], document["nearest"] = self.reason, self.nearest
+            document["reason"] = self.reason
+        if not self.stable or self.swings:
+            document["nearest"] = self.nearest
         document["warnings"] = self._warnings(document)
         return document
 
     def _repr_html_(self) -> str:
-        felt = self.law.apparent(self.plant)
+        felt = self._felt(self.law)
         rows = (
             ("M_a", self.law.mass, "kg"),
             ("B", self.law.damping, "N/(m/s)"),
@@ -199,6 +240,11 @@ class ImpedanceAssessment:
         )
         verdict = "stable" if self.stable else "UNSTABLE"
         return self.axis.units.text(table(f"{self.axis.name}: the sampled impedance law is {verdict}", rows))
+
+    def _felt(self, law: ImpedanceLaw) -> ApparentImpedance:
+        """What the operator feels, in the direction in which more of the Coulomb friction is left, or pushes."""
+        each = [law.apparent(self.plant, direction) for direction in self.plant.directions]
+        return max(each, key=lambda felt: abs(felt.coulomb_left))
 
     def _under_mismatch(self, study: MismatchStudy, mismatch: float) -> dict[str, Any]:
         corners = [self.law.with_errors(errors) for errors in corner_errors(mismatch, self.plant.two_quadrant)]
@@ -220,10 +266,16 @@ class ImpedanceAssessment:
 
     def _warnings(self, document: dict[str, Any]) -> list[str]:
         words = [self.reason] if not self.stable else []
-        if self.stable and self.simulated == "unstable":
+        if self.stable and self.swings:
             words.append(
-                "the poles are stable, but the simulated carriage is not, with the encoder's steps and the limit of "
-                "the command: a finer encoder, a slower filter or a larger apparent mass is needed"
+                "the poles are stable, but the simulated carriage keeps swinging, with the encoder's steps, the limit "
+                f"of the command and friction as it is: a finer encoder, or another law; {self._proposal}"
+            )
+        sinking = sinking_force(self.plant)
+        if sinking > 0.0:
+            words.append(
+                f"the constant force exceeds dry friction by {sinking:.3g} N, and at rest this law holds nothing: the "
+                "axis sinks; balance that force apart"
             )
         words += [
             f"effect {kind} is in the simulated plants and, linearised, in the poles, but not in apparent impedance "
@@ -233,7 +285,8 @@ class ImpedanceAssessment:
         words += safety_words(self.axis, self.law.mass, self.law.damping, self.mismatch or 0.0)
         if document["smallest_safe_mass"] is None:
             words.append(
-                "smallest_safe_mass is undefined: with this filter and damping the law is unstable even at M_a = M"
+                "smallest_safe_mass is undefined: with this filter and damping the law is unstable or swings even at "
+                "M_a = M"
             )
         if self.law.damping == 0.0:
             words.append("damping B is 0: nothing brings the released carriage to rest")
@@ -243,12 +296,12 @@ class ImpedanceAssessment:
         if oscillation is not None and oscillation["speed"] > 2.0 * threshold:
             words.append(
                 f"the Coulomb compensation may hunt, at {1e3 * oscillation['speed']:.2g} mm/s or more and below "
-                f"{oscillation['frequency']:.2g} rad/s (describing function); a faster filter or a smaller Coulomb "
-                "factor removes it"
+                f"{oscillation['frequency']:.2g} rad/s (describing function); a smaller Coulomb factor removes it, or "
+                "a faster filter where the loop bears one"
             )
         contact = document["passivity"]
         if contact is None:
-            words.append("passivity and largest_wall_stiffness are undefined: the free loop is unstable")
+            words.append("passivity and largest_wall_stiffness are undefined: the loop is unstable without contact")
         elif any(high is None for _, high in contact["continuous"]["active_bands"]):
             words.append("passivity.continuous: the active band is unbounded above")
         if contact is not None and not contact["sampled"]["passive"]:
@@ -273,10 +326,11 @@ class ImpedanceAssessment:
             if math.isinf(found["creep_speed"]):
                 words.append("mismatch.creep_speed is unbounded: at a corner the apparent damping is not positive")
             elif found["creep_speed"] > threshold:
+                factor = found["coulomb_factor_without_creep"]
+                cure = "no Coulomb factor" if factor is None else f"a Coulomb factor of {factor:.4g}"
                 words.append(
                     f"over-estimated friction makes the released carriage creep at up to "
-                    f"{1e3 * found['creep_speed']:.3g} mm/s; a Coulomb factor of "
-                    f"{found['coulomb_factor_without_creep']:.4g} rules it out"
+                    f"{1e3 * found['creep_speed']:.3g} mm/s; {cure} rules it out"
                 )
             if found["worst"]["peak_voltage"] >= self.axis.drive.command_limit:
                 words.append("the voltage limit is reached in the task")

@@ -19,6 +19,7 @@ MEASURES = len(NAMES)
 (_PEAK_U, _CLIPPED, _CLIPPED_END, _FLIPS, _PEAK_FORCE, _FORCE2, _IMPULSE, _WORK, _PATH, _MISS2, _HELD,
  _N, _AA, _AV, _VV, _AF, _VF, _FF, _END_MIN_V, _END_MAX_V, _END_TURNS, _END_MIN_U, _END_MAX_U,
  _END_SPEED, _RELEASE_V, _MOVING, _DRIFT, _RATIO, _DIVERGED) = range(MEASURES)  # fmt: skip
+_CHANGE = 0.01  # of the speed, from one span to the next, that counts as one
 _SWING = 50  # samples within which a voltage that was at one limit must be at the other to count as a flip
 
 
@@ -122,7 +123,8 @@ def _drift(free, moving, period):
     side = 1.0 if v1 >= 0.0 else -1.0
     first, second = v2 - v1, v3 - v2
     bend = second - first
-    ratio = second / first if first != 0.0 else 0.0
+    # A change that is no share of the speed is rounding, and says nothing of growth.
+    ratio = second / first if first != 0.0 and abs(second) > _CHANGE * abs(v3) else 0.0
     if abs(bend) > 1e-12 * (abs(v1) + abs(v3)):
         return side * (v3 - second * second / bend), ratio
     return side * v3, ratio
@@ -168,17 +170,18 @@ class Measures:
         low, high = -2.0 * self.step, 2.0 * self.step
         peak = np.maximum(self.end_max_v, -self.end_min_v)
         with np.errstate(invalid="ignore"):
-            grows = (self.ratio > 1.0) & (np.abs(self.end_speed) > 100.0 * self.step)
+            grows = (self.ratio > 1.0) & (np.abs(self.end_speed) > 100.0 * self.step) & ~self.turned
             unstable = (self.diverged > 0) | (self.clipped_end > 0) | (self.flips >= 10)
             cycle = ((self.end_min_v < low) & (self.end_max_v > high)) | ((self.end_turns >= 10) & (peak > self.step))
             unstable |= grows & ~cycle
-        creeping = ~self.at_rest & (self.drift > self.threshold) & ~self.wanders & ~self.integrates
+        drift = self.tends_to
+        creeping = ~self.at_rest & (drift > self.threshold) & ~self.wanders & ~self.integrates
         found = {
             "unstable": unstable,
             "limit_cycle": cycle,
             "no_motion": self.at_rest & (self.release_v == 0.0),
             "creeping": creeping,
-            "dead_band": (self.drift < -self.threshold) & ~self.integrates,
+            "dead_band": (drift < -self.threshold) & ~self.integrates,
         }
         return np.select(list(found.values()), [VERDICTS.index(name) for name in found], 0)
 
@@ -188,10 +191,21 @@ class Measures:
         return (self.end_max_v == 0.0) & (self.end_min_v == 0.0)
 
     @property
+    def turned(self) -> np.ndarray:
+        """Whether it went on the other way after the release, as an axis does that a constant force pulls down."""
+        with np.errstate(invalid="ignore"):
+            return (self.release_v * self.end_speed < 0.0) & ~self.at_rest
+
+    @property
+    def tends_to(self) -> np.ndarray:
+        """Speed [m/s] that free motion tends to, below zero where friction ends it; the watched one if it turned."""
+        return np.where(self.turned, np.abs(self.end_speed), self.drift)
+
+    @property
     def wanders(self) -> np.ndarray:
         """Whether it goes on at two encoder steps a period or less though no friction drives it: the encoder does."""
-        slow = (np.abs(self.drift) <= 2.0 * self.step) & (self.expected <= self.threshold)
-        return ~self.at_rest & (self.drift > self.threshold) & slow & ~self.integrates
+        slow = (np.abs(self.tends_to) <= 2.0 * self.step) & (self.expected <= self.threshold)
+        return ~self.at_rest & (self.tends_to > self.threshold) & slow & ~self.integrates
 
     @property
     def fit(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

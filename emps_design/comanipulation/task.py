@@ -196,7 +196,7 @@ def _slowest(axis: Axis, law: ImpedanceLaw, mismatch: float) -> tuple[float, flo
     corners: list[dict[str, float]] = [{}, *(corner_errors(mismatch) if mismatch else ())]
     errors = {name: np.array([corner.get(name, 0.0) for corner in corners]) for name in corners[-1]}
     together, decay, slowest = law.with_errors(errors), math.inf, math.inf
-    for direction in (1, -1) if plant.two_quadrant else (1,):
+    for direction in plant.directions:
         loops = sampled_loops(numbers(together, plant, direction), clock, law.velocity_estimator, law.force_sensor)
         poles = np.abs(loops.poles)
         inside = poles[(poles > 0.0) & (poles < 1.0 - MARGINAL)]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -126,10 +127,11 @@ def cycles(axis: Axis, law: ImpedanceLaw, stiffness: float, push: float) -> bool
     decay = law.mass / law.damping if law.damping > 0.0 else 0.0
     n = int(min(max(18.0 * decay, 60.0 * 2.0 * math.pi * law.mass / speed, 300.0 * period) / period, MOST))
     plant, compiled, sixth = Plant.of(axis).touched_by(Hand(stiffness=stiffness)), law_for(axis, law, period), n // 6
-    loop = sampled_loop(law, FrictionModel.of(axis), Clock.of(axis), environment=Environment(stiffness=stiffness))
-    kept = min(STAYS, max(KEPT, SLOWER * loop.radius**sixth))
-    for share, arrival in PUSHES:
-        force = np.full(n, share * push)
+    friction, clock, wall = FrictionModel.of(axis), Clock.of(axis), Environment(stiffness=stiffness)
+    radius = max(sampled_loop(law, friction, clock, direction, wall).radius for direction in friction.directions)
+    kept = min(STAYS, max(KEPT, SLOWER * radius**sixth))
+    for direction, (share, arrival) in product(friction.directions, PUSHES):
+        force = np.full(n, direction * share * push)
         try:
             q = plant.closed_loop(np.zeros(n), disturbance=force, v0=arrival * force[0] / speed, law=compiled).position
         except SimulationError:

@@ -46,6 +46,11 @@ class FrictionModel:
         return self.viscous_positive != self.viscous_negative or self.coulomb_positive != self.coulomb_negative
 
     @property
+    def directions(self) -> tuple[int, ...]:
+        """The directions of motion that have to be looked at: 1 and -1, or one of them where they are alike."""
+        return (1, -1) if self.two_quadrant else (1,)
+
+    @property
     def coulomb(self) -> tuple[float, float]:
         """Coulomb friction for motion to + and to - [N]."""
         return self.coulomb_positive, self.coulomb_negative

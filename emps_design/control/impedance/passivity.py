@@ -89,10 +89,10 @@ def admittance_polynomials(
     return poly.polytrim(numerator), poly.polytrim(denominator)
 
 
-def passivity(
-    law: ImpedanceLaw, plant: FrictionModel, clock: Clock, direction: int = 1, points: int = 4000
-) -> Passivity:
+def passivity(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, points: int = 4000) -> Passivity:
     """Say where the law is passive: exact polynomial roots in continuous time, a sweep of ``points`` when sampled.
+
+    In the direction of motion in which it is less so.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.control.impedance.law import impedance_law
@@ -101,6 +101,11 @@ def passivity(
     >>> passivity(law, law.estimate, Clock.of(axis)).sampled
     False
     """
+    found = [_one_way(law, plant, clock, direction, points) for direction in plant.directions]
+    return min(found, key=lambda one: (one.sampled, one.continuous, [low for low, _ in one.sampled_bands]))
+
+
+def _one_way(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, direction: int, points: int) -> Passivity:
     numerator, denominator = admittance_polynomials(law, plant, clock.current_time_constant, direction)
     stable = bool(np.all(poly.polyroots(denominator).real <= MARGINAL))
     loop = sampled_loop(law, plant, clock, direction)
@@ -170,39 +175,31 @@ def contact_map(
     stiffness: np.ndarray | None = None,
     damping: np.ndarray | None = None,
     mass: float = 0.0,
-    direction: int = 1,
 ) -> ContactMap:
     """Map coupled stability over hand and wall: ``stiffness`` [N/m] to ground and ``damping`` [N/(m/s)], ``mass`` [kg].
 
     Default: 0 and 30 stiffnesses from 10 N/m to 10 MN/m (a finger to a steel wall), 0 and 20 dampings to 10 kN/(m/s),
     for a carriage of 100 kg at 1 kHz, and with another one in proportion to its mass and rate, in powers of ten.
-    A passive wall or hand can only destabilise a law that is not passive.
+    A passive wall or hand can only destabilise a law that is not passive. Of two directions of motion the worse counts.
     """
     k, c = (10.0 ** round(math.log10(plant.mass / clock.period**order / 10.0 ** (2 + 3 * order))) for order in (2, 1))
     stiffness = np.concatenate([[0.0], k * np.geomspace(10.0, 1e7, 30)]) if stiffness is None else np.asarray(stiffness)
     damping = np.concatenate([[0.0], c * np.geomspace(1.0, 1e4, 20)]) if damping is None else np.asarray(damping)
     grid_k, grid_b = np.meshgrid(stiffness, damping)
     hand = Environment(mass, grid_b.ravel(), grid_k.ravel())
-    radius = spectral_radius(
-        numbers(law, plant, direction),
-        clock,
-        velocity_estimator=law.velocity_estimator,
-        force_sensor=law.force_sensor,
-        environment=hand,
-    ).reshape(grid_k.shape)
+    radius = _radius(law, plant, clock, hand).reshape(grid_k.shape)
     if not np.any(law.stiffness) and np.any(stiffness == 0.0):  # position is free there: its pole at 1 says nothing
-        free = spectral_radius(
-            numbers(law, plant, direction),
-            clock,
-            velocity_estimator=law.velocity_estimator,
-            force_sensor=law.force_sensor,
-            environment=Environment(mass, damping, 0.0),
-        )
-        radius[:, stiffness == 0.0] = free[:, None]
+        radius[:, stiffness == 0.0] = _radius(law, plant, clock, Environment(mass, damping, 0.0))[:, None]
     return ContactMap(stiffness, damping, mass, radius)
 
 
-def largest_wall(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, direction: int = 1) -> float | None:
+def _radius(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, touched: Environment) -> np.ndarray:
+    options = {"velocity_estimator": law.velocity_estimator, "force_sensor": law.force_sensor, "environment": touched}
+    each = [spectral_radius(numbers(law, plant, direction), clock, **options) for direction in plant.directions]
+    return np.max(each, axis=0)
+
+
+def largest_wall(law: ImpedanceLaw, plant: FrictionModel, clock: Clock) -> float | None:
     """Largest stiffness [N/m] of an undamped wall up to which every softer one is stable too; None: all up to 1 GN/m.
 
     From stiffnesses 11 % apart, bisected to 0.1 %; 0 where the softest wall is already unstable: of 1 N/m, or of an
@@ -214,7 +211,7 @@ def largest_wall(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, directio
         stiffness = np.concatenate([apart ** np.arange(math.floor(math.log(softest, apart)), 0), stiffness])
 
     def unstable(values: np.ndarray) -> np.ndarray:
-        return contact_map(law, plant, clock, values, np.array([0.0]), direction=direction).radius[0] > 1.0 + MARGINAL
+        return contact_map(law, plant, clock, values, np.array([0.0])).radius[0] > 1.0 + MARGINAL
 
     bad = np.flatnonzero(unstable(stiffness))
     if not len(bad):

@@ -57,7 +57,7 @@ def relay_oscillation(
     newer, older = ESTIMATORS[law.velocity_estimator]
     turn = (newer + older * back) * back  # of the velocity the law sees, against the mean over the period that follows
     found = []
-    for direction in (1, -1) if plant.two_quadrant else (1,):
+    for direction in plant.directions:
         i = 0 if direction > 0 else 1
         loop = sampled_loop(law, plant, clock, direction, Environment(stiffness=wall))
         helping = law.coulomb_factor * law.estimate.coulomb[i] * loop.response(omega, by="coulomb")

@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from functools import cache
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from emps_design.control.loop.sampled_loop import MARGINAL
 from emps_design.errors import InputError
 from emps_design.laws.friction_model import PARAMETERS
 
+STEP = 1.05  # between apparent masses that are tried
 # By rising severity; ``no_motion``: the carriage was not moving when it was let go, so nothing is known of it.
 VERDICTS = ("stable", "dead_band", "no_motion", "creeping", "limit_cycle", "unstable")
 
@@ -60,14 +62,16 @@ def corner_errors(mismatch: float, two_quadrant: bool = False) -> list[dict[str,
 def drift_speed(law: ImpedanceLaw, plant: FrictionModel, direction: int = 1) -> Any:
     """Speed [m/s] that free motion in ``direction`` tends to: above zero it creeps, below zero dry friction stops it.
 
-    Infinite where the apparent damping is not positive and nothing else stops the motion. A float, or (m,) for a law
-    whose estimate holds arrays.
+    Infinite where the apparent damping is not positive and nothing else stops the motion; never above zero under a
+    stiffness, which ends every drift. A float, or (m,) for a law whose estimate holds arrays.
     """
     z = law.apparent(plant, direction)
     left, damping = np.asarray(z.coulomb_left), np.asarray(z.damping)
     with np.errstate(divide="ignore", invalid="ignore"):
         undamped = np.where((damping < 0.0) | (left < 0.0), np.inf, np.where(left > 0.0, -np.inf, 0.0))
         found = np.where(damping > 0.0, -left / damping, undamped)
+    if law.stiffness > 0.0:
+        found = np.minimum(found, 0.0)
     return found if found.ndim else float(found)
 
 
@@ -95,13 +99,26 @@ def break_away(law: ImpedanceLaw, plant: FrictionModel) -> float:
     return max(plant.coulomb) / (law.ratio if law.force_sensor else 1.0)
 
 
-def coulomb_factor_without_creep(law: ImpedanceLaw, plant: FrictionModel, mismatch: float) -> float:
+def sinking_force(plant: FrictionModel) -> float:
+    """What a constant force is above dry friction [N], 0 where friction holds it: at rest the law holds nothing.
+
+    >>> sinking_force(FrictionModel(95.0, 200.0, 200.0, 72.0, -48.0))
+    48.0
+    """
+    return max(0.0, *(-level for level in plant.coulomb))
+
+
+def coulomb_factor_without_creep(law: ImpedanceLaw, plant: FrictionModel, mismatch: float) -> float | None:
     """Largest Coulomb compensation factor c with which no law within ``mismatch`` creeps: ``c Fh_c <= F_c``.
+
+    None where a constant force exceeds dry friction: what is too much in one direction is too little in the other.
 
     >>> plant = FrictionModel(115.7315, 474.9727, 474.9727, 17.3811, 17.3811)
     >>> round(coulomb_factor_without_creep(ImpedanceLaw(50.0, 100.0, plant), plant, 0.02), 5)
     0.98039
     """
+    if sinking_force(plant) > 0.0:
+        return None
     pairs = zip(plant.coulomb, law.estimate.coulomb, strict=True)
     factors = [true / ((1.0 + mismatch) * hat) for true, hat in pairs if hat > 0.0]
     return min([1.0, *factors])
@@ -113,7 +130,7 @@ def verdict(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, resolution: f
     Unstable by the poles in either direction; a limit cycle where the recursion in the law's own current is unstable,
     which kicks the carriage out of rest; else by the sign of :func:`drift_speed` against :func:`drift_threshold`.
     """
-    directions = (1, -1) if plant.two_quadrant or law.estimate.two_quadrant else (1,)
+    directions = max(plant.directions, law.estimate.directions, key=len)
     if any(not sampled_loop(law, plant, clock, direction).stable for direction in directions):
         return "unstable"
     if abs(recursion_poles(law, clock)[0]) > 1.0 + MARGINAL:
@@ -146,7 +163,7 @@ def worst_radius(
     errors = np.array([(0.0, 0.0), *product((-mismatch, mismatch), repeat=2)] if mismatch else [(0.0, 0.0)])
     corner = np.repeat(1.0 + errors.T, masses.size, axis=1)  # of mass and viscous friction, for every pair in turn
     worst = np.zeros(corner.shape[1])
-    for direction in (1, -1) if plant.two_quadrant else (1,):
+    for direction in plant.directions:
         n = numbers(law, plant, direction)
         n |= {"mass_hat": n["mass_hat"] * corner[0], "viscous_hat": n["viscous_hat"] * corner[1]}
         n |= {"apparent_mass": np.tile(masses, len(errors)), "filter": np.tile(filters, len(errors))}
@@ -207,11 +224,29 @@ def stability_map(
     return StabilityMap(masses, filters, np.asarray(mismatches, dtype=float), law.damping, radius)
 
 
-def smallest_mass(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mismatch: float) -> float | None:
+def smallest_mass(
+    law: ImpedanceLaw,
+    plant: FrictionModel,
+    clock: Clock,
+    mismatch: float,
+    calm: Callable[[ImpedanceLaw], bool] | None = None,
+) -> float | None:
     """Smallest M_a [kg] from which on the law is stable at every corner, up to M; None if there is none.
 
-    Found on 200 masses between M/1000 and M, then bisected to 0.1 %.
+    Found on 200 masses between M/1000 and M, then bisected to 0.1 %. With ``calm``, which says whether a law does not
+    swing though its poles are stable, the first from there on, in steps of 5 %, that is.
     """
+    smallest = _smallest_stable(law, plant, clock, mismatch)
+    if smallest is None or calm is None:
+        return smallest
+    steps = int(math.log(plant.mass / smallest) / math.log(STEP)) + 1
+    masses = [*(smallest * STEP**i for i in range(steps)), plant.mass]
+    quiet = cache(lambda mass: calm(replace(law, mass=mass)))
+    # Two in turn: one alone may be so by chance.
+    return next((one for one, next_one in pairwise([*masses, masses[-1]]) if quiet(one) and quiet(next_one)), None)
+
+
+def _smallest_stable(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mismatch: float) -> float | None:
     masses = np.geomspace(plant.mass * 1e-3, plant.mass, 200)
     bad = np.flatnonzero(worst_radius(law, plant, clock, mismatch, masses, law.filter) > 1.0 + MARGINAL)
     if not len(bad):
@@ -234,12 +269,13 @@ def nearest_stable(
     clock: Clock,
     mismatch: float,
     accept: Callable[[ImpedanceLaw, np.ndarray, np.ndarray], np.ndarray] | None = None,
+    calm: Callable[[ImpedanceLaw], bool] | None = None,
 ) -> dict[str, float] | None:
     """The law nearest to ``law`` that is stable at every corner of ``mismatch``: damping, then mass and filter.
 
     Acceleration and current share the filter. Distance is that of the logarithms of M_a and filter; the grid has
     steps of a few percent. ``accept(law, masses, filters)`` may refuse some of the masses [kg] and filters [rad/s] for
-    reasons of its own. None where none was found.
+    reasons of its own, and ``calm(law)`` any that swings though its poles are stable. None where none was found.
     """
     damping = law.damping
     if damping <= mismatch * max(plant.viscous):
@@ -255,6 +291,9 @@ def nearest_stable(
         stable[stable] = accept(both, grid_mass[stable], grid_filter[stable])
     if not stable.any():
         return None
-    distance = np.hypot(np.log(grid_mass / law.mass), np.log(grid_filter / wanted_filter))
-    place = int(np.argmin(np.where(stable, distance, np.inf)))
-    return {"mass": float(grid_mass.flat[place]), "damping": float(damping), "filter": float(grid_filter.flat[place])}
+    distance = np.where(stable, np.hypot(np.log(grid_mass / law.mass), np.log(grid_filter / wanted_filter)), np.inf)
+    for place in np.argsort(distance, axis=None, kind="stable")[: int(stable.sum())].tolist():
+        found = replace(both, mass=float(grid_mass.flat[place]), filter=float(grid_filter.flat[place]))
+        if calm is None or calm(found):
+            return {"mass": found.mass, "damping": float(damping), "filter": found.filter}
+    return None
