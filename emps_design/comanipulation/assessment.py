@@ -47,7 +47,9 @@ from emps_design.laws.friction_model import PARAMETERS, left_out
 from emps_design.notebook import table
 from emps_design.progress import Progress
 
-DRAWN, LITTLE = 40, 1e-3  # estimates that are simulated of a law to propose, and their error without a mismatch
+FIRST = (1, 9, 41)  # estimates that are simulated of a law to propose before the rest of them
+DRAWN, FEW = 200, 20  # those, and of an axis with effects, whose simulation takes longer
+LITTLE = 1e-3  # their error without a mismatch
 SPEED = 0.1  # m/s, of the slide in which effects are linearised
 SWINGS = ("limit_cycle", "unstable")  # verdicts on a law that is of no use
 SHARES = (
@@ -129,12 +131,15 @@ class ImpedanceAssessment:
 
         Beside a law that swings one may by chance come to rest: without a mismatch estimates are off a little too.
         """
-        size = self.mismatch or LITTLE
-        drawn = np.random.default_rng(0).uniform(-size, size, (len(PARAMETERS), DRAWN))
-        errors = np.hstack([np.zeros((len(PARAMETERS), 1)), drawn])
-        off = law.with_errors(dict(zip(PARAMETERS, errors, strict=True)))
-        found = run_many(self.axis, [off], fitted_task(self.axis, law)).verdict
-        return not any(VERDICTS[place] in SWINGS for place in found)
+        size, task = self.mismatch or LITTLE, fitted_task(self.axis, law)
+        number = DRAWN if self.extended is None else FEW
+        errors = np.random.default_rng(0).uniform(-size, size, (len(PARAMETERS), number))
+        errors[:, 0] = 0.0
+        for some in np.split(errors, FIRST, axis=1):  # most that swing show it soon
+            off = law.with_errors(dict(zip(PARAMETERS, some, strict=True)))
+            if some.size and any(VERDICTS[place] in SWINGS for place in run_many(self.axis, [off], task).verdict):
+                return False
+        return True
 
     @cached_property
     def nearest(self) -> dict[str, float] | None:

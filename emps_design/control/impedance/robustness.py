@@ -234,7 +234,7 @@ def smallest_mass(
     """Smallest M_a [kg] from which on the law is stable at every corner, up to M; None if there is none.
 
     Found on 200 masses between M/1000 and M, then bisected to 0.1 %. With ``calm``, which says whether a law does not
-    swing though its poles are stable, the first from there on, in steps of 5 %, that is.
+    swing though its poles are stable, the first from there on, in steps of 5 %, that is beside a lighter one that is.
     """
     smallest = _smallest_stable(law, plant, clock, mismatch)
     if smallest is None or calm is None:
@@ -242,8 +242,8 @@ def smallest_mass(
     steps = int(math.log(plant.mass / smallest) / math.log(STEP)) + 1
     masses = [*(smallest * STEP**i for i in range(steps)), plant.mass]
     quiet = cache(lambda mass: calm(replace(law, mass=mass)))
-    # Two in turn: one alone may be so by chance.
-    return next((one for one, next_one in pairwise([*masses, masses[-1]]) if quiet(one) and quiet(next_one)), None)
+    # The second of two in turn: one alone may be so by chance, and at the edge others beside it are not.
+    return next((heavier for lighter, heavier in pairwise(masses) if quiet(lighter) and quiet(heavier)), None)
 
 
 def _smallest_stable(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mismatch: float) -> float | None:
@@ -294,6 +294,7 @@ def nearest_stable(
     distance = np.where(stable, np.hypot(np.log(grid_mass / law.mass), np.log(grid_filter / wanted_filter)), np.inf)
     for place in np.argsort(distance, axis=None, kind="stable")[: int(stable.sum())].tolist():
         found = replace(both, mass=float(grid_mass.flat[place]), filter=float(grid_filter.flat[place]))
-        if calm is None or calm(found):
+        # At the edge of those that are calm others beside it are not: a little lighter it has to be so too.
+        if calm is None or (calm(found) and calm(replace(found, mass=found.mass / STEP))):
             return {"mass": found.mass, "damping": float(damping), "filter": found.filter}
     return None
