@@ -48,7 +48,7 @@ from emps_design.notebook import table
 from emps_design.progress import Progress
 
 FIRST = (1, 9, 41)  # estimates that are simulated of a law to propose before the rest of them
-DRAWN, FEW = 200, 20  # those, and of an axis with effects, whose simulation takes longer
+DRAWN, FEW = 200, 4  # those, and of an axis with effects, whose simulation takes longer
 LITTLE = 1e-3  # their error without a mismatch
 SPEED = 0.1  # m/s, of the slide in which effects are linearised
 SWINGS = ("limit_cycle", "unstable")  # verdicts on a law that is of no use

@@ -10,8 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from itertools import pairwise, product
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -30,6 +29,7 @@ from emps_design.errors import InputError
 from emps_design.laws.friction_model import PARAMETERS
 
 STEP = 1.05  # between apparent masses that are tried
+ALIKE = 0.2  # logarithm of mass and filter, within which a law swings where another one does
 # By rising severity; ``no_motion``: the carriage was not moving when it was let go, so nothing is known of it.
 VERDICTS = ("stable", "dead_band", "no_motion", "creeping", "limit_cycle", "unstable")
 
@@ -234,16 +234,20 @@ def smallest_mass(
     """Smallest M_a [kg] from which on the law is stable at every corner, up to M; None if there is none.
 
     Found on 200 masses between M/1000 and M, then bisected to 0.1 %. With ``calm``, which says whether a law does not
-    swing though its poles are stable, the first from there on, in steps of 5 %, that is beside a lighter one that is.
+    swing though its poles are stable, the second from there on that does not, of masses no more than 5 % apart.
     """
     smallest = _smallest_stable(law, plant, clock, mismatch)
     if smallest is None or calm is None:
         return smallest
-    steps = int(math.log(plant.mass / smallest) / math.log(STEP)) + 1
-    masses = [*(smallest * STEP**i for i in range(steps)), plant.mass]
-    quiet = cache(lambda mass: calm(replace(law, mass=mass)))
-    # The second of two in turn: one alone may be so by chance, and at the edge others beside it are not.
-    return next((heavier for lighter, heavier in pairwise(masses) if quiet(lighter) and quiet(heavier)), None)
+    masses = np.geomspace(smallest, plant.mass, max(2, int(math.log(plant.mass / smallest) / math.log(STEP)) + 2))
+    low, high = -1, len(masses) - 1
+    if not calm(replace(law, mass=float(masses[high]))):
+        return None
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if calm(replace(law, mass=float(masses[middle]))) else (middle, high)
+    # At the edge of those that are calm others beside it are not.
+    return float(masses[min(high + 1, len(masses) - 1)])
 
 
 def _smallest_stable(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mismatch: float) -> float | None:
@@ -292,9 +296,14 @@ def nearest_stable(
     if not stable.any():
         return None
     distance = np.where(stable, np.hypot(np.log(grid_mass / law.mass), np.log(grid_filter / wanted_filter)), np.inf)
-    for place in np.argsort(distance, axis=None, kind="stable")[: int(stable.sum())].tolist():
+    if calm is not None and not calm(replace(both, mass=float(masses[-1]), filter=wanted_filter)):
+        return None  # something else keeps it moving
+    while np.isfinite(distance).any():
+        place = int(np.argmin(distance))
         found = replace(both, mass=float(grid_mass.flat[place]), filter=float(grid_filter.flat[place]))
         # At the edge of those that are calm others beside it are not: a little lighter it has to be so too.
         if calm is None or (calm(found) and calm(replace(found, mass=found.mass / STEP))):
             return {"mass": found.mass, "damping": float(damping), "filter": found.filter}
+        around = np.hypot(np.log(grid_mass / found.mass), np.log(grid_filter / found.filter))
+        distance[around <= ALIKE] = np.inf
     return None
