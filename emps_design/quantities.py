@@ -183,6 +183,17 @@ def decimals(size: float, places: int = 4) -> int:
     return places if not 0.0 < abs(size) < 0.1 else places - 1 - math.floor(math.log10(abs(size)))
 
 
+def one_two_five(ratio: float) -> float:
+    """The nearest of 1, 2 and 5 times a power of ten: a size by which other numbers stay round.
+
+    >>> [one_two_five(ratio) for ratio in (0.82, 1.5, 0.0101, 26.0)]
+    [1.0, 2.0, 0.01, 20.0]
+    """
+    power = 10.0 ** math.floor(math.log10(ratio))
+    nearest = min((1.0, 2.0, 5.0, 10.0), key=lambda one: abs(math.log(ratio / power / one)))
+    return float(f"{nearest * power:.12g}")
+
+
 def inside(label: str) -> str:
     """``label`` as it stands inside a sentence: without its capital, unless that is a name's.
 

@@ -18,6 +18,7 @@ from emps_design.errors import InputError
 from emps_design.quantities import check_magnitude, display_unit
 
 MOTIONS = ("linear", "rotary")
+TURN = 5.0  # rad of a rotary axis that stand for a metre of a linear one: 1.2 rad for 0.24 m
 COMMANDS = {"voltage": "V", "current": "A", "torque": "N m", "force": "N", "duty": ""}  # and the unit of each
 COUNTS = "counts"  # of an encoder or a converter: only a scale says how much one is
 

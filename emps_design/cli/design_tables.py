@@ -168,10 +168,10 @@ def print_force(document: dict[str, Any]) -> None:
     console.print(limits)
 
     margins = document["margins"]
-    word = "unbounded" if document["stable"] else "undefined"
-    phase, crossover = number(margins["phase_margin_deg"], nothing=word), margins["crossover"]
-    at = f"phase {phase} deg at {number(crossover)} rad/s" if crossover is not None else f"phase {word}: no crossover"
-    console.print(f"margins of the sampled force loop: gain {number(margins['gain_margin'], nothing=word)}, {at}")
+    phase, crossover = number(margins["phase_margin_deg"]), margins["crossover"]
+    at = f"phase {phase} deg at {number(crossover)} rad/s" if crossover is not None else f"phase {phase}: no crossover"
+    found = f"gain {number(margins['gain_margin'])}, {at}" if document["stable"] else "undefined, the loop is unstable"
+    console.print(f"margins of the sampled force loop: {found}")
     poles = ", ".join(f"{re:.4g}{im:+.4g}j" for re, im in document["continuous"]["poles"])
     console.print(f"continuous poles: {poles} rad/s")
     reading = document["paper_reading"]

@@ -17,6 +17,7 @@ FLAGS = {
     "mismatch": "--mismatch",
     "peak": "--peak",
     "phase_deg": "--phase",
+    "rate": "--rate",
     "record": "--record",
     "retune": "--retune",
     "target": "--to",

@@ -13,7 +13,6 @@ from emps_design.cli.frequency import RAD_S
 from emps_design.cli.ignored import refuse_ignored
 from emps_design.cli.output import new_console, print_json, progress_bar, tell
 from emps_design.errors import InputError
-from emps_design.quantities import decimals
 
 
 def command(
@@ -85,7 +84,7 @@ def command(
     if as_json:
         print_json(document)
     else:
-        _print(document)
+        _print(document, found.law.apparent(found.plant).to_dict())
     if not found.stable:
         tell(found.reason)
         return 4
@@ -99,24 +98,22 @@ def _given(option: str, what: str, asked: float | None, own: float | None) -> fl
     return value
 
 
-def _print(document: dict[str, Any]) -> None:
+def _print(document: dict[str, Any], felt: dict[str, float]) -> None:
+    """Print ``document``; ``felt`` is the apparent impedance of the law with all that was asked of it."""
     from rich.table import Table
 
     console = new_console()
     law, sampled = document["law"], document["sampled"]
-    unit = "unfiltered" if law["filter"] is None else f"{law['filter']:g} rad/s"
-    console.print(
-        f"{document['axis']}: impedance law M_a = {law['mass']:g} kg, B = {law['damping']:g} N/(m/s), filter {unit}"
-    )
+    console.print(f"{document['axis']}: impedance law {_law_in_words(law)}")
     console.print(
         f"sampled loop: {'stable' if sampled['stable'] else 'UNSTABLE'}, released: {sampled['verdict']}; simulated "
         f"with encoder and limit: {sampled['simulated'].replace('_', ' ')}"
     )
     table = Table("felt, ideal current loop", "mass, kg", "damping, N/(m/s)", "Coulomb left, N")
-    for name, label in (("derived", "derived"), ("printed", "(30) as printed")):
-        values = document[name]
-        felt = (values[key] for key in ("apparent_mass", "apparent_damping", "coulomb_left"))
-        table.add_row(label, *(f"{value:.{decimals(value, 1)}f}" for value in felt))
+    rows = [("derived", document["derived"]), ("(30) as printed", document["printed"])]
+    for label, values in [("(28), measured force", felt)] if law["force_sensor"] else rows:
+        keys = ("apparent_mass", "apparent_damping", "coulomb_left")
+        table.add_row(label, *(_three_digits(values[key]) for key in keys))
     console.print(table)
     found = document.get("mismatch")
     if found is not None:
@@ -146,3 +143,31 @@ def _print(document: dict[str, Any]) -> None:
             console.print(f"- {warning}", highlight=False)
     for warning in document["warnings"]:
         console.print(f"- {warning}", highlight=False)
+
+
+def _law_in_words(law: dict[str, Any]) -> str:
+    """The numbers of a law, with what is not as usual.
+
+    >>> usual = {"filter": 500.0, "current_filter": 500.0, "stiffness": 0.0, "coulomb_factor": 1.0}
+    >>> _law_in_words({"mass": 50.0, "damping": 100.0, "force_sensor": False, **usual})
+    'M_a = 50 kg, B = 100 N/(m/s), filter 500 rad/s'
+    """
+    low_pass = "unfiltered" if law["filter"] is None else f"{law['filter']:g} rad/s"
+    words = [f"M_a = {law['mass']:g} kg", f"B = {law['damping']:g} N/(m/s)"]
+    words += [f"K = {law['stiffness']:g} N/m"] if law["stiffness"] else []
+    words.append(f"filter {low_pass}")
+    if law["force_sensor"]:
+        words.append("with a force sensor, (28)")
+    elif law["current_filter"] is None and law["filter"] is not None:
+        words.append("current unfiltered")
+    words += [f"Coulomb factor {law['coulomb_factor']:g}"] if law["coulomb_factor"] != 1.0 else []
+    return ", ".join(words)
+
+
+def _three_digits(value: float) -> str:
+    """``value`` in three significant digits, more before the point.
+
+    >>> _three_digits(0.15), _three_digits(235.82), _three_digits(73.777)
+    ('0.15', '235.8', '73.8')
+    """
+    return f"{value:.1f}" if abs(value) >= 100.0 else f"{value:.3g}"

@@ -99,18 +99,23 @@ def _print_kept_loops(loops: list[dict[str, Any]]) -> None:
 
 
 def _print_load_range(found: dict[str, Any]) -> None:
-    console = new_console()
-    table = new_table(
-        "Margins of these gains over the range", "inertia", "compliance", "delay", "phase", "gain", "crossover"
-    )
+    console, at = new_console(), found["at"].replace("-", " ")
+    columns = [
+        (f"{at}: phase", "phase_margin_deg", lambda one: one),
+        ("crossover", "crossover", lambda one: one),
+        *([] if at == "plant input" else [("plant input: phase", "phase_margin_deg", lambda one: one["plant_input"])]),
+        ("gain", "gain_margin", lambda one: one["plant_input"]),
+    ]
+    title = "Margins of these gains over the range, sampled"
+    table = new_table(title, "inertia", "compliance", "delay", *(name for name, _, _ in columns))
     for one in found["points"]:
-        margins = [_cell(one[key], 1.0) for key in ("phase_margin_deg", "gain_margin", "crossover")]
+        margins = [_cell(place(one)[key], 1.0) for _, key, place in columns]
         delay = f"{1e3 * one['delay']:.3g} ms"
-        table.add_row(
-            number(one["inertia"]), number(one["compliance"]), delay, *(margins if one["stable"] else ["unstable"] * 3)
-        )
+        cells = margins if one["stable"] else ["unstable"] * len(margins)
+        table.add_row(number(one["inertia"]), number(one["compliance"]), delay, *cells)
     console.print(table)
-    gains = new_table("Gains that hold", "inertia", "k_v1, kp [V/(m/s)]", "t_v, Tn [s]", "slowest crossover [rad/s]")
+    crossover = f"slowest crossover at the {at} [rad/s]"
+    gains = new_table("Gains that hold", "inertia", "k_v1, kp [V/(m/s)]", "t_v, Tn [s]", crossover)
     for name, one in [("all", found["one"]), *((number(step["inertia"]), step["gains"]) for step in found["schedule"])]:
         cells = [number(one[key], 5) for key in ("k_v1", "t_v", "slowest_crossover")] if one else ["none"] * 3
         gains.add_row(name, *cells)

@@ -8,24 +8,29 @@ from typing import Any
 from emps_design.axis import Axis
 from emps_design.comanipulation.assessment import ImpedanceAssessment
 from emps_design.comanipulation.study import MismatchStudy, mismatch_study
-from emps_design.comanipulation.task import fitted_task, guided_task, pushed_task
+from emps_design.comanipulation.task import fitted_task, guided_task, pushed_task, usual_scale
 from emps_design.control.impedance.law import ImpedanceLaw, impedance_law
 from emps_design.control.impedance.robustness import VERDICTS
 from emps_design.progress import Progress
+from emps_design.quantities import one_two_five
 
 MASS, DAMPING = 50.0, 100.0  # M_a [kg] and B [N/(m/s)] of the paper's experiments, section IV-B
+OF_MASS = 115.7315  # kg, of the carriage there
+FOLLOWED = 0.95  # r2 of force regressed on acceleration and velocity, below which the fit is said to be a poor one
 
 
 @dataclass(frozen=True)
 class Comanipulation:
     """Result of :func:`run_comanipulation`: the worst plant's verdict, and the transparency of the exact law.
 
-    ``nominal`` has no mismatch. Every plant is simulated with all effects of the axis.
+    ``nominal`` has no mismatch. Every plant is simulated with all effects of the axis. ``taken`` says what of the law
+    was not asked for.
     """
 
     assessment: ImpedanceAssessment
     nominal: MismatchStudy
     study: MismatchStudy
+    taken: str = ""
 
     @property
     def law(self) -> ImpedanceLaw:
@@ -38,10 +43,11 @@ class Comanipulation:
         ``verdict`` is that of the worst plant tried, ``nominal_verdict`` that without mismatch; ``transparency`` is
         the law's without mismatch: apparent mass [kg] and damping [N/(m/s)] from force regressed on acceleration and
         velocity in motion, r2 about zero, and error, the rms relative error of the impedance over 0-20 rad/s. A law
-        with unstable poles adds reason and nearest.
+        with unstable poles adds reason and nearest. ``asked`` has M_a and B of the law.
         """
         exact = self.nominal.plant(0)
         nominal_words = [word for word in self.nominal.warnings if not word.startswith("stable_share")]
+        own_words = [words for words in (self.taken, _followed(exact)) if words]
         refused = self.assessment
         return {
             **({} if refused.stable else {"reason": refused.reason, "nearest": refused.nearest}),
@@ -49,6 +55,7 @@ class Comanipulation:
             "axis": refused.axis.name,
             "verdict": VERDICTS[self.study.verdict.max()],
             "nominal_verdict": exact["verdict"],
+            "asked": {"apparent_mass": self.law.mass, "apparent_damping": self.law.damping},
             "transparency": {name: exact[name] for name in ("apparent_mass", "apparent_damping", "r2", "error")},
             "peak_voltage": exact["peak_voltage"],
             "effort": exact["effort"],
@@ -59,7 +66,7 @@ class Comanipulation:
             "task": self.study.task.name,
             "law": self.law.to_dict(),
             "study": self.study.to_dict(),
-            "warnings": list(dict.fromkeys((*nominal_words, *self.study.warnings))),
+            "warnings": [*own_words, *dict.fromkeys((*nominal_words, *self.study.warnings))],
         }
 
 
@@ -80,8 +87,8 @@ def run_comanipulation(
 ) -> Comanipulation:
     """Simulate the co-manipulation task on ``axis`` with estimates off by up to ``mismatch``.
 
-    M_a [kg] and B [N/(m/s)] come from the arguments, else from the axis's impedance controller, else they are the 50 kg
-    and 100 N/(m/s) of the paper's experiments. A compliant hand guides the carriage; ``force`` [N] pushes it to and fro
+    M_a [kg] and B [N/(m/s)] come from the arguments, else from the axis's impedance controller, else they are those of
+    :func:`usual_law`, and a warning says so. A compliant hand guides the carriage; ``force`` [N] pushes it to and fro
     instead. ``duration`` [s] is by default what the slowest mode needs (:func:`fitted_task`). ``options`` go to
     :class:`ImpedanceLaw` (force_sensor, coulomb_factor, ...).
 
@@ -90,15 +97,49 @@ def run_comanipulation(
     >>> found["verdict"], round(found["transparency"]["apparent_mass"])
     ('creeping', 50)
     """
-    controller = axis.controller
-    mass = mass if mass is not None else controller.mass or MASS
-    damping = damping if damping is not None else DAMPING if controller.damping is None else controller.damping
+    controller, (usual_mass, usual_damping) = axis.controller, usual_law(axis)
+    taken = []
+    mass = controller.mass if mass is None else mass
+    if mass is None:
+        mass = usual_mass
+        taken.append(f"M_a = {mass:g} kg")
+    damping = controller.damping if damping is None else damping
+    if damping is None:
+        damping = usual_damping
+        taken.append(f"B = {damping:g} N/(m/s)")
     law = impedance_law(axis, mass, damping, filter, **options)
     period = axis.sampling.period
     if duration is None:
         task = fitted_task(axis, law, mismatch, force)
+    elif force is None:
+        task = guided_task(period, duration, scale=usual_scale(axis))
     else:
-        task = guided_task(period, duration) if force is None else pushed_task(period, duration, force)
+        task = pushed_task(period, duration, force)
     nominal = mismatch_study(axis, law, 0.0, 0, seed, False, task)
     study = mismatch_study(axis, law, mismatch, plants, seed, two_quadrant, task, workers, progress)
-    return Comanipulation(ImpedanceAssessment(axis, law, mismatch, study), nominal, study)
+    words = (
+        f"{' and '.join(taken)}, not given: as in the paper's experiments, in proportion to the mass" if taken else ""
+    )
+    return Comanipulation(ImpedanceAssessment(axis, law, mismatch, study), nominal, study, words)
+
+
+def usual_law(axis: Axis) -> tuple[float, float]:
+    """M_a [kg] and B [N/(m/s)] to begin with: those of the paper's experiments, sized by the mass of ``axis``.
+
+    >>> from emps_design.machines import machine
+    >>> usual_law(machine("emps2018")), usual_law(machine("emps2018").replace(mechanics={"mass": 0.3}))
+    ((50.0, 100.0), (0.1, 0.2))
+    """
+    size = one_two_five(axis.mechanics.mass / OF_MASS)
+    return float(f"{MASS * size:.12g}"), float(f"{DAMPING * size:.12g}")
+
+
+def _followed(exact: dict[str, Any]) -> str:
+    """In words that mass and damping do not tell the guided motion of the exact law; empty where they do."""
+    if not exact["r2"] < FOLLOWED:
+        return ""
+    return (
+        f"apparent mass and damping are a poor fit to the force of this motion, r2 = {exact['r2']:.3g}: most of the "
+        "rest is what dry friction takes until it breaks away; the error of the transparency is that of the impedance "
+        "itself"
+    )

@@ -15,6 +15,7 @@ from emps_design.control.impedance.robustness import break_away, corner_errors
 from emps_design.control.impedance.sampled import Clock, Environment, numbers, sampled_loop, sampled_loops
 from emps_design.control.loop.sampled_loop import MARGINAL
 from emps_design.errors import InputError
+from emps_design.units import TURN
 
 HAND = (1000.0, 100.0)  # N/m and N/(m/s) of an operator's hand
 PACE = 2.0 * math.pi * 0.4  # rad/s, of the guided movement
@@ -165,21 +166,31 @@ def fitted_task(
     return replace(task, warnings=tuple(words))
 
 
+def usual_scale(axis: Axis) -> float:
+    """How often the 0.12 m of the guided task is its travel on ``axis``: once, or 0.6 rad of a rotary one.
+
+    A travel so small that breaking away is most of it says nothing about the apparent inertia.
+    """
+    return TURN if axis.units.rotary else 1.0
+
+
 def fitted_hand(axis: Axis, law: ImpedanceLaw) -> tuple[tuple[float, float], float]:
     """Return a hand (stiffness [N/m], damping [N/(m/s)]) for ``law`` on ``axis``, and the share of the 0.12 m it moves.
 
     1000 N/m and 100 N/(m/s) where they do. Stiffer where three times the break-away force or the apparent impedance at
     the pace of the movement asks for it; softer for a light carriage, which a force held for a period would swing, and
-    where the loop with the hand is unstable. The travel shrinks where the motor would reach its limit.
+    where the loop with the hand is unstable. The travel is that of :func:`usual_scale`, and shrinks
+    where the motor would reach its limit.
     """
+    length = usual_scale(axis)
     plant, period = FrictionModel.of(axis), axis.sampling.period
     stuck, light = break_away(law, plant), min(plant.mass, law.mass)
     viscous = max(plant.viscous)
     lead = abs(complex(law.damping, PACE * law.mass)) * PACE  # N/m, the apparent impedance over the position
-    motor = abs(complex(viscous - law.damping, PACE * (plant.mass - law.mass))) * PACE * 0.24  # N, at full travel
+    motor = abs(complex(viscous - law.damping, PACE * (plant.mass - law.mass))) * PACE * 0.24 * length  # N, full travel
     jolt = max(1.0, law.ratio) * max(plant.coulomb)  # N, of the Coulomb compensation when the velocity turns
     room = 0.85 * axis.drive.gain * axis.drive.command_limit - jolt
-    scale = float(np.clip(room / motor, 0.01, 1.0)) if motor > 0.0 else 1.0
+    scale = length * float(np.clip(room / motor, 0.01, 1.0)) if motor > 0.0 else length
     stiffness = max(HAND[0], 3.0 * stuck / (0.12 * scale), 2.0 * lead)
     stiffness = min(stiffness, 0.05 * light / period**2, 2.0 * light / period)
     for _ in range(12):

@@ -109,7 +109,7 @@ def law_response(law: LinearLaw, w: np.ndarray, period: float) -> np.ndarray:
             f"law: found loops of different rates, the same again after {law.cycle} samples, expected one rate: such a "
             "law makes other frequencies of one"
         )
-    kept = law.used
+    kept = law.used()
     A, b, c = law.A[np.ix_(kept, kept)], law.B[kept, 1], law.C[kept]
     return transfer(A, b, c, law.D[1], np.exp(1j * np.asarray(w) * period))
 

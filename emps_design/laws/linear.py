@@ -140,13 +140,19 @@ class LinearLaw:
         names = {"inputs": list(self.inputs), "outputs": ["voltage"], "name": "law"}
         return control.ss(self.A, self.B, self.C[None], self.D[None], period, **names)
 
-    @property
-    def used(self) -> np.ndarray:
-        """Which cells of the memory the output hears of, at once or later (n,)."""
-        onward, heard = _somewhere(self.A, 2), _somewhere(self.C, 1)
+    def used(self, moved: bool = False) -> np.ndarray:
+        """Which cells of the memory are in a loop (n,): an input drives them and the output hears, at once or later.
+
+        A cell that nothing drives keeps what it has and would put its own pole into every loop. ``moved``: the cells
+        count from where the carriage is, so that its position drives those that remember one from the start too.
+        """
+        onward = _somewhere(self.A, 2)
+        driven, heard = _somewhere(self.B, 2).any(axis=1), _somewhere(self.C, 1)
+        if moved:
+            driven = driven | _somewhere(self.moved, 1)
         for _ in heard:
-            heard = heard | (heard @ onward)
-        return heard
+            driven, heard = driven | (onward @ driven), heard | (heard @ onward)
+        return driven & heard
 
     @property
     def keeps_to_changes(self) -> bool:

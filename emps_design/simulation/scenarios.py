@@ -16,7 +16,7 @@ from emps_design.records import Record
 from emps_design.simulation.driven import driven_by
 from emps_design.simulation.nearest_controller import unstable
 from emps_design.simulation.plant import Plant
-from emps_design.simulation.run import Run
+from emps_design.simulation.run import EVENTS, Run
 from emps_design.simulation.trajectories import force_ramp
 
 ABSOLUTE = ("position", "velocity", "force")  # signals whose mean absolute error is given
@@ -162,14 +162,16 @@ class Breakaway:
 
 
 MOVED = 1e-3  # m of travel that count as motion where friction is a bending contact, which moves from the start
+COARSE = 0.01  # share of a break-away force by which the push may rise from sample to sample before that is said
 
 
 def breakaway(axis: Axis, rate: float = 1.0, peak: float | None = None, q0: float = 0.0) -> Breakaway:
     """Raise an external force slowly, forward and backward, until the carriage leaves; the motor is off.
 
     ``rate`` [N/s]; ``peak`` [N], by default three times what the baseline's friction and constant force can hold, plus
-    20 N. With set-valued friction the carriage leaves at the instant of break-away; where friction is a bending
-    contact, the force is that at which it has moved 1 mm.
+    20 N. With set-valued friction the carriage leaves at the instant of the break-away after which it does not stop
+    again; where friction is a bending contact, the force is that at which it has moved 1 mm. Where it has not when the
+    push ends, a warning says how far it came.
 
     >>> from emps_design.machines import machine
     >>> found = breakaway(machine("emps2018"), rate=20.0).to_dict()
@@ -182,27 +184,45 @@ def breakaway(axis: Axis, rate: float = 1.0, peak: float | None = None, q0: floa
     peak = 3.0 * (mechanics.coulomb + abs(mechanics.offset)) + 20.0 if peak is None else float(peak)
     plant = Plant.of(axis)
     limits: list[float | None] = []
-    runs = []
+    runs, warnings = [], []
     for side in (1.0, -1.0):
         push = force_ramp(axis.sampling.period, rate, side * peak)
         run = plant.open_loop(np.zeros(push.size), disturbance=push, q0=q0, quantise=False)
-        away = np.flatnonzero(side * (run.position - q0) > MOVED)
-        limit = None
-        if away.size:
-            left = [time for time, kind, _ in run.events if kind == 2 and time <= run.t[away[0]]]
-            at = round(left[-1] / run.period) if left else int(away[0])
-            limit = float(push[min(at, push.size - 1)])
-        limits.append(limit)
+        moved = side * (run.position - q0)
+        at = _leaves(run, moved)
+        limits.append(None if at is None else float(push[min(at, push.size - 1)]))
+        if at is None:
+            warnings.append(_held(float(moved.max()), side * peak))
         runs.append(run)
-    if any(limit is not None and abs(limit) <= rate * axis.sampling.period for limit in limits):
+    step = rate * axis.sampling.period
+    if any(limit is not None and abs(limit) <= step for limit in limits):
         alone = "the carriage leaves without a push: what acts on it at rest is more than its friction holds"
         return Breakaway(axis, rate, peak, None, None, runs[0], (alone,))
-    warnings = [
-        f"the carriage held to {side * peak:g} N; raise `peak`"
-        for side, limit in zip((1.0, -1.0), limits, strict=True)
-        if limit is None
-    ]
+    if any(limit is not None and step > COARSE * abs(limit) for limit in limits):
+        warnings.append(f"the push rises by {step:.3g} N from sample to sample, the force is as coarse; lower `rate`")
     return Breakaway(axis, rate, peak, limits[0], limits[1], runs[0], tuple(warnings))
+
+
+def _leaves(run: Run, moved: np.ndarray) -> int | None:
+    """The sample at which a carriage that ``moved`` (n,) [m] along the push left for good; None where it held."""
+    away = np.flatnonzero(moved > MOVED)
+    until = run.t[away[0]] if away.size else np.inf
+    seen = [(time, EVENTS[int(kind)]) for time, kind, _ in run.events if time <= until]
+    seen = [one for one in seen if one[1] in ("reversal", "stick", "break-away")]
+    left = [time for time, kind in seen if kind == "break-away"]
+    if left and (away.size or seen[-1][1] == "break-away"):  # still on its way where the push ended before 1 mm
+        return round(left[-1] / run.period)
+    return int(away[0]) if away.size else None
+
+
+def _held(most: float, peak: float) -> str:
+    """In words that the carriage has not left at ``peak`` [N], ``most`` [m] from where it was."""
+    if most <= 0.0:
+        return f"the carriage held to {peak:g} N; raise `peak`"
+    return (
+        f"the carriage moved {1e3 * most:.3g} mm until {peak:g} N, and leaves with {1e3 * MOVED:g} mm; "
+        "raise `peak` or lower `rate`"
+    )
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from functools import lru_cache
 from emps_design.axis import Axis
 from emps_design.axis.tables import NO_LIMIT
 from emps_design.machines import machine
-
-TURN = 5.0  # rad of a rotary axis that stand for a metre of a linear one: 1.2 rad for 0.24 m
+from emps_design.quantities import one_two_five
+from emps_design.units import TURN
 
 
 @dataclass(frozen=True)
@@ -117,15 +117,15 @@ def sizes(axis: Axis) -> dict[str, float]:
     speed = min(length * pace, math.sqrt(length * acceleration), ratio.get("speed", math.inf))
     period = _decade(axis.sampling.period * 1e3)
     return {
-        "mass": _round(mass),
-        "1/mass": 1.0 / _round(mass),
-        "force": _round(force),
-        "force/length": _round(force / length),
+        "mass": one_two_five(mass),
+        "1/mass": 1.0 / one_two_five(mass),
+        "force": one_two_five(force),
+        "force/length": one_two_five(force / length),
         "length": length,
-        "speed": _round(speed),
-        "acceleration": _round(acceleration),
-        "frequency": _round(ratio["frequency"]),
-        "mass x frequency": _round(mass * ratio["frequency"]),
+        "speed": one_two_five(speed),
+        "acceleration": one_two_five(acceleration),
+        "frequency": one_two_five(ratio["frequency"]),
+        "mass x frequency": one_two_five(mass * ratio["frequency"]),
         "period": period,
         "current loop": max(period, _decade(axis.drive.current_time_constant * 1e3)),
     }
@@ -157,17 +157,6 @@ def _sized(choice: Choice, size: float) -> Choice:
         float(f"{one * size:.12g}") for one in (choice.lower, choice.upper, choice.step, choice.first)
     )
     return replace(choice, lower=lower, upper=upper, step=step, first=first)
-
-
-def _round(ratio: float) -> float:
-    """The nearest of 1, 2 and 5 times a power of ten, so that ranges end on round numbers.
-
-    >>> [_round(ratio) for ratio in (0.82, 1.5, 0.0101, 26.0)]
-    [1.0, 2.0, 0.01, 20.0]
-    """
-    power = 10.0 ** math.floor(math.log10(ratio))
-    nearest = min((1.0, 2.0, 5.0, 10.0), key=lambda one: abs(math.log(ratio / power / one)))
-    return float(f"{nearest * power:.12g}")
 
 
 def _decade(milliseconds: float) -> float:

@@ -16,7 +16,7 @@ from emps_design.errors import AxisError
 from emps_design.laws import LAWS, Law, law_of
 from emps_design.laws.friction_model import FrictionModel
 from emps_design.laws.library import impedance as impedance_file
-from emps_design.laws.linear import Linear, linear_law, own_poles, run_linear
+from emps_design.laws.linear import Linear, LinearLaw, linear_law, own_poles, run_linear
 from emps_design.machines import machine
 from tests.contract.test_laws import GIVEN, OWN, OWN_TABLE, axis_with
 
@@ -131,6 +131,31 @@ def test_the_laws_model_of_its_current_is_the_plants_own(lag, delay):
     assert sum(abs(pole) > 1e-2 for pole in extra) == (1 if lag else 0)
     w = np.array([1.0, 40.0, 800.0])
     np.testing.assert_allclose(lean.response(w), whole.response(w), rtol=1e-9)
+
+
+@pytest.mark.parametrize("form", ["ip", "pi"])
+@pytest.mark.parametrize("ti", [0.01, None])
+def test_a_cell_that_nothing_drives_puts_no_pole_into_the_loop(form, ti):
+    """The cascade's position loop is not there, and neither is the integral where it has none."""
+    velocity = {"kp": 500.0, "form": form, **({"ti": ti} if ti else {})}
+    table = {"kind": "cascade", "velocity": velocity, "velocity_estimator": "backward"}
+    axis = machine("emps2018").replace(controller=table)
+    poles = axis_loop(axis).poles
+    assert abs(poles[0]) < 1.0 - 1e-3
+    if form == "ip" and ti:
+        own = {"kind": "ip_velocity", "k_v1": 500.0, "t_v": ti, "velocity_estimator": "backward"}
+        np.testing.assert_allclose(poles, axis_loop(axis.replace(controller=own)).poles, atol=1e-9)
+
+
+def test_a_cell_that_remembers_where_the_carriage_started_stays_in_the_loop():
+    """u = 2e3 (q_0 - q) with q_0 from the first sample: no input reaches the cell, and it is a spring all the same."""
+    none, first = np.zeros((1, 3)), np.array([0.0, -2e3, 0.0])
+    law = LinearLaw(np.eye(1), none, np.array([2e3]), first, np.array([1.0]))
+    assert law.used().tolist() == [False]
+    assert law.used(moved=True).tolist() == [True]
+    plant = sample_axis(machine("emps2018"))
+    spring = LinearLaw(np.zeros((0, 0)), np.zeros((0, 3)), np.zeros(0), first, np.zeros(0))
+    np.testing.assert_allclose(close(plant, law).poles, close(plant, spring).poles, atol=1e-7)
 
 
 def test_what_a_law_hears_of_its_own_voltage():

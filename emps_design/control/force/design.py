@@ -28,6 +28,7 @@ from emps_design.control.loop.sampled_loop import SampledLoop, close
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis
 from emps_design.control.plant.environment import Environment, attached, felt
 from emps_design.control.plant.linear_plant import POSITION, VELOCITY
+from emps_design.control.velocity.assumptions import closed_form_in_words
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.sampled import SampledVelocityLoop, velocity_law
 from emps_design.errors import InputError
@@ -215,6 +216,8 @@ class ForceLoopDesign:
         if self.k_e1_max_sampled is None:
             warnings.append("k_e1_max.sampled is unbounded: no gain up to 1e9 times the loop's own scale is unstable")
         warnings += self._plant.linear.warnings
+        loop = self.velocity_loop
+        warnings += closed_form_in_words(loop.axis, loop.sampled.plant, loop.velocity)
         return tuple(warnings)
 
     def open_loop(self) -> control.TransferFunction:
@@ -272,7 +275,7 @@ class ForceLoopDesign:
             ("k_c = 1/k_e1", self.k_c, "N/(m/s)"),
             ("largest k_e1, continuous", self.k_e1_max_continuous, "(m/s)/N"),
             ("largest k_e1, sampled", self.k_e1_max_sampled, "(m/s)/N"),
-            ("gain margin, sampled", self.margins.gain_margin, "ratio"),
+            ("gain margin, sampled", self.margins.gain_margin if self.stable else "undefined", "ratio"),
         )
         verdict = "stable" if self.stable else "UNSTABLE"
         axis = self.velocity_loop.axis

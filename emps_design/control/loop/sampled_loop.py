@@ -4,10 +4,10 @@ A law in its linear form and a plant discretised exactly make one state-space sy
 
     s[k+1] = A s[k] + B w[k],    y[k] = C s[k] + D w[k].
 
-Stability is read from its poles first; an unstable loop has no margins. Two things are taken out of the state: where
-the carriage is, if nothing asks for it (its pole at 1 would be there in every free loop), and a memory cell of the law
-that repeats a state of the plant from rest on, as the model of the current loop in the impedance law does while the
-drive follows its command.
+Stability is read from its poles first; an unstable loop has no margins. Three things are taken out of the state: where
+the carriage is, if nothing asks for it (its pole at 1 would be there in every free loop); a memory cell of the law that
+nothing drives or nothing hears, such as that of a position loop where there is none; and a cell that repeats a state of
+the plant from rest on, as the model of the current loop in the impedance law does while the drive follows its command.
 """
 
 from __future__ import annotations
@@ -239,7 +239,7 @@ def close(
         for table in (rows, out):
             table[..., POSITION] += np.sum(table[..., memory:past] * moved[..., None, :], axis=-1)
         rows[..., memory:past, :] -= moved[..., :, None] * rows[..., POSITION, None, :]
-    used = law.used
+    used = law.used(moved=free)
     keep = [i for i in range(size) if not (free and i == POSITION) and (i not in range(memory, past) or used[i - n])]
     keep = _without_repetitions(rows, out, keep, range(memory, past))
     ends = list(range(size, size + len(inputs)))

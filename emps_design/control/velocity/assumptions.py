@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 from emps_design.axis import Axis
-from emps_design.control.plant.discretisation import sample_axis
+from emps_design.control.plant.discretisation import SampledPlant, sample_axis
 from emps_design.control.plant.environment import Environment, attached
+from emps_design.control.plant.linear_plant import LinearPlant
 from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.control.velocity.specification import ROOM
+
+NO_FILTERS = "the closed forms know no filters: what they cost is in the sampled loop"
 
 
 def room_in_words(loop: SampledVelocityLoop) -> list[str]:
@@ -32,9 +35,7 @@ def law_in_words(loop: SampledVelocityLoop, by_closed_form: bool) -> list[str]:
     """Say what structure and filters of ``loop`` mean for the numbers of a design and for the drive."""
     notes = []
     if loop.plant.filters and by_closed_form:
-        notes.append(
-            "the closed forms know no filters: what they cost is in the sampled loop; `retune` meets the request there"
-        )
+        notes.append(f"{NO_FILTERS}; `retune` meets the request there")
     if loop.structure.reference_filter:
         notes.append(
             f"the axis file has no reference filter: set 1/(1 + t_v s), {1e3 * loop.t_v:.4g} ms, in the drive, or "
@@ -56,13 +57,7 @@ def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> 
     """
     if not axis.effects:
         return []
-    notes, mass, damping, linear = [], axis.mechanics.mass, axis.damping, loop.plant.linear
-    if abs(linear.mass - mass) > 0.01 * mass or abs(linear.viscous - damping) > 0.01 * damping:
-        notes.append(
-            f"with its effects the carriage has {linear.mass:.4g} kg and a friction slope of {linear.viscous:.4g} "
-            f"N/(m/s) at {velocity:g} m/s; (7) takes {mass:.4g} kg and {damping:.4g} "
-            "N/(m/s), the sampled loop takes all"
-        )
+    notes = carriage_in_words(axis, loop.plant.linear, velocity)
     if loop.stable:
         back = replace(loop, plant=sample_axis(axis, -velocity, loop.plant.filters))
         here, there = loop.margins.phase_margin_deg, back.margins.phase_margin_deg
@@ -72,6 +67,33 @@ def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> 
             notes.append(f"at {-velocity:g} m/s the sampled loop has {there:.3g} deg of phase margin only")
         notes += _where_it_is_steepest(loop)
     return notes
+
+
+def carriage_in_words(axis: Axis, linear: LinearPlant, velocity: float, closed_form: str = "(7)") -> list[str]:
+    """Say by how much mass and friction slope with all effects, ``linear``, differ from those of ``closed_form``."""
+    mass, damping = axis.mechanics.mass, axis.damping
+    if abs(linear.mass - mass) <= 0.01 * mass and abs(linear.viscous - damping) <= 0.01 * damping:
+        return []
+    return [
+        f"with its effects the carriage has {linear.mass:.4g} kg and a friction slope of {linear.viscous:.4g} "
+        f"N/(m/s) at {velocity:g} m/s; {closed_form} takes {mass:.4g} kg and {damping:.4g} N/(m/s), the sampled loop "
+        "takes all"
+    ]
+
+
+def closed_form_in_words(axis: Axis, plant: SampledPlant, velocity: float) -> list[str]:
+    """Say what a closed form of mass and viscous friction leaves out of ``plant``: effects and filters.
+
+    >>> from emps_design.machines import machine
+    >>> late = machine("emps2018").replace(effects=[{"kind": "actuator_delay", "delay": 1e-3}])
+    >>> closed_form_in_words(late, sample_axis(late), 0.1)
+    ['the closed form knows no effects of the axis, the sampled loop takes all']
+    """
+    notes = [NO_FILTERS] if plant.filters else []
+    if not axis.effects:
+        return notes
+    said = carriage_in_words(axis, plant.linear, velocity, "the closed form")
+    return notes + (said or ["the closed form knows no effects of the axis, the sampled loop takes all"])
 
 
 def _where_it_is_steepest(loop: SampledVelocityLoop) -> list[str]:

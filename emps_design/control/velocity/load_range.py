@@ -2,6 +2,8 @@
 
 A range has factors of the inertia and of the compliance, and delay that may come on top; each is tried at its ends and
 in the middle. Where the axis has a second mass behind a coupling, the change of inertia is that of the second mass.
+Phase margin and crossover are those of the loop broken where the specification stands: at the velocity error for gains
+of (7), where they were retuned for retuned ones. Gain and delay margin are kept at the plant input, where both act.
 """
 
 from __future__ import annotations
@@ -14,17 +16,22 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.control.loop.margins import Margins
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis
 from emps_design.control.velocity.design import VelocityLoopDesign
-from emps_design.control.velocity.limits import GAIN_MARGIN, INTEGRAL, reach
+from emps_design.control.velocity.limits import GAIN_MARGIN, INTEGRAL
 from emps_design.control.velocity.retune import retuned_gains
 from emps_design.control.velocity.sampled import SampledVelocityLoop
+from emps_design.control.velocity.specification import ROOM
+from emps_design.control.velocity.structure import PLACES
 from emps_design.control.velocity.sweeps import sweep_sampled_margins
 from emps_design.errors import InputError
 
 COUPLING = {"frequency", "damping", "share"}  # parameters of an effect that splits the mass by a spring
 MORE_PHASE = np.arange(0.0, 31.0, 3.0)  # deg, tried above what is asked, for the load that has most
 CROSSOVERS = 60
+CLOSE = 1.17  # the step of so many crossovers along everything
+EQUAL = 0.02  # share of the crossover, by which a slower loop with more integral action is as good
 
 
 @dataclass(frozen=True)
@@ -92,18 +99,21 @@ def loaded(axis: Axis, inertia: float, compliance: float) -> Axis:
 def margins_over_range(design: VelocityLoopDesign, span: LoadRange) -> dict[str, Any]:
     """Margins of ``design`` at every point of ``span``, the one design that holds over it, and the schedule.
 
-    ``points`` have the margins of the gains as they are; ``worst`` is the point with the least phase margin, an
-    unstable one first. ``one``: gains with which every point has the phase margin asked for and the gain margin of
-    :mod:`.limits`, the fastest such by its slowest crossover; None where there are none. ``schedule``: by inertia, the
-    fastest gains that hold at that inertia, whatever compliance and delay in the range. ``text`` says which is needed.
+    ``at`` is the place of the phase margins [deg] and crossovers [rad/s]: "velocity-error" or "plant-input". ``points``
+    have the margins there of the gains as they are, and those at the ``plant_input``; ``worst`` is the point with the
+    least phase margin, an unstable one first. ``one``: gains with which every point has the phase margin asked for, and
+    the gain margin and the room for delay of :mod:`.limits`; the fastest such by its slowest crossover, None where
+    there are none. ``schedule``: by inertia, the fastest gains that hold at that inertia, whatever compliance and delay
+    in the range. ``text`` says which is needed.
 
     >>> from emps_design.control.velocity.design import design_velocity_loop
     >>> from emps_design.machines import machine
     >>> design = design_velocity_loop(machine("emps2018"), crossover=40.0, phase_margin_deg=50.0)
     >>> study = margins_over_range(design, LoadRange(inertia=(1.0, 3.0)))
-    >>> len(study["points"]), study["one"]["phase_margin_deg"] >= 50.0 - 1e-6
-    (3, True)
+    >>> study["at"], len(study["points"]), study["one"]["phase_margin_deg"] >= 50.0 - 1e-6
+    ('velocity-error', 3, True)
     """
+    at = design.structure.place(design.retuned_at or "velocity-error")
     phase = design.requested.get("phase_margin_deg", design.phase_margin_deg)
     points, plants = span.points(), []
     for point in points:
@@ -113,64 +123,98 @@ def margins_over_range(design: VelocityLoopDesign, span: LoadRange) -> dict[str,
     found = []
     for point, plant in zip(points, plants, strict=True):
         loop = SampledVelocityLoop(plant, design.k_v1, design.t_v, design.structure)
-        found.append({**point, "bandwidth": loop.bandwidth, **loop.margins.to_dict()})
+        margins = _margins(loop, at)
+        found.append({**point, "bandwidth": loop.bandwidth, **margins.to_dict(), "plant_input": loop.margins.to_dict()})
     worst = min(
         found, key=lambda one: (one["stable"], math.inf if one["phase_margin_deg"] is None else one["phase_margin_deg"])
     )
-    one = _holding(plants, phase)
+    asked = _asked(design, at)
+    one = _holding(plants, phase, at, asked)
     schedule = []
     for inertia in sorted({point["inertia"] for point in points}):
         own = [plant for point, plant in zip(points, plants, strict=True) if point["inertia"] == inertia]
-        schedule.append({"inertia": inertia, "gains": _holding(own, phase)})
+        schedule.append({"inertia": inertia, "gains": _holding(own, phase, at, asked)})
     return {
+        "at": at,
         "phase_margin_deg": phase,
         "points": found,
         "worst": worst,
         "one": one,
         "schedule": schedule,
-        "text": _in_words(design, one, schedule),
+        "text": _in_words(asked, at, one, schedule),
     }
 
 
-def _holding(plants: list[SampledPlant], phase: float) -> dict[str, Any] | None:
-    """The fastest gains with which all ``plants`` have that phase margin [deg], None where there are none."""
-    ends = [reach(plant, phase).crossover for plant in (plants[0], plants[-1])]
-    if min(ends) == 0.0:
-        return None
-    k_all, t_all = [], []
-    for plant, end in ((plants[0], ends[0]), (plants[-1], ends[-1])):
-        w, more = np.meshgrid(np.geomspace(0.02 * end, end, CROSSOVERS), phase + MORE_PHASE)
-        k_v1, t_v = retuned_gains(plant, w.ravel(), more.ravel())
-        k_all.append(k_v1[np.isfinite(k_v1)])
-        t_all.append(t_v[np.isfinite(k_v1)])
-    k_v1, t_v = np.concatenate(k_all), np.concatenate(t_all)
-    good, slowest, least = np.ones(k_v1.size, bool), np.full(k_v1.size, np.inf), np.full(k_v1.size, np.inf)
+def _margins(loop: SampledVelocityLoop, at: str) -> Margins:
+    """Margins of ``loop`` broken ``at`` that place."""
+    return loop.margins if at == PLACES[0] else loop.velocity_error
+
+
+def _holding(plants: list[SampledPlant], phase: float, at: str, asked: float) -> dict[str, Any] | None:
+    """The fastest gains with which all ``plants`` have that phase margin [deg] ``at`` the place, None for none.
+
+    Of gains that differ by :data:`EQUAL`, those with the most integral action that still have the crossover ``asked``
+    [rad/s], where any have.
+    """
+    nyquist, best, fastest = math.pi / plants[0].period, None, 0.0
+    for plant in (plants[0], plants[-1]):  # those for which gains are made: the ends of the range
+        w = np.geomspace(1e-4, 0.9, CROSSOVERS) * nyquist
+        for _ in range(2):  # once along everything, once beside the best
+            tried, more = (pair.ravel() for pair in np.meshgrid(w, phase + MORE_PHASE))
+            k_v1, t_v = retuned_gains(plant, tried, more, at)
+            slowest, least = _over_plants(plants, k_v1, t_v, phase, at)
+            top = float(slowest.max())
+            if top > fastest:
+                good = np.flatnonzero(slowest >= max((1.0 - EQUAL) * top, min(asked, top)))
+                place = good[np.argmax(k_v1[good] / t_v[good])]
+                found = {"k_v1": k_v1, "t_v": t_v, "slowest_crossover": slowest, "phase_margin_deg": least}
+                fastest, best = top, {name: float(values[place]) for name, values in found.items()}
+            if top == 0.0:
+                break
+            own = float(tried[np.argmax(slowest)])
+            w = np.geomspace(own / CLOSE, min(own * CLOSE, 0.9 * nyquist), CROSSOVERS)
+    return best
+
+
+def _over_plants(
+    plants: list[SampledPlant], k_v1: np.ndarray, t_v: np.ndarray, phase: float, at: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Slowest crossover [rad/s] and least phase margin [deg] of gains (n,) over ``plants``, 0 for none."""
+    good, found = np.flatnonzero(np.isfinite(k_v1)), np.full((2, k_v1.size), np.inf)
     for plant in plants:
-        margins = sweep_sampled_margins(plant, k_v1, t_v, 120)
-        good &= margins["stable"] & (margins["phase_margin_deg"] >= phase - 1e-6)
-        good &= ~(margins["gain_margin"] < GAIN_MARGIN) & (margins["crossover"] * t_v <= 2.0 * INTEGRAL)
-        slowest, least = np.fmin(slowest, margins["crossover"]), np.fmin(least, margins["phase_margin_deg"])
-    if not good.any():
-        return None
-    best = int(np.flatnonzero(good)[np.argmax(slowest[good])])
-    return {
-        "k_v1": float(k_v1[best]),
-        "t_v": float(t_v[best]),
-        "slowest_crossover": float(slowest[best]),
-        "phase_margin_deg": float(least[best]),
-    }
+        there = sweep_sampled_margins(plant, k_v1[good], t_v[good], 120, at)
+        entry = there if at == PLACES[0] else sweep_sampled_margins(plant, k_v1[good], t_v[good], 120)
+        holds = there["stable"] & (there["phase_margin_deg"] >= phase - 1e-6)
+        holds &= ~(entry["gain_margin"] < GAIN_MARGIN) & ~(entry["delay_margin"] < ROOM * plant.period)
+        holds &= there["crossover"] * t_v[good] <= 2.0 * INTEGRAL
+        found[:, good] = np.fmin(found[:, good], [there["crossover"], there["phase_margin_deg"]])
+        good = good[holds]
+    slowest, least = np.where(np.isin(np.arange(k_v1.size), good), found, 0.0)
+    return slowest, least
 
 
-def _in_words(design: VelocityLoopDesign, one: dict[str, Any] | None, schedule: list[dict[str, Any]]) -> str:
-    asked = design.requested.get("crossover", design.crossover)
-    alone = [entry["gains"] for entry in schedule]
-    if one is not None and one["slowest_crossover"] >= asked * (1.0 - 1e-3):
-        return f"one design holds over the range: at least {one['slowest_crossover']:.4g} rad/s of crossover everywhere"
-    if all(gains is not None and gains["slowest_crossover"] >= asked * (1.0 - 1e-3) for gains in alone):
-        return f"no one design has {asked:.4g} rad/s over the range: the gains have to follow the inertia, as scheduled"
+def _asked(design: VelocityLoopDesign, at: str) -> float:
+    """The crossover [rad/s] asked for, or the one at that place that comes with the bandwidth asked for."""
+    own = _margins(design.sampled, at).crossover if design.retuned_at else None
+    return float(design.requested.get("crossover", own or design.crossover))
+
+
+def _in_words(asked: float, at: str, one: dict[str, Any] | None, schedule: list[dict[str, Any]]) -> str:
+    place = f"at the {at.replace('-', ' ')}"
+    alone, enough = [entry["gains"] for entry in schedule], asked * (1.0 - 1e-3)
+    if one is not None and one["slowest_crossover"] >= enough:
+        return (
+            f"one design holds over the range: at least {one['slowest_crossover']:.4g} rad/s of crossover {place} "
+            "everywhere"
+        )
+    if all(gains is not None and gains["slowest_crossover"] >= enough for gains in alone):
+        return (
+            f"no one design has a crossover of {asked:.4g} rad/s {place} over the range: the gains have to follow the "
+            "inertia, as scheduled"
+        )
     if one is not None:
         return (
-            f"{asked:.4g} rad/s cannot be had over the range, scheduled or not; one design holds with at least "
-            f"{one['slowest_crossover']:.4g} rad/s"
+            f"a crossover of {asked:.4g} rad/s {place} cannot be had over the range, scheduled or not; one design "
+            f"holds with at least {one['slowest_crossover']:.4g} rad/s"
         )
     return "no one design holds over the range, at any crossover"

@@ -199,7 +199,8 @@ def proposal_in_words(nearest: dict[str, Any], pairs: Pairs | None = None) -> st
         text = f"{pair['phase_margin_deg']:.7g} deg at a {name} of {pair[name]:.5g} rad/s"
         loop = pairs.loop(pair[name], pair["phase_margin_deg"]) if pairs else None
         if loop is not None:
-            text += f" (sampled: {', '.join(_achieved(loop))})"
+            achieved = ", ".join(_achieved(loop))
+            text += f" (sampled: {achieved})" if achieved else ""
             rooms.append(loop.margins.delay_margin_samples)
         words.append(text)
     barely = any(room is not None and room < ROOM for room in rooms)

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from emps_design.cli.app import run
 from emps_design.control.force.design import design_force_loop
 from emps_design.control.force.limits import largest_force_gain
 from emps_design.control.velocity.design import design_velocity_loop
@@ -140,6 +141,38 @@ def test_a_notebook_shows_the_verdict_first():
     html = design_force_loop(LOOP, 0.02, environment=1e4)._repr_html_()
     assert html.startswith("<p>emps2018: the sampled force loop is UNSTABLE</p>")
     assert "0.017395" in html
+
+
+def test_an_unstable_loop_has_no_margins_in_words_either(capsys):
+    assert run(["force", "emps2018", "--k-e1", "0.1", "--environment", "1e4"]) == 4
+    out = capsys.readouterr().out
+    assert "margins of the sampled force loop: undefined, the loop is unstable" in out
+    assert "no crossover" not in out
+    html = design_force_loop(LOOP, 0.1, environment=1e4)._repr_html_()
+    assert "<td>gain margin, sampled</td><td>undefined</td>" in html
+
+
+BENT = [{"kind": "flexible_coupling", "frequency": 48.0, "damping": 0.02, "share": 0.3}]
+LATE = [{"kind": "actuator_delay", "delay": 1e-3}]
+
+
+@pytest.mark.parametrize(
+    ("effects", "filters", "said"),
+    [
+        (BENT, (), "with its effects the carriage has 81.01 kg"),
+        (LATE, (), "the closed form knows no effects of the axis"),
+        ([], (Filter(kind="lowpass", frequency=100.0),), "the closed forms know no filters"),
+    ],
+)
+def test_what_the_closed_form_leaves_out_is_said(effects, filters, said):
+    """The limit in closed form is that of mass and viscous friction alone, the sampled one has everything."""
+    bare = design_force_loop(LOOP, 0.01, environment=1e4)
+    loop = design_velocity_loop(machine("emps2018").replace(effects=effects), crossover=100.0, filters=filters)
+    design = design_force_loop(loop, 0.01, environment=1e4)
+    assert design.k_e1_max_continuous == pytest.approx(bare.k_e1_max_continuous)
+    assert design.k_e1_max_sampled < 0.9 * bare.k_e1_max_sampled
+    assert any(said in warning for warning in design.warnings)
+    assert not any("closed form" in warning for warning in bare.warnings)
 
 
 def test_no_operator_no_loop():

@@ -181,3 +181,9 @@ def test_little_room_is_told(capsys):
     reason = capsys.readouterr().err
     assert "nearest that works: 60 deg at a crossover of" in reason
     assert "samples of delay" in reason
+
+
+def test_a_proposal_without_a_bounded_margin_has_no_empty_brackets():
+    """So slow a loop crosses 0 dB below every frequency that is looked at."""
+    with pytest.raises(SpecificationError, match=r"nearest that works: .* rad/s$"):
+        design_velocity_loop(AXIS, crossover=0.01)

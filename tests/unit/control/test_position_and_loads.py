@@ -9,9 +9,11 @@ from emps_design.axis import Axis
 from emps_design.cli.app import run
 from emps_design.control.loop.sampled_loop import axis_loop
 from emps_design.control.position import design_position_loop
-from emps_design.control.velocity.design import design_velocity_loop
+from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
 from emps_design.control.velocity.load_range import LoadRange, loaded, margins_over_range
+from emps_design.control.velocity.retune import retune_velocity_loop
 from emps_design.control.velocity.sampled import SampledVelocityLoop
+from emps_design.control.velocity.step_response import sampled_step
 from emps_design.control.velocity.structure import PI
 from emps_design.errors import InputError, SpecificationError
 from emps_design.machines import machine
@@ -90,6 +92,44 @@ def test_a_load_of_five_times_the_inertia():
     assert "one design holds" in study["text"]
     fast = design_velocity_loop(AXIS, crossover=150.0, phase_margin_deg=50.0, structure=PI)
     assert "as scheduled" in margins_over_range(fast, LoadRange(inertia=(1.0, 5.0)))["text"]
+
+
+@pytest.mark.parametrize("at", ["", "velocity-error"])
+@pytest.mark.parametrize("name", ["emps2018", "emps2019"])
+def test_the_crossover_of_a_range_is_where_it_was_asked(name, at):
+    """IP stands at the velocity error: gains that reach 60 rad/s at the plant input alone have far less there."""
+    axis = machine(name)
+    asked = {"crossover": 60.0, "phase_margin_deg": 60.0}
+    design = retune_velocity_loop(axis, at=at, **asked) if at else design_velocity_loop(axis, **asked)
+    study = margins_over_range(design, LoadRange(inertia=(1.0, 3.0)))
+    one = study["one"]
+    assert study["at"] == "velocity-error"
+    assert "one design holds" in study["text"]
+    assert "at the velocity error" in study["text"]
+    for point in study["points"]:
+        end = loaded(axis, point["inertia"], 1.0)
+        had = VelocityLoopDesign(end, design.k_v1, design.t_v, {}).sampled
+        assert had.velocity_error.phase_margin_deg == pytest.approx(point["phase_margin_deg"])
+        assert had.velocity_error.crossover == pytest.approx(point["crossover"])
+        assert had.margins.gain_margin == pytest.approx(point["plant_input"]["gain_margin"])
+        held = VelocityLoopDesign(end, one["k_v1"], one["t_v"], {})
+        assert held.crossover > 60.0  # of the continuous T_vo as well
+        assert held.sampled.velocity_error.crossover >= one["slowest_crossover"] * (1.0 - 1e-6)
+        assert held.sampled.velocity_error.phase_margin_deg >= 60.0 - 1e-4
+        assert held.sampled.margins.gain_margin >= 2.0
+        assert sampled_step(held).rise_time < 1.5 * sampled_step(design).rise_time
+
+
+def test_a_bandwidth_retuned_is_held_against_the_crossover_it_has_there():
+    design = retune_velocity_loop(AXIS, bandwidth=50.0, phase_margin_deg=50.0)
+    study = margins_over_range(design, LoadRange(inertia=(1.0, 1.0)))
+    assert study["at"] == "plant-input"
+    assert study["points"][0]["crossover"] == pytest.approx(design.sampled.margins.crossover)
+    slow = LoadRange(inertia=(1.0, 20.0))
+    assert (
+        f"a crossover of {design.sampled.margins.crossover:.4g} rad/s at the plant input"
+        in (margins_over_range(design, slow)["text"])
+    )
 
 
 def test_compliance_and_delay_of_a_coupling():

@@ -94,6 +94,46 @@ def test_text_output_names_what_an_engineer_signs(capsys):
         assert words in out
 
 
+LIGHT = {
+    "mechanics": {"mass": 0.3, "viscous": 2.0, "coulomb": 0.8, "offset": 0.0},
+    "drive": {"force_gain": 2.0},
+}
+
+
+def test_a_light_carriage_is_felt_in_three_digits(capsys, axis, tmp_path):
+    path = tmp_path / "light.toml"
+    path.write_text(axis.replace(**LIGHT).to_toml(), encoding="utf-8")
+    out = called(capsys, str(path), "--mass", "0.15", "--damping", "0.55")[1]
+    rows = {line.split("│")[1].strip(): [cell.strip() for cell in line.split("│")[2:5]] for line in out.splitlines()
+            if line.startswith("│")}  # fmt: skip
+    assert rows["derived"] == ["0.15", "0.55", "0"]
+    assert rows["(30) as printed"] == ["0.2", "1.03", "0.267"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "B = 100 N/(m/s), filter 500 rad/s sampled loop"),
+        (("--unfiltered-current", "--filter", "50"), "filter 50 rad/s, current unfiltered"),
+        (("--stiffness", "300"), "K = 300 N/m"),
+        (("--coulomb-factor", "0.8"), "Coulomb factor 0.8"),
+        (("--force-sensor",), "with a force sensor, (28)"),
+    ],
+)
+def test_the_header_names_what_was_asked_of_the_law(capsys, arguments, words):
+    assert words in " ".join(called(capsys, "--mass", "80", "--damping", "100", *arguments)[1].split())
+
+
+def test_with_a_force_sensor_its_own_law_is_felt(capsys):
+    """(28): tau_e = M_a qdd + B qd + M_a/M F_c (1 - c), and nothing of the estimated force of (30)."""
+    given = ("--mass", "50", "--damping", "100", "--force-sensor", "--coulomb-factor", "0.8")
+    out = called(capsys, *given)[1]
+    assert "as printed" not in out
+    row = next(line for line in out.splitlines() if "(28), measured force" in line)
+    left = 50.0 / 115.7315 * 0.2 * 17.3811
+    assert [cell.strip() for cell in row.split("│")[2:5]] == ["50", "100.0", f"{left:.3g}"]
+
+
 def test_zero_damping_is_said_to_coast(capsys):
     status, out, _ = called(capsys, "--mass", "50", "--damping", "0", "--json")
     found = json.loads(out)

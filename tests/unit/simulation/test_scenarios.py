@@ -1,6 +1,7 @@
 """Scenarios, reference programs, reference files, and the command that runs them."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -79,6 +80,37 @@ def test_breakaway_of_a_bending_contact_and_one_that_holds():
     assert "raise `peak`" in held.warnings[0]
     with pytest.raises(InputError, match="rate: found -1 N/s"):
         breakaway(AXIS, rate=-1.0)
+
+
+@pytest.mark.parametrize("rate", [200.0, 1000.0])
+def test_a_fast_push_ends_before_the_carriage_has_come_far(rate):
+    """It left at 17.4 N, and at 1000 N/s the push is over before it has moved 1 mm."""
+    found = breakaway(AXIS, rate=rate)
+    step = rate * AXIS.sampling.period
+    assert found.to_dict()["static_friction"] == pytest.approx(AXIS.mechanics.coulomb, abs=step)
+    assert found.warnings == (
+        f"the push rises by {step:.3g} N from sample to sample, the force is as coarse; lower `rate`",
+    )
+    assert breakaway(AXIS, rate=20.0).warnings == ()
+
+
+def test_a_bending_contact_that_has_not_moved_far_is_not_said_to_hold():
+    bent = AXIS.replace(effects=[{"kind": "presliding_friction", "stiffness": 1e6}])
+    found = breakaway(bent, rate=1000.0)
+    assert found.forward is None
+    assert re.match(r"the carriage moved 0\.\d+ mm until .* N, and leaves with 1 mm; .* `rate`", found.warnings[0])
+
+
+def test_a_carriage_that_stops_again_has_not_left():
+    """Against a spring a stick-slip friction lets go, jumps and holds again before 1 mm."""
+    stribeck = {"kind": "stribeck_friction", "excess": 6.0, "stribeck_velocity": 0.01, "exponent": 1.0}
+    spring = {"kind": "elastic_force", "stiffness": 2e5, "rest_position": 0.0}
+    axis = AXIS.replace(mechanics={"offset": 0.0}, effects=[stribeck, spring])
+    found = breakaway(axis, rate=5.0, peak=AXIS.mechanics.coulomb + 6.65)
+    assert [kind for _, kind, _ in found.run.events] == [2, 1]  # break-away, stick
+    assert found.forward is None
+    assert "the carriage moved 0.0035 mm" in found.warnings[0]
+    assert "raise `peak`" in found.warnings[0]
 
 
 def test_follow_tells_when_the_voltage_is_at_its_limit():
