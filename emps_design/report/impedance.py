@@ -134,7 +134,7 @@ def _sampled_table(document: Mapping[str, Any]) -> Table:
         [
             "smallest safe apparent mass",
             quantity(document["smallest_safe_mass"], "kg"),
-            "at every corner of the mismatch",
+            "stable at every corner of the mismatch, and not swinging in the simulation",
         ],
         ["takes energy from the hand", active or "nowhere", "bands in which the sampled law is not passive"],
         *(
