@@ -84,7 +84,7 @@ def command(
     if as_json:
         print_json(document)
     else:
-        _print(document, found.law.apparent(found.plant).to_dict())
+        _print(document)
     if not found.stable:
         tell(found.reason)
         return 4
@@ -98,8 +98,7 @@ def _given(option: str, what: str, asked: float | None, own: float | None) -> fl
     return value
 
 
-def _print(document: dict[str, Any], felt: dict[str, float]) -> None:
-    """Print ``document``; ``felt`` is the apparent impedance of the law with all that was asked of it."""
+def _print(document: dict[str, Any]) -> None:
     from rich.table import Table
 
     console = new_console()
@@ -111,7 +110,7 @@ def _print(document: dict[str, Any], felt: dict[str, float]) -> None:
     )
     table = Table("felt, ideal current loop", "mass, kg", "damping, N/(m/s)", "Coulomb left, N")
     rows = [("derived", document["derived"]), ("(30) as printed", document["printed"])]
-    for label, values in [("(28), measured force", felt)] if law["force_sensor"] else rows:
+    for label, values in [("(28), measured force", document["felt"])] if law["force_sensor"] else rows:
         keys = ("apparent_mass", "apparent_damping", "coulomb_left")
         table.add_row(label, *(_three_digits(values[key]) for key in keys))
     console.print(table)

@@ -198,6 +198,7 @@ class ImpedanceAssessment:
             "axis": self.axis.name,
             "law": law.to_dict(),
             "derived": self._felt(ideal).to_dict(),
+            "felt": self._felt(law).to_dict(),
             "printed": self._felt(replace(ideal, current_factor=PRINTED)).to_dict(),
             "sampled": {
                 "stable": nominal,
