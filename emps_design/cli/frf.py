@@ -72,11 +72,11 @@ def command(
 def _draw(path: Path, found: Estimate) -> None:
     from emps_design.files import write_aside
     from emps_design.report.frequency_response import response_figure
-    from emps_design.report.style import labelled
+    from emps_design.report.style import draw, labelled
 
     figure = labelled(response_figure(found.comparison, found.spectral_ratio), found.axis.units)
     with write_aside(path) as aside:
-        figure.savefig(aside, format=path.suffix[1:])
+        draw(figure, aside, path.suffix[1:])
 
 
 def _show(found: Estimate, unit: Callable[[str], str]) -> None:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from emps_design.identification.several import SeveralIdentifications
     from emps_design.records import Record
 
+MOST_PLACES = 6  # behind the point, in a column of the table
+
 
 def command(
     context: typer.Context,
@@ -103,7 +105,7 @@ def command(
         from emps_design.identification.several import identify_several
 
         with progress_bar(not as_json or sys.stderr.isatty()) as progress:
-            found = identify_several(read, loaded, progress=progress, **options)
+            found = identify_several(read, loaded, progress=progress, test=estimator == "auto", **options)
     if as_json:
         print_json(found)
     elif len(read) == 1:
@@ -166,11 +168,11 @@ def _show_one(found: Identification) -> None:
         percent, n = estimate.relative_std_percent, decimals(max(abs(estimate.value or 0.0), estimate.std or 0.0))
         table.add_row(
             name,
-            f"{estimate.value:.{n}f}",
-            f"{estimate.std:.{n}f}",
+            _written(estimate.value, n),
+            _written(estimate.std, n),
             "" if percent is None else f"{percent:.2f}",
-            f"{estimate.std_long_run:.{n}f}",
-            f"{0.5 * (high - low):.{n}f}",
+            _written(estimate.std_long_run, n),
+            _written(0.5 * (high - low), n),
             estimate.quantity.unit,
         )
     console.print(table)
@@ -220,13 +222,23 @@ def _show_one(found: Identification) -> None:
         )
 
 
+def _written(number: float | None, places: int) -> str:
+    """``number`` with so many ``places``, or with an exponent where there would be more than a column has room for.
+
+    >>> _written(95.1089, 4), _written(3.0005e-05, 9)
+    ('95.1089', '3.000e-05')
+    """
+    return f"{number:.{places}f}" if places <= MOST_PLACES else f"{number:.3e}"
+
+
 def _show_several(found: SeveralIdentifications) -> None:
     from emps_design.cli.output import new_console, new_table
     from emps_design.quantities import decimals
 
     console = new_console()
     headings = ("parameter", "mean", "spread", "std *", "drift/record", "unit")
-    table = new_table(f"{len(found.records)} records, {found.model} model", *headings, words=("unit",), whole=True)
+    title = f"{len(found.records)} records, {found.model} model, {found.estimator.replace('_', ' ')}"
+    table = new_table(title, *headings, words=("unit",), whole=True)
     for row in found.table():
         n = decimals(max(abs(row["mean"]), row["std"]))
         table.add_row(

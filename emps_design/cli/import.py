@@ -68,12 +68,13 @@ def _draw(path: Path, account: Account) -> None:
     from emps_design.files import write_aside, write_text
     from emps_design.report.imported import import_page
     from emps_design.report.record_figures import record_figure
+    from emps_design.report.style import draw
 
     if path.suffix == ".html":
         write_text(path, import_page(account).html())
         return
     with write_aside(path) as aside:
-        record_figure(account.record, account.axis.units).savefig(aside, format=path.suffix[1:])
+        draw(record_figure(account.record, account.axis.units), aside, path.suffix[1:])
 
 
 def _show(account: Account, document: dict[str, Any]) -> None:

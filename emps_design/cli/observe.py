@@ -25,14 +25,18 @@ def command(
     context: typer.Context,
     record: Path = typer.Argument(..., metavar="RECORD", help="Record file: .mat, .csv or .npz."),
     axis: str = typer.Option("emps2019", "--axis", help="TOML file or embedded machine with identified parameters."),
-    cutoff: float = typer.Option(
-        20.0,
+    cutoff: float | None = typer.Option(
+        None,
         "--cutoff",
         **HERTZ,
-        help="Low-pass of the on-line observer [Hz, or such as 120rad/s]; Kalman: twice that.",
+        help="Low-pass of the on-line observer [Hz, or such as 120rad/s], Kalman: twice that; default 20 Hz, or what "
+        "the sampling allows.",
     ),
-    offline_cutoff: float = typer.Option(
-        60.0, "--offline-cutoff", **HERTZ, help="Zero-phase low-pass off-line [Hz, or such as 370rad/s]."
+    offline_cutoff: float | None = typer.Option(
+        None,
+        "--offline-cutoff",
+        **HERTZ,
+        help="Zero-phase low-pass off-line [Hz, or such as 370rad/s]; default 60 Hz, or what the sampling allows.",
     ),
     injected: str | None = typer.Option(
         None,
@@ -101,7 +105,7 @@ def _write(out: Path, found: Observation, units: Units) -> None:
         file.write(",".join(names) + "\n")
         for start in range(0, len(found.t), LONG):
             rows = zip(*(column[start : start + LONG].tolist() for column in columns), strict=True)
-            file.writelines(",".join("" if x != x else f"{x:.6f}" for x in row) + "\n" for row in rows)
+            file.writelines(",".join("" if x != x else f"{x:.9g}" for x in row) + "\n" for row in rows)
 
 
 def _show(found: Observation) -> None:

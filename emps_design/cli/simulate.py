@@ -196,11 +196,11 @@ def _write(out: Path, result: Any) -> None:
 
 def _draw(path: Path, result: Any) -> None:
     from emps_design.files import write_aside
-    from emps_design.report.style import labelled
+    from emps_design.report.style import draw, labelled
 
     figure = labelled(result.run.plot()[0].figure, result.axis.units)
     with write_aside(path) as aside:
-        figure.savefig(aside, format=path.suffix[1:])
+        draw(figure, aside, path.suffix[1:])
 
 
 def _show(document: dict[str, Any]) -> None:

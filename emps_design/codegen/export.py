@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from emps_design.codegen.ahead import Ahead
 from emps_design.codegen.block import Block
 from emps_design.codegen.fmu import binary_for, in_fmu
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
     from emps_design.axis import Axis
 
 UNTOLD = "whether the loop is stable was not checked: the law is not linear while the carriage slides"
+NOTHING_KEPT = "the compensation keeps no term: the law alone was written"
+LEAST = float(np.finfo(np.float32).tiny)  # speed that single precision divides by
 NO_COMPILER = "no C compiler was found: the units hold their source alone, for the importing tool to compile"
 
 
@@ -34,7 +38,7 @@ NO_COMPILER = "no C compiler was found: the units hold their source alone, for t
 class Exported:
     """What was exported: the ``files`` by name with their text, and the ``vectors`` they were proved with.
 
-    ``checked``: whether the loop was found stable.
+    ``checked``: whether the loop was found stable; ``bare``: a compensation was given, and keeps nothing.
     """
 
     name: str
@@ -43,6 +47,7 @@ class Exported:
     vectors: Vectors = field(repr=False)
     files: Files = field(repr=False)
     checked: bool = True
+    bare: bool = False
 
     def write(self, folder: Path) -> None:
         """Write the files into ``folder``, which exists, all of them or none."""
@@ -73,7 +78,9 @@ class Exported:
             "drives": drive_settings(self.block.axis, {} if self.block.observes else gains_of(self.block.axis)),
             "units": {"single_precision_bound": self.block.axis.units.unit("N" if self.block.observes else "V")},
             "binary": (binary_for() or None) if self.target == "fmu" else None,
-            "warnings": [UNTOLD] * (not self.checked) + [NO_COMPILER] * (self.target == "fmu" and not binary_for()),
+            "warnings": [UNTOLD] * (not self.checked)
+            + [NOTHING_KEPT] * self.bare
+            + [NO_COMPILER] * (self.target == "fmu" and not binary_for()),
         }
 
 
@@ -114,7 +121,8 @@ def export_controller(
     block = replace(Block.of(axis, None if compensation is None else _ahead(axis, compensation)), origin=origin)
     checked = _checked(axis)
     name, vectors = block_name(axis.name), vectors_of(block)
-    return Exported(name, target, block, vectors, TARGETS[target](name, block, vectors), checked)
+    bare = compensation is not None and block.ahead is None
+    return Exported(name, target, block, vectors, TARGETS[target](name, block, vectors), checked, bare)
 
 
 def _checked(axis: Axis) -> bool:
@@ -135,13 +143,16 @@ def _ahead(axis: Axis, found: Mapping[str, Any]) -> Ahead | None:
     kept, reversal, taken = found.get("kept"), found.get("reversal"), found.get("law_taken_off")
     if not isinstance(kept, list) or not isinstance(reversal, int | float) or not isinstance(taken, bool):
         raise InputError("compensation: found no kept, reversal and law_taken_off, expected what compensate writes")
+    speed = math.nan if isinstance(reversal, bool) else float(reversal)
+    if not (math.isfinite(speed) and (speed == 0.0 or speed >= LEAST)):
+        raise InputError(f"compensation: found a reversal of {speed:g}, expected a speed that compensate writes")
     unknown = [str(term) for term in kept if term not in terms_of(axis)[0]]
     if unknown or found.get("axis") != axis.name:
         raise InputError(
             f"compensation: found the terms {', '.join(map(str, kept))} of the axis {found.get('axis')}, expected "
             f"those of {axis.name}; run compensate on this axis"
         )
-    if found.get("axis_sha256", digest_of(axis)) != digest_of(axis):
+    if found.get("axis_sha256") != digest_of(axis):
         raise InputError(
             f"compensation: found one of {axis.name} with other numbers or another controller, expected one of this "
             "axis; run compensate on it"
@@ -153,7 +164,7 @@ def _ahead(axis: Axis, found: Mapping[str, Any]) -> Ahead | None:
             "compensation: found one beside a law that answers on its own reference, expected one beside the law on "
             "its error; run compensate on this axis again"
         )
-    return Ahead.of(replace(FeedForward.of(axis, kept), reversal=float(reversal)))
+    return Ahead.of(replace(FeedForward.of(axis, kept), reversal=speed))
 
 
 TARGETS: dict[str, Callable[[str, Block, Vectors], Files]] = {

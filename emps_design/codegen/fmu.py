@@ -55,16 +55,17 @@ def in_fmu(name: str, block: Block, vectors: Vectors) -> Files:
 def controller_unit(name: str, block: Block, vectors: Vectors) -> bytes:
     """The controller of ``block`` as a unit: what it follows and measures in, its command out."""
     unit, words = block.axis.units.unit, words_of(name, block)
+    ahead = 0.0 if block.ahead is None else block.ahead.feedforward.wait
     inputs = [
         Variable("reference", "input", words["reference_unit"], f"{words['follows']} that the law follows"),
         Variable("q", "input", unit("m"), "position that the encoder reports"),
         Variable("f_ext", "input", unit("N"), "external force on the carriage, 0 without a sensor"),
         *(
-            Variable(title, "input", unit(si), "motion of the reference ahead")
+            Variable(title, "input", unit(si), f"motion of the reference {ahead:.6g} s later")
             for title, si in zip(vectors.titles[3:], ("m", "m/s", "m/s^2"), strict=False)
         ),
     ]
-    output = Variable("u", "output", unit("V"), "command of the sample in which the step begins")
+    output = Variable("u", "output", unit("V"), "command of the last sample of the step")
     names = ", ".join(one.name.upper() for one in (*inputs, output))
     given = ", ".join(f"value[{one.name.upper()}]" for one in inputs)
     code = (
@@ -77,7 +78,7 @@ def controller_unit(name: str, block: Block, vectors: Vectors) -> bytes:
     )
     made = in_c(name, block, vectors)
     sources = {file: str(made[file]) for file in (f"{name}.c", f"{name}.h")}
-    note = ": the command of the sample in which the step begins"
+    note = ": the command of the last sample of the step"
     return _unit(name, block.axis, "controller", [*inputs, output], code, sources, note)
 
 

@@ -33,6 +33,11 @@ OPERATIONS = {"multiply": "products", "add": "sums and differences", "divide": "
 Files = Mapping[str, str | bytes]  # by name
 EXERCISED = "in motion within the limit, in and out of the limit"
 LONGEST_NAME = 40
+# Lines behind the equations of a law that stands beside a feed-forward.
+BESIDE = (
+    "   (q_ref[k], v_ref[k]: 0;  q[k]: position less reference;  u[k]: before feed-forward and limit)",
+    "command[k] = u[k] + feedforward(ahead_q[k], ahead_v[k], ahead_a[k]), within the limit",
+)
 CHARACTERS = 120  # of a line of a comment
 
 
@@ -65,6 +70,7 @@ def words_of(name: str, block: Block) -> dict[str, Any]:
     axis, law = block.axis, block.law
     own, fields = block.parameters, block.kind.table.model_fields
     said = block.kind.equations(block.kind.table(**own), axis, axis.sampling.period)
+    said = (*said, *(BESIDE if law.error_alone else ()))
     unit = axis.units.unit
     parameters = [
         f"{'.'.join(path)} = {value} {unit(unit_of(field))}".rstrip()
@@ -102,12 +108,19 @@ def words_of(name: str, block: Block) -> dict[str, Any]:
         "answer": "external force" if block.observes else "command",
         "either_way": "" if block.observes else f", at most {block.limit!r} either way",
         "output_unit": unit("N" if block.observes else "V"),
-        "follows": "the command that acted in the period that ends now" if block.observes else f"a {law.follows}",
+        "follows": _followed(block),
         "reference_unit": unit(INPUTS[law.follows]),
         "position_unit": unit("m"),
         "force_unit": unit("N"),
         "command_unit": unit("V"),
     }
+
+
+def _followed(block: Block) -> str:
+    """What the block is given to follow, in words."""
+    if block.observes:
+        return "the command that acted in the period that ends now"
+    return "the position of the reference" if block.law.error_alone else f"a {block.law.follows}"
 
 
 def comment(text: object, longest: int = CHARACTERS) -> str:

@@ -111,6 +111,7 @@ def in_json(name: str, block: Block, vectors: Vectors) -> Files:
         "limit": None if block.observes else block.limit,
         "units": {"period": "s", "limit": words["output_unit"], "u": words["output_unit"]},
         "follows": block.law.follows,
+        "law_on_error": block.law.error_alone,
         "parameters": block.parameters,
         "equations": words["equations"],
         "effects": block.axis.to_dict().get("effects", []),

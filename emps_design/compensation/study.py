@@ -233,6 +233,11 @@ def compensate(
     worst = _worst(trial, kept, mismatch, phase_deg)
     warnings = [f"{name} is not compensated: {reason}" for name, reason in left.items()]
     warnings += [f"{name} is left out: {note}" for name, note in notes.items()]
+    if kept and axis.controller.parameters.get("anti_windup") == "none":
+        warnings.append(
+            "anti_windup none: beside a feed-forward the integral has all of an error that the limit leaves, and may "
+            "keep the axis swinging; take hold"
+        )
     if limited > 0.0:
         warnings.append(f"the command is at its limit {100 * limited:.2g} % of the time")
     tried = tuple(

@@ -11,14 +11,16 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.effects import Motion
-from emps_design.errors import RecordError
+from emps_design.errors import InputError, RecordError
 from emps_design.identification.filters import held_force, motion, share_of_nyquist
 from emps_design.identification.identify import identify
+from emps_design.identification.rests import SLOW
 from emps_design.identification.result import Identification
 from emps_design.identification.step_answer import Steps, step_answer
 from emps_design.notebook import table
 from emps_design.observer import (
     DEFAULT_CUTOFF_HZ,
+    REST_VELOCITY,
     ForceObserver,
     KalmanForceObserver,
     OnlineObserver,
@@ -34,6 +36,7 @@ from emps_design.progress import Progress, of_part, untold
 from emps_design.records import Record
 
 OFFLINE_CUTOFF_HZ = 60.0
+ONLINE_SHARE, OFFLINE_SHARE = 0.08, 0.25  # of the sampling rate, up to which a cut-off is by default
 PARAMETER_UNCERTAINTY = 0.02  # of each parameter where no deviation is known, as in section IV-B
 NOISE_STEP = 0.05  # s apart: what an error changes by over that time counts as noise
 KALMAN_BANDWIDTH = 2.0  # times the cut-off of the first-order low-pass: about the same delay
@@ -111,17 +114,18 @@ class Observation:
 def observe(
     record: Record,
     axis: Axis,
-    cutoff_hz: float = DEFAULT_CUTOFF_HZ,
-    offline_cutoff_hz: float = OFFLINE_CUTOFF_HZ,
+    cutoff_hz: float | None = None,
+    offline_cutoff_hz: float | None = None,
     parameter_std: np.ndarray | None = None,
     progress: Progress | None = None,
 ) -> Observation:
     """Observe the external force of ``record`` with the parameters of ``axis``.
 
-    ``cutoff_hz`` [Hz] of the on-line observer (the Kalman one has twice that bandwidth), ``offline_cutoff_hz``
-    [Hz] of the zero-phase filter off-line; ``parameter_std`` standard deviations of mass, viscous, coulomb, offset for
-    the parameter bound (2 % of each where not given). Raises :class:`RecordError` for a record too short for its ends
-    to settle, at least 1 s.
+    ``cutoff_hz`` [Hz] of the on-line observer (the Kalman one has twice that bandwidth), by default 20 or what the
+    sampling allows; ``offline_cutoff_hz`` [Hz] of the zero-phase filter off-line, 60 likewise; ``parameter_std``
+    standard deviations of mass, viscous, coulomb, offset for the parameter bound (2 % of each where not given). Raises
+    :class:`RecordError` for a record too short for its ends to settle, at least 1 s, and :class:`InputError` for a
+    cut-off that the sampling does not allow.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
@@ -136,10 +140,21 @@ def observe(
         if kinds:
             warnings.append(f"{method}: left out, their force is not in the motion: {', '.join(kinds)}")
 
-    online: dict[str, OnlineObserver] = {"online": ForceObserver(axis, cutoff_hz)}
+    cutoff_hz = min(DEFAULT_CUTOFF_HZ, ONLINE_SHARE / record.period) if cutoff_hz is None else cutoff_hz
+    if offline_cutoff_hz is None:
+        offline_cutoff_hz = min(OFFLINE_CUTOFF_HZ, OFFLINE_SHARE / record.period)
+    share_of_nyquist(offline_cutoff_hz, record.period)  # refused here, before it divides
+    rest = rest_velocity_of(record, axis, offline_cutoff_hz)
+    online: dict[str, OnlineObserver] = {"online": ForceObserver(axis, cutoff_hz, rest)}
     settings = {"offline": {"cutoff_hz": offline_cutoff_hz}, "online": {"cutoff_hz": cutoff_hz}}
     if axis.sampling.encoder_resolution > 0:
-        online["kalman"] = kalman = KalmanForceObserver(axis, bandwidth_hz=KALMAN_BANDWIDTH * cutoff_hz)
+        highest = 0.2 / KALMAN_BANDWIDTH / record.period
+        if not cutoff_hz < highest:
+            raise InputError(
+                f"`cutoff_hz`: found {cutoff_hz:g} Hz, expected less than {highest:g} Hz, a tenth of the sampling rate"
+            )
+        kalman = KalmanForceObserver(axis, bandwidth_hz=KALMAN_BANDWIDTH * cutoff_hz, rest_velocity=rest)
+        online["kalman"] = kalman
         settings["kalman"] = {
             "bandwidth_hz": kalman.bandwidth_hz,
             "force_rate": kalman.force_rate,
@@ -160,7 +175,7 @@ def observe(
     tell("off-line observer", 0.0)
     seen = motion(record, offline_cutoff_hz)
     parameter = _parameter_bound(seen, axis, parameter_std)
-    offline = observe_offline(seen, held_force(record, axis.drive.gain, offline_cutoff_hz), axis)
+    offline = observe_offline(seen, held_force(record, axis.drive.gain, offline_cutoff_hz), axis, rest)
     methods = {"offline": _judge(record, axis, offline, 0.0, ends["offline"], parameter, settings["offline"])}
     del seen, offline
     share = 1 / (1 + len(online))
@@ -178,6 +193,17 @@ def observe(
         methods=methods,
         warnings=tuple(warnings),
     )
+
+
+def rest_velocity_of(record: Record, axis: Axis, cutoff_hz: float) -> float:
+    """The speed [m/s] below which ``record`` tells no sign of the velocity: 1 mm/s, or less where all of it is slow.
+
+    Then 1 % of the largest, but no less than one step of the encoder in the time that the cut-off [Hz] resolves.
+    """
+    span = max(1, round(0.5 / (cutoff_hz * record.period)))
+    time = span * record.period
+    fastest = float(np.abs(record.q[span:] - record.q[:-span]).max(initial=0.0)) / time
+    return min(REST_VELOCITY, max(SLOW * fastest, axis.sampling.encoder_resolution / time, np.finfo(float).tiny))
 
 
 def direct_validation(record: Record, axis: Axis, model: str = "asymmetric", **options: Any) -> Identification:

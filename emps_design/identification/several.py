@@ -13,10 +13,12 @@ from emps_design.errors import AxisError, InputError
 from emps_design.identification.identify import identify
 from emps_design.identification.inverse_model import parameters_of
 from emps_design.identification.result import Identification
+from emps_design.identification.tested import identify_tested
 from emps_design.progress import Progress
 from emps_design.records import Record
 
 DRIFT_LEVEL = 0.01
+BY = ("least_squares", "instrumental_variables", "output_error")  # estimators, the more particular the later
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,11 @@ class SeveralIdentifications:
     def records(self) -> tuple[str, ...]:
         """Names of the records."""
         return tuple(one.record for one in self.identifications)
+
+    @property
+    def estimator(self) -> str:
+        """What all were identified by."""
+        return self.identifications[0].estimator
 
     @property
     def values(self) -> np.ndarray:
@@ -105,6 +112,7 @@ class SeveralIdentifications:
         return {
             "records": list(self.records),
             "model": self.model,
+            "estimator": self.estimator,
             "axis": self.axis.name,
             "parameters": {row.pop("name"): row for row in self.table()},
             "cross_validation": self.cross_validation.tolist(),
@@ -120,12 +128,14 @@ def identify_several(
     axis: Axis | None = None,
     model: str = "symmetric",
     progress: Progress | None = None,
+    test: bool = True,
     **options: Any,
 ) -> SeveralIdentifications:
     """Identify each of ``records`` and judge every set of parameters on every record.
 
-    ``options`` are those of :func:`emps_design.identification.identify`. Raises :class:`InputError` for fewer than two
-    records, :class:`AxisError` where a record does not determine a parameter.
+    ``options`` are those of :func:`emps_design.identification.identify`. With a ``test``, by the estimator that one of
+    them asks for (:func:`.identify_tested`): all by the same, so that they can be compared. Raises :class:`InputError`
+    for fewer than two records, :class:`AxisError` where a record does not determine a parameter.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
@@ -140,19 +150,18 @@ def identify_several(
         from emps_design.machines import machine
 
         axis = machine("emps2019")
-    found, problems = [], []
-    for index, record in enumerate(records):
-        if progress is not None:
-            progress(f"identify {record.name}", index / len(records))
-        one = identify(record, axis, model=model, **options)
+    found = _identified(records, axis, model, progress, test, options)
+    problems = []
+    for record, one in zip(records, found, strict=True):
         missing = [name for name, estimate in one.parameters.items() if not estimate.determined]
         if missing:
             raise AxisError(
                 f"{record.name}: {', '.join(missing)} not determined, so there is no mean to take; leave this record "
                 "out, or record motion that excites them"
             )
-        found.append(one)
-        problems.append((one.series["columns"], one.series["measured"], one.samples))
+        # What each is judged by is the inverse model, whatever the estimator: output error has other columns.
+        judge = one if one.estimator != BY[-1] else identify(record, axis, model=model, **options)
+        problems.append((judge.series["columns"], judge.series["measured"], judge.samples))
     matrix = np.array(
         [[float(np.sqrt(np.sum((Y - W @ one.values()) ** 2) / n)) for W, Y, n in problems] for one in found]
     )
@@ -160,3 +169,29 @@ def identify_several(
     for one in found:
         warnings += [f"{one.record}: {text}" for text in one.warnings]
     return SeveralIdentifications(tuple(found), matrix, tuple(warnings), model, axis)
+
+
+def _identified(
+    records: Sequence[Record],
+    axis: Axis,
+    model: str,
+    progress: Progress | None,
+    test: bool,
+    options: dict[str, Any],
+) -> list[Identification]:
+    """Each of ``records`` by one estimator: least squares, or with a ``test`` the one that one of them asks for."""
+    found = []
+    for index, record in enumerate(records):
+        if progress is not None:
+            progress(f"identify {record.name}", index / len(records))
+        found.append((identify_tested if test else identify)(record, axis, model=model, **options))
+    taken = max((one.estimator for one in found), key=BY.index)
+    if taken == BY[0]:
+        return found
+    from emps_design.identification.instruments import identify_with_instruments
+    from emps_design.identification.output_error import identify_by_output_error
+
+    estimate = identify_with_instruments if taken == BY[1] else identify_by_output_error
+    both = {name: value for name, value in options.items() if name in ("cutoff_hz", "external_force_known")}
+    pairs = zip(records, found, strict=True)
+    return [one if one.estimator == taken else estimate(record, axis, model, **both) for record, one in pairs]

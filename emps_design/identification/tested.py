@@ -21,6 +21,8 @@ from emps_design.identification.identify import held_out_on, identify
 from emps_design.identification.result import Identification
 from emps_design.records import Record
 
+UNTESTED = "whether least squares is biased was not tested"
+
 
 def identify_tested(
     record: Record,
@@ -46,6 +48,9 @@ def identify_tested(
     ('least_squares', False)
     """
     plain = identify(record, axis, chain=chain, bootstrap=bootstrap, seed=seed, holdout=holdout, **both)
+    if bootstrap and chain == "hold" and axis.controller.kind != "none":
+        said = f"{UNTESTED}: a bootstrap is one of least squares"
+        return replace(plain, warnings=(*plain.warnings, said))
     if chain != "hold" or bootstrap or axis.controller.kind == "none" or not record.has_reference:
         return plain
     if len(record) > LONG:
@@ -56,8 +61,8 @@ def identify_tested(
 
     try:
         led = identify_with_instruments(record, axis, **both)
-    except (EmpsError, np.linalg.LinAlgError):  # no simulation with this controller follows the record
-        return plain
+    except (EmpsError, np.linalg.LinAlgError) as error:  # no simulation with this controller follows the record
+        return replace(plain, warnings=(*plain.warnings, f"{UNTESTED}: {error}"))
     tried = _by_output_error(record, axis, plain, led, **both)
     if tried is not None:
         return _held_out(tried, holdout, **both)

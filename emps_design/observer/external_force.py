@@ -23,7 +23,7 @@ from emps_design.observer import block
 
 DEFAULT_CUTOFF_HZ = 20.0
 BLOCK = 50_000  # samples of a record between two words of progress
-REST_VELOCITY = 1e-3  # m/s, below it the sign of the velocity is taken as 0
+REST_VELOCITY = 1e-3  # m/s, below it the sign of the velocity is taken as 0, where nothing is known of the motion
 
 
 def model_force(motion: Motion, axis: Axis, rest_velocity: float = REST_VELOCITY) -> np.ndarray:
@@ -56,15 +56,20 @@ def effects_force(motion: Motion, axis: Axis) -> np.ndarray:
     return force
 
 
-def observe_offline(motion: Motion, motor_force: np.ndarray, axis: Axis) -> np.ndarray:
+def observe_offline(
+    motion: Motion, motor_force: np.ndarray, axis: Axis, rest_velocity: float = REST_VELOCITY
+) -> np.ndarray:
     """External force by (19), shape (n,) [N]; ``motion`` and ``motor_force`` (n,) [N] filtered alike, no delay.
+
+    Below ``rest_velocity`` [m/s] there is no sign of the velocity.
 
     >>> from emps_design.machines import machine
     >>> still = Motion(*(np.zeros(3) for _ in range(5)), period=1e-3)
     >>> observe_offline(still, np.zeros(3), machine("emps2018")).tolist()
     [0.0, 0.0, 0.0]
     """
-    return model_force(replace(motion, tau=motor_force, force_gain=axis.drive.gain), axis) - motor_force
+    driven = replace(motion, tau=motor_force, force_gain=axis.drive.gain)
+    return model_force(driven, axis, rest_velocity) - motor_force
 
 
 def left_out(axis: Axis) -> dict[str, tuple[str, ...]]:

@@ -15,6 +15,7 @@ from emps_design.units import Units
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -27,6 +28,12 @@ GREY = "#6B7280"
 WIDTH = 8.8  # inches, the text column of a page
 POINTS = 72  # an inch: the unit of an SVG
 
+# What a picture would otherwise say of when it was drawn, and by what, by format.
+UNDATED: dict[str, dict[str, Any]] = {
+    "svg": {"Date": None, "Creator": None},
+    "png": {"Software": None},
+    "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+}
 RC: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # shipped with matplotlib, so that every machine draws the same
     "font.size": 9.5,
@@ -153,7 +160,7 @@ def svg(figure: Figure, key: str = "") -> str:
     """
     out = StringIO()
     with look():
-        _laid_out(figure).savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+        _laid_out(figure).savefig(out, format="svg", metadata=UNDATED["svg"])
     text = out.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
@@ -183,8 +190,14 @@ def png(figure: Figure, dpi: int = 150) -> bytes:
     """Return ``figure`` as the bytes of a PNG picture."""
     out = BytesIO()
     with look():
-        figure.savefig(out, format="png", dpi=dpi, metadata={"Software": None})
+        figure.savefig(out, format="png", dpi=dpi, metadata=UNDATED["png"])
     return out.getvalue()
+
+
+def draw(figure: Figure, path: Path, form: str) -> None:
+    """Write ``figure`` to ``path`` in one of the formats ``UNDATED``: the same figure gives the same bytes."""
+    with look():
+        figure.savefig(path, format=form, metadata=UNDATED[form])
 
 
 def thin(x: np.ndarray, y: np.ndarray, bins: int = 900) -> tuple[np.ndarray, np.ndarray]:

@@ -1,6 +1,7 @@
 """Every law as C: the compiler has nothing to say, the vectors hold, and 100,000 samples have the simulation's bits."""
 
 import ctypes
+import json
 import re
 import shutil
 import subprocess
@@ -326,6 +327,41 @@ def test_a_compensation_of_another_axis_is_refused():
     ):
         with pytest.raises(InputError, match=message):
             export_controller(other, "c", document)
+
+
+@pytest.mark.parametrize("reversal", [np.nan, np.inf, -1.0, 1e-300, True])
+def test_a_compensation_with_an_impossible_speed_is_refused(reversal):
+    axis, found = compensation("rigid")
+    with pytest.raises(InputError, match=r"found a reversal of .*, expected a speed that compensate writes"):
+        export_controller(axis, "json", {**found.to_dict(), "reversal": reversal})
+    unmarked = {key: value for key, value in found.to_dict().items() if key != "axis_sha256"}
+    with pytest.raises(InputError, match="with other numbers or another controller"):
+        export_controller(axis, "json", unmarked)
+
+
+@pytest.mark.parametrize("name", ["rigid", "velocity"])
+def test_the_document_says_that_the_law_is_on_its_error(name):
+    """By its own words: the equations on the error, and the feed-forward beside them, in every language."""
+    axis, _ = compensation(name)
+    made = json.loads(str(compensated_block(name, "json").files["emps2019.json"]))
+    assert made["law_on_error"]
+    assert "q[k]: position less reference" in made["equations"][-2]
+    assert made["equations"][-1].startswith("command[k] = u[k] + feedforward(")
+    for target, file in (("c", "emps2019.h"), ("st", "emps2019.st")):
+        text = str(compensated_block(name, target).files[file])
+        assert made["equations"][-1] in text
+        assert "the position of the reference [m]" in text
+    alone = json.loads(str(export_controller(axis, "json").files["emps2019.json"]))
+    assert not alone["law_on_error"]
+    assert alone["equations"] == made["equations"][:-2]
+
+
+def test_a_compensation_that_keeps_nothing_is_said_to():
+    axis, found = compensation("rigid")
+    exported = export_controller(axis, "json", {**found.to_dict(), "kept": []})
+    assert exported.block.ahead is None
+    assert exported.to_dict()["warnings"] == ["the compensation keeps no term: the law alone was written"]
+    assert export_controller(axis, "json").to_dict()["warnings"] == []
 
 
 def test_code_of_an_unstable_loop_is_not_written(tmp_path, capsys):

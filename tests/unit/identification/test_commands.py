@@ -115,7 +115,7 @@ def test_observe_writes_a_table_of_forces(folder, capsys):
     lines = out.read_text().splitlines()
     assert lines[0] == "t [s],offline [N],online [N],kalman [N]"
     assert len(lines) == 1 + len(np.load(folder / "day0.npz")["t"])
-    assert lines[1] == "0.000000,,,"
+    assert lines[1] == "0,,,"
     assert lines[-1].split(",")[1] == ""
     assert all(cell for cell in lines[len(lines) // 2].split(","))
 

@@ -62,6 +62,25 @@ def test_instruments_are_taken_where_least_squares_is_biased_and_only_there(simu
         assert identify_tested(record, axis, **options).estimator == "least_squares"
 
 
+def test_several_records_are_identified_by_what_one_of_them_asks_for(simulate, truth):
+    """As one record alone is: least squares would take the mass of each too small, by more than their spread."""
+    records = [simulate(seed, std=15.0, time=0.005) for seed in range(3)]
+    found = identify_several(records, AXIS, cutoff_hz=60.0)
+    assert found.estimator == found.to_dict()["estimator"] == "instrumental_variables"
+    plain = identify_several(records, AXIS, cutoff_hz=60.0, test=False)
+    assert plain.estimator == "least_squares"
+    mass, biased = (one.table()[0]["mean"] for one in (found, plain))
+    assert abs(mass - truth["mass"]) < 0.3 * abs(biased - truth["mass"])
+    assert found.cross_validation == pytest.approx(plain.cross_validation, rel=0.05)
+
+
+def test_what_was_not_tested_is_said(simulate):
+    noisy = simulate(0, std=25.0, time=0.005)
+    for axis, options in ((AXIS, {"bootstrap": 20}), (AXIS.replace(controller={"kp": 4e3}), {})):
+        said = identify_tested(noisy, axis, **options).warnings[-1]
+        assert said.startswith("whether least squares is biased was not tested: ")
+
+
 def test_noise_of_the_measured_voltage_biases_nothing(simulate, truth):
     """Noise on u alone does not reach W: the test says so, and the two estimates agree."""
     clean = simulate(3, std=0.0)

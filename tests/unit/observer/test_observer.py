@@ -299,3 +299,25 @@ def test_steps_without_a_complete_edge_have_no_delay_and_one_height_alone_is_no_
     force[[1990, 2040, 2510, 2990]] = np.nan  # near every edge
     found = step_answer(force, truth, 1e-3, slice(250, 3750))
     assert (found.delay, found.rise_time) == (None, None)
+
+
+def test_a_slow_axis_keeps_its_friction_and_a_slow_clock_its_observers():
+    """Half a millimetre a second: friction of 20 N is no external force there. At 100 Hz the cut-offs are lower."""
+    axis = machine("emps2019").replace(controller={"kp": 30.0, "kv": 100.0})
+    t = 1e-3 * np.arange(20_000)
+    q_ref = 1e-3 * (1.0 - np.cos(2.0 * np.pi * t / 10.0))
+    run = Plant.of(axis).closed_loop(q_ref)
+    assert np.abs(run.v).max() < 1e-3
+    found = observe(Record.from_arrays(1e-3, q_ref, run.q, run.u), axis)
+    moving = np.abs(run.v) > 2e-4
+    for one in found.methods.values():
+        assert np.nanmedian(np.abs(one.force[moving])) < 0.05 * axis.mechanics.coulomb
+    slow = axis.replace(sampling={"period": 0.01}, controller={"kp": 3.0, "kv": 10.0})
+    q_ref = 0.1 * (1.0 - np.cos(2.0 * np.pi * 0.01 * np.arange(3000) / 5.0))
+    run = Plant.of(slow).closed_loop(q_ref)
+    record = Record.from_arrays(0.01, q_ref, run.q, run.u)
+    assert {*observe(record, slow).methods} == {"offline", "online", "kalman"}
+    with pytest.raises(
+        InputError, match=r"`cutoff_hz`: found 12 Hz, expected less than 10 Hz, a tenth of the sampling"
+    ):
+        observe(record, slow, cutoff_hz=12.0)
