@@ -223,12 +223,15 @@ def _show_one(found: Identification) -> None:
 
 
 def _written(number: float | None, places: int) -> str:
-    """``number`` with so many ``places``, or with an exponent where there would be more than a column has room for.
+    """``number`` with so many ``places``, or with an exponent where a column has no room for it or it would show as 0.
 
-    >>> _written(95.1089, 4), _written(3.0005e-05, 9)
-    ('95.1089', '3.000e-05')
+    >>> _written(95.1089, 4), _written(3.001e-05, 9), _written(2e-08, 6)
+    ('95.1089', '3.001e-05', '2.000e-08')
     """
-    return f"{number:.{places}f}" if places <= MOST_PLACES else f"{number:.3e}"
+    if number is None:
+        return ""
+    lost = 0.0 < abs(number) < 0.5 * 10.0**-places
+    return f"{number:.3e}" if lost or places > MOST_PLACES else f"{number:.{places}f}"
 
 
 def _show_several(found: SeveralIdentifications) -> None:
