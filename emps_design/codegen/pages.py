@@ -35,7 +35,7 @@ EXERCISED = "in motion within the limit, in and out of the limit"
 LONGEST_NAME = 40
 # Lines behind the equations of a law that stands beside a feed-forward.
 BESIDE = (
-    "   (q_ref[k], v_ref[k]: 0;  q[k]: position less reference;  u[k]: before feed-forward and limit)",
+    "(q_ref[k], v_ref[k]: 0; q[k]: position less reference; u[k]: before feed-forward and limit)",
     "command[k] = u[k] + feedforward(ahead_q[k], ahead_v[k], ahead_a[k]), within the limit",
 )
 CHARACTERS = 120  # of a line of a comment

@@ -48,11 +48,11 @@ def identify_tested(
     ('least_squares', False)
     """
     plain = identify(record, axis, chain=chain, bootstrap=bootstrap, seed=seed, holdout=holdout, **both)
-    if bootstrap and chain == "hold" and axis.controller.kind != "none":
+    if chain != "hold" or axis.controller.kind == "none" or not record.has_reference:
+        return plain
+    if bootstrap:
         said = f"{UNTESTED}: a bootstrap is one of least squares"
         return replace(plain, warnings=(*plain.warnings, said))
-    if chain != "hold" or bootstrap or axis.controller.kind == "none" or not record.has_reference:
-        return plain
     if len(record) > LONG:
         said = f"{LONG} samples are the most that least squares is tested on; a part of the record says if it is biased"
         return replace(plain, warnings=(*plain.warnings, said))
