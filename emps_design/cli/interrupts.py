@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import TracebackType
 from typing import NoReturn
 
 from emps_design.cli.output import tell
@@ -32,7 +33,7 @@ def listen() -> None:
     for number in ENDING:
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup, and jobs in the background of a shell
             signal.signal(number, _interrupt)
-    sys.unraisablehook = _unraisable
+    sys.excepthook, sys.unraisablehook = _excepted, _unraisable
     reads, tells = os.pipe()
     os.set_blocking(tells, False)
     signal.set_wakeup_fd(tells, warn_on_full_buffer=False)
@@ -77,6 +78,12 @@ def _interrupt(number: int, frame: object) -> None:
     for ending in ENDING:  # one is enough: what removes files is not to be interrupted
         signal.signal(ending, signal.SIG_IGN)
     raise KeyboardInterrupt
+
+
+def _excepted(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Say nothing of an interrupt that compiled code prints and answers by an error of its own: numpy's imports from C."""
+    if not (heard.is_set() and issubclass(kind, KeyboardInterrupt)):
+        sys.__excepthook__(kind, error, trace)
 
 
 def _unraisable(told: sys.UnraisableHookArgs) -> None:

@@ -45,3 +45,31 @@ def test_an_interrupt_in_a_callback_of_compiled_code_is_heard_and_shows_no_trace
     """An exception ends at such a callback (as at those of numba's cache): the waiting thread ends the process."""
     done = subprocess.run([sys.executable, "-c", DEAF], capture_output=True, text=True, timeout=50)
     assert (done.returncode, done.stderr) == (130, "emps-design: interrupted\n")
+
+
+INTO_AN_IMPORT = """
+import os, signal, sys
+import numpy
+from emps_design.cli import interrupts
+interrupts.listen()
+
+class Kills:
+    def find_spec(self, name, path=None, target=None):
+        if name.endswith("_multiarray_umath"):
+            os.kill(os.getpid(), signal.SIGTERM)
+
+sys.meta_path.insert(0, Kills())
+for name in [name for name in sys.modules if name.endswith("_multiarray_umath")]:
+    del sys.modules[name]
+try:
+    import scipy.ndimage._nd_image
+except ImportError as error:
+    print(error)
+"""
+
+
+def test_an_interrupt_in_an_import_that_compiled_code_makes_shows_no_traceback():
+    """Modules that use numpy from C print what its import raised, and raise an error of their own."""
+    done = subprocess.run([sys.executable, "-c", INTO_AN_IMPORT], capture_output=True, text=True, timeout=50)
+    assert "failed to import" in done.stdout
+    assert (done.returncode, done.stderr) == (0, "")
