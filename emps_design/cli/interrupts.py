@@ -81,14 +81,14 @@ def _interrupt(number: int, frame: object) -> None:
 
 
 def _excepted(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Say nothing of an interrupt that compiled code prints and answers by an error of its own: numpy's imports from C."""
-    if not (heard.is_set() and issubclass(kind, KeyboardInterrupt)):
+    """Say nothing of what an interrupt leads to in compiled code: numpy's imports print it and raise another error."""
+    if not heard.is_set():
         sys.__excepthook__(kind, error, trace)
 
 
 def _unraisable(told: sys.UnraisableHookArgs) -> None:
-    """Say nothing of an interrupt that met a callback of compiled code: it cannot be raised there, and `_wait` acts."""
-    if not (heard.is_set() and issubclass(told.exc_type, KeyboardInterrupt)):
+    """Say nothing of an interrupt that met a callback or left an object half made: `_wait` acts where nothing does."""
+    if not heard.is_set():
         sys.__unraisablehook__(told)
 
 
