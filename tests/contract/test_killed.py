@@ -48,7 +48,7 @@ def test_an_interrupt_in_a_callback_of_compiled_code_is_heard_and_shows_no_trace
 
 
 INTO_AN_IMPORT = """
-import os, signal, sys
+import signal, sys
 import numpy
 from emps_design.cli import interrupts
 interrupts.listen()
@@ -56,7 +56,7 @@ interrupts.listen()
 class Kills:
     def find_spec(self, name, path=None, target=None):
         if name.endswith("_multiarray_umath"):
-            os.kill(os.getpid(), signal.SIGTERM)
+            signal.raise_signal(signal.SIGTERM)
 
 sys.meta_path.insert(0, Kills())
 for name in [name for name in sys.modules if name.endswith("_multiarray_umath")]:
