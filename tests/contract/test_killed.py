@@ -62,7 +62,7 @@ sys.meta_path.insert(0, Kills())
 for name in [name for name in sys.modules if name.endswith("_multiarray_umath")]:
     del sys.modules[name]
 try:
-    import scipy.ndimage._nd_image
+    import numpy.fft
 except ImportError as error:
     print(error)
 """
