@@ -1,4 +1,4 @@
-"""Whether a record can be of this axis: units, scales, exchanged columns, lost samples. Nothing is guessed or mended.
+"""Whether a record can be of this axis: units, scales, exchanged columns. Nothing is guessed or mended.
 
 What cannot be is refused in one line; what is odd is noted. Only a file whose columns were mapped or recognised is
 looked at: one with the names of a record is taken at its word.
@@ -28,7 +28,6 @@ ODD_FORCE = 10.0
 ON_GRID, OFF_GRID = 0.03, 0.08  # of an encoder step, that increments are off it on average; 0.25 where there is no grid
 EXPLAINS = 1.05  # times better: the position explains the command, the reference does not
 BEST = 0.35  # share of the command that has to be explained before that says anything
-JUMP = 100.0  # times what one sample in a thousand changes in its step
 BEYOND_LIMIT, FAR_BEYOND_LIMIT = 1.02, 10.0
 WINDOW = 0.01  # s, over which a motion is smoothed
 NAMES = {
@@ -46,7 +45,6 @@ def check_against(axis: Axis, record: Record, source: str) -> Record:
         return record
     _same_unit(record, source)
     _not_exchanged(axis, record, source)
-    _nothing_lost(record, source)
     notes = [*_clock(axis, record, source), *_limit(axis, record, source), *_force(axis, record, source)]
     return replace(record, warnings=(*record.warnings, *notes))
 
@@ -105,19 +103,6 @@ def _not_exchanged(axis: Axis, record: Record, source: str) -> None:
 
 def _exchanged(columns: str, found: str, source: str) -> RecordError:
     return RecordError(f"{source}: columns {columns}: found {found}; are they exchanged in [record]?")
-
-
-def _nothing_lost(record: Record, source: str) -> None:
-    """Position and reference never jump at one time: there samples are missing, whatever the time column says."""
-    if not record.q_ref_recorded or record.measured is not None:
-        return
-    place, size = _jump(record.q)
-    other_place, other = _jump(record.q_ref)
-    if min(size, other) > JUMP and abs(place - other_place) <= 1:
-        raise RecordError(
-            f"{source}: columns q and q_ref, at {record.t[place]:.6g} s: found both jump, q by "
-            f"{record.q[place + 1] - record.q[place]:.4g}, expected motion; samples are missing there"
-        )
 
 
 def _limit(axis: Axis, record: Record, source: str) -> list[str]:
@@ -199,15 +184,6 @@ def _off_grid(values: np.ndarray, step: float) -> float | None:
         return None
     steps = increments / step
     return float(np.mean(np.abs(steps - np.round(steps))))
-
-
-def _jump(values: np.ndarray) -> tuple[int, float]:
-    """The increment that differs most from those beside it, and how many times what one in a thousand does."""
-    increments = np.diff(values)
-    away = np.abs(increments[1:-1] - 0.5 * (increments[2:] + increments[:-2]))
-    usual = float(np.quantile(away, 0.999))
-    place = int(np.argmax(away))
-    return place + 1, float(away[place]) / usual if usual > 0.0 else 0.0
 
 
 def _roughness(values: np.ndarray) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from emps_design.errors import RecordError
 from emps_design.records.clock import GAP, Resampled, between_samples, held, no_gap, on_one_clock, steps_of
 from emps_design.records.columns import OPTIONAL
+from emps_design.records.jumps import no_jump, nothing_lost, unwrap
 from emps_design.records.layout import LONGEST, NAMED, RECOGNISED, Assignment, Layout, assign
 
 PLAIN = Layout()  # what a record is without an axis: metres and volts, by the names of the contract
@@ -59,6 +60,7 @@ def checked(
             notes.append(f"{one.name}: taken from column {one.title!r} [{one.unit}]")
     for column, values in named.items():
         _finite(values, column, layout.unit(column), source, first_row)
+    unwrap(named, assigned)
     late = {one.name: one.delay for one in assigned if one.delay}
     part = slice(0, n) if layout.window is None else _part(named["t"], layout.window, source)
     _fits(part.stop - part.start, source, LONGEST)
@@ -81,6 +83,9 @@ def checked(
         _fits(n, source, LONGEST)
     period = period or found
     _moving(named, layout, source)
+    if "q_ref" in named and resampled is None:
+        nothing_lost(named["q"], named["q_ref"], named["t"], layout.unit("q"), source)
+    no_jump(named["q"], named["t"], layout.unit("q"), source)
     _plausible(named, period, layout, source)
     named["t"][:] = np.arange(n)
     named["t"] *= period

@@ -23,6 +23,9 @@ class Column(BaseModel):
     delay: Annotated[float, Field(ge=-LONGEST_DELAY, le=LONGEST_DELAY, allow_inf_nan=False)] = Field(
         0.0, description="how much later than it acts it is recorded, in s"
     )
+    modulo: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None = Field(
+        None, description="where a position begins anew, as its numbers count: 360 of an angle in deg"
+    )
 
 
 class ColumnMap(BaseModel):
@@ -49,6 +52,9 @@ class ColumnMap(BaseModel):
     def _time_is_the_clock(self) -> ColumnMap:
         if self.time is not None and self.time.delay:
             raise ValueError(f"time: found delay {self.time.delay:g}, expected it of the columns that are late")
+        for name, column in self.named.items():
+            if column.modulo is not None and name not in ("q", "q_ref"):
+                raise ValueError(f"{KEYS[name]}: found modulo {column.modulo:g}, expected it of position and reference")
         return self
 
     @property

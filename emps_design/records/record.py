@@ -173,8 +173,8 @@ class Record:
             ("samples", len(self), ""),
             ("period", self.period, "s"),
             ("duration", self.duration, "s"),
-            ("stroke", float(np.ptp(self.q)), "m"),
-            ("largest voltage", float(np.max(np.abs(self.u))), "V"),
+            ("stroke", float(np.ptp(self.q)), "m or rad"),
+            ("largest command", float(np.max(np.abs(self.u))), "as the drive counts"),
             ("columns", ", ".join(self.columns), ""),
         )
         return table(self.name, rows)
