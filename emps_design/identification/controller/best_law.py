@@ -9,7 +9,7 @@ import numpy as np
 from emps_design.identification.controller.choice import choose, mirrored, simplify
 from emps_design.identification.controller.filters import Filter, filtered
 from emps_design.identification.controller.fit import Fit, fit
-from emps_design.identification.controller.limit import acting, plateau
+from emps_design.identification.controller.limit import acting, longest_between, plateau
 from emps_design.identification.controller.noise import robust_deviation, usable_behind, whitening_filter
 from emps_design.identification.controller.regressors import Signals, Timing, regressors
 from emps_design.identification.controller.search import search
@@ -18,6 +18,7 @@ from emps_design.identification.controller.structures import PROPORTIONAL, Struc
 HOLDS = 0.05  # of the command's deviation: a law that leaves more is none
 AS_GOOD = 6.0  # of the information criterion, odds of 20 : 1: a rival closer than that cannot be told apart
 LIMIT_ROUNDS = 4
+FEWEST = 200  # samples without a limit that a search begins anew with
 WORSE = 1.1  # times what is left with the integral free behind each plateau: what it did there is then not told
 
 
@@ -50,11 +51,15 @@ def best_law(signals: Signals, only: Structure | None = None) -> Found:
     """The law that explains the command best, whatever that is worth; of the structure ``only`` where that is given."""
     flat = plateau(signals.command) & signals.used
     worth, none = 0.0, tuple[Filter, ...]()
-    for stands_still in (None, flat):
+    first = signals.first_level if signals.records else signals
+    whole, flat_there = slice(0, len(first)), flat[: len(first)]
+    for part, stands_still in ((whole, None), (whole, flat_there), (longest_between(flat_there | ~first.used), None)):
         if only is None:
-            first = signals.first_level if signals.records else signals
-            best = search(first, None if stands_still is None else stands_still[: len(first)])[0]
+            if part.stop - part.start < FEWEST:
+                break
+            best = search(first.part(part), stands_still)[0]
             structure, timing, filters, worth = best.structure, best.timing, best.filters, best.filter_worth
+            timing = replace(timing, phase=(part.start + timing.phase) % timing.every)
         else:
             structure, timing, filters = only, Timing(), none
         start = Fit(replace(structure, offset=True), timing, filters, 0.0, np.zeros(0), 1.0, 1)
@@ -70,13 +75,13 @@ def best_law(signals: Signals, only: Structure | None = None) -> Found:
     if free.records and not fitted.structure.form:
         free = replace(free, levels=None, records=False)
         fitted = fit(free, fitted, held)
-    fitted = simplify(free, fitted, worth, held)
-    whitening = whitening_filter(_left(free, fitted, held), free.used) if signals.times is None else free.whitening
-    white = replace(free, whitening=whitening, used=usable_behind(free.used, whitening))
-    if only is None:
-        fitted, rivals = choose(white, fitted, worth, held)
-    else:
-        fitted, rivals = simplify(white, fit(white, fitted, held), worth, held), []
+    white, fitted, rivals = _chosen(free, fitted, only is None, worth, held)
+    if limit is not None and holds is None:  # where the integral stands still may be told by the whole law alone
+        again = _up_to_the_limit(signals, replace(fitted, structure=replace(fitted.structure, offset=True)), flat)
+        if again[-1] is not None:
+            free, fitted, limited, limit, holds = again
+            held = limited if holds else None
+            white, fitted, rivals = _chosen(free, fitted, only is None, worth, held)
     if (other := mirrored(white, fitted, held)) is not None:
         # Alike, the position loop is taken to be the slower of the two, as it is where people set it.
         if other.criterion < fitted.criterion - AS_GOOD or (
@@ -88,6 +93,18 @@ def best_law(signals: Signals, only: Structure | None = None) -> Found:
     rms = float(np.sqrt(np.mean(_left(free, fitted, held)[free.used] ** 2)))
     share = rms / float(np.std(signals.command[free.used]))
     return Found(white, fitted, rivals, rms, share, limited, limit, holds)
+
+
+def _chosen(
+    free: Signals, start: Fit, rivalled: bool, worth: float, held: np.ndarray | None
+) -> tuple[Signals, Fit, list[Fit]]:
+    """The signals behind a filter that makes what ``start`` leaves white, the law there, and its rivals if wanted."""
+    fitted = simplify(free, start, worth, held)
+    whitening = whitening_filter(_left(free, fitted, held), free.used) if free.times is None else free.whitening
+    white = replace(free, whitening=whitening, used=usable_behind(free.used, whitening))
+    if rivalled:
+        return white, *choose(white, fitted, worth, held)
+    return white, simplify(white, fit(white, fitted, held), worth, held), []
 
 
 def _in_order(found: Fit) -> Fit:
@@ -135,18 +152,22 @@ def _up_to_the_limit(
     limited, limit = acting(signals.command, np.where(signals.used, wanted, 0.0), noise)
     if limit is None:
         return signals, fit(signals, start), None, None, True
+    best: tuple[Signals, Fit, np.ndarray, float, bool] | None = None
     for _ in range(LIMIT_ROUNDS):
         free = replace(signals, used=signals.used & ~limited)
         tried = [(fit(free, loose, limited), True)]
         if start.structure.form:
             tried.append((fit(free, loose), False))
         fitted, holds = min(tried, key=lambda pair: pair[0].cost)
+        if best is None or fitted.cost / fitted.samples < best[1].cost / best[1].samples:
+            best = free, fitted, limited, limit, holds
         wanted = _wanted(free, fitted, limited if holds else None)
         noise = robust_deviation((signals.command - wanted)[free.used])
         now, level = acting(signals.command, np.where(signals.used, wanted, 0.0), noise)
         if level is None or np.array_equal(now, limited):
             break
         limited, limit = now, level
-    if fitted.cost / fitted.samples > WORSE * loose.cost / loose.samples:
+    assert best is not None
+    if best[1].cost / best[1].samples > WORSE * loose.cost / loose.samples:
         return apart, loose, flat, limit, None
-    return free, fitted, limited, limit, holds
+    return best

@@ -23,7 +23,21 @@ def plateau(command: np.ndarray) -> np.ndarray:
     top = float(size.max())
     at = size >= top - min(NOISE * noise, 0.02 * top) - 1e-9 * top
     run = np.convolve(at, np.ones(PLATEAU), "same") >= PLATEAU
-    return np.convolve(run, np.ones(PLATEAU), "same") > 0.0 if run.any() else np.zeros(size.size, bool)
+    if not run.any():
+        return run
+    level, spread = np.median(size[run]), robust_deviation(size[run])
+    return size >= level - NOISE * spread - 1e-9 * top
+
+
+def longest_between(limited: np.ndarray) -> slice:
+    """The longest run of samples that are not ``limited`` (n,).
+
+    >>> longest_between(np.array([False, True, False, False, True]))
+    slice(2, 4, None)
+    """
+    ends = np.flatnonzero(np.diff(limited, prepend=True, append=True))
+    longest = int(np.argmax(ends[1::2] - ends[::2])) if ends.size else 0
+    return slice(int(ends[2 * longest]), int(ends[2 * longest + 1])) if ends.size else slice(0, 0)
 
 
 def acting(command: np.ndarray, wanted: np.ndarray, noise: float) -> tuple[np.ndarray, float | None]:

@@ -74,7 +74,10 @@ class Signals:
         """The first stretch of ``levels`` alone, up to the last sample of it that counts."""
         if self.levels is None:
             return self
-        part = slice(0, int(np.flatnonzero(self.used & (self.levels == self.levels[0]))[-1]) + 1)
+        return self.part(slice(0, int(np.flatnonzero(self.used & (self.levels == self.levels[0]))[-1]) + 1))
+
+    def part(self, part: slice) -> Signals:
+        """A ``part`` of one stretch."""
         names = ("reference", "position", "command", "used")
         force = None if self.force is None else self.force[part]
         return replace(self, levels=None, force=force, **{name: getattr(self, name)[part] for name in names})

@@ -65,6 +65,16 @@ CASES = {
         {"position.kp": 25.0, "velocity.kp": 400.0, "velocity.ti": 0.04, "feedforward.velocity": 0.9},
         {"kind": "cascade", "velocity.form": "pi"},
     ),
+    "at its limit a quarter of the time": (
+        Loop(kp=25.0, kv=400.0, ti=0.04, share=0.5, limit=9.0, noise=0.02, samples=8000, seed=1),
+        {"position.kp": 25.0, "velocity.kp": 400.0, "velocity.ti": 0.04, "feedforward.velocity": 0.5},
+        {"kind": "cascade", "velocity.form": "pi"},
+    ),
+    "IP, for a sample or two at its limit": (
+        Loop(kp=25.0, kv=400.0, ti=0.04, form="ip", limit=12.0, noise=0.0005, samples=8000),
+        {"position.kp": 25.0, "velocity.kp": 400.0, "velocity.ti": 0.04},
+        {"kind": "cascade", "velocity.form": "ip"},
+    ),
     "proportional, at its limit": (
         Loop(kp=3000.0, proportional=True, limit=25.0, friction=(150.0, 6.0), noise=0.05),
         {"kp": 3000.0},
