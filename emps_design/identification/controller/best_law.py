@@ -51,6 +51,7 @@ def best_law(signals: Signals, only: Structure | None = None) -> Found:
     """The law that explains the command best, whatever that is worth; of the structure ``only`` where that is given."""
     flat = plateau(signals.command) & signals.used
     worth, none = 0.0, tuple[Filter, ...]()
+    attempts = []
     first = signals.first_level if signals.records else signals
     whole, flat_there = slice(0, len(first)), flat[: len(first)]
     for part, stands_still in ((whole, None), (whole, flat_there), (longest_between(flat_there | ~first.used), None)):
@@ -68,10 +69,12 @@ def best_law(signals: Signals, only: Structure | None = None) -> Found:
             plain = Fit(PROPORTIONAL, Timing(), none, 0.0, np.zeros(0), 1.0, 1)
             start = min((fit(free, one) for one in (start, plain)), key=lambda one: one.criterion)
         free, fitted, limited, limit, holds = _up_to_the_limit(signals, start, flat)
-        held = limited if holds else None
-        left = _left(free, fitted, held)
-        if not flat.any() or float(np.std(left[free.used])) < HOLDS * float(np.std(signals.command)):
+        left = float(np.std(_left(free, fitted, limited if holds else None)[free.used]))
+        attempts.append((left, worth, free, fitted, limited, limit, holds))
+        if not flat.any():
             break
+    _, worth, free, fitted, limited, limit, holds = min(attempts, key=lambda attempt: attempt[0])
+    held = limited if holds else None
     if free.records and not fitted.structure.form:
         free = replace(free, levels=None, records=False)
         fitted = fit(free, fitted, held)

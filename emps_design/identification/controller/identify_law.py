@@ -31,6 +31,7 @@ AROUND = 3  # samples about one with the motor switched off that do not count
 FEWEST_AT_START = 4  # samples left out, whatever the period
 FEEDBACK = ("kp", "kv", "k_v1", "t_v", "position.kp", "velocity.kp", "velocity.ti")
 LOOSE = 0.2  # relative deviation of a gain beyond which it is not determined
+ON_THE_CLOCK = 0.01  # of a period that a sample may be off its clock
 ROUNDING = 1e-6  # relative, by which the numbers of one law written in two ways may differ
 
 IRREGULAR = "irregular samples tell no law with a memory, only a proportional one"
@@ -61,12 +62,13 @@ def identify_law(records: Record | Sequence[Record], command_unit: str = "V") ->
 def _identified(several: list[Record], command_unit: str) -> LawEstimate:
     """The controller that made ``several`` records of one kind."""
     name = " + ".join(one.name for one in several)
-    read = [signals_of(own_samples(one)) for one in several]
+    there = measured_there(several[0])
+    read = [signals_of(own_samples(one) if there is None else one, there) for one in several]
     for one, said in zip(several, read, strict=True):
         if isinstance(said, str):
             return _not_told(name, command_unit, said if len(several) == 1 else f"{one.name}: {said}")
     signals = joined([one for one in read if not isinstance(one, str)])
-    if several[0].measured is not None:
+    if several[0].measured is not None and there is None:
         if signals.velocity_reference:
             return _not_told(name, command_unit, f"{IRREGULAR}, and that follows no velocity")
         polled = best_law(replace(signals, times=several[0].measured["t"]), replace(PROPORTIONAL, skew=True))
@@ -79,15 +81,23 @@ def _identified(several: list[Record], command_unit: str) -> LawEstimate:
     return _report(several, command_unit, found, steps)
 
 
-def signals_of(record: Record) -> Signals | str:
-    """What the controller of a record saw and gave, or why it cannot be told from that."""
+def signals_of(record: Record, there: np.ndarray | None = None) -> Signals | str:
+    """What the controller of a record saw and gave, or why it cannot be told from that.
+
+    ``there`` (n,) says which samples were recorded: behind one that was not the integral may have any value.
+    """
     velocity = record.velocity_reference
     if velocity is None and not record.q_ref_recorded:
         return "the record has no reference, which the controller followed; record it too"
     used = np.ones(len(record), bool)
     if record.enable is not None:
         used &= np.convolve(record.enable <= 0.0, np.ones(2 * AROUND + 1), "same") < 0.5
-    used[: max(FEWEST_AT_START, round(START_UP / record.period))] = False
+    start_up = max(FEWEST_AT_START, round(START_UP / record.period))
+    used[:start_up] = False
+    levels = None
+    if there is not None:
+        used &= np.convolve(~there, np.ones(start_up + 1))[: used.size] < 0.5
+        levels = np.cumsum(np.diff(there.astype(int), prepend=1) < 0)
     if used.sum() < FEWEST:
         return f"{int(used.sum())} samples with the controller at work, expected at least {FEWEST}; record longer"
     if not np.ptp(record.q[used]) > 0.0:
@@ -96,7 +106,19 @@ def signals_of(record: Record) -> Signals | str:
         return "the command stands still; record what the controller gives while the axis moves"
     command = record.u if record.excitation is None else record.u - record.excitation
     reference = record.q_ref if velocity is None else velocity
-    return Signals(reference, record.q, command, record.period, used, velocity is not None, record.f_ext)
+    follows = velocity is not None
+    return Signals(reference, record.q, command, record.period, used, follows, record.f_ext, levels=levels)
+
+
+def measured_there(record: Record) -> np.ndarray | None:
+    """Which samples (n,) of a resampled record were recorded, where that is a clock of which some are missing."""
+    if record.measured is None:
+        return None
+    place = (record.measured["t"] - record.measured["t"][0]) / record.period
+    at = np.rint(place).astype(int)
+    if np.max(np.abs(place - at)) > ON_THE_CLOCK or at[-1] >= len(record) or np.any(np.diff(at) < 1):
+        return None
+    return np.isin(np.arange(len(record)), at)
 
 
 def own_samples(record: Record) -> Record:

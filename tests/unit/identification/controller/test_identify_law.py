@@ -19,6 +19,7 @@ from emps_design.identification.controller.structures import Structure
 from emps_design.identification.controller.tables import numbers_of
 from emps_design.machines import machine
 from emps_design.records import Record
+from emps_design.records.layout import Layout
 from tests.unit.identification.controller.closed_loop import Loop
 
 # A loop, the numbers that have to be found, and the structure.
@@ -285,3 +286,19 @@ def test_no_structure_is_listed_twice():
     found = identify_law(record_of(Loop(kp=30.0, kv=300.0, noise=0.01, samples=4000)))
     terms = [row["terms"] for row in found.tried]
     assert len(set(terms)) == len(terms) > 1
+
+
+@pytest.mark.slow
+def test_lost_samples_leave_the_law_told():
+    """A clock of which samples are missing, as of a drive that loses telegrams: one alone, three in a row, many."""
+    loop = Loop(kp=25.0, kv=400.0, ti=0.04, share=0.5, noise=0.02)
+    r, q, u = loop.run()
+    lost = [1000, 2500, 2501, 2502, *np.random.default_rng(0).integers(100, 5900, 60)]
+    kept = ~np.isin(np.arange(r.size), lost)
+    t, layout = loop.period * np.arange(r.size), Layout(period=loop.period)
+    record = Record.from_arrays(t[kept], r[kept], q[kept], u[kept], layout=replace(layout, resample=True))
+    found = identify_law(record)
+    assert found.verdict == "told"
+    for key, true in {"position.kp": 25.0, "velocity.kp": 400.0, "velocity.ti": 0.04}.items():
+        assert abs(at(found.controller, key) - true) < 4.0 * at(found.std, key), key
+    assert found.residual_rms == pytest.approx(loop.noise, rel=0.1)
