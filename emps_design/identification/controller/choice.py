@@ -41,7 +41,9 @@ def simplify(signals: Signals, found: Fit, worth: float, limited: np.ndarray | N
                 found = refit
                 break
         else:
-            return found
+            if found.structure.feeds_forward:
+                return found
+            return replace(found, timing=replace(found.timing, profile=False))
 
 
 def rivals(signals: Signals, found: Fit, limited: np.ndarray | None) -> list[Fit]:
@@ -58,6 +60,9 @@ def rivals(signals: Signals, found: Fit, limited: np.ndarray | None) -> list[Fit
     if found.structure.velocity:
         names = [name for name in ESTIMATORS if name != timing.velocity_estimator]
         kinds.append([replace(found, timing=replace(timing, velocity_estimator=name)) for name in names])
+    if found.structure.feeds_forward and not signals.velocity_reference:
+        sources = [replace(timing, profile=not timing.profile, velocity_estimator=name) for name in ESTIMATORS]
+        kinds.append([replace(found, timing=source) for source in sources])
     best = [next(_in_full(signals, kind, limited), None) for kind in kinds]
     others = [*_in_full(signals, loops, limited), *(one for one in best if one is not None)]
     return sorted(others, key=lambda f: f.criterion)

@@ -32,6 +32,7 @@ FEWEST_AT_START = 4  # samples left out, whatever the period
 FEEDBACK = ("kp", "kv", "k_v1", "t_v", "position.kp", "velocity.kp", "velocity.ti")
 LOOSE = 0.2  # relative deviation of a gain beyond which it is not determined
 ON_THE_CLOCK = 0.01  # of a period that a sample may be off its clock
+INNER = 2.0  # times as much left by the position's law: the velocity that is recorded beside it comes from elsewhere
 ROUNDING = 1e-6  # relative, by which the numbers of one law written in two ways may differ
 
 IRREGULAR = "irregular samples tell no law with a memory, only a proportional one"
@@ -67,13 +68,18 @@ def _identified(several: list[Record], command_unit: str) -> LawEstimate:
     for one, said in zip(several, read, strict=True):
         if isinstance(said, str):
             return _not_told(name, command_unit, said if len(several) == 1 else f"{one.name}: {said}")
-    signals = joined([one for one in read if not isinstance(one, str)])
+    known = [one for one in read if not isinstance(one, str)]
+    signals = joined(known)
     if several[0].measured is not None and there is None:
         if signals.velocity_reference:
             return _not_told(name, command_unit, f"{IRREGULAR}, and that follows no velocity")
         polled = best_law(replace(signals, times=several[0].measured["t"]), replace(PROPORTIONAL, skew=True))
         return _report(several, command_unit, polled, None, f"{IRREGULAR}: that ")
     found, steps = best_law(signals), None
+    if not signals.velocity_reference and all(one.velocity_reference is not None for one in several):
+        inner = best_law(joined([_of_its_velocity(*pair) for pair in zip(known, several, strict=True)]))
+        if found.rms > INNER * inner.rms:
+            found = inner
     if found.share > HOLDS and (stepless := without_steps(signals)) is not None:
         again = best_law(stepless[0])
         if again.share <= HOLDS:
@@ -86,14 +92,14 @@ def signals_of(record: Record, there: np.ndarray | None = None) -> Signals | str
 
     ``there`` (n,) says which samples were recorded: behind one that was not the integral may have any value.
     """
-    velocity = record.velocity_reference
+    velocity = None if record.q_ref_recorded else record.velocity_reference
     if velocity is None and not record.q_ref_recorded:
         return "the record has no reference, which the controller followed; record it too"
     used = np.ones(len(record), bool)
     if record.enable is not None:
         used &= np.convolve(record.enable <= 0.0, np.ones(2 * AROUND + 1), "same") < 0.5
     start_up = max(FEWEST_AT_START, round(START_UP / record.period))
-    used[:start_up] = False
+    used[:start_up] = used[-2:] = False  # the velocity of a profile is told by two samples ahead
     levels = None
     if there is not None:
         used &= np.convolve(~there, np.ones(start_up + 1))[: used.size] < 0.5
@@ -108,6 +114,12 @@ def signals_of(record: Record, there: np.ndarray | None = None) -> Signals | str
     reference = record.q_ref if velocity is None else velocity
     follows = velocity is not None
     return Signals(reference, record.q, command, record.period, used, follows, record.f_ext, levels=levels)
+
+
+def _of_its_velocity(signals: Signals, record: Record) -> Signals:
+    """What a controller saw that follows the velocity reference of ``record`` and not its position reference."""
+    assert record.velocity_reference is not None
+    return replace(signals, reference=record.velocity_reference, velocity_reference=True)
 
 
 def measured_there(record: Record) -> np.ndarray | None:

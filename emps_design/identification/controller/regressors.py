@@ -78,9 +78,9 @@ class Signals:
 
     def part(self, part: slice) -> Signals:
         """A ``part`` of one stretch."""
-        names = ("reference", "position", "command", "used")
-        force = None if self.force is None else self.force[part]
-        return replace(self, levels=None, force=force, **{name: getattr(self, name)[part] for name in names})
+        names = ("reference", "position", "command", "used", "force")
+        there = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        return replace(self, levels=None, **{name: values[part] for name, values in there.items()})
 
     def counted(self, columns: np.ndarray) -> np.ndarray:
         """What counts of ``columns`` (n, ...): whitened, the samples used, without the mean of each stretch."""
@@ -96,12 +96,14 @@ class Signals:
 @dataclass(frozen=True)
 class Timing:
     """Which samples a controller takes: the position loop every n-th, from ``phase`` on; ``delay`` [samples] between
-    a measurement and its command; how velocity is estimated."""
+    a measurement and its command; how velocity is estimated; whether what is fed forward comes from the ``profile``
+    itself, at the sample, and is no difference of the reference."""
 
     every: int = 1
     phase: int = 0
     delay: int = 0
     velocity_estimator: str = "backward"
+    profile: bool = False
 
     @property
     def surprise(self) -> float:
@@ -129,13 +131,16 @@ def regressors(signals: Signals, timing: Timing, limited: np.ndarray | None = No
     else:
         error, vr = held(r - q, timing.every, timing.phase), np.diff(r, prepend=r[:1]) / period
     ar = np.diff(vr, prepend=vr[:1] if signals.velocity_reference else 0.0) / period
+    direction = np.sign(vr)
+    if timing.profile:
+        vr, ar = _of_the_profile(signals)
     force = np.zeros(n) if signals.force is None else signals.force
     slip = vr - v
     free = np.ones(n, bool)
     if limited is not None:
         free[: n - timing.delay] = ~limited[timing.delay :]
     sums = [_held_sum(x, free) * period for x in (error, slip, v, force)]
-    columns = (error, sums[0], slip, sums[1], v, sums[2], ar, np.sign(vr), sums[3])
+    columns = (error, sums[0], slip, sums[1], v, sums[2], ar, direction, sums[3])
     table = np.column_stack([*columns, np.ones(n)])
     if timing.delay:
         table = np.concatenate([np.repeat(table[:1], timing.delay, axis=0), table[: n - timing.delay]])
@@ -172,6 +177,14 @@ def estimated_velocity(q: np.ndarray, period: float, estimator: str) -> np.ndarr
     taps = 2 if estimator == "two_tap" else 1
     before = np.concatenate([np.full(taps, q[0]), q[:-taps]])
     return (q - before) / (taps * period)
+
+
+def _of_the_profile(signals: Signals) -> tuple[np.ndarray, np.ndarray]:
+    """Velocity and acceleration (n,) that the generator of a position reference has at its samples, to fourth order."""
+    r, n, period = np.pad(signals.reference, 2, mode="edge"), len(signals), signals.period
+    before2, before, now, after, after2 = (r[i : i + n] for i in range(5))
+    velocity = (before2 - 8.0 * before + 8.0 * after - after2) / (12.0 * period)
+    return velocity, (-before2 + 16.0 * before - 30.0 * now + 16.0 * after - after2) / (12.0 * period**2)
 
 
 def held(x: np.ndarray, every: int, phase: int) -> np.ndarray:

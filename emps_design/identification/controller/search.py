@@ -82,7 +82,7 @@ class Spectrum:
     def __init__(self, signals: Signals, limited: np.ndarray | None = None) -> None:
         self.signals, self.limited = signals, limited
         self.command = transform(signals, signals.command[:, None])[:, 0]
-        self.fixed: dict[str, np.ndarray] = {}
+        self.fixed: dict[tuple[str, bool], np.ndarray] = {}
         self.known: dict[Timing, Spectra] = {}
 
     def at(self, timing: Timing) -> Spectra:
@@ -90,7 +90,7 @@ class Spectrum:
         timing = replace(timing, delay=0)
         if timing not in self.known:
             table = regressors(self.signals, timing, self.limited)
-            name = timing.velocity_estimator
+            name = timing.velocity_estimator, timing.profile
             if name not in self.fixed:
                 self.fixed[name] = transform(self.signals, table)
             values = self.fixed[name].copy()
@@ -150,6 +150,10 @@ def improve(spectrum: Spectrum, now: Candidate) -> Candidate:
         timed = min((evaluate(spectrum, now.structure, loop, now.filters) for loop in loops), key=lambda c: c.criterion)
         if timed.timing != now.timing:
             found = min(found, polish(spectrum, timed), key=lambda c: c.criterion)
+    if found.structure.feeds_forward and not spectrum.signals.velocity_reference:
+        others = [replace(found.timing, profile=not found.timing.profile, velocity_estimator=e) for e in ESTIMATORS]
+        taken = [evaluate(spectrum, found.structure, other, found.filters) for other in others]
+        found = min((found, *(polish(spectrum, one) for one in taken)), key=lambda c: c.criterion)
     fewer = [replace(found, filters=(*found.filters[:i], *found.filters[i + 1 :])) for i in range(len(found.filters))]
     more = [better for one in (found, *fewer) if (better := one_more_filter(spectrum, one)) is not None]
     found = min((found, *more), key=lambda c: c.criterion)

@@ -51,6 +51,11 @@ class Structure:
         return tuple(names)
 
     @property
+    def feeds_forward(self) -> bool:
+        """Whether the velocity of the reference is fed forward to a velocity loop within a position loop."""
+        return self.position and self.velocity and self.share != 0
+
+    @property
     def size(self) -> int:
         """How many numbers it has, without those of filters."""
         return len(self.linear) + bool(self.form)

@@ -13,6 +13,7 @@ def kind_of(found: Fit, velocity_reference: bool) -> str:
     """Kind of the law in an axis file, "" where no law of the package has these terms."""
     s = found.structure
     plain = not (s.acceleration or s.coulomb or found.filters) and found.timing.every == 1
+    plain = plain and not found.timing.profile
     if not s.velocity:
         return "p" if plain and not s.form else ""
     if velocity_reference:
@@ -66,6 +67,8 @@ def table_of(found: Fit, velocity_reference: bool, numbers: dict[str, float], ho
             ahead["velocity"] = 1.0
         if ahead:
             table["feedforward"] = {name: ahead[name] for name in AHEAD if name in ahead}
+            if found.timing.profile and "velocity" in ahead:
+                table["feedforward"]["source"] = "profile"
         if found.filters:
             filters = enumerate(found.filters)
             table["filters"] = [{"kind": one.kind, **nested(numbers, f"filters.{i}")} for i, one in filters]

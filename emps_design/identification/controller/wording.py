@@ -23,7 +23,8 @@ def described(one: Fit, found: Found) -> dict[str, Any]:
     if s.position:
         terms.append(f"position loop every {timing.every}" + (f" from {timing.phase}" if timing.phase else ""))
     if s.velocity and s.share != 0:
-        terms.append("all of the reference velocity" if s.share == 1 else "a share of the reference velocity")
+        of = "profile's" if timing.profile else "reference"
+        terms.append(f"all of the {of} velocity" if s.share == 1 else f"a share of the {of} velocity")
     terms += [name for name in ("acceleration", "coulomb", "force", "offset") if getattr(s, name)]
     terms += [timing.velocity_estimator.replace("_", "-"), f"delay {timing.delay}"]
     terms += [f"{f.kind} {f.frequency:.4g} Hz" for f in one.filters]
@@ -39,7 +40,8 @@ def short(table: dict[str, Any]) -> str:
     """A table's structure in a few words."""
     every = table.get("position", {}).get("every")
     form = table.get("velocity", {}).get("form")
-    parts = [table["kind"], f"form {form}" if form else "", f"every {every}" if every else ""]
+    source = table.get("feedforward", {}).get("source")
+    parts = [table["kind"], f"form {form}" if form else "", f"every {every}" if every else "", source or ""]
     return " ".join(part for part in [*parts, table.get("velocity_estimator", "")] if part)
 
 

@@ -7,7 +7,10 @@ Sample k, period T, reference r, position q, everything at rest before the first
     e = vc + share vr - v,   J = I + kp_v T / ti e
     w = kp_v e + J (form "pi")  or  J - kp_v v (form "ip"),   + acceleration ar + coulomb sign(vr)
 
-then the filters in their order, each by the bilinear transform ``s = 2/T (z - 1)/(z + 1)`` without prewarping:
+``source = "profile"`` feeds forward what the generator of the reference has at the sample, vr half a period later, ar a
+period later: ``vr + T ar / 2`` and ``(2 r[k] - 5 r[k-1] + 4 r[k-2] - r[k-3]) / T^2``, off in proportion to T^2.
+
+Then the filters in their order, each by the bilinear transform ``s = 2/T (z - 1)/(z + 1)`` without prewarping:
 ``w0/(s + w0)``, and for a notch ``(s^2 + 2 depth damping w0 s + w0^2)/(s^2 + 2 damping w0 s + w0^2)``; then the limit.
 I takes J, with ``anti_windup = "hold"`` only where the limit does not act. Without a position loop the reference is a
 velocity: ``vr = r``, ``ar = (r[k] - r[k-1]) / T``, ``vc = 0``, share 1. Source: the cascade that servo drives run.
@@ -34,9 +37,9 @@ from emps_design.laws.law import (
 
 # What stands where in the kernel's gains; five coefficients b0, b1, b2, a1, a2 follow for each filter.
 RATE, TWO_TAPS, POSITION, EVERY, PROPORTIONAL, INTEGRAL, IP, SHARE, ACCELERATION, COULOMB = range(10)
-FOLLOWS_VELOCITY, HOLD, FILTERS, COEFFICIENTS = range(10, 14)
+PROFILE, FOLLOWS_VELOCITY, HOLD, FILTERS, COEFFICIENTS = range(10, 15)
 # And in its memory; two numbers follow for each filter.
-Q1, Q2, R1, R2, WANTED, INTEGRATOR, FILTERED = range(7)
+Q1, Q2, R1, R2, R3, WANTED, INTEGRATOR, FILTERED = range(8)
 
 
 def cascade(k, reference, q, f_ext, limit, gains, memory):
@@ -44,7 +47,7 @@ def cascade(k, reference, q, f_ext, limit, gains, memory):
     if k == 0:
         memory[Q1] = memory[Q2] = q
         # At rest: a position reference has been where it is, a velocity reference has been 0.
-        memory[R1] = memory[R2] = 0.0 if gains[FOLLOWS_VELOCITY] > 0.0 else reference
+        memory[R1] = memory[R2] = memory[R3] = 0.0 if gains[FOLLOWS_VELOCITY] > 0.0 else reference
         memory[WANTED] = memory[INTEGRATOR] = 0.0
     rate = gains[RATE]
     if gains[TWO_TAPS] > 0.0:
@@ -55,12 +58,18 @@ def cascade(k, reference, q, f_ext, limit, gains, memory):
     memory[Q1] = q
     if gains[FOLLOWS_VELOCITY] > 0.0:
         vr = reference
+        direction = vr
         ar = (reference - memory[R1]) * rate
     else:
         vr = (reference - memory[R1]) * rate
+        direction = vr
         ar = (reference - 2.0 * memory[R1] + memory[R2]) * rate * rate
+        if gains[PROFILE] > 0.0:
+            vr += 0.5 * (reference - 2.0 * memory[R1] + memory[R2]) * rate
+            ar += (reference - 3.0 * memory[R1] + 3.0 * memory[R2] - memory[R3]) * rate * rate
         if k % int(gains[EVERY]) == 0:
             memory[WANTED] = gains[POSITION] * (reference - q)
+    memory[R3] = memory[R2]
     memory[R2] = memory[R1]
     memory[R1] = reference
     e = memory[WANTED] + gains[SHARE] * vr - v
@@ -70,9 +79,9 @@ def cascade(k, reference, q, f_ext, limit, gains, memory):
         w -= gains[PROPORTIONAL] * v
     else:
         w += gains[PROPORTIONAL] * e
-    if vr > 0.0:
+    if direction > 0.0:
         w += gains[COULOMB]
-    elif vr < 0.0:
+    elif direction < 0.0:
         w -= gains[COULOMB]
     for i in range(int(gains[FILTERS])):
         at = COEFFICIENTS + 5 * i
@@ -104,6 +113,11 @@ class Feedforward(Group):
     velocity: Finite = parameter("share of the reference velocity that the velocity loop is given", "", 0.0)
     acceleration: Finite = parameter("feed-forward of the acceleration", "V/(m/s^2)", 0.0)
     coulomb: Finite = parameter("feed-forward of the Coulomb friction", "V", 0.0)
+    source: Literal["difference", "profile"] = parameter(
+        "difference: velocity and acceleration of the reference's last steps; profile: its generator's, at the sample",
+        "",
+        "difference",
+    )
 
 
 class Filter(Group):
@@ -133,6 +147,11 @@ class Table(LawTable):
 
     @model_validator(mode="after")
     def _velocity_share(self):
+        if self.position is None and self.feedforward is not None and self.feedforward.source != "difference":
+            raise ValueError(
+                'feedforward.source: found "profile", expected "difference": without a position loop the reference is '
+                "the velocity"
+            )
         if self.position is None and self.feedforward is not None and self.feedforward.velocity not in (0.0, 1.0):
             raise ValueError(
                 f"feedforward.velocity: found {self.feedforward.velocity:g}, expected 1: without a position loop the "
@@ -181,7 +200,7 @@ def gains(p, axis, period):
         p.position.kp if p.position else 0.0, p.position.every if p.position else 1,
         p.velocity.kp, integral, float(p.velocity.form == "ip"),
         ahead.velocity if p.position else 1.0, ahead.acceleration, ahead.coulomb,
-        float(p.position is None), float(p.anti_windup == "hold"), len(p.filters),
+        float(ahead.source == "profile"), float(p.position is None), float(p.anti_windup == "hold"), len(p.filters),
         *(number for one in p.filters for number in coefficients(one, period)),
     )  # fmt: skip
 
@@ -195,14 +214,16 @@ def _terms(*terms):
 def equations(p, axis, period):
     g, limit = gains(p, axis, period), f"{axis.drive.command_limit:.10g}"
     lines, follows_velocity = [velocity_in_words(p, period)], p.position is None
-    wanted = "0"
+    wanted, direction = "0", "vr[k]"
     if follows_velocity:
         lines += ["vr[k] = v_ref[k]", f"ar[k] = (v_ref[k] - v_ref[k-1]) / {period:.10g}"]
     else:
-        lines += [
-            f"vr[k] = (q_ref[k] - q_ref[k-1]) / {period:.10g}",
-            f"ar[k] = (q_ref[k] - 2 * q_ref[k-1] + q_ref[k-2]) / {period**2:.10g}",
-        ]
+        velocity, acceleration = "q_ref[k] - q_ref[k-1]", "q_ref[k] - 2 * q_ref[k-1] + q_ref[k-2]"
+        if g[PROFILE]:
+            velocity = "1.5 * q_ref[k] - 2 * q_ref[k-1] + 0.5 * q_ref[k-2]"
+            acceleration = "2 * q_ref[k] - 5 * q_ref[k-1] + 4 * q_ref[k-2] - q_ref[k-3]"
+            direction = "q_ref[k] - q_ref[k-1]"
+        lines += [f"vr[k] = ({velocity}) / {period:.10g}", f"ar[k] = ({acceleration}) / {period**2:.10g}"]
         every = f"if k % {p.position.every} == 0: " if p.position.every > 1 else ""
         lines.append(f"{every}vc[k] = {g[POSITION]:.10g} * (q_ref[k] - q[k])")
         lines += ["else: vc[k] = vc[k-1]"] if every else []
@@ -213,7 +234,7 @@ def equations(p, axis, period):
         lines.append(f"j[k] = i[k-1] + {g[INTEGRAL]:.10g} * e[k]")
     own = (-g[PROPORTIONAL], "v[k]") if g[IP] else (g[PROPORTIONAL], "e[k]")
     integral = [(1.0, "j[k]")] if p.velocity.ti else []
-    ahead = (g[ACCELERATION], "ar[k]"), (g[COULOMB], "sign(vr[k])")
+    ahead = (g[ACCELERATION], "ar[k]"), (g[COULOMB], f"sign({direction})")
     lines.append(f"w0[k] = {_terms(own, *integral, *ahead)}")
     for i, one in enumerate(p.filters):
         b0, b1, b2, a1, a2 = coefficients(one, period)

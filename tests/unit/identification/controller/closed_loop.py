@@ -27,6 +27,7 @@ class Loop:
     delay: int = 0
     proportional: bool = False  # u = kp (r - q), nothing else
     velocity_reference: bool = False
+    profile: bool = False  # feeds forward the velocity and acceleration that the reference has at the sample
     period: float = 1e-3
     step: float = 1e-7  # of the encoder
     mass: float = 5.0
@@ -48,6 +49,7 @@ class Loop:
         memory = [[0.0, 0.0, 0.0, 0.0] for _ in sections]
         commands: list[float] = []
         pushes = rng.normal(0.0, 2.0, self.samples // 50 + 1)
+        own, own_steps = (self._speed(np.arange(self.samples) + ahead) for ahead in (0.0, 1e-3))
         for k in range(self.samples):
             q = round(x / self.step) * self.step
             v = (q - q2) / (2.0 * T) if self.two_tap else (q - q1) / T
@@ -57,6 +59,8 @@ class Loop:
                 vr, ar = (r[k] - r1) / T, (r[k] - 2.0 * r1 + r2) / T**2
                 if self.kp is not None and k % self.every == 0:
                     held = self.kp * (r[k] - q)
+            if self.profile:
+                vr, ar = own[k], (own_steps[k] - own[k]) / (1e-3 * T)
             share = 1.0 if self.velocity_reference else self.share
             e = held + share * vr - v
             wanted = integral + (self.kv * T / self.ti * e if self.ti else 0.0)
@@ -83,14 +87,22 @@ class Loop:
         return r, np.array(q_of), recorded + rng.normal(0.0, self.noise, self.samples)
 
     def _reference(self) -> np.ndarray:
-        """Strokes of several speeds that start and stop smoothly, with a rest in between."""
-        t = np.linspace(0.0, 1.0, self.samples)
-        length = self.samples * self.period
+        """The way along :meth:`_speed`; that speed itself where it is the reference."""
+        k = np.arange(self.samples)
+        speed = self._speed(k)
+        if self.velocity_reference:
+            return speed
+        steps = speed * self.period
+        if self.profile:  # Simpson: as good as the integral
+            steps[1:] = self.period / 6.0 * (speed[:-1] + 4.0 * self._speed(k[1:] - 0.5) + speed[1:])
+        return np.round(np.cumsum(steps) / 1e-9) * 1e-9
+
+    def _speed(self, k: np.ndarray) -> np.ndarray:
+        """Strokes of several speeds that start and stop smoothly, with a rest in between, at samples ``k`` (n,)."""
+        t = k / (self.samples - 1)
         speed = 0.3 * np.sin(2.0 * np.pi * 2.0 * t) + 0.15 * np.sin(2.0 * np.pi * 9.0 * t)
         away = np.clip(np.minimum(t, np.abs(t - 0.5) - 0.03) / 0.05, 0.0, 1.0)
-        speed *= np.sin(0.5 * np.pi * away) ** 2 * 2.0 / length
-        path = np.cumsum(speed) * self.period
-        return speed if self.velocity_reference else np.round(path / 1e-9) * 1e-9
+        return speed * np.sin(0.5 * np.pi * away) ** 2 * 2.0 / (self.samples * self.period)
 
 
 def _section(kind, frequency, *rest):

@@ -61,6 +61,11 @@ CASES = {
         | {"filters.0.frequency": 120.0, "filters.1.frequency": 310.0},
         {"kind": "cascade", "filters.0.kind": "notch", "filters.1.kind": "notch"},
     ),
+    "fed forward from a profile": (
+        Loop(kp=25.0, kv=400.0, ti=0.04, share=0.9, acceleration=3.0, profile=True, noise=0.01),
+        {"position.kp": 25.0, "velocity.kp": 400.0, "velocity.ti": 0.04, "feedforward.acceleration": 3.0},
+        {"kind": "cascade", "feedforward.source": "profile", "velocity_estimator": "backward"},
+    ),
     "at its limit": (
         Loop(kp=25.0, kv=400.0, ti=0.04, share=0.9, limit=14.0, noise=0.02, samples=8000),
         {"position.kp": 25.0, "velocity.kp": 400.0, "velocity.ti": 0.04, "feedforward.velocity": 0.9},
