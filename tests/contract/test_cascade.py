@@ -226,7 +226,7 @@ def test_the_law_recomputes_the_commands_of_a_drive(servo_data, machine_name, no
 
 
 def test_what_comes_from_a_profile_is_its_generators_own_to_second_order():
-    """At the sample: the velocity of t^3 misses a third of T^2 times the jerk, that of t^2 and accelerations nothing."""
+    """At the sample: the velocity of t^3 misses T^2 / 3 times the jerk, that of t^2 and accelerations nothing."""
     plant, t = machine("emps2019").to_dict(), np.arange(400) * T
     found = []
     for ahead in ({"velocity": 1.0}, {"acceleration": 1.0}):
