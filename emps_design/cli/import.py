@@ -82,9 +82,11 @@ def _show(account: Account, document: dict[str, Any]) -> None:
 
     from rich import box
     from rich.table import Table
+    from rich.text import Text
 
-    from emps_design.cli.output import new_console, say
+    from emps_design.cli.output import new_console, say, show
     from emps_design.cli.sparkline import sparkline
+    from emps_design.errors import printable
     from emps_design.importing.account import HEADINGS
 
     record, units = account.record, account.axis.units
@@ -92,8 +94,8 @@ def _show(account: Account, document: dict[str, Any]) -> None:
     table = Table(title=f"{document['file']}, read for {account.axis.name}", box=box.SIMPLE, pad_edge=False)
     for heading in HEADINGS:
         table.add_column(heading, justify="right" if heading in ("lowest", "highest") else "left")
-    for row in account.rows:
-        table.add_row(*row)
+    for title, *row in account.rows:
+        table.add_row(Text(printable(title)), *row)  # as the file has it, in whatever words
     console.print(table)
     sampling, step = document["sampling"], document["encoder_step"]
     own = record.period == sampling["axis_period"]
@@ -109,6 +111,7 @@ def _show(account: Account, document: dict[str, Any]) -> None:
         if name in record.columns:
             say(f"{name:>6} {sparkline(record.columns[name], encoding=encoding)}")
     if document["recognised"]:
-        say(f"\nTitles were understood; put this into the axis file:\n\n{document['record_table']}")
+        say("\nTitles were understood; put this into the axis file:\n")
+        show(document["record_table"])
     if document["out"]:
         say(f"record: {document['out']}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import typer
@@ -101,7 +102,7 @@ def _from_trace(trace: Path, directory: Path, force: bool, as_json: bool) -> Non
     text = axis_text(found, law.to_toml() if law is not None and law.verdict == TOLD else "")
     make_folder(directory, parents=True)
     write_text(path, text)
-    waiting = [line.split()[1] for line in text.splitlines() if line.startswith("# ") and " = " in line]
+    waiting = re.findall(r"^# (\w+) = ", text, re.MULTILINE)
     record = found.record
     warnings = [found.reason] if record is None else list(record.warnings)
     if as_json:

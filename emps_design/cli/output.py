@@ -82,6 +82,11 @@ def say(text: object = "") -> None:
     print(printable(in_words(str(text))))
 
 
+def show(text: str) -> None:
+    """Print ``text`` of the user's own files on standard output: in their words, but for what is no text."""
+    print(printable(text))
+
+
 def tell(text: object) -> None:
     """Print ``text`` as one line of this program on standard error."""
     print(f"emps-design: {one_line(in_words(str(text)))}", file=sys.stderr)

@@ -27,6 +27,10 @@ ONE_VELOCITY = 1e-3  # of the largest, within which it has to stay for its accel
 ODD_FORCE = 10.0
 ON_GRID, OFF_GRID = 0.03, 0.08  # of an encoder step, that increments are off it on average; 0.25 where there is no grid
 EXPLAINS = 1.05  # times better: the position explains the command, the reference does not
+EXACTLY, SELDOM = (
+    1e-6,
+    1e-3,
+)  # on the grid, and off it: at speeds of whole steps a sample, seldom
 BEST = 0.35  # share of the command that has to be explained before that says anything
 BEYOND_LIMIT, FAR_BEYOND_LIMIT = 1.02, 10.0
 WINDOW = 0.01  # s, over which a motion is smoothed
@@ -91,7 +95,7 @@ def _not_exchanged(axis: Axis, record: Record, source: str) -> None:
     step = axis.sampling.encoder_resolution
     off, reference_off = _off_grid(q, step), _off_grid(q_ref, step)
     if off is not None and reference_off is not None:
-        if off > OFF_GRID and reference_off < ON_GRID:
+        if reference_off < ON_GRID and off > (OFF_GRID if reference_off > EXACTLY else SELDOM):
             raise _exchanged("q and q_ref", "a reference in steps of the encoder, and a position that is not", source)
         if off < ON_GRID:
             return

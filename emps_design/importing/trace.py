@@ -64,7 +64,8 @@ def read_trace(path: str | Path) -> Trace:
     titles = read_titles(path)
     units = _units(titles)
     try:
-        record = read_record(path, layout=Layout(units, period=math.inf, resample=True))
+        layout = Layout(units, period=math.inf, resample=True, reference_needed=False)
+        record = read_record(path, layout=layout)
     except RecordError as error:
         return Trace(Path(path), tuple(titles), units, reason=str(error))
     return Trace(Path(path), tuple(titles), units, record)
@@ -128,6 +129,7 @@ def _units(titles: list[str]) -> Units:
         commands = commands or meanings(titles, Units(motion, kind, unit))["u"]
     command = next(iter(commands), "")
     unit = title_unit(command)[1]
+    unit = "%" if "%" in unit else unit  # of what, or of how many, is for [record] to say
     by_word = next((kind for kind, pattern in _BY_WORD.items() if re.search(pattern, words(command))), "voltage")
     kind = _BY_UNIT.get(unit, by_word)
     if kind == "duty":

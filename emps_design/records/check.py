@@ -12,6 +12,7 @@ from emps_design.records.clock import GAP, Resampled, between_samples, held, no_
 from emps_design.records.columns import OPTIONAL
 from emps_design.records.jumps import no_jump, nothing_lost, unwrap
 from emps_design.records.layout import LONGEST, NAMED, RECOGNISED, Assignment, Layout, assign
+from emps_design.records.mapping import KEYS
 
 PLAIN = Layout()  # what a record is without an axis: metres and volts, by the names of the contract
 SHORTEST = 50  # samples; less than this says nothing about an axis
@@ -86,7 +87,7 @@ def checked(
     if "q_ref" in named and resampled is None:
         nothing_lost(named["q"], named["q_ref"], named["t"], layout.unit("q"), source)
     no_jump(named["q"], named["t"], layout.unit("q"), source)
-    _plausible(named, period, layout, source)
+    _plausible(named, period, layout, assigned, source)
     named["t"][:] = np.arange(n)
     named["t"] *= period
     recorded = "q_ref" in named
@@ -230,12 +231,15 @@ def _moving(named: Mapping[str, np.ndarray], layout: Layout, source: str) -> Non
             )
 
 
-def _plausible(named: Mapping[str, np.ndarray], period: float, layout: Layout, source: str) -> None:
+def _plausible(
+    named: Mapping[str, np.ndarray], period: float, layout: Layout, assigned: Sequence[Assignment], source: str
+) -> None:
     unit, usual = layout.unit("q"), "mm" if not layout.units.rotary else "deg"
     where = "metres on the load side" if not layout.units.rotary else "radians on the load side"
     hint = {"mm": "in mm: divide it by 1000, or title the column '{0} [mm]'", "deg": "in deg: title it '{0} [deg]'"}
     longest, fastest = LONGEST_STROKE[layout.units.motion], HIGHEST_SPEED[layout.units.motion]
     positions = [column for column in ("q", "q_ref") if column in named]
+    mapped = {one.name for one in assigned if one.entry is not None}
     for column in positions:
         stroke = float(np.ptp(named[column]))
         step = np.diff(named[column])
@@ -243,10 +247,11 @@ def _plausible(named: Mapping[str, np.ndarray], period: float, layout: Layout, s
         if stroke > longest or speed > fastest:
             found = f"a stroke of {stroke:.4g} {unit}" if stroke > longest else f"a speed of {speed:.4g} {unit}/s"
             most = f"{longest:g} {unit}" if stroke > longest else f"{fastest:g} {unit}/s"
-            raise RecordError(
-                f"{source}: column {column}: found {found}, expected {where} (at most {most}); "
-                f"it is probably {hint[usual].format(column)}"
-            )
+            why = f"it is probably {hint[usual].format(column)}"
+            if column in mapped:
+                what = KEYS[column] if stroke > longest else f"{KEYS[column]}, or of time,"
+                why = f"correct unit or scale of {what} in [record]"
+            raise RecordError(f"{source}: column {column}: found {found}, expected {where} (at most {most}); {why}")
     if len(positions) == 2:
         ratio = float(np.ptp(named["q_ref"]) / np.ptp(named["q"]))
         if ratio > 100.0:

@@ -115,4 +115,5 @@ def listed(titles: Sequence[str]) -> str:
 
 def _shorten(text: str) -> str:
     text = " ".join(text.split())
-    return text if len(text) <= 20 else text[:17] + "..."
+    text = text if len(text) <= 20 else text[:17] + "..."
+    return f"'{text}'" if " " in text else text

@@ -64,8 +64,10 @@ def find_header(lines: Sequence[str], known: Choice, source: str) -> Header:
 
 
 def number(cell: str) -> float | None:
-    """The number in a cell, with a decimal point or comma, or None."""
+    """The number in a cell, with a decimal point or comma, or hexadecimal as the word of a state, or None."""
     try:
+        if cell.strip()[:2].lower() == "0x":
+            return float(int(cell, 16))
         return float(cell.replace(",", ".", 1)) if "_" not in cell else None
     except ValueError:
         return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -179,9 +179,15 @@ class Page:
         return self.units.text(_environment().get_template("page.html.j2").render(page=self, counter=_Counter()))
 
     def pictures(self) -> tuple[Picture, ...]:
-        """Every picture of the page, in order."""
+        """Every picture of the page, in order, in the units and words of the axis that the page is about."""
         blocks = [*self.summary, *(block for section in self.sections for block in section.blocks)]
-        return tuple(block for block in blocks if isinstance(block, Picture))
+        pictures = [block for block in blocks if isinstance(block, Picture)]
+        for picture in pictures:
+            labelled(picture.figure, self.units)
+        return tuple(replace(one, caption=self._said(one.caption), title=self._said(one.title)) for one in pictures)
+
+    def _said(self, text: str) -> str:
+        return type(text)(self.units.text(text))
 
     def _repr_html_(self) -> str:
         source = escape(self.html(), quote=True)

@@ -146,7 +146,6 @@ def test_pictures_too(machine, kept):
     name, folder = machine
     report = once(assemble_report, kept, "report")
     page = report(folder / "axis.toml", folder / "record.npz", crossover=60.0, k_e1=0.01, mass=50.0, damping=100.0).page
-    page.html()
     written = [text.get_text() for picture in page.pictures() for text in picture.figure.findobj(Text)]
     assert len(written) > 100
     assert [found for text in written for found in wrong(name, text)] == []

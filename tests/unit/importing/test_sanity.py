@@ -99,6 +99,37 @@ def test_exchanged_position_and_reference_are_seen_without_an_encoder(axis, colu
         import_bytes(exchanged, "trace.csv", blind)
 
 
+def test_they_are_seen_at_speeds_of_whole_encoder_steps_too(axis):
+    """Then what is no multiple of the step is hardly off it: 200 mm/s at 1 kHz is 200 steps of 1 um a sample."""
+    t = np.arange(4000) * 1e-3
+    ramp = np.minimum(np.abs((t + 0.3) % 2.0 - 1.0) * 0.25, 0.2)
+    q_ref = 1e3 * np.convolve(np.pad(ramp, 20, "edge"), np.hanning(41) / np.hanning(41).sum(), "valid")
+    q = np.round(1e3 * (q_ref - 0.01 * np.sin(3.0 * t))) / 1e3
+    u = 0.2 * np.gradient(np.gradient(q_ref, 1e-3), 1e-3) / 1e3 + np.sin(40.0 * t)
+    columns = {"t": 1e3 * t, "q": q, "q_ref": q_ref, "u": u}
+    import_bytes(trace(columns), "trace.csv", axis)
+    with pytest.raises(RecordError, match="q and q_ref: found a reference in steps of the encoder"):
+        import_bytes(trace(columns, q=q_ref, q_ref=q), "trace.csv", axis)
+
+
+def test_a_mapped_column_in_another_unit_is_not_told_to_be_titled(axis, columns):
+    mapped = axis.replace(record=TABLE | {"position": {"column": "Lageistwert", "scale": 3.0}})
+    titles = tuple(title.replace("Lageistwert [mm]", "Lageistwert") for title in TITLES)
+    with pytest.raises(RecordError, match=r"found a stroke of .* correct unit or scale of position in \[record\]$"):
+        import_bytes(trace(columns, titles), "trace.csv", mapped)
+    in_seconds = axis.replace(record=TABLE | {"time": {"column": "Zeit", "unit": "s", "scale": 1e-6}})
+    with pytest.raises(RecordError, match=r"found a speed of .* unit or scale of position, or of time, in \[record\]$"):
+        import_bytes(trace(columns, ("Zeit", *TITLES[1:])), "trace.csv", in_seconds)
+
+
+def test_the_word_of_a_state_may_be_hexadecimal(axis, columns):
+    text = trace(columns).decode().splitlines()
+    rows = [text[0] + ";enable", *(f"{row};0x{'1F' if k > 100 else '0'}" for k, row in enumerate(text[1:]))]
+    record = import_bytes("\n".join(rows).encode(), "trace.csv", axis)
+    assert record.enable is not None
+    assert set(record.enable) == {0.0, 31.0}
+
+
 def test_a_missing_tenth_of_a_second_is_named_whether_time_tells_it_or_not(axis, columns):
     moving = int(np.argmax(np.abs(np.diff(columns["q"])))) - 50
     cut = {name: without(values, moving, moving + 100) for name, values in columns.items()}

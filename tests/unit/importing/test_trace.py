@@ -82,3 +82,17 @@ def test_init_from(tmp_path, capsys):
     assert app.run([*words, "--force", "--machine", "emps2018"]) == 2
     assert app.run(["init", "--from", str(tmp_path / "none.csv"), str(tmp_path / "a")]) == 2
     assert not (tmp_path / "a").exists()
+
+
+def test_a_trace_without_a_reference_or_in_another_unit_still_tells_the_rest(tmp_path, capsys):
+    text = german().replace("Lagesollwert", "Schleppfehler").replace("[%]", "[0.1 %]")
+    (tmp_path / "trace.csv").write_text(text, encoding="utf-8")
+    assert app.run(["init", "--from", str(tmp_path / "trace.csv"), str(tmp_path / "start"), "--json"]) == 0
+    waiting = json.loads(capsys.readouterr().out)["to_fill_in"]
+    assert all(name.isidentifier() for name in waiting), waiting
+    text = german().replace("Lagesollwert", "Schleppfehler")
+    (tmp_path / "trace.csv").write_text(text, encoding="utf-8")
+    assert app.run(["init", "--from", str(tmp_path / "trace.csv"), str(tmp_path / "start"), "--json", "--force"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["encoder_step"] == pytest.approx(ENCODER, rel=1e-3)
+    assert "period" not in document["to_fill_in"]
