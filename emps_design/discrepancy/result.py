@@ -145,9 +145,11 @@ class Diagnosis:
             place = unexplained["place"]
             where = "" if place == EVERYWHERE else f", most of it {place}"
             known = "".join(f"{finding.in_words()}; " for finding in self.findings)  # from the controller's law
-            text = f"{known}{'beside that ' if known else ''}the model misses {left} N"
-            both = f" of the held-out record, {rounded(self.train.extended)} N of the training record"
-            text += both if unexplained["record"] == "holdout" else ""
+            missed = f"{left} N"
+            if self.holdout is not None:
+                sides = f"{left} N of the held-out record", f"{rounded(self.train.extended)} N of the training record"
+                missed = ", ".join(sides if unexplained["record"] == "holdout" else sides[::-1])
+            text = f"{known}{'beside that ' if known else ''}the model misses {missed}"
             text = f"{text[0].upper()}{text[1:]} (noise {noise} N){where}, and no effect of the library explains it"
             if "law_gap" in unexplained:
                 text += f", nor {rounded(unexplained['law_gap'])} V rms {FROM_THE_LAW}"

@@ -13,6 +13,8 @@ BESIDE = (-6, -5, -4, -3, -2, 2, 3, 4, 5, 6)  # increments it is held against; t
 FASTER = 5.0  # times as large as those: what hits a stop is not, and a sample that was lost is twice as large
 ROUGHER = 100.0  # times what an increment commonly differs from those next to it
 OF_STROKE = 1e-3
+PART, STRETCHES = 50_000, 10  # samples at a time, which copies no long record; of so many it is told what is usual
+LOST = 1.5  # times as far as in the samples beside: one that is missing makes two
 LEAP = 100.0  # times what one sample in a thousand changes in its step
 
 
@@ -40,38 +42,56 @@ def unwrap(named: dict[str, np.ndarray], assigned: Iterable[Assignment]) -> None
 
 def no_jump(q: np.ndarray, t: np.ndarray, unit: str, source: str) -> None:
     """Raise :class:`RecordError` where the position ``q`` (n,) [``unit``] jumps between two samples; ``t`` (n,) [s]."""
-    increments = np.diff(q)
-    turns = np.diff(increments)
-    common = float(np.median(np.abs(turns[turns != 0.0]))) if np.any(turns) else 0.0
-    size = np.abs(increments)
-    floor = max(ROUGHER * common, OF_STROKE * float(np.ptp(q)))
-    for k in np.flatnonzero(size > floor):  # few, but for a motion that a mistaken unit makes fast
-        beside = [size[k + away] for away in BESIDE if 0 <= k + away < size.size]
-        if size[k] > FASTER * max(beside):
-            raise RecordError(
-                f"{source}: column q, at {t[k]:.6g} s: found a jump by {increments[k]:.4g} {unit} in one sample, "
-                "expected motion; a position that wraps needs its modulo in [record], a bad sample or a position that "
-                "was set anew is to be cut off"
-            )
+    turns = np.concatenate([np.abs(np.diff(part, 2)) for part in _samples_of(q)])
+    turns = turns[turns > 0.0]
+    floor = max(ROUGHER * float(np.median(turns)) if turns.size else 0.0, OF_STROKE * float(np.ptp(q)))
+    for start in range(0, q.size, PART):
+        increments = np.abs(np.diff(q[start : start + PART + 1]))
+        for k in start + np.flatnonzero(increments > floor):  # few, but for a motion that a mistaken unit makes fast
+            beside = [abs(q[k + away + 1] - q[k + away]) for away in BESIDE if 0 <= k + away < q.size - 1]
+            if abs(q[k + 1] - q[k]) > FASTER * max(beside):
+                raise RecordError(
+                    f"{source}: column q, at {t[k]:.6g} s: found a jump by {q[k + 1] - q[k]:.4g} {unit} in one sample, "
+                    "expected motion; a position that wraps needs its modulo in [record], a bad sample or a position "
+                    "that was set anew is to be cut off"
+                )
 
 
 def nothing_lost(q: np.ndarray, q_ref: np.ndarray, t: np.ndarray, unit: str, source: str) -> None:
     """Raise :class:`RecordError` where position and reference [``unit``] leap ahead at one time: samples are lost."""
-    place, size, by = _leap(q)
-    other_place, other, _ = _leap(q_ref)
+    place, size = _leap(q)
+    other_place, other = _leap(q_ref)
     if min(size, other) > LEAP and abs(place - other_place) <= 1:
         raise RecordError(
-            f"{source}: columns q and q_ref, at {t[place]:.6g} s: found both jump, q by {by:.4g} {unit}, expected "
-            "motion; samples are missing there"
+            f"{source}: columns q and q_ref, at {t[place]:.6g} s: found both jump, q by {q[place + 1] - q[place]:.4g} "
+            f"{unit}, expected motion; samples are missing there"
         )
 
 
-def _leap(values: np.ndarray) -> tuple[int, float, float]:
-    """Where the motion leaps ahead most, in times of what one increment in a thousand changes by, and by how much."""
-    increments = np.diff(values)
-    beside = 0.5 * (increments[2:] + increments[:-2])
-    away = np.abs(increments[1:-1] - beside)
-    usual = float(np.quantile(away, 0.999))
-    away[increments[1:-1] * beside < 0.0] = 0.0  # against it a position wraps
-    place = int(np.argmax(away))
-    return place + 1, float(away[place]) / usual if usual > 0.0 else 0.0, float(increments[place + 1])
+def _leap(values: np.ndarray) -> tuple[int, float]:
+    """Where the motion leaps ahead most, and in times of what one increment in a thousand changes by."""
+    usual = float(np.quantile(np.concatenate([_away(np.diff(part)) for part in _samples_of(values)]), 0.999))
+    best, place = 0.0, 0
+    for start in range(0, values.size, PART):
+        increments = np.diff(values[start : start + PART + 3])
+        if increments.size < 3:
+            break
+        before, now, after = increments[:-2], increments[1:-1], increments[2:]
+        away = _away(increments)
+        # Against its motion a position wraps; one that starts or stops at speed leaps past one neighbour alone.
+        away[(now * (before + after) < 0.0) | (np.abs(now) < LOST * np.maximum(np.abs(before), np.abs(after)))] = 0.0
+        k = int(np.argmax(away))
+        if away[k] > best:
+            best, place = float(away[k]), start + k + 1
+    return place, best / usual if usual > 0.0 else 0.0
+
+
+def _away(increments: np.ndarray) -> np.ndarray:
+    """By how much each of the increments (n,) but the outer ones differs from the mean of its neighbours."""
+    return np.abs(increments[1:-1] - 0.5 * (increments[:-2] + increments[2:]))
+
+
+def _samples_of(values: np.ndarray) -> list[np.ndarray]:
+    """Stretches all over a long column, which tell what is usual without a copy of it."""
+    step = max(PART, values.size // STRETCHES)
+    return [values[start : start + PART] for start in range(0, values.size - 3, step)]

@@ -318,13 +318,9 @@ def remedy_section(document: Mapping[str, Any]) -> Section | None:
     remedies = [r for r in document.get("remedies", ()) if r]
     blocks: list[Any] = [Points(map(sentence_of, remedies))] if remedies else []
     if document.get("model_file"):
+        what = "with what was missing" if document["findings"] else "refitted to the records, with nothing added"
         blocks.append(
-            Text(
-                html(
-                    "The model with what was missing: <code>{}</code>. Every command runs on it.",
-                    document["model_file"],
-                )
-            )
+            Text(html("The model {}: <code>{}</code>. Every command runs on it.", what, document["model_file"]))
         )
     return Section("What to do", *blocks) if blocks else None
 

@@ -34,10 +34,12 @@ def unexplained(validation: Validation) -> dict[str, Any]:
     with the noise. ``law_gap`` [V] is by how much the command differs from the controller's law, where that has no name
     either.
     """
-    judged, floor = validation.held_out or validation.train, validation.outcome.calibration.floor.force
+    floor, held_out = validation.outcome.calibration.floor.force, validation.held_out
     shown = _where_it_shows(validation)
+    # Of confirming data that show nothing, such as a push or a mass put on in training alone, there is nothing to say.
+    judged = validation.train if held_out is None or held_out.left <= rules.QUIET * floor else held_out
     most = most_missed(shown)
-    left = float(np.sqrt(max(judged.gap.extended**2 - floor**2, 0.0)))
+    left = float(np.sqrt(max(min(judged.left, judged.gap.extended) ** 2 - floor**2, 0.0)))
     share = left**2 / max(judged.gap.baseline**2 - floor**2, left**2, 1e-30)
     shares = predicted(validation)
     over = [name for name in sorted(shares, key=lambda name: -shares[name]) if shares[name] > rules.DEPENDS]

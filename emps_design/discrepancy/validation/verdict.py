@@ -149,11 +149,11 @@ def _all_or_nothing(
     held_out = None if data is None else compare_on(data, start.model, extended.model)
     if held_out is not None:
         left.append(min(held_out.left, held_out.gap.extended))
-        shares.append(explained(held_out.gap.baseline, held_out.gap.extended, floor))
+        shares.append(explained(held_out.gap.baseline, left[-1], floor))
     found = {n: others for n, others in equivalents(outcome).items() if n in extended.model.names}
     verdict = _verdict(judge, extended, start, found, shares[-1], max(left))
     # A gap closed on its own record only was not understood; nor was one of which a good part was refuted.
-    forgotten = named and shares[-1] < rules.HELD * shares[0]
+    forgotten = named and shares[-1] < rules.HELD * min(shares[0], 1.0)  # all of it, where less than noise is left
     doubtful = lost > rules.LOST and not judge.at_floor(extended)
     nothing_yet = outcome.interrupted and not extended.model.names
     if nothing_yet or forgotten or doubtful:
@@ -193,7 +193,8 @@ def _effect_by_effect(
     if tenable:
         return min(tenable, key=lambda one: one.left[1])
     given_up = answer.given_up or answer.extended.model.names
-    if force is not None:
+    floor, missed = outcome.calibration.floor.force, max(force_rms(answer.baseline), answer.left[0])
+    if force is not None and explained(missed, force.left, floor) >= rules.OF_A_KIND:
         answer = replace(answer, kind=force.kind, kind_leaves=force.left)
     return replace(answer, verdict="unnamed", equivalents=answers[-1].equivalents if answers else {}, given_up=given_up)
 
