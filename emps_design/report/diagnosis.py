@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from emps_design.discrepancy.explain.extent import EVERYWHERE
-from emps_design.discrepancy.search.acceptance import explained
 from emps_design.report import diagnosis_figures as figures
 from emps_design.report.diagnosis_design import design_section
 from emps_design.report.diagnosis_experiment import experiment_section
 from emps_design.report.diagnosis_sections import (
     answer_points,
     candidates_section,
+    closed_share,
     closest_section,
     findings_section,
     gap_section,
@@ -107,7 +107,7 @@ def _where_caption(diagnosis: Diagnosis, findings: Sequence[Mapping[str, Any]]) 
     view = diagnosis.views[0]
     texts = (f.get("where", {}).get("text") for f in findings)
     places = "; ".join(dict.fromkeys(text for text in texts if text and text != EVERYWHERE))
-    where = f" {sentence_of(places)}" if places else ""
+    where = f" What was found acts {places}." if places else ""
     models = ", before (model as it was, refitted) and after" if findings else " that the refitted model leaves"
     return f"Residual force over {view.quantity}{models}.{where}"
 
@@ -123,7 +123,9 @@ def _trace_caption(name: str, simulated: str, extended: bool) -> str:
 
 def _gap_facts(gap: Mapping[str, Any], simulated: str, unexplained: Mapping[str, Any]) -> Facts:
     """The force error before and after, and where the unknown is of one kind with a force of that kind as well."""
-    part = "holdout" if gap.get("holdout") else "train"
+    held_out = gap.get("holdout")
+    nothing_added = held_out and held_out["baseline"] == held_out["extended"]
+    part = "holdout" if held_out and not (nothing_added and unexplained.get("record") == "train") else "train"
     values = gap[part]
     unit = gap.get("unit", "N")
     word = "held-out record" if part == "holdout" else "training record"
@@ -137,6 +139,7 @@ def _gap_facts(gap: Mapping[str, Any], simulated: str, unexplained: Mapping[str,
         items.append(("with the unknown force too", left, f"like {unexplained['kind']}; on any record at most"))
     items.append(("noise floor", quantity(floor, unit, 3), gap.get("floor_from", "")))
     if before is not None and after is not None and floor is not None and before > max(floor, after):
-        share = f"{100 * explained(before, after, floor):.0f} %"
-        items.append(("of the gap closed", share, "in mean square over the floor; 100 % reaches it"))
+        items.append(
+            ("of the gap closed", closed_share(before, after, floor), "in mean square over the floor; 100 % reaches it")
+        )
     return Facts(tuple(items))

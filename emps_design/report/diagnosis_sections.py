@@ -37,7 +37,7 @@ def in_plain_words(document: Mapping[str, Any]) -> str:
     whom = "it" if len(names) == 1 else "them"
     closed = ""
     if None not in (before, after, floor) and before > max(floor, after):
-        share = f"{100 * explained(before, after, floor):.0f} %"  # and of its numbers fitted anew, not of a cause alone
+        share = closed_share(before, after, floor)  # by its numbers fitted anew too, not by a cause alone
         closed = f" With {whom} the corrected model explains {share} of the difference."
     cause = "one cause has" if len(names) == 1 else f"{len(names)} causes have"
     rest = " Something is left that nothing known explains; it needs another measurement." if left else ""
@@ -55,6 +55,15 @@ def how_sure(finding: Mapping[str, Any]) -> str:
     if not confirmed:
         return "not seen on a held-out record"
     return f"the held-out record asks for {_share(confirmed)} of it"
+
+
+def closed_share(before: float, after: float, floor: float) -> str:
+    """How much of a gap is closed, in words; a model that leaves less than the noise closes all of it.
+
+    >>> closed_share(2.0, 0.9, 1.0), closed_share(2.0, 1.5, 1.0)
+    ('100 %', '58 %')
+    """
+    return f"{100 * min(explained(before, after, floor), 1.0):.0f} %"
 
 
 def _share(confirmed: Mapping[str, float] | None) -> str:

@@ -153,7 +153,9 @@ def _candidates(validation: Validation) -> list[dict[str, Any]]:
                 "statistic": gain if full is None else base.cost_fit - full.cost_fit,
                 "threshold": to_beat,
                 "accepted": name in validation.extended.model.names,
-                "note": "first guess only, too poor to be fitted" if full is None else "alone, on top of the baseline",
+                "note": "first guess only: too poor to be fitted, or fitted with numbers that it cannot have"
+                if full is None
+                else "alone, on top of the baseline",
             }
         )
     return rows
