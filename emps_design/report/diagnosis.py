@@ -24,7 +24,7 @@ from emps_design.report.diagnosis_sections import (
     unexplained_section,
     views_section,
 )
-from emps_design.report.display import quantity, sentence_of
+from emps_design.report.display import quantity
 from emps_design.report.frequency_response import response_section
 from emps_design.report.page import Callout, Facts, Page, Picture, Text
 from emps_design.units import Units
