@@ -33,6 +33,7 @@ FEEDBACK = ("kp", "kv", "k_v1", "t_v", "position.kp", "velocity.kp", "velocity.t
 LOOSE = 0.2  # relative deviation of a gain beyond which it is not determined
 ON_THE_CLOCK = 0.01  # of a period that a sample may be off its clock
 INNER = 2.0  # times as much left by the position's law: the velocity that is recorded beside it comes from elsewhere
+SURELY_APART = 3.0  # deviations
 ROUNDING = 1e-6  # relative, by which the numbers of one law written in two ways may differ
 
 IRREGULAR = "irregular samples tell no law with a memory, only a proportional one"
@@ -181,6 +182,7 @@ def _report(several: Sequence[Record], unit: str, found: Found, steps: np.ndarra
         return _not_told(name, unit, reason, **said)
     spread = covariance(found.signals, found.fit, found.held)
     numbers = with_deviations(found.fit, spread, lambda one: numbers_of(one, velocity_reference))
+    numbers |= _of_two_alike(found, spread, numbers)
     loose = [name for name, (value, std) in numbers.items() if name in FEEDBACK and not std < LOOSE * abs(value)]
     if loose:
         reason = f"the record does not determine {', '.join(loose)}; record more motion"
@@ -220,6 +222,23 @@ def _report(several: Sequence[Record], unit: str, found: Found, steps: np.ndarra
         notes=(*([how_far_apart(structures, found)] if structures else []), *notes_of(several, unit, found, steps)),
         **said,
     )
+
+
+def _of_two_alike(found: Found, spread: Any, numbers: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    """``position.kp`` and ``velocity.ti`` with the deviations that a double root leaves them, where they may be one.
+
+    With all of the reference's velocity they are the roots of a polynomial whose coefficients the record tells: roots
+    that may be equal are off by the square root of what those are.
+    """
+    law = found.fit
+    if law.structure.form != "pi" or law.structure.share != 1 or law.timing.every != 1 or not law.structure.position:
+        return {}
+    apart, std = with_deviations(law, spread, lambda one: {"": 0.25 * (one.position_rate - one.wi) ** 2})[""]
+    if apart > SURELY_APART * std:
+        return {}
+    off = 0.5 * (apart**0.5 + (apart + 2.0 * std) ** 0.5)
+    (kp, _), (ti, _) = numbers["position.kp"], numbers["velocity.ti"]
+    return {"position.kp": (kp, off), "velocity.ti": (ti, off * ti**2)}
 
 
 def _rounded(value: float, std: float) -> float:

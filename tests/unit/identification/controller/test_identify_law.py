@@ -61,6 +61,11 @@ CASES = {
         | {"filters.0.frequency": 120.0, "filters.1.frequency": 310.0},
         {"kind": "cascade", "filters.0.kind": "notch", "filters.1.kind": "notch"},
     ),
+    "position loop and integral alike": (
+        Loop(kp=25.0, kv=400.0, ti=0.04, share=1.0, noise=0.02),
+        {"position.kp": 25.0, "velocity.kp": 400.0, "velocity.ti": 0.04},
+        {"kind": "cascade", "feedforward.velocity": 1.0},
+    ),
     "fed forward from a profile": (
         Loop(kp=25.0, kv=400.0, ti=0.04, share=0.9, acceleration=3.0, profile=True, noise=0.01),
         {"position.kp": 25.0, "velocity.kp": 400.0, "velocity.ti": 0.04, "feedforward.acceleration": 3.0},
