@@ -26,6 +26,7 @@ KEYS = (
     "gain_margin_frequency",
     "gain_reduction_margin",
 )
+ROUNDING = 1e-6  # rad, by which the lag of a loop on the border of stability may come out below 0
 Response = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
@@ -116,6 +117,7 @@ def margin_arrays(
             frequencies[place + 1],
         )
         lag = np.mod(np.angle(response(w, where)) + np.pi, 2.0 * np.pi)
+        lag[lag > 2.0 * np.pi - ROUNDING] = 0.0
         _keep_smallest(where, lag, {"phase_margin_deg": np.degrees(lag), "crossover": w}, found)
         delay = lag / w
         if delayed is not None and nyquist is not None:
