@@ -31,6 +31,7 @@ COUPLING = {"frequency", "damping", "share"}  # parameters of an effect that spl
 MORE_PHASE = np.arange(0.0, 31.0, 3.0)  # deg, tried above what is asked, for the load that has most
 CROSSOVERS = 60
 CLOSE = 1.17  # the step of so many crossovers along everything
+MOST_DELAY = 1000  # samples, as of an axis's own computation delay
 EQUAL = 0.02  # share of the crossover, by which a slower loop with more integral action is as good
 
 
@@ -104,7 +105,7 @@ def margins_over_range(design: VelocityLoopDesign, span: LoadRange) -> dict[str,
     least phase margin, an unstable one first. ``one``: gains with which every point has the phase margin asked for, and
     the gain margin and the room for delay of :mod:`.limits`; the fastest such by its slowest crossover, None where
     there are none. ``schedule``: by inertia, the fastest gains that hold at that inertia, whatever compliance and delay
-    in the range. ``text`` says which is needed.
+    in the range. ``text`` says which is needed. :class:`InputError` for more delay than :data:`MOST_DELAY`.
 
     >>> from emps_design.control.velocity.design import design_velocity_loop
     >>> from emps_design.machines import machine
@@ -113,6 +114,12 @@ def margins_over_range(design: VelocityLoopDesign, span: LoadRange) -> dict[str,
     >>> study["at"], len(study["points"]), study["one"]["phase_margin_deg"] >= 50.0 - 1e-6
     ('velocity-error', 3, True)
     """
+    period = design.axis.sampling.period
+    if span.delay[1] > MOST_DELAY * period * (1.0 + 1e-9):
+        raise InputError(
+            f"range of delay: found up to {span.delay[1]:g} s, {span.delay[1] / period:.4g} samples, expected at most "
+            f"{MOST_DELAY} samples, {MOST_DELAY * period:g} s"
+        )
     at = design.structure.place(design.retuned_at or "velocity-error")
     phase = design.requested.get("phase_margin_deg", design.phase_margin_deg)
     points, plants = span.points(), []

@@ -183,3 +183,8 @@ def test_the_feed_forward_of_the_acceleration_moves_the_load_too():
     inner = design_velocity_loop(axis, crossover=40.0, phase_margin_deg=50.0, structure=PI)
     ahead = design_position_loop(inner, "bandwidth", 10.0).feedforwards["velocity and acceleration"]
     assert ahead["acceleration"] * axis.drive.gain == pytest.approx(axis.mechanics.mass)
+
+
+def test_more_delay_than_an_axis_may_have_is_refused():
+    with pytest.raises(InputError, match="found up to 100000 s, 1e.08 samples, expected at most 1000 samples, 1 s"):
+        margins_over_range(INNER, LoadRange(delay=(0.0, 1e5)))
