@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.loop.margins import KEYS, margin_arrays
+from emps_design.control.loop.margins import KEYS, LOWEST, margin_arrays
 from emps_design.control.plant.discretisation import SampledPlant
 from emps_design.control.plant.linear_plant import POSITION
 from emps_design.control.velocity.gains import positive_root, second_order_form
@@ -114,7 +114,7 @@ def sweep_sampled_margins(
     """Return stability and margins of the sampled loop, broken ``at`` that place, for every pair of gains.
 
     ``k_v1`` [V/(m/s)] and ``t_v`` [s] of one shape. Keys: ``stable`` and those of
-    ``emps_design.control.loop.margins.KEYS``, NaN where the loop is unstable or a margin unbounded.
+    ``emps_design.control.loop.margins.KEYS`` and ``LOWEST``, NaN where the loop is unstable or a margin unbounded.
     ``frequencies`` is the size of the grid that brackets the crossings; ``at`` is "plant-input" or "velocity-error".
 
     >>> from emps_design.control.plant.discretisation import sample_axis
@@ -128,7 +128,7 @@ def sweep_sampled_margins(
     stable = sweep_stability(plant, k, t)
     chosen = np.flatnonzero(stable)
     grid = plant.frequencies(frequencies)
-    found = {key: np.full(k.size, np.nan) for key in KEYS}
+    found = {key: np.full(k.size, np.nan) for key in (*KEYS, LOWEST)}
     for start in range(0, chosen.size, 2000):  # pieces that stay in the cache
         piece = chosen[start : start + 2000]
         for key, values in _margins(plant, k[piece], t[piece], grid, at).items():
