@@ -95,10 +95,10 @@ def margin_arrays(
     """Return the margins of ``count`` loops as arrays, NaN where a margin is unbounded.
 
     ``response(w, rows)`` gives the open loop of the loops numbered ``rows`` at ``w`` [rad/s]; both broadcast.
-    ``frequencies`` [rad/s] ascending brackets the crossings, which are then refined to 1e-12; ``nyquist`` [rad/s] is
-    the Nyquist frequency of sampled loops, where the response is real and may be -1. ``delayed(w, rows, delay)`` is the
-    open loop with a ``delay`` [s] more, arrays (n,): where given, the delay margin is exact between whole samples too.
-    Keys: those of ``KEYS``, and ``LOWEST``.
+    ``frequencies`` [rad/s] ascending brackets the crossings, which are then refined to 1e-12; where a loop is below
+    0 dB at the first, :func:`further_down` too. ``nyquist`` [rad/s] is that of sampled loops, where the response
+    is real and may be -1. ``delayed(w, rows, delay)`` is the open loop with a ``delay`` [s] more, arrays (n,): where
+    given, the delay margin is exact between whole samples too. Keys: those of ``KEYS``, and ``LOWEST``.
 
     >>> found = margin_arrays(lambda w, rows: 1.0 / (1j * w * (1.0 + 0.1j * w) ** 2), 1, np.geomspace(0.1, 100, 50))
     >>> round(float(found["gain_margin"][0]), 6), round(float(found["gain_margin_frequency"][0]), 6)
@@ -106,8 +106,11 @@ def margin_arrays(
     """
     rows = np.arange(count)[:, None]
     loop = response(frequencies[None, :], rows)
-    power = loop.real**2 + loop.imag**2
-    inside = power < 1.0
+    inside = loop.real**2 + loop.imag**2 < 1.0
+    if np.any(inside[:, 0]):
+        frequencies = further_down(frequencies)
+        loop = response(frequencies[None, :], rows)
+        inside = loop.real**2 + loop.imag**2 < 1.0
     found = {key: np.full(count, np.nan) for key in (*KEYS, LOWEST)}
 
     where, place = np.nonzero(inside[:, 1:] != inside[:, :-1])
@@ -160,10 +163,22 @@ def loop_margins(
         return Margins(stable=False, period=period)
     nyquist = None if period is None else math.pi / period
     later = None if delayed is None else lambda w, rows, delay: delayed(w, delay)
+    if abs(response(frequencies[:1])[0]) < 1.0:
+        frequencies = further_down(frequencies)
     found = margin_arrays(lambda w, rows: response(w), 1, frequencies, nyquist, later)
     value = {key: None if math.isnan(found[key][0]) else float(found[key][0]) for key in KEYS}
     disk = disk_margin(response, frequencies if nyquist is None else np.append(frequencies, nyquist))
     return Margins(stable=True, period=period, disk_margin=disk, **value)
+
+
+def further_down(frequencies: np.ndarray) -> np.ndarray:
+    """Return ``frequencies`` (n,) [rad/s] begun five decades lower, for a loop that is slower than the first of them.
+
+    >>> further_down(np.array([1.0, 2.0]))[[0, -2, -1]].round(9).tolist()
+    [1e-05, 1.0, 2.0]
+    """
+    low = frequencies[0]
+    return np.concatenate([np.geomspace(1e-5 * low, low, 100, endpoint=False), frequencies])
 
 
 def disk_margin(response: Callable[[np.ndarray], np.ndarray], frequencies: np.ndarray) -> float:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emps_design.control.loop.margins import Margins, loop_margins
+from emps_design.control.loop.margins import Margins, further_down, loop_margins
 from emps_design.control.loop.sampled_loop import SampledLoop, close
 from emps_design.control.loop.steps import step_answer
 from emps_design.control.plant.discretisation import ESTIMATORS, SampledPlant
@@ -117,6 +117,8 @@ class SampledVelocityLoop:
         from emps_design.control.velocity.gains import MINUS_3_DB
 
         grid = self.plant.frequencies()
+        if abs(self.closed_loop_response(grid[:1])[0]) < MINUS_3_DB:
+            grid = further_down(grid)
         below = np.nonzero(np.abs(self.closed_loop_response(grid)) < MINUS_3_DB)[0]
         if not below.size or below[0] == 0:
             return None

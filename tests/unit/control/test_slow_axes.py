@@ -11,12 +11,17 @@ from emps_design.control.position import design_position_loop
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.control.velocity.implementation import command_in_a_step, largest_velocity_step
 from emps_design.control.velocity.limits import limits, reach
+from emps_design.control.velocity.retune import retune_velocity_loop
+from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.control.velocity.step_response import step_responses
 from emps_design.control.velocity.structure import IP, PI, PI_WITH_REFERENCE_FILTER
+from emps_design.control.velocity.sweeps import sweep_sampled_margins, sweep_stability
+from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine
 
 FAST_CLOCK = 6.25e-5
 SLOW = machine("emps2018").replace(mechanics={"mass": 2000.0, "viscous": 500.0}, sampling={"period": FAST_CLOCK})
+COUPLING = {"kind": "flexible_coupling", "frequency": 3.0, "damping": 0.02, "share": 0.4}
 
 
 def cascade(every):
@@ -80,3 +85,37 @@ def test_a_loop_on_the_border_has_no_phase_margin():
     """Rounding may put its response just beyond -1, which is no margin of a full turn."""
     found = loop_margins(lambda w: -np.exp(-1e-9j) / w, np.geomspace(0.1, 10.0, 30), stable=True)
     assert found.phase_margin_deg == 0.0
+
+
+@pytest.mark.parametrize("crossover", [0.4, 0.1, 0.01])
+def test_a_loop_slower_than_the_grid_begins_has_margins(crossover):
+    design = design_velocity_loop(SLOW.replace(mechanics={"viscous": 5.0}), crossover=crossover, phase_margin_deg=60.0)
+    true, found = design.plant_input, design.sampled
+    assert found.margins.phase_margin_deg == pytest.approx(true.phase_margin_deg, abs=0.1)
+    assert found.margins.crossover == pytest.approx(true.crossover, rel=1e-3)
+    assert found.velocity_error.phase_margin_deg == pytest.approx(60.0, abs=0.1)
+    assert found.margins.disk_margin == pytest.approx(1.1, abs=0.1)
+    assert found.bandwidth == pytest.approx(design.bandwidth, rel=1e-2)
+    swept = sweep_sampled_margins(found.plant, np.array([design.k_v1]), np.array([design.t_v]))
+    assert swept["phase_margin_deg"][0] == pytest.approx(true.phase_margin_deg, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    "effects", [[], [{"kind": "flexible_coupling", "frequency": 3.0, "damping": 0.02, "share": 0.4}]]
+)
+@pytest.mark.parametrize("filters", [(), (Filter(kind="lowpass", frequency=50.0),)])
+def test_the_stability_of_many_slow_loops_is_that_of_their_poles(effects, filters):
+    plant = sample_axis(SLOW.replace(effects=effects), filters=filters)
+    w = np.geomspace(1e-3, 1e3, 13)
+    k_v1, t_v = np.concatenate([30.0 * w, 900.0 * w]), np.concatenate([2.0 / w, 0.5 / w])
+    loops = [SampledVelocityLoop(plant, *map(float, one)) for one in zip(k_v1, t_v, strict=True)]
+    found = sweep_stability(plant, k_v1, t_v)
+    assert found.tolist() == [loop.stable for loop in loops]
+    assert found[:6].all()
+    assert not found.all()
+
+
+def test_a_slow_bandwidth_can_be_retuned():
+    design = retune_velocity_loop(SLOW.replace(mechanics={"viscous": 5.0}), bandwidth=0.16, phase_margin_deg=60.0)
+    assert design.sampled.bandwidth == pytest.approx(0.16, rel=1e-6)
+    assert design.sampled.margins.phase_margin_deg == pytest.approx(60.0, abs=1e-3)
