@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emps_design.effects.two_mass import LOWEST, has_play, is_coupling, linear_coupling
+from emps_design.effects.two_mass import LOWEST, RESONANCES, has_play, is_coupling, linear_coupling
 from emps_design.errors import EmpsError
 
 if TYPE_CHECKING:
@@ -129,7 +129,8 @@ def _with_shares(axis: Axis, place: int) -> list[Axis]:
     one = axis.effects[place]
     p = dict(zip((p.name for p in one.effect.parameters), one.effect.values(one.parameters), strict=True))
     others = [{"kind": other.kind, **other.parameters} for i, other in enumerate(axis.effects) if i != place]
-    low = min(1.0, (LOWEST / p["frequency"]) ** 2 * (1.0 + 1e-9))
+    softest = LOWEST if p["frequency"] > LOWEST else max(RESONANCES[0], 0.1 * p["frequency"])
+    low = min(1.0, (softest / p["frequency"]) ** 2 * (1.0 + 1e-9))
     coupled = [
         axis.replace(effects=[*others, linear_coupling(p["frequency"] * n**0.5, p["damping"] * n**0.5, p["share"])])
         for n in np.geomspace(low, 1.0, SHARES)

@@ -19,6 +19,7 @@ import numpy as np
 from emps_design.axis import Axis, Controller
 from emps_design.control.loop.nested import NestedLoop, nested_loops
 from emps_design.control.loop.sampled_loop import SampledLoop, axis_loop
+from emps_design.control.loop.steps import step_answer
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.gains import MINUS_3_DB
 from emps_design.control.velocity.sampled import velocity_table
@@ -27,7 +28,6 @@ from emps_design.laws.library import cascade
 
 WANTED = {"overshoot": "%", "bandwidth": "rad/s", "stiffness": "N/m"}
 LOWEST = 1e-4  # of the velocity loop's crossover: the slowest position loop tried
-SAMPLES = 20_000  # of a step, at most
 
 
 @dataclass(frozen=True)
@@ -82,10 +82,7 @@ class PositionLoopDesign:
     def _after_a_step_of(self, name: str) -> np.ndarray:
         """Positions at the ends of the samples after a unit step of an input."""
         slowest = min(self.kp, self.velocity_loop.crossover)
-        samples = int(np.clip(8.0 / (slowest * self.loop.period), 50, SAMPLES))
-        inputs = np.zeros((samples, len(self.loop.inputs)))
-        inputs[:, self.loop.inputs.index(name)] = 1.0
-        return np.cumsum(self.loop.simulate(inputs)[:, 1]) * self.loop.period
+        return step_answer(self.loop, name, max(50, round(8.0 / (slowest * self.loop.period))))[2]
 
     @property
     def bandwidth(self) -> float:

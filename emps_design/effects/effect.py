@@ -69,6 +69,7 @@ class Parameter(Quantity):
     ``default``: what it is where a file does not give it, in the effect's first form; a search tries the other starts
     once the effect is found and structure is left, and refines neither the default nor an end of the range. None: it
     has to be given.
+    ``allowed``: lowest and highest that an axis file may give, where the bounds are those of a search alone.
     Starts, bounds and scale are written for an ordinary linear axis; :mod:`.sizes` has those of another.
     """
 
@@ -78,6 +79,7 @@ class Parameter(Quantity):
     scale: float = 0.0
     discrete: bool = False
     default: float | None = None
+    allowed: tuple[float, float] | None = None
 
     def held_at(self, values: np.ndarray) -> bool:
         """Whether a fit leaves ``values`` of the parameter (n,) as they are: a choice, or a form by itself."""
@@ -86,7 +88,10 @@ class Parameter(Quantity):
         return self.discrete or bool(np.all(np.isin(values, (self.default, self.lower, self.upper))))
 
     def check(self, value: float) -> float:
-        """As of any quantity, for an axis up to ``REACH`` times larger or smaller than the ordinary one."""
+        """As of any quantity, within what is ``allowed``, or for an axis up to ``REACH`` times larger or smaller than
+        the ordinary one."""
+        if self.allowed is not None:
+            return Quantity(self.name, self.symbol, self.unit, *self.allowed).check(value)
         sized = len(re.findall(r"\b[mNV]\b", self.unit))
         if self.discrete or not sized:
             return super().check(value)

@@ -16,18 +16,41 @@ from emps_design.quantities import Quantity
 
 STATES = (Quantity("twist", "d", "m"), Quantity("load_velocity", r"\dot q_l", "m/s"))
 GAP = 0  # place of the gap among the numbers of play, where there is some
-LOWEST = 5.0  # Hz, of the resonance
+LOWEST, HIGHEST = 5.0, 400.0  # Hz, between which a search looks for the resonance
+# What an axis file may say: a gantry with a long arm sways slowly, a small drive rings far beyond what a record shows.
+RESONANCES, DAMPINGS, SHARES = (0.1, 20_000.0), (0.0, 10.0), (1e-4, 0.9999)
 SETTLING = 2e-5  # s
 NO_REGRESSOR = "the load is a state that no measured signal gives"
 
 
 def coupling(pair: str, starts: tuple[float, ...], damping: float, behind: str) -> tuple[Parameter, ...]:
-    """Resonance [Hz] of the free ``pair`` of masses, its damping ratio, and the share of the mass ``behind`` it."""
+    """Resonance [Hz] of the free ``pair`` of masses, its damping ratio, and the share of the mass ``behind`` it.
+
+    Their bounds are those within which a search looks; an axis file may say more.
+    """
     resonance, ratio = f"resonance of the two masses{pair}, free", "damping ratio of that resonance"
     return (
-        Parameter("frequency", "f_n", "Hz", lower=LOWEST, upper=400.0, starts=starts, text=resonance),
-        Parameter("damping", r"\zeta", "", lower=0.0, upper=1.0, starts=(damping,), text=ratio),
-        Parameter("share", r"\mu", "", lower=0.01, upper=0.95, starts=(0.4,), text=f"share of the mass {behind}"),
+        Parameter(
+            "frequency",
+            "f_n",
+            "Hz",
+            lower=LOWEST,
+            upper=HIGHEST,
+            starts=starts,
+            text=resonance,
+            allowed=RESONANCES,
+        ),
+        Parameter("damping", r"\zeta", "", lower=0.0, upper=1.0, starts=(damping,), text=ratio, allowed=DAMPINGS),
+        Parameter(
+            "share",
+            r"\mu",
+            "",
+            lower=0.01,
+            upper=0.95,
+            starts=(0.4,),
+            text=f"share of the mass {behind}",
+            allowed=SHARES,
+        ),
         Parameter(
             "load_friction",
             r"\lambda",

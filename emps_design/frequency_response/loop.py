@@ -27,6 +27,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.loop.margins import disk_size, margin_arrays
+from emps_design.control.plant.peaks import law_peaks
 from emps_design.frequency_response.measured_plant import MeasuredPlant, law_response, stable_loops
 from emps_design.frequency_response.resonances import resonances
 from emps_design.frequency_response.response import FrequencyResponse
@@ -97,7 +98,7 @@ def measured_margins(response: FrequencyResponse, axis: Axis, draws: int = DRAWS
     noise = random.standard_normal((2, drawn, len(response))) / math.sqrt(2.0)
     itself = np.ones((1, len(response)))  # first by a spline, last by straight lines
     rows = response.response * np.concatenate([itself, 1.0 + response.std * (noise[0] + 1j * noise[1]), itself])
-    plant = MeasuredPlant.of(response, axis, rows)
+    plant = MeasuredPlant.of(response, axis, rows, law_peaks(law, period))
     grid = plant.grid
     if law.cycle > 1:
         several = SeveralRates(plant, law)

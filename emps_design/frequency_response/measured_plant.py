@@ -10,6 +10,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.loop.transfer import transfer
+from emps_design.control.plant.peaks import Peaks, frequencies_around
 from emps_design.errors import InputError
 from emps_design.frequency_response.hold import mass_line, sampled_position
 from emps_design.frequency_response.response import FrequencyResponse
@@ -25,7 +26,8 @@ class MeasuredPlant:
     """A measured response in the place of a sampled plant: from command to what a law reads at the samples.
 
     ``rows`` (m, n) are responses at the lines of ``frequency`` (n,) [rad/s] and ``inverse_mass`` (m,) [1/kg] how each
-    ends; ``gain`` [N/V] and ``delay`` [s] are the drive's and the program's.
+    ends; ``gain`` [N/V] and ``delay`` [s] are the drive's and the program's. ``peaks`` are those of the law in front of
+    it, around which the grid is fine.
     """
 
     frequency: np.ndarray
@@ -34,10 +36,13 @@ class MeasuredPlant:
     gain: float
     delay: float
     period: float
+    peaks: Peaks = ()
 
     @classmethod
-    def of(cls, response: FrequencyResponse, axis: Axis, rows: np.ndarray | None = None) -> MeasuredPlant:
-        """The plant of ``axis`` as measured in ``response``, or ``rows`` (m, n) drawn around it."""
+    def of(
+        cls, response: FrequencyResponse, axis: Axis, rows: np.ndarray | None = None, peaks: Peaks = ()
+    ) -> MeasuredPlant:
+        """The plant of ``axis`` as measured in ``response``, or ``rows`` (m, n) drawn around it; ``peaks`` of a law."""
         nyquist = 0.5 / axis.sampling.period
         if response.frequency[-1] >= nyquist:
             raise InputError(
@@ -49,7 +54,7 @@ class MeasuredPlant:
         masses = np.array([mass_line(response.w, one, std)[0] for one in data])
         period = axis.sampling.period
         late = axis.sampling.computation_delay * period
-        return cls(response.w, data, masses, axis.drive.gain, late, period)
+        return cls(response.w, data, masses, axis.drive.gain, late, period, peaks)
 
     @cached_property
     def _pieces(self) -> np.ndarray:
@@ -93,13 +98,14 @@ class MeasuredPlant:
 
     @cached_property
     def grid(self) -> np.ndarray:
-        """Frequencies [rad/s] from far below the data up to the Nyquist frequency, the lines and some between them."""
+        """Frequencies [rad/s] from far below the data up to the Nyquist frequency: lines, some between, peaks."""
         lines, nyquist = self.frequency, math.pi / self.period
         x = np.log(lines)
         between = np.exp(x[:-1, None] + np.diff(x)[:, None] * np.arange(BETWEEN) / BETWEEN).ravel()
         before = np.geomspace(FAR_BELOW * lines[0], lines[0], BEYOND, endpoint=False)
         after = np.geomspace(lines[-1], nyquist * (1.0 - 1e-9), BEYOND)
-        return np.concatenate([before, between, after])
+        grid, beside = np.concatenate([before, between, after]), frequencies_around(self.peaks)
+        return np.unique(np.concatenate([grid, beside[(beside > grid[1]) & (beside < grid[-1])]]))
 
 
 def law_response(law: LinearLaw, w: np.ndarray, period: float) -> np.ndarray:

@@ -7,7 +7,8 @@ come from any ring: floats, arrays (m,) for as many laws at once, SymPy expressi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -182,7 +183,8 @@ def linear_law(law: Law, period: float, direction: float = 1.0, signals: dict[in
     inputs = (*INPUTS, *(signals or {}).values())
     names = (*range(memory), *inputs)
     moved = _dense([_linear(cell) for cell in start], ("q",))[..., 0]
-    runs = [run_linear(law, period, direction, signals, sample=sample) for sample in range(law.cycle)]
+    pasts = itertools.islice(_slide(law, period, direction), law.cycle)
+    runs = [_run(law, period, direction, k, past, signals) for k, past in pasts]
     tables = [_dense([*cells, u], names) for u, cells in runs]
     rows = tables[0] if law.cycle == 1 else np.stack(np.broadcast_arrays(*tables))
     A, B = rows[..., :-1, :memory], rows[..., :-1, memory:]
@@ -213,27 +215,50 @@ def run_linear(
     direction: float = 1.0,
     signals: dict[int, str] | None = None,
     limit: float = np.inf,
-    sample: int = 0,
 ) -> tuple[Linear, list[Linear]]:
     """Output and next memory of ``law`` as linear numbers of its memory, by place, and of its inputs, by name.
 
     Gains may be linear numbers themselves: a value to decide branches by, and a symbol as its constant. With a
-    ``limit`` below zero the voltage is at its limit, whatever it would be. ``sample`` counts within the law's cycle.
+    ``limit`` below zero the voltage is at its limit, whatever it would be. Of a law's cycle it is the first sample.
     """
+    k, past = next(_slide(law, period, direction))
+    return _run(law, period, direction, k, past, signals, limit)
+
+
+def _slide(law: Law, period: float, direction: float) -> Iterator[tuple[int, list[Any]]]:
+    """The samples k of a slide, from the first of a cycle on by which the law is set up, and its memory before each."""
+    values, past = [_value(gain) for gain in _plain(law.gains)], [0.0] * law.memory
+    first = -(-(law.memory + 4) // law.cycle) * law.cycle
+    for k in itertools.count():
+        if k >= first:
+            yield k, list(past)
+        reference, position = _slid(law, period, direction, k)
+        law.kernel(k, reference, position, 0.0, np.inf, values, past)
+
+
+def _slid(law: Law, period: float, direction: float, k: int) -> tuple[float, float]:
+    """Reference and position [m] at sample ``k`` of the slide."""
+    position = k * direction * SPEED * period
+    return (direction * SPEED if law.follows == "velocity" else position), position
+
+
+def _run(
+    law: Law,
+    period: float,
+    direction: float,
+    k: int,
+    past: list[Any],
+    signals: dict[int, str] | None = None,
+    limit: float = np.inf,
+) -> tuple[Linear, list[Linear]]:
+    """Output and next memory at sample ``k`` of the slide, before which the memory is ``past``."""
     numbers = _plain(law.gains)
-    values = [_value(gain) for gain in numbers]
-    step, past = direction * SPEED * period, [0.0] * law.memory
-    sample += -(-(law.memory + 4) // law.cycle) * law.cycle  # the first samples set a law up
-    for k in range(sample):
-        reference = direction * SPEED if law.follows == "velocity" else k * step
-        law.kernel(k, reference, k * step, 0.0, np.inf, values, past)
-    at = sample * step
-    followed = Linear(direction * SPEED if law.follows == "velocity" else at, 0.0, {"reference": 1.0})
+    reference, at = _slid(law, period, direction, k)
     for place, name in (signals or {}).items():
-        numbers[place] = Linear(values[place], 0.0, {name: 1.0})
+        numbers[place] = Linear(_value(numbers[place]), 0.0, {name: 1.0})
     cells: list[Any] = [Linear(value, 0.0, {place: 1.0}) for place, value in enumerate(past)]
-    position, force = Linear(at, 0.0, {"q": 1.0}), Linear(0.0, 0.0, {"f_ext": 1.0})
-    u = law.kernel(sample, followed, position, force, limit, numbers, cells)
+    followed, position = Linear(reference, 0.0, {"reference": 1.0}), Linear(at, 0.0, {"q": 1.0})
+    u = law.kernel(k, followed, position, Linear(0.0, 0.0, {"f_ext": 1.0}), limit, numbers, cells)
     return _linear(u), [_linear(cell) for cell in cells]
 
 

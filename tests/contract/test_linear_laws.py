@@ -1,6 +1,7 @@
 """A law's linear form is its kernel: on signals, on symbols, in closed form; and a user's law is judged like ours."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -256,3 +257,17 @@ def test_a_users_law_in_diagnose(own_axis, capsys):
 
 def test_given_examples_are_those_of_the_laws():
     assert set(GIVEN) == {kind.name for kind in LAWS}
+
+
+def test_a_long_cycle_is_gone_through_once():
+    """A position loop in every thousandth sample: as many runs of the kernel as samples, not as their square."""
+    table = {"kind": "cascade", "position": {"kp": 1.0, "every": 1000}, "velocity": {"kp": 300.0, "ti": 0.05}}
+    law, runs = law_of(machine("emps2018").replace(controller=table), T), []
+
+    def counted(k, *more):
+        runs.append(k)
+        return law.kernel(k, *more)
+
+    form = linear_law(replace(law, kernel=counted), T)
+    assert form.A.shape[0] == 1000
+    assert len(runs) <= 4 * 1000

@@ -26,6 +26,8 @@ KEYS = (
     "gain_margin_frequency",
     "gain_reduction_margin",
 )
+LOWEST = "lowest_crossover"  # rad/s, in arrays: up to which a loop acts, wherever its least phase margin is
+ROUNDING = 1e-6  # rad, by which the lag of a loop on the border of stability may come out below 0
 Response = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
@@ -93,10 +95,10 @@ def margin_arrays(
     """Return the margins of ``count`` loops as arrays, NaN where a margin is unbounded.
 
     ``response(w, rows)`` gives the open loop of the loops numbered ``rows`` at ``w`` [rad/s]; both broadcast.
-    ``frequencies`` [rad/s] ascending brackets the crossings, which are then refined to 1e-12; ``nyquist`` [rad/s] is
-    the Nyquist frequency of sampled loops, where the response is real and may be -1. ``delayed(w, rows, delay)`` is the
-    open loop with a ``delay`` [s] more, arrays (n,): where given, the delay margin is exact between whole samples too.
-    Keys: those of ``KEYS``.
+    ``frequencies`` [rad/s] ascending brackets the crossings, which are then refined to 1e-12; where a loop is below
+    0 dB at the first, :func:`further_down` too. ``nyquist`` [rad/s] is that of sampled loops, where the response
+    is real and may be -1. ``delayed(w, rows, delay)`` is the open loop with a ``delay`` [s] more, arrays (n,): where
+    given, the delay margin is exact between whole samples too. Keys: those of ``KEYS``, and ``LOWEST``.
 
     >>> found = margin_arrays(lambda w, rows: 1.0 / (1j * w * (1.0 + 0.1j * w) ** 2), 1, np.geomspace(0.1, 100, 50))
     >>> round(float(found["gain_margin"][0]), 6), round(float(found["gain_margin_frequency"][0]), 6)
@@ -104,9 +106,12 @@ def margin_arrays(
     """
     rows = np.arange(count)[:, None]
     loop = response(frequencies[None, :], rows)
-    power = loop.real**2 + loop.imag**2
-    inside = power < 1.0
-    found = {key: np.full(count, np.nan) for key in KEYS}
+    inside = loop.real**2 + loop.imag**2 < 1.0
+    if np.any(inside[:, 0]):
+        frequencies = further_down(frequencies)
+        loop = response(frequencies[None, :], rows)
+        inside = loop.real**2 + loop.imag**2 < 1.0
+    found = {key: np.full(count, np.nan) for key in (*KEYS, LOWEST)}
 
     where, place = np.nonzero(inside[:, 1:] != inside[:, :-1])
     if where.size:
@@ -116,7 +121,9 @@ def margin_arrays(
             frequencies[place + 1],
         )
         lag = np.mod(np.angle(response(w, where)) + np.pi, 2.0 * np.pi)
+        lag[lag > 2.0 * np.pi - ROUNDING] = 0.0
         _keep_smallest(where, lag, {"phase_margin_deg": np.degrees(lag), "crossover": w}, found)
+        _keep_smallest(where, w, {LOWEST: w}, found)
         delay = lag / w
         if delayed is not None and nyquist is not None:
             delay = _exact_delay(delayed, where, w, delay, nyquist)
@@ -156,10 +163,22 @@ def loop_margins(
         return Margins(stable=False, period=period)
     nyquist = None if period is None else math.pi / period
     later = None if delayed is None else lambda w, rows, delay: delayed(w, delay)
+    if abs(response(frequencies[:1])[0]) < 1.0:
+        frequencies = further_down(frequencies)
     found = margin_arrays(lambda w, rows: response(w), 1, frequencies, nyquist, later)
-    value = {key: None if math.isnan(array[0]) else float(array[0]) for key, array in found.items()}
+    value = {key: None if math.isnan(found[key][0]) else float(found[key][0]) for key in KEYS}
     disk = disk_margin(response, frequencies if nyquist is None else np.append(frequencies, nyquist))
     return Margins(stable=True, period=period, disk_margin=disk, **value)
+
+
+def further_down(frequencies: np.ndarray) -> np.ndarray:
+    """Return ``frequencies`` (n,) [rad/s] begun five decades lower, for a loop that is slower than the first of them.
+
+    >>> further_down(np.array([1.0, 2.0]))[[0, -2, -1]].round(9).tolist()
+    [1e-05, 1.0, 2.0]
+    """
+    low = frequencies[0]
+    return np.concatenate([np.geomspace(1e-5 * low, low, 100, endpoint=False), frequencies])
 
 
 def disk_margin(response: Callable[[np.ndarray], np.ndarray], frequencies: np.ndarray) -> float:

@@ -18,6 +18,7 @@ from emps_design.control.loop.margins import Margins, loop_margins
 from emps_design.control.loop.sampled_loop import SampledLoop, close
 from emps_design.control.loop.transfer import transfer
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis
+from emps_design.control.plant.peaks import law_peaks, peaks_of_roots
 from emps_design.laws import get_law, law_of, table_of
 from emps_design.laws.linear import LinearLaw, linear_law
 
@@ -77,7 +78,7 @@ def at_plant_input(plant: SampledPlant, form: LinearLaw) -> Margins:
 
     return loop_margins(
         loop.loop_gain,
-        plant.frequencies(),
+        plant.frequencies(peaks=law_peaks(form, plant.period)),
         loop.stable,
         plant.period,
         lambda w, delay: loop.loop_gain(w) * plant.delayed_response(w, delay) / plant.response(w),
@@ -95,10 +96,9 @@ def at_position_error(plant: SampledPlant, form: LinearLaw) -> Margins:
     """
     A, b, c = position_loop(plant, form)
     period, stable = form.cycle * plant.period, close(plant, form).stable
-    slow = replace(plant, period=period)
-    return loop_margins(
-        lambda w: transfer(A, b, c, 0.0, np.exp(1j * np.asarray(w) * period)), slow.frequencies(), stable, period
-    )
+    inner = [*peaks_of_roots(np.linalg.eigvals(A), period), *law_peaks(form, plant.period)]
+    grid = replace(plant, period=period, filters=()).frequencies(peaks=inner)
+    return loop_margins(lambda w: transfer(A, b, c, 0.0, np.exp(1j * np.asarray(w) * period)), grid, stable, period)
 
 
 def position_loop(plant: SampledPlant, form: LinearLaw) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

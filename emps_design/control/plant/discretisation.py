@@ -19,6 +19,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.plant.linear_plant import POSITION, VELOCITY, LinearPlant, linear_plant
+from emps_design.control.plant.peaks import Peaks, filter_peaks, frequencies_around, oscillations
 from emps_design.errors import InputError
 from emps_design.laws.library.cascade import Filter, filter_polynomials
 
@@ -185,23 +186,22 @@ class SampledPlant:
         matrices = z[..., None] * np.eye(self.C.size) - self.Phi
         return np.linalg.solve(matrices, acting[..., None])[..., 0]
 
-    def frequencies(self, count: int = 400) -> np.ndarray:
+    def frequencies(self, count: int = 400, peaks: Peaks = ()) -> np.ndarray:
         """A grid [rad/s] from far below every motion of the loop up to just below the Nyquist frequency.
 
-        Where the plant resonates, or its inner states do by themselves, it is as fine as the peak is narrow.
+        Where the plant resonates, or its inner states do by themselves, or a filter, or the ``peaks`` are that a law
+        has besides, it is as fine as the peak is narrow.
         """
         nyquist = math.pi / self.period
         low = np.geomspace(1e-5 * nyquist, 0.05 * nyquist, count // 2, endpoint=False)
         grid = np.concatenate([low, np.geomspace(0.05 * nyquist, nyquist * (1.0 - 1e-9), count - low.size)])
         inner = self.linear.A[2:, 2:] if self.linear.A.ndim == 2 else np.zeros((0, 0))
-        peaks = [*self.resonances, *oscillations(inner)]
-        for w, damping in peaks:
-            beside = max(damping, 1e-6) * w * np.geomspace(0.1, 100.0, 16)
-            grid = np.concatenate([grid, w - beside, [w], w + beside])
+        peaks = [*self.resonances, *oscillations(inner), *filter_peaks(self.filters, self.period), *peaks]
+        grid = np.concatenate([grid, frequencies_around(peaks)])
         return np.unique(grid[(grid >= 1e-5 * nyquist) & (grid < nyquist)]) if peaks else grid
 
     @cached_property
-    def resonances(self) -> list[tuple[float, float]]:
+    def resonances(self) -> Peaks:
         """Frequency [rad/s] and damping ratio of each lightly damped motion of ``linear``, of a single plant."""
         return oscillations(self.linear.A) if self.linear.A.ndim == 2 else []
 
@@ -259,17 +259,6 @@ def sample_axis(axis: Axis, velocity: float = 0.1, filters: tuple[Filter, ...] =
         linear_plant(axis, velocity), sampling.period, sampling.computation_delay, axis.controller.velocity_estimator
     )
     return replace(plant, filters=filters) if filters else plant
-
-
-def oscillations(A: np.ndarray) -> list[tuple[float, float]]:
-    """Frequency [rad/s] and damping ratio of the oscillating eigenvalues of ``A`` (n, n), damping below 0.5.
-
-    >>> [(round(w, 6), round(z, 6)) for w, z in oscillations(np.array([[0.0, 1.0], [-25.0, -1.0]]))]
-    [(5.0, 0.1)]
-    """
-    poles = np.linalg.eigvals(A) if A.size else np.zeros(0)
-    sizes = [(float(abs(pole)), float(-pole.real / abs(pole))) for pole in poles if pole.imag > 0.0]
-    return sorted((w, damping) for w, damping in sizes if damping < 0.5)
 
 
 BESIDE = 1.5  # ratio of frequencies: what lies so near a resonance belongs to it

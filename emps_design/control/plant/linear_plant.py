@@ -141,9 +141,12 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     if slope == 0.0:
         raise InputError(f"effects: with {' and '.join(actuator.names)} no voltage acts, expected one within the limit")
     if abs(actuator.reach(needed)) < abs(needed):
+        where = (
+            "linearised just inside that, where the loop can work" if actuator.maps else "the loop works when slower"
+        )
         warnings.append(
-            f"{' and '.join(actuator.names)}: steady motion at {velocity:g} m/s takes {needed:.3g} V and only "
-            f"{actuator.reach(needed):.3g} V act; linearised just inside that, where the loop can work"
+            f"{' and '.join(actuator.names) or 'limit of the command'}: steady motion at {velocity:g} m/s takes "
+            f"{needed:.3g} V and only {actuator.reach(needed):.3g} V act; {where}"
         )
     firsts = [2 + sum(sizes[:i]) for i in range(len(sizes))]  # of each member's states
     lags = [(-1, lag)] * (lag > 0.0)

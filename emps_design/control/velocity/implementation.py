@@ -77,7 +77,7 @@ def largest_velocity_step(axis: Axis, loop: SampledVelocityLoop) -> dict[str, fl
     sizes = np.abs(loop.poles)
     dying = sizes[sizes < 1.0 - CONSTANT]  # a pole on z = 1 (a spring's, a load's in its play) does not die away
     slowest = float(np.max(dying, initial=1e-3))
-    samples = min(20_000, 10 + math.ceil(math.log(1e-4) / math.log(slowest)))
+    samples = 10 + math.ceil(math.log(1e-4) / math.log(slowest))
     _, _, voltage = loop.step_response(samples)
     peak = float(np.max(np.abs(voltage)))
     dry = (axis.mechanics.coulomb + abs(axis.mechanics.offset)) / axis.drive.gain
@@ -98,7 +98,7 @@ def command_in_a_step(axis: Axis, loop: SampledVelocityLoop, velocity: float) ->
 
     It is sought in the first two periods of the crossover. ``loop`` has to be stable.
     """
-    samples = int(np.clip(4.0 * math.pi / ((loop.margins.crossover or 1.0) * loop.plant.period), 20, 600))
+    samples = max(20, round(4.0 * math.pi / ((loop.margins.crossover or 1.0) * loop.plant.period)))
     dry = (axis.mechanics.coulomb + abs(axis.mechanics.offset)) / axis.drive.gain
     return dry + velocity * float(np.max(np.abs(loop.step_response(samples)[2])))
 

@@ -32,6 +32,7 @@ NOISE = 0.05  # of the command's limit: rms of what the encoder's steps make of 
 DELAY = "delay: hold, delay, current loop, estimator and filters leave no more phase"
 PAYS = 1.1  # by how much a filter has to raise the crossover to be worth its place
 GRID = 160
+SLOWEST = 0.05  # of the fastest loop's crossover, from which on its limits are looked at
 COARSE, CLOSE = 12, 0.005  # crossovers at which a limit is looked at, and how closely its ends are then found
 NOTCHES = ((0.3, 0.1), (0.7, 0.1), (0.7, 0.3))  # damping and depth
 LOWPASSES = (2.0, 4.0, 8.0)  # corners, in crossovers
@@ -112,7 +113,8 @@ def limits(
 
     ``encoder_noise``: rms of the command at :data:`NOISE` of its limit; ``voltage``: a step of the reference by
     ``velocity`` [m/s] reaches the limit. None where a limit does not bind below the first. A command that a step takes
-    less of again in a faster loop may bind in a range only: ``binding`` says which.
+    less of again in a faster loop may bind in a range only: ``binding`` says which. They are looked at from
+    :data:`SLOWEST` of the first on; one that binds there binds already below.
     """
     ends: dict[str, float | None] = {"encoder_noise": None, "voltage": None}
     if not found.crossover:
@@ -132,7 +134,7 @@ def limits(
         one = loop(w)
         return one is not None and command_in_a_step(axis, one, abs(velocity)) > limit
 
-    grid = np.geomspace(0.05 * found.crossover, found.crossover, COARSE)
+    grid = np.geomspace(SLOWEST * found.crossover, found.crossover, COARSE)
     noise, voltage = _exceeded(noisy, grid), _exceeded(too_much, grid)
     named = {
         f"encoder noise: more than {100.0 * NOISE:g} % of the limit of the command": noise,
@@ -141,9 +143,10 @@ def limits(
     }
     ranges = ((name, where) for name, where in named.items() if where is not None)
     name, (first, last) = min(ranges, key=lambda one: one[1][0])
+    begin = "from below" if first == grid[0] else "from"
     until = "rad/s on" if last is None else f"to {last:.4g} rad/s"
     ends = {"encoder_noise": noise and noise[0], "voltage": voltage and voltage[0]}
-    return {"loop": found.crossover, **ends, "binding": f"{name}, from {first:.4g} {until}"}
+    return {"loop": found.crossover, **ends, "binding": f"{name}, {begin} {first:.4g} {until}"}
 
 
 def _exceeded(exceeds: Callable[[float], bool], grid: np.ndarray) -> tuple[float, float | None] | None:

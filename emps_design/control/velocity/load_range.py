@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.loop.margins import Margins
+from emps_design.control.loop.margins import LOWEST, Margins
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.limits import GAIN_MARGIN, INTEGRAL
@@ -31,6 +31,7 @@ COUPLING = {"frequency", "damping", "share"}  # parameters of an effect that spl
 MORE_PHASE = np.arange(0.0, 31.0, 3.0)  # deg, tried above what is asked, for the load that has most
 CROSSOVERS = 60
 CLOSE = 1.17  # the step of so many crossovers along everything
+MOST_DELAY = 1000  # samples, as of an axis's own computation delay
 EQUAL = 0.02  # share of the crossover, by which a slower loop with more integral action is as good
 
 
@@ -102,9 +103,10 @@ def margins_over_range(design: VelocityLoopDesign, span: LoadRange) -> dict[str,
     ``at`` is the place of the phase margins [deg] and crossovers [rad/s]: "velocity-error" or "plant-input". ``points``
     have the margins there of the gains as they are, and those at the ``plant_input``; ``worst`` is the point with the
     least phase margin, an unstable one first. ``one``: gains with which every point has the phase margin asked for, and
-    the gain margin and the room for delay of :mod:`.limits`; the fastest such by its slowest crossover, None where
-    there are none. ``schedule``: by inertia, the fastest gains that hold at that inertia, whatever compliance and delay
-    in the range. ``text`` says which is needed.
+    the gain margin and the room for delay of :mod:`.limits`; the fastest such by its ``slowest_crossover``, None where
+    there are none. The crossover of a point counts there as its lowest: behind a resonance a loop may cross 0 dB again.
+    ``schedule``: by inertia, the fastest gains that hold at that inertia, whatever compliance and delay in the range.
+    ``text`` says which is needed. :class:`InputError` for more delay than :data:`MOST_DELAY`.
 
     >>> from emps_design.control.velocity.design import design_velocity_loop
     >>> from emps_design.machines import machine
@@ -113,6 +115,12 @@ def margins_over_range(design: VelocityLoopDesign, span: LoadRange) -> dict[str,
     >>> study["at"], len(study["points"]), study["one"]["phase_margin_deg"] >= 50.0 - 1e-6
     ('velocity-error', 3, True)
     """
+    period = design.axis.sampling.period
+    if span.delay[1] > MOST_DELAY * period * (1.0 + 1e-9):
+        raise InputError(
+            f"range of delay: found up to {span.delay[1]:g} s, {span.delay[1] / period:.4g} samples, expected at most "
+            f"{MOST_DELAY} samples, {MOST_DELAY * period:g} s"
+        )
     at = design.structure.place(design.retuned_at or "velocity-error")
     phase = design.requested.get("phase_margin_deg", design.phase_margin_deg)
     points, plants = span.points(), []
@@ -179,15 +187,15 @@ def _holding(plants: list[SampledPlant], phase: float, at: str, asked: float) ->
 def _over_plants(
     plants: list[SampledPlant], k_v1: np.ndarray, t_v: np.ndarray, phase: float, at: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Slowest crossover [rad/s] and least phase margin [deg] of gains (n,) over ``plants``, 0 for none."""
+    """Slowest lowest crossover [rad/s] and least phase margin [deg] of gains (n,) over ``plants``, 0 for none."""
     good, found = np.flatnonzero(np.isfinite(k_v1)), np.full((2, k_v1.size), np.inf)
     for plant in plants:
         there = sweep_sampled_margins(plant, k_v1[good], t_v[good], 120, at)
         entry = there if at == PLACES[0] else sweep_sampled_margins(plant, k_v1[good], t_v[good], 120)
         holds = there["stable"] & (there["phase_margin_deg"] >= phase - 1e-6)
         holds &= ~(entry["gain_margin"] < GAIN_MARGIN) & ~(entry["delay_margin"] < ROOM * plant.period)
-        holds &= there["crossover"] * t_v[good] <= 2.0 * INTEGRAL
-        found[:, good] = np.fmin(found[:, good], [there["crossover"], there["phase_margin_deg"]])
+        holds &= there[LOWEST] * t_v[good] <= 2.0 * INTEGRAL
+        found[:, good] = np.fmin(found[:, good], [there[LOWEST], there["phase_margin_deg"]])
         good = good[holds]
     slowest, least = np.where(np.isin(np.arange(k_v1.size), good), found, 0.0)
     return slowest, least
@@ -195,8 +203,11 @@ def _over_plants(
 
 def _asked(design: VelocityLoopDesign, at: str) -> float:
     """The crossover [rad/s] asked for, or the one at that place that comes with the bandwidth asked for."""
-    own = _margins(design.sampled, at).crossover if design.retuned_at else None
-    return float(design.requested.get("crossover", own or design.crossover))
+    asked = design.requested.get("crossover")
+    if asked is None and design.retuned_at:
+        gains = np.array([design.k_v1]), np.array([design.t_v])
+        asked = float(sweep_sampled_margins(design.sampled.plant, *gains, at=at)[LOWEST][0])
+    return float(design.crossover if asked is None else asked)
 
 
 def _in_words(asked: float, at: str, one: dict[str, Any] | None, schedule: list[dict[str, Any]]) -> str:

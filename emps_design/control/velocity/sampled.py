@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emps_design.control.loop.margins import Margins, loop_margins
+from emps_design.control.loop.margins import Margins, further_down, loop_margins
 from emps_design.control.loop.sampled_loop import SampledLoop, close
+from emps_design.control.loop.steps import step_answer
 from emps_design.control.plant.discretisation import ESTIMATORS, SampledPlant
 from emps_design.control.velocity.structure import IP, Structure
 from emps_design.laws import LawKind
@@ -116,6 +117,8 @@ class SampledVelocityLoop:
         from emps_design.control.velocity.gains import MINUS_3_DB
 
         grid = self.plant.frequencies()
+        if abs(self.closed_loop_response(grid[:1])[0]) < MINUS_3_DB:
+            grid = further_down(grid)
         below = np.nonzero(np.abs(self.closed_loop_response(grid)) < MINUS_3_DB)[0]
         if not below.size or below[0] == 0:
             return None
@@ -144,17 +147,17 @@ class SampledVelocityLoop:
     def step_response(self, samples: int = 300) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Time [s], true velocity [m/s] and voltage [V] after a unit step of the reference, dry friction left out.
 
+        Of more than :data:`~emps_design.control.loop.steps.EVERY` samples the later ones have gaps.
+
         >>> from emps_design.control.plant.discretisation import sample_axis
         >>> from emps_design.machines import machine
         >>> t, v, u = SampledVelocityLoop(sample_axis(machine("emps2018")), 556.766, 8.45505e-3).step_response()
         >>> round(float(v[-1]), 6)
         1.0
         """
-        inputs = np.zeros((samples, len(self.loop.inputs)))
-        late = self.t_v / (self.t_v + self.plant.period) if self.structure.reference_filter else 0.0
-        inputs[:, self.loop.inputs.index("reference")] = 1.0 - late ** np.arange(1, samples + 1)
-        found = self.loop.simulate(inputs)
-        return np.arange(samples) * self.plant.period, found[:, 0], found[:, 3]
+        computed = replace(self, structure=self.structure.as_computed) if self.structure.reference_filter else self
+        k, found, _ = step_answer(computed.loop, "reference", samples)
+        return k * self.plant.period, found[:, 0], found[:, 3]
 
     def transfer_function(self) -> control.TransferFunction:
         """The open loop at the plant input as a discrete ``control.TransferFunction`` in z."""

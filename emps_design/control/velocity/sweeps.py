@@ -8,13 +8,17 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.loop.margins import KEYS, margin_arrays
+from emps_design.control.loop.margins import KEYS, LOWEST, margin_arrays
+from emps_design.control.loop.sampled_loop import MARGINAL, close
 from emps_design.control.plant.discretisation import SampledPlant
 from emps_design.control.plant.linear_plant import POSITION
 from emps_design.control.velocity.gains import positive_root, second_order_form
-from emps_design.control.velocity.sampled import SampledVelocityLoop
+from emps_design.control.velocity.sampled import SampledVelocityLoop, estimator_of, velocity_table
 from emps_design.control.velocity.structure import IP, Structure
 from emps_design.errors import InputError
+from emps_design.laws.linear import linear_law
+
+SURE = 1e3  # times its rounding error that a step of a test has to be from the border
 
 
 @dataclass(frozen=True)
@@ -78,6 +82,7 @@ def sweep_velocity_loop(
 def sweep_stability(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> np.ndarray:
     """Tell for every pair of gains whether the sampled loop is stable, by Schur and Cohn's test of its polynomial.
 
+    Where rounding may decide that, as in loops that are slow at their clock, its poles do.
     ``k_v1`` [V/(m/s)], ``t_v`` [s] (n,); returns (n,) of bool, False where the gains are NaN.
 
     >>> from emps_design.control.plant.discretisation import sample_axis
@@ -99,13 +104,39 @@ def sweep_stability(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> n
     both[1, size - integrated.size :] = integrated
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         a = open_loop + k * both[0] + k / t * both[1]
-        stable = np.ones(len(a), dtype=bool)
+        stable, doubtful = np.ones(len(a), dtype=bool), np.zeros(len(a), dtype=bool)
+        error = np.full(len(a), np.finfo(float).eps)  # each step divides it by how far it is from the border
         for degree in range(size - 1, 0, -1):
             reflection = a[:, degree : degree + 1] / a[:, :1]
             stable &= np.abs(reflection[:, 0]) < 1.0
+            apart = np.abs(1.0 - reflection[:, 0] ** 2)
+            doubtful |= apart < SURE * error
+            error = error / np.minimum(apart, 1.0)
             a = a[:, :degree] - reflection * a[:, degree:0:-1]
             a = a / a[:, :1]
+    which = np.flatnonzero(doubtful & np.isfinite(k[:, 0]))
+    stable[which] = _stable_by_poles(plant, k[which, 0], t[which, 0])
     return stable
+
+
+def _stable_by_poles(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> np.ndarray:
+    """Tell the same (n,) by eigenvalues, for loops so slow at their clock that rounding decides about a polynomial.
+
+    The matrix of the loop is that of a few gains plus what each more of k_v1 and of k_v1/t_v adds to it.
+    """
+    if not k_v1.size:
+        return np.ones(0, dtype=bool)
+
+    def matrix(k: float, integral: float) -> np.ndarray:
+        kind, table = velocity_table(k, k / integral, IP, plant.filters, estimator_of(plant), in_a_cascade=True)
+        return close(plant, linear_law(kind.law(table, None, plant.period), plant.period)).A
+
+    k, integral = k_v1[:, None, None], (k_v1 / t_v)[:, None, None]
+    k_0, integral_0 = float(k.min()), float(integral.min())
+    base = matrix(k_0, integral_0)
+    more, more_integral = matrix(2.0 * k_0, integral_0) - base, matrix(k_0, 2.0 * integral_0) - base
+    A = base + (k / k_0 - 1.0) * more + (integral / integral_0 - 1.0) * more_integral
+    return np.abs(np.linalg.eigvals(A)).max(axis=-1) <= 1.0 + MARGINAL
 
 
 def sweep_sampled_margins(
@@ -114,7 +145,7 @@ def sweep_sampled_margins(
     """Return stability and margins of the sampled loop, broken ``at`` that place, for every pair of gains.
 
     ``k_v1`` [V/(m/s)] and ``t_v`` [s] of one shape. Keys: ``stable`` and those of
-    ``emps_design.control.loop.margins.KEYS``, NaN where the loop is unstable or a margin unbounded.
+    ``emps_design.control.loop.margins.KEYS`` and ``LOWEST``, NaN where the loop is unstable or a margin unbounded.
     ``frequencies`` is the size of the grid that brackets the crossings; ``at`` is "plant-input" or "velocity-error".
 
     >>> from emps_design.control.plant.discretisation import sample_axis
@@ -128,7 +159,7 @@ def sweep_sampled_margins(
     stable = sweep_stability(plant, k, t)
     chosen = np.flatnonzero(stable)
     grid = plant.frequencies(frequencies)
-    found = {key: np.full(k.size, np.nan) for key in KEYS}
+    found = {key: np.full(k.size, np.nan) for key in (*KEYS, LOWEST)}
     for start in range(0, chosen.size, 2000):  # pieces that stay in the cache
         piece = chosen[start : start + 2000]
         for key, values in _margins(plant, k[piece], t[piece], grid, at).items():

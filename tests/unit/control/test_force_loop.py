@@ -195,3 +195,10 @@ def test_no_operator_no_loop():
 def test_numbers_that_cannot_be_meant(arguments, message):
     with pytest.raises(InputError, match=message):
         design_force_loop(LOOP, **arguments)
+
+
+@pytest.mark.parametrize("wall", [1e3, 1e4, 3.7e5])
+def test_a_wall_without_friction_has_margins_though_there_is_no_response_at_its_resonance(wall):
+    ideal = machine("emps2018").replace(mechanics={"viscous": 0.0}, drive={"current_time_constant": 0.0})
+    design = design_force_loop(design_velocity_loop(ideal, crossover=100.0), 1e-4, environment=wall)
+    assert design.margins.gain_margin == pytest.approx(design.k_e1_max_sampled / 1e-4, rel=1e-6)

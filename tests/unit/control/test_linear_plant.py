@@ -186,3 +186,8 @@ def test_a_notebook_shows_the_verdict_first():
     html = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)._repr_html_()
     assert html.startswith("<p>emps2018: the sampled loop is stable</p><table>")
     assert "556.77" in html
+
+
+def test_a_motion_that_takes_more_than_the_limit_is_told_by_a_name():
+    said = linear_plant(machine("emps2018"), velocity=-1.0).warnings
+    assert said[0].startswith("limit of the command: steady motion at -1 m/s takes -14 V and only -10 V act")

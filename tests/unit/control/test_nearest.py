@@ -1,6 +1,7 @@
 """The nearest specification that works, judged by a simulation of its own: the law's lines and a plant by scipy."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from scipy.linalg import expm
 
 from emps_design.axis import Axis
 from emps_design.cli.app import run
+from emps_design.control.loop.margins import Margins
 from emps_design.control.plant.discretisation import sample_axis
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.control.velocity.retune import retune_velocity_loop
@@ -184,6 +186,13 @@ def test_little_room_is_told(capsys):
 
 
 def test_a_proposal_without_a_bounded_margin_has_no_empty_brackets():
-    """So slow a loop crosses 0 dB below every frequency that is looked at."""
-    with pytest.raises(SpecificationError, match=r"nearest that works: .* rad/s$"):
+    boundless = SimpleNamespace(loop=lambda *pair: SimpleNamespace(margins=Margins(stable=True), bandwidth=None))
+    said = proposal_in_words({"crossover": 0.01, "phase_margin_deg": 80.0}, boundless)
+    assert said == "nearest that works: 80 deg at a crossover of 0.01 rad/s"
+
+
+def test_a_proposal_for_a_loop_that_hardly_moves_says_what_it_has():
+    with pytest.raises(
+        SpecificationError, match=r"rad/s \(sampled: \S* deg, room for \S* samples of delay, -3 dB at 0.0"
+    ):
         design_velocity_loop(AXIS, crossover=0.01)

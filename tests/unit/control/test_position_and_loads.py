@@ -8,6 +8,7 @@ import pytest
 from emps_design.axis import Axis
 from emps_design.cli.app import run
 from emps_design.control.loop.sampled_loop import axis_loop
+from emps_design.control.plant.discretisation import sample_axis
 from emps_design.control.position import design_position_loop
 from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
 from emps_design.control.velocity.load_range import LoadRange, loaded, margins_over_range
@@ -183,3 +184,33 @@ def test_the_feed_forward_of_the_acceleration_moves_the_load_too():
     inner = design_velocity_loop(axis, crossover=40.0, phase_margin_deg=50.0, structure=PI)
     ahead = design_position_loop(inner, "bandwidth", 10.0).feedforwards["velocity and acceleration"]
     assert ahead["acceleration"] * axis.drive.gain == pytest.approx(axis.mechanics.mass)
+
+
+def test_more_delay_than_an_axis_may_have_is_refused():
+    with pytest.raises(InputError, match="found up to 100000 s, 1e.08 samples, expected at most 1000 samples, 1 s"):
+        margins_over_range(INNER, LoadRange(delay=(0.0, 1e5)))
+
+
+def test_a_crossing_behind_the_resonance_makes_no_loop_faster():
+    """The lowest crossings by brute force: the loop's least phase margin is at another, behind its resonance."""
+    gantry = AXIS.replace(
+        mechanics={"mass": 2000.0, "viscous": 800.0},
+        drive={"force_gain": 400.0, "current_time_constant": 0.002},
+        sampling={"period": 5e-3, "computation_delay": 1},
+        effects=[{**COUPLING, "frequency": 6.0}],
+    )
+    design = design_velocity_loop(gantry, crossover=12.0, phase_margin_deg=60.0, structure=PI)
+    study = margins_over_range(design, LoadRange(inertia=(0.7, 1.6)))
+    assert "a crossover of 12 rad/s at the plant input cannot be had over the range" in study["text"]
+    alone = {entry["inertia"]: entry["gains"] for entry in study["schedule"]}
+    assert min(gains["slowest_crossover"] for gains in alone.values()) >= 0.99 * study["one"]["slowest_crossover"]
+    w, crossings = np.geomspace(0.1, 300.0, 30_000), {}
+    for inertia, own in alone.items():
+        plant = sample_axis(loaded(gantry, inertia, 1.0))
+        for name, gains in (("own", own), ("one", study["one"])):
+            size = np.abs(SampledVelocityLoop(plant, gains["k_v1"], gains["t_v"], PI).plant_input_response(w))
+            crossings[name, inertia] = w[np.argmax(size < 1.0)]
+        assert own["slowest_crossover"] == pytest.approx(crossings["own", inertia], rel=1e-3)
+    assert study["one"]["slowest_crossover"] == pytest.approx(
+        min(crossings["one", inertia] for inertia in alone), rel=1e-3
+    )

@@ -7,6 +7,7 @@ import pytest
 
 from emps_design.effects import get_effect
 from emps_design.effects.effect import CHECK_BASELINE
+from emps_design.errors import InputError
 from emps_design.machines import machine
 from emps_design.simulation import Plant
 
@@ -78,3 +79,20 @@ def test_the_linear_plant_has_the_friction_where_it_is(kind):
     plant = linear_plant(axis)
     a, b = plant.A[1:, 1:], plant.B[1:]  # without the position, which has no rest
     assert -np.linalg.solve(a, b)[0] == pytest.approx(axis.drive.gain / axis.mechanics.viscous, rel=1e-3)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("given", [{"frequency": 0.3}, {"frequency": 900.0}, {"share": 0.99}, {"damping": 2.0}])
+def test_a_file_may_say_more_than_a_search_looks_at(kind, given):
+    effect = get_effect(kind)
+    bounds = {p.name: (p.lower, p.upper) for p in effect.parameters}
+    ((name, value),) = given.items()
+    assert effect.values({**numbers(kind), **given})[[*bounds].index(name)] == value
+    assert (bounds["frequency"], bounds["damping"], bounds["share"]) == ((5.0, 400.0), (0.0, 1.0), (0.01, 0.95))
+    assert not bounds[name][0] <= value <= bounds[name][1]
+
+
+@pytest.mark.parametrize("frequency", [0.0, 0.05, 3e4, np.inf])
+def test_what_no_machine_has_is_refused(frequency):
+    with pytest.raises(InputError, match="frequency: found"):
+        get_effect("flexible_coupling").values({**numbers("flexible_coupling"), "frequency": frequency})

@@ -4,12 +4,15 @@ import numpy as np
 import pytest
 
 from benchmarks.frequency_response import random_axis
+from emps_design.control.velocity.load_range import loaded
+from emps_design.control.velocity.structure import PI
 from emps_design.errors import InputError
 from emps_design.frequency_response import FrequencyResponse, estimate_response
 from emps_design.frequency_response.comparison import Comparison, axis_response
 from emps_design.frequency_response.coupling import MassChain, fit_chain
+from emps_design.frequency_response.suggestion import suggest_filter_on_response
 from emps_design.machines import machine
-from tests.unit.frequency_response.cases import exact, experiment, two_mass
+from tests.unit.frequency_response.cases import COUPLING, exact, experiment, two_mass
 
 F = np.arange(2.0, 200.0)
 CHAINS = {
@@ -94,3 +97,19 @@ def test_too_few_lines_for_a_mass():
     assert fit_chain(one).masses.size == 1
     with pytest.raises(InputError, match="found 1 lines, expected more than a mass has parameters"):
         fit_chain(one.every(4))
+
+
+@pytest.mark.parametrize(("frequency", "mass", "viscous"), [(900.0, 0.02, 0.01), (1.5, 2000.0, 800.0)])
+def test_a_filter_is_looked_for_at_resonances_that_no_search_looks_at(frequency, mass, viscous):
+    period = 0.048 / frequency
+    rigid = machine("emps2018").replace(
+        mechanics={"mass": mass, "viscous": viscous}, drive={"current_time_constant": 0.0}, sampling={"period": period}
+    )
+    bent = rigid.replace(effects=[{**COUPLING, "frequency": frequency, "share": 0.7}])
+    f = np.geomspace(0.05, 8.0, 100) * frequency
+    response = FrequencyResponse.of(f, exact(bent, f), np.full(f.size, 0.01), name="far")
+    found = suggest_filter_on_response(response, rigid, 50.0, PI, ())
+    without = found["without"]
+    assert without["crossover"] > 0.0
+    assert without["measured"]["phase_margin_deg"] == pytest.approx(50.0, abs=1.0)
+    assert loaded(bent, 40.0, 2.0).effects[0].parameters["share"] > 0.95
