@@ -244,5 +244,5 @@ def test_what_comes_from_a_profile_is_its_generators_own_to_second_order():
 
 
 def test_without_a_position_loop_nothing_is_taken_from_a_profile():
-    with pytest.raises(AxisError, match=r'feedforward.source: found "profile", expected "difference"'):
+    with pytest.raises(AxisError, match=r'feedforward.source: found "profile", expected none'):
         axis_with("velocity", feedforward={"source": "profile"})

@@ -113,10 +113,10 @@ class Feedforward(Group):
     velocity: Finite = parameter("share of the reference velocity that the velocity loop is given", "", 0.0)
     acceleration: Finite = parameter("feed-forward of the acceleration", "V/(m/s^2)", 0.0)
     coulomb: Finite = parameter("feed-forward of the Coulomb friction", "V", 0.0)
-    source: Literal["difference", "profile"] = parameter(
-        "difference: velocity and acceleration of the reference's last steps; profile: its generator's, at the sample",
+    source: Literal["profile"] | None = parameter(
+        "profile: velocity and acceleration are its generator's, at the sample; left out: of the reference's last steps",
         "",
-        "difference",
+        None,
     )
 
 
@@ -147,10 +147,9 @@ class Table(LawTable):
 
     @model_validator(mode="after")
     def _velocity_share(self):
-        if self.position is None and self.feedforward is not None and self.feedforward.source != "difference":
+        if self.position is None and self.feedforward is not None and self.feedforward.source is not None:
             raise ValueError(
-                'feedforward.source: found "profile", expected "difference": without a position loop the reference is '
-                "the velocity"
+                'feedforward.source: found "profile", expected none: without a position loop the reference is the velocity'
             )
         if self.position is None and self.feedforward is not None and self.feedforward.velocity not in (0.0, 1.0):
             raise ValueError(
