@@ -114,7 +114,7 @@ class Feedforward(Group):
     acceleration: Finite = parameter("feed-forward of the acceleration", "V/(m/s^2)", 0.0)
     coulomb: Finite = parameter("feed-forward of the Coulomb friction", "V", 0.0)
     source: Literal["profile"] | None = parameter(
-        "profile: velocity and acceleration are its generator's, at the sample; left out: of the reference's last steps",
+        "profile: velocity and acceleration of its generator, at the sample; left out: of the reference's steps",
         "",
         None,
     )
@@ -149,7 +149,7 @@ class Table(LawTable):
     def _velocity_share(self):
         if self.position is None and self.feedforward is not None and self.feedforward.source is not None:
             raise ValueError(
-                'feedforward.source: found "profile", expected none: without a position loop the reference is the velocity'
+                'feedforward.source: found "profile", expected none: without a position loop the reference is a velocity'
             )
         if self.position is None and self.feedforward is not None and self.feedforward.velocity not in (0.0, 1.0):
             raise ValueError(
