@@ -149,7 +149,7 @@ class Table(LawTable):
     def _velocity_share(self):
         if self.position is None and self.feedforward is not None and self.feedforward.source is not None:
             raise ValueError(
-                'feedforward.source: found "profile", expected none: without a position loop the reference is a velocity'
+                'feedforward.source: found "profile", expected none: without a position loop it is a velocity'
             )
         if self.position is None and self.feedforward is not None and self.feedforward.velocity not in (0.0, 1.0):
             raise ValueError(
