@@ -18,7 +18,11 @@ BLOCK = 4.0  # s, of what does not repeat
 
 @dataclass(frozen=True, eq=False)
 class Extra:
-    """What else an estimate found: periods, scatter between the passes, distortion, and the ratio of spectra (m,)."""
+    """What else an estimate found: periods, scatter between the passes, distortion, and the ratio of spectra (m,).
+
+    ``steps`` is the power of the encoder's steps that repeats over what would by chance, where most of the noise is
+    that.
+    """
 
     passes: int
     periods: int
@@ -26,6 +30,7 @@ class Extra:
     ratio: np.ndarray
     scatter: float = 1.0
     distortion: Distortion | None = None
+    steps: float = 1.0
 
 
 def periodic_answer(read: list[Signals], highest: float, tell: Progress) -> tuple[Answer, Extra]:
@@ -56,7 +61,7 @@ def periodic_answer(read: list[Signals], highest: float, tell: Progress) -> tupl
     answer, ratio, scatter = _mean([one.at(excited) for one in found], frequency)
     distortion = distortion_of(found, excited, float(frequency[0] / line[0]), answer.z[:, 0] / answer.z[:, 1])
     periods = sum(one.periods for one in found)
-    return answer, Extra(len(found), periods, periods, ratio, scatter, distortion)
+    return answer, Extra(len(found), periods, periods, ratio, scatter, distortion, _steps(found, excited))
 
 
 def stepped_answer(read: list[Signals], highest: float, tell: Progress) -> tuple[Answer, Extra]:
@@ -71,6 +76,7 @@ def stepped_answer(read: list[Signals], highest: float, tell: Progress) -> tuple
     if len(lines) < 4:
         raise RecordError(f"{read[0].name}: found {len(lines)} steps at different lines, expected at least 4")
     means = [_mean(lines[f], np.array([f])) for f in sorted(lines)]
+    repeated = _steps([one for f in lines for one in lines[f]], np.array([True]))
     answers = [answer for answer, _, _ in means]
     answer = Answer(
         np.concatenate([one.frequency for one in answers]),
@@ -82,7 +88,14 @@ def stepped_answer(read: list[Signals], highest: float, tell: Progress) -> tuple
     steps = sum(map(len, lines.values()))
     blocks_of = float(np.mean([sum(one.periods for one in lines[f]) for f in lines]))
     scatter = float(np.mean([scatter for _, _, scatter in means]))
-    return answer, Extra(steps, round(blocks_of), blocks_of, np.concatenate([ratio for _, ratio, _ in means]), scatter)
+    ratio = np.concatenate([ratio for _, ratio, _ in means])
+    return answer, Extra(steps, round(blocks_of), blocks_of, ratio, scatter, steps=repeated)
+
+
+def _steps(found: list[Spectra], excited: np.ndarray) -> float:
+    """What repeats of the encoder's steps over what would by chance; 1 where that is not most of the noise."""
+    share = np.median([one.repeated[excited] / one.noise[excited, 0, 0].real for one in found])
+    return float(np.median([one.by_chance for one in found])) if share > 0.5 else 1.0
 
 
 def _mean(found: list[Spectra], frequency: np.ndarray) -> tuple[Answer, np.ndarray, float]:
@@ -94,6 +107,9 @@ def _mean(found: list[Spectra], frequency: np.ndarray) -> tuple[Answer, np.ndarr
     own = np.array([one.noise / np.abs(one.r[:, None, None]) ** 2 for one in found])
     z = np.sum(share[..., None] * each, axis=0)
     noise = np.sum(share[..., None, None] ** 2 * own, axis=0)
+    # What repeats of the encoder's steps does so on the next pass too: of it amplitudes add up.
+    repeated = share * np.sqrt([one.repeated / np.abs(one.r) ** 2 for one in found])
+    noise[:, 0, 0] += np.sum(repeated, axis=0) ** 2 - np.sum(repeated**2, axis=0)
     answer = Answer(frequency, z, noise, float(found[0].freedom * len(found)), weights.sum(axis=0))
     g = z[:, 0] / z[:, 1]
     scatter = 1.0

@@ -12,7 +12,7 @@ Source: R. Pintelon and J. Schoukens, System Identification: A Frequency Domain 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -45,6 +45,7 @@ WORST = 0.5  # relative deviation beyond which a line says nothing
 CLEAR = 10.0  # times the noise that the answers of command and position have to be, or their quotient is the noise's
 MANY = 24  # blocks from which on averaged spectra do
 POOLED = 9  # neighbouring lines whose noise is averaged
+REPEATED = 1.5  # times what would by chance, the encoder's steps that repeat that are worth a word
 RESTING = 0.01  # share of the time from which on a rest is worth a word
 
 
@@ -133,12 +134,13 @@ def estimate_response(
     axis = axis.supplied_by(*several)
     period = _same_period(several, axis)
     nyquist = 0.5 / period
-    if max(low, high or 0.0) > nyquist:
-        raise RecordError(
-            f"{several[0].name}: found a frequency of {max(low, high or 0.0):g} Hz, expected at most the Nyquist "
-            f"frequency, {nyquist:g} Hz"
-        )
-    highest = min(high or np.inf, HIGHEST_SHARE * nyquist)
+    for bound in (low, *(() if high is None else (high,))):
+        if not 0.0 <= bound <= nyquist:
+            raise RecordError(
+                f"{several[0].name}: found a frequency of {bound:g} Hz, expected at most the Nyquist frequency, "
+                f"{nyquist:g} Hz, and at least 0"
+            )
+    highest = min(np.inf if high is None else high, HIGHEST_SHARE * nyquist)
     if low >= highest:
         raise RecordError(
             f"{several[0].name}: found a band from {low:g} to {highest:g} Hz, expected its lowest frequency below its "
@@ -228,8 +230,11 @@ def _finished(
     std = np.sqrt(variance + aliases**2)
     of_q, of_u = C[:, 0, 0].real, C[:, 1, 1].real
     if method != "stepped":
-        of_q, of_u = _near(of_q), _near(of_u)
-    clear = np.minimum(np.abs(z_q) ** 2 / of_q, np.abs(z_u) ** 2 / of_u) >= CLEAR
+        of_q, of_u = _near(of_q, np.mean), _near(of_u, np.mean)
+    above = np.minimum(np.abs(z_q) ** 2 / of_q, np.abs(z_u) ** 2 / of_u)
+    if method != "stepped":  # a line that is kept because its own answer happens to be large is too large
+        above = _near(above, np.median)
+    clear = above >= CLEAR
     kept = clear & (std <= WORST) & (answer.frequency >= low) & (answer.frequency <= highest * (1.0 + 1e-9))
     name = ", ".join(record.name for record in records)
     if np.count_nonzero(kept) < 4:
@@ -276,11 +281,11 @@ def _pooled(variance: np.ndarray, size: np.ndarray) -> np.ndarray:
     return np.where(output, as_output / power, as_input)
 
 
-def _near(power: np.ndarray) -> np.ndarray:
-    """``power`` (n,) averaged over neighbouring lines."""
+def _near(power: np.ndarray, kind: Callable[..., np.ndarray]) -> np.ndarray:
+    """The mean or the median, as ``kind`` says, of ``power`` (n,) over neighbouring lines."""
     half = min(POOLED // 2, (power.size - 1) // 2)
     near = np.clip(np.arange(power.size)[:, None] + np.arange(-half, half + 1), 0, power.size - 1)
-    return np.mean(power[near], axis=1)
+    return kind(power[near], axis=1)
 
 
 def _for_few(freedom: float) -> float:
@@ -303,6 +308,12 @@ def _words(extra: Extra, reversals: int, rest: float, seconds: float, left_out: 
         words.append(
             f"the passes differ {np.sqrt(extra.scatter):.2g} times as much as noise explains, and the deviations are "
             "as much larger: the plant depends on position, direction or time"
+        )
+    if extra.steps > REPEATED:
+        words.append(
+            f"the encoder's steps repeat with the excitation, {extra.steps:.2g} times as much as by chance, and the "
+            "deviations are raised for it: the carriage runs whole steps, or a simple share of one, in each period; "
+            "excite it at a slightly different speed"
         )
     if extra.distortion is not None:
         words += extra.distortion.words

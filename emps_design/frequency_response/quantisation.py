@@ -26,7 +26,7 @@ def repeated_share(advance: np.ndarray | float, periods: int) -> np.ndarray:
     """The share of the quantisation's power that repeats in ``periods``, at an ``advance`` (...) in steps by period.
 
     >>> repeated_share(np.array([17.0, 17.5, 17.618]), 4).round(2).tolist()
-    [1.0, 0.24, 0.1]
+    [1.0, 0.25, 0.1]
     """
     m = np.arange(1, HARMONICS + 1)
     turn = np.asarray(advance)[..., None] * m
@@ -101,8 +101,7 @@ def quantised(
     # Where the carriage is within a step nobody knows. Rounding is odd, or even, about two places each: the worst is
     # as far above the mean as the second harmonic says.
     worst = 1.0 + 2.0 * float(np.abs(np.fft.rfft(levels)[2])) / float(np.sum(levels))
-    more = worst * np.maximum(on - off, 0.0)
-    return more * white, float(np.mean((off + more)[excited]))
+    return worst * np.maximum(on - off, 0.0) * white, float(np.mean(on[excited]))
 
 
 def _unsure(left: np.ndarray, periods: int) -> np.ndarray:
