@@ -32,6 +32,7 @@ from emps_design.frequency_response.broadband import Answer, blocks
 from emps_design.frequency_response.comparison import Comparison
 from emps_design.frequency_response.distortion import Distortion
 from emps_design.frequency_response.hold import continuous_from_increments, without_aliases
+from emps_design.frequency_response.phase import has_wrong_sign
 from emps_design.frequency_response.resonances import Resonance, resonances
 from emps_design.frequency_response.response import BAND, FrequencyResponse
 from emps_design.frequency_response.signals import Signals, motion, signals_of
@@ -102,7 +103,7 @@ class Estimate:
             "rest_share": self.rest_share,
             "lines_left_out": self.left_out,
             "units": {"frequency_hz": "Hz", "magnitude": "(m/s)/N", "std": "of the modulus"},
-            "warnings": list(self.warnings),
+            "warnings": [*self.warnings, *self.comparison.chain.warnings],
         }
 
     def _repr_html_(self) -> str:
@@ -262,7 +263,7 @@ def _finished(
         rest,
         left_out,
         axis,
-        tuple(_words(extra, reversals, rest, seconds, left_out)),
+        tuple(_words(found, extra, reversals, rest, seconds, left_out)),
     )
 
 
@@ -295,9 +296,16 @@ def _for_few(freedom: float) -> float:
     return float(f.ppf(0.95, 2.0, 2.0 * max(freedom, 1.0)) / BAND**2)
 
 
-def _words(extra: Extra, reversals: int, rest: float, seconds: float, left_out: int) -> list[str]:
+def _words(
+    found: FrequencyResponse, extra: Extra, reversals: int, rest: float, seconds: float, left_out: int
+) -> list[str]:
     """What a reader of the response has to know."""
     words = []
+    if has_wrong_sign(found):
+        words.append(
+            f"the command has the wrong sign: at {found.frequency[0]:.3g} Hz the phase of the response is "
+            f"{found.phase_deg[0]:.0f} deg, expected between -90 (a mass) and 0 (a friction)"
+        )
     if reversals > extra.passes or rest > RESTING:
         words.append(
             f"the carriage reverses {reversals} times in {seconds:.3g} s and rests {100 * rest:.2g} % of it: dry "
