@@ -1,19 +1,17 @@
-"""What a loop answers to its instrument, from records that repeat, that step from line to line, or neither."""
+"""What a loop answers to its instrument, from records that repeat, or that step from line to line."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from emps_design.errors import RecordError
-from emps_design.frequency_response.broadband import Answer, blocks, local_polynomial, welch
+from emps_design.frequency_response.broadband import Answer
 from emps_design.frequency_response.distortion import Distortion, distortion_of
 from emps_design.frequency_response.periodic import Spectra, spectra, step_spectra
-from emps_design.frequency_response.signals import COMMAND, Signals
+from emps_design.frequency_response.signals import Signals
 from emps_design.progress import Progress
-
-BLOCK = 4.0  # s, of what does not repeat
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +19,7 @@ class Extra:
     """What else an estimate found: periods, scatter between the passes, distortion, and the ratio of spectra (m,).
 
     ``steps`` is the power of the encoder's steps that repeats over what would by chance, where most of the noise is
-    that.
+    that. ``bias`` is the relative variance, (m,) or 0, of what is no noise and no average lowers.
     """
 
     passes: int
@@ -31,6 +29,7 @@ class Extra:
     scatter: float = 1.0
     distortion: Distortion | None = None
     steps: float = 1.0
+    bias: np.ndarray | float = 0.0
 
 
 def periodic_answer(read: list[Signals], highest: float, tell: Progress) -> tuple[Answer, Extra]:
@@ -121,42 +120,3 @@ def _mean(found: list[Spectra], frequency: np.ndarray) -> tuple[Answer, np.ndarr
     ratio = np.sum([o.z[:, 0] * o.z[:, 1].conj() + o.noise[:, 0, 1] * o.periods for o in found], axis=0)
     ratio /= np.sum([np.abs(o.z[:, 1]) ** 2 + o.noise[:, 1, 1].real * o.periods for o in found], axis=0)
     return answer, ratio, scatter
-
-
-def broadband_answer(
-    read: list[Signals], method: str, low: float, highest: float, tell: Progress
-) -> tuple[Answer, Extra]:
-    """The answer of what does not repeat, by the ``method`` local-polynomial or welch."""
-    period = read[0].period
-    ratio_of = [replace(one, r=one.u, kind=COMMAND) for one in read]
-    samples = round(BLOCK / period)
-    if method == "welch":
-        answers = [welch(one, samples // 4, low, highest) for one in read]
-        ratios = [welch(one, samples // 4, low, highest) for one in ratio_of]
-    else:
-        parts = [(one, other, part) for one, other in zip(read, ratio_of, strict=True) for part in blocks(one, samples)]
-        shortest = min((part.stop - part.start for _, _, part in parts), default=0)
-        if shortest < 8 * 10:
-            raise RecordError(f"{read[0].name}: found stretches of {shortest} samples, expected at least 80")
-        # Blocks of one length have their lines at the same frequencies.
-        parts = [(a, b, slice(part.start, part.start + shortest)) for a, b, part in parts]
-        answers, ratios = [], []
-        for i, (one, other, part) in enumerate(parts):
-            tell("local polynomials", i / len(parts))
-            answers.append(local_polynomial(one, part, low, highest))
-            ratios.append(local_polynomial(other, part, low, highest))
-    answer, ratio = _averaged(answers), _averaged(ratios)
-    count = len(answers) if method != "welch" else max(1, round(answer.freedom))
-    return answer, Extra(len(answers), count, count, ratio.z[:, 0] / ratio.z[:, 1])
-
-
-def _averaged(answers: list[Answer]) -> Answer:
-    """Several answers at the same lines as one, each by the power of its instrument."""
-    if len({one.frequency.size for one in answers}) > 1 or not answers[0].frequency.size:
-        raise RecordError("found no lines between the lowest and the highest frequency, expected a wider band")
-    weights = np.array([one.weight for one in answers])
-    share = weights / weights.sum(axis=0)
-    z = np.sum(share[..., None] * np.array([one.z for one in answers]), axis=0)
-    noise = np.sum(share[..., None, None] ** 2 * np.array([one.noise for one in answers]), axis=0)
-    freedom = sum(one.freedom for one in answers)
-    return Answer(answers[0].frequency, z, noise, freedom, weights.sum(axis=0))

@@ -22,13 +22,11 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.errors import RecordError
 from emps_design.frequency_response.answers import (
-    BLOCK,
     Extra,
-    broadband_answer,
     periodic_answer,
     stepped_answer,
 )
-from emps_design.frequency_response.broadband import Answer, blocks
+from emps_design.frequency_response.broadband import CLEAR, Answer
 from emps_design.frequency_response.comparison import Comparison
 from emps_design.frequency_response.distortion import Distortion
 from emps_design.frequency_response.hold import continuous_from_increments, without_aliases
@@ -36,6 +34,7 @@ from emps_design.frequency_response.phase import has_wrong_sign
 from emps_design.frequency_response.resonances import Resonance, resonances
 from emps_design.frequency_response.response import BAND, FrequencyResponse
 from emps_design.frequency_response.signals import Signals, motion, signals_of
+from emps_design.frequency_response.unrepeated import broadband_answer
 from emps_design.observer import given_back, motor_share
 from emps_design.progress import Progress, untold
 from emps_design.records import Record
@@ -43,8 +42,6 @@ from emps_design.records import Record
 METHODS = ("periodic", "stepped", "local-polynomial", "welch")
 HIGHEST_SHARE = 0.8  # of the Nyquist frequency; above it the aliases are as large as the response
 WORST = 0.5  # relative deviation beyond which a line says nothing
-CLEAR = 10.0  # times the noise that the answers of command and position have to be, or their quotient is the noise's
-MANY = 24  # blocks from which on averaged spectra do
 POOLED = 9  # neighbouring lines whose noise is averaged
 REPEATED = 1.5  # times what would by chance, the encoder's steps that repeat that are worth a word
 RESTING = 0.01  # share of the time from which on a rest is worth a word
@@ -191,8 +188,7 @@ def _method(read: list[Signals]) -> str:
         return "stepped"
     if all(one.repeats and one.stretches for one in read) and len({one.repeats for one in read}) == 1:
         return "periodic"
-    count = sum(1 for one in read for _ in blocks(one, round(BLOCK / one.period)))
-    return "welch" if count >= MANY else "local-polynomial"
+    return "local-polynomial"
 
 
 def _finished(
@@ -214,12 +210,7 @@ def _finished(
         return continuous_from_increments(ratio, w, period, late) / gain
 
     z_q, z_u, C = answer.z[:, 0], answer.z[:, 1], answer.noise
-    variance = (
-        C[:, 0, 0].real / np.abs(z_q) ** 2
-        + C[:, 1, 1].real / np.abs(z_u) ** 2
-        - 2.0 * (C[:, 0, 1] / (z_q * z_u.conj())).real
-    )
-    variance, freedom = np.maximum(variance, 0.0), answer.freedom
+    variance, freedom = answer.variance, answer.freedom
     if method != "stepped":  # where lines are far apart, each with an amplitude of its own
         variance = _pooled(variance, np.abs(z_q / z_u))
         freedom *= min(POOLED, variance.size) * (1.0 if method == "periodic" else 0.5)
@@ -227,6 +218,7 @@ def _finished(
     if extra.distortion is not None:
         variance = variance + extra.distortion.odd_variance(answer.frequency)
     coherence = 1.0 / (1.0 + variance * extra.averages)
+    variance = variance + extra.bias
     response, aliases = without_aliases(w, plant(z_q / z_u), np.sqrt(variance), period)
     std = np.sqrt(variance + aliases**2)
     of_q, of_u = C[:, 0, 0].real, C[:, 1, 1].real
