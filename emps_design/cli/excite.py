@@ -19,7 +19,7 @@ def command(
     context: typer.Context,
     axis: str = typer.Argument("emps2019", help="TOML file or embedded machine, with its controller."),
     stroke: float = typer.Option(..., "--stroke", help="Travel that may be used [m]."),
-    speed: float = typer.Option(..., "--speed", help="Speed of the passes [m/s]; the excitation takes 80 % of it."),
+    speed: float = typer.Option(..., "--speed", help="Speed of the passes, at most [m/s]; the excitation takes 80 %."),
     low: float = typer.Option(2.0, "--from", **HERTZ, help="Lowest frequency [Hz]."),
     high: float | None = typer.Option(None, "--to", **HERTZ, help="Highest frequency [Hz]; 0.8 of Nyquist."),
     resolution: float = typer.Option(
@@ -89,6 +89,7 @@ def _show(found: Experiment, out: Path | None) -> None:
         f"{found.samples * found.period:g} s, {found.q_ref.size * found.period:.4g} s in all"
     )
     console.print(
+        f"passes at {found.speed:.5g} {unit('m/s')} (asked: {found.asked:.5g}), "
         f"speed {peaks['slowest']:.4g} to {peaks['velocity']:.4g} {unit('m/s')}, command at most "
         f"{peaks['command']:.4g} {unit('V')}, travel {peaks['stroke']:.4g} {unit('m')}; the amplitude is bound by the "
         f"{found.bound_by}"

@@ -66,7 +66,7 @@ def command(
         print_json(found)
     else:
         _show(found, loaded.units.unit)
-    print_warnings(found.warnings)
+    print_warnings([*found.warnings, *found.comparison.chain.warnings])
 
 
 def _draw(path: Path, found: Estimate) -> None:
@@ -118,8 +118,9 @@ def _show(found: Estimate, unit: Callable[[str], str]) -> None:
         console.print(f"{one.kind} at {one.frequency:.2f} +- {one.std:.2f} Hz, damping {one.damping:.3f}")
     chain = found.comparison.chain
     values = [
-        f"{name.replace('_', ' ')} {value:.5g} +- {std:.2g} {unit(of)}".rstrip()
+        f"{name.replace('_', ' ')} {f'{value:.5g} +- {std:.2g} {unit(of)}'.rstrip() if known else 'not determined'}"
         for name, (value, std, of) in chain.parameters.items()
+        for known in [chain.determines(name)]
     ]
     console.print(f"fitted, {chain.label}: {', '.join(values)} (residuals {chain.misfit:.2g} deviations)")
     console.print(f"{found.axis.name}: {found.comparison.agreement.sentence}")

@@ -1,24 +1,26 @@
-"""What a loop answers to its instrument, from records that repeat, that step from line to line, or neither."""
+"""What a loop answers to its instrument, from records that repeat, or that step from line to line."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from emps_design.errors import RecordError
-from emps_design.frequency_response.broadband import Answer, blocks, local_polynomial, welch
+from emps_design.frequency_response.broadband import Answer
 from emps_design.frequency_response.distortion import Distortion, distortion_of
 from emps_design.frequency_response.periodic import Spectra, spectra, step_spectra
-from emps_design.frequency_response.signals import COMMAND, Signals
+from emps_design.frequency_response.signals import Signals
 from emps_design.progress import Progress
-
-BLOCK = 4.0  # s, of what does not repeat
 
 
 @dataclass(frozen=True, eq=False)
 class Extra:
-    """What else an estimate found: periods, scatter between the passes, distortion, and the ratio of spectra (m,)."""
+    """What else an estimate found: periods, scatter between the passes, distortion, and the ratio of spectra (m,).
+
+    ``steps`` is the power of the encoder's steps that repeats over what would by chance, where most of the noise is
+    that. ``bias`` is the relative variance, (m,) or 0, of what is no noise and no average lowers.
+    """
 
     passes: int
     periods: int
@@ -26,6 +28,8 @@ class Extra:
     ratio: np.ndarray
     scatter: float = 1.0
     distortion: Distortion | None = None
+    steps: float = 1.0
+    bias: np.ndarray | float = 0.0
 
 
 def periodic_answer(read: list[Signals], highest: float, tell: Progress) -> tuple[Answer, Extra]:
@@ -56,7 +60,7 @@ def periodic_answer(read: list[Signals], highest: float, tell: Progress) -> tupl
     answer, ratio, scatter = _mean([one.at(excited) for one in found], frequency)
     distortion = distortion_of(found, excited, float(frequency[0] / line[0]), answer.z[:, 0] / answer.z[:, 1])
     periods = sum(one.periods for one in found)
-    return answer, Extra(len(found), periods, periods, ratio, scatter, distortion)
+    return answer, Extra(len(found), periods, periods, ratio, scatter, distortion, _steps(found, excited))
 
 
 def stepped_answer(read: list[Signals], highest: float, tell: Progress) -> tuple[Answer, Extra]:
@@ -71,6 +75,7 @@ def stepped_answer(read: list[Signals], highest: float, tell: Progress) -> tuple
     if len(lines) < 4:
         raise RecordError(f"{read[0].name}: found {len(lines)} steps at different lines, expected at least 4")
     means = [_mean(lines[f], np.array([f])) for f in sorted(lines)]
+    repeated = _steps([one for f in lines for one in lines[f]], np.array([True]))
     answers = [answer for answer, _, _ in means]
     answer = Answer(
         np.concatenate([one.frequency for one in answers]),
@@ -82,7 +87,14 @@ def stepped_answer(read: list[Signals], highest: float, tell: Progress) -> tuple
     steps = sum(map(len, lines.values()))
     blocks_of = float(np.mean([sum(one.periods for one in lines[f]) for f in lines]))
     scatter = float(np.mean([scatter for _, _, scatter in means]))
-    return answer, Extra(steps, round(blocks_of), blocks_of, np.concatenate([ratio for _, ratio, _ in means]), scatter)
+    ratio = np.concatenate([ratio for _, ratio, _ in means])
+    return answer, Extra(steps, round(blocks_of), blocks_of, ratio, scatter, steps=repeated)
+
+
+def _steps(found: list[Spectra], excited: np.ndarray) -> float:
+    """What repeats of the encoder's steps over what would by chance; 1 where that is not most of the noise."""
+    share = np.median([one.repeated[excited] / one.noise[excited, 0, 0].real for one in found])
+    return float(np.median([one.by_chance for one in found])) if share > 0.5 else 1.0
 
 
 def _mean(found: list[Spectra], frequency: np.ndarray) -> tuple[Answer, np.ndarray, float]:
@@ -94,6 +106,9 @@ def _mean(found: list[Spectra], frequency: np.ndarray) -> tuple[Answer, np.ndarr
     own = np.array([one.noise / np.abs(one.r[:, None, None]) ** 2 for one in found])
     z = np.sum(share[..., None] * each, axis=0)
     noise = np.sum(share[..., None, None] ** 2 * own, axis=0)
+    # What repeats of the encoder's steps does so on the next pass too: of it amplitudes add up.
+    repeated = share * np.sqrt([one.repeated / np.abs(one.r) ** 2 for one in found])
+    noise[:, 0, 0] += np.sum(repeated, axis=0) ** 2 - np.sum(repeated**2, axis=0)
     answer = Answer(frequency, z, noise, float(found[0].freedom * len(found)), weights.sum(axis=0))
     g = z[:, 0] / z[:, 1]
     scatter = 1.0
@@ -105,42 +120,3 @@ def _mean(found: list[Spectra], frequency: np.ndarray) -> tuple[Answer, np.ndarr
     ratio = np.sum([o.z[:, 0] * o.z[:, 1].conj() + o.noise[:, 0, 1] * o.periods for o in found], axis=0)
     ratio /= np.sum([np.abs(o.z[:, 1]) ** 2 + o.noise[:, 1, 1].real * o.periods for o in found], axis=0)
     return answer, ratio, scatter
-
-
-def broadband_answer(
-    read: list[Signals], method: str, low: float, highest: float, tell: Progress
-) -> tuple[Answer, Extra]:
-    """The answer of what does not repeat, by the ``method`` local-polynomial or welch."""
-    period = read[0].period
-    ratio_of = [replace(one, r=one.u, kind=COMMAND) for one in read]
-    samples = round(BLOCK / period)
-    if method == "welch":
-        answers = [welch(one, samples // 4, low, highest) for one in read]
-        ratios = [welch(one, samples // 4, low, highest) for one in ratio_of]
-    else:
-        parts = [(one, other, part) for one, other in zip(read, ratio_of, strict=True) for part in blocks(one, samples)]
-        shortest = min((part.stop - part.start for _, _, part in parts), default=0)
-        if shortest < 8 * 10:
-            raise RecordError(f"{read[0].name}: found stretches of {shortest} samples, expected at least 80")
-        # Blocks of one length have their lines at the same frequencies.
-        parts = [(a, b, slice(part.start, part.start + shortest)) for a, b, part in parts]
-        answers, ratios = [], []
-        for i, (one, other, part) in enumerate(parts):
-            tell("local polynomials", i / len(parts))
-            answers.append(local_polynomial(one, part, low, highest))
-            ratios.append(local_polynomial(other, part, low, highest))
-    answer, ratio = _averaged(answers), _averaged(ratios)
-    count = len(answers) if method != "welch" else max(1, round(answer.freedom))
-    return answer, Extra(len(answers), count, count, ratio.z[:, 0] / ratio.z[:, 1])
-
-
-def _averaged(answers: list[Answer]) -> Answer:
-    """Several answers at the same lines as one, each by the power of its instrument."""
-    if len({one.frequency.size for one in answers}) > 1 or not answers[0].frequency.size:
-        raise RecordError("found no lines between the lowest and the highest frequency, expected a wider band")
-    weights = np.array([one.weight for one in answers])
-    share = weights / weights.sum(axis=0)
-    z = np.sum(share[..., None] * np.array([one.z for one in answers]), axis=0)
-    noise = np.sum(share[..., None, None] ** 2 * np.array([one.noise for one in answers]), axis=0)
-    freedom = sum(one.freedom for one in answers)
-    return Answer(answers[0].frequency, z, noise, freedom, weights.sum(axis=0))

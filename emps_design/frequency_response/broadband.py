@@ -19,6 +19,8 @@ from emps_design.frequency_response.signals import Signals
 
 NEAR = 10  # lines on either side
 ORDER = 2
+CLEAR = 10.0  # times the noise that the answers of command and position have to be, or their quotient is the noise's
+ROUGH = 0.05  # share of the instrument's power near a line that no parabola has, or it excites nothing there
 AT_ONCE = 2048  # lines fitted together
 FEWEST_BLOCKS = 4  # that averaged spectra are taken of
 
@@ -27,7 +29,8 @@ FEWEST_BLOCKS = 4  # that averaged spectra are taken of
 class Answer:
     """What instrument of amplitude 1 does at ``frequency`` (m,) [Hz]: ``z`` (m, 2), its ``noise`` (m, 2, 2) covariance.
 
-    ``freedom`` is that of the covariance, ``weight`` (m,) what to average several of them by: the instrument's power.
+    ``freedom`` is that of the covariance, ``weight`` (m,) what to average several of them by: the instrument's power,
+    or the inverse of what noise becomes in ``z``; 0 where the instrument excites nothing.
     """
 
     frequency: np.ndarray
@@ -35,6 +38,17 @@ class Answer:
     noise: np.ndarray
     freedom: float
     weight: np.ndarray
+
+    @property
+    def variance(self) -> np.ndarray:
+        """Of the quotient of position and command, relative, to first order (m,)."""
+        z_q, z_u, C = self.z[:, 0], self.z[:, 1], self.noise
+        found = (
+            C[:, 0, 0].real / np.abs(z_q) ** 2
+            + C[:, 1, 1].real / np.abs(z_u) ** 2
+            - 2.0 * (C[:, 0, 1] / (z_q * z_u.conj())).real
+        )
+        return np.maximum(found, 0.0)
 
 
 def blocks(signals: Signals, samples: int) -> Iterator[slice]:
@@ -59,7 +73,9 @@ def local_polynomial(signals: Signals, part: slice, lowest: float, highest: floa
     offsets = np.arange(-NEAR, NEAR + 1)
     powers = (offsets[:, None] / NEAR) ** np.arange(ORDER + 1)
     z, noise = np.empty((centres.size, 2), complex), np.empty((centres.size, 2, 2), complex)
+    weight = np.empty(centres.size)
     freedom = offsets.size - 2 * (ORDER + 1)
+    away = np.eye(offsets.size) - powers @ np.linalg.pinv(powers)
     for first in range(0, centres.size, AT_ONCE):
         own = slice(first, first + AT_ONCE)
         at = centres[own, None] + offsets
@@ -70,9 +86,11 @@ def local_polynomial(signals: Signals, part: slice, lowest: float, highest: floa
         left = both[at] - (K / scale) @ theta
         z[own] = theta[:, 0] / scale[:, 0, 0, None]
         grown = np.sum(np.abs(fit[:, 0]) ** 2, axis=-1) / scale[:, 0, 0] ** 2
+        # An instrument that is as smooth as a transient there, such as the leakage of a sweep, cannot be told from one.
+        rough = np.sum(np.abs(r[at] @ away) ** 2, axis=1) > ROUGH * np.sum(np.abs(r[at]) ** 2, axis=1)
+        weight[own] = np.where(rough, 1.0 / grown, 0.0)
         noise[own] = np.einsum("kli,klj->kij", left, left.conj()) / freedom * grown[:, None, None]
-    power = np.mean(np.abs(r[centres[:, None] + offsets]) ** 2, axis=1)
-    return Answer(centres * step, z, noise, freedom, power)
+    return Answer(centres * step, z, noise, freedom, weight)
 
 
 def welch(signals: Signals, samples: int, lowest: float, highest: float) -> Answer:

@@ -1,31 +1,28 @@
 """One, two or three masses behind one another, fitted to a measured response, with intervals.
 
-The force acts on the first mass, whose velocity is measured; springs k and dampers c lead to the next ones:
-
-    G(s) = e^{-s delay} / (F_v + Z_1),    Z_i = m_i s + 1 / (1/(k_i/s + c_i) + 1/Z_{i+1}),    Z_n = m_n s.
-
-Without damping Z_1 is M s times a product of (1 + s^2/p^2)/(1 + s^2/z^2), antiresonances z and resonances p in turn,
-and a continued fraction leads from these back to masses and springs (W. Cauer, 1926): they are where a fit starts, at
-what :mod:`.resonances` finds and at some places besides. The logarithm of model over measurement is weighed by the
-deviations of the data. Another mass is taken where the information criterion of Schwarz (1978) asks for it clearly,
-its resonance lies among the lines, and the deviations leave no doubt about its spring and its mass. The deviations
-are raised where the residuals are larger than those of the data explain.
+Without damping Z_1 of :mod:`.mass_chain` is M s times a product of (1 + s^2/p^2)/(1 + s^2/z^2), antiresonances z and
+resonances p in turn, and a continued fraction leads from these back to masses and springs (W. Cauer, 1926): they are
+where a fit starts, at what :mod:`.resonances` finds and at some places besides; the delay starts at what the phase
+turns by. The logarithm of model over measurement is weighed by the deviations of the data. Another mass is taken where
+the information criterion of Schwarz (1978) asks for it clearly, its resonance lies among the lines, and the deviations
+leave no doubt about its spring and its mass. The deviations are raised where the residuals are larger than those of
+the data explain.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from emps_design.axis import Axis
-from emps_design.effects.two_mass import linear_coupling
 from emps_design.errors import InputError
+from emps_design.frequency_response.mass_chain import MassChain as MassChain
+from emps_design.frequency_response.mass_chain import chain_response, natural, split
+from emps_design.frequency_response.phase import turning_delay
 from emps_design.frequency_response.resonances import resonances
 from emps_design.frequency_response.response import FrequencyResponse
 
@@ -37,103 +34,9 @@ INSIDE = 0.95  # share of the highest line below which a resonance has to lie
 UNKNOWN = 100.0  # deviation of the logarithm of what has no part in the response
 STARTS = 6  # places besides the resonances found
 MANY = 400  # lines that a fit takes, evenly among more
+NEAR = 4  # lines on either side, whose deviations tell what a line's own one should be
+ALIKE = 2.0  # factor within which they do
 APART = 1.15  # of a resonance to its antiresonance, where a fit starts without knowing
-
-
-@dataclass(frozen=True, eq=False)
-class MassChain:
-    """Masses [kg] (n,), springs [N/m] and dampers [N/(m/s)] (n - 1,), viscous friction [N/(m/s)], delay [s].
-
-    ``covariance`` is that of the logarithms of masses, springs and dampers, then of friction and delay; ``misfit`` the
-    rms of the residuals over the deviations of the data; ``criterion`` that of Schwarz for each number of masses tried.
-    """
-
-    masses: np.ndarray
-    springs: np.ndarray
-    dampers: np.ndarray
-    viscous: float
-    delay: float
-    covariance: np.ndarray
-    misfit: float
-    criterion: tuple[float, ...] = ()
-
-    @cached_property
-    def _theta(self) -> np.ndarray:
-        logs = np.log(np.concatenate([self.masses, self.springs, self.dampers]))
-        return np.concatenate([logs, [self.viscous, self.delay]])
-
-    def response(self, w: np.ndarray) -> np.ndarray:
-        """Force to velocity at ``w`` (n,) [rad/s]."""
-        return _response(self._theta, self.masses.size, 1j * np.asarray(w))
-
-    @property
-    def label(self) -> str:
-        """How many masses."""
-        return ("one mass", "two masses", "three masses")[self.masses.size - 1]
-
-    @property
-    def effect(self) -> dict[str, Any] | None:
-        """The ``[[effects]]`` table of the coupling between two masses; None for another number."""
-        if self.masses.size != 2:
-            return None
-        values = self.parameters
-        return linear_coupling(values["frequency"][0], values["damping"][0], values["share"][0])
-
-    def on(self, axis: Axis) -> Axis:
-        """``axis`` with mass, viscous friction and coupling as the response has them; of three masses not the coupling.
-
-        Its drive, with whatever delay and back-EMF it has, stays as it is: what that brakes is part of the response's.
-        """
-        values, effect = self.parameters, self.effect
-        kept = [one for one in axis.effects if effect is None or one.kind != effect["kind"]]
-        mechanics = {"mass": values["mass"][0], "viscous": max(values["viscous"][0] - axis.drive.braking, 0.0)}
-        return axis.replace(mechanics=mechanics, effects=[*kept, *([effect] if effect else [])])
-
-    @property
-    def parameters(self) -> dict[str, tuple[float, float, str]]:
-        """Name, value, standard deviation and unit: of two masses those of the effect of a coupling too."""
-        n = self.masses.size
-        found = {
-            "mass": (*self._of(lambda theta: float(np.sum(np.exp(theta[:n])))), "kg"),
-            "viscous": (*self._of(lambda theta: theta[-2]), "N/(m/s)"),
-            "delay": (*self._of(lambda theta: theta[-1]), "s"),
-        }
-        if n == 2:
-            for i, name in enumerate(("frequency", "damping", "share")):
-                found[name] = (*self._of(lambda theta, i=i: _effect(theta)[i]), ("Hz", "", "")[i])
-        if n > 2:
-            units = ("kg", "N/m", "N/(m/s)")
-            for start, name, unit in zip((0, n, 2 * n - 1), ("mass", "spring", "damper"), units, strict=True):
-                for i in range(n if name == "mass" else n - 1):
-                    found[f"{name}_{i + 1}"] = (*self._of(lambda theta, k=start + i: float(np.exp(theta[k]))), unit)
-            for i in range(n - 1):
-                found[f"resonance_{i + 1}"] = (*self._of(lambda theta, i=i: float(_natural(theta, n, 0)[i])), "Hz")
-                found[f"antiresonance_{i + 1}"] = (*self._of(lambda theta, i=i: float(_natural(theta, n, 1)[i])), "Hz")
-        return found
-
-    def _of(self, quantity: Callable[..., float]) -> tuple[float, float]:
-        """A function of the parameters and its deviation, to first order."""
-        steps = np.sqrt(np.diag(self.covariance)) * 1e-3 + 1e-300
-        units = np.eye(steps.size)
-        slope = np.array(
-            [
-                (quantity(self._theta + h * e) - quantity(self._theta - h * e)) / (2.0 * h)
-                for h, e in zip(steps, units, strict=True)
-            ]
-        )
-        return float(quantity(self._theta)), float(np.sqrt(slope @ self.covariance @ slope))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data."""
-        return {
-            "masses": self.masses.size,
-            "effect": self.effect,
-            "parameters": {
-                name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in self.parameters.items()
-            },
-            "misfit": self.misfit,
-            "criterion": list(self.criterion),
-        }
 
 
 def fit_chain(response: FrequencyResponse, most: int = MOST) -> MassChain:
@@ -148,13 +51,14 @@ def fit_chain(response: FrequencyResponse, most: int = MOST) -> MassChain:
     {'mass': 100.0, 'viscous': 200.0, 'frequency': 64.975, 'damping': 0.026, 'share': 0.4}
     """
     response = response.every(-(-len(response) // MANY))
-    tried = _fitted(response, [(np.array([1.0 / np.median(response.w * response.magnitude)]), (), ())])
+    mass = np.array([1.0 / np.median(response.w * response.magnitude)])
+    tried = _fitted(response, [(mass, (), ())], turning_delay(response))
     if tried is None:
         raise InputError(f"{response.name}: found {len(response)} lines, expected more than a mass has parameters")
     best, criterion = tried, [_criterion(tried, len(response))]
     lowest = criterion[0]
     for _ in range(1, most):  # a second mass may show only together with a third: each number is tried
-        tried = _fitted(response, _starts(tried, response))
+        tried = _fitted(response, _starts(tried, response), tried.delay)
         if tried is None:
             break
         criterion.append(_criterion(tried, len(response)))
@@ -163,43 +67,10 @@ def fit_chain(response: FrequencyResponse, most: int = MOST) -> MassChain:
     return replace(best, criterion=tuple(criterion))
 
 
-def _response(theta: np.ndarray, n: int, s: np.ndarray) -> np.ndarray:
-    masses, springs, dampers = _split(theta, n)
-    impedance = masses[-1] * s
-    for mass, spring, damper in zip(masses[-2::-1], springs[::-1], dampers[::-1], strict=True):
-        impedance = mass * s + 1.0 / (1.0 / (spring / s + damper) + 1.0 / impedance)
-    return np.exp(-s * theta[-1]) / (theta[-2] + impedance)
-
-
-def _split(theta: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    values = np.exp(np.clip(theta[:-2], -200.0, 200.0))
-    return values[:n], values[n : 2 * n - 1], values[2 * n - 1 :]
-
-
-def _effect(theta: np.ndarray) -> tuple[float, float, float]:
-    """Resonance [Hz] and damping of two free masses, and the share of the second."""
-    masses, springs, dampers = _split(theta, 2)
-    total = float(np.sum(masses))
-    reduced = float(np.prod(masses)) / total
-    w = float(np.sqrt(springs[0] / reduced))
-    return w / (2.0 * np.pi), float(dampers[0]) / (2.0 * reduced * w), float(masses[1]) / total
-
-
-def _natural(theta: np.ndarray, n: int, held: int) -> np.ndarray:
-    """Natural frequencies [Hz] of the free chain without its rest, or with the first mass ``held``: antiresonances."""
-    masses, springs, _ = _split(theta, n)
-    stiffness = np.zeros((n, n))
-    for i, spring in enumerate(springs):
-        stiffness[i : i + 2, i : i + 2] += spring * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    root = 1.0 / np.sqrt(masses[held:])
-    squares = np.linalg.eigvalsh(stiffness[held:, held:] * root[:, None] * root)
-    return np.sqrt(np.maximum(squares[1 - held :], 0.0)) / (2.0 * np.pi)
-
-
 def _starts(chain: MassChain, response: FrequencyResponse) -> list[tuple[np.ndarray, Any, Any]]:
     """Chains of one mass more: with the pairs of ``chain``, and one more where the response may have it."""
     n = chain.masses.size
-    own = list(zip(_natural(chain._theta, n, 1), _natural(chain._theta, n, 0), strict=True)) if n > 1 else []
+    own = list(zip(natural(chain.theta, n, 1), natural(chain.theta, n, 0), strict=True)) if n > 1 else []
     roots = resonances(response)
     pairs = [
         (low.frequency, high.frequency)
@@ -237,12 +108,12 @@ def _cauer(total: float, pairs: Sequence[tuple[float, float]]) -> tuple[np.ndarr
     return np.array(masses), np.array(springs), dampers
 
 
-def _fitted(response: FrequencyResponse, starts: Sequence[tuple[Any, Any, Any]]) -> MassChain | None:
-    """The best fit from several starts; None where no start is one, or the lines are too few."""
+def _fitted(response: FrequencyResponse, starts: Sequence[tuple[Any, Any, Any]], delay: float) -> MassChain | None:
+    """The best fit from several starts, ``delay`` [s] late; None where no start is one, or the lines are too few."""
     from scipy.optimize import least_squares
 
     s = 1j * response.w
-    weight = np.sqrt(2.0) / np.hypot(response.std, SYSTEMATIC)
+    weight = np.sqrt(2.0) / np.hypot(_expected(response.std), SYSTEMATIC)
     best: Any = None
     for masses, springs, dampers in starts:
         n = len(masses)
@@ -252,10 +123,12 @@ def _fitted(response: FrequencyResponse, starts: Sequence[tuple[Any, Any, Any]])
         scale = np.concatenate([np.ones(values.size), [float(np.sum(masses)) * response.w[0], 1.0 / response.w[-1]]])
 
         def residual(x: np.ndarray, n: int = n, scale: np.ndarray = scale) -> np.ndarray:
-            gap = np.log(_response(x * scale, n, s) / response.response) * weight
+            gap = np.log(chain_response(x * scale, n, s) / response.response) * weight
             return np.concatenate([gap.real, gap.imag])
 
-        found = least_squares(residual, np.concatenate([np.log(values), [0.0, 0.0]]), x_scale="jac", max_nfev=200)
+        found = least_squares(
+            residual, np.concatenate([np.log(values), [0.0, delay / scale[-1]]]), x_scale="jac", max_nfev=200
+        )
         if best is None or found.cost < best[0].cost:
             best = found, scale, n
     if best is None:
@@ -269,12 +142,26 @@ def _fitted(response: FrequencyResponse, starts: Sequence[tuple[Any, Any, Any]])
     inverse = np.linalg.pinv(jacobian[:, seen] / size[seen]) / size[seen, None]
     covariance = np.diag(np.where(seen, 0.0, UNKNOWN**2))
     covariance[np.ix_(seen, seen)] = max(1.0, misfit) ** 2 * (inverse @ inverse.T)
-    return MassChain(*_split(theta, n), float(theta[-2]), float(theta[-1]), covariance, misfit)
+    hardly = np.diag(covariance) > UNKNOWN**2
+    hardly[-2:] = False  # which are no logarithms
+    covariance[hardly] = covariance[:, hardly] = 0.0
+    covariance[hardly, hardly] = UNKNOWN**2
+    return MassChain(*split(theta, n), float(theta[-2]), float(theta[-1]), covariance, misfit)
+
+
+def _expected(std: np.ndarray) -> np.ndarray:
+    """Deviations (n,) that know less of each line's own noise: the median of those beside it, where they are alike.
+
+    A line that is too large by chance has too small a deviation relative to it, and with that weight it would make the
+    masses too small.
+    """
+    near = np.clip(np.arange(std.size)[:, None] + np.arange(-NEAR, NEAR + 1), 0, std.size - 1)
+    return np.clip(np.median(std[near], axis=1), std / ALIKE, std * ALIKE)
 
 
 def _criterion(chain: MassChain, lines: int) -> float:
     """The information criterion of Schwarz, the scale of the deviations unknown."""
-    count, parameters = 2 * lines, chain._theta.size
+    count, parameters = 2 * lines, chain.theta.size
     return count * math.log(max(chain.misfit, 1e-3) ** 2 * (count - parameters) / count) + parameters * math.log(count)
 
 
@@ -282,6 +169,6 @@ def _certain(chain: MassChain, response: FrequencyResponse) -> bool:
     """Whether all masses and springs are known, and all resonances lie among the lines."""
     n = chain.masses.size
     known = np.sqrt(np.diag(chain.covariance))[: 2 * n - 1]
-    natural = _natural(chain._theta, n, 0)
+    places = natural(chain.theta, n, 0)
     low, high = response.frequency[0], INSIDE * response.frequency[-1]
-    return bool(np.all(known < CERTAIN) and np.all(natural > low) and np.all(natural < high))
+    return bool(np.all(known < CERTAIN) and np.all(places > low) and np.all(places < high))

@@ -16,6 +16,7 @@ import numpy as np
 from emps_design.frequency_response.periodic import Spectra
 
 SEEN = 2.0  # times the noise power from which on a distortion counts
+CHANCE = 4.0  # or so many deviations of what the noise power differs by by chance, where that is less
 FEWEST = 4  # lines of a kind
 
 
@@ -86,7 +87,10 @@ def distortion_of(found: list[Spectra], excited: np.ndarray, step: float, g: np.
         if np.count_nonzero(which) < FEWEST:
             return None
         share = (power - noise)[which] / linear[which]
-        seen = np.mean(power[which] / linear[which]) > SEEN * np.mean(noise[which] / linear[which])
+        by_noise = noise[which] / linear[which]
+        # The mean of so many powers, each of a line and a pass, differs by chance by one over the root of their number.
+        count = len(found) * float(np.sum(by_noise) ** 2 / np.sum(by_noise**2))
+        seen = np.mean(power[which] / linear[which]) > min(SEEN, 1.0 + CHANCE / np.sqrt(count)) * np.mean(by_noise)
         return float(np.sqrt(max(np.mean(share), 0.0))) if seen else 0.0
 
     return Distortion(

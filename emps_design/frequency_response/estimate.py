@@ -12,7 +12,7 @@ Source: R. Pintelon and J. Schoukens, System Identification: A Frequency Domain 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -22,19 +22,19 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.errors import RecordError
 from emps_design.frequency_response.answers import (
-    BLOCK,
     Extra,
-    broadband_answer,
     periodic_answer,
     stepped_answer,
 )
-from emps_design.frequency_response.broadband import Answer, blocks
+from emps_design.frequency_response.broadband import CLEAR, Answer
 from emps_design.frequency_response.comparison import Comparison
 from emps_design.frequency_response.distortion import Distortion
 from emps_design.frequency_response.hold import continuous_from_increments, without_aliases
+from emps_design.frequency_response.phase import has_wrong_sign
 from emps_design.frequency_response.resonances import Resonance, resonances
 from emps_design.frequency_response.response import BAND, FrequencyResponse
 from emps_design.frequency_response.signals import Signals, motion, signals_of
+from emps_design.frequency_response.unrepeated import broadband_answer
 from emps_design.observer import given_back, motor_share
 from emps_design.progress import Progress, untold
 from emps_design.records import Record
@@ -42,9 +42,8 @@ from emps_design.records import Record
 METHODS = ("periodic", "stepped", "local-polynomial", "welch")
 HIGHEST_SHARE = 0.8  # of the Nyquist frequency; above it the aliases are as large as the response
 WORST = 0.5  # relative deviation beyond which a line says nothing
-CLEAR = 10.0  # times the noise that the answers of command and position have to be, or their quotient is the noise's
-MANY = 24  # blocks from which on averaged spectra do
 POOLED = 9  # neighbouring lines whose noise is averaged
+REPEATED = 1.5  # times what would by chance, the encoder's steps that repeat that are worth a word
 RESTING = 0.01  # share of the time from which on a rest is worth a word
 
 
@@ -101,7 +100,7 @@ class Estimate:
             "rest_share": self.rest_share,
             "lines_left_out": self.left_out,
             "units": {"frequency_hz": "Hz", "magnitude": "(m/s)/N", "std": "of the modulus"},
-            "warnings": list(self.warnings),
+            "warnings": [*self.warnings, *self.comparison.chain.warnings],
         }
 
     def _repr_html_(self) -> str:
@@ -133,12 +132,13 @@ def estimate_response(
     axis = axis.supplied_by(*several)
     period = _same_period(several, axis)
     nyquist = 0.5 / period
-    if max(low, high or 0.0) > nyquist:
-        raise RecordError(
-            f"{several[0].name}: found a frequency of {max(low, high or 0.0):g} Hz, expected at most the Nyquist "
-            f"frequency, {nyquist:g} Hz"
-        )
-    highest = min(high or np.inf, HIGHEST_SHARE * nyquist)
+    for bound in (low, *(() if high is None else (high,))):
+        if not 0.0 <= bound <= nyquist:
+            raise RecordError(
+                f"{several[0].name}: found a frequency of {bound:g} Hz, expected at most the Nyquist frequency, "
+                f"{nyquist:g} Hz, and at least 0"
+            )
+    highest = min(np.inf if high is None else high, HIGHEST_SHARE * nyquist)
     if low >= highest:
         raise RecordError(
             f"{several[0].name}: found a band from {low:g} to {highest:g} Hz, expected its lowest frequency below its "
@@ -188,8 +188,7 @@ def _method(read: list[Signals]) -> str:
         return "stepped"
     if all(one.repeats and one.stretches for one in read) and len({one.repeats for one in read}) == 1:
         return "periodic"
-    count = sum(1 for one in read for _ in blocks(one, round(BLOCK / one.period)))
-    return "welch" if count >= MANY else "local-polynomial"
+    return "local-polynomial"
 
 
 def _finished(
@@ -211,12 +210,7 @@ def _finished(
         return continuous_from_increments(ratio, w, period, late) / gain
 
     z_q, z_u, C = answer.z[:, 0], answer.z[:, 1], answer.noise
-    variance = (
-        C[:, 0, 0].real / np.abs(z_q) ** 2
-        + C[:, 1, 1].real / np.abs(z_u) ** 2
-        - 2.0 * (C[:, 0, 1] / (z_q * z_u.conj())).real
-    )
-    variance, freedom = np.maximum(variance, 0.0), answer.freedom
+    variance, freedom = answer.variance, answer.freedom
     if method != "stepped":  # where lines are far apart, each with an amplitude of its own
         variance = _pooled(variance, np.abs(z_q / z_u))
         freedom *= min(POOLED, variance.size) * (1.0 if method == "periodic" else 0.5)
@@ -224,12 +218,16 @@ def _finished(
     if extra.distortion is not None:
         variance = variance + extra.distortion.odd_variance(answer.frequency)
     coherence = 1.0 / (1.0 + variance * extra.averages)
+    variance = variance + extra.bias
     response, aliases = without_aliases(w, plant(z_q / z_u), np.sqrt(variance), period)
     std = np.sqrt(variance + aliases**2)
     of_q, of_u = C[:, 0, 0].real, C[:, 1, 1].real
     if method != "stepped":
-        of_q, of_u = _near(of_q), _near(of_u)
-    clear = np.minimum(np.abs(z_q) ** 2 / of_q, np.abs(z_u) ** 2 / of_u) >= CLEAR
+        of_q, of_u = _near(of_q, np.mean), _near(of_u, np.mean)
+    above = np.minimum(np.abs(z_q) ** 2 / of_q, np.abs(z_u) ** 2 / of_u)
+    if method != "stepped":  # a line that is kept because its own answer happens to be large is too large
+        above = _near(above, np.median)
+    clear = above >= CLEAR
     kept = clear & (std <= WORST) & (answer.frequency >= low) & (answer.frequency <= highest * (1.0 + 1e-9))
     name = ", ".join(record.name for record in records)
     if np.count_nonzero(kept) < 4:
@@ -257,7 +255,7 @@ def _finished(
         rest,
         left_out,
         axis,
-        tuple(_words(extra, reversals, rest, seconds, left_out)),
+        tuple(_words(found, extra, reversals, rest, seconds, left_out)),
     )
 
 
@@ -276,11 +274,11 @@ def _pooled(variance: np.ndarray, size: np.ndarray) -> np.ndarray:
     return np.where(output, as_output / power, as_input)
 
 
-def _near(power: np.ndarray) -> np.ndarray:
-    """``power`` (n,) averaged over neighbouring lines."""
+def _near(power: np.ndarray, kind: Callable[..., np.ndarray]) -> np.ndarray:
+    """The mean or the median, as ``kind`` says, of ``power`` (n,) over neighbouring lines."""
     half = min(POOLED // 2, (power.size - 1) // 2)
     near = np.clip(np.arange(power.size)[:, None] + np.arange(-half, half + 1), 0, power.size - 1)
-    return np.mean(power[near], axis=1)
+    return kind(power[near], axis=1)
 
 
 def _for_few(freedom: float) -> float:
@@ -290,9 +288,16 @@ def _for_few(freedom: float) -> float:
     return float(f.ppf(0.95, 2.0, 2.0 * max(freedom, 1.0)) / BAND**2)
 
 
-def _words(extra: Extra, reversals: int, rest: float, seconds: float, left_out: int) -> list[str]:
+def _words(
+    found: FrequencyResponse, extra: Extra, reversals: int, rest: float, seconds: float, left_out: int
+) -> list[str]:
     """What a reader of the response has to know."""
     words = []
+    if has_wrong_sign(found):
+        words.append(
+            f"the command has the wrong sign: at {found.frequency[0]:.3g} Hz the phase of the response is "
+            f"{found.phase_deg[0]:.0f} deg, expected between -90 (a mass) and 0 (a friction)"
+        )
     if reversals > extra.passes or rest > RESTING:
         words.append(
             f"the carriage reverses {reversals} times in {seconds:.3g} s and rests {100 * rest:.2g} % of it: dry "
@@ -303,6 +308,12 @@ def _words(extra: Extra, reversals: int, rest: float, seconds: float, left_out: 
         words.append(
             f"the passes differ {np.sqrt(extra.scatter):.2g} times as much as noise explains, and the deviations are "
             "as much larger: the plant depends on position, direction or time"
+        )
+    if extra.steps > REPEATED:
+        words.append(
+            f"the encoder's steps repeat with the excitation, {extra.steps:.2g} times as much as by chance, and the "
+            "deviations are raised for it: the carriage runs whole steps, or a simple share of one, in each period; "
+            "excite it at a slightly different speed"
         )
     if extra.distortion is not None:
         words += extra.distortion.words

@@ -21,26 +21,18 @@ from emps_design.axis import Axis
 from emps_design.control.loop.sampled_loop import axis_loop
 from emps_design.control.plant.discretisation import sample_axis
 from emps_design.errors import InputError, UnstableError
+from emps_design.frequency_response.limits import PLACES, ROOM, Limits, check_asked, check_length
+from emps_design.frequency_response.quantisation import repeated_share
 from emps_design.frequency_response.rehearsal import Bound, Signals, rehearsed
-from emps_design.frequency_response.waves import BLOCKS, GROUP, MultiSine, SteppedSine, Wave
+from emps_design.frequency_response.waves import BLOCKS, MultiSine, SteppedSine, Wave
 
-PLACES = ("command", "reference")
 HIGHEST_SHARE = 0.8  # of the Nyquist frequency
 TURNING = 0.8  # share of the steady speed that the excitation may take
-ROOM = 0.9  # share of a limit that is used
 STEEPEST = 10.0  # times the command, what may be added to have it: below the crossover the controller works against it
-GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # farthest from every ratio of small whole numbers
+SLOWER = 0.5  # share of the speed of the passes that may go for the encoder's steps not to repeat
+TRIED = 2000  # speeds
+PERIODS = (2, 4, 8, 16, 32)  # over which the steps are not to repeat
 NOISE_SHARE = 0.02  # of the Coulomb friction, rms of white force noise where none is given
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What must not be exceeded, None: no limit. ``stroke`` [m], ``speed`` [m/s], ``force`` [N], ``jerk`` [m/s^3]."""
-
-    stroke: float
-    speed: float | None = None
-    force: float | None = None
-    jerk: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +41,7 @@ class Experiment:
 
     ``q_ref`` (n,) [m]; ``excitation`` (n,) [V] is 0 where the reference carries it; ``frequency`` (m,) [Hz]
     and ``std`` (m,) the lines and their expected relative deviations; ``peaks`` largest values beside the ``limits``.
+    ``speed`` [m/s] of the passes is a little below the ``asked`` one where at that the encoder's steps would repeat.
     ``signal`` is a multi-sine, with so many ``periods`` of ``samples`` on each pass, or a stepped sine, with so many
     blocks of ``samples`` at most.
     """
@@ -60,6 +53,7 @@ class Experiment:
     excitation: np.ndarray = field(repr=False)
     frequency: np.ndarray
     std: np.ndarray
+    asked: float
     speed: float
     passes: int
     periods: int
@@ -88,6 +82,7 @@ class Experiment:
             "signal": self.signal,
             "at": self.at,
             "seconds": self.q_ref.size * self.period,
+            "asked_speed": self.asked,
             "speed": self.speed,
             "passes": self.passes,
             "periods": self.periods,
@@ -119,9 +114,9 @@ def design_experiment(
 ) -> Experiment:
     """Return the experiment for ``axis``: lines from ``low`` to ``high`` [Hz], ``resolution`` [Hz] the base line.
 
-    ``speed`` [m/s] is that of the passes, ``slope`` the power of frequency by which the command's amplitude falls,
-    ``at`` where the excitation is added, ``noise`` [N rms] what the deviations are expected
-    from, by default 2 % of the Coulomb friction. With ``steps`` it is a stepped sine of so many lines, each measured
+    ``speed`` [m/s] is that of the passes at most, ``slope`` the power of frequency by which the command's amplitude
+    falls, ``at`` where the excitation is added, ``noise`` [N rms] what the deviations are expected from, by default 2 %
+    of the Coulomb friction. With ``steps`` it is a stepped sine of so many lines, each measured
     over 1/``resolution`` as often as there would be ``passes``. Raises
     :class:`InputError` for what does not fit the limits, :class:`UnstableError` for an axis whose loop is unstable.
 
@@ -133,16 +128,8 @@ def design_experiment(
     period = axis.sampling.period
     nyquist = 0.5 / period
     high = HIGHEST_SHARE * nyquist if high is None else high
-    _check(limits, speed, low, high, resolution, nyquist, at, steps)
-    speed = _between_steps(speed, axis)
-    loop = axis_loop(axis, speed)
-    if not loop.stable:
-        raise UnstableError(
-            f"axis {axis.name}: its loop is unstable, largest pole {loop.radius:.4g}: nothing to excite"
-        )
+    check_asked(limits, speed, low, high, resolution, nyquist, at, steps)
     samples = round(1.0 / (resolution * period))
-    steady = _steady_command(axis, speed)
-    ramp = _ramp(axis, limits, speed, steady, 0.2 * samples * period)
     settle = round(max(0.2, 2.0 / low) / period)
     wave: Wave
     if steps is not None:
@@ -150,6 +137,14 @@ def design_experiment(
     else:
         fade, random = min(settle, samples // 2), np.random.default_rng(seed)
         wave = MultiSine.between(low * period, high * period, samples, fade, random)
+    asked, speed = speed, _between_steps(speed, axis, wave)
+    loop = axis_loop(axis, speed)
+    if not loop.stable:
+        raise UnstableError(
+            f"axis {axis.name}: its loop is unstable, largest pole {loop.radius:.4g}: nothing to excite"
+        )
+    steady = _steady_command(axis, speed)
+    ramp = _ramp(axis, limits, speed, steady, 0.2 * samples * period)
     flat = int((limits.stroke * ROOM - speed * ramp) / speed / period - settle)
     if flat < wave.shortest:
         needed = (wave.shortest + settle + 2) * period * speed + speed * ramp
@@ -158,6 +153,7 @@ def design_experiment(
             f"{max(flat, 0) * period:.3g} s, expected at least {wave.shortest * period:.4g} s: {needed / ROOM:.3g} m, "
             "a lower speed, or a coarser resolution"
         )
+    check_length(wave.length(flat, passes) * (1.0 + 2.0 * (ramp / period + settle) / flat), period)
     f = wave.cycles / period
     w = 2.0 * np.pi * f
     by = "voltage" if at == PLACES[0] else "reference"
@@ -182,7 +178,8 @@ def design_experiment(
 
     share, reached, cut_by = rehearsed(axis, _bounds(axis, limits), signals)
     amplitude, bound_by = share * amplitude, cut_by or bound_by
-    q_ref, excitation, _ = signals(share)
+    final = signals(share)
+    q_ref, excitation = final.q_ref, final.excitation
     peaks = {name: amplitude * value for name, value in unit.items()}
     peaks = {
         **{f"excitation_{name}": value for name, value in peaks.items()},
@@ -198,29 +195,9 @@ def design_experiment(
     periods = wave.periods(flat) if isinstance(wave, MultiSine) else BLOCKS
     samples = samples if isinstance(wave, MultiSine) else int(np.max(each)) // BLOCKS // passes
     return Experiment(
-        axis, wave.label, at, q_ref, excitation, f, std, speed, len(trains), periods, samples, noise, peaks, bound_by,
-        words,
+        axis, wave.label, at, q_ref, excitation, f, std, asked, speed, len(trains), periods, samples, noise, peaks,
+        bound_by, words,
     )  # fmt: skip
-
-
-def _check(
-    limits: Limits, speed: float, low: float, high: float, resolution: float, nyquist: float, at: str, steps: int | None
-) -> None:
-    if at not in PLACES:
-        raise InputError(f"place of the excitation: found {at!r}, expected {' or '.join(PLACES)}")
-    if not 0.0 < low < high:
-        raise InputError(f"frequencies: found {low:g} to {high:g} Hz, expected a rising pair above 0")
-    if high >= nyquist:
-        raise InputError(f"frequency: found {high:g} Hz, expected less than the Nyquist frequency, {nyquist:g} Hz")
-    if not 0.0 < resolution <= 0.5 * (high - low):
-        raise InputError(f"resolution: found {resolution:g} Hz, expected more than 0 and several lines in the band")
-    if steps is not None and steps < GROUP:
-        raise InputError(f"steps: found {steps}, expected at least {GROUP} lines")
-    for name, value in (("speed", speed), ("stroke", limits.stroke)):
-        if not value > 0.0:
-            raise InputError(f"{name}: found {value:g}, expected a positive number")
-    if limits.speed is not None and speed >= ROOM * limits.speed:
-        raise InputError(f"speed: found passes at {speed:g} m/s, expected less than the limit of {limits.speed:g} m/s")
 
 
 def _steady_command(axis: Axis, speed: float) -> float:
@@ -274,15 +251,21 @@ def _follows_velocity(axis: Axis) -> bool:
     return law_of(axis, axis.sampling.period).follows == "velocity"
 
 
-def _between_steps(speed: float, axis: Axis) -> float:
-    """A ``speed`` [m/s] nearby that is no whole number of encoder steps in a sample.
+def _between_steps(speed: float, axis: Axis, wave: Wave) -> float:
+    """The nearest speed [m/s] at or below ``speed`` at which the encoder's steps hardly repeat with the excitation.
 
-    At one that is, the error of quantisation repeats with the multi-sine, and no averaging lowers it.
+    A period later the carriage is then whole steps and a good part of one further: that speed is a little below
+    ``speed``. Where no speed is one for all of the lines, it is that at which the worst of them repeats least.
     """
-    step = axis.sampling.encoder_resolution / axis.sampling.period
-    if step == 0.0 or speed < step:
+    step = axis.sampling.encoder_resolution
+    if step == 0.0:
         return speed
-    return float((np.floor(speed / step) + GOLDEN) * step)
+    blocks = np.unique(wave.blocks) * axis.sampling.period
+    tried = speed - min(SLOWER * speed, 2.0 * step / float(blocks[-1])) * np.linspace(0.0, 1.0, TRIED)
+    advance = tried[:, None] * blocks / step
+    worst = np.max([periods * repeated_share(advance, periods) for periods in PERIODS], axis=(0, 2))  # 1: by chance
+    good = np.flatnonzero(worst <= 1.0)
+    return float(tried[good[0] if good.size else np.argmin(worst)])
 
 
 def _ramp(axis: Axis, limits: Limits, speed: float, steady: float, usual: float) -> float:
@@ -294,7 +277,7 @@ def _ramp(axis: Axis, limits: Limits, speed: float, steady: float, usual: float)
 
 
 def _passes(period: float, speed: float, ramp: float, settle: int, trains: list[np.ndarray], at: str) -> Signals:
-    """Reference and excitation of all passes, and where they are excited; the velocity changes as half a cosine."""
+    """All passes and where they are excited; the velocity of the passes changes as half a cosine."""
     rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(round(ramp / period)) + 0.5) / round(ramp / period))
     velocity, added, rest = [np.zeros(settle)], [np.zeros(settle)], np.zeros(settle)
     excited = [rest]
@@ -304,9 +287,11 @@ def _passes(period: float, speed: float, ramp: float, settle: int, trains: list[
         before, after = np.zeros(rise.size + settle), np.zeros(rise.size)
         added += [before, train, after, rest]
         excited += [before, np.ones(train.size), after, rest]
-    q_ref, excitation = speed * period * np.cumsum(np.concatenate(velocity)), np.concatenate(added)
-    told = (q_ref, excitation) if at == PLACES[0] else (q_ref + excitation, np.zeros(q_ref.size))
-    return *told, np.concatenate(excited) > 0.0
+    velocities, excitation = speed * np.concatenate(velocity), np.concatenate(added)
+    plain, excited_at = period * np.cumsum(velocities), np.concatenate(excited) > 0.0
+    if at == PLACES[0]:
+        return Signals(plain, excitation, excited_at, velocities)
+    return Signals(plain + excitation, np.zeros(plain.size), excited_at, velocities)
 
 
 def _expected(

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from emps_design.frequency_response.quantisation import quantised
 from emps_design.frequency_response.signals import Signals
 from emps_design.frequency_response.steps import Step
 
@@ -29,7 +30,9 @@ class Spectra:
     """Amplitudes of position increment and command at the lines of one stretch, and what of them is noise.
 
     ``line`` (m,) numbers within the base period; ``r`` (m,), ``z`` (m, 2) amplitudes; ``noise`` (m, 2, 2) covariance of
-    ``z``; ``freedom`` its degrees of freedom; ``periods`` P; ``excited`` (m,) whether the line is.
+    ``z``; ``freedom`` its degrees of freedom; ``periods`` P; ``excited`` (m,) whether the line is. ``repeated`` (m,) is
+    the part of the noise of the position that is the encoder's steps and repeats with the excitation, ``by_chance`` all
+    that repeats of them over what would by chance.
     """
 
     line: np.ndarray
@@ -39,6 +42,8 @@ class Spectra:
     freedom: int
     periods: int
     excited: np.ndarray
+    repeated: np.ndarray
+    by_chance: float
 
     def at(self, lines: np.ndarray) -> Spectra:
         """Those of ``lines`` (m,) alone."""
@@ -49,6 +54,7 @@ class Spectra:
             z=self.z[lines],
             noise=self.noise[lines],
             excited=self.excited[lines],
+            repeated=self.repeated[lines],
         )
 
 
@@ -108,7 +114,9 @@ def _stretch(signals: Signals, begin: int, periods: int, highest: float) -> Spec
         left = away @ around
         transient[i] = intercept @ around
         noise[i] = left.T @ left.conj() / (own.size - ORDER - 1) * (1.0 + intercept @ intercept)
-    return Spectra(line, r[at], both[at] - transient, noise, LINES - ORDER - 1, periods, excited)
+    more, by_chance = quantised(signals.dq[part], periods, at, excited, noise[:, 0, 0].real, signals.step)
+    noise[:, 0, 0] += more
+    return Spectra(line, r[at], both[at] - transient, noise, LINES - ORDER - 1, periods, excited, more, by_chance)
 
 
 def _level(values: np.ndarray, periods: int) -> np.ndarray:

@@ -15,9 +15,21 @@ from emps_design.axis import Axis
 from emps_design.errors import InputError, SimulationError
 from emps_design.simulation import Plant
 
-Signals = tuple[np.ndarray, np.ndarray, np.ndarray]  # q_ref (n,), excitation (n,), whether it is excited (n,) bool
 TRIES = 12
 SHRINKS, STEP = 0.98, 0.5  # of what the linear loop says has to go, and where it cannot say
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """What the loop is given: ``q_ref`` (n,) [m], ``excitation`` (n,) [V], and ``excited`` (n,) where one of them is.
+
+    ``passes`` (n,) [m/s] is the velocity of the passes alone: an excitation that the reference carries is not in it.
+    """
+
+    q_ref: np.ndarray
+    excitation: np.ndarray
+    excited: np.ndarray
+    passes: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -81,17 +93,15 @@ def _left_for(bound: Bound, alone: Reached, found: Reached) -> float:
 
 def _reached(axis: Axis, signals: Signals) -> Reached | None:
     """What is reached in closed loop; None where the simulation cannot go on."""
-    q_ref, excitation, excited = signals
     try:
-        run = Plant.of(axis).closed_loop(q_ref, voltage_noise=excitation)
+        run = Plant.of(axis).closed_loop(signals.q_ref, voltage_noise=signals.excitation)
     except SimulationError:
         return None
-    way = np.sign(np.gradient(q_ref))
-    forwards = (run.v * way)[excited]
+    forwards = (run.v * np.sign(signals.passes))[signals.excited]
     return Reached(
         velocity=float(np.abs(run.v).max()),
         slowest=float(forwards.min()) if forwards.size else 0.0,
         command=float(np.abs(run.u).max()),
-        own=float(np.abs(run.u - excitation).max()),
+        own=float(np.abs(run.u - signals.excitation).max()),
         travel=float(np.ptp(run.position)),
     )

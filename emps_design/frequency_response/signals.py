@@ -8,10 +8,12 @@ in what is used are counted.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from emps_design.errors import RecordError
+from emps_design.frequency_response.quantisation import encoder_step
 from emps_design.frequency_response.steps import Step, steps_of
 from emps_design.records import Record
 from emps_design.stretches import stretches
@@ -44,6 +46,11 @@ class Signals:
     stretches: tuple[tuple[int, int], ...]
     bias: np.ndarray = field(repr=False)
     steps: tuple[Step, ...] = ()
+
+    @cached_property
+    def step(self) -> float:
+        """The step of the encoder [m] that the increments show; 0 for none."""
+        return encoder_step(self.dq)
 
     @property
     def used(self) -> np.ndarray:

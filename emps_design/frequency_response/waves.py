@@ -35,8 +35,15 @@ class Wave(Protocol):
         """The lines (m,) in periods by sample."""
 
     @property
+    def blocks(self) -> np.ndarray:
+        """Samples after which the lines repeat, (1,) or (m,)."""
+
+    @property
     def shortest(self) -> int:
         """Samples that a pass has to have."""
+
+    def length(self, flat: int, times: int) -> int:
+        """Samples of all passes of up to ``flat`` samples together, ``times`` as for :meth:`trains`."""
 
     def phased(self, added: np.ndarray, command: np.ndarray) -> np.ndarray:
         """``added`` (m,) with phases for which the peak of ``added * command`` is small."""
@@ -84,14 +91,23 @@ class MultiSine:
         return self.lines / self.samples
 
     @property
+    def blocks(self) -> np.ndarray:
+        """As in :class:`Wave`."""
+        return np.array([self.samples])
+
+    @property
     def shortest(self) -> int:
         """Samples that a pass has to have."""
         return (LEAST + 1) * self.samples + self.fade
 
+    def length(self, flat: int, times: int) -> int:
+        """As in :class:`Wave`."""
+        return times * flat
+
     def phased(self, added: np.ndarray, command: np.ndarray) -> np.ndarray:
         """As in :class:`Wave`."""
         phases = np.exp(2j * np.pi * self.random.random((DRAWS, self.lines.size)))
-        crest = np.max(np.abs(self._period(phases * added * command)), axis=1)
+        crest = [self.peak(one * added * command) for one in phases]  # one by one: a long period fills the memory
         return phases[int(np.argmin(crest))] * added
 
     def peak(self, amplitudes: np.ndarray) -> float:
@@ -139,6 +155,11 @@ class SteppedSine:
         """The lines (m,) in periods by sample."""
         return self.turns / self.samples
 
+    @property
+    def blocks(self) -> np.ndarray:
+        """As in :class:`Wave`."""
+        return self.samples
+
     @cached_property
     def _lengths(self) -> np.ndarray:
         """Samples of each step with pause, to swell and to fade over half a block each."""
@@ -148,6 +169,10 @@ class SteppedSine:
     def shortest(self) -> int:
         """Samples that a pass has to have."""
         return int(np.max(self._lengths))
+
+    def length(self, flat: int, times: int) -> int:
+        """As in :class:`Wave`."""
+        return times * int(np.sum(self._lengths))
 
     def phased(self, added: np.ndarray, command: np.ndarray) -> np.ndarray:
         """As in :class:`Wave`."""

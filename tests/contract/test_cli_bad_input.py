@@ -127,6 +127,13 @@ NUMBERS = [
     ("import {folder}/good.npz --time 3:1", 2),
     ("import {folder}/good.npz --time 7:9", 2),
     ("init {folder}/empty.csv", 2),
+    ("excite --stroke 0.5 --speed 0.05 --force-limit nan", 2),
+    ("excite --stroke 0.5 --speed 0.05 --speed-limit nan", 2),
+    ("excite --stroke 0.5 --speed 0.05 --jerk-limit nan", 2),
+    ("excite --stroke 1e6 --speed 1e-3", 2),
+    ("excite --stroke inf --speed 0.05", 2),
+    ("frf {folder}/good.npz --to nan", 2),
+    ("frf {folder}/good.npz --from nan", 2),
     ("nothing-of-the-kind", 2),
 ]
 

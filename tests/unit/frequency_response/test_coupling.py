@@ -1,5 +1,7 @@
 """Masses, springs and dampers from a response: the number, the values, and how often their intervals hold the truth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from emps_design.errors import InputError
 from emps_design.frequency_response import FrequencyResponse, estimate_response
 from emps_design.frequency_response.comparison import Comparison, axis_response
 from emps_design.frequency_response.coupling import MassChain, fit_chain
+from emps_design.frequency_response.phase import has_wrong_sign
 from emps_design.frequency_response.suggestion import suggest_filter_on_response
 from emps_design.machines import machine
 from tests.unit.frequency_response.cases import COUPLING, exact, experiment, two_mass
@@ -113,3 +116,59 @@ def test_a_filter_is_looked_for_at_resonances_that_no_search_looks_at(frequency,
     assert without["crossover"] > 0.0
     assert without["measured"]["phase_margin_deg"] == pytest.approx(50.0, abs=1.0)
     assert loaded(bent, 40.0, 2.0).effects[0].parameters["share"] > 0.95
+
+
+@pytest.mark.slow
+def test_lines_that_are_too_large_by_chance_weigh_no_more_for_it():
+    """Noise of the output: relative to a line that is too large its deviation is too small."""
+    rng, true, apart = np.random.default_rng(5), chain(2), []
+    g = true.response(2.0 * np.pi * F)
+    for _ in range(12):
+        noise = 0.25 / np.sqrt(2.0) * (rng.standard_normal(F.size) + 1j * rng.standard_normal(F.size))
+        found = fit_chain(FrequencyResponse.of(F, g * (1.0 + noise), 0.25 / np.abs(1.0 + noise)))
+        mass, std, _ = found.parameters["mass"]
+        apart.append((mass - 100.0) / std)
+    assert abs(np.mean(apart)) < 1.5
+
+
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("delay", [0.0, 3e-3, 8e-3, -2e-3])
+def test_a_delay_that_turns_the_top_line_by_more_than_half_a_turn(count, delay):
+    rng, true = np.random.default_rng(count), replace(chain(count), delay=delay)
+    noise = 0.01 / np.sqrt(2.0) * (rng.standard_normal(F.size) + 1j * rng.standard_normal(F.size))
+    response = FrequencyResponse.of(F, true.response(2.0 * np.pi * F) * (1.0 + noise), np.full(F.size, 0.01))
+    found = fit_chain(response)
+    assert (found.masses.size, found.misfit) == (count, pytest.approx(1.0, abs=0.3))
+    assert found.delay == pytest.approx(delay, abs=2e-5)
+    assert found.parameters["mass"][0] == pytest.approx(true.parameters["mass"][0], rel=0.01)
+    assert [("a delay" in warning) for warning in found.warnings] == ([True] if delay < 0.0 else [])
+    assert not has_wrong_sign(response)
+
+
+@pytest.mark.parametrize("delay", [0.0, 3e-3])
+@pytest.mark.parametrize("count", CHAINS)
+def test_a_command_of_the_wrong_sign_is_seen_whatever_the_delay(count, delay):
+    true = replace(chain(count), delay=delay).response(2.0 * np.pi * F)
+    wrong = FrequencyResponse.of(F, -true, np.full(F.size, 0.01))
+    assert has_wrong_sign(wrong)
+    assert not has_wrong_sign(FrequencyResponse.of(F, true, np.full(F.size, 0.01)))
+    assert any("their values and intervals say nothing" in warning for warning in fit_chain(wrong).warnings)
+
+
+def test_the_command_of_a_record_has_the_wrong_sign():
+    axis = machine("emps2019")
+    record = experiment(axis, count=2, periods=3)
+    found = estimate_response(replace(record, u=-record.u, excitation=-record.excitation), axis)
+    assert found.warnings[0].startswith("the command has the wrong sign: at")
+    assert any("say nothing" in warning for warning in found.to_dict()["warnings"])
+    assert not any("sign" in warning for warning in estimate_response(record, axis).to_dict()["warnings"])
+
+
+def test_what_is_not_determined_has_no_deviation_that_is_no_number():
+    two = chain(2)
+    lost = MassChain(
+        two.masses, two.springs, np.array([1e300]), 200.0, 0.0, np.diag([1e-4] * 3 + [1e300, 1.0, 0.0]), 1.0
+    )
+    assert not any(np.isnan(std) for _, std, _ in lost.parameters.values())
+    assert not lost.determines("damping")
+    assert lost.determines("mass")

@@ -219,7 +219,7 @@ def test_averaged_spectra_need_blocks_to_average():
     q_ref, _ = passes(1e-3, 1050, 1, 0.05)
     rng = np.random.default_rng(0)
     record = run(axis, q_ref, 0.4 * rng.standard_normal(q_ref.size), 0.5 * rng.standard_normal(q_ref.size))
-    with pytest.raises(RecordError, match="blocks of 1 s, expected at least 4 for averaged spectra"):
+    with pytest.raises(RecordError, match="blocks of 0.5 s, expected at least 4 for averaged spectra"):
         estimate_response(record, axis, method="welch")
 
 

@@ -56,6 +56,13 @@ def test_the_report_shows_the_response_beside_the_model(files, capsys, sketched)
     ("options", "message"),
     [
         (["--to", "600Hz"], "found a frequency of 600 Hz, expected at most the Nyquist frequency, 500 Hz"),
+        (
+            ["--to", "nan"],
+            "found a frequency of nan Hz, expected at most the Nyquist frequency, 500 Hz, and at least 0",
+        ),
+        (["--from", "nan"], "found a frequency of nan Hz, expected at most the Nyquist frequency, 500 Hz"),
+        (["--from=-3"], "found a frequency of -3 Hz, expected at most the Nyquist frequency, 500 Hz, and at least 0"),
+        (["--to", "0"], "found a band from 0 to 0 Hz"),
         (["--method", "welsh"], "--method: found 'welsh', expected one of auto, periodic, stepped, local-polynomial"),
         (["--instrument", "excite"], "--instrument: found 'excite', expected one of excitation, reference"),
         (["--out", "r.txt"], "--out: found 'r.txt', expected a name that ends in .csv or .mat"),

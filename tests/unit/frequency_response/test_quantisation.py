@@ -1,0 +1,81 @@
+"""The encoder's steps in a spectrum: the step is found, and what repeats of it is what a rounded motion has."""
+
+import numpy as np
+import pytest
+
+from emps_design.frequency_response import estimate_response
+from emps_design.frequency_response.quantisation import encoder_step, quantised, repeated_share
+from emps_design.frequency_response.response import BAND
+from tests.unit.frequency_response.cases import exact, experiment, multi_sine, two_mass
+
+SAMPLES, PERIODS = 1000, 4
+LINES = np.arange(3, 200, 2)
+
+
+def motion(advance, steps, rng):
+    """A multi-sine of ``steps`` on a motion of ``advance`` steps a period, (n,) in steps."""
+    wave = steps * multi_sine(SAMPLES, LINES, rng)
+    return np.tile(wave, PERIODS) + advance / SAMPLES * np.arange(PERIODS * SAMPLES) + rng.uniform()
+
+
+@pytest.mark.parametrize("form", ["%.15g", "%.9g", "%.7g"])
+@pytest.mark.parametrize("step", [1e-5, 6.283e-4, 2.0**-20])
+def test_the_step_is_found_whatever_digits_a_file_has(step, form):
+    rng = np.random.default_rng(1)
+    q = step * np.rint(motion(9000.3, 40.0, rng))
+    written = np.array([float(form % value) for value in q])
+    assert encoder_step(np.diff(written, prepend=written[:1])) == pytest.approx(step, rel=1e-3)
+
+
+def test_no_step_where_there_is_none():
+    rng = np.random.default_rng(2)
+    assert encoder_step(np.diff(motion(9000.3, 40.0, rng), prepend=0.0)) == 0.0
+    assert encoder_step(1e-4 + 3e-7 * rng.standard_normal(5000)) == 0.0
+    assert encoder_step(np.full(100, 0.1)) == 0.0
+
+
+@pytest.mark.parametrize(("advance", "least", "most"), [(10_000.0, 3.0, 4.6), (9618.4, 0.2, 1.0), (9000.5, 0.7, 1.7)])
+def test_what_repeats_is_what_a_rounded_motion_has(advance, least, most):
+    """Over the power of white steps: if all of it repeats in four periods, four times that.
+
+    What is told is that of the worst place within a step, twice the mean at most.
+    """
+    actual, told, chance = [], [], []
+    for seed in range(12):
+        x = motion(advance, 30.0, np.random.default_rng(seed))
+        q, size = np.rint(x), x.size
+        at = PERIODS * np.arange(1, 300)
+        excited = np.isin(at // PERIODS, LINES)
+        between = np.ones(size // 2 + 1, bool)
+        between[::PERIODS] = False
+        spectrum = np.abs(np.fft.rfft(q - x)) ** 2 * 12.0 / size
+        actual.append(np.mean(spectrum[at[excited]]) - np.mean(spectrum[between]))
+        white = np.abs(1.0 - np.exp(-2j * np.pi * at / size)) ** 2 / 12.0 / size
+        found, by_chance = quantised(np.diff(q, prepend=q[:1] - 10.0), PERIODS, at, excited, white, 1.0)
+        told.append(np.mean((found / white)[excited]))
+        chance.append(by_chance)
+    assert np.mean(actual) - 0.3 < np.mean(told) < 2.0 * max(np.mean(actual), 0.0) + 0.3
+    assert least < np.mean(chance) < most
+
+
+def test_whole_steps_repeat_and_the_golden_share_of_one_does_not():
+    assert repeated_share(np.array([7.0, 7.001]), 4) == pytest.approx([1.0, 1.0], abs=0.01)
+    for periods in (2, 4, 8, 30):
+        assert repeated_share(9618.382, periods) < 0.6 / periods
+
+
+def test_steps_that_repeat_are_in_the_deviations_and_are_told():
+    """5 cm/s are whole steps in each sample: the lines between know nothing of what falls on the others."""
+    axis, inside = two_mass().replace(sampling={"encoder_resolution": 5e-7}), []
+    for seed in (1, 3):
+        found = estimate_response(experiment(axis, seed, volts=1.0, newtons=0.2), axis)
+        error = np.abs(found.response.response / exact(axis, found.response.frequency) - 1.0)
+        inside.append(np.mean(error <= BAND * found.response.std))
+        assert any("the encoder's steps repeat with the excitation" in warning for warning in found.warnings)
+    assert min(inside) >= 0.9
+
+
+def test_steps_that_do_not_repeat_are_not_told():
+    axis = two_mass().replace(sampling={"encoder_resolution": 2e-7})
+    found = estimate_response(experiment(axis, 1, volts=1.0, newtons=0.2, speed=0.0499618), axis)
+    assert not any("the encoder's steps repeat" in warning for warning in found.warnings)
