@@ -10,7 +10,7 @@ from emps_design.frequency_response.comparison import Comparison
 from emps_design.frequency_response.coupling import MassChain
 from emps_design.frequency_response.resonances import resonances
 from emps_design.frequency_response.response import BAND
-from emps_design.report.display import number
+from emps_design.report.display import NOTHING, number
 from emps_design.report.page import Callout, Picture, Section, Table, Text
 from emps_design.report.style import BLUE, GREEN, GREY, RED, look, plain_subplots
 
@@ -74,7 +74,7 @@ def response_figure(compared: Comparison, ratio: np.ndarray | None = None) -> Fi
 
 def response_blocks(compared: Comparison, ratio: np.ndarray | None = None) -> tuple[Any, ...]:
     """Return the picture of a response with the model of its axis and the masses that fit it, and what they say."""
-    warnings = compared.response.warnings
+    warnings = (*compared.response.warnings, *compared.chain.warnings)
     return (
         Picture(
             response_figure(compared, ratio),
@@ -94,8 +94,9 @@ def response_section(compared: Comparison) -> Section:
 
 def _chain_table(chain: MassChain) -> Table:
     rows = [
-        [name.replace("_", " "), unit, number(value, 6), number(std, 3)]
+        [name.replace("_", " "), unit, *((number(value, 6), number(std, 3)) if known else ("not determined", NOTHING))]
         for name, (value, std, unit) in chain.parameters.items()
+        for known in [chain.determines(name)]
     ]
     text = f"The response asks for {chain.label}; residuals are {number(chain.misfit, 2)} times the data's deviations."
     return Table(["parameter", "unit", "value", "standard deviation"], rows, text)

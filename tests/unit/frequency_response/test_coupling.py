@@ -15,6 +15,7 @@ from emps_design.frequency_response.coupling import MassChain, fit_chain
 from emps_design.frequency_response.phase import has_wrong_sign
 from emps_design.frequency_response.suggestion import suggest_filter_on_response
 from emps_design.machines import machine
+from emps_design.report.frequency_response import response_blocks
 from tests.unit.frequency_response.cases import COUPLING, exact, experiment, two_mass
 
 F = np.arange(2.0, 200.0)
@@ -172,3 +173,14 @@ def test_what_is_not_determined_has_no_deviation_that_is_no_number():
     assert not any(np.isnan(std) for _, std, _ in lost.parameters.values())
     assert not lost.determines("damping")
     assert lost.determines("mass")
+
+
+def test_the_page_says_what_is_not_determined_and_what_speaks_against_the_masses():
+    two = chain(2)
+    response = FrequencyResponse.of(F, two.response(2.0 * np.pi * F), np.full(F.size, 0.02))
+    compared = Comparison(response, machine("emps2019"))
+    vague = np.diag([1e-4, 1e-4, 1e-4, 1e300, 1.0, 0.0])
+    compared.__dict__["chain"] = replace(two, dampers=np.array([1e300]), covariance=vague, misfit=300.0)
+    _, _, table, callout = response_blocks(compared)
+    assert "not determined" in {row[2] for row in table.rows}
+    assert any("miss the response by 3e+02 deviations" in item for item in callout.items)
