@@ -36,12 +36,12 @@ def unexplained(validation: Validation) -> dict[str, Any]:
     """
     floor, held_out = validation.outcome.calibration.floor.force, validation.held_out
     shown = _where_it_shows(validation)
-    # Of confirming data that show nothing, such as a push or a mass put on in training alone, there is nothing to say.
+    # Confirming data that show nothing, as of a push or a mass put on in training alone, say nothing of it.
     judged = validation.train if held_out is None or held_out.left <= rules.QUIET * floor else held_out
     most = most_missed(shown)
     left = float(np.sqrt(max(min(judged.left, judged.gap.extended) ** 2 - floor**2, 0.0)))
     share = left**2 / max(judged.gap.baseline**2 - floor**2, left**2, 1e-30)
-    shares = predicted(validation)
+    shares = predicted(validation, confirming=judged is held_out)
     over = [name for name in sorted(shares, key=lambda name: -shares[name]) if shares[name] > rules.DEPENDS]
     problem = shown.problem
     where = described(extent(problem.records[most], shown.residuals()[most], problem.splits[most].used, floor))
@@ -91,16 +91,16 @@ def _where_it_shows(validation: Validation) -> Hypothesis:
     return Hypothesis(data.problem, held_out.extended)
 
 
-def predicted(validation: Validation) -> dict[str, float]:
+def predicted(validation: Validation, confirming: bool = True) -> dict[str, float]:
     """Share of the missing force's mean square that each variable predicts on samples it was not fitted to.
 
-    Fitted to the training records and judged on the confirming one; where there is none, on the selecting strokes.
+    Fitted to the training records and judged on the ``confirming`` one; without one, on the selecting strokes.
     """
     extended, data = validation.extended, validation.outcome.calibration.preparation.held_out
     seen = missing_force(extended)
     used, judged = (extended.problem.masks(part) for part in ("fit", "select"))
     known, new, there = seen, seen, judged
-    if data is not None and validation.held_out is not None:
+    if confirming and data is not None and validation.held_out is not None:
         used = extended.problem.masks("used")
         new = missing_force(Hypothesis(data.problem, validation.held_out.extended))
         there = data.problem.masks("used")
