@@ -9,12 +9,14 @@ import numpy as np
 from emps_design.errors import RecordError
 from emps_design.records.layout import Assignment
 
-BESIDE = (-6, -5, -4, -3, -2, 2, 3, 4, 5, 6)  # increments it is held against; the next one is that of a jump back
+BESIDE = (-6, -5, -4, -3, -2, -1, 1, 2, 3, 4, 5, 6)  # increments it is held against, but a jump back
+BACK = 0.1  # of a jump, within which another takes it back
 FASTER = 5.0  # times as large as those: what hits a stop is not, and a sample that was lost is twice as large
 ROUGHER = 100.0  # times what an increment commonly differs from those next to it
 OF_STROKE = 1e-3
 PART, STRETCHES = 50_000, 10  # samples at a time, which copies no long record; of so many it is told what is usual
 LOST = 1.5  # times as far as in the samples beside: one that is missing makes two
+DUST = 1e-9  # of the stroke
 LEAP = 100.0  # times what one sample in a thousand changes in its step
 
 
@@ -48,10 +50,12 @@ def no_jump(q: np.ndarray, t: np.ndarray, unit: str, source: str) -> None:
     for start in range(0, q.size, PART):
         increments = np.abs(np.diff(q[start : start + PART + 1]))
         for k in start + np.flatnonzero(increments > floor):  # few, but for a motion that a mistaken unit makes fast
-            beside = [abs(q[k + away + 1] - q[k + away]) for away in BESIDE if 0 <= k + away < q.size - 1]
-            if abs(q[k + 1] - q[k]) > FASTER * max(beside):
+            own = q[k + 1] - q[k]
+            others = [q[k + away + 1] - q[k + away] for away in BESIDE if 0 <= k + away < q.size - 1]
+            beside = [abs(other) for other in others if abs(other + own) > BACK * abs(own)]
+            if beside and abs(own) > FASTER * max(beside):
                 raise RecordError(
-                    f"{source}: column q, at {t[k]:.6g} s: found a jump by {q[k + 1] - q[k]:.4g} {unit} in one sample, "
+                    f"{source}: column q, at {t[k]:.6g} s: found a jump by {own:.4g} {unit} in one sample, "
                     "expected motion; a position that wraps needs its modulo in [record], a bad sample or a position "
                     "that was set anew is to be cut off"
                 )
@@ -70,7 +74,9 @@ def nothing_lost(q: np.ndarray, q_ref: np.ndarray, t: np.ndarray, unit: str, sou
 
 def _leap(values: np.ndarray) -> tuple[int, float]:
     """Where the motion leaps ahead most, and in times of what one increment in a thousand changes by."""
-    usual = float(np.quantile(np.concatenate([_away(np.diff(part)) for part in _samples_of(values)]), 0.999))
+    away = np.concatenate([_away(np.diff(part)) for part in _samples_of(values)])
+    more = away[away > DUST * np.ptp(values)]  # a quantile of an axis that mostly rests is nothing but rounding
+    usual = max(float(np.quantile(away, 0.999)), float(np.median(more)) if more.size else 0.0)
     best, place = 0.0, 0
     for start in range(0, values.size, PART):
         increments = np.diff(values[start : start + PART + 3])
