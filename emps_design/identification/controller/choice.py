@@ -60,9 +60,10 @@ def rivals(signals: Signals, found: Fit, limited: np.ndarray | None) -> list[Fit
     if found.structure.velocity:
         names = [name for name in ESTIMATORS if name != timing.velocity_estimator]
         kinds.append([replace(found, timing=replace(timing, velocity_estimator=name)) for name in names])
-    if found.structure.feeds_forward and not signals.velocity_reference:
-        sources = [replace(timing, profile=not timing.profile, velocity_estimator=name) for name in ESTIMATORS]
-        kinds.append([replace(found, timing=source) for source in sources])
+    if found.structure.feeds_forward and not signals.velocity_reference:  # a filter may stand in for either
+        filters = [found.filters, *(found.filters[:i] + found.filters[i + 1 :] for i in range(len(found.filters)))]
+        sources = [(some, one) for some in filters for one in _sources(timing)]
+        kinds.append([replace(found, filters=some, timing=one) for some, one in sources if one != timing])
     best = [next(_in_full(signals, kind, limited), None) for kind in kinds]
     others = [*_in_full(signals, loops, limited), *(one for one in best if one is not None)]
     return sorted(others, key=lambda f: f.criterion)
@@ -127,4 +128,11 @@ def _other_loops(found: Fit) -> list[Timing]:
         return []
     loops = [(every, 0) for every in EVERY] + [(found.timing.every, phase) for phase in range(1, found.timing.every)]
     timings = [replace(found.timing, every=every, phase=phase) for every, phase in loops]
+    if found.structure.feeds_forward:  # a rate is not seen from a source that is not the drive's
+        timings = [source for timing in timings for source in _sources(timing)]
     return [timing for timing in timings if timing != found.timing]
+
+
+def _sources(timing: Timing) -> list[Timing]:
+    """``timing`` with each source of the feed-forward, and each estimator of the velocity that could pass for it."""
+    return [replace(timing, profile=profile, velocity_estimator=e) for profile in (False, True) for e in ESTIMATORS]

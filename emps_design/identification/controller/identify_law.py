@@ -15,9 +15,11 @@ import numpy as np
 
 from emps_design.errors import RecordError
 from emps_design.identification.controller.best_law import AS_GOOD, HOLDS, Found, best_law
+from emps_design.identification.controller.coarse_reference import too_coarse
 from emps_design.identification.controller.deviations import covariance, with_deviations
 from emps_design.identification.controller.fit import Fit
 from emps_design.identification.controller.law_estimate import AMBIGUOUS, NOT_TOLD, TOLD, LawEstimate
+from emps_design.identification.controller.regressors import AROUND as AHEAD
 from emps_design.identification.controller.regressors import Signals, joined
 from emps_design.identification.controller.steps import without_steps
 from emps_design.identification.controller.structures import PROPORTIONAL
@@ -100,10 +102,10 @@ def signals_of(record: Record, there: np.ndarray | None = None) -> Signals | str
     if record.enable is not None:
         used &= np.convolve(record.enable <= 0.0, np.ones(2 * AROUND + 1), "same") < 0.5
     start_up = max(FEWEST_AT_START, round(START_UP / record.period))
-    used[:start_up] = used[-2:] = False  # the velocity of a profile is told by two samples ahead
+    used[:start_up] = used[-AHEAD:] = False
     levels = None
     if there is not None:
-        used &= np.convolve(~there, np.ones(start_up + 1))[: used.size] < 0.5
+        used &= np.convolve(~there, np.ones(start_up + AHEAD + 1))[AHEAD : used.size + AHEAD] < 0.5
         levels = np.cumsum(np.diff(there.astype(int), prepend=1) < 0)
     if used.sum() < FEWEST:
         return f"{int(used.sum())} samples with the controller at work, expected at least {FEWEST}; record longer"
@@ -180,6 +182,9 @@ def _report(several: Sequence[Record], unit: str, found: Found, steps: np.ndarra
     if not kind:
         reason = f"the command follows a law that no kind of controller here has: {tried[0]['terms']}"
         return _not_told(name, unit, reason, **said)
+    if step := too_coarse(found):
+        reason = f"the reference is recorded in steps of {step:.2g}, of which derivatives hide what is fed forward; "
+        return _not_told(name, unit, f"{reason}record it with more digits", **said)
     spread = covariance(found.signals, found.fit, found.held)
     numbers = with_deviations(found.fit, spread, lambda one: numbers_of(one, velocity_reference))
     numbers |= _of_two_alike(found, spread, numbers)

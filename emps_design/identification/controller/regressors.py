@@ -19,10 +19,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.signal import lfilter
+from scipy.signal import lfilter, savgol_filter
 
 EVERY = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20)  # samples of a position loop that are tried
 DELAYS = (0, 1, 2)  # samples
+AROUND = 4  # samples before and after one that tell the velocity of a profile there
 ESTIMATORS = ("backward", "two_tap")
 STRANGE_START = 20.0  # of the criterion, for a position loop that does not start with the record, as axis files have it
 
@@ -180,11 +181,15 @@ def estimated_velocity(q: np.ndarray, period: float, estimator: str) -> np.ndarr
 
 
 def _of_the_profile(signals: Signals) -> tuple[np.ndarray, np.ndarray]:
-    """Velocity and acceleration (n,) that the generator of a position reference has at its samples, to fourth order."""
-    r, n, period = np.pad(signals.reference, 2, mode="edge"), len(signals), signals.period
-    before2, before, now, after, after2 = (r[i : i + n] for i in range(5))
-    velocity = (before2 - 8.0 * before + 8.0 * after - after2) / (12.0 * period)
-    return velocity, (-before2 + 16.0 * before - 30.0 * now + 16.0 * after - after2) / (12.0 * period**2)
+    """Velocity and acceleration (n,) that the generator of a position reference has at its samples.
+
+    Of a polynomial of fourth degree through nine samples each: the steps in which a reference is recorded are smoothed.
+    """
+    r = np.pad(signals.reference, AROUND, mode="edge")
+    first, second = (
+        savgol_filter(r, 2 * AROUND + 1, 4, deriv=order, delta=signals.period)[AROUND:-AROUND] for order in (1, 2)
+    )
+    return first, second
 
 
 def held(x: np.ndarray, every: int, phase: int) -> np.ndarray:

@@ -272,7 +272,7 @@ def test_an_open_loop_has_no_law():
 
 
 def test_the_command_prints_the_table_and_never_reads_the_one_in_the_axis(tmp_path, capsys):
-    record = record_of(Loop(kp=30.0, kv=300.0, noise=0.01, samples=2000))
+    record = record_of(Loop(kp=30.0, kv=300.0, noise=0.01, samples=2000, seed=1))
     record.save(tmp_path / "trace.csv")
     answers = []
     for kp in ("160.0", "3.0"):
@@ -312,3 +312,25 @@ def test_lost_samples_leave_the_law_told():
     for key, true in {"position.kp": 25.0, "velocity.kp": 400.0, "velocity.ti": 0.04}.items():
         assert abs(at(found.controller, key) - true) < 4.0 * at(found.std, key), key
     assert found.residual_rms == pytest.approx(loop.noise, rel=0.1)
+
+
+@pytest.mark.slow
+def test_a_position_loop_in_every_eighth_sample_is_not_taken_for_a_profile():
+    """Neither its rate nor the source of the feed-forward is seen from where the other is wrong."""
+    loop = Loop(kp=25.0, kv=400.0, ti=0.04, form="ip", every=8, share=0.5, noise=0.02)
+    found = identify_law(record_of(loop))
+    assert found.verdict == TOLD
+    assert found.controller["position"]["every"] == 8
+    assert "source" not in found.controller["feedforward"]
+    assert found.controller["position"]["kp"] == pytest.approx(25.0, rel=2e-3)
+
+
+@pytest.mark.slow
+def test_a_reference_recorded_in_coarse_steps_hides_what_is_fed_forward():
+    """1e-7 m at 1 kHz is 0.2 m/s^2 of noise in its second difference: filters and gains would make up for that."""
+    loop = Loop(kp=20.0, kv=400.0, ti=0.02, share=0.9, acceleration=3.0, noise=0.02)
+    r, q, u = loop.run()
+    assert identify_law(Record.from_arrays(loop.period, r, q, u)).verdict == TOLD
+    found = identify_law(Record.from_arrays(loop.period, np.round(r / 1e-7) * 1e-7, q, u))
+    assert found.verdict == NOT_TOLD
+    assert "recorded in steps of 1e-07, of which derivatives hide what is fed forward" in found.reason
