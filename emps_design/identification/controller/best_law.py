@@ -71,7 +71,7 @@ def best_law(signals: Signals, only: Structure | None = None) -> Found:
         free, fitted, limited, limit, holds = _up_to_the_limit(signals, start, flat)
         left = float(np.std(_left(free, fitted, limited if holds else None)[free.used]))
         attempts.append((left, worth, free, fitted, limited, limit, holds))
-        if not flat.any():
+        if only is not None or not flat.any():
             break
     _, worth, free, fitted, limited, limit, holds = min(attempts, key=lambda attempt: attempt[0])
     held = limited if holds else None
