@@ -66,7 +66,7 @@ def command(
         print_json(found)
     else:
         _show(found, loaded.units.unit)
-    print_warnings([*found.warnings, *found.comparison.chain.warnings])
+    print_warnings(found.all_warnings)
 
 
 def _draw(path: Path, found: Estimate) -> None:

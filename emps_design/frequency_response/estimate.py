@@ -75,6 +75,11 @@ class Estimate:
         """The response beside the model of the axis, and beside the masses that fit it."""
         return Comparison(self.response, self.axis)
 
+    @property
+    def all_warnings(self) -> tuple[str, ...]:
+        """What is odd about the data, and what speaks against the masses that were fitted."""
+        return (*self.warnings, *self.comparison.chain.warnings)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data: the table, the comparison, and what was assumed."""
         ratio = self.spectral_ratio
@@ -100,7 +105,7 @@ class Estimate:
             "rest_share": self.rest_share,
             "lines_left_out": self.left_out,
             "units": {"frequency_hz": "Hz", "magnitude": "(m/s)/N", "std": "of the modulus"},
-            "warnings": [*self.warnings, *self.comparison.chain.warnings],
+            "warnings": list(self.all_warnings),
         }
 
     def _repr_html_(self) -> str:

@@ -90,7 +90,7 @@ def response_work(record: Record, axis: Axis, options: Options, progress: Callab
         "text": f"Response at {len(found.response)} lines by the {found.instrument}: {compared.agreement.sentence}.",
         "html": _blocks(axis.units, *response_blocks(compared, found.spectral_ratio)),
         "model": chain.on(axis).replace(name=f"{axis.name} with the response of {record.name}"),
-        "level": "warning" if found.warnings else "good",
+        "level": "warning" if found.all_warnings else "good",
     }
 
 

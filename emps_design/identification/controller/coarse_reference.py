@@ -18,7 +18,7 @@ from emps_design.identification.controller.structures import PLACE
 
 LOUD = 0.5  # of the difference between the sources
 ALIKE = 5.0  # times: what is left is of the size of this noise
-AHEAD = [PLACE["slip"], PLACE["acceleration"]]
+FED_FORWARD = [PLACE["slip"], PLACE["acceleration"]]
 
 
 def too_coarse(found: Found) -> float:
@@ -28,14 +28,14 @@ def too_coarse(found: Found) -> float:
     if not step:
         return 0.0
     difference, profile = (replace(law.timing, profile=source) for source in (False, True))
-    random = replace(signals, reference=step * np.random.default_rng(0).uniform(-0.5, 0.5, len(signals)))
-    gains = law.beta[AHEAD]
+    rounding = step * np.random.default_rng(0).uniform(-0.5, 0.5, len(signals))
+    steps = replace(signals, reference=rounding, position=np.zeros(len(signals)))
+    gains = law.beta[FED_FORWARD]
 
     def rms(table: np.ndarray) -> float:
-        return float(np.sqrt(np.mean((table[:, AHEAD] @ gains)[signals.used] ** 2)))
+        return float(np.sqrt(np.mean((table[:, FED_FORWARD] @ gains)[signals.used] ** 2)))
 
-    random = replace(random, position=0.0 * signals.position)
-    noise, left = (rms(regressors(random, timing)) for timing in (difference, law.timing))
+    noise, left = (rms(regressors(steps, timing)) for timing in (difference, law.timing))
     apart = rms(regressors(signals, profile) - regressors(signals, difference))
     own = max(apart**2 - noise**2, 0.0) ** 0.5
     return step if noise > LOUD * own and left / ALIKE < found.rms < ALIKE * left else 0.0

@@ -19,8 +19,7 @@ from emps_design.identification.controller.coarse_reference import too_coarse
 from emps_design.identification.controller.deviations import covariance, with_deviations
 from emps_design.identification.controller.fit import Fit
 from emps_design.identification.controller.law_estimate import AMBIGUOUS, NOT_TOLD, TOLD, LawEstimate
-from emps_design.identification.controller.regressors import AROUND as AHEAD
-from emps_design.identification.controller.regressors import Signals, joined
+from emps_design.identification.controller.regressors import AHEAD, Signals, joined
 from emps_design.identification.controller.steps import without_steps
 from emps_design.identification.controller.structures import PROPORTIONAL
 from emps_design.identification.controller.tables import deviations_of, kind_of, numbers_of, table_of

@@ -23,7 +23,7 @@ from scipy.signal import lfilter, savgol_filter
 
 EVERY = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20)  # samples of a position loop that are tried
 DELAYS = (0, 1, 2)  # samples
-AROUND = 4  # samples before and after one that tell the velocity of a profile there
+AHEAD = 4  # samples before and after one that tell the velocity of a profile there
 ESTIMATORS = ("backward", "two_tap")
 STRANGE_START = 20.0  # of the criterion, for a position loop that does not start with the record, as axis files have it
 
@@ -185,9 +185,9 @@ def _of_the_profile(signals: Signals) -> tuple[np.ndarray, np.ndarray]:
 
     Of a polynomial of fourth degree through nine samples each: the steps in which a reference is recorded are smoothed.
     """
-    r = np.pad(signals.reference, AROUND, mode="edge")
+    r = np.pad(signals.reference, AHEAD, mode="edge")
     first, second = (
-        savgol_filter(r, 2 * AROUND + 1, 4, deriv=order, delta=signals.period)[AROUND:-AROUND] for order in (1, 2)
+        savgol_filter(r, 2 * AHEAD + 1, 4, deriv=order, delta=signals.period)[AHEAD:-AHEAD] for order in (1, 2)
     )
     return first, second
 
