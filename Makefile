@@ -19,12 +19,13 @@ comma := ,
 PARALLEL = -n $(WORKERS) --dist worksteal
 MARK = $(VENV)/.installed-$(STATE)-$(subst $(comma),-,$(1))
 
-.PHONY: help demo test quick lint fuzz hidden coverage bench paper lock audit docs clean
+.PHONY: help demo test quick studies faults lint fuzz hidden coverage bench paper lock audit docs clean
 
 help:
 	@echo "make demo    install into $(VENV), run the main job on the embedded machine, print where the report is"
 	@echo "make test    install with the test tools, run every test (make quick: without the slow ones)"
 	@echo "make lint    ruff, imports, types               make fuzz    $(FUZZ) bad inputs of each kind, $(KILLS) kills"
+	@echo "make studies figures over many records, a table make faults  put faults into the code, count those found"
 	@echo "make bench   measure speed                     make hidden  find effects hidden in records"
 	@echo "make paper   sweep what makes Table II          make coverage  count how often intervals hold the truth"
 	@echo "make audit   look for known vulnerabilities     make lock    take the newest versions"
@@ -37,13 +38,19 @@ test: $(call MARK,$(EXTRAS))
 	@env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest $(PARALLEL)
 
 quick: $(call MARK,$(EXTRAS))
-	@env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest $(PARALLEL) -m "not slow and not browser"
+	@env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest $(PARALLEL) -m "not slow and not study and not browser"
+
+studies: $(call MARK,$(EXTRAS))
+	@env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m study
+
+faults: $(call MARK,$(EXTRAS))
+	@$(BIN)/python -m tests.faults
 
 lint: $(call MARK,$(EXTRAS))
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/lint-imports
-	@$(BIN)/mypy
+	@$(BIN)/mypy emps_design .ci/typed_by_a_user.py
 
 fuzz: $(call MARK,$(EXTRAS))
 	@EMPS_DESIGN_FUZZ=$(FUZZ) $(BIN)/python -m pytest --timeout 36000 tests/property

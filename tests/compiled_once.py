@@ -5,12 +5,15 @@ would do so at the same time.
 """
 
 import fcntl
+import io
+from contextlib import redirect_stdout
 from functools import wraps
 from pathlib import Path
 
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 
+from emps_design.cli.app import run
 from emps_design.machines import machine
 from emps_design.simulation import Plant
 
@@ -30,8 +33,22 @@ def wait_for_each_other(folder: Path) -> None:
     Dispatcher.compile = compile_once
 
 
-def compile_steppers() -> None:
-    """Have ready what most tests use, before one of them starts a process that would compile it."""
+def hand_on_the_carriage() -> None:
+    """A co-manipulation of one plant and of several, side by side."""
+    with redirect_stdout(io.StringIO()):
+        run(["simulate", "--scenario", "comanipulation", "--mass", "50", "--damping", "100", "--plants", "2", "--json"])
+
+
+def compile_steppers(worker: int) -> None:
+    """Have ready what most tests use, before one of them starts a process that would compile it.
+
+    Every ``worker`` begins with another stepper, so that none waits while there is something to compile.
+    """
     plant = Plant.of(machine("emps2019"))
-    for method in ("general", "plain"):
-        plant.closed_loop(np.zeros(4), method=method)
+    steppers = [
+        lambda: plant.closed_loop(np.zeros(4), method="general"),
+        hand_on_the_carriage,
+        lambda: plant.closed_loop(np.zeros(4), method="plain"),
+    ]
+    for place in range(len(steppers)):
+        steppers[(place + worker) % len(steppers)]()

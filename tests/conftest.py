@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+pytest_plugins = ["tests.costs"]
 REPOSITORY = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("EMPS_DESIGN_DATA", REPOSITORY.parent / "shared" / "data"))
 
@@ -29,7 +30,7 @@ def _compiled_once(request, tmp_path_factory):
         from tests.compiled_once import compile_steppers, wait_for_each_other
 
         wait_for_each_other(tmp_path_factory.getbasetemp().parent)
-        compile_steppers()
+        compile_steppers(int(request.config.workerinput["workerid"].removeprefix("gw")))
 
 
 @pytest.fixture

@@ -33,16 +33,19 @@ def named(module: Path) -> str:
     return str(module.relative_to(REPOSITORY))
 
 
-@pytest.mark.parametrize("module", LIBRARY, ids=named)
-def test_the_library_names_no_flag(module):
-    found = texts(module.read_text(encoding="utf-8"))
-    assert [text for text in found if FLAG.search(COMMAND.sub("", text))] == []
+@pytest.fixture(scope="module")
+def library_texts():
+    """What every module of the library may print, with the module's name."""
+    return [(named(module), text) for module in LIBRARY for text in texts(module.read_text(encoding="utf-8"))]
 
 
-@pytest.mark.parametrize("module", LIBRARY, ids=named)
-def test_every_argument_that_a_message_names_has_its_flag(module):
-    arguments = [one for text in texts(module.read_text(encoding="utf-8")) for one in ARGUMENT.findall(text)]
-    assert [one for one in arguments if in_flags(f"`{one}`") == f"`{one}`"] == []
+def test_the_library_names_no_flag(library_texts):
+    assert [(module, text) for module, text in library_texts if FLAG.search(COMMAND.sub("", text))] == []
+
+
+def test_every_argument_that_a_message_names_has_its_flag(library_texts):
+    arguments = [(module, name) for module, text in library_texts for name in ARGUMENT.findall(text)]
+    assert [(module, name) for module, name in arguments if in_flags(f"`{name}`") == f"`{name}`"] == []
 
 
 def test_every_flag_of_the_table_is_one():
@@ -63,9 +66,8 @@ def test_a_flag_in_a_message_is_seen():
     assert not FLAG.search(COMMAND.sub("", "emps-design simulate model.toml --reference next.csv"))
 
 
-@pytest.mark.parametrize("module", sorted((PACKAGE / "cli").glob("*.py")), ids=named)
-def test_a_command_speaks_of_the_axis_it_loads(module):
+def test_a_command_speaks_of_the_axis_it_loads():
     """``cli.wording.load_axis`` sets the units of what is printed; the library's own does not."""
-    lines = module.read_text(encoding="utf-8").splitlines()
-    bare = [line for line in lines if re.search(r"from emps_design\.machines import .*\bload_axis\b", line)]
-    assert len(bare) == (module.name == "wording.py")
+    bare = re.compile(r"from emps_design\.machines import .*\bload_axis\b")
+    modules = sorted((PACKAGE / "cli").glob("*.py"))
+    assert [m.name for m in modules if bare.search(m.read_text(encoding="utf-8"))] == ["wording.py"]

@@ -1,6 +1,7 @@
 """Modules are short and documented, nothing heavy comes early, nothing dangerous is called, no effect is special."""
 
 import ast
+import functools
 import json
 import subprocess
 import sys
@@ -24,24 +25,27 @@ def named(module: Path) -> str:
     return str(module.relative_to(REPOSITORY))
 
 
+@functools.cache
 def tree(module: Path) -> ast.Module:
     return ast.parse(module.read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("module", MODULES, ids=named)
-def test_no_module_is_long(module):
-    assert len(module.read_text(encoding="utf-8").splitlines()) <= LONGEST
+def length(module: Path) -> int:
+    return len(module.read_text(encoding="utf-8").splitlines())
 
 
-@pytest.mark.parametrize("module", MODULES, ids=named)
-def test_public_things_have_a_docstring(module):
-    # Kernels and checks of an effect are described together, in the module's docstring and in effects/effect.py.
-    if module.parent.name == "library" and module.name != "__init__.py":
-        assert ast.get_docstring(tree(module))
-        return
+def test_no_module_is_long():
+    assert [f"{named(module)}: {length(module)} lines" for module in MODULES if length(module) > LONGEST] == []
+
+
+def undocumented(module: Path) -> list[str]:
+    """Public things of ``module`` without a docstring."""
     bare = []
     if module.read_text(encoding="utf-8").strip() and not ast.get_docstring(tree(module)):
         bare.append(named(module))
+    # Kernels and checks of an effect are described together, in the module's docstring and in effects/effect.py.
+    if module.parent.name == "library" and module.name != "__init__.py":
+        return bare
     for scope in (tree(module), *(node for node in tree(module).body if isinstance(node, ast.ClassDef))):
         if isinstance(scope, ast.ClassDef) and scope.name.startswith("_"):
             continue
@@ -51,11 +55,15 @@ def test_public_things_have_a_docstring(module):
                 continue  # its help is the module's docstring
             if public and not ast.get_docstring(node):
                 bare.append(f"{named(module)}:{node.lineno} {node.name}")
-    assert not bare
+    return bare
 
 
-@pytest.mark.parametrize("module", MODULES, ids=named)
-def test_nothing_dangerous_and_nothing_swallowed(module):
+def test_public_things_have_a_docstring():
+    assert [name for module in MODULES for name in undocumented(module)] == []
+
+
+def dangerous(module: Path) -> list[str]:
+    """Imports and calls that no module may have, and exceptions that it swallows."""
     found = []
     for node in ast.walk(tree(module)):
         if isinstance(node, ast.Import | ast.ImportFrom):
@@ -72,13 +80,15 @@ def test_nothing_dangerous_and_nothing_swallowed(module):
         elif isinstance(node, ast.keyword) and node.arg in ("allow_pickle", "shell"):
             off = isinstance(node.value, ast.Constant) and node.value.value is False
             found += [] if off else [f"{node.arg} in line {node.value.lineno}"]
-    assert not found
+    return found
 
 
-@pytest.mark.parametrize(
-    "code", ["import emps_design", "import emps_design.cli", "import emps_design, emps_design.axis"]
-)
-def test_importing_is_light(code):
+def test_nothing_dangerous_and_nothing_swallowed():
+    assert {named(module): dangerous(module) for module in MODULES if dangerous(module)} == {}
+
+
+def test_importing_is_light():
+    code = "import emps_design, emps_design.cli, emps_design.axis"
     probe = f"{code}; import sys, json; print(json.dumps([m for m in {HEAVY!r} if m in sys.modules]))"
     done = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, check=True, timeout=60)
     assert json.loads(done.stdout) == []
@@ -94,18 +104,32 @@ def test_gains_with_numbers_given_imports_nothing_heavy():
     assert done.stderr.splitlines()[-1] == "0 []"
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_of_the_contract_has_its_file(command):
-    module = PACKAGE / "cli" / f"{command}.py"
-    assert ast.get_docstring(tree(module))
-    assert "command" in [node.name for node in tree(module).body if isinstance(node, ast.FunctionDef)]
+def test_every_command_of_the_contract_has_its_file():
+    for command in COMMANDS:
+        module = PACKAGE / "cli" / f"{command}.py"
+        assert ast.get_docstring(tree(module)), command
+        assert "command" in [node.name for node in tree(module).body if isinstance(node, ast.FunctionDef)], command
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_takes_json(command, capsys):
-    assert app.run([command, "--help"]) == 0
-    text = capsys.readouterr().out
-    assert "--json" in text or command == "studio"  # the studio prints its address and serves until it is ended
+def test_every_slow_test_and_every_study_says_why():
+    tests = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted((REPOSITORY / "tests").rglob("*.py"))}
+    bare = [
+        f"{path.relative_to(REPOSITORY)}:{node.lineno}"
+        for path, parsed in tests.items()
+        for node in ast.walk(parsed)
+        if isinstance(node, ast.Attribute)
+        and ast.unparse(node) in ("pytest.mark.slow", "pytest.mark.study")
+        and not any(isinstance(call, ast.Call) and call.func is node and call.args for call in ast.walk(parsed))
+    ]
+    assert bare == []
+
+
+def test_every_command_takes_json(capsys):
+    for command in COMMANDS:
+        assert app.run([command, "--help"]) == 0
+        text = capsys.readouterr().out
+        # The studio prints its address and serves until it is ended.
+        assert "--json" in text or command == "studio", command
 
 
 def test_one_file_per_effect():
@@ -135,10 +159,10 @@ def asking_by_name(source: str, names: set[str]) -> list[int]:
 EFFECT_WORDS = {word for effect in EFFECTS for word in (effect.name, effect.label)}
 
 
-@pytest.mark.parametrize("module", MODULES, ids=named)
-def test_no_room_above_asks_for_an_effect_by_name(module):
-    if module.relative_to(PACKAGE).parts[0] not in ("effects", "machines"):
-        assert asking_by_name(module.read_text(encoding="utf-8"), EFFECT_WORDS) == []
+def test_no_room_above_asks_for_an_effect_by_name():
+    above = [m for m in MODULES if m.relative_to(PACKAGE).parts[0] not in ("effects", "machines")]
+    asking = {named(module): asking_by_name(module.read_text(encoding="utf-8"), EFFECT_WORDS) for module in above}
+    assert {module: lines for module, lines in asking.items() if lines} == {}
 
 
 # `impedance` and `cascade` are also commands and keys of documents, `p` heads a column: nothing about a law.

@@ -13,7 +13,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.slow
+@pytest.mark.study("five commands as a reader types them")
 def test_the_output_shown_is_the_output_given():
     check = [sys.executable, str(REPOSITORY / "docs" / "fill_readme.py"), "--check"]
     done = subprocess.run(check, cwd=REPOSITORY, capture_output=True, text=True, check=False, timeout=600)
@@ -45,7 +45,7 @@ def test_the_two_commands_come_first():
         assert re.search(rf"^{target}:", makefile, re.MULTILINE)
 
 
-@pytest.mark.slow
+@pytest.mark.study("what a reader types")
 def test_the_python_shown_runs(tmp_path):
     code = "\n".join(re.findall(r"```python\n(.*?)```", README, re.DOTALL))
     assert "identify(" in code

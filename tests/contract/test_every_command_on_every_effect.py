@@ -35,6 +35,8 @@ LONG = {
 }
 REPORT = {"report": "report {design} --k-e1 0.005 --out {out}"}
 SIZES = {"small": 1e-3, "typical": 1.0, "large": 100.0}
+STUDY = pytest.mark.study("all commands on all effects, small and large")
+EVERY_SIZE = pytest.mark.parametrize("size", [pytest.param(s, marks=[] if s == "typical" else STUDY) for s in SIZES])
 ONE_EACH = [effect.name for effect in EFFECTS]
 # Pairs that meet in one place of the plant: two of the actuator, two over position, play and spring, sensor and drive.
 PAIRS = [
@@ -93,12 +95,14 @@ def check(lines, effects, record, folder, capsys):
             assert document["reason"], name
 
 
-@pytest.mark.parametrize("size", SIZES)
+@EVERY_SIZE
 @pytest.mark.parametrize("name", ONE_EACH)
 def test_every_design_command_runs(name, size, record, tmp_path, capsys):
-    check(DESIGN, [parameters(name, size)], record, tmp_path, capsys)
+    lines = {key: DESIGN[key] for key in ("gains", "retune", "force")} if size == "typical" else DESIGN
+    check(lines, [parameters(name, size)], record, tmp_path, capsys)
 
 
+@pytest.mark.study("two commands on pairs of effects of nine sizes")
 @pytest.mark.parametrize("pair", PAIRS, ids="-".join)
 def test_every_design_command_runs_on_pairs(pair, record, tmp_path, capsys):
     for sizes in itertools.product(SIZES, repeat=2):
@@ -106,10 +110,15 @@ def test_every_design_command_runs_on_pairs(pair, record, tmp_path, capsys):
         check({"gains": DESIGN["gains"], "force": DESIGN["force"]}, effects, record, tmp_path, capsys)
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize("name", ONE_EACH)
+def test_every_simulating_command_runs(name, record, tmp_path, capsys):
+    check(SIMULATED, [parameters(name, "typical")], record, tmp_path, capsys)
+
+
+@STUDY
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("name", ONE_EACH)
-def test_every_simulating_command_runs(name, size, record, tmp_path, capsys, monkeypatch):
+def test_every_long_command_runs(name, size, record, tmp_path, capsys, monkeypatch):
     # Pictures take longest, and there an effect is a number like any other: one is drawn.
     if (name, size) != ("elastic_force", "typical"):
         monkeypatch.setattr("emps_design.report.assemble.design_page", lambda results: Page("title", "", (), ()))
@@ -123,7 +132,7 @@ def test_every_simulating_command_runs(name, size, record, tmp_path, capsys, mon
     check(lines, [parameters(name, size)], record, tmp_path, capsys)
 
 
-@pytest.mark.slow
+@pytest.mark.study("all commands on pairs of effects")
 @pytest.mark.parametrize("pair", PAIRS, ids="-".join)
 def test_every_simulating_command_runs_on_pairs(pair, record, tmp_path, capsys):
     check(SIMULATED | LAW | LONG, [parameters(name, "typical") for name in pair], record, tmp_path, capsys)

@@ -22,6 +22,7 @@ def found(tmp_path_factory):
     return out
 
 
+@pytest.mark.study("an experiment, simulated and estimated")
 def test_the_reference_is_written_and_told(found):
     document = json.loads((found / "diagnosis.json").read_text(encoding="utf-8"))
     assert document["verdict"] == "ambiguous"
@@ -42,6 +43,7 @@ def test_the_reference_is_written_and_told(found):
     assert experiment["text"][1:] in (found / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.study("an experiment on the extended model")
 def test_the_extended_model_runs_it_at_once(found, capsys):
     line = ["simulate", str(found / "model.toml"), "--reference", str(found / "experiment.csv"), "--json"]
     assert app.run(line) == 0

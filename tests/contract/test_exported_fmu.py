@@ -18,6 +18,7 @@ from emps_design.effects import EFFECTS
 from emps_design.errors import InputError
 from emps_design.machines import machine
 from emps_design.simulation import Plant, trapezoid_laps
+from tests.studies import quick
 from tests.unit.compensation.test_compensation import EFFECTS_HERE
 
 fmpy = pytest.importorskip("fmpy")
@@ -113,7 +114,9 @@ def with_every_effect():
         )
 
 
-@pytest.mark.parametrize(("name", "axis"), list(with_every_effect()), ids=ALONE)
+@pytest.mark.parametrize(
+    ("name", "axis"), quick(with_every_effect(), lambda case: case[0] == "together", "a unit for each"), ids=ALONE
+)
 def test_the_machine_moves_as_in_our_simulation(name, axis, tmp_path):
     """Bit for bit under the same command; within 1e-9 m is what is promised."""
     u = Plant.of(machine("emps2019").replace(motion=axis.motion)).closed_loop(PROGRAM[:1500]).u
@@ -137,7 +140,9 @@ def stepped(made, commands, first, period):
     return np.array(rows)
 
 
-@pytest.mark.parametrize(("name", "axis"), list(with_every_effect()), ids=ALONE)
+@pytest.mark.parametrize(
+    ("name", "axis"), quick(with_every_effect(), lambda case: case[0] == "together", "a unit for each"), ids=ALONE
+)
 def test_a_master_steps_back_and_the_machine_moves_the_same_again(name, axis, tmp_path):
     """Whatever was done in between, and as often as it likes; the state of one instance is for no other."""
     made, other = instances(unit_with(name), tmp_path, 2)
@@ -157,7 +162,11 @@ def test_a_master_steps_back_and_the_machine_moves_the_same_again(name, axis, tm
     np.testing.assert_array_equal(stepped(other, u[300:], 300, period), first)
 
 
-@pytest.mark.parametrize("more", [[], [{"kind": "actuator_lag", "time_constant": 2e-4}]], ids=["alone", "behind a lag"])
+@pytest.mark.parametrize(
+    "more",
+    quick([[{"kind": "actuator_lag", "time_constant": 2e-4}], []], 1, "without the lag"),
+    ids=["behind a lag", "alone"],
+)
 def test_a_users_effect_and_a_real_current_loop_are_in_the_machine(more, tmp_path):
     (tmp_path / "mine.py").write_text(OWN, encoding="utf-8")
     effects.load_file(tmp_path / "mine.py")
@@ -192,6 +201,7 @@ def test_the_controller_answers_as_ours_to_the_bit(compensated, tmp_path):
     np.testing.assert_array_equal(u[1:].view(np.int64), one[:-1].view(np.int64))
 
 
+@pytest.mark.study("all units")
 def test_the_folder_has_both_units_and_says_what_is_in_them(tmp_path, capsys, monkeypatch):
     assert app.run(["export", "emps2019", "--to", "fmu", "--out", str(tmp_path)]) == 0
     page = (tmp_path / "README.md").read_text(encoding="utf-8")
@@ -212,6 +222,7 @@ def test_the_folder_has_both_units_and_says_what_is_in_them(tmp_path, capsys, mo
     assert not any("binaries" in name for name in zipfile.ZipFile(tmp_path / "new" / "emps2019.fmu").namelist())
 
 
+@pytest.mark.study("four units")
 def test_the_same_axis_gives_the_same_bytes():
     assert machine_unit("m", machine("emps2019")) == plain_unit()
 

@@ -23,6 +23,7 @@ from emps_design.observer import ForceObserver, as_driven, observe_online
 from emps_design.records import Record
 from emps_design.simulation import Plant, trapezoid_laps
 from tests.contract.test_laws import GIVEN, OWN, OWN_TABLE, axis_with
+from tests.studies import quick
 from tests.unit.compensation.test_compensation import DUTY, EFFECTS_HERE
 
 CC = shutil.which("cc")
@@ -45,8 +46,8 @@ OBSERVERS = {
     "observer of a light arm": {**LIGHT, "effects": ON_LIGHT},
     "observer of 30 t": {"mechanics": {"mass": 3e4, "coulomb": 900.0}, "effects": [*MAPS, STOP, EFFECTS_HERE[4]]},
 }
-OBSERVED = pytest.mark.parametrize("name", OBSERVERS)
-ESTIMATORS = pytest.mark.parametrize("estimator", ["two_tap", "backward"])
+OBSERVED = pytest.mark.parametrize("name", quick(OBSERVERS, {"observer with effects"}.__contains__, "other observers"))
+ESTIMATORS = pytest.mark.parametrize("estimator", quick(["backward", "two_tap"], 1, "the other estimator"))
 compiled = pytest.mark.skipif(CC is None, reason="needs a C compiler")
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wconversion", "-O2", "-ffp-contract=off"]
 SANITIZERS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
@@ -149,7 +150,11 @@ def numbers_of(source):
 
 
 @compiled
-@EVERY
+@pytest.mark.parametrize(
+    "kind",
+    quick(LAWS, lambda law: law.name != "cascade", "all coefficients of a cascade"),
+    ids=lambda kind: kind.name,
+)
 def test_one_changed_coefficient_is_noticed(kind, tmp_path):
     """A gain that is off by one in 10,000, or a switch that stands otherwise, fails ``make check``."""
     exported = written(axis_with(kind), tmp_path)
@@ -202,7 +207,7 @@ def compensated_block(name, target):
 
 
 @compiled
-@pytest.mark.parametrize("name", COMPENSATED)
+@pytest.mark.parametrize("name", quick(COMPENSATED, {"velocity", "several"}.__contains__, "100,000 samples each"))
 def test_a_compensated_law_has_the_simulations_bits(name, tmp_path):
     """``make check`` with the feed-forward inside, and 100,000 samples of a closed loop with it."""
     exported, (inputs, u) = compensated_block(name, "c"), compensated_run(name)

@@ -13,6 +13,7 @@ from emps_design.codegen.st import KEYWORDS, functions_in_st
 from emps_design.laws import LAWS
 from tests.contract.test_exported_laws import COMPENSATED, OBSERVED, compensated_block, compensated_run, laps, observed
 from tests.contract.test_laws import axis_with
+from tests.studies import quick
 from tests.unit.codegen.structured_text import Blocks
 
 EVERY = pytest.mark.parametrize("kind", LAWS, ids=lambda kind: kind.name)
@@ -50,7 +51,7 @@ def test_100000_samples_have_the_simulations_bits(kind):
     np.testing.assert_array_equal(found.view(np.int64), run.u.view(np.int64))
 
 
-@pytest.mark.parametrize("name", COMPENSATED)
+@pytest.mark.parametrize("name", quick(COMPENSATED, {"velocity", "several"}.__contains__, "100,000 samples each"))
 def test_100000_samples_of_a_compensated_law_have_the_simulations_bits(name):
     exported, (inputs, u) = compensated_block(name, "st"), compensated_run(name)
     blocks = Blocks(exported.files[f"{exported.name}.st"])
@@ -68,7 +69,7 @@ def test_the_text_of_the_observer_gives_the_bits_of_100000_samples_and_of_the_ve
     np.testing.assert_array_equal(found.view(np.int64), force.view(np.int64))
 
 
-@pytest.mark.parametrize("name", COMPENSATED)
+@pytest.mark.parametrize("name", quick(COMPENSATED, {"velocity", "several"}.__contains__, "other compensations"))
 def test_the_text_of_a_compensated_law_gives_the_bits_of_the_vectors(name):
     assert_the_text_gives_the_vectors(compensated_block(name, "st"))
 

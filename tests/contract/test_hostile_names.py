@@ -59,13 +59,14 @@ def run(capsys, *words):
     return out
 
 
+@pytest.mark.study("a whole report")
 def test_the_report(capsys, folder):
     axis, record, out = folder / f"{FILE}.toml", folder / f"{FILE}.npz", folder / "page.html"
     run(capsys, "report", axis, "--record", record, "--design-on", "record", "--crossover", 100, "--out", out)
     harmless(out.read_text())
 
 
-@pytest.mark.slow
+@pytest.mark.study("a diagnosis and its page")
 def test_the_diagnosis(capsys, folder):
     axis, record, out = folder / f"{FILE}.toml", folder / f"{FILE}.npz", folder / f"{FILE}"
     run(capsys, "diagnose", record, "--axis", axis, "--out", out)

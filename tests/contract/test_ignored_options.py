@@ -8,6 +8,7 @@ import pytest
 from emps_design.cli import app
 from emps_design.machines import machine
 from emps_design.simulation.synthetic import synthetic_record
+from tests.studies import quick
 
 IGNORED = {
     "gains --crossover 100 --at velocity-error": "--at: goes with --retune",
@@ -76,11 +77,14 @@ def test_what_would_be_ignored_is_refused(line, files, capsys):
     assert not files["out"].exists()
 
 
-@pytest.mark.parametrize("line", READ)
+@pytest.mark.parametrize(
+    "line", quick(READ, lambda line: not line.startswith(("impedance", "derive")), "long commands")
+)
 def test_what_is_read_is_taken(line, files, capsys):
     assert app.run(line.format(**files).split()) in (0, 4)
 
 
+@pytest.mark.study("a whole report")
 def test_a_report_on_an_axis_with_an_impedance_law_takes_the_options_of_the_law(tmp_path, capsys, sketched):
     law = {"kind": "impedance", "mass": 50.0, "damping": 100.0, "filter": 500.0}
     (tmp_path / "law.toml").write_text(machine("emps2018").replace(controller=law).to_toml())

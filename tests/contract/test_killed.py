@@ -7,9 +7,12 @@ import pytest
 
 from tests.kills import COMMANDS, SIGNALS, Kills
 
+QUICK = ("gains", "import")  # the others kill whole programs of seconds
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", COMMANDS)
+
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.study("kills")) for name in COMMANDS]
+)
 def test_killed_at_any_moment(name, tmp_path):
     killed = Kills(name, tmp_path)
     killed.run(len(SIGNALS))

@@ -248,7 +248,6 @@ def test_a_users_law_in_replay_and_output_error(own_axis, capsys):
         assert found[name]["value"] == pytest.approx(true, abs=4 * found[name]["std"] + 0.01 * true)
 
 
-@pytest.mark.slow
 def test_a_users_law_in_diagnose(own_axis, capsys):
     _, folder = own_axis
     found = document(capsys, "diagnose", folder / "made.npz", "--axis", folder / "axis.toml")

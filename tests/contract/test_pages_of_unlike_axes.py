@@ -48,7 +48,7 @@ def given(request, tmp_path_factory):
     return {**names, "axis": folder / "axis.toml", "record": folder / "record.npz", "out": folder}
 
 
-@pytest.mark.parametrize("name", ["identify", pytest.param("report", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["identify", pytest.param("report", marks=pytest.mark.study("three whole reports"))])
 def test_no_library_warns(name, given, capsys):
     status = app.run(LINES[name].format(**given).split())
     err = capsys.readouterr().err

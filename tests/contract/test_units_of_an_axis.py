@@ -111,7 +111,13 @@ def kept(machine):
     return {}
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+LONG = ("impedance", "diagnose", "diagnose an effect", "report")
+
+
+@pytest.mark.parametrize(
+    "command",
+    [pytest.param(name, marks=[pytest.mark.study("long commands")] if name in LONG else []) for name in COMMANDS],
+)
 def test_no_unit_of_another_machine(machine, kept, command, capsys, monkeypatch, sketched):
     name, folder = machine
     monkeypatch.setenv("COLUMNS", "250")  # no unit in two lines
@@ -140,6 +146,7 @@ def test_the_axes_have_their_own_units(machine, capsys):
         assert units == {"mass": "kg", "viscous": "N/(m/s)", "coulomb": "N", "constant_force": "N"}
 
 
+@pytest.mark.study("a whole report of each axis")
 def test_pictures_too(machine, kept):
     from matplotlib.text import Text
 

@@ -1,4 +1,4 @@
-"""A quick share of the hidden-effect cases in the normal test run; `make hidden` runs all of them."""
+"""A quick share of the hidden-effect cases; `make hidden` runs all of them."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from tests.hidden.score import score
 SEED = 20
 
 
-@pytest.mark.slow
+@pytest.mark.study("five diagnoses with the whole library")
 @pytest.mark.parametrize(
     ("case", "repeats"),
     [

@@ -33,6 +33,7 @@ def test_sets_that_go_on(which, effects, unknown):
     assert cases(which, 5, seed=3) == drawn[:5]
 
 
+@pytest.mark.study("generates six cases")
 def test_a_small_effect_is_a_share_of_an_ordinary_one():
     assert {case.share for case in cases("small", 6)} == set(SMALL)
     case = Case(("elastic_force",), 1, 0)
@@ -49,6 +50,7 @@ def test_effects_are_those_of_the_package():
     assert set(TURNING) == {effect.name for effect in package if effect.motion}
 
 
+@pytest.mark.study("a generated case")
 def test_folder_of_a_case(tmp_path):
     for name in ("a", "b"):
         assert main([str(tmp_path / name), "--seed", "3", "--cases", "quick", "--only", "position_ripple-1"]) == 0

@@ -8,6 +8,7 @@ from emps_design.machines import machine
 from emps_design.simulation import Plant
 from tests.physics.cases import CASES, OUTSIDE, axis_with, voltage
 from tests.physics.reference import Reference
+from tests.studies import quick
 
 TOGETHER = (
     ("stribeck_friction", "flexible_coupling", "actuator_delay"),
@@ -87,7 +88,7 @@ def test_current_loop_is_the_lag_of_the_effect():
     assert np.abs(as_effect.position - as_drive.position).max() < 1e-9
 
 
-@pytest.mark.parametrize("lag", [1e-5, 0.25e-3, 5e-3])
+@pytest.mark.parametrize("lag", quick([5e-3, 0.25e-3, 1e-5], 2, "short lags: many small steps"))
 @pytest.mark.parametrize("other", ["none", "flexible_coupling", "load_dependent_friction", "actuator_delay"])
 def test_lag_of_any_length_with_others(lag, other):
     axis, u = axis_with(other), voltage(0.8)

@@ -15,7 +15,7 @@ def replay(record, method, samples=None):
     return Plant.of(AXIS).closed_loop(record.q_ref[:samples], q0=record.q[0], method=method)
 
 
-@pytest.mark.slow
+@pytest.mark.study("25,000 samples by an adaptive solver")
 @pytest.mark.timeout(900)
 def test_replay_of_the_record_is_that_of_solve_ivp(emps_data):
     record = read_record(emps_data / "DATA_EMPS.mat")

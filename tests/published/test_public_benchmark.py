@@ -57,7 +57,7 @@ def rms(error):
     return 1e3 * float(np.sqrt(np.mean(np.square(error))))
 
 
-@pytest.mark.slow
+@pytest.mark.study("the official score: every model on every set of laps")
 def test_the_second_record_in_open_loop_by_the_model_that_the_laps_of_the_first_choose(emps_data):
     """The simplest model within a standard error of the least, each lap of the first record left out in turn."""
     record = read_record(emps_data / "DATA_EMPS.mat")

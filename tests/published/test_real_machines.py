@@ -21,7 +21,7 @@ from tests.conftest import DATA
 LAP = 6240  # samples of DATA_EMPS
 
 
-@pytest.mark.slow
+@pytest.mark.study("one diagnosis of 25,000 samples with the whole library")
 def test_lap_4_of_the_emps_is_followed_by_what_describes_laps_1_to_3(emps_data):
     """Some of it has a name and is asked for by lap 4; the rest is friction that remembers and maps over the travel."""
     axis, record = machine("emps2019"), read_record(emps_data / "DATA_EMPS.mat")
@@ -121,7 +121,7 @@ def test_a_pendulum_that_falls_with_the_motor_off_loads_the_gear_by_the_motors_f
     assert behind < 50 < 80 < whole  # mrad
 
 
-@pytest.mark.slow
+@pytest.mark.study("two diagnoses of a record with five lines")
 def test_a_motor_cogs_72_times_a_turn_and_as_much_with_its_table_on():
     """Three seconds without the table, less the first half second, in which the cogging holds the motor; then with it.
 

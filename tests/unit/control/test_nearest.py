@@ -16,6 +16,7 @@ from emps_design.control.velocity.retune import retune_velocity_loop
 from emps_design.control.velocity.specification import Pairs, nearest_that_works, proposal_in_words
 from emps_design.errors import SpecificationError
 from emps_design.machines import machine
+from tests.studies import quick
 
 AXIS = machine("emps2018")
 
@@ -81,7 +82,7 @@ def refused(axis, request, retune):
     return None if found.sampled.stable else found.nearest_stable
 
 
-@pytest.mark.parametrize("retune", [False, True])
+@pytest.mark.parametrize("retune", quick([False, True], 1, "retuned"))
 @pytest.mark.parametrize("kind", ["crossover", "bandwidth"])
 def test_every_proposal_works_in_a_simulation(kind, retune):
     rng = np.random.default_rng(20 + 2 * retune + (kind == "crossover"))

@@ -12,6 +12,7 @@ from emps_design.errors import AxisError, InputError
 from emps_design.laws import law_of
 from emps_design.laws.linear import linear_law
 from emps_design.machines import machine
+from tests.studies import quick
 
 T = 1e-3
 FILTERS = [
@@ -75,7 +76,9 @@ def test_margins_are_what_brings_the_loop_to_its_limit(every, form):
     assert radius(delay=velocity.delay_margin, position=None, feedforward=None) == pytest.approx(1.0, abs=1e-5)
 
 
-@pytest.mark.parametrize(("kp", "ti", "samples"), [(60.0, 0.1, 61), (40.0, 0.1, 80), (10.0, 0.2, 336)])
+@pytest.mark.parametrize(
+    ("kp", "ti", "samples"), quick([(60.0, 0.1, 61), (40.0, 0.1, 80), (10.0, 0.2, 336)], 1, "slower loops")
+)
 def test_the_delay_margin_of_a_slow_loop_is_exact_too(kp, ti, samples):
     """Far beyond the delays that are tried one by one."""
     axis = axis_with(position_gain=1.0 / 30.0, velocity={"kp": kp, "ti": ti}, filters=None)

@@ -37,6 +37,7 @@ from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
 from emps_design.simulation.synthetic import trapezoid_laps
+from tests.studies import quick
 
 AXIS = machine("emps2019")
 Q_REF = trapezoid_laps(1e-3, stroke=0.1, speed=0.2, laps=3)
@@ -329,11 +330,15 @@ HEIGHTS = {f"height_{i}": h for i, h in enumerate((4.0, -3.0, 6.0, 0.0, 5.0, -4.
 
 @pytest.mark.parametrize(
     "hidden",
-    [
-        {"kind": "elastic_force", "stiffness": 80.0, "rest_position": 0.05},
-        {"kind": "force_map", "start": 0.0, "end": 0.1, **HEIGHTS},
-    ],
-    ids=lambda hidden: hidden["kind"],
+    quick(
+        [
+            {"kind": "elastic_force", "stiffness": 80.0, "rest_position": 0.05},
+            {"kind": "force_map", "start": 0.0, "end": 0.1, **HEIGHTS},
+        ],
+        1,
+        "six heights",
+    ),
+    ids=["elastic_force", "force_map"],
 )
 def test_a_curve_of_any_shape_is_named_where_nothing_else_is_found(hidden):
     noisy = hypothesis(BASELINE, hidden)

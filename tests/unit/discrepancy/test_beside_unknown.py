@@ -98,7 +98,7 @@ def test_what_stands_is_fitted_from_the_baseline_that_was_found_beside_the_state
     assert around.cost < 1.2 * best.cost < fit(stands, "used").cost
 
 
-@pytest.mark.slow
+@pytest.mark.study("a whole diagnosis beside an unknown force")
 @pytest.mark.parametrize(("hidden", "names"), [((WEIGHT,), ("mass_change",)), ((), ())])
 def test_a_weight_put_on_is_named_beside_a_brake_five_times_as_strong(hidden, names):
     other = trapezoid_laps(1e-3, stroke=0.1, speed=0.15, laps=4)
@@ -224,7 +224,7 @@ def test_an_effect_starts_in_its_own_size_where_an_unknown_force_took_most_of_it
     assert first.model.values[-1][0, 0] == pytest.approx(100.0, rel=0.15)
 
 
-@pytest.mark.slow
+@pytest.mark.study("a whole diagnosis beside an unknown force")
 def test_a_spring_is_named_beside_friction_that_remembers():
     library = [get_effect(name) for name in ("elastic_force", "actuator_delay", "position_ripple", "end_stop")]
     held_out = with_force(wake, 2, SLOWER, SPRING, name="other")
@@ -234,7 +234,7 @@ def test_a_spring_is_named_beside_friction_that_remembers():
     assert answer.details["unexplained"]["kind"] == KINDS[2][0][0].name
 
 
-@pytest.mark.slow
+@pytest.mark.study("a whole diagnosis beside an unknown force")
 @pytest.mark.parametrize("mechanism", [crank, leaning])
 def test_an_asymmetry_of_friction_is_named_beside_what_could_hold_it(mechanism):
     hidden = {"kind": "asymmetric_viscous_friction", "viscous_difference": 60.0}
@@ -249,7 +249,7 @@ def test_an_asymmetry_of_friction_is_named_beside_what_could_hold_it(mechanism):
 FEW = [get_effect(name) for name in ("stribeck_friction", "actuator_delay", "position_ripple", "mass_change")]
 
 
-@pytest.mark.slow
+@pytest.mark.study("a whole diagnosis beside an unknown force")
 def test_friction_is_named_beside_a_mechanism():
     hidden = {"kind": "stribeck_friction", "excess": 6.0, "stribeck_velocity": 0.01, "exponent": 2.0}
     held_out = with_force(crank, 2, SLOWER, hidden, name="other")
@@ -285,7 +285,7 @@ def stopped():
     return found[0]
 
 
-@pytest.mark.slow
+@pytest.mark.study("a whole diagnosis beside an unknown force")
 def test_no_unknown_force_is_needed_where_effects_leave_less(stopped):
     force, (baseline, *_) = stopped.of_a_kind, stopped.path
     again = beside_force._of_a_kind(stopped.calibration, [baseline, baseline], None)
@@ -294,7 +294,7 @@ def test_no_unknown_force_is_needed_where_effects_leave_less(stopped):
     assert beside_force._of_a_kind(stopped.calibration, [baseline, baseline, better], None) == []
 
 
-@pytest.mark.slow
+@pytest.mark.study("a whole diagnosis beside an unknown force")
 @pytest.mark.parametrize("confirmed", ["as it is", "as all there is", "with nothing to name", ""])
 def test_a_search_ends_for_a_force_that_answers_and_goes_on_where_it_does_not(monkeypatch, stopped, confirmed):
     def finds(outcome, data, found=verdict.found_beside_kind):
@@ -318,7 +318,7 @@ def test_a_search_ends_for_a_force_that_answers_and_goes_on_where_it_does_not(mo
         says_what_the_rest_is_like(answer, "unnamed")
 
 
-@pytest.mark.slow
+@pytest.mark.study("a whole diagnosis beside an unknown force")
 def test_a_search_goes_on_past_a_force_when_the_noise_is_known(monkeypatch):
     module = sys.modules["emps_design.discrepancy.diagnose"]
     stopped, gone_on = [], []
@@ -355,7 +355,7 @@ def test_what_is_left_counts_as_unknown_where_a_force_beside_effects_explains_ha
     assert not verdict._explains(None, left=1.8, floor=1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.study("a whole diagnosis beside an unknown force")
 def test_a_motor_at_its_limit_does_not_hide_of_which_kind_the_rest_is():
     limit = {"kind": "actuator_saturation", "limit": 3.9}
     library = [get_effect(name) for name in ("actuator_saturation", "actuator_delay", "position_ripple", "mass_change")]

@@ -36,6 +36,7 @@ def described():
     return held_out, diagnose(record(LEVEL, SLIP), AXIS, holdout=held_out, library=LIBRARY, closest=True)
 
 
+@pytest.mark.study("a whole diagnosis")
 def test_what_has_no_name_is_described_and_follows_more_closely(described):
     held_out, answer = described
     found = answer.closest
@@ -48,6 +49,7 @@ def test_what_has_no_name_is_described_and_follows_more_closely(described):
     assert "names no cause" in found.text
 
 
+@pytest.mark.study("the same diagnosis")
 def test_the_document_has_the_gaps_beside_those_of_the_named_model(described):
     _, answer = described
     shown = answer.with_file("model.toml").to_dict()["closest"]
@@ -64,6 +66,7 @@ def test_where_only_noise_is_left_nothing_is_described():
     assert "noise" in found.text
 
 
+@pytest.mark.study("a diagnosis of two records")
 def test_what_holds_on_one_record_only_is_not_given():
     spring = {"kind": "elastic_force", "stiffness": 80.0, "rest_position": 0.05}
     answer = diagnose(record(spring), AXIS, holdout=record(seed=1), library=LIBRARY, closest=True)
@@ -83,6 +86,7 @@ def test_an_event_or_a_contact_describes_nothing(monkeypatch):
     assert not names & {"external_force", "mass_change", "end_stop", "backlash", "actuator_lag", "encoder_error"}
 
 
+@pytest.mark.study("the same diagnosis")
 def test_the_command_writes_it_and_takes_an_old_one_away(described, tmp_path, monkeypatch, capsys):
     _, answer = described
     asked = []

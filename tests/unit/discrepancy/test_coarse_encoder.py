@@ -39,6 +39,7 @@ def record(axis, stroke, speed, seed):
     return synthetic_record(axis, q_ref=q_ref, seed=seed)
 
 
+@pytest.mark.study("whole diagnoses of two machines")
 @pytest.mark.parametrize(("axis", "stroke", "speed"), [(SLOW, 0.01, 0.004), (HEAVY, 5.0, 2.0)], ids=["slow", "heavy"])
 def test_a_healthy_machine_is_healthy(axis, stroke, speed):
     train, holdout = (record(axis, stroke, speed, seed) for seed in (31, 32))

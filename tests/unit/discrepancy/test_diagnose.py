@@ -25,6 +25,7 @@ from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
 from emps_design.simulation.synthetic import trapezoid_laps
+from tests.studies import quick
 
 AXIS = machine("emps2019")
 Q_REF = trapezoid_laps(1e-3, stroke=0.1, speed=0.2, laps=3)
@@ -57,6 +58,7 @@ def test_a_delay_is_named_and_confirmed(delayed):
     assert delayed.findings[0].p_value <= 0.005
 
 
+@pytest.mark.study("two diagnoses with the whole library")
 @pytest.mark.parametrize("weight", [60.0, -60.0])
 def test_the_transmission_of_an_upright_axis_is_loaded_by_the_weight(weight):
     """The axis file knows of no weight: the constant force is found, and that friction grows with all of it."""
@@ -96,7 +98,7 @@ def test_the_extended_axis_replays_the_prediction(delayed):
     assert np.allclose(run.force, prediction.extended)
 
 
-@pytest.mark.parametrize("cores", [1, 3])
+@pytest.mark.parametrize("cores", quick([3, 1], 1, "the same again on one core"))
 def test_the_same_seed_gives_the_same_document_on_any_number_of_cores(delayed, cores, monkeypatch):
     assert parallel.CORES == 2  # with which `delayed` was found
     monkeypatch.setattr(parallel, "_idle", threading.Semaphore(cores - 1))
@@ -148,7 +150,9 @@ def test_where_only_the_confirming_record_has_more_than_noise_something_is_missi
     assert "of the held-out record" in answer.sentence
 
 
-@pytest.mark.parametrize(("effects", "verdict"), [((), "unnamed"), ((DELAYED,), "partly-named")])
+@pytest.mark.parametrize(
+    ("effects", "verdict"), quick([((), "unnamed"), ((DELAYED,), "partly-named")], 1, "an effect beside it")
+)
 def test_what_a_controller_does_beside_its_law_hides_nothing_of_the_plant(effects, verdict):
     noise = np.random.default_rng(0)
     dither = 0.1 * np.repeat(noise.standard_normal(1 + Q_REF.size // 60), 60)[: Q_REF.size]
@@ -170,7 +174,7 @@ def test_a_wrong_controller_is_recognised_with_the_gains_that_fit(gains):
         diagnose(record(), AXIS.replace(controller=gains), library=SHORT)
 
 
-@pytest.mark.slow
+@pytest.mark.study("a search over every law")
 def test_a_controller_of_another_kind_is_named():
     axis = AXIS.replace(controller={"kind": "ip_velocity", "k_v1": 500.0, "t_v": 0.01})
     with pytest.raises(
@@ -179,6 +183,7 @@ def test_a_controller_of_another_kind_is_named():
         diagnose(record(), axis, library=SHORT)
 
 
+@pytest.mark.study("a diagnosis with two ripples")
 def test_a_ripple_with_two_lines_is_listed_line_by_line():
     lines = {0.0025: 3.0, 0.004: 2.0}  # m, N
     effects = [
@@ -232,7 +237,11 @@ def test_an_effect_of_a_user_takes_part():
         REGISTRY.added.pop("my_delay")
 
 
-@pytest.mark.parametrize("effect", [{"kind": "elastic_force", "stiffness": 80.0, "rest_position": 0.05}, DELAYED])
+@pytest.mark.study("diagnoses of the inverse model")
+@pytest.mark.parametrize(
+    "effect",
+    quick([{"kind": "elastic_force", "stiffness": 80.0, "rest_position": 0.05}, DELAYED], 1, "another effect"),
+)
 def test_without_a_controller_the_models_follow_the_recorded_motion(effect):
     unknown = AXIS.replace(controller={"kind": "none"})
     answer = diagnose(record(effect), unknown, holdout=record(effect, seed=1), library=SHORT)
@@ -308,6 +317,7 @@ def test_the_calibration_can_search_healthy_records():
     assert 0.2 * thresholds[0] < thresholds[1] < 2 * thresholds[0]
 
 
+@pytest.mark.study("a diagnosis of two records")
 def test_several_records_make_one_diagnosis_with_numbers_of_their_own():
     ripples = [{"kind": "position_ripple", "amplitude": 3.0, "phase": phase, "period": 5e-3} for phase in (0.3, 2.0)]
     library = (get_effect("position_ripple"), get_effect("elastic_force"))
@@ -344,6 +354,7 @@ def test_a_tame_record_says_what_it_cannot_tell(q_ref, warning):
     assert any(warning in text for text in check_records((record(q_ref=q_ref),), AXIS))
 
 
+@pytest.mark.study("a diagnosis of two records")
 def test_what_the_controller_adds_on_the_confirming_record_only_is_known_there():
     pulses = {"kind": "controller_disturbance", "amplitude": 2.0, "frequency": 1.0, "duty": 0.5, "start": 0.3437}
     answer = diagnose(record(DELAYED), AXIS, holdout=record(DELAYED, pulses, seed=1), library=SHORT)
@@ -352,6 +363,7 @@ def test_what_the_controller_adds_on_the_confirming_record_only_is_known_there()
     assert any("controller disturbance on the confirming record" in text for text in answer.details["warnings"])
 
 
+@pytest.mark.study("a diagnosis of two records")
 def test_a_disturbance_of_the_controller_need_not_be_there_on_the_confirming_record():
     pulses = {"kind": "controller_disturbance", "amplitude": 2.0, "frequency": 1.0, "duty": 0.5, "start": 0.3437}
     answer = diagnose(record(DELAYED, pulses), AXIS, holdout=record(DELAYED, seed=1), library=SHORT)
@@ -403,6 +415,7 @@ def test_records_of_one_stroke_each_fit_and_select_together():
         prepare(runs[:1], AXIS, SHORT, None, None, None)
 
 
+@pytest.mark.study("a diagnosis")
 def test_a_stretch_of_the_record_confirms():
     whole = record(DELAYED)
     answer = diagnose(whole, AXIS, library=SHORT, confirm_time=(0.0, whole.duration / 3))
@@ -461,6 +474,7 @@ def test_what_could_not_be_excluded_names_every_effect_with_a_size():
     assert 1e-6 < rows["actuator_delay"]["size"] < 1e-3
 
 
+@pytest.mark.study("three diagnoses")
 def test_the_smallest_size_seen_is_seen_and_half_of_it_is_not():
     row = diagnose(record(), AXIS, library=SHORT).details["not_excluded"]
     delay = next(entry["size"] for entry in row if entry["effect"] == "actuator_delay")

@@ -23,6 +23,7 @@ from emps_design.records import Record
 from emps_design.simulation import Plant
 from emps_design.simulation.synthetic import synthetic_record, trapezoid_laps
 from emps_design.simulation.trajectories import multi_sine
+from tests.studies import quick
 
 AXIS = machine("emps2019")
 THRESHOLD = 15.0  # gain in whitened cost, as a healthy reference gives it
@@ -122,7 +123,8 @@ def test_a_record_of_the_chosen_excitation_tells_the_two_apart_by_as_much_as_was
         assert gain > chosen.over_noise**2 - 4 * chosen.over_noise
 
 
-@pytest.mark.parametrize("true", ["actuator_delay", "actuator_lag"])
+@pytest.mark.study("two diagnoses")
+@pytest.mark.parametrize("true", quick(["actuator_delay", "actuator_lag"], 1, "the other of the two"))
 def test_the_record_that_was_asked_for_makes_an_ambiguous_verdict_a_name(true):
     library = tuple(get_effect(name) for name in ("actuator_delay", "actuator_lag"))
     axis = AXIS.replace(effects=[{"kind": true, **dict(PAIRS["delay or lag"])[true]}])

@@ -7,6 +7,7 @@ from emps_design.discrepancy import diagnose
 from emps_design.effects import get_effect
 from emps_design.machines import machine
 from emps_design.simulation.synthetic import synthetic_record
+from tests.studies import quick
 
 AXIS = machine("emps2019")
 
@@ -17,7 +18,8 @@ def found(effect, seed=1):
     return record, finding.parameters
 
 
-@pytest.mark.parametrize("time", [6.2, 6.9, 7.7, 9.3])
+@pytest.mark.study("whole diagnoses")
+@pytest.mark.parametrize("time", quick([6.2, 6.9, 7.7, 9.3], 1, "other instants"))
 def test_a_mass_put_on_at_constant_speed_was_put_on_somewhere_in_that_stretch(time):
     record, parameters = found({"kind": "mass_change", "change": 0.2, "time": time}, seed=int(10 * time))
     said, deviation = parameters["time"]["value"], parameters["time"]["std"]
@@ -29,6 +31,7 @@ def test_a_mass_put_on_at_constant_speed_was_put_on_somewhere_in_that_stretch(ti
     assert parameters["change"]["value"] == pytest.approx(0.2, abs=4.0 * parameters["change"]["std"])
 
 
+@pytest.mark.study("a whole diagnosis")
 def test_a_push_began_when_it_began():
     """Its edges show, so that next to nothing is moved."""
     push = {"kind": "external_force", "amplitude": 20.0, "start": 2.3, "duration": 0.5, "every": 5.3}

@@ -27,6 +27,7 @@ def record(axis, seed: int, memory: float) -> Record:
     return Record(t=run.t, q_ref=q_ref, q=run.q, u=run.u, period=period, name=f"run {seed}")
 
 
+@pytest.mark.study("whole diagnoses")
 @pytest.mark.parametrize("mass", [0.5, 1.0, 2.5])
 def test_the_model_of_what_has_no_name_is_a_better_estimate_than_least_squares(mass):
     demo = machine("emps2019")

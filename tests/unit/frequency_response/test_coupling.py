@@ -16,6 +16,7 @@ from emps_design.frequency_response.phase import has_wrong_sign
 from emps_design.frequency_response.suggestion import suggest_filter_on_response
 from emps_design.machines import machine
 from emps_design.report.frequency_response import response_blocks
+from tests.studies import quick
 from tests.unit.frequency_response.cases import COUPLING, exact, experiment, two_mass
 
 F = np.arange(2.0, 200.0)
@@ -31,6 +32,7 @@ def chain(count):
     return MassChain(masses, springs, dampers, 200.0, 5e-4, np.eye(3 * count), 0.0)
 
 
+@pytest.mark.study("shares over many responses")
 @pytest.mark.parametrize("count", CHAINS)
 def test_the_number_of_masses_and_intervals_that_hold(count):
     rng, true, held = np.random.default_rng(count), chain(count), []
@@ -119,7 +121,7 @@ def test_a_filter_is_looked_for_at_resonances_that_no_search_looks_at(frequency,
     assert loaded(bent, 40.0, 2.0).effects[0].parameters["share"] > 0.95
 
 
-@pytest.mark.slow
+@pytest.mark.study("a mean over twelve fits")
 def test_lines_that_are_too_large_by_chance_weigh_no_more_for_it():
     """Noise of the output: relative to a line that is too large its deviation is too small."""
     rng, true, apart = np.random.default_rng(5), chain(2), []
@@ -133,7 +135,7 @@ def test_lines_that_are_too_large_by_chance_weigh_no_more_for_it():
 
 
 @pytest.mark.parametrize("count", [1, 2])
-@pytest.mark.parametrize("delay", [0.0, 3e-3, 8e-3, -2e-3])
+@pytest.mark.parametrize("delay", quick([8e-3, -2e-3, 3e-3, 0.0], 2, "shorter delays"))
 def test_a_delay_that_turns_the_top_line_by_more_than_half_a_turn(count, delay):
     rng, true = np.random.default_rng(count), replace(chain(count), delay=delay)
     noise = 0.01 / np.sqrt(2.0) * (rng.standard_normal(F.size) + 1j * rng.standard_normal(F.size))

@@ -132,9 +132,19 @@ def test_added_to_the_reference():
     assert np.mean(error <= BAND * estimate.response.std) >= 0.9
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("at", ["command", "reference"])
-@pytest.mark.parametrize("axis", [two_mass(), machine("emps2019").replace(**LIGHT)], ids=["two masses", "light"])
+STEPPED = pytest.mark.study("experiments of minutes")
+
+
+@pytest.mark.study("experiments of minutes")
+@pytest.mark.parametrize(
+    ("axis", "at"),
+    [
+        pytest.param(two_mass(), "command", id="two masses-command", marks=STEPPED),
+        pytest.param(two_mass(), "reference", id="two masses-reference", marks=STEPPED),
+        pytest.param(machine("emps2019").replace(**LIGHT), "command", id="light-command"),
+        pytest.param(machine("emps2019").replace(**LIGHT), "reference", id="light-reference", marks=STEPPED),
+    ],
+)
 def test_a_stepped_sine(axis, at):
     newtons = 0.01 * axis.mechanics.mass
     given = {"low": 3.0, "high": 150.0, "resolution": 1.0, "passes": 2, "noise": newtons, "at": at, "steps": 30}
@@ -272,6 +282,7 @@ def test_the_circle_closes_without_a_drive(tmp_path, capsys):
     assert found["resonances"][0]["frequency_hz"] == pytest.approx(60.0 * np.sqrt(0.6), rel=5e-3)
 
 
+@pytest.mark.study("an experiment of minutes")
 def test_a_rotary_axis_of_two_rates(tmp_path, capsys):
     coupling = {"kind": "flexible_coupling", "frequency": 210.0, "damping": 0.02, "share": 0.5}
     axis = Axis(

@@ -23,6 +23,7 @@ from emps_design.frequency_response.suggestion import MARGINS, SIDES
 from emps_design.laws import law_of
 from emps_design.laws.linear import linear_law
 from emps_design.machines import machine
+from tests.studies import quick
 from tests.unit.frequency_response.cases import exact, experiment, two_mass
 
 F = np.arange(1.0, 400.0)
@@ -53,7 +54,7 @@ def test_delay_and_disk_margin_by_brute_force(seed):
     assert max(exact_against_force(seed).values()) < 0.01
 
 
-@pytest.mark.parametrize("seed", [300, 301])
+@pytest.mark.parametrize("seed", quick([300, 301], 1, "another seed"))
 def test_bands_from_a_record_hold_the_truth(seed):
     found = one_axis(seed)
     assert found["stable"] == [True, True]
@@ -217,6 +218,7 @@ def test_gains_on_a_response(tmp_path, capsys):
     assert retuned["phase_margin_deg"] == pytest.approx(60.0, rel=1e-3)
 
 
+@pytest.mark.study("a retuning under two limits")
 def test_limits_of_the_sensitivity_below_and_above_the_antiresonance(tmp_path, capsys):
     axis, path, out = two_mass(), tmp_path / "two.csv", tmp_path / "out.toml"
     (tmp_path / "axis.toml").write_text(axis.to_toml())
@@ -269,6 +271,7 @@ def test_without_an_antiresonance_all_lies_below_and_the_limit_above_says_so(tmp
     assert "at most 1.995" in capsys.readouterr().out
 
 
+@pytest.mark.study("two retunings")
 def test_the_position_loop_around_is_judged_on_the_response_too(tmp_path, capsys):
     axis, path = two_mass().replace(controller={**CASCADE, "position": {"kp": 10.0, "every": 4}}), tmp_path / "two.csv"
     (tmp_path / "axis.toml").write_text(axis.to_toml())

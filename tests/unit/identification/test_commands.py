@@ -63,6 +63,7 @@ def test_identify_several_records(folder, capsys):
     assert "spread" in capsys.readouterr().out
 
 
+@pytest.mark.study("ten records")
 def test_the_table_of_ten_records_fits_a_terminal(folder, capsys):
     paths = [str(folder / f"day{seed % 3}.npz") for seed in range(10)]
     assert run(["identify", *paths]) == 0

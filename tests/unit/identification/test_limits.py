@@ -43,7 +43,7 @@ def columns():
     return {"t": run.t, "q_ref": q_ref, "q": run.q, "u": run.u}
 
 
-@pytest.mark.slow
+@pytest.mark.study("an hour of samples")
 @pytest.mark.parametrize("kind", ["npz", "mat", "csv"])
 def test_an_hour_in_500_megabytes(tmp_path, columns, kind):
     path = tmp_path / f"hour.{kind}"

@@ -11,7 +11,7 @@ from emps_design.machines import machine
 RUNS = 200
 
 
-@pytest.mark.slow
+@pytest.mark.study("coverage over 200 records")
 @pytest.mark.parametrize("noise_time", [0.03, 0.3])
 def test_intervals_cover_the_truth(simulate, truth, noise_time):
     values, held, plain = np.array(list(truth.values())), np.zeros(4), np.zeros(4)

@@ -4,6 +4,7 @@ import pytest
 
 from emps_design.comanipulation.assessment import SWINGS, assess_impedance
 from emps_design.machines import machine
+from tests.studies import quick
 
 JOINT = {
     "motion": "rotary",
@@ -14,7 +15,7 @@ JOINT = {
 }
 
 
-@pytest.mark.parametrize(("step", "runs"), [(6.283e-4, False), (1e-9, True)])
+@pytest.mark.parametrize(("step", "runs"), quick([(1e-9, True), (6.283e-4, False)], 1, "a long run"))
 def test_the_encoder_decides_where_the_poles_do_not(step, runs):
     axis = machine("emps2019").replace(**JOINT, sampling={"period": 2.5e-4, "encoder_resolution": step})
     found = assess_impedance(axis, 1e-4, 1e-3, None, 2000.0).to_dict()

@@ -453,6 +453,7 @@ def test_loop_with_no_effects_is_the_plain_loop(axis, plant, force_sensor, estim
     np.testing.assert_allclose(extended.admittance(omega), plain.admittance(omega), rtol=1e-8)
 
 
+@pytest.mark.study("a whole assessment")
 def test_assessment_of_an_axis_with_effects(axis):
     coupling = {"kind": "flexible_coupling", "frequency": 50.0, "damping": 0.05, "share": 0.2}
     found = assess_impedance(axis.replace(effects=[coupling]), 50.0, 100.0, 0.02, plants=0)

@@ -12,6 +12,7 @@ from emps_design.control.impedance.passivity import contact_map, largest_wall, p
 from emps_design.control.impedance.robustness import creep_speed, sinking_force, smallest_mass, verdict
 from emps_design.control.impedance.sampled import Clock, sampled_loop
 from emps_design.machines import machine
+from tests.studies import quick
 
 AXIS = machine("emps2018")
 JOINT = AXIS.replace(
@@ -36,7 +37,7 @@ def swings(axis, law, mismatch):
 
 
 @pytest.mark.parametrize(("axis", "mass", "damping"), [(AXIS, 2.0, 100.0), (JOINT, 0.05, 0.5)], ids=("slide", "joint"))
-@pytest.mark.parametrize("mismatch", [None, 0.02])
+@pytest.mark.parametrize("mismatch", quick([None, 0.02], 1, "under a mismatch"))
 def test_a_law_that_is_proposed_or_called_safe_does_not_swing(axis, mass, damping, mismatch):
     found = assess_impedance(axis, mass, damping, mismatch, plants=0)
     assert not found.stable
@@ -84,6 +85,7 @@ def test_a_carriage_that_turned_and_goes_on_is_not_at_rest(factor):
     assert run.measures.tends_to[0] == pytest.approx(-np.mean(run.v[-1000:]), rel=0.2)
 
 
+@pytest.mark.study("long runs")
 def test_a_creep_that_has_settled_does_not_grow():
     """What is left of its change after two minutes is rounding."""
     study = mismatch_study(AXIS, impedance_law(AXIS, 50.0, 100.0), 0.2, 60)

@@ -8,7 +8,7 @@ from emps_design.cli.app import run
 from emps_design.paper.printed import TABLES
 
 
-@pytest.mark.slow
+@pytest.mark.study("ten experiments")
 def test_the_bench_gives_tables_and_ranges(capsys):
     assert run(["simulate", "--scenario", "bench", "--json"]) == 0
     first = capsys.readouterr().out
@@ -17,6 +17,12 @@ def test_the_bench_gives_tables_and_ranges(capsys):
     for table in ("table_1", "table_2"):
         for name, (value, _, _) in TABLES[table].items():
             assert found[table][name][0] == pytest.approx(value, rel=0.13), (table, name)
+
+
+@pytest.mark.study("the bench, twice")
+def test_the_bench_takes_another_force_of_the_hand(capsys):
+    assert run(["simulate", "--scenario", "bench", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
     assert run(["simulate", "--scenario", "bench", "--tau-ref", "1.5", "--json"]) == 0
     other = json.loads(capsys.readouterr().out)
     assert other["numbers"]["tau_ref"] == 1.5

@@ -40,6 +40,7 @@ def test_errors_lie_in_the_printed_ranges(section):
         assert np.all((getattr(section, name) >= low) & (getattr(section, name) <= high)), name
 
 
+@pytest.mark.study("the bench with other seeds")
 @pytest.mark.parametrize("seed", [1, 2])
 def test_other_seeds_give_the_same_order(seed):
     found = reproduce_section_3(seed)
@@ -117,6 +118,7 @@ def test_speeds_of_the_bench_are_those_that_table_2_says(section):
         assert found == pytest.approx(said, rel=0.1)
 
 
+@pytest.mark.study("the bench under four assumptions")
 def test_each_figure_of_table_2_has_its_assumption():
     """Taken back, an assumption moves its own figure away from the printed one and leaves the others."""
     bench, straight, level, bare = (

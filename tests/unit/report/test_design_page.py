@@ -109,6 +109,7 @@ def test_an_unstable_impedance_law_is_announced_first(sketched):
     assert body.index("the impedance law is unstable") < body.index("phase margin</th>")
 
 
+@pytest.mark.study("two whole reports")
 def test_the_page_is_small_closed_and_repeatable(page):
     assert page == assemble_report("emps2018", **EVERYTHING).page.html()
     assert len(page.encode()) < 3_000_000

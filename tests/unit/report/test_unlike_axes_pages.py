@@ -19,6 +19,7 @@ from emps_design.report.display import quantity
 from emps_design.report.force_figures import force_limit_figure
 from emps_design.report.impedance import _errata_table
 from emps_design.simulation.synthetic import synthetic_record
+from tests.studies import quick
 from tests.unit.unlike_axes import JOINT
 
 GANTRY = Axis.from_dict(
@@ -89,13 +90,18 @@ def test_errata_of_the_paper_stay_in_the_papers_units():
         assert one.text in written, one.place
 
 
+@pytest.mark.study("whole reports")
 @pytest.mark.parametrize(
     ("axis", "gain", "wall", "said"),
-    [
-        (machine("emps2018"), 0.01, 1e4, "Force loop: a {} was taken, not asked for."),
-        (JOINT, 1e3, 0.1, "Torque loop: a {} was taken, not asked for."),
-    ],
-    ids=["emps2018", "joint"],
+    quick(
+        [
+            (JOINT, 1e3, 0.1, "Torque loop: a {} was taken, not asked for."),
+            (machine("emps2018"), 0.01, 1e4, "Force loop: a {} was taken, not asked for."),
+        ],
+        1,
+        "another whole report",
+    ),
+    ids=["joint", "emps2018"],
 )
 def test_what_a_force_loop_was_not_given_is_taken_by_the_mass_and_said(axis, gain, wall, said, sketched):
     walled = assemble_report(axis, crossover=100.0, environment=wall)

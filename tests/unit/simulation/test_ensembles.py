@@ -117,7 +117,7 @@ def test_what_cannot_be_meant_is_refused(call, message):
         call()
 
 
-@pytest.mark.slow
+@pytest.mark.slow("starts a cluster")
 def test_two_workers_of_a_cluster_give_the_same():
     distributed = pytest.importorskip(
         "dask.distributed", reason="the extra `cluster` (dask.distributed) is not installed"

@@ -369,12 +369,14 @@ def test_a_law_that_diverges_is_shown_as_unstable():
     assert found.figures()["task"].axes
 
 
+@pytest.mark.study("whole reports")
 def test_the_report_is_about_the_state(sketched):
     text = exports.report_html(state(mass=80.0, damping=150.0, filter=400.0))
     assert "80.00 kg" in text
     assert "150.0 N/(m/s)" in text
 
 
+@pytest.mark.study("a whole report, twice")
 def test_exports_are_whole_repeatable_and_read_by_the_library():
     now = state(phase_margin_deg=50.0, plants=20)  # drawn at random, as any number of them is
     assert json.loads(exports.gains_json(now))["k_v1"] == exports.velocity_design(now).k_v1
@@ -657,6 +659,7 @@ def test_the_model_that_follows_most_closely_is_designed_on_where_it_is_sought(a
     assert asked == [False, True]
 
 
+@pytest.mark.study("long motions")
 def test_a_motion_of_ones_own_is_simulated_under_the_design_and_under_the_drive(at_once):
     drive = {"kind": "cascade", "position": {"kp": 12.0, "every": 2}, "velocity": {"kp": 300.0, "ti": 0.05}}
     session = Session(machine("emps2018").replace(name="own", controller={**drive, "filters": LOW}))
@@ -740,6 +743,7 @@ def test_a_number_typed_before_the_last_has_its_answer_is_not_put_back(monkeypat
     assert (fields["wall"].field.value, cut_off.value) == (200.0, "90")
 
 
+@pytest.mark.study("a whole study of feed-forward")
 def test_what_is_fed_forward_is_chosen_tried_and_handed_out(at_once, tmp_path):
     ripple = {"kind": "position_ripple", "amplitude": 6.0, "phase": 0.7, "period": 0.005}
     gap = {"kind": "backlash", "gap": 1e-4, "frequency": 60.0, "damping": 0.1, "share": 0.4}

@@ -263,6 +263,7 @@ def short(monkeypatch, sketched):
     monkeypatch.setattr("emps_design.report.impedance.impedance_section", lambda *arguments: Section("Left out"))
 
 
+@pytest.mark.study("whole reports")
 def test_a_record_is_identified_with_its_own_axis_whatever_is_designed_on(short):
     other = machine("emps2018").replace(drive={"force_gain": 70.0})
     session = Session(other, RECORD)
@@ -275,6 +276,7 @@ def test_a_record_is_identified_with_its_own_axis_whatever_is_designed_on(short)
     assert "identified below, with the drive of emps2019" in page
 
 
+@pytest.mark.study("a whole report")
 def test_a_record_of_other_units_is_left_out_of_the_report_and_the_page_says_so(short):
     page = exports.report_html(state(), {"record": RECORD, "record_axis": JOINT, "chain": "paper"})
     assert "The record was made on joint, an axis with other units: this page leaves it out." in page

@@ -1,0 +1,105 @@
+"""Put faults into the code, one at a time, and ask the tests: ``python -m tests.faults`` (``make faults``).
+
+Each ``*.patch`` beside this file is one fault. It is applied to a copy of the working tree; the doctests of its room
+and the tests that import the room run first, the whole suite if none of those fails. Prints a row for each fault with
+the first test that failed, and writes all of them to ``--out``. A fault that nothing finds gives exit status 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+FOLDER = Path(__file__).resolve().parent
+REPOSITORY = FOLDER.parents[1]
+LEFT_OUT = shutil.ignore_patterns(".git", ".venv", "build", ".mypy_cache", ".pytest_cache", ".hypothesis")
+
+
+def room(patch: Path) -> str:
+    """The folder of the package that the fault is in, or the name of its module at the top."""
+    line = next(line for line in patch.read_text(encoding="utf-8").splitlines() if line.startswith("+++ "))
+    return line.partition("emps_design/")[2].split("/")[0].removesuffix(".py")
+
+
+def near(tree: Path, name: str) -> list[str]:
+    """Tests that import the room called ``name``, and its doctests."""
+    place = tree / "emps_design" / name
+    own = place if place.is_dir() else place.with_suffix(".py")
+    tests = [test for test in sorted((tree / "tests").rglob("test_*.py")) if f"emps_design.{name}" in test.read_text()]
+    tests.sort(key=lambda test: "unit" not in test.parts)
+    return [str(path.relative_to(tree)) for path in (*tests, own)]
+
+
+def apply(tree: Path, patch: Path, *options: str) -> None:
+    """Put the fault in, or take it out with ``-R``; a patch that no longer fits ends the run with its name."""
+    done = subprocess.run(["git", "apply", *options, str(patch)], cwd=tree, capture_output=True, text=True, check=False)
+    if done.returncode:
+        sys.exit(f"{patch.name}: does not fit the code any more, renew it: {done.stderr.strip()}")
+
+
+def first_failure(tree: Path, tests: list[str], workers: str) -> str | None:
+    """The first test that fails, None where all pass."""
+    # The copy is first on the path of what the tests start, too: the package may be installed from elsewhere.
+    environment = {**os.environ, "PYTHONPATH": str(tree), "EMPS_DESIGN_DATA": data(), "PYTHONHASHSEED": "0"}
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-x",
+        "-n",
+        workers,
+        "--dist",
+        "worksteal",
+        "--no-header",
+        "-rfE",
+        *tests,
+    ]
+    done = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode == 0:
+        return None
+    failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
+    return failed[0].split(" - ")[0] if failed else f"pytest ended with {done.returncode}"
+
+
+def data() -> str:
+    return os.environ.get("EMPS_DESIGN_DATA", str(REPOSITORY.parent / "shared" / "data"))
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.faults", description=__doc__)
+    parser.add_argument("names", nargs="*", help="faults to try, all without")
+    parser.add_argument("--workers", default="2")
+    parser.add_argument("--near", action="store_true", help="only the tests that import the room of a fault")
+    parser.add_argument("--out", type=Path, default=REPOSITORY / "build" / "faults.json")
+    options = parser.parse_args()
+    patches = [patch for patch in sorted(FOLDER.glob("*.patch")) if not options.names or patch.stem in options.names]
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        tree = Path(folder) / "emps_design"
+        shutil.copytree(REPOSITORY, tree, ignore=LEFT_OUT)  # with the compiled code beside the sources
+        for patch in patches:
+            start = time.perf_counter()
+            apply(tree, patch)
+            failed = first_failure(tree, near(tree, room(patch)), options.workers)
+            if failed is None and not options.near:
+                failed = first_failure(tree, [], options.workers)
+            apply(tree, patch, "-R")
+            seconds = time.perf_counter() - start
+            rows.append({"fault": patch.stem, "room": room(patch), "failed": failed, "seconds": round(seconds, 1)})
+            print(f"{patch.stem:<40}{failed or 'NOT FOUND':<100}{seconds:7.1f} s", flush=True)
+            options.out.parent.mkdir(parents=True, exist_ok=True)
+            options.out.write_text(json.dumps({"rows": rows}, indent=1) + "\n")
+    missed = [row["fault"] for row in rows if row["failed"] is None]
+    print(f"{len(rows) - len(missed)} of {len(rows)} faults found{': not ' + ', '.join(missed) if missed else ''}")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
