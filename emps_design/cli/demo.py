@@ -90,6 +90,6 @@ def _show(report: Report, truth: dict[str, float], record_file: Path) -> None:
     )
     largest = force.to_dict()["k_e1_max"]["sampled"]
     say(
-        f"4. Force loop with k_e1 = {force.k_e1:g} (m/s)/N: {'stable' if force.stable else 'unstable'}; "
+        f"4. Force loop with k_e1 = {force.k_e1:g} (m/s)/N: {'stable' if force.worst.margins.stable else 'unstable'}; "
         f"largest k_e1 for the sampled loop {'unbounded' if largest is None else f'{largest:.4g} (m/s)/N'}"
     )

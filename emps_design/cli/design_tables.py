@@ -25,37 +25,42 @@ def number(value: float | None, digits: int = 4, nothing: str = "unbounded") -> 
 
 
 def print_gains(document: dict[str, Any]) -> None:
-    """Print what ``gains`` found: stability first, then gains, margins at each place, and what is asked next."""
+    """Print what ``gains`` found: the verdict first, then gains, margins at each place, and what is asked next."""
     console = new_console()
     sampled = document["sampled"]
-    console.print(
-        _verdict(sampled["stable"], f"{document['axis']}: sampled velocity loop, {loop_in_words(document)},"),
-        soft_wrap=True,
-    )
+    console.print(_verdict(document["stable"], what_is_judged(document)), soft_wrap=True)
+    console.print(worst_in_words(document["worst_loop"]), highlight=False, soft_wrap=True)
 
-    gains = new_table("Velocity loop", "", "value", "unit", "requested")
+    left_out, lagged = document["closed_forms_leave_out"], document["continuous_with_lags"]
+    places = [("sampled: plant input", sampled)]
+    places += [("with lags: velocity error", lagged)] if len(left_out) > 1 else []
+    places += [("ideal: velocity error", document["velocity_error"]), ("ideal: plant input", document["plant_input"])]
+
+    gains = new_table("Velocity loop; ideal: closed forms", "", "value", "unit", "requested")
     asked = {} if document["retuned"] else document["requested"]
     for label, key, unit in (
         ("k_v1, kp of a drive", "k_v1", "V/(m/s)"),
         ("t_v, Tn of a drive", "t_v", "s"),
         ("K_v = k_v1 G_tau / t_v", "K_v", "N/m"),
-        ("natural frequency w_0v", "omega_0v", "rad/s"),
-        ("damping ratio z_v", "z_v", ""),
-        ("crossover of T_vo", "crossover", "rad/s"),
-        ("phase margin of T_vo", "phase_margin_deg", "deg"),
-        ("bandwidth of T_vc, -3 dB", "bandwidth", "rad/s"),
     ):
-        wanted = number(asked[key]) if key in asked else ""
-        gains.add_row(label, number(document[key], 6), unit, wanted)
+        gains.add_row(label, number(document[key], 6), unit, "")
+    readings = [("with lags", lagged)] if len(left_out) > 1 else []
+    for words, reading in (*readings, ("ideal", document)):
+        for label, key, unit in (("crossover", "crossover", "rad/s"), ("phase margin", "phase_margin_deg", "deg")):
+            wanted = number(asked[key]) if key in asked else ""
+            missing = "unbounded" if reading.get("stable", True) else "unstable"
+            gains.add_row(f"{label} of T_vo, {words}", number(reading[key], 6, missing), unit, wanted)
+    for label, key, unit in (
+        ("bandwidth of T_vc, ideal, -3 dB", "bandwidth", "rad/s"),
+        ("natural frequency w_0v, ideal", "omega_0v", "rad/s"),
+        ("damping ratio z_v, ideal", "z_v", ""),
+    ):
+        gains.add_row(label, number(document[key], 6), unit, number(asked[key]) if key in asked else "")
     console.print(gains)
 
-    undefined = "undefined" if not sampled["stable"] else "unbounded"
     wanted = document["requested"] if document["retuned"] else {}
     asks = ["asked"] if wanted else []
-    margins = new_table(
-        "Margins; sampled: at the plant input", "", "velocity error", "plant input", "sampled", *asks, "unit"
-    )
-    places = (document["velocity_error"], document["plant_input"], sampled)
+    margins = new_table("Margins of the velocity loop", "", *(name for name, _ in places), *asks, "unit")
     words = {"gain_reduction_margin": "none"}
     for label, key, unit, scale in (
         ("phase margin", "phase_margin_deg", "deg", 1.0),
@@ -73,19 +78,22 @@ def print_gains(document: dict[str, Any]) -> None:
             if key not in place
             else number(
                 None if place[key] is None else scale * place[key],
-                nothing=words.get(key, "unbounded") if place["stable"] else undefined,
+                nothing=words.get(key, "unbounded") if place["stable"] else "undefined",
             )
-            for place in places
+            for _, place in places
         ]
-        if key != "gain_reduction_margin" or any(place[key] is not None for place in places):
+        if key != "gain_reduction_margin" or any(place[key] is not None for _, place in places):
             asked_for = [number(scale * wanted[key]) if key in wanted else ""] if wanted else []
             margins.add_row(label, *cells, *asked_for, unit)
     for unit, scale in (("rad/s", 1.0), ("Hz", 0.5 / math.pi)):
         bandwidth = sampled["bandwidth"]
-        cells = [number(scale * document["bandwidth"]), "", number(bandwidth and scale * bandwidth, nothing=undefined)]
+        own = number(bandwidth and scale * bandwidth, nothing="unbounded" if sampled["stable"] else "undefined")
+        cells = [own, *[""] * (len(places) - 3), number(scale * document["bandwidth"]), ""]
         cells += [number(scale * wanted["bandwidth"]) if "bandwidth" in wanted else ""] if wanted else []
         margins.add_row("bandwidth, -3 dB" if unit == "rad/s" else "", *cells, unit)
     console.print(margins)
+    console.print("sampled: everything is in it" + "; with lags: without the sampling" * (len(left_out) > 1))
+    console.print(f"ideal: without {', '.join(left_out)}", highlight=False, soft_wrap=True)
     _print_structures(console, document)
     low, high = document["feasible_phase_margin_deg"]
     console.print(f"feasible phase margin at this crossover: {low:.4g} to {high:.4g} deg (open interval)")
@@ -109,6 +117,30 @@ def print_gains(document: dict[str, Any]) -> None:
     if "out" in document:
         console.print(f"axis file with this controller: {document['out']}", soft_wrap=True)
     _print_warnings(console, document["warnings"])
+
+
+def what_is_judged(document: dict[str, Any]) -> str:
+    """What the verdict of ``gains`` is about: the loops, and the machines on which they run."""
+    parts = [f"{document['axis']}: sampled velocity loop, {loop_in_words(document)}"]
+    if "position_loop" in document:
+        parts.append("with the position loop around it")
+    if "kept_position_loop" in document:
+        parts.append("with the axis file's position loop around it")
+    over = {"load_range": "the range of loads", "mismatch": "the mismatch"}
+    parts += [f"over {words}" for key, words in over.items() if key in document]
+    parts += ["on the measured plant"] if "measured" in document else []
+    return f"{', '.join(parts)},"
+
+
+def worst_in_words(worst: dict[str, Any]) -> str:
+    """The worst loop of ``gains``, on which machine it is, and what it has."""
+    from emps_design.control.loop.worst import where_in_words
+
+    has = "unstable"
+    if worst["stable"]:
+        gain = number(worst["gain_margin"], 3)
+        has = f"phase margin {number(worst['phase_margin_deg'], 3)} deg, gain margin {gain}"
+    return f"worst: {' '.join(filter(None, (worst['name'], where_in_words(worst.get('where', {})))))}: {has}"
 
 
 def loop_in_words(document: dict[str, Any]) -> str:
@@ -145,7 +177,9 @@ def _print_structures(console: Console, document: dict[str, Any]) -> None:
 def print_force(document: dict[str, Any]) -> None:
     """Print what ``force`` found: stability first, then the limits of k_e1, margins and poles."""
     console = new_console()
-    console.print(_verdict(document["stable"], f"{document['axis']}: sampled force loop"))
+    what = f"{document['axis']}: sampled force loop, around a velocity loop that runs without contact too,"
+    console.print(_verdict(document["stable"], what), soft_wrap=True)
+    console.print(worst_in_words(document["worst_loop"]), highlight=False, soft_wrap=True)
     operator = document["operator"]
     table = new_table(f"Force loop around {loop_in_words(document)}", "", "value", "unit")
     rows: list[tuple[str, float | None, str]] = [
@@ -170,7 +204,7 @@ def print_force(document: dict[str, Any]) -> None:
     margins = document["margins"]
     phase, crossover = number(margins["phase_margin_deg"]), margins["crossover"]
     at = f"phase {phase} deg at {number(crossover)} rad/s" if crossover is not None else f"phase {phase}: no crossover"
-    found = f"gain {number(margins['gain_margin'])}, {at}" if document["stable"] else "undefined, the loop is unstable"
+    found = f"gain {number(margins['gain_margin'])}, {at}" if margins["stable"] else "undefined, the loop is unstable"
     console.print(f"margins of the sampled force loop: {found}")
     poles = ", ".join(f"{re:.4g}{im:+.4g}j" for re, im in document["continuous"]["poles"])
     console.print(f"continuous poles: {poles} rad/s")
@@ -201,7 +235,7 @@ def _print_mismatch(console: Console, study: dict[str, Any]) -> None:
         table.add_row("k_v1 by (7)", *(number(value, 5) for value in study["gains"]["k_v1"]), "V/(m/s)")
         table.add_row("t_v by (7)", *(number(1e3 * value, 5) for value in study["gains"]["t_v"]), "ms")
     console.print(table)
-    console.print(f"stable at {100 * study['stable_share']:.4g} % of the corners")
+    console.print(f"stable at {100 * study['stable_share']:.4g} % of the corners; {worst_in_words(study['worst_loop'])}")
 
 
 def _verdict(stable: bool, what: str) -> Text:

@@ -17,6 +17,7 @@ FLAGS = {
     "mismatch": "--mismatch",
     "peak": "--peak",
     "phase_deg": "--phase",
+    "position_kp": "--position-kp",
     "rate": "--rate",
     "record": "--record",
     "retune": "--retune",

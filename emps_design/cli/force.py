@@ -123,10 +123,11 @@ def command(
         )
     document: dict[str, Any] = design.to_dict()
     document["warnings"] += notes
-    if design.stable and out is not None:
+    stable = design.worst.margins.stable
+    if stable and out is not None:
         gains = {"k_v1": loop.k_v1, "t_v": loop.t_v, "k_e1": k_e1}
         document["out"] = write_axis(out, machine.replace(controller={"kind": ip_velocity.LAW.name, **gains}))
-    if not design.stable:
+    if not stable:
         document["nearest"], document["reason"] = design.nearest_stable, design.reason
     if as_json:
         print_json(document)
@@ -134,6 +135,6 @@ def command(
         from emps_design.cli.design_tables import print_force
 
         print_force(document)
-    if not design.stable:
+    if not stable:
         tell(document["reason"])
-    return 0 if design.stable else 4
+    return 0 if stable else 4

@@ -41,6 +41,7 @@ from emps_design.cli.loop_options import (
     InertiaRange,
     PositionBandwidth,
     PositionEvery,
+    PositionKp,
     PositionOvershoot,
     PositionStiffness,
     ReferenceFilter,
@@ -57,6 +58,7 @@ from emps_design.errors import InputError
 from emps_design.files import read_bytes
 
 if TYPE_CHECKING:
+    from emps_design.control.position import PositionLoopDesign
     from emps_design.control.velocity.design import VelocityLoopDesign
     from emps_design.frequency_response import FrequencyResponse
 
@@ -77,6 +79,7 @@ def command(
     position_overshoot: PositionOvershoot = None,
     position_bandwidth: PositionBandwidth = None,
     position_stiffness: PositionStiffness = None,
+    position_kp: PositionKp = None,
     position_every: PositionEvery = None,
     inertia_range: InertiaRange = None,
     compliance_range: ComplianceRange = None,
@@ -110,15 +113,16 @@ def command(
     from emps_design.control.velocity.comparison import gains_document
     from emps_design.control.velocity.design import design_velocity_loop
     from emps_design.control.velocity.specification import check_specification
+    from emps_design.control.verdict import DesignVerdict
 
     refuse_force(context, out)
     if not retune:
         refuse_ignored(context, ["at"], "goes with --retune")
     if not frf:
         refuse_ignored(context, ["sensitivity_peak_below", "sensitivity_peak_above"], "goes with --frf")
-    position = (position_overshoot, position_bandwidth, position_stiffness)
+    position = (position_overshoot, position_bandwidth, position_stiffness, position_kp)
     if all(value is None for value in position):
-        why = "goes with --position-overshoot, --position-bandwidth or --position-stiffness"
+        why = "goes with --position-overshoot, --position-bandwidth, --position-stiffness or --position-kp"
         refuse_ignored(context, ["position_every"], why)
     span = load_range_asked_for(inertia_range, compliance_range, delay_range)
     check_out(out, AXIS, (axis, sigma_from, *(frf or ())), force)
@@ -159,11 +163,10 @@ def command(
         design = retune_velocity_loop(machine, at=at, **specification)
     else:
         design = design_velocity_loop(machine, **specification)
-    document = gains_document(design)
     around = position_loop_asked_for(design, *position, position_every) if design.sampled.stable else None
-    if around is not None:  # in place of the axis file's, of which nothing more is said
-        document = {key: value for key, value in document.items() if key not in ("kept_position_loop", "reason")}
-        document["position_loop"] = around.to_dict()
+    measured = _Measured(responses, design, around, limits) if responses else None
+    verdict = DesignVerdict(design, around, span, errors, measured.loops if measured else ())
+    document = gains_document(verdict)
     if retune:
         suggested = (machine, phase_margin, design.structure, design.filters, velocity)
         if responses:
@@ -174,42 +177,14 @@ def command(
             from emps_design.control.velocity.limits import suggest_filter
 
             document["suggestion"] = suggest_filter(*suggested)
-    if span is not None:
-        from emps_design.control.velocity.load_range import margins_over_range
-
-        document["load_range"] = margins_over_range(design, span)
-    if errors is not None:
-        from emps_design.control.velocity.sensitivity import margins_under_mismatch
-
-        document["mismatch"] = study = margins_under_mismatch(design, errors)
-        if study["stable_share"] < 1.0:
-            document["warnings"].append(
-                f"unstable at {100 * (1 - study['stable_share']):.3g} % of the mismatch corners"
-            )
-
-    refused = design.reason if around is not None else design.refused
-    if responses:
-        from emps_design.frequency_response.loop import measured_document, measured_margins, over_limits
-
-        found = [measured_margins(response, design.loop_axis) for response in responses]
-        document["measured"] = measured_document(found, limits)
-        if around is not None or design.kept_loops:
-            whole_axis = around.axis() if around is not None else machine.replace(controller=design.controller_table())
-            whole = [measured_margins(response, whole_axis) for response in responses]
-            document["measured"]["whole_loop"] = measured_document(whole, limits)
-        document["warnings"] += [warning for one in found for warning in one.warnings]
-        for loop, said in (("velocity", document["measured"]), ("whole", document["measured"].get("whole_loop"))):
-            broken = over_limits(said, limits) if said is not None else []
-            document["warnings"] += [f"{loop} loop on the measured plant: {words}" for words in broken]
-        if sensitivity_peak_above is not None and not any(one.antiresonance for one in found):
+    if measured is not None:
+        document["measured"] = measured.document
+        document["warnings"] += measured.warnings
+        if sensitivity_peak_above is not None and not any(one.antiresonance for one in measured.velocity):
             document["warnings"].append("--sensitivity-peak-above: the data have no antiresonance; all lies below")
-    measured = document.get("measured", {})
-    on_data = measured.get("stable", True) and measured.get("whole_loop", {}).get("stable", True)
-    if not refused and on_data and out is not None:
+    if verdict.stable and out is not None:
         table = design.controller_table() if around is None else around.controller_table()
         document["out"] = write_axis(out, machine.replace(controller=table))
-    if not refused and not on_data:
-        document["reason"] = "the loop with these gains is unstable on the measured plant; ask for a slower one"
     if as_json:
         print_json(document)
     else:
@@ -218,7 +193,7 @@ def command(
 
         print_gains(document)
         print_around(document)
-        if responses:
+        if measured is not None:
             from emps_design.cli.measured_table import print_measured
 
             print_measured(document["measured"])
@@ -226,7 +201,33 @@ def command(
                 print_measured(document["measured"]["whole_loop"], "whole loop")
     if "reason" in document:
         tell(document["reason"])
-    return 0 if on_data and not refused else 4
+    return 0 if verdict.stable else 4
+
+
+class _Measured:
+    """The loops of a design on measured plants: the velocity loop, and the whole where a position loop is around it."""
+
+    def __init__(
+        self,
+        responses: list[FrequencyResponse],
+        design: VelocityLoopDesign,
+        around: PositionLoopDesign | None,
+        limits: dict[str, float],
+    ):
+        from emps_design.control.loop.nested import VELOCITY_LOOP, WHOLE
+        from emps_design.frequency_response.loop import measured_document, measured_margins, over_limits
+
+        axes = {VELOCITY_LOOP: design.loop_axis}
+        if around is not None or design.kept_loops:
+            axes[WHOLE] = design.axis_that_runs if around is None else around.axis()
+        found = {name: [measured_margins(one, axis) for one in responses] for name, axis in axes.items()}
+        said = {name: measured_document(margins, limits) for name, margins in found.items()}
+        self.velocity = found[VELOCITY_LOOP]
+        self.loops = [one.loop(name) for name, margins in found.items() for one in margins]
+        self.document = said[VELOCITY_LOOP] | ({"whole_loop": said[WHOLE]} if WHOLE in said else {})
+        self.warnings = [warning for one in self.velocity for warning in one.warnings]
+        for name, one in said.items():
+            self.warnings += [f"{name} on the measured plant: {words}" for words in over_limits(one, limits)]
 
 
 def _responses(paths: list[Path]) -> list[FrequencyResponse]:

@@ -50,6 +50,7 @@ PositionBandwidth = Annotated[
 PositionStiffness = Annotated[
     float | None, typer.Option(callback=within("N/m"), help="or for this step of force over displacement [N/m]")
 ]
+PositionKp = Annotated[float | None, typer.Option(callback=within("1/s"), help="or this kp itself [1/s]")]
 PositionEvery = Annotated[
     int | None, typer.Option(min=1, max=1000, help="the position loop runs in every n-th sample [the axis's, or 1]")
 ]
@@ -65,10 +66,11 @@ def position_loop_asked_for(
     overshoot: float | None,
     bandwidth: float | None,
     stiffness: float | None,
+    kp: float | None,
     every: int | None,
 ) -> PositionLoopDesign | None:
     """The position loop around ``design`` that the command line asks for, None where it asks for none."""
-    wanted = {"overshoot": overshoot, "bandwidth": bandwidth, "stiffness": stiffness}
+    wanted = {"overshoot": overshoot, "bandwidth": bandwidth, "stiffness": stiffness, "kp": kp}
     given = {name: value for name, value in wanted.items() if value is not None}
     if not given:
         return None

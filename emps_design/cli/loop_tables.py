@@ -77,9 +77,12 @@ def _print_position_loop(found: dict[str, Any]) -> None:
     ):
         table.add_row(label, _cell(found[key], 1.0), unit, number(value) if name == wanted else "")
     for one in found["loops"]:
-        table.add_row(f"{one['name']}: phase margin", _cell(one["phase_margin_deg"], 1.0), "deg", "")
-        table.add_row("    gain margin", _cell(one["gain_margin"], 1.0), "ratio", "")
+        cells = [_cell(one[key], 1.0) if one["stable"] else "unstable" for key in ("phase_margin_deg", "gain_margin")]
+        table.add_row(f"{one['name']}: phase margin", cells[0], "deg", "")
+        table.add_row("    gain margin", cells[1], "ratio", "")
     console.print(table)
+    if found["following_error"] is None:
+        return
     errors = new_table(
         "Following error", "feed-forward", "along a velocity [s]", "an acceleration [s^2]", "a jerk [s^3]"
     )
@@ -105,13 +108,18 @@ def _print_load_range(found: dict[str, Any]) -> None:
         ("crossover", "crossover", lambda one: one),
         *([] if at == "plant input" else [("plant input: phase", "phase_margin_deg", lambda one: one["plant_input"])]),
         ("gain", "gain_margin", lambda one: one["plant_input"]),
+        *[
+            (f"{loop['name']}: phase", "phase_margin_deg", lambda one, place=place: one["loops"][place])
+            for place, loop in enumerate(found["points"][0]["loops"])
+            if place > 0
+        ],
     ]
     title = "Margins of these gains over the range, sampled"
     table = new_table(title, "inertia", "compliance", "delay", *(name for name, _, _ in columns))
     for one in found["points"]:
-        margins = [_cell(place(one)[key], 1.0) for _, key, place in columns]
+        places = [(place(one), key) for _, key, place in columns]
+        cells = [_cell(place[key], 1.0) if place["stable"] else "unstable" for place, key in places]
         delay = f"{1e3 * one['delay']:.3g} ms"
-        cells = margins if one["stable"] else ["unstable"] * len(margins)
         table.add_row(number(one["inertia"]), number(one["compliance"]), delay, *cells)
     console.print(table)
     crossover = f"slowest crossover at the {at} [rad/s]"

@@ -26,7 +26,7 @@ from emps_design.control.velocity.sampled import velocity_table
 from emps_design.errors import InputError, SpecificationError
 from emps_design.laws.library import cascade
 
-WANTED = {"overshoot": "%", "bandwidth": "rad/s", "stiffness": "N/m"}
+WANTED = {"overshoot": "%", "bandwidth": "rad/s", "stiffness": "N/m", "kp": "1/s"}
 LOWEST = 1e-4  # of the velocity loop's crossover: the slowest position loop tried
 
 
@@ -149,10 +149,10 @@ class PositionLoopDesign:
 def design_position_loop(
     velocity_loop: VelocityLoopDesign, wanted: str, value: float, every: int = 1
 ) -> PositionLoopDesign:
-    """Return the position loop around ``velocity_loop`` with the ``wanted`` "overshoot", "bandwidth" or "stiffness".
+    """Return the position loop around ``velocity_loop`` with the ``wanted`` "overshoot", "bandwidth", "stiffness", "kp".
 
-    ``value`` in [%], [rad/s] or [N/m]; of an overshoot the fastest loop that keeps to it. ``every``: the position loop
-    runs in every n-th sample. :class:`SpecificationError` where no gain has it, with the one that comes nearest.
+    ``value`` in [%], [rad/s], [N/m] or [1/s]; of an overshoot the fastest loop that keeps to it, of a kp the loop with
+    it, stable or not. ``every``: the position loop runs in every n-th sample. :class:`SpecificationError` where no gain has it, with the one that comes nearest.
 
     >>> from emps_design.control.velocity.design import design_velocity_loop
     >>> from emps_design.machines import machine
@@ -171,6 +171,9 @@ def design_position_loop(
 
     def design(kp: float) -> PositionLoopDesign:
         return PositionLoopDesign(velocity_loop, kp, every, asked)
+
+    if wanted == "kp":
+        return design(float(value))
 
     def reached(kp: float) -> bool:
         """Whether a position loop with ``kp`` is as fast as asked, or past what is allowed."""

@@ -26,7 +26,8 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.loop.margins import disk_size, margin_arrays
+from emps_design.control.loop.margins import Margins, disk_size, margin_arrays
+from emps_design.control.loop.nested import PLANT_INPUT, NestedLoop
 from emps_design.control.plant.peaks import law_peaks
 from emps_design.frequency_response.measured_plant import MeasuredPlant, law_response, stable_loops
 from emps_design.frequency_response.resonances import resonances
@@ -58,6 +59,11 @@ class MeasuredMargins:
     stable_share: float
     antiresonance: float | None
     warnings: tuple[str, ...] = ()
+
+    def loop(self, name: str) -> NestedLoop:
+        """These margins as those of the loop of that ``name``, to be judged with others."""
+        own = {key: self.values[key] for key in (*CROSSINGS, "disk_margin")}
+        return NestedLoop(name, PLANT_INPUT, Margins(stable=self.stable, **own), {"response": self.name})
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; the disk margin also as gain and phase alone."""

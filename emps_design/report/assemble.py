@@ -44,15 +44,15 @@ class Report:
     def reason(self) -> str:
         """What of the design is unstable, and what nearby is not, in one line; empty where everything is stable."""
         others = (loop.reason for loop in (self.results.force, self.impedance) if loop is not None)
-        return "; ".join(reason for reason in (self.results.velocity.refused, *others) if reason)
+        return "; ".join(reason for reason in (self.results.verdict.reason, *others) if reason)
 
     @property
     def nearest(self) -> dict[str, Any]:
         """The nearest that is stable, of each loop that is not, by the name of its section in :meth:`to_dict`."""
-        velocity, force, impedance = self.results.velocity, self.results.force, self.impedance
+        verdict, force, impedance = self.results.verdict, self.results.force, self.impedance
         found: dict[str, Any] = {}
-        if velocity.reason:
-            found["velocity_loop"] = velocity.nearest_stable
+        if verdict.reason:
+            found["velocity_loop"] = verdict.nearest
         if force is not None and force.reason:
             found["force_loop"] = force.nearest_stable
         if impedance is not None and impedance.reason:
@@ -63,7 +63,8 @@ class Report:
         """Gains, force loop and identification as plain data; ``reason`` and ``nearest`` where a loop is unstable."""
         from emps_design.control.velocity.comparison import kept_position_loop
 
-        document: dict[str, Any] = {"velocity_loop": self.results.velocity.to_dict()}
+        velocity = self.results.velocity.to_dict()
+        document: dict[str, Any] = {"velocity_loop": velocity, "worst_loop": self.results.verdict.worst.to_dict()}
         if self.results.force is not None:
             document["force_loop"] = self.results.force.to_dict()
         if self.found:
@@ -194,8 +195,6 @@ def assemble_report(
 
         loops = nested_loops(loaded)
         parts.append(controller_section(loops, velocity.kept_loops))
-    if velocity.refused and not velocity.reason:
-        stops += (velocity.refused,)
     results = design_results(
         velocity,
         *around,
@@ -208,7 +207,8 @@ def assemble_report(
     tell("drawing", 0.6)
     page = design_page(results)
     warnings = [warning for one in found for warning in one.warnings]
-    warnings += [*velocity.warnings, *(results.force.warnings if results.force else ())]
+    warnings += [*results.verdict.warnings, *velocity.warnings]
+    warnings += results.force.warnings if results.force else ()
     warnings += assessed.to_dict()["warnings"] if assessed else []
     tell("writing", 0.95)
     return Report(page, results, assessed, tuple(found), tuple(dict.fromkeys(warnings)), loops)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from emps_design.control.loop.nested import VELOCITY_LOOP
+from emps_design.control.loop.worst import where_in_words
 from emps_design.report.display import angle, delay, frequency, number, quantity, ratio, sentence_of, symbol
 from emps_design.report.drive import drive_section
 from emps_design.report.footer import inputs_table, versions
@@ -16,6 +19,8 @@ from emps_design.report.velocity import gains_section, velocity_section
 if TYPE_CHECKING:
     from emps_design.control.force.design import ForceLoopDesign
     from emps_design.control.loop.margins import Margins
+    from emps_design.control.loop.nested import NestedLoop
+    from emps_design.control.verdict import DesignVerdict
     from emps_design.control.velocity.design import VelocityLoopDesign
 
 ASSUMPTIONS = (
@@ -47,6 +52,13 @@ class DesignResults:
     measured: Section | None = None
     notes: tuple[str, ...] = ()
     stops: tuple[str, ...] = ()
+
+    @cached_property
+    def verdict(self) -> DesignVerdict:
+        """The verdict on the velocity loop and what an axis file keeps around it."""
+        from emps_design.control.verdict import DesignVerdict
+
+        return DesignVerdict(self.velocity)
 
 
 def design_results(
@@ -114,8 +126,10 @@ def _stops(results: DesignResults) -> list[Callout]:
             "sample faster, remove delay, or ask for less."
         )
         stops.append(Callout("stop", "with these gains the sampled velocity loop is unstable.", less))
-    if force is not None and not force.stable:
-        title = f"the force loop is unstable at k_e1 = {number(force.k_e1)} (m/s)/N."
+    elif not results.verdict.stable:
+        stops.append(Callout("stop", sentence_of(results.verdict.reason)))
+    if force is not None and not force.worst.margins.stable:
+        title = f"the {force.worst.name} is unstable at k_e1 = {number(force.k_e1)} (m/s)/N."
         stops.append(Callout("stop", title, sentence_of(force.reason)))
     return [*stops, *(Callout("stop", stop) for stop in results.stops)]
 
@@ -128,6 +142,11 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
         (Html(symbol("k_v1")), quantity(velocity.k_v1, "V/(m/s)"), "gain of the velocity loop"),
         (Html(symbol("t_v")), quantity(velocity.t_v, "s"), "its integral time"),
     ]
+    worst = results.verdict.worst
+    if worst.margins.stable and (worst.name != VELOCITY_LOOP or worst.where):
+        where = where_in_words(worst.where)
+        place = f"phase margin, sampled, at the {worst.broken}{where and ', '}{where}"
+        facts.append((f"worst: {worst.name}", angle(worst.margins.phase_margin_deg), place))
     if sampled.stable:
         facts += [
             (
@@ -145,7 +164,7 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
         facts.append(("margins on the drive", "none", "the sampled loop is unstable"))
     blocks.append(Facts(tuple(facts)))
     blocks += [Text(note) for note in results.notes]
-    blocks.append(_achieved_table(velocity))
+    blocks.append(_achieved_table(velocity, results.verdict.at({})))
     continuous, left = velocity.plant_input.phase_margin_deg, sampled.margins.phase_margin_deg
     if continuous is not None and left is not None:  # nothing is left of a loop that is unstable
         parts = ["sampling", "hold", "current loop", "delay", "velocity estimator"]
@@ -158,17 +177,20 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
             )
         )
     warnings = [w for w in velocity.warnings if not w.startswith("the sampled loop is unstable")]
+    warnings = [*results.verdict.warnings, *warnings]
     if warnings:
         blocks.append(Callout("warning", "To read with the numbers", items=tuple(dict.fromkeys(warnings))))
     return tuple(blocks)
 
 
-def _achieved_table(velocity: VelocityLoopDesign) -> Table:
-    """Specification against achieved, at every place where the loop can be broken."""
+def _achieved_table(velocity: VelocityLoopDesign, loops: Sequence[NestedLoop]) -> Table:
+    """Specification against achieved, at every place where a loop can be broken: the ``loops`` with everything first."""
     sampled, asked = velocity.sampled, velocity.requested
     met_by = "loop broken at the velocity error" + (", (6) and (7)" if velocity.structure.form == "ip" else "")
     if velocity.retuned_at:
         met_by = f"sampled loop broken at the {velocity.retuned_at.replace('-', ' ')}"
+
+    missing, lagged = ("the sampling", *velocity.left_out), []
 
     def row(name: str, margins: Margins, bandwidth: float | None) -> list[Any]:
         if not margins.stable:
@@ -183,6 +205,12 @@ def _achieved_table(velocity: VelocityLoopDesign) -> Table:
             delay(margins.delay_margin, margins.period),
         ]
 
+    if velocity.left_out:
+        with_lags = velocity.with_lags
+        lagged = [
+            row("velocity error, with lags", with_lags.velocity_error, None),
+            row("plant input, with lags", with_lags.plant_input, None),
+        ]
     return Table(
         ["", "phase margin", "crossover", "closed loop −3 dB", "gain margin", "delay margin"],
         [
@@ -194,13 +222,16 @@ def _achieved_table(velocity: VelocityLoopDesign) -> Table:
                 "—",
                 "—",
             ],
-            row("velocity error, continuous", velocity.velocity_error, velocity.bandwidth),
-            row("velocity error, sampled", sampled.velocity_error, sampled.bandwidth),
-            row("plant input, continuous", velocity.plant_input, velocity.bandwidth),
+            *(row(f"{one.name}, {one.broken}, sampled", one.margins, None) for one in loops if one.name != VELOCITY_LOOP),
             row("plant input, sampled", sampled.margins, sampled.bandwidth),
+            row("velocity error, sampled", sampled.velocity_error, sampled.bandwidth),
+            *lagged,
+            row("velocity error, ideal", velocity.velocity_error, velocity.bandwidth),
+            row("plant input, ideal", velocity.plant_input, velocity.bandwidth),
         ],
         f"Specification against achieved. The specification holds for the {met_by}; what destabilises a drive acts at "
-        "the plant input, so the last row is what the drive will have.",
+        "the plant input, so the first rows, with everything in them, are what the drive will have. Rows with lags are "
+        f"continuous and leave out the sampling, ideal ones leave out {', '.join(missing)}.",
     )
 
 

@@ -19,7 +19,7 @@ def force_section(force: ForceLoopDesign) -> Section:
         operator.append(f"a viscous hand of {quantity(force.hand, 'N/(m/s)')}")
     if force.environment:
         operator.append(f"a wall of {number(force.environment / 1e3)} N/mm")
-    margins = force.margins
+    margins, stable = force.margins, force.worst.margins.stable
 
     def limit(value: float | None) -> str:
         return "unbounded" if value is None else f"{number(value)} (m/s)/N"
@@ -49,7 +49,7 @@ def force_section(force: ForceLoopDesign) -> Section:
             f"Operator: {' and '.join(operator) or 'none'}, tau_e = −(k_h q̇ + K_env q), positive towards +q. The force "
             f"acts on the sensor{' and on the carriage' if force.on_carriage else ' only'}."
         ),
-        Callout("good" if force.stable else "stop", "stable." if force.stable else "the force loop is unstable."),
+        Callout("good", "stable.") if stable else Callout("stop", f"the {force.worst.name} is unstable."),
         Table(
             ["quantity", "value", "meaning"], rows, "Force loop of Fig. 4, (10) and (11), with an explicit operator."
         ),

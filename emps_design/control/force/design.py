@@ -24,7 +24,9 @@ import numpy as np
 
 from emps_design.control.force.limits import first_instability, largest_force_gain
 from emps_design.control.loop.margins import Margins, loop_margins
+from emps_design.control.loop.nested import PLANT_INPUT, VELOCITY_LOOP, NestedLoop
 from emps_design.control.loop.sampled_loop import SampledLoop, close
+from emps_design.control.loop.worst import loop_in_words, where_in_words, worst_loop
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis
 from emps_design.control.plant.environment import Environment, attached, felt
 from emps_design.control.plant.linear_plant import POSITION, VELOCITY
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     import control
 
 
+FORCE_LOOP, VELOCITY_REFERENCE = "force loop", "velocity reference"
 ROUNDING = 1e-12  # of a pole: a limit is where the poles cross the circle, a verdict leaves MARGINAL room
 
 
@@ -132,7 +135,7 @@ class ForceLoopDesign:
 
     @cached_property
     def stable(self) -> bool:
-        """Whether the sampled closed loop is stable, by its poles."""
+        """Whether the sampled force loop is stable, by its poles; :attr:`worst` says whether all of the design is."""
         return self.sampled_loop().stable
 
     @cached_property
@@ -151,18 +154,53 @@ class ForceLoopDesign:
         factor = gently.margins.gain_margin
         return None if factor is None else start * factor
 
+    @cached_property
+    def loops(self) -> tuple[NestedLoop, ...]:
+        """The loops that will run: the velocity loop, free of any operator, and the force loop in contact.
+
+        Those of an axis with effects are there for motion the other way too.
+        """
+        ways: list[tuple[ForceLoopDesign, dict[str, float]]] = [(self, {})]
+        if self.velocity_loop.axis.effects:
+            back = -self.velocity_loop.velocity
+            loop = replace(self.velocity_loop, velocity=back)
+            ways.append((replace(self, velocity_loop=loop), {"velocity": back}))
+        found = []
+        for one, where in ways:
+            free = one.velocity_loop.sampled.margins
+            found.append(NestedLoop(VELOCITY_LOOP, PLANT_INPUT, free, where))
+            found.append(NestedLoop(FORCE_LOOP, VELOCITY_REFERENCE, one.margins, where))
+        return tuple(found)
+
     @property
-    def nearest_stable(self) -> dict[str, float]:
-        """A stable k_e1 next to the limit [(m/s)/N], the gain itself where that is; empty where none is stable."""
+    def worst(self) -> NestedLoop:
+        """The loop that the design stands or falls with."""
+        return worst_loop(self.loops)
+
+    @property
+    def nearest_stable(self) -> dict[str, Any]:
+        """A stable k_e1 next to the limit [(m/s)/N], the gain itself where that is; empty where none is stable.
+
+        Where the velocity loop is unstable by itself it is what may be asked of that.
+        """
+        if not self.velocity_loop.sampled.stable:
+            return self.velocity_loop.nearest_stable if self.velocity_loop.requested else {}
         if self.stable:
             return {"k_e1": self.k_e1}
         return {"k_e1": 0.99 * self.k_e1_max_sampled} if self.k_e1_max_sampled else {}
 
     @property
     def reason(self) -> str:
-        """Why the gain is refused, in one line; empty where the sampled loop is stable."""
-        if self.stable:
+        """Why the design is refused, in one line; empty where every loop of it is stable."""
+        worst = self.worst
+        if worst.margins.stable:
             return ""
+        if worst.name == VELOCITY_LOOP:
+            nearest = f"; {self.velocity_loop.nearest_in_words}" if self.nearest_stable and not worst.where else ""
+            where = where_in_words(worst.where)
+            return f"the sampled velocity loop is unstable by itself, without contact{where and ' '}{where}{nearest}"
+        if worst.where:
+            return f"the sampled force loop is unstable {where_in_words(worst.where)}"
         limit = self.k_e1_max_sampled
         return "the sampled force loop is unstable; " + (
             f"the largest k_e1 that is stable is {limit:.5g} (m/s)/N"
@@ -208,7 +246,9 @@ class ForceLoopDesign:
         if not self.stable:
             warnings.append(f"the sampled force loop is unstable: largest pole {abs(self.poles[0]):.4g}")
         if not self.velocity_loop.sampled.stable:
-            warnings.append("the sampled velocity loop inside it is unstable already")
+            warnings.append("the sampled velocity loop inside it is unstable already, without contact")
+        if self.worst.where and not self.worst.margins.stable:
+            warnings.append(f"the {loop_in_words(self.worst)} is unstable")
         if self.hand + self.environment == 0.0:
             warnings.append("no operator: without a hand or an environment nothing closes the force loop")
         elif self.k_e1_max_continuous is None:
@@ -250,7 +290,8 @@ class ForceLoopDesign:
                 "on_carriage": self.on_carriage,
                 "sensor_delay": self.sensor_delay,
             },
-            "stable": self.stable,
+            "stable": self.worst.margins.stable,
+            "worst_loop": self.worst.to_dict(),
             "k_e1_max": {
                 "continuous": self.k_e1_max_continuous,
                 "sampled": self.k_e1_max_sampled,
@@ -277,7 +318,7 @@ class ForceLoopDesign:
             ("largest k_e1, sampled", self.k_e1_max_sampled, "(m/s)/N"),
             ("gain margin, sampled", self.margins.gain_margin if self.stable else "undefined", "ratio"),
         )
-        verdict = "stable" if self.stable else "UNSTABLE"
+        verdict = "stable" if self.worst.margins.stable else "UNSTABLE"
         axis = self.velocity_loop.axis
         return axis.units.text(table(f"{axis.name}: the sampled force loop is {verdict}", rows, missing="unbounded"))
 

@@ -7,7 +7,8 @@ comes the whole loop at the plant input, where a delay or a current loop sits; o
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -23,25 +24,32 @@ from emps_design.laws import get_law, law_of, table_of
 from emps_design.laws.linear import LinearLaw, linear_law
 
 PLANT_INPUT, POSITION_ERROR = "plant input", "position error"
-WHOLE = "whole loop"
+VELOCITY_LOOP, WHOLE = "velocity loop", "whole loop"
 _REFERENCE, _POSITION = 0, 1  # places among the inputs of a law
 
 
 @dataclass(frozen=True)
 class NestedLoop:
-    """One loop of a controller: its ``name``, where it is ``broken``, and its margins there."""
+    """One loop of a controller: its ``name``, where it is ``broken``, and its margins there.
+
+    ``where`` has what its machine has different from the axis, as :func:`~.worst.where_in_words` reads it.
+    """
 
     name: str
     broken: str
     margins: Margins
+    where: Mapping[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data: name, place, margins."""
-        return {"name": self.name, "broken": self.broken, **self.margins.to_dict()}
+        """Plain data: name, place, margins, and the machine where that is another than the axis."""
+        where = {"where": dict(self.where)} if self.where else {}
+        return {"name": self.name, "broken": self.broken, **where, **self.margins.to_dict()}
 
 
-def nested_loops(axis: Axis, velocity: float = 0.1) -> tuple[NestedLoop, ...]:
+def nested_loops(axis: Axis, velocity: float = 0.1, delay: float = 0.0) -> tuple[NestedLoop, ...]:
     """The loops of the controller of ``axis``, innermost first and the whole last; linearised at ``velocity`` [m/s].
+
+    ``delay`` [s] of the command comes on top. A controller that has a velocity loop and nothing else is that one loop.
 
     Raises :class:`~emps_design.errors.AxisError` where the axis has no controller.
 
@@ -55,6 +63,7 @@ def nested_loops(axis: Axis, velocity: float = 0.1) -> tuple[NestedLoop, ...]:
     """
     period, direction = axis.sampling.period, float(np.sign(velocity))
     plant = sample_axis(axis, velocity)
+    plant = plant.delayed(delay) if delay else plant
     whole = law_of(axis, period)
     kind = get_law(axis.controller.kind)
     found = []
@@ -66,7 +75,8 @@ def nested_loops(axis: Axis, velocity: float = 0.1) -> tuple[NestedLoop, ...]:
         else:
             found.append(NestedLoop(name, POSITION_ERROR, at_position_error(plant, form)))
     if len(found) != 1:
-        found.append(NestedLoop(WHOLE, PLANT_INPUT, at_plant_input(plant, linear_law(whole, period, direction))))
+        name = VELOCITY_LOOP if not found and whole.follows == "velocity" else WHOLE
+        found.append(NestedLoop(name, PLANT_INPUT, at_plant_input(plant, linear_law(whole, period, direction))))
     return tuple(found)
 
 

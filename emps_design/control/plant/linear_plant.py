@@ -53,6 +53,24 @@ class LinearPlant:
     warnings: tuple[str, ...] = ()
     steepest: float = 0.0
 
+    @property
+    def in_slow_motion(self) -> tuple[float, float]:
+        """Mass [kg] and slope of friction [N/(m/s)] of all that moves, a load behind a coupling too; of a single plant.
+
+        From the force over the velocity of the carriage in powers of s: its constant, and what multiplies s. What
+        depends on position is left out.
+
+        >>> mass, slope = rigid_plant(2.0, 6.0).in_slow_motion
+        >>> round(mass, 9), round(slope, 9)
+        (2.0, 6.0)
+        """
+        A, E = self.A[VELOCITY:, VELOCITY:].copy(), self.E[VELOCITY:]
+        more = float(self.mass)  # N/(m/s) of friction on top, for a plant that has none
+        A[0, 0] -= E[0] * more
+        moves = np.linalg.solve(A, E)
+        speed, slower = -moves[0], -np.linalg.solve(A, moves)[0]
+        return float(-slower / speed**2), float(1.0 / speed - more)
+
     def to_ss(self) -> control.StateSpace:
         """The plant as a continuous ``control.StateSpace`` from voltage and force to encoder and velocity.
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 from emps_design.axis import Axis
+from emps_design.control.loop.margins import Margins
+from emps_design.control.loop.worst import margins_in_words
 from emps_design.control.plant.discretisation import SampledPlant, sample_axis
 from emps_design.control.plant.environment import Environment, attached
 from emps_design.control.plant.linear_plant import LinearPlant
+from emps_design.control.plant.peaks import oscillations
 from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.control.velocity.specification import ROOM
 
@@ -44,6 +49,19 @@ def law_in_words(loop: SampledVelocityLoop, by_closed_form: bool) -> list[str]:
     return notes
 
 
+def ideal_loop_in_words(left_out: Sequence[str], with_lags: Margins) -> str:
+    """Say what the closed forms leave out, and what the continuous loop has at the velocity error ``with_lags``.
+
+    >>> ideal_loop_in_words((), Margins(stable=True))
+    "the continuous loop's gain margin is unbounded: its phase never reaches -180 deg"
+    """
+    ideal = "the continuous loop's gain margin is unbounded: its phase never reaches -180 deg"
+    if not left_out:
+        return ideal
+    has = f"it has {margins_in_words(with_lags)}" if with_lags.stable else "it is unstable"
+    return f"{ideal}; that is without {' and '.join(left_out)}; with every lag {has} at the velocity error"
+
+
 def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> list[str]:
     """Say what the effects of ``axis`` change: (7) knows mass and viscous friction, the sampled ``loop`` all of them.
 
@@ -57,7 +75,8 @@ def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> 
     """
     if not axis.effects:
         return []
-    notes = carriage_in_words(axis, loop.plant.linear, velocity)
+    closed_form = "(7)" if loop.structure.form == "ip" else "the closed form"
+    notes = carriage_in_words(axis, loop.plant.linear, velocity, closed_form)
     if loop.stable:
         back = replace(loop, plant=sample_axis(axis, -velocity, loop.plant.filters))
         here, there = loop.margins.phase_margin_deg, back.margins.phase_margin_deg
@@ -70,15 +89,32 @@ def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> 
 
 
 def carriage_in_words(axis: Axis, linear: LinearPlant, velocity: float, closed_form: str = "(7)") -> list[str]:
-    """Say by how much mass and friction slope with all effects, ``linear``, differ from those of ``closed_form``."""
-    mass, damping = axis.mechanics.mass, axis.damping
-    if abs(linear.mass - mass) <= 0.01 * mass and abs(linear.viscous - damping) <= 0.01 * damping:
-        return []
-    return [
-        f"with its effects the carriage has {linear.mass:.4g} kg and a friction slope of {linear.viscous:.4g} "
-        f"N/(m/s) at {velocity:g} m/s; {closed_form} takes {mass:.4g} kg and {damping:.4g} N/(m/s), the sampled loop "
-        "takes all"
-    ]
+    """Say what ``closed_form`` does not know of ``linear``: another mass and friction slope, resonances.
+
+    Mass and slope are those of all that moves, slowly; of two masses the one that the motor drives first is named too.
+
+    >>> from emps_design.control.plant.linear_plant import linear_plant
+    >>> from emps_design.machines import machine
+    >>> bent = [{"kind": "flexible_coupling", "frequency": 48.0, "damping": 0.02, "share": 0.7}]
+    >>> axis = machine("emps2018").replace(effects=bent)
+    >>> carriage_in_words(axis, linear_plant(axis), 0.1)
+    ['(7) takes one rigid mass of 115.7 kg; the sampled loop has the resonance at 47.99 Hz, 34.72 kg before it']
+    """
+    notes, mass, damping = [], axis.mechanics.mass, axis.damping
+    moved, slope = linear.in_slow_motion
+    if abs(moved - mass) > 0.01 * mass or abs(slope - damping) > 0.01 * damping:
+        notes.append(
+            f"with its effects the carriage has {moved:.4g} kg and a friction slope of {slope:.4g} "
+            f"N/(m/s) at {velocity:g} m/s; {closed_form} takes {mass:.4g} kg and {damping:.4g} N/(m/s), the sampled loop "
+            "takes all"
+        )
+    for w, _ in oscillations(linear.A):
+        before = f", {linear.mass:.4g} kg before it" if linear.mass < 0.99 * moved else ""
+        notes.append(
+            f"{closed_form} takes one rigid mass of {mass:.4g} kg; the sampled loop has the resonance at "
+            f"{w / (2.0 * math.pi):.4g} Hz{before}"
+        )
+    return notes
 
 
 def closed_form_in_words(axis: Axis, plant: SampledPlant, velocity: float) -> list[str]:

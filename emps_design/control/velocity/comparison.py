@@ -5,25 +5,41 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from emps_design.control.cases import where_of
+from emps_design.control.velocity.load_range import margins_over_range
+from emps_design.control.velocity.sensitivity import margins_under_mismatch
 from emps_design.control.velocity.step_response import step_responses
 from emps_design.control.velocity.structure import STRUCTURES
 
 if TYPE_CHECKING:
     from emps_design.control.velocity.design import VelocityLoopDesign
+    from emps_design.control.verdict import DesignVerdict
 
 
-def gains_document(design: VelocityLoopDesign) -> dict[str, Any]:
-    """What ``gains`` says about ``design``: its plain data, and its gains in each structure under ``structures``.
+def gains_document(verdict: DesignVerdict) -> dict[str, Any]:
+    """What ``gains`` says about a design: its plain data, the verdict, and its gains in each structure.
 
-    ``kept_position_loop`` has the loops with the axis file's position loop around it; ``reason`` says why all of it is
-    refused, and ``nearest`` what is not.
+    ``stable`` and ``worst_loop`` are the verdict over all loops and machines; ``reason`` says why the design is
+    refused, and ``nearest`` what is not. ``position_loop`` is the one designed around it, ``kept_position_loop`` has
+    the loops with the axis file's. ``load_range`` and ``mismatch`` are what was asked about.
     """
-    document = {**design.to_dict(), "structures": structures_side_by_side(design)}
-    document |= kept_position_loop(design)
-    if design.reason:
-        document["nearest"] = design.nearest_stable
-    if design.refused:
-        document["reason"] = design.refused
+    design = verdict.design
+    document = {**design.to_dict(), **verdict.to_dict(), "structures": structures_side_by_side(design)}
+    document["warnings"] += verdict.warnings
+    if verdict.around is not None:
+        document["position_loop"] = verdict.around.to_dict()
+    else:
+        document |= kept_position_loop(design)
+    if verdict.span is not None:
+        document["load_range"] = study = margins_over_range(design, verdict.span)
+        for point in study["points"]:
+            point["loops"] = [loop.to_dict() for loop in verdict.at(where_of(point))]
+    if verdict.errors is not None:
+        document["mismatch"] = study = margins_under_mismatch(design, verdict.errors)
+        study["stable_share"] = share = verdict.stable_share
+        study["worst_loop"] = verdict.worst_corner.to_dict()
+        if share < 1.0:
+            document["warnings"].append(f"unstable at {100 * (1 - share):.3g} % of the mismatch corners")
     return document
 
 

@@ -22,6 +22,7 @@ from emps_design.axis import Axis, Controller
 from emps_design.control.loop.margins import Margins
 from emps_design.control.plant.discretisation import sample_axis
 from emps_design.control.velocity.gains import positive_root, second_order_form
+from emps_design.control.velocity.lags import LaggedVelocityLoop, left_out
 from emps_design.control.velocity.sampled import SampledVelocityLoop, velocity_table
 from emps_design.control.velocity.specification import (
     Pairs,
@@ -141,6 +142,16 @@ class VelocityLoopDesign:
         return float(low), float(high)
 
     @cached_property
+    def with_lags(self) -> LaggedVelocityLoop:
+        """The same gains in the continuous loop with every lag of the axis."""
+        return LaggedVelocityLoop.of(self.axis, self.velocity, self.k_v1, self.t_v, self.structure, self.filters)
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """What the closed forms, ``velocity_error`` and ``plant_input``, leave out beside the sampling."""
+        return left_out(self.axis, self.filters)
+
+    @cached_property
     def sampled(self) -> SampledVelocityLoop:
         """The same gains in the loop as implemented: hold, delays, current loop, effects, velocity estimator."""
         plant = sample_axis(self.axis, self.velocity, self.filters)
@@ -149,7 +160,7 @@ class VelocityLoopDesign:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a reader of the numbers has to know, instability first."""
-        from emps_design.control.velocity.assumptions import effects_in_words, law_in_words, room_in_words
+        from emps_design.control.velocity.assumptions import effects_in_words, ideal_loop_in_words, law_in_words, room_in_words
 
         warnings = [*self.sampled.warnings, *room_in_words(self.sampled)]
         warnings += effects_in_words(self.axis, self.sampled, self.velocity)
@@ -168,7 +179,7 @@ class VelocityLoopDesign:
                 f"bandwidth has two meanings: the crossover is {self.crossover:.4g} rad/s, "
                 f"the closed loop's -3 dB lies at {self.bandwidth:.4g} rad/s"
             )
-        warnings.append("the continuous loop's gain margin is unbounded: its phase never reaches -180 deg")
+        warnings.append(ideal_loop_in_words(self.left_out, self.with_lags.velocity_error))
         return tuple(warnings)
 
     def velocity_error_loop(self) -> control.TransferFunction:
@@ -230,6 +241,11 @@ class VelocityLoopDesign:
         )
         return {"kind": kind.name, **table.model_dump(exclude_none=True, exclude_unset=True)}
 
+    @property
+    def axis_that_runs(self) -> Axis:
+        """The axis with this velocity loop in its controller; what is around it in a cascade stays."""
+        return self.axis.replace(controller=self.controller_table())
+
     @cached_property
     def refused(self) -> str:
         """Why the controller of this design goes into no drive, in one line; empty where all of it is stable."""
@@ -253,7 +269,7 @@ class VelocityLoopDesign:
         own = self.axis.controller
         if own.kind != cascade.LAW.name or own.parameters.get("position") is None or not self.sampled.stable:
             return ()
-        return nested_loops(self.axis.replace(controller=self.controller_table()), self.velocity)
+        return nested_loops(self.axis_that_runs, self.velocity)
 
     @property
     def loop_axis(self) -> Axis:
@@ -305,6 +321,8 @@ class VelocityLoopDesign:
             "feasible_phase_margin_deg": list(self.feasible_phase_margin_deg),
             "velocity_error": self.velocity_error.to_dict(),
             "plant_input": self.plant_input.to_dict(),
+            "continuous_with_lags": self.with_lags.velocity_error.to_dict(),
+            "closed_forms_leave_out": ["the sampling", *self.left_out],
             "sampled": self.sampled.to_dict(),
             **self._implementation(),
             "warnings": list(self.warnings),

@@ -31,6 +31,7 @@ COUPLING = {"frequency", "damping", "share"}  # parameters of an effect that spl
 MORE_PHASE = np.arange(0.0, 31.0, 3.0)  # deg, tried above what is asked, for the load that has most
 CROSSOVERS = 60
 CLOSE = 1.17  # the step of so many crossovers along everything
+ENOUGH = (3, 9, 5, 3)  # steps of a range in which none, one, two or three things vary
 MOST_DELAY = 1000  # samples, as of an axis's own computation delay
 EQUAL = 0.02  # share of the crossover, by which a slower loop with more integral action is as good
 
@@ -49,12 +50,21 @@ class LoadRange:
             if not least <= low <= high < math.inf:
                 raise InputError(f"range of {name}: found {low:g} to {high:g}, expected {least:g} or more, rising")
 
-    def points(self) -> list[dict[str, float]]:
-        """Every combination of the ends and the middles."""
+    @property
+    def enough(self) -> int:
+        """So many steps each way show where loops are unstable between the ends: the fewer, the more that varies."""
+        return ENOUGH[sum(low < high for low, high in vars(self).values())]
+
+    def points(self, count: int = 3) -> list[dict[str, float]]:
+        """Every combination of 3, 5, 9 ... steps of each: the ends, the middle, and what lies in the middle of those."""
 
         def tried(low: float, high: float) -> list[float]:
-            middle = math.sqrt(low * high) if low > 0.0 else 0.5 * (low + high)
-            return sorted({low, middle, high})
+            found = [low, high] if low < high else [low]
+            while 1 < len(found) < count:
+                pairs = list(itertools.pairwise(found))
+                middles = [math.sqrt(a * b) if low > 0.0 else 0.5 * (a + b) for a, b in pairs]
+                found = sorted([*found, *middles])
+            return found
 
         names = tuple(vars(self))
         return [

@@ -81,27 +81,26 @@ def margins_under_mismatch(design: VelocityLoopDesign, errors: Mapping[str, floa
     >>> study["stable_share"], round(study["phase_margin_deg"][0], 1), round(study["phase_margin_deg"][1], 1)
     (1.0, 39.1, 39.2)
     """
-    corners, k_v1s, t_vs = [], [], []
+    found, k_v1s, t_vs = [], [], []
     crossover, phase = design.crossover, design.phase_margin_deg
-    for signs in itertools.product((-1.0, 1.0), repeat=len(errors)):
-        shares = {name: sign * errors[name] for name, sign in zip(errors, signs, strict=True)}
-        axis = _scaled(design.axis, shares)
+    for shares in corners(errors):
+        axis = with_errors(design.axis, shares)
         plant = sample_axis(axis, design.velocity, design.filters)
         loop = SampledVelocityLoop(plant, design.k_v1, design.t_v, design.structure)
-        corners.append({"parameters": shares, "bandwidth": loop.bandwidth, **loop.margins.to_dict()})
+        found.append({"parameters": shares, "bandwidth": loop.bandwidth, **loop.margins.to_dict()})
         mass, damping = axis.mechanics.mass, axis.damping
         low, high = design.structure.feasible_phase_margin(mass, damping, crossover)
         if low < phase < high:
             gain, t_v = design.structure.gains(mass, damping, crossover, phase)
             k_v1s.append(float(gain) / axis.drive.gain)
             t_vs.append(float(t_v))
-    stable = [corner for corner in corners if corner["stable"]]
+    stable = [corner for corner in found if corner["stable"]]
 
     def goodness(corner: dict[str, Any]) -> tuple[bool, float]:
         margin = corner["phase_margin_deg"]  # None, where nothing crosses over, is unbounded
         return corner["stable"], math.inf if margin is None else margin
 
-    worst = min(corners, key=goodness)
+    worst = min(found, key=goodness)
 
     def interval(key: str) -> list[float] | None:
         values = [corner[key] for corner in stable if corner[key] is not None]
@@ -109,16 +108,31 @@ def margins_under_mismatch(design: VelocityLoopDesign, errors: Mapping[str, floa
 
     return {
         "errors": dict(errors),
-        "corners": len(corners),
-        "stable_share": len(stable) / len(corners),
+        "corners": len(found),
+        "stable_share": len(stable) / len(found),
         "worst": worst,
         **{key: interval(key) for key in ("phase_margin_deg", "crossover", "delay_margin", "gain_margin", "bandwidth")},
         "gains": {"k_v1": [min(k_v1s), max(k_v1s)], "t_v": [min(t_vs), max(t_vs)]} if k_v1s else None,
     }
 
 
-def _scaled(axis: Axis, shares: Mapping[str, float]) -> Axis:
-    """The axis with its parameters off by ``shares``."""
+def corners(errors: Mapping[str, float]) -> list[dict[str, float]]:
+    """Every combination of plus and minus the relative ``errors``.
+
+    >>> corners({"mass": 0.02})
+    [{'mass': -0.02}, {'mass': 0.02}]
+    """
+    signs = itertools.product((-1.0, 1.0), repeat=len(errors))
+    return [{name: sign * errors[name] for name, sign in zip(errors, each, strict=True)} for each in signs]
+
+
+def with_errors(axis: Axis, shares: Mapping[str, float]) -> Axis:
+    """Return ``axis`` with its parameters off by ``shares``.
+
+    >>> from emps_design.machines import machine
+    >>> round(with_errors(machine("emps2018"), {"mass": 0.02}).mechanics.mass / 115.7315, 6)
+    1.02
+    """
     tables: dict[str, dict[str, float]] = {}
     for name, share in shares.items():
         table = PARAMETERS[name]

@@ -1,0 +1,229 @@
+"""The verdict on a design: stable or not in the worst loop that will run, on every machine that was asked about."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from emps_design.axis import Axis
+from emps_design.control.cases import Case, cases_of, loops_over
+from emps_design.control.loop.nested import VELOCITY_LOOP, NestedLoop
+from emps_design.control.loop.worst import loop_in_words, margins_in_words, safety, where_in_words, worst_loop
+from emps_design.control.velocity.load_range import LoadRange
+from emps_design.control.velocity.sensitivity import corners
+from emps_design.errors import SpecificationError
+
+if TYPE_CHECKING:
+    from emps_design.control.position import PositionLoopDesign
+    from emps_design.control.velocity.design import VelocityLoopDesign
+
+SLOWER = 0.9  # step by which slower loops are tried
+KEPT = 0.8  # share of the velocity loop's own safety that a position loop leaves where that is not safe
+SLOWEST = 1e-3  # of what there is, the slowest that is tried
+
+
+@dataclass(frozen=True)
+class DesignVerdict:
+    """The loops of a velocity ``design`` as it will run, and which of them is worst.
+
+    ``around`` is the position loop designed around it; without one a cascade keeps its own. ``span`` is a range of
+    loads, ``errors`` relative errors of the parameters, ``measured`` loops around plants that were measured.
+    """
+
+    design: VelocityLoopDesign
+    around: PositionLoopDesign | None = None
+    span: LoadRange | None = None
+    errors: Mapping[str, float] | None = None
+    measured: Sequence[NestedLoop] = ()
+
+    @cached_property
+    def axis(self) -> Axis:
+        """The axis with the controller that will run."""
+        return self.design.axis_that_runs if self.around is None else self.around.axis()
+
+    @cached_property
+    def cases(self) -> tuple[Case, ...]:
+        """The machines that it will run on."""
+        return cases_of(self.axis, self.design.velocity, self.span, self.errors)
+
+    @cached_property
+    def loops(self) -> tuple[NestedLoop, ...]:
+        """Every loop on every machine, those of the axis as it is first."""
+        return (*loops_over(self.cases), *self.measured)
+
+    @property
+    def worst(self) -> NestedLoop:
+        """The loop that the design stands or falls with."""
+        return worst_loop(self.loops)
+
+    @property
+    def stable(self) -> bool:
+        """Whether the worst loop is stable, and so all of them."""
+        return self.worst.margins.stable
+
+    @property
+    def _keeps_position_loop(self) -> bool:
+        """Whether the axis file's position loop is around the design, and not one made for it."""
+        return self.around is None and self.axis.controller.position is not None
+
+    @cached_property
+    def nearest(self) -> dict[str, Any]:
+        """The nearest that is stable on every machine, what was asked for and ``position_kp`` [1/s]; {} for none.
+
+        Of a design that is stable it is empty too.
+        """
+        if self.stable or "response" in self.worst.where:
+            return {}
+        if self.design.reason:
+            return self.design.nearest_stable
+        if self.worst.name == VELOCITY_LOOP:
+            return self._slower()
+        kp = self.position_kp
+        return {} if kp is None else {"position_kp": kp}
+
+    @cached_property
+    def position_kp(self) -> float | None:
+        """The gain [1/s] of a slower position loop with which all loops are safe on every machine, three digits of it.
+
+        Where the velocity loop is not safe by itself, one that costs next to none of its margins. None where there is
+        no position loop, or no gain that is stable.
+        """
+        if self.axis.controller.position is None:
+            return None
+        inner = min(safety(loop.margins) for loop in self.loops if loop.name == VELOCITY_LOOP)
+        return _position_gain(self.cases, min(1.0, KEPT * inner)) if inner > 0.0 else None
+
+    def _slower(self) -> dict[str, Any]:
+        """What was asked for with a lower frequency, at which the velocity loop is safe on every machine, or stable."""
+        design, stable = self.design, dict[str, Any]()
+        if not design.requested:
+            return {}
+        name, asked = next(iter(design.requested.items()))
+        frequency = asked
+        while frequency > SLOWEST * asked:
+            frequency = float(f"{SLOWER * frequency:.3g}")
+            try:
+                slower = redesigned(design, frequency)
+            except SpecificationError:
+                continue
+            found = {**design.requested, name: frequency}
+            one = DesignVerdict(slower, None, self.span, self.errors)
+            least = min(safety(loop.margins) for case in one.cases for loop in case.loops if loop.name == VELOCITY_LOOP)
+            if least >= 1.0:
+                kp = one.position_kp
+                return found if kp is None else {**found, "position_kp": kp}
+            stable = stable or (found if least > -math.inf else {})
+        return stable
+
+    @property
+    def reason(self) -> str:
+        """Why the design goes into no drive, in one line; empty where all of it is stable."""
+        if self.stable:
+            return ""
+        if self.design.reason:
+            return self.design.reason
+        where = where_in_words(self.worst.where)
+        if "response" in self.worst.where:
+            return f"the {self.worst.name} with these gains is unstable {where}; ask for a slower one"
+        if self.worst.name == VELOCITY_LOOP:
+            return f"the velocity loop with these gains is unstable {where}; {self._nearest_in_words}"
+        kp = self.axis.controller.parameters["position"]["kp"]
+        whose = "the axis file's" if self._keeps_position_loop else "the"
+        return (
+            f"{whose} position loop with kp = {kp:g} is unstable around this velocity loop{where and ' '}{where}; "
+            f"{self._nearest_in_words}"
+        )
+
+    @property
+    def _nearest_in_words(self) -> str:
+        found = dict(self.nearest)
+        kp = found.pop("position_kp", None)
+        words = []
+        if found:
+            name = next(iter(found))
+            words.append(f"{found['phase_margin_deg']:.7g} deg at a {name} of {found[name]:.5g} rad/s")
+        if kp is not None:
+            words.append(f"`position_kp={kp:g}`")
+        return f"nearest that holds: {' with '.join(words)}" if words else "no slower one holds"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The worst loop where it is stable and not safe, and the position gain with which all of them are."""
+        worst = self.worst
+        if not self.stable or safety(worst.margins) >= 1.0:
+            return ()
+        words = f"the {loop_in_words(worst)} has {margins_in_words(worst.margins)} only"
+        kp = self.position_kp if worst.name != VELOCITY_LOOP and "response" not in worst.where else None
+        own = self.axis.controller.parameters["position"]["kp"] if kp is not None else 0.0
+        slower = f"; `position_kp={kp:g}` instead of {own:.4g} leaves more" if kp is not None and kp < own else ""
+        return (words + slower,)
+
+    def at(self, where: Mapping[str, Any]) -> list[NestedLoop]:
+        """The loops on the machine that has ``where`` different from the axis."""
+        return [loop for loop in self.loops if loop.where == where]
+
+    @property
+    def _corners(self) -> list[NestedLoop]:
+        """The worst loop at each corner of ``errors``."""
+        return [worst_loop(self.at(shares)) for shares in corners(self.errors or {})]
+
+    @property
+    def worst_corner(self) -> NestedLoop:
+        """The worst loop at any corner of ``errors``."""
+        return worst_loop(self._corners)
+
+    @property
+    def stable_share(self) -> float:
+        """Share of the corners of ``errors`` at which all loops are stable."""
+        return sum(loop.margins.stable for loop in self._corners) / len(self._corners)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data: ``stable``, ``worst_loop``, and where it is unstable the ``reason`` and the ``nearest``."""
+        document = {"stable": self.stable, "worst_loop": self.worst.to_dict()}
+        return document if self.stable else {**document, "reason": self.reason, "nearest": self.nearest}
+
+
+def redesigned(design: VelocityLoopDesign, frequency: float) -> VelocityLoopDesign:
+    """Return the design for another ``frequency`` [rad/s], with the rest of what was asked of ``design`` and its way.
+
+    Raises :class:`SpecificationError` where there are no gains for it.
+
+    >>> from emps_design.control.velocity.design import design_velocity_loop
+    >>> from emps_design.machines import machine
+    >>> slower = redesigned(design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=50.0), 40.0)
+    >>> slower.requested
+    {'crossover': 40.0, 'phase_margin_deg': 50.0}
+    """
+    from emps_design.control.velocity.design import design_velocity_loop
+    from emps_design.control.velocity.retune import retune_velocity_loop
+
+    asked: dict[str, Any] = {**design.requested, next(iter(design.requested)): frequency}
+    asked |= {"velocity": design.velocity, "structure": design.structure, "filters": design.filters}
+    if design.retuned_at:
+        return retune_velocity_loop(design.axis, at=design.retuned_at, **asked)
+    return design_velocity_loop(design.axis, **asked)
+
+
+def _position_gain(cases: Sequence[Case], least: float) -> float | None:
+    """The largest gain [1/s] of the position loop, of those in steps, with at least that safety in all ``cases``.
+
+    Three digits of it. One machine after the other is made to hold: those that bind are few.
+    """
+
+    def with_gain(case: Case, kp: float) -> Case:
+        own = case.axis.controller.parameters["position"]
+        return replace(case, axis=case.axis.replace(controller={"position": {**own, "kp": kp}}))
+
+    def holds(case: Case, kp: float) -> bool:
+        return safety(worst_loop(with_gain(case, kp).loops).margins) >= least
+
+    kp = float(cases[0].axis.controller.parameters["position"]["kp"])
+    slowest = SLOWEST * kp
+    for _ in range(2):  # once more for what a machine looked at before asks of the slower loop
+        for case in cases:
+            while kp > slowest and not holds(case, kp):
+                kp = float(f"{SLOWER * kp:.3g}")
+    return kp if kp > slowest else None
