@@ -32,9 +32,9 @@ def print_gains(document: dict[str, Any]) -> None:
     console.print(worst_in_words(document["worst_loop"]), highlight=False, soft_wrap=True)
 
     left_out, lagged = document["closed_forms_leave_out"], document["continuous_with_lags"]
-    places = [("sampled: plant input", sampled)]
-    places += [("with lags: velocity error", lagged)] if len(left_out) > 1 else []
-    places += [("ideal: velocity error", document["velocity_error"]), ("ideal: plant input", document["plant_input"])]
+    places = [("sampled,\nplant input", sampled)]
+    places += [("with lags,\nvelocity error", lagged)] if len(left_out) > 1 else []
+    places += [("ideal,\nvelocity error", document["velocity_error"]), ("ideal,\nplant input", document["plant_input"])]
 
     gains = new_table("Velocity loop; ideal: closed forms", "", "value", "unit", "requested")
     asked = {} if document["retuned"] else document["requested"]
@@ -235,7 +235,9 @@ def _print_mismatch(console: Console, study: dict[str, Any]) -> None:
         table.add_row("k_v1 by (7)", *(number(value, 5) for value in study["gains"]["k_v1"]), "V/(m/s)")
         table.add_row("t_v by (7)", *(number(1e3 * value, 5) for value in study["gains"]["t_v"]), "ms")
     console.print(table)
-    console.print(f"stable at {100 * study['stable_share']:.4g} % of the corners; {worst_in_words(study['worst_loop'])}")
+    console.print(
+        f"stable at {100 * study['stable_share']:.4g} % of the corners; {worst_in_words(study['worst_loop'])}"
+    )
 
 
 def _verdict(stable: bool, what: str) -> Text:

@@ -166,7 +166,7 @@ def command(
     around = position_loop_asked_for(design, *position, position_every) if design.sampled.stable else None
     measured = _Measured(responses, design, around, limits) if responses else None
     verdict = DesignVerdict(design, around, span, errors, measured.loops if measured else ())
-    document = gains_document(verdict)
+    document = gains_document(design, verdict)
     if retune:
         suggested = (machine, phase_margin, design.structure, design.filters, velocity)
         if responses:

@@ -115,12 +115,14 @@ def _print_load_range(found: dict[str, Any]) -> None:
         ],
     ]
     title = "Margins of these gains over the range, sampled"
-    table = new_table(title, "inertia", "compliance", "delay", *(name for name, _, _ in columns))
+    vary = [name for name in ("inertia", "compliance", "delay") if len({one[name] for one in found["points"]}) > 1]
+    table = new_table(title, *(vary or ["inertia"]), *(name for name, _, _ in columns))
     for one in found["points"]:
         places = [(place(one), key) for _, key, place in columns]
         cells = [_cell(place[key], 1.0) if place["stable"] else "unstable" for place, key in places]
-        delay = f"{1e3 * one['delay']:.3g} ms"
-        table.add_row(number(one["inertia"]), number(one["compliance"]), delay, *cells)
+        values = {"inertia": number(one["inertia"]), "compliance": number(one["compliance"])}
+        values["delay"] = f"{1e3 * one['delay']:.3g} ms"
+        table.add_row(*(values[name] for name in vary or ["inertia"]), *cells)
     console.print(table)
     crossover = f"slowest crossover at the {at} [rad/s]"
     gains = new_table("Gains that hold", "inertia", "k_v1, kp [V/(m/s)]", "t_v, Tn [s]", crossover)

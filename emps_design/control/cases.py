@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 from emps_design.axis import Axis
@@ -26,10 +27,18 @@ class Case:
     delay: float = 0.0
     where: Mapping[str, Any] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def loops(self) -> tuple[NestedLoop, ...]:
         """The loops of the controller, innermost first and the whole last."""
-        found = nested_loops(self.axis, self.velocity, self.delay)
+        return self._loops(delay_margins=True)
+
+    @cached_property
+    def judged(self) -> tuple[NestedLoop, ...]:
+        """The same, quickly, with the margins that a loop is judged by: those of a delay may be missing."""
+        return self._loops(delay_margins=False)
+
+    def _loops(self, delay_margins: bool) -> tuple[NestedLoop, ...]:
+        found = nested_loops(self.axis, self.velocity, self.delay, delay_margins)
         return tuple(replace(loop, where=self.where) for loop in found)
 
 
@@ -39,7 +48,7 @@ def where_of(point: Mapping[str, float]) -> dict[str, float]:
     >>> where_of({"inertia": 3.0, "compliance": 1.0, "delay": 0.0})
     {'inertia': 3.0}
     """
-    return {name: value for name, value in point.items() if value != NOMINAL[name]}
+    return {name: point[name] for name, nominal in NOMINAL.items() if point[name] != nominal}
 
 
 def cases_of(

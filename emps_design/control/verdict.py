@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from emps_design.axis import Axis
-from emps_design.control.cases import Case, cases_of, loops_over
+from emps_design.control.cases import Case, cases_of
 from emps_design.control.loop.nested import VELOCITY_LOOP, NestedLoop
 from emps_design.control.loop.worst import loop_in_words, margins_in_words, safety, where_in_words, worst_loop
 from emps_design.control.velocity.load_range import LoadRange
@@ -51,13 +51,18 @@ class DesignVerdict:
 
     @cached_property
     def loops(self) -> tuple[NestedLoop, ...]:
-        """Every loop on every machine, those of the axis as it is first."""
-        return (*loops_over(self.cases), *self.measured)
+        """Every loop on every machine, those of the axis as it is first; delay margins may be missing."""
+        return (*(loop for case in self.cases for loop in case.judged), *self.measured)
 
-    @property
+    @cached_property
     def worst(self) -> NestedLoop:
         """The loop that the design stands or falls with."""
-        return worst_loop(self.loops)
+        return self._in_full(worst_loop(self.loops))
+
+    def _in_full(self, loop: NestedLoop) -> NestedLoop:
+        """One of :attr:`loops` with all of its margins."""
+        case = next((case for case in self.cases if any(one is loop for one in case.judged)), None)
+        return loop if case is None else case.loops[case.judged.index(loop)]
 
     @property
     def stable(self) -> bool:
@@ -111,7 +116,7 @@ class DesignVerdict:
                 continue
             found = {**design.requested, name: frequency}
             one = DesignVerdict(slower, None, self.span, self.errors)
-            least = min(safety(loop.margins) for case in one.cases for loop in case.loops if loop.name == VELOCITY_LOOP)
+            least = min(safety(loop.margins) for loop in one.loops if loop.name == VELOCITY_LOOP)
             if least >= 1.0:
                 kp = one.position_kp
                 return found if kp is None else {**found, "position_kp": kp}
@@ -163,17 +168,18 @@ class DesignVerdict:
 
     def at(self, where: Mapping[str, Any]) -> list[NestedLoop]:
         """The loops on the machine that has ``where`` different from the axis."""
-        return [loop for loop in self.loops if loop.where == where]
+        return [loop for case in self.cases if case.where == where for loop in case.loops]
 
     @property
     def _corners(self) -> list[NestedLoop]:
         """The worst loop at each corner of ``errors``."""
-        return [worst_loop(self.at(shares)) for shares in corners(self.errors or {})]
+        count = len(corners(self.errors)) if self.errors else 0
+        return [worst_loop(case.judged) for case in self.cases[len(self.cases) - count :]]
 
     @property
     def worst_corner(self) -> NestedLoop:
         """The worst loop at any corner of ``errors``."""
-        return worst_loop(self._corners)
+        return self._in_full(worst_loop(self._corners))
 
     @property
     def stable_share(self) -> float:
@@ -218,12 +224,13 @@ def _position_gain(cases: Sequence[Case], least: float) -> float | None:
         return replace(case, axis=case.axis.replace(controller={"position": {**own, "kp": kp}}))
 
     def holds(case: Case, kp: float) -> bool:
-        return safety(worst_loop(with_gain(case, kp).loops).margins) >= least
+        return safety(worst_loop(with_gain(case, kp).judged).margins) >= least
 
     kp = float(cases[0].axis.controller.parameters["position"]["kp"])
     slowest = SLOWEST * kp
+    hardest_first = sorted(cases, key=lambda case: safety(worst_loop(case.judged).margins))
     for _ in range(2):  # once more for what a machine looked at before asks of the slower loop
-        for case in cases:
+        for case in hardest_first:
             while kp > slowest and not holds(case, kp):
                 kp = float(f"{SLOWER * kp:.3g}")
     return kp if kp > slowest else None

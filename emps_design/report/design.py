@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from emps_design.control.force.design import ForceLoopDesign
     from emps_design.control.loop.margins import Margins
     from emps_design.control.loop.nested import NestedLoop
-    from emps_design.control.verdict import DesignVerdict
     from emps_design.control.velocity.design import VelocityLoopDesign
+    from emps_design.control.verdict import DesignVerdict
 
 ASSUMPTIONS = (
     "The axis is rigid unless its file lists an effect that says otherwise; Coulomb friction drops out of the linear "
@@ -222,7 +222,11 @@ def _achieved_table(velocity: VelocityLoopDesign, loops: Sequence[NestedLoop]) -
                 "—",
                 "—",
             ],
-            *(row(f"{one.name}, {one.broken}, sampled", one.margins, None) for one in loops if one.name != VELOCITY_LOOP),
+            *(
+                row(f"{one.name}, {one.broken}, sampled", one.margins, None)
+                for one in loops
+                if one.name != VELOCITY_LOOP
+            ),
             row("plant input, sampled", sampled.margins, sampled.bandwidth),
             row("velocity error, sampled", sampled.velocity_error, sampled.bandwidth),
             *lagged,

@@ -46,10 +46,13 @@ class NestedLoop:
         return {"name": self.name, "broken": self.broken, **where, **self.margins.to_dict()}
 
 
-def nested_loops(axis: Axis, velocity: float = 0.1, delay: float = 0.0) -> tuple[NestedLoop, ...]:
+def nested_loops(
+    axis: Axis, velocity: float = 0.1, delay: float = 0.0, delay_margins: bool = True
+) -> tuple[NestedLoop, ...]:
     """The loops of the controller of ``axis``, innermost first and the whole last; linearised at ``velocity`` [m/s].
 
     ``delay`` [s] of the command comes on top. A controller that has a velocity loop and nothing else is that one loop.
+    Without ``delay_margins`` those of loops of different rates, which take longest, are left out.
 
     Raises :class:`~emps_design.errors.AxisError` where the axis has no controller.
 
@@ -76,15 +79,20 @@ def nested_loops(axis: Axis, velocity: float = 0.1, delay: float = 0.0) -> tuple
             found.append(NestedLoop(name, POSITION_ERROR, at_position_error(plant, form)))
     if len(found) != 1:
         name = VELOCITY_LOOP if not found and whole.follows == "velocity" else WHOLE
-        found.append(NestedLoop(name, PLANT_INPUT, at_plant_input(plant, linear_law(whole, period, direction))))
+        margins = at_plant_input(plant, linear_law(whole, period, direction), delay_margins)
+        found.append(NestedLoop(name, PLANT_INPUT, margins))
     return tuple(found)
 
 
-def at_plant_input(plant: SampledPlant, form: LinearLaw) -> Margins:
-    """Margins of the loop of ``form`` around ``plant``, everything closed, broken at the plant input."""
+def at_plant_input(plant: SampledPlant, form: LinearLaw, delay_margins: bool = True) -> Margins:
+    """Margins of the loop of ``form`` around ``plant``, everything closed, broken at the plant input.
+
+    That of a delay is left out of loops of different rates without ``delay_margins``.
+    """
     loop = close(plant, form, plant_input=True)
     if form.cycle > 1:
-        return periodic.margins(*loop.opened, plant.period, lambda delay: _radius_with(plant.delayed(delay), form))
+        delayed = (lambda delay: _radius_with(plant.delayed(delay), form)) if delay_margins else None
+        return periodic.margins(*loop.opened, plant.period, delayed)
 
     return loop_margins(
         loop.loop_gain,

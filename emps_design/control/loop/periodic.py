@@ -72,13 +72,14 @@ def response(A: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, angle: 
 
 
 def margins(
-    opened: np.ndarray, column: np.ndarray, row: np.ndarray, period: float, delayed: Callable[[float], float]
+    opened: np.ndarray, column: np.ndarray, row: np.ndarray, period: float, delayed: Callable[[float], float] | None
 ) -> Margins:
     """Margins at one place of a periodic loop, from the poles of the loop closed with a factor there.
 
     ``opened`` (c, n, n), ``column`` (c, n) and ``row`` (c, n) are the loop broken at that place; ``period`` [s] of a
     sample. A factor exp(-j phi) that brings a pole to the unit circle is the phase margin, a real one the gain margin;
-    ``delayed(delay)`` is the largest modulus of the poles with a ``delay`` [s] more at that place.
+    ``delayed(delay)`` is the largest modulus of the poles with a ``delay`` [s] more at that place; without it there is
+    no delay margin.
     """
     own = monodromy_radius(opened, column, row, 1.0)
     if own > 1.0 + 1e-9:
@@ -91,7 +92,7 @@ def margins(
     gain = _first(lambda factor: radius(factor), 1.0, _FACTORS)
     less = _first(lambda factor: radius(1.0 / factor), 1.0, _FACTORS)
     delay = None
-    if phase is not None:
+    if phase is not None and delayed is not None:
         near = _first(delayed, 0.0, period * np.arange(0.1, _NEAR, 0.1))
         delay = near if near is not None else _late_delay(opened, column, row, period)
     return Margins(

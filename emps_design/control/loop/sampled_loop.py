@@ -267,6 +267,8 @@ def axis_loop(axis: Axis, velocity: float = 0.1) -> SampledLoop:
 
 def _without_repetitions(rows: np.ndarray, out: np.ndarray, keep: list[int], cells: range) -> list[int]:
     """``keep`` without those ``cells`` that repeat another state from rest on; their columns are added to its own."""
+    if not _any_repetition(rows, keep, cells):
+        return keep
     ends = range(rows.shape[-2], rows.shape[-1])
     for cell, other in [(cell, other) for cell in cells for other in keep if other not in cells] * 2:
         if cell not in keep:
@@ -280,6 +282,21 @@ def _without_repetitions(rows: np.ndarray, out: np.ndarray, keep: list[int], cel
                 table[..., other] += table[..., cell]
             keep = [i for i in keep if i != cell]
     return keep
+
+
+def _any_repetition(rows: np.ndarray, keep: list[int], cells: range) -> bool:
+    """Whether any of the ``cells`` may repeat another state, all of them looked at together."""
+    mine, others = [one for one in keep if one in cells], [one for one in keep if one not in cells]
+    if not mine or not others:
+        return False
+    columns = [*keep, *range(rows.shape[-2], rows.shape[-1])]
+    own, rest = rows[..., mine, :][..., columns], rows[..., others, :][..., columns]
+    gap = np.abs(rest[..., None, :, :] - own[..., :, None, :])
+    column = np.array(columns)
+    aside = (column == np.array(mine)[:, None, None]) | (column == np.array(others)[None, :, None])
+    scale = SAME * np.abs(rows[..., mine, :]).max(axis=-1)[..., None, None]
+    alike = np.all((gap <= scale) | aside, axis=-1)
+    return bool(np.any(np.all(alike.reshape(-1, *alike.shape[-2:]), axis=0)))
 
 
 def sorted_poles(poles: np.ndarray) -> np.ndarray:

@@ -67,8 +67,8 @@ class LinearPlant:
         A, E = self.A[VELOCITY:, VELOCITY:].copy(), self.E[VELOCITY:]
         more = float(self.mass)  # N/(m/s) of friction on top, for a plant that has none
         A[0, 0] -= E[0] * more
-        moves = np.linalg.solve(A, E)
-        speed, slower = -moves[0], -np.linalg.solve(A, moves)[0]
+        moves = np.linalg.lstsq(A, E, rcond=None)[0]  # a load within its play does not move
+        speed, slower = -moves[0], -np.linalg.lstsq(A, moves, rcond=None)[0][0]
         return float(-slower / speed**2), float(1.0 / speed - more)
 
     def to_ss(self) -> control.StateSpace:

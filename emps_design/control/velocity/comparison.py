@@ -10,20 +10,20 @@ from emps_design.control.velocity.load_range import margins_over_range
 from emps_design.control.velocity.sensitivity import margins_under_mismatch
 from emps_design.control.velocity.step_response import step_responses
 from emps_design.control.velocity.structure import STRUCTURES
+from emps_design.control.verdict import DesignVerdict
 
 if TYPE_CHECKING:
     from emps_design.control.velocity.design import VelocityLoopDesign
-    from emps_design.control.verdict import DesignVerdict
 
 
-def gains_document(verdict: DesignVerdict) -> dict[str, Any]:
-    """What ``gains`` says about a design: its plain data, the verdict, and its gains in each structure.
+def gains_document(design: VelocityLoopDesign, verdict: DesignVerdict | None = None) -> dict[str, Any]:
+    """What ``gains`` says about ``design``: its plain data, the ``verdict`` on it, and its gains in each structure.
 
     ``stable`` and ``worst_loop`` are the verdict over all loops and machines; ``reason`` says why the design is
     refused, and ``nearest`` what is not. ``position_loop`` is the one designed around it, ``kept_position_loop`` has
     the loops with the axis file's. ``load_range`` and ``mismatch`` are what was asked about.
     """
-    design = verdict.design
+    verdict = verdict or DesignVerdict(design)
     document = {**design.to_dict(), **verdict.to_dict(), "structures": structures_side_by_side(design)}
     document["warnings"] += verdict.warnings
     if verdict.around is not None:

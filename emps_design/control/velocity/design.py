@@ -160,7 +160,12 @@ class VelocityLoopDesign:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a reader of the numbers has to know, instability first."""
-        from emps_design.control.velocity.assumptions import effects_in_words, ideal_loop_in_words, law_in_words, room_in_words
+        from emps_design.control.velocity.assumptions import (
+            effects_in_words,
+            ideal_loop_in_words,
+            law_in_words,
+            room_in_words,
+        )
 
         warnings = [*self.sampled.warnings, *room_in_words(self.sampled)]
         warnings += effects_in_words(self.axis, self.sampled, self.velocity)

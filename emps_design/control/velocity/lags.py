@@ -1,7 +1,7 @@
 """The continuous velocity loop with every lag of the axis: current loop, computation delay, filters, effects.
 
-The closed forms (6) to (9) take one rigid mass behind an ideal drive. Here the same gains act on the whole linear plant,
-still in continuous time: of the loop as implemented only the hold and the velocity estimator are missing. A delay is
+The closed forms (6) to (9) take one rigid mass behind an ideal drive. Here the same gains act on the whole linear
+plant, still in continuous time: of the loop as implemented only the hold and the velocity estimator are missing. A delay is
 exact in every response, and an approximant of Pade (order 8) where the poles are asked whether the loop is stable.
 """
 
@@ -122,7 +122,8 @@ class LaggedVelocityLoop:
         late = np.zeros(0)
         if self.delay > 0.0:
             late = np.arange(TURN / self.delay, 200.0 * TURN / self.delay, TURN / self.delay)
-        return np.unique(np.concatenate([np.geomspace(low, high, 600), frequencies_around(peaks), late]))
+        grid = np.unique(np.concatenate([np.geomspace(low, high, 600), frequencies_around(peaks), late]))
+        return grid[(grid >= low) & (grid <= high)]
 
 
 def left_out(axis: Axis, filters: tuple[Filter, ...] = ()) -> tuple[str, ...]:

@@ -56,7 +56,7 @@ class LoadRange:
         return ENOUGH[sum(low < high for low, high in vars(self).values())]
 
     def points(self, count: int = 3) -> list[dict[str, float]]:
-        """Every combination of 3, 5, 9 ... steps of each: the ends, the middle, and what lies in the middle of those."""
+        """Every combination of 3, 5, 9 ... steps of each: the ends, the middle, and the middles between those."""
 
         def tried(low: float, high: float) -> list[float]:
             found = [low, high] if low < high else [low]
