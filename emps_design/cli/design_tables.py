@@ -44,7 +44,7 @@ def print_gains(document: dict[str, Any]) -> None:
         ("K_v = k_v1 G_tau / t_v", "K_v", "N/m"),
     ):
         gains.add_row(label, number(document[key], 6), unit, "")
-    readings = [("with lags", lagged)] if len(left_out) > 1 else []
+    readings = [("sampled", sampled["velocity_error"]), *([("with lags", lagged)] if len(left_out) > 1 else [])]
     for words, reading in (*readings, ("ideal", document)):
         for label, key, unit in (("crossover", "crossover", "rad/s"), ("phase margin", "phase_margin_deg", "deg")):
             wanted = number(asked[key]) if key in asked else ""
@@ -61,6 +61,7 @@ def print_gains(document: dict[str, Any]) -> None:
     wanted = document["requested"] if document["retuned"] else {}
     asks = ["asked"] if wanted else []
     margins = new_table("Margins of the velocity loop", "", *(name for name, _ in places), *asks, "unit")
+    margins.columns[0].no_wrap = True
     words = {"gain_reduction_margin": "none"}
     for label, key, unit, scale in (
         ("phase margin", "phase_margin_deg", "deg", 1.0),

@@ -174,9 +174,11 @@ def command(
 
             document["suggestion"] = suggest_filter_on_response(responses[0], *suggested)
         else:
-            from emps_design.control.velocity.limits import suggest_filter
+            from emps_design.control.velocity.limits import faster_in_words, suggest_filter
 
-            document["suggestion"] = suggest_filter(*suggested)
+            document["suggestion"] = found = suggest_filter(*suggested)
+            fastest = found["without"]["crossover"]
+            found["these_gains"] = faster_in_words(design.sampled, phase_margin, fastest) or None
     if measured is not None:
         document["measured"] = measured.document
         document["warnings"] += measured.warnings

@@ -55,6 +55,8 @@ def _print_suggestion(found: dict[str, Any]) -> None:
         console.print(f"found on {found['model']}, then tried on the data", highlight=False, soft_wrap=True)
     for name, side in sides:
         console.print(f"what binds first, {name}: {side['limits']['binding']}", highlight=False, soft_wrap=True)
+    if found.get("these_gains"):
+        console.print(found["these_gains"], highlight=False, soft_wrap=True)
     if one is None:
         console.print("no notch or low-pass makes it a tenth faster")
 

@@ -73,9 +73,8 @@ def cases_of(
         where = where_of(point)
         if where:
             found.append(Case(loaded(axis, point["inertia"], point["compliance"]), velocity, point["delay"], where))
-    for shares in corners(errors) if errors else ():
-        found.append(Case(with_errors(axis, shares), velocity, where=shares))
-    return tuple(found)
+    off = corners(errors) if errors else []
+    return (*found, *(Case(with_errors(axis, shares), velocity, where=shares) for shares in off))
 
 
 def loops_over(cases: Iterable[Case]) -> tuple[NestedLoop, ...]:
@@ -87,6 +86,6 @@ def loops_over(cases: Iterable[Case]) -> tuple[NestedLoop, ...]:
     >>> axis = machine("emps2019").replace(controller=cascade)
     >>> worst = worst_loop(loops_over(cases_of(axis, span=LoadRange(inertia=(1.0, 9.0)))))
     >>> worst.name, dict(worst.where), worst.margins.stable
-    ('position loop', {'inertia': 9.0}, True)
+    ('whole loop', {'inertia': 9.0}, True)
     """
     return tuple(loop for case in cases for loop in case.loops)

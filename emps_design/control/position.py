@@ -149,10 +149,11 @@ class PositionLoopDesign:
 def design_position_loop(
     velocity_loop: VelocityLoopDesign, wanted: str, value: float, every: int = 1
 ) -> PositionLoopDesign:
-    """Return the position loop around ``velocity_loop`` with the ``wanted`` "overshoot", "bandwidth", "stiffness", "kp".
+    """Return the position loop around ``velocity_loop`` with what is ``wanted`` of it.
 
-    ``value`` in [%], [rad/s], [N/m] or [1/s]; of an overshoot the fastest loop that keeps to it, of a kp the loop with
-    it, stable or not. ``every``: the position loop runs in every n-th sample. :class:`SpecificationError` where no gain has it, with the one that comes nearest.
+    One of "overshoot" [%], "bandwidth" [rad/s], "stiffness" [N/m] and "kp" [1/s], with its ``value``: of an overshoot
+    the fastest loop that keeps to it, of a kp the loop that has it, stable or not. ``every``: the position loop runs in
+    every n-th sample. :class:`SpecificationError` where no gain has it, with the one that comes nearest.
 
     >>> from emps_design.control.velocity.design import design_velocity_loop
     >>> from emps_design.machines import machine

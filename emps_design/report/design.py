@@ -184,7 +184,7 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
 
 
 def _achieved_table(velocity: VelocityLoopDesign, loops: Sequence[NestedLoop]) -> Table:
-    """Specification against achieved, at every place where a loop can be broken: the ``loops`` with everything first."""
+    """Specification against achieved at every place where a loop can be broken, ``loops`` with everything first."""
     sampled, asked = velocity.sampled, velocity.requested
     met_by = "loop broken at the velocity error" + (", (6) and (7)" if velocity.structure.form == "ip" else "")
     if velocity.retuned_at:

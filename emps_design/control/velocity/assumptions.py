@@ -105,8 +105,8 @@ def carriage_in_words(axis: Axis, linear: LinearPlant, velocity: float, closed_f
     if abs(moved - mass) > 0.01 * mass or abs(slope - damping) > 0.01 * damping:
         notes.append(
             f"with its effects the carriage has {moved:.4g} kg and a friction slope of {slope:.4g} "
-            f"N/(m/s) at {velocity:g} m/s; {closed_form} takes {mass:.4g} kg and {damping:.4g} N/(m/s), the sampled loop "
-            "takes all"
+            f"N/(m/s) at {velocity:g} m/s; {closed_form} takes {mass:.4g} kg and {damping:.4g} N/(m/s), the sampled "
+            "loop takes all"
         )
     for w, _ in oscillations(linear.A):
         before = f", {linear.mass:.4g} kg before it" if linear.mass < 0.99 * moved else ""

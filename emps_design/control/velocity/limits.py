@@ -230,6 +230,35 @@ def suggest_filter(
     }
 
 
+def faster_in_words(loop: SampledVelocityLoop, phase_margin_deg: float, fastest: float | None) -> str:
+    """Say which limit a stable ``loop`` exceeds that crosses over above the ``fastest`` [rad/s]; "" where none does.
+
+    ``fastest`` is the largest crossover within the limits at that phase margin, None for none.
+
+    >>> from emps_design.machines import machine
+    >>> plant = sample_axis(machine("emps2018"))
+    >>> k_v1, t_v = (float(gain) for gain in retuned_gains(plant, 240.0, 60.0))
+    >>> faster_in_words(SampledVelocityLoop(plant, k_v1, t_v), 60.0, reach(plant, 60.0).crossover)
+    'these gains cross over at 240 rad/s, faster than the fastest within the limits: crossover times t_v 16.1, above 10'
+    """
+    margins = loop.margins
+    if margins.crossover is None or (fastest is not None and margins.crossover <= fastest * (1.0 + CLOSE)):
+        return ""
+    beyond = []
+    if margins.gain_margin is not None and margins.gain_margin < GAIN_MARGIN:
+        beyond.append(f"gain margin {margins.gain_margin:.3g}, below {GAIN_MARGIN:g}")
+    if margins.phase_margin_deg is not None and margins.phase_margin_deg < phase_margin_deg - 1e-3:
+        beyond.append(f"phase margin {margins.phase_margin_deg:.3g} deg at the plant input, below {phase_margin_deg:g}")
+    if margins.delay_margin_samples is not None and margins.delay_margin_samples < ROOM:
+        beyond.append(f"room for {margins.delay_margin_samples:.2g} samples of delay, below {ROOM:g}")
+    if loop.t_v * margins.crossover > INTEGRAL:
+        beyond.append(f"crossover times t_v {loop.t_v * margins.crossover:.3g}, above {INTEGRAL:g}")
+    if not beyond:
+        return ""
+    at = f"these gains cross over at {margins.crossover:.4g} rad/s, faster than the fastest within the limits"
+    return f"{at}: {' and '.join(beyond)}"
+
+
 def first_try(axis: Axis, crossover: float, kind: str) -> Filter:
     """A filter to start from: a "notch" at the lowest resonance of ``axis``, a "lowpass" above ``crossover`` [rad/s].
 
