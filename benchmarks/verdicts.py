@@ -1,9 +1,10 @@
 """Verdicts of `gains` against the simulated drive: `python -m benchmarks.verdicts [--seed 59] [--count 60]`.
 
-Drives drawn at random, of 0.02 kg to 5 t, sampled at 250 Hz to 16 kHz, with a current lag, up to two samples of delay, a
-cascade of PI in P in every first to fourth sample, and one in three with a second mass behind a coupling. `gains`
-keeps the position loop, over 1 to 3 times the inertia. Each verdict is tried on the drive at 1, 1.3, 1.7, 2.2 and 3 times the inertia: linear (no dry friction, no limit, no quantisation), a small step of the
-reference, whether the error dies away. Prints the counts, and every drive whose verdict is not what happened.
+Drives drawn at random, of 0.02 kg to 5 t, sampled at 250 Hz to 16 kHz, with a current lag, up to two samples of delay,
+a cascade of PI in P in every first to fourth sample, and one in three with a second mass behind a coupling. `gains`
+keeps the position loop, over 1 to 3 times the inertia. Each verdict is tried on the drive at 1, 1.3, 1.7, 2.2 and 3
+times the inertia, linear: no dry friction, no limit, no quantisation. After a small step of the reference the error
+dies away or it does not. Prints the counts, and every drive whose verdict is not what happened.
 """
 
 from __future__ import annotations
