@@ -67,7 +67,7 @@ def test_the_position_loop_that_is_kept_is_judged_over_the_range(capsys, screw, 
     assert [[loop["stable"] for loop in point["loops"]] for point in said["load_range"]["points"]] == [
         [True, True, True], [True, False, False], [True, False, False],
     ]  # fmt: skip
-    assert said["reason"].startswith("the axis file's position loop with kp = 100 is unstable around this velocity loop")
+    assert said["reason"].startswith("the axis file's position loop with kp = 100 is unstable around this velocity")
     kp = said["nearest"]["position_kp"]
     held = document(capsys, f"gains {screw} {LINE} --inertia-range 1:3 --position-kp {kp} --out {out}")
     assert held["stable"]
@@ -145,6 +145,20 @@ def test_the_other_way_counts_where_friction_differs():
     back = VelocityLoopDesign(axis, design.k_v1, design.t_v, {}, velocity=-0.1).sampled.margins
     own = DesignVerdict(design).at({"velocity": -0.1})[0].margins
     assert own.phase_margin_deg == pytest.approx(back.phase_margin_deg)
+
+
+def test_a_force_loop_runs_without_contact_too(capsys, tmp_path):
+    """A hand that damps the carriage holds a velocity loop that is unstable by itself, until the hand lets go."""
+    design = design_velocity_loop(machine("emps2018"), crossover=380.0)
+    force = design_force_loop(design, 1e-5, hand=1e5)
+    assert (force.stable, force.worst.name, force.worst.margins.stable) == (True, "velocity loop", False)
+    line = f"force --k-e1 1e-5 --hand 1e5 --crossover 380 --out {tmp_path / 'out.toml'}"
+    said = document(capsys, line, 4)
+    assert not said["stable"]
+    assert said["reason"].startswith("the sampled velocity loop is unstable by itself, without contact; nearest")
+    assert not (tmp_path / "out.toml").exists()
+    slower = said["nearest"]["crossover"]
+    assert document(capsys, f"force --k-e1 1e-5 --hand 1e5 --crossover {slower} --phase-margin 60")["stable"]
 
 
 def test_a_velocity_loop_alone_is_called_that():
