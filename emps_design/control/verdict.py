@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Any
 from emps_design.axis import Axis
 from emps_design.control.cases import Case, cases_of
 from emps_design.control.loop.nested import VELOCITY_LOOP, NestedLoop
-from emps_design.control.loop.worst import loop_in_words, margins_in_words, safety, where_in_words, worst_loop
+from emps_design.control.loop.worst import (
+    SAFE_GAIN_MARGIN,
+    SAFE_PHASE_MARGIN_DEG,
+    loop_in_words,
+    margins_in_words,
+    safety,
+    where_in_words,
+    worst_loop,
+)
 from emps_design.control.velocity.load_range import LoadRange
 from emps_design.control.velocity.sensitivity import corners
 from emps_design.errors import SpecificationError
@@ -98,8 +106,13 @@ class DesignVerdict:
         """
         if self.axis.controller.position is None:
             return None
-        inner = min(safety(loop.margins) for loop in self.loops if loop.name == VELOCITY_LOOP)
-        return _position_gain(self.cases, min(1.0, KEPT * inner)) if inner > 0.0 else None
+        least = min(1.0, self._share_of_the_velocity_loop)
+        return _position_gain(self.cases, least) if least > 0.0 else None
+
+    @property
+    def _share_of_the_velocity_loop(self) -> float:
+        """What a slow position loop leaves of the velocity loop's own safety, on the machine where that has least."""
+        return KEPT * min(safety(loop.margins) for loop in self.loops if loop.name == VELOCITY_LOOP)
 
     def _slower(self) -> dict[str, Any]:
         """What was asked for with a lower frequency, at which the velocity loop is safe on every machine, or stable."""
@@ -163,7 +176,11 @@ class DesignVerdict:
         words = f"the {loop_in_words(worst)} has {margins_in_words(worst.margins)} only"
         kp = self.position_kp if worst.name != VELOCITY_LOOP and "response" not in worst.where else None
         own = self.axis.controller.parameters["position"]["kp"] if kp is not None else 0.0
-        slower = f"; `position_kp={kp:g}` instead of {own:.4g} leaves more" if kp is not None and kp < own else ""
+        slower = ""
+        if kp is not None and kp < own:
+            safe = f"{SAFE_PHASE_MARGIN_DEG:g} deg and a gain margin of {SAFE_GAIN_MARGIN:g}"
+            leaves = safe if self._share_of_the_velocity_loop >= 1.0 else "more"
+            slower = f"; `position_kp={kp:g}` instead of {own:.4g} leaves {leaves}"
         return (words + slower,)
 
     def at(self, where: Mapping[str, Any]) -> list[NestedLoop]:
