@@ -32,7 +32,8 @@ def _ask(k, reference, q, force, limit, own, at_once, memory):
 
 @cached()
 def run_lanes(
-    own, common, baseline, settings, start, reference, push, hand, wish, release, end, scratch, free, found, measures
+    own, common, baseline, settings, start, reference, push, hand, wish, turns, release, end, scratch, free, found,
+    measures,
 ):  # fmt: skip
     """Run the laws with gains ``own`` (m, OWN) and ``common``, m a multiple of LANES; fill ``measures`` (m, MEASURES).
 
@@ -88,8 +89,9 @@ def run_lanes(
                             q[i], v[i], tau[i], command[i], force[i], period, forward, backward, friction, t, rows, kept
                         )
             if k < release:
+                turn = (turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3])
                 for i in range(LANES):
-                    in_hand(q[i], q1[i], v[i], v1[i], u[i], force[i], meant, period, lane(seen_so_far, i))
+                    in_hand(q[i], q1[i], v[i], v1[i], u[i], force[i], meant, turn, period, lane(seen_so_far, i))
             else:
                 for i in range(LANES):
                     row(places, k - release)[i] = q[i]

@@ -1,4 +1,12 @@
-"""What is measured on a run of a task, from its samples, and the verdict that follows."""
+"""What is measured on a run of a task, from its samples, and the verdict that follows.
+
+The felt impedance is that of the task's own frequencies. With ``F``, ``V`` and ``A`` the sums over the samples in hand
+and in motion of the force, of the mean velocity and of the mean acceleration of a period, times ``exp(-j w t)``, mass
+and damping are those with the least ``|F - M A - B V|^2`` summed over the frequencies of the task: ``F/V = B + j w M``
+weighted by the spectrum of the velocity, and exact where a motion does not begin and end at rest. A regression on the
+acceleration of single samples sees the steps of an ordinary encoder in place of the mass: it is many times as large
+between two samples as over a movement, and the force does not follow it.
+"""
 
 from __future__ import annotations
 
@@ -9,26 +17,27 @@ import numpy as np
 from emps_design.control.impedance.robustness import VERDICTS
 from emps_design.simulation.kernels.compile import inlined, part
 
-# What is measured on a run, in the order of the array that holds it.
+# What is measured on a run, in the order of the array that holds it; the sums at two frequencies follow.
 NAMES = (
     "peak_u", "clipped", "clipped_end", "flips", "peak_force", "force2", "impulse", "work", "path", "miss2", "held",
-    "n", "aa", "av", "vv", "af", "vf", "ff", "end_min_v", "end_max_v", "end_turns", "end_min_u", "end_max_u",
-    "end_speed", "release_v", "moving", "drift", "ratio", "diverged",
+    "end_min_v", "end_max_v", "end_turns", "end_min_u", "end_max_u", "end_speed", "release_v", "moving", "drift",
+    "ratio", "diverged",
 )  # fmt: skip
-MEASURES = len(NAMES)
 (_PEAK_U, _CLIPPED, _CLIPPED_END, _FLIPS, _PEAK_FORCE, _FORCE2, _IMPULSE, _WORK, _PATH, _MISS2, _HELD,
- _N, _AA, _AV, _VV, _AF, _VF, _FF, _END_MIN_V, _END_MAX_V, _END_TURNS, _END_MIN_U, _END_MAX_U,
- _END_SPEED, _RELEASE_V, _MOVING, _DRIFT, _RATIO, _DIVERGED) = range(MEASURES)  # fmt: skip
+ _END_MIN_V, _END_MAX_V, _END_TURNS, _END_MIN_U, _END_MAX_U, _END_SPEED, _RELEASE_V, _MOVING, _DRIFT, _RATIO, _DIVERGED,
+ _SLOW) = range(len(NAMES) + 1)  # fmt: skip
+_FAST, MEASURES = _SLOW + 6, _SLOW + 12  # acceleration, velocity and force, real and imaginary part each
 _CHANGE = 0.01  # of the speed, from one span to the next, that counts as one
 _SWING = 50  # samples within which a voltage that was at one limit must be at the other to count as a flip
 
 
 @part
-def measure(q, v, u, force, wish, limit, period, release, end, m):
+def measure(q, v, u, force, wish, turns, limit, period, release, end, m):
     """Fill ``m`` (MEASURES,) from a run: ``q`` [m], ``v`` [m/s] (n + 1,), with the state in which it ended.
 
     ``u`` [V], ``force`` [N] of the operator, held over each period, and ``wish`` [m], where the hand means to be, have
-    n samples or one more; the carriage is let go at sample ``release``; a verdict looks at the samples from ``end`` on.
+    n samples or one more; ``turns`` (release, 4) see :attr:`~emps_design.comanipulation.task.Task.turns`. The carriage
+    is let go at sample ``release``; a verdict looks at the samples from ``end`` on.
     """
     n = q.size - 1
     last_clip, clipped_at = 0.0, 0
@@ -41,7 +50,8 @@ def measure(q, v, u, force, wish, limit, period, release, end, m):
             m[_FLIPS] += 1.0 if clip * last_clip < 0.0 and k - clipped_at <= _SWING else 0.0
             last_clip, clipped_at = clip, k
         if k < release:
-            in_hand(q[k], q[k + 1], v[k], v[k + 1], u[k], force[k], wish[k], period, m)
+            turn = (turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3])
+            in_hand(q[k], q[k + 1], v[k], v[k + 1], u[k], force[k], wish[k], turn, period, m)
         else:
             let_go(v[k + 1], u[k], k, n, release, m)
         if k >= end:
@@ -59,8 +69,11 @@ def nothing(n, release, m):
 
 
 @part
-def in_hand(q, q1, v, v1, u, force, wish, period, m):
-    """Measure one period before the release, from position and velocity at its beginning and its end."""
+def in_hand(q, q1, v, v1, u, force, wish, turn, period, m):
+    """Measure one period before the release, from position and velocity at its beginning and its end.
+
+    ``turn`` are cosine and minus sine of the phase of the task's two frequencies, the slow one first.
+    """
     moved, rate = q1 - q, 1.0 / period
     m[_PEAK_U] = max(m[_PEAK_U], abs(u))
     m[_PEAK_FORCE] = max(m[_PEAK_FORCE], abs(force))
@@ -72,13 +85,19 @@ def in_hand(q, q1, v, v1, u, force, wish, period, m):
     # In motion; means over the period for which the force is held.
     moves = 1.0 if v * v1 > 0.0 else 0.0
     a, w, f = moves * ((v1 - v) * rate), moves * (moved * rate), moves * force
-    m[_N] += moves
-    m[_AA] += a * a
-    m[_AV] += a * w
-    m[_VV] += w * w
-    m[_AF] += a * f
-    m[_VF] += w * f
-    m[_FF] += f * f
+    slow_re, slow_im, fast_re, fast_im = turn
+    m[_SLOW] += a * slow_re
+    m[_SLOW + 1] += a * slow_im
+    m[_SLOW + 2] += w * slow_re
+    m[_SLOW + 3] += w * slow_im
+    m[_SLOW + 4] += f * slow_re
+    m[_SLOW + 5] += f * slow_im
+    m[_FAST] += a * fast_re
+    m[_FAST + 1] += a * fast_im
+    m[_FAST + 2] += w * fast_re
+    m[_FAST + 3] += w * fast_im
+    m[_FAST + 4] += f * fast_re
+    m[_FAST + 5] += f * fast_im
 
 
 @part
@@ -209,15 +228,19 @@ class Measures:
 
     @property
     def fit(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Apparent mass [kg], damping [N/(m/s)] and R^2 from force regressed on acceleration and velocity, in motion.
+        """Apparent mass [kg], damping [N/(m/s)] and R^2 about zero, at the frequencies of the task and in motion."""
+        spectra = self.raw[:, _SLOW:].reshape(-1, 2, 3, 2)  # frequency; acceleration, velocity, force
+        a, v, f = np.moveaxis(spectra, 2, 0).reshape(3, -1, 4)
 
-        Means over each period, no constant column, R^2 about zero.
-        """
-        determinant = self.aa * self.vv - self.av**2
+        def product(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+            return np.sum(first * second, axis=1)
+
+        aa, av, vv, ff = product(a, a), product(a, v), product(v, v), product(f, f)
+        determinant = aa * vv - av**2
         with np.errstate(divide="ignore", invalid="ignore"):
-            mass = (self.vv * self.af - self.av * self.vf) / determinant
-            damping = (self.aa * self.vf - self.av * self.af) / determinant
-            r2 = 1.0 - (self.ff - mass * self.af - damping * self.vf) / self.ff
+            mass = (vv * product(a, f) - av * product(v, f)) / determinant
+            damping = (aa * product(v, f) - av * product(a, f)) / determinant
+            r2 = 1.0 - np.sum((f - mass[:, None] * a - damping[:, None] * v) ** 2, axis=1) / ff
         return mass, damping, r2
 
     @property

@@ -170,7 +170,7 @@ class Setup:
         raw = np.empty((len(own), MEASURES))
         run_lanes(
             own, tuple(gains[0, OWN:].tolist()), ready.baseline, ready.settings, tuple(ready.y.tolist()), self.rest,
-            task.push, hand, np.nan_to_num(task.wish), task.release, task.end, room(ROWS),
+            task.push, hand, np.nan_to_num(task.wish), task.turns, task.release, task.end, room(ROWS),
             room(len(task.push) - task.release + 1), np.zeros(2, np.int64), raw,
         )  # fmt: skip
         return raw[:m]
@@ -184,7 +184,7 @@ class Setup:
             np.tile(ready.parameters, (len(gains), 1)), ready.baseline, ready.settings, ready.y, ready.hooks,
             ready.starts, ready.columns, ready.slots, ready.floors, ready.scratch.copy(),
             address(self.law.kernel, "law"), gains, np.zeros(self.law.memory), np.full(n, self.rest),
-            np.append(task.push, 0.0), np.nan_to_num(task.wish), task.release, task.end, out, raw,
+            np.append(task.push, 0.0), np.nan_to_num(task.wish), task.turns, task.release, task.end, out, raw,
         )  # fmt: skip
         return raw, out, good
 
@@ -192,7 +192,7 @@ class Setup:
 @cached()
 def run_block(
     parameters, baseline, settings, y0, hooks, starts, columns, slots, floors, scratch, law, gains, memory, reference,
-    push, wish, release, end, out, measures,
+    push, wish, turns, release, end, out, measures,
 ):  # fmt: skip
     """Run one plant for each row of ``parameters`` and ``gains``; returns the number of good samples of the last."""
     y, none, noted, found = y0.copy(), np.zeros(0), np.zeros((0, 3)), np.zeros(2, np.int64)
@@ -206,7 +206,7 @@ def run_block(
             steady, columns, slots, floors, scratch, out, noted, found,
         )  # fmt: skip
         if status == DONE:
-            measure(out[1], out[2], out[3], out[4], wish, limit, period, release, end, measures[i])
+            measure(out[1], out[2], out[3], out[4], wish, turns, limit, period, release, end, measures[i])
         else:
             broken_off(limit, measures[i])
     return good

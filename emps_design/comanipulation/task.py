@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,8 @@ from emps_design.errors import InputError
 from emps_design.units import TURN
 
 HAND = (1000.0, 100.0)  # N/m and N/(m/s) of an operator's hand
-PACE = 2.0 * math.pi * 0.4  # rad/s, of the guided movement
+RATES = (0.4, 1.0)  # Hz, about, at which a hand moves the carriage to and fro
+PACE = 2.0 * math.pi * RATES[0]  # rad/s
 HELD, CALMING, WATCHED = 5.0, 4.0, 1.0  # s, at least: in the hand, calming down, watched for a verdict
 DECAYS, CYCLES = 8.0, 3.0  # time constants of the slowest pole, periods of the slowest oscillation that is predicted
 LONGEST = 400_000  # samples after the release
@@ -70,6 +72,12 @@ class Task:
         """Length [s]."""
         return len(self.push) * self.period
 
+    @cached_property
+    def turns(self) -> np.ndarray:
+        """Cosine and minus sine of the phase of both frequencies of the task while it lasts, shape (release, 4)."""
+        phase = 2.0 * np.pi * np.outer(np.arange(self.release) / self.release, periods_of(self.release * self.period))
+        return np.stack([np.cos(phase), -np.sin(phase)], axis=-1).reshape(self.release, -1)
+
 
 def guided_task(
     period: float,
@@ -92,12 +100,22 @@ def guided_task(
     t = np.arange(n) * period
     until = release * period
     position = sum(
-        amplitude * np.sin(2 * np.pi * max(1, round(rate * until)) * t / until)
-        for amplitude, rate in ((0.10, 0.4), (0.02, 1.0))
+        amplitude * np.sin(2 * np.pi * periods * t / until)
+        for amplitude, periods in zip((0.10, 0.02), periods_of(until), strict=True)
     )
     rise = np.clip(t / min(0.5, 0.5 * until), 0.0, 1.0)
     position = scale * position * rise**2 * (3.0 - 2.0 * rise)
     return Task("guided", np.zeros(n), np.where(np.arange(n) < release, position, np.nan), hand, release, end, period)
+
+
+def periods_of(until: float) -> tuple[int, int]:
+    """Whole periods of the two frequencies of a task of ``until`` seconds: of about 0.4 and 1 Hz, at least one.
+
+    >>> periods_of(5.0)
+    (2, 5)
+    """
+    slow, fast = (max(1, round(rate * until)) for rate in RATES)
+    return slow, fast
 
 
 def pushed_task(

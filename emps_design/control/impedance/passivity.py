@@ -3,7 +3,8 @@
 Continuous time (current loop ``1/(T_c s + 1)``, both filters first order, velocity and acceleration exact): the
 driving-point admittance is a ratio of polynomials N/D. It is positive real where D is Hurwitz and
 ``Re N(jw) conj(D(jw))``, an even polynomial, is nowhere negative; its sign changes are the real roots of a polynomial
-in w^2, found as eigenvalues, so no frequency is missed between grid points.
+in w^2, found as eigenvalues, so no frequency is missed between grid points. Its coefficients differ by twenty powers
+of ten in rad/s and are small differences of large products: they are rational numbers until the frequency is scaled.
 
 Sampled: for an external force held over each period, the energy that flows in is exactly force times position step, so
 the sampled loop is passive for such forces where ``Re V(e^{jwT})/tau_e >= 0`` up to the Nyquist frequency: swept.
@@ -13,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -65,24 +66,33 @@ def admittance_polynomials(
     law: ImpedanceLaw, plant: FrictionModel, current_time_constant: float, direction: int = 1
 ) -> tuple[np.ndarray, np.ndarray]:
     """Numerator and denominator of velocity over external force, continuous law, ascending powers of s."""
+    numerator, denominator = _exact_polynomials(law, plant, current_time_constant, direction)
+    return numerator.astype(float), denominator.astype(float)
+
+
+def _exact_polynomials(
+    law: ImpedanceLaw, plant: FrictionModel, current_time_constant: float, direction: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same as rational numbers, from those of the law and the plant: what cancels by algebra is nothing here."""
     i = 0 if direction > 0 else 1
-    r, f_hat = law.ratio, law.estimate.viscous[i]
-    lag = np.array([1.0, current_time_constant])
-    mechanics = np.array([plant.viscous[i], plant.mass])
-    pull = r * law.stiffness
+    mass_hat, damping, one = Fraction(law.estimate.mass), Fraction(law.damping), Fraction(1)
+    r, f_hat = mass_hat / Fraction(law.mass), Fraction(law.estimate.viscous[i])
+    lag = np.array([one, Fraction(current_time_constant)])
+    mechanics = np.array([Fraction(plant.viscous[i]), Fraction(plant.mass)])
+    pull, s = r * Fraction(law.stiffness), np.array([Fraction(0), one])
     if law.force_sensor:  # lag tau = (r-1) tau_e + (Fh - r B) v - r K v/s
-        command = poly.polysub([0.0, f_hat - r * law.damping], [pull])
-        numerator = poly.polymul([0.0, 1.0], poly.polyadd(lag, [r - 1.0]))
-        denominator = poly.polysub(poly.polymul(poly.polymul([0.0, 1.0], mechanics), lag), command)
+        command = poly.polysub(s * (f_hat - r * damping), [pull])
+        numerator = poly.polymul(s, poly.polyadd(lag, [r - 1]))
+        denominator = poly.polysub(poly.polymul(poly.polymul(s, mechanics), lag), command)
     else:
-        low_a, low_t = (np.array([1.0, 1.0 / w]) if math.isfinite(w) else np.array([1.0]) for w in law.filters)
+        low_a, low_t = (np.array([one, 1 / Fraction(w)] if math.isfinite(w) else [one]) for w in law.filters)
         # lag low_a low_t tau = v [(r-1) Mh s low_t + (r (Fh - B) - r K/s) low_a low_t] - kappa (r-1) low_a tau
-        inertia = poly.polymul([0.0, (r - 1.0) * law.estimate.mass], low_t)
         both = poly.polymul(low_a, low_t)
-        friction = poly.polymul([r * (f_hat - law.damping)], both)
-        drive = poly.polyadd(poly.polymul(lag, both), law.recursion_gain * low_a)
-        command = poly.polysub(poly.polymul([0.0, 1.0], poly.polyadd(inertia, friction)), poly.polymul([pull], both))
-        numerator = poly.polymul([0.0, 1.0], drive)
+        inertia = poly.polymul(s * ((r - 1) * mass_hat), low_t)
+        drive = poly.polyadd(poly.polymul(lag, both), Fraction(law.current_factor) * (r - 1) * low_a)
+        force = poly.polyadd(inertia, r * (f_hat - damping) * both)
+        command = poly.polysub(poly.polymul(s, force), pull * both)
+        numerator = poly.polymul(s, drive)
         denominator = poly.polysub(poly.polymul(numerator, mechanics), command)
     if law.stiffness == 0.0:
         numerator, denominator = numerator[1:], denominator[1:]
@@ -106,8 +116,9 @@ def passivity(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, points: int
 
 
 def _one_way(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, direction: int, points: int) -> Passivity:
-    numerator, denominator = admittance_polynomials(law, plant, clock.current_time_constant, direction)
-    stable = bool(np.all(poly.polyroots(denominator).real <= MARGINAL))
+    numerator, denominator = _exact_polynomials(law, plant, clock.current_time_constant, direction)
+    roots, _ = _scaled_roots(denominator)
+    stable = bool(np.all(roots.real <= MARGINAL))
     loop = sampled_loop(law, plant, clock, direction)
     omega = np.geomspace(1e-5, 1.0, points) * (math.pi / clock.period) * (1.0 - 1e-9)
     active = loop.admittance(omega).real < 0.0
@@ -115,32 +126,32 @@ def _one_way(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, direction: i
     return Passivity(stable, _negative_bands(numerator, denominator), loop.stable, where)
 
 
+def _scaled_roots(coefficients: np.ndarray) -> tuple[np.ndarray, float]:
+    """Roots of a polynomial with rational coefficients, over a scale of the variable, and that scale.
+
+    The scale is the geometric mean of the roots that are not 0: first and last coefficient become equally large.
+    """
+    powers = np.flatnonzero(coefficients)
+    if powers.size < 2:
+        return np.zeros(powers[0] if powers.size else 0), 1.0
+    (low, high), zeros = (abs(coefficients[k]) for k in (powers[0], powers[-1])), int(powers[0])
+    degree = int(powers[-1]) - zeros
+    scale = math.exp((math.log(low) - math.log(high)) / degree)
+    scaled = [float(c / low) * scale**k for k, c in enumerate(coefficients[zeros : powers[-1] + 1])]
+    return np.concatenate([np.zeros(zeros), poly.polyroots(scaled)]), scale
+
+
 def _negative_bands(numerator: np.ndarray, denominator: np.ndarray) -> Bands:
-    """Bands of w > 0 in which Re N(jw) conj(D(jw)) is below zero."""
-    flipped = denominator * (-1.0) ** np.arange(len(denominator))  # conj(D(jw)) = D(-jw)
+    """Bands of w > 0 in which Re N(jw) conj(D(jw)) is below zero, for polynomials with rational coefficients."""
+    flipped = denominator * (-1) ** np.arange(len(denominator))  # conj(D(jw)) = D(-jw)
     product = poly.polymul(numerator, flipped)[::2]  # even powers of s: real on the axis
-    real_part = product * (-1.0) ** np.arange(len(product))  # in x = w^2
-    scale = np.abs(real_part).max()
-    real_part = poly.polytrim(real_part, 1e-14 * scale) if scale > 0.0 else real_part
-    roots = poly.polyroots(real_part) if len(real_part) > 1 else np.array([])
-    positive = np.sort(roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0.0)])
-    ends = np.concatenate([[0.0], positive, [np.inf]])
-    bands = []
-    for low, high in pairwise(ends):
-        middle = 2.0 * low + 1.0 if math.isinf(high) else 0.5 * (low + high)
-        if poly.polyval(middle, real_part) < 0.0:
-            bands.append((math.sqrt(low), math.sqrt(high)))
-    return _joined(bands)
-
-
-def _joined(bands: list[tuple[float, float]]) -> Bands:
-    joined: list[tuple[float, float]] = []
-    for low, high in bands:
-        if joined and joined[-1][1] == low:
-            joined[-1] = (joined[-1][0], high)
-        else:
-            joined.append((low, high))
-    return tuple(joined)
+    real_part = poly.polytrim(product * (-1) ** np.arange(len(product)))  # in x = w^2
+    roots, scale = _scaled_roots(real_part)
+    edges = np.unique(scale * roots.real[roots.real > 0.0])  # of complex ones too: the sign beside them decides
+    inside = [edges[0] / 2, *np.sqrt(edges[:-1] * edges[1:]), 2 * edges[-1]] if edges.size else [1.0]
+    signs = np.array([poly.polyval(Fraction(float(x)), real_part) < 0 for x in inside])
+    ends = np.sqrt([0.0, *edges, np.inf])
+    return tuple((float(ends[start]), float(ends[stop])) for start, stop in stretches(signs))
 
 
 @dataclass(frozen=True)
