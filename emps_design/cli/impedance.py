@@ -101,12 +101,17 @@ def _given(option: str, what: str, asked: float | None, own: float | None) -> fl
 def _print(document: dict[str, Any]) -> None:
     from rich.table import Table
 
+    from emps_design.comanipulation.study import CALM
+
     console = new_console()
     law, sampled = document["law"], document["sampled"]
+    name, _, why = document["headline"].partition(": ")
+    console.print(f"{name if document['verdict'] in CALM else name.upper()}: {why}")
     console.print(f"{document['axis']}: impedance law {_law_in_words(law)}")
     console.print(
-        f"sampled loop: {'stable' if sampled['stable'] else 'UNSTABLE'}, released: {sampled['verdict']}; simulated "
-        f"with encoder and limit: {sampled['simulated'].replace('_', ' ')}"
+        f"exact estimates: poles of the sampled loop {'stable' if sampled['stable'] else 'UNSTABLE'}, released: "
+        f"{sampled['verdict'].replace('_', ' ')}; simulated with encoder and limit: "
+        f"{sampled['simulated'].replace('_', ' ')}"
     )
     table = Table("felt, ideal current loop", "mass, kg", "damping, N/(m/s)", "Coulomb left, N")
     rows = [("derived", document["derived"]), ("(30) as printed", document["printed"])]
@@ -118,7 +123,9 @@ def _print(document: dict[str, Any]) -> None:
     if found is not None:
         table = Table("mismatch", f"+-{100 * found['mismatch']:g} %")
         creep = found["creep_speed"]
-        table.add_row("creep speed, mm/s", "unbounded" if math.isinf(creep) else f"{1e3 * creep:.3f}")
+        free = found["creep_speed_exact_encoder"]
+        ended = f" (the encoder ends one of {1e3 * free:.3g})" if free > creep else ""
+        table.add_row("creep speed, mm/s", "unbounded" if math.isinf(creep) else f"{1e3 * creep:.3f}{ended}")
         table.add_row("dead band, N", f"{found['dead_band']:.3f}")
         factor = found["coulomb_factor_without_creep"]
         table.add_row("Coulomb factor without creep", "none" if factor is None else f"{factor:.4f}")
@@ -163,10 +170,12 @@ def _law_in_words(law: dict[str, Any]) -> str:
     return ", ".join(words)
 
 
-def _three_digits(value: float) -> str:
+def _three_digits(value: float | None) -> str:
     """``value`` in three significant digits, more before the point.
 
-    >>> _three_digits(0.15), _three_digits(235.82), _three_digits(73.777)
-    ('0.15', '235.8', '73.8')
+    >>> _three_digits(0.15), _three_digits(235.82), _three_digits(73.777), _three_digits(None)
+    ('0.15', '235.8', '73.8', 'undefined')
     """
+    if value is None:
+        return "undefined"
     return f"{value:.1f}" if abs(value) >= 100.0 else f"{value:.3g}"

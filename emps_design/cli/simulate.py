@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,9 @@ SCENARIOS = {
     "comanipulation": ("mismatch", "mass", "damping", "reference_velocity", "as_printed", "plants", "seed"),
     "bench": ("tau_ref", "seed"),
 }
+
+# Keys of a result that are shown elsewhere, or by --json alone.
+APART = ("run", "study", "law", "task", "units", "warnings", "scenario", "axis", "effort", "headline", "reason")
 
 
 def command(
@@ -204,8 +208,10 @@ def _draw(path: Path, result: Any) -> None:
 
 
 def _show(document: dict[str, Any]) -> None:
-    from emps_design.cli.output import new_console, new_table
+    from emps_design.cli.output import new_console, new_table, say
 
+    if "headline" in document:
+        say(document["headline"])
     title = f"{document['scenario']}, axis {document.get('axis', '')}"
     table = new_table(title, "quantity", "value", "unit", words=("unit",))
     for row in _rows(document, document.get("units", {})):
@@ -238,16 +244,28 @@ def _rows(document: dict[str, Any], units: dict[str, str], before: tuple[str, ..
     rows: list[tuple[str, str, str]] = []
     for key, value in document.items():
         path = (*before, key)
-        if key in ("run", "study", "law", "task", "units", "warnings", "scenario", "axis", "effort"):
+        if key in (
+            "run",
+            "study",
+            "law",
+            "task",
+            "units",
+            "warnings",
+            "scenario",
+            "axis",
+            "effort",
+            "headline",
+            "reason",
+        ):
             continue
         if isinstance(value, dict):
             rows += _rows(value, units, path)
         elif not isinstance(value, list) or value:
             base = next((units[name] for name in path if name in units), "")
-            if isinstance(value, float):
+            if isinstance(value, float) and math.isfinite(value):
                 unit, factor = for_reader(value, base)
                 text = f"{factor * value:.6g}"
-            elif value is None:
+            elif value is None or isinstance(value, float):
                 unit, text = "", "-"
             else:
                 unit, text = "", ", ".join(map(str, value)) if isinstance(value, list) else str(value)

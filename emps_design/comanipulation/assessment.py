@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -10,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.comanipulation.cautions import cautions_of
 from emps_design.comanipulation.run import run_many, run_task
-from emps_design.comanipulation.study import MismatchStudy, mismatch_study
+from emps_design.comanipulation.study import MismatchStudy, box_of, mismatch_study, with_errors
 from emps_design.comanipulation.task import fitted_task
 from emps_design.comanipulation.wall_limit import WallLimit, wall_limit
-from emps_design.control.impedance.equivalence import LOW_FREQUENCY, equivalent_loop, safety_words
+from emps_design.control.impedance.equivalence import LOW_FREQUENCY, equivalent_loop
 from emps_design.control.impedance.law import PRINTED, ApparentImpedance, FrictionModel, ImpedanceLaw, impedance_law
 from emps_design.control.impedance.passivity import largest_wall, passivity
 from emps_design.control.impedance.response import relay_oscillation
@@ -28,7 +28,6 @@ from emps_design.control.impedance.robustness import (
     dead_band,
     drift_threshold,
     nearest_stable,
-    sinking_force,
     smallest_mass,
     verdict,
     worst_radius,
@@ -52,6 +51,15 @@ DRAWN, FEW = 200, 4  # those, and of an axis with effects, whose simulation take
 LITTLE = 1e-3  # their error without a mismatch
 SPEED = 0.1  # m/s, of the slide in which effects are linearised
 SWINGS = ("limit_cycle", "unstable")  # verdicts on a law that is of no use
+# What the released carriage does, by the verdict on it.
+DOES = {
+    "stable": "comes to rest",
+    "dead_band": "comes to rest",
+    "no_motion": "stood when it was let go, so nothing is known of it",
+    "creeping": "creeps on",
+    "limit_cycle": "keeps swinging",
+    "unstable": "runs away or swings from limit to limit",
+}
 SHARES = (
     "stable_share", "stable_share_interval", "bounded_share", "bounded_share_interval", "verdicts", "plants", "seed",
     "task", "varied", "not_varied", "beyond",
@@ -117,14 +125,41 @@ class ImpedanceAssessment:
         return {name: limit for name, limit in found.items() if limit is not None}
 
     @property
-    def stable(self) -> bool:
+    def slowest_drift(self) -> float:
+        """Speed [m/s] below which the encoder ends a creep."""
+        resolution = self.axis.sampling.encoder_resolution
+        return drift_threshold(self.clock.period, resolution, self.law.velocity_estimator)
+
+    @property
+    def poles_stable(self) -> bool:
         """Whether the sampled loop is stable, at every corner of the mismatch, and with the axis's effects."""
         return self.worst_radius <= 1.0 + MARGINAL and (self.extended is None or self.extended.stable)
 
+    @cached_property
+    def verdict(self) -> str:
+        """The worst of ``VERDICTS``: of the poles, with exact estimates, and of every plant within the mismatch."""
+        found = [self.simulated, *([] if self.poles_stable else ["unstable"])]
+        found += [] if self.study is None else [VERDICTS[self.study.verdict.max()]]
+        return max(found, key=VERDICTS.index)
+
     @property
-    def swings(self) -> bool:
-        """Whether the simulated carriage swings or grows, whatever the poles say."""
-        return self.simulated in SWINGS
+    def stable(self) -> bool:
+        """Whether no simulated plant swings or runs away, and no pole does."""
+        return self.verdict not in SWINGS
+
+    @property
+    def headline(self) -> str:
+        """The verdict, and how many of the simulated plants it is that of, in one sentence."""
+        name, study = self.verdict.replace("_", " "), self.study
+        outcomes = [self.simulated] if study is None else [VERDICTS[place] for place in study.verdict]
+        count = sum(DOES[one] == DOES[self.verdict] for one in outcomes)
+        if not count and self.simulated != self.verdict:
+            return f"{name}: the sampled loop has a pole outside the unit circle"
+        where = f" in {count} of {len(outcomes)} plants simulated within +-{100 * (self.mismatch or 0.0):g} %"
+        where = " with exact estimates" if study is None or not count else where
+        creep = study.creep if study is not None and self.verdict == "creeping" else 0.0
+        speed = f", at up to {1e3 * creep:.3g} mm/s" if creep else ""
+        return f"{name}: the released carriage {DOES[self.verdict]}{where}{speed}"
 
     def _calm(self, law: ImpedanceLaw) -> bool:
         """Whether ``law`` guided and let go comes to no swing, with estimates anywhere within the mismatch.
@@ -132,19 +167,23 @@ class ImpedanceAssessment:
         Beside a law that swings one may by chance come to rest: without a mismatch estimates are off a little too.
         """
         size, task = self.mismatch or LITTLE, fitted_task(self.axis, law)
-        number = DRAWN if self.extended is None else FEW
-        errors = np.random.default_rng(0).uniform(-size, size, (len(PARAMETERS), number))
-        errors[:, 0] = 0.0
-        for some in np.split(errors, FIRST, axis=1):  # most that swing show it soon
-            off = law.with_errors(dict(zip(PARAMETERS, some, strict=True)))
-            if some.size and any(VERDICTS[place] in SWINGS for place in run_many(self.axis, [off], task).verdict):
-                return False
+        split = self.plant.two_quadrant or (self.study is not None and self.study.split)
+        corners = box_of(corner_errors(size, split))
+        drawn = np.random.default_rng(0).uniform(
+            -size, size, (DRAWN if self.extended is None else FEW, len(PARAMETERS))
+        )
+        errors = np.vstack([np.zeros(len(PARAMETERS)), corners, drawn])
+        for some in np.split(errors, FIRST):  # most that swing show it soon
+            off = with_errors(law, some)
+            for way in (task, task.reversed) if split else (task,):
+                if len(some) and any(VERDICTS[place] in SWINGS for place in run_many(self.axis, [off], way).verdict):
+                    return False
         return True
 
     @cached_property
     def nearest(self) -> dict[str, float] | None:
         """The nearest law (mass, damping, filter) that is stable and does not swing; None for none, and if this is."""
-        if self.stable and not self.swings:
+        if self.stable:
             return None
 
         def accept(law: ImpedanceLaw, masses: np.ndarray, filters: np.ndarray) -> np.ndarray:
@@ -159,6 +198,12 @@ class ImpedanceAssessment:
         """Why the law is refused, in one line; empty where it is stable."""
         if self.stable:
             return ""
+        if self.poles_stable:
+            return (
+                f"{self.headline}: the poles are stable, but the simulated carriage keeps swinging, with the encoder's "
+                f"steps, the limit of the command and friction as it is: a finer encoder, or another law; "
+                f"{self._proposal}"
+            )
         loop = self.loop
         recursion = abs(recursion_poles(self.law, self.clock)[0])
         if not loop.stable:
@@ -196,10 +241,12 @@ class ImpedanceAssessment:
         ideal = replace(law, force_sensor=False, current_factor=1.0)
         document: dict[str, Any] = {
             "axis": self.axis.name,
+            "verdict": self.verdict,
+            "headline": self.headline,
             "law": law.to_dict(),
             "derived": self._felt(ideal).to_dict(),
             "felt": self._felt(law).to_dict(),
-            "printed": self._felt(replace(ideal, current_factor=PRINTED)).to_dict(),
+            "printed": self._printed(ideal),
             "sampled": {
                 "stable": nominal,
                 "poles": list((self.extended or loop).poles),
@@ -226,10 +273,8 @@ class ImpedanceAssessment:
         if self.study is not None and self.mismatch is not None:
             document["mismatch"] = self._under_mismatch(self.study, self.mismatch)
         if not self.stable:
-            document["reason"] = self.reason
-        if not self.stable or self.swings:
-            document["nearest"] = self.nearest
-        document["warnings"] = self._warnings(document)
+            document |= {"reason": self.reason, "nearest": self.nearest}
+        document["warnings"] = cautions_of(self, document)
         return document
 
     def _repr_html_(self) -> str:
@@ -244,23 +289,30 @@ class ImpedanceAssessment:
             ("largest pole at the corners of the mismatch", self.worst_radius, ""),
             ("mismatch", None if self.mismatch is None else 100.0 * self.mismatch, "%"),
         )
-        verdict = "stable" if self.stable else "UNSTABLE"
-        return self.axis.units.text(table(f"{self.axis.name}: the sampled impedance law is {verdict}", rows))
+        return self.axis.units.text(table(f"{self.axis.name}, impedance law, {self.headline}", rows))
 
     def _felt(self, law: ImpedanceLaw) -> ApparentImpedance:
         """What the operator feels, in the direction in which more of the Coulomb friction is left, or pushes."""
         each = [law.apparent(self.plant, direction) for direction in self.plant.directions]
         return max(each, key=lambda felt: abs(felt.coulomb_left))
 
+    def _printed(self, ideal: ImpedanceLaw) -> dict[str, float | None]:
+        """What is felt by (30) as printed; None where that has no solution."""
+        if ideal.at_singularity(PRINTED):
+            return dict.fromkeys(("apparent_mass", "apparent_damping", "coulomb_left"))
+        return {**self._felt(replace(ideal, current_factor=PRINTED)).to_dict()}
+
     def _under_mismatch(self, study: MismatchStudy, mismatch: float) -> dict[str, Any]:
         corners = [self.law.with_errors(errors) for errors in corner_errors(mismatch, self.plant.two_quadrant)]
         summary = study.to_dict()
-        if not self.stable and summary["worst"]["verdict"] not in ("unstable", "limit_cycle"):
+        if not self.poles_stable and summary["worst"]["verdict"] not in SWINGS:
             # Poles that the plants of the study do not have: sticking, or with effects linearised.
             summary["worst"] = {**summary["worst"], "verdict": "unstable"}
+        creep = max(creep_speed(law, self.plant) for law in corners)
         return {
             "mismatch": mismatch,
-            "creep_speed": max(creep_speed(law, self.plant) for law in corners),
+            "creep_speed": creep if creep > self.slowest_drift else 0.0,
+            "creep_speed_exact_encoder": creep,
             "dead_band": max(dead_band(law, self.plant) for law in corners),
             "coulomb_factor_without_creep": coulomb_factor_without_creep(self.law, self.plant, mismatch),
             "largest_pole": self.worst_radius,
@@ -269,80 +321,6 @@ class ImpedanceAssessment:
             "ranges": summary["ranges"],
             "corners": summary["corners"],
         }
-
-    def _warnings(self, document: dict[str, Any]) -> list[str]:
-        words = [self.reason] if not self.stable else []
-        if self.stable and self.swings:
-            words.append(
-                "the poles are stable, but the simulated carriage keeps swinging, with the encoder's steps, the limit "
-                f"of the command and friction as it is: a finer encoder, or another law; {self._proposal}"
-            )
-        sinking = sinking_force(self.plant)
-        if sinking > 0.0:
-            words.append(
-                f"the constant force exceeds dry friction by {sinking:.3g} N, and at rest this law holds nothing: the "
-                "axis sinks; balance that force apart"
-            )
-        words += [
-            f"effect {kind} is in the simulated plants and, linearised, in the poles, but not in apparent impedance "
-            "and contact"
-            for kind in left_out(self.axis)
-        ]
-        words += safety_words(self.axis, self.law.mass, self.law.damping, self.mismatch or 0.0)
-        if document["smallest_safe_mass"] is None:
-            words.append(
-                "smallest_safe_mass is undefined: with this filter and damping the law is unstable or swings even at "
-                "M_a = M"
-            )
-        if self.law.damping == 0.0:
-            words.append("damping B is 0: nothing brings the released carriage to rest")
-        oscillation = document["coulomb_oscillation"]
-        resolution = self.axis.sampling.encoder_resolution
-        threshold = drift_threshold(self.clock.period, resolution, self.law.velocity_estimator)
-        if oscillation is not None and oscillation["speed"] > 2.0 * threshold:
-            words.append(
-                f"the Coulomb compensation may hunt, at {1e3 * oscillation['speed']:.2g} mm/s or more and below "
-                f"{oscillation['frequency']:.2g} rad/s (describing function); a smaller Coulomb factor removes it, or "
-                "a faster filter where the loop bears one"
-            )
-        contact = document["passivity"]
-        if contact is None:
-            words.append("passivity and largest_wall_stiffness are undefined: the loop is unstable without contact")
-        elif any(high is None for _, high in contact["continuous"]["active_bands"]):
-            words.append("passivity.continuous: the active band is unbounded above")
-        if contact is not None and not contact["sampled"]["passive"]:
-            low = contact["sampled"]["active_bands"][0][0]
-            wall = document["largest_wall_stiffness"]
-            words.append(
-                f"not passive from {low:.3g} rad/s on"
-                + ("" if wall is None else f"; the poles bear an undamped wall of up to {wall:.3g} N/m")
-            )
-        for name, limit in self.walls.items():
-            which = "exact estimates" if name == "exact" else f"estimates off by +-{100 * (self.mismatch or 0.0):g} %"
-            words.append(
-                f"{which}: pressed against a wall the carriage comes to rest up to {limit.simulated:.3g} N/m; beyond, "
-                "the Coulomb compensation may keep it swinging (simulated with pushes around "
-                f"{limit.push:.3g} N; the poles alone bear {limit.linear:.3g} N/m)"
-            )
-        if contact is not None and document["largest_wall_stiffness"] is None:
-            words.append("largest_wall_stiffness is unbounded: stable up to 1 GN/m")
-        found = document.get("mismatch")
-        if found is not None and self.study is not None:
-            words += self.study.warnings
-            if math.isinf(found["creep_speed"]):
-                words.append("mismatch.creep_speed is unbounded: at a corner the apparent damping is not positive")
-            elif found["creep_speed"] > threshold:
-                factor = found["coulomb_factor_without_creep"]
-                cure = "no Coulomb factor" if factor is None else f"a Coulomb factor of {factor:.4g}"
-                words.append(
-                    f"over-estimated friction makes the released carriage creep at up to "
-                    f"{1e3 * found['creep_speed']:.3g} mm/s; {cure} rules it out"
-                )
-            if found["worst"]["peak_voltage"] >= self.axis.drive.command_limit:
-                words.append("the voltage limit is reached in the task")
-            if found["worst"]["verdict"] == "limit_cycle":
-                words.append("a simulated plant keeps oscillating after the release")
-        return words
 
 
 def assess_impedance(

@@ -182,16 +182,18 @@ class Measures:
 
         Unstable: it diverged, ended against the voltage limit after the release, swung from limit to limit ten times
         or more, or its free motion grows. Limit cycle: while the task is watched the velocity still takes both signs,
-        by two steps a period, or comes to zero ten times. No motion: the carriage stood when it was let go, and stayed.
-        Then by the speed that free motion tends to, which a cascaded loop, whose integral rules dry friction out, is
-        not asked for.
+        by two steps a period, or comes to zero ten times and goes either way; one way alone it creeps, by stick and
+        slip. No motion: the carriage stood when it was let go, and stayed. Then by the speed that free motion tends to,
+        which a cascaded loop, whose integral rules dry friction out, is not asked for.
         """
         low, high = -2.0 * self.step, 2.0 * self.step
-        peak = np.maximum(self.end_max_v, -self.end_min_v)
+        peak, back = (pick(self.end_max_v, -self.end_min_v) for pick in (np.maximum, np.minimum))
         with np.errstate(invalid="ignore"):
             grows = (self.ratio > 1.0) & (np.abs(self.end_speed) > 100.0 * self.step) & ~self.turned
             unstable = (self.diverged > 0) | (self.clipped_end > 0) | (self.flips >= 10)
-            cycle = ((self.end_min_v < low) & (self.end_max_v > high)) | ((self.end_turns >= 10) & (peak > self.step))
+            cycle = ((self.end_min_v < low) & (self.end_max_v > high)) | (
+                (self.end_turns >= 10) & (peak > self.step) & (back > self.threshold)
+            )
             unstable |= grows & ~cycle
         drift = self.tends_to
         creeping = ~self.at_rest & (drift > self.threshold) & ~self.wanders & ~self.integrates

@@ -10,13 +10,12 @@ from emps_design.comanipulation.assessment import ImpedanceAssessment
 from emps_design.comanipulation.study import MismatchStudy, mismatch_study
 from emps_design.comanipulation.task import fitted_task, guided_task, pushed_task, usual_scale
 from emps_design.control.impedance.law import ImpedanceLaw, impedance_law
-from emps_design.control.impedance.robustness import VERDICTS
 from emps_design.progress import Progress
 from emps_design.quantities import one_two_five
 
 MASS, DAMPING = 50.0, 100.0  # M_a [kg] and B [N/(m/s)] of the paper's experiments, section IV-B
 OF_MASS = 115.7315  # kg, of the carriage there
-FOLLOWED = 0.95  # r2 of force regressed on acceleration and velocity, below which the fit is said to be a poor one
+FOLLOWED = 0.95  # r2 of the force by mass and damping, below which the fit is said to be a poor one
 
 
 @dataclass(frozen=True)
@@ -41,9 +40,9 @@ class Comanipulation:
         """Keys of the contract, and under ``study`` all of the mismatch study.
 
         ``verdict`` is that of the worst plant tried, ``nominal_verdict`` that without mismatch; ``transparency`` is
-        the law's without mismatch: apparent mass [kg] and damping [N/(m/s)] from force regressed on acceleration and
-        velocity in motion, r2 about zero, and error, the rms relative error of the impedance over 0-20 rad/s. A law
-        with unstable poles adds reason and nearest. ``asked`` has M_a and B of the law.
+        the law's without mismatch: apparent mass [kg] and damping [N/(m/s)] from force over velocity at the frequencies
+        of the task (:mod:`.measures`), r2 about zero, and error, the rms relative error of the impedance over
+        0-20 rad/s. A law that is unstable or swings adds reason and nearest. ``asked`` has M_a and B of the law.
         """
         exact = self.nominal.plant(0)
         nominal_words = [word for word in self.nominal.warnings if not word.startswith("stable_share")]
@@ -53,7 +52,8 @@ class Comanipulation:
             **({} if refused.stable else {"reason": refused.reason, "nearest": refused.nearest}),
             "scenario": "comanipulation",
             "axis": refused.axis.name,
-            "verdict": VERDICTS[self.study.verdict.max()],
+            "verdict": refused.verdict,
+            "headline": refused.headline,
             "nominal_verdict": exact["verdict"],
             "asked": {"apparent_mass": self.law.mass, "apparent_damping": self.law.damping},
             "transparency": {name: exact[name] for name in ("apparent_mass", "apparent_damping", "r2", "error")},
@@ -139,7 +139,7 @@ def _followed(exact: dict[str, Any]) -> str:
     if not exact["r2"] < FOLLOWED:
         return ""
     return (
-        f"apparent mass and damping are a poor fit to the force of this motion, r2 = {exact['r2']:.3g}: most of the "
-        "rest is what dry friction takes until it breaks away; the error of the transparency is that of the impedance "
-        "itself"
+        f"apparent mass and damping are a poor fit to the force of this motion, r2 = {exact['r2']:.3g} at the "
+        "frequencies of the task: something else resists there; the error of the transparency is that of the "
+        "impedance itself"
     )

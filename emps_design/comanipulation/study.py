@@ -29,6 +29,7 @@ from emps_design.progress import Progress
 MOST = 1_000_000  # plants; more would not fit into memory
 TOGETHER = 2_500  # plants whose poles are computed in one call, which hears no interrupt
 CALM = ("stable", "dead_band")  # verdicts of a carriage that comes to rest
+ALIKE = [0, 1, 1, 2, 2]  # places of errors of mass, viscous and Coulomb friction that are the same either way
 BOUNDED = (*CALM, "creeping")  # neither a limit cycle nor unstable
 
 
@@ -70,6 +71,17 @@ class MismatchStudy:
     def plants(self) -> int:
         """Number of Monte-Carlo plants."""
         return len(self.errors) - self.corners
+
+    @property
+    def split(self) -> bool:
+        """Whether friction errs apart in either direction."""
+        return self.corners > 8
+
+    @property
+    def creep(self) -> float:
+        """Highest speed [m/s] at which a plant creeps on; 0 where none does."""
+        creeping = self.verdict == VERDICTS.index("creeping")
+        return float(self.measures.tends_to[creeping].max(initial=0.0))
 
     @property
     def worst(self) -> int:
@@ -140,7 +152,7 @@ class MismatchStudy:
             )
         if np.any(self.measures.diverged > 0):
             words.append("what was felt is undefined for plants whose simulation was broken off: the loop ran away")
-        wanders = self.measures.wanders
+        wanders = self.measures.wanders & np.isin(self.verdict, [VERDICTS.index(name) for name in CALM])
         if wanders.any():
             speed = 1e3 * float(self.measures.drift[wanders].max())
             who = f"{int(wanders.sum())} of {len(self.errors)} plants go" if self.mismatch else "the carriage goes"
@@ -175,7 +187,7 @@ class MismatchStudy:
             "seed": self.seed,
             "plants": self.plants,
             "task": self.task.to_dict(),
-            "varied": list(PARAMETERS if self.corners > 8 else ("mass", "viscous", "coulomb")),
+            "varied": list(PARAMETERS if self.split else ("mass", "viscous", "coulomb")),
             "not_varied": NOT_VARIED,
             "beyond": list(self.beyond),
             "stable_share": share,
@@ -222,17 +234,16 @@ def mismatch_study(
             raise InputError(f"{name}: found {value}, expected a whole number from {low} to {high}")
     plant = FrictionModel.of(axis)
     split = plant.two_quadrant if two_quadrant is None else two_quadrant
-    corners = corner_errors(mismatch, split)
-    drawn = np.random.default_rng(seed).uniform(-mismatch, mismatch, (plants, len(corners[0])))
-    rows = np.vstack([[list(corner.values()) for corner in corners], drawn])
-    errors = rows if split else rows[:, [0, 1, 1, 2, 2]]
+    corners = box_of(corner_errors(mismatch, split))
+    drawn = np.random.default_rng(seed).uniform(-mismatch, mismatch, (plants, 5 if split else 3))
+    errors = np.vstack([corners, drawn if split else drawn[:, ALIKE]])
 
-    off = _with_errors(law, errors)
+    off = with_errors(law, errors)
     directions = (1, -1) if split or plant.two_quadrant else (1,)
     parts = [errors[start : start + TOGETHER] for start in range(0, len(errors), TOGETHER)]
 
     def judged(part: np.ndarray) -> np.ndarray:
-        return _judged(axis, _with_errors(law, part), directions)
+        return _judged(axis, with_errors(law, part), directions)
 
     error, radius = np.hstack(list(in_threads(judged, parts, workers)))
     error[radius > 1.0 + MARGINAL] = np.nan
@@ -242,7 +253,7 @@ def mismatch_study(
         other = run_many(axis, [off], task.reversed, workers, progress)
         worse = other.verdict > measures.verdict
         measures = replace(measures, raw=np.where(worse[:, None], other.raw, measures.raw))
-    beyond = _beyond(axis, _with_errors(law, errors[: len(corners)]), task)
+    beyond = _beyond(axis, with_errors(law, errors[: len(corners)]), task)
     return MismatchStudy(axis.name, law, mismatch, seed, task, len(corners), errors, error, radius, measures, beyond)
 
 
@@ -258,7 +269,13 @@ def _judged(axis: Axis, laws: ImpedanceLaw, directions: tuple[int, ...]) -> np.n
     return np.max(found, axis=0)
 
 
-def _with_errors(law: ImpedanceLaw, errors: np.ndarray) -> ImpedanceLaw:
+def box_of(corners: list[dict[str, float]]) -> np.ndarray:
+    """Corners of :func:`corner_errors` as rows (m, 5), in the order of ``PARAMETERS``."""
+    rows = np.array([list(corner.values()) for corner in corners])
+    return rows if rows.shape[1] == len(PARAMETERS) else rows[:, ALIKE]
+
+
+def with_errors(law: ImpedanceLaw, errors: np.ndarray) -> ImpedanceLaw:
     """As many laws as there are rows of ``errors`` (m, 5), in the order of ``PARAMETERS``."""
     return law.with_errors(dict(zip(PARAMETERS, errors.T, strict=True)))
 

@@ -177,17 +177,23 @@ def assemble_report(
         measured = response_section(Comparison(response, loaded))
     assessed = None
     stops: tuple[str, ...] = ()
+    cautions: tuple[str, ...] = ()
     controller = loaded.controller
     if mass is None and has_impedance_law(loaded):
         mass, damping = controller.mass, controller.damping
     if mass is not None and damping is not None:
         from emps_design.comanipulation.assessment import assess_impedance
-        from emps_design.report.impedance import impedance_section
+        from emps_design.comanipulation.study import CALM
+        from emps_design.report.impedance import impedance_section, refusal
 
         tell("trying the impedance law", 0.45)
         assessed = assess_impedance(loaded, mass, damping, mismatch, filter)
         parts.append(impedance_section(assessed))
-        stops = () if assessed.stable else (f"the impedance law is unstable: {assessed.reason}",)
+        stops = () if assessed.stable else (refusal(assessed),)
+        if assessed.verdict in CALM:
+            notes.append(f"Impedance law, {assessed.headline}.")
+        elif assessed.stable:
+            cautions = (f"impedance law, {assessed.headline}",)
     loops: tuple[NestedLoop, ...] = ()
     if controller.kind != NONE and get_law(controller.kind).loops:
         from emps_design.control.loop.nested import nested_loops
@@ -203,6 +209,7 @@ def assemble_report(
         measured=measured,
         notes=tuple(notes),
         stops=stops,
+        cautions=cautions,
     )
     tell("drawing", 0.6)
     page = design_page(results)

@@ -42,7 +42,7 @@ class DesignResults:
     ``force``: the force loop around it, None where nobody asked for one; ``inputs``: SHA-256 of every input by name,
     None for what is built in; ``parts``: more sections (a record, an impedance law), each already a :class:`Section`;
     ``measured``: the section on a measured response, which comes first; ``notes``: statements for the summary;
-    ``stops``: what else is unstable.
+    ``stops``: what else is unstable; ``cautions``: what else to read with the numbers.
     """
 
     velocity: VelocityLoopDesign
@@ -52,6 +52,7 @@ class DesignResults:
     measured: Section | None = None
     notes: tuple[str, ...] = ()
     stops: tuple[str, ...] = ()
+    cautions: tuple[str, ...] = ()
 
     @cached_property
     def verdict(self) -> DesignVerdict:
@@ -177,7 +178,7 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
             )
         )
     warnings = [w for w in velocity.warnings if not w.startswith("the sampled loop is unstable")]
-    warnings = [*results.verdict.warnings, *warnings]
+    warnings = [*results.cautions, *results.verdict.warnings, *warnings]
     if warnings:
         blocks.append(Callout("warning", "To read with the numbers", items=tuple(dict.fromkeys(warnings))))
     return tuple(blocks)

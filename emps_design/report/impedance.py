@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from emps_design.report.diagrams import impedance_law_diagram
-from emps_design.report.display import NOTHING, frequency, number, quantity, symbol
+from emps_design.report.display import NOTHING, frequency, number, quantity, sentence_of, symbol
 from emps_design.report.impedance_figures import (
     apparent_impedance_figure,
     contact_map_figure,
@@ -38,7 +38,7 @@ def impedance_section(found: ImpedanceAssessment) -> Section:
             f"{quantity(law.damping, 'N/(m/s)')}. Acceleration and current pass the "
             f"same low-pass of {frequency(law.filter) if np.isfinite(law.filter) else 'no limit'}."
         ),
-        _verdict(found, document),
+        _verdict(found),
         Picture(
             impedance_law_diagram(),
             "(a) The law sees motion and motor current, no force. (b) The impedance it aims at; in co-manipulation K "
@@ -58,11 +58,20 @@ def impedance_section(found: ImpedanceAssessment) -> Section:
     return Section("Impedance law", *blocks)
 
 
-def _verdict(found: ImpedanceAssessment, document: Mapping[str, Any]) -> Callout:
+def refusal(found: ImpedanceAssessment) -> str:
+    """Why the law is not to be run, as a statement on it; empty where no simulated plant swings."""
+    words = {"unstable": "is unstable", "limit_cycle": "ends in a limit cycle"}.get(found.verdict)
+    return f"the impedance law {words}: {found.reason.partition(': ')[2]}" if words else ""
+
+
+def _verdict(found: ImpedanceAssessment) -> Callout:
+    from emps_design.comanipulation.study import CALM
+
     if not found.stable:
-        return Callout("stop", "the impedance law is unstable.", found.reason)
-    words = document["sampled"]["verdict"].replace("_", " ")
-    return Callout("good", f"The sampled law is stable; with exact estimates the released carriage is {words}.")
+        title, _, body = refusal(found).partition(": ")
+        return Callout("stop", f"{title}.", body)
+    tried = "" if found.study is not None else " Errors of the estimates were not tried."
+    return Callout("good" if found.verdict in CALM else "warning", sentence_of(found.headline) + tried)
 
 
 def _felt_table(document: Mapping[str, Any]) -> Table:

@@ -27,6 +27,7 @@ from emps_design.laws.library.impedance import (
 )
 
 DERIVED, PRINTED = 1.0, 2.0  # factor in front of (Mh/M_a - 1) G_tau_i I_m in (30)
+SINGULAR = 1e-9  # 1 + kappa (Mh/M_a - 1), below which the law has no solution with an ideal current loop
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,13 @@ class ImpedanceLaw:
         """Gain of the law's recursion in its own current, kappa (Mh/M_a - 1); 0 with a force sensor."""
         return 0.0 if self.force_sensor else self.current_factor * (self.ratio - 1.0)
 
+    def at_singularity(self, current_factor: float) -> bool:
+        """Whether (30) with that ``current_factor`` has no solution: the law's current cancels itself.
+
+        As printed that is so at M_a = 2 Mh; as derived never.
+        """
+        return not self.force_sensor and bool(np.any(np.abs(1.0 + current_factor * (self.ratio - 1.0)) < SINGULAR))
+
     def with_errors(self, errors: dict[str, Any]) -> ImpedanceLaw:
         """Return the law with estimates ``(1 + error)`` times its own; errors (m,) make it m laws."""
         return replace(self, estimate=self.estimate.with_errors(errors))
@@ -146,7 +154,7 @@ class ImpedanceLaw:
                 plant.mass / r, (viscous - viscous_hat) / r + self.damping, (coulomb - coulomb_hat) / r
             )
         d = 1.0 + self.recursion_gain
-        if np.any(np.equal(d, 0.0)):
+        if self.at_singularity(self.current_factor):
             raise InputError("mass M_a: 1 + kappa (Mh/M_a - 1) = 0, the law has no solution with an ideal current loop")
         if self.current_factor == DERIVED:  # D = r, written so that equal numbers cancel exactly
             return ApparentImpedance(

@@ -268,6 +268,56 @@ def test_active_bands_are_where_the_real_part_is_negative(axis, plant, clock):
     assert found.to_dict()["continuous"]["active_bands"] == [[low, high]]
 
 
+def real_admittance(law, plant, lag, omega):
+    """Re of velocity over external force at ``omega`` in 50 digits, from the equations of the law."""
+    import mpmath
+
+    with mpmath.workdps(50):
+        s, r = mpmath.mpc(0, mpmath.mpf(omega)), mpmath.mpf(law.estimate.mass) / mpmath.mpf(law.mass)
+        low_a, low_t = (1 / (1 + s / mpmath.mpf(w)) if math.isfinite(w) else mpmath.mpf(1) for w in law.filters)
+        f_hat, damping = mpmath.mpf(law.estimate.viscous[0]), mpmath.mpf(law.damping)
+        motion = (r - 1) * (mpmath.mpf(law.estimate.mass) * s * low_a + f_hat) + f_hat - r * damping
+        motor = motion / (1 + mpmath.mpf(lag) * s + law.current_factor * (r - 1) * low_t)
+        return mpmath.re(1 / (mpmath.mpf(plant.mass) * s + mpmath.mpf(plant.viscous[0]) - motor))
+
+
+def test_the_active_band_of_a_lagged_current_loop_ends(axis, plant, clock):
+    """It was said to be unbounded: the coefficient that ends it is 1e-15 of the largest, in rad/s."""
+    law = impedance_law(axis, 50.0, 100.0)
+    ((low, high),) = passivity(law, plant, clock).continuous_bands
+    assert (round(low, 1), round(high)) == (37.4, 28399)
+    for edge, side in ((low, 1), (high, -1)):
+        before, after = (real_admittance(law, plant, 5e-4, edge * (1.0 + sign * 1e-12)) for sign in (-1, 1))
+        assert side * before > 0 > side * after
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+def test_active_bands_of_unlike_axes_in_fifty_digits(seed):
+    """Edges to 1e-9, and nothing between them missed: masses over six powers of ten, with lag and filter or without."""
+    random = np.random.default_rng(seed)
+    for _ in range(30):
+        mass, period = 10.0 ** random.uniform(-2, 4), 10.0 ** random.uniform(-4.3, -2)
+        viscous = random.choice([0.0, 1.0]) * mass * 10.0 ** random.uniform(-1, 2)
+        plant = FrictionModel(mass, viscous, viscous, 0.1 * mass, 0.1 * mass)
+        law = ImpedanceLaw(
+            mass * 10.0 ** random.uniform(-1, 0.5),
+            mass * 10.0 ** random.uniform(-1.5, 1.5),
+            plant,
+            filter=random.choice([0.5 / period, math.inf]),
+            current_filter=random.choice([None, 0.3 / period]),
+            current_factor=random.choice([1.0, 2.0]),
+        ).with_errors({"mass": random.choice([0.0, 0.02])})
+        lag = random.choice([0.0, 1.0]) * period * 10.0 ** random.uniform(-1.5, 0.5)
+        bands = passivity(law, plant, Clock(period, lag), points=50).continuous_bands
+        edges = [edge for band in bands for edge in band if 0.0 < edge < math.inf]
+        for edge in edges:
+            before, after = (real_admittance(law, plant, lag, edge * (1.0 + sign * 1e-9)) for sign in (-1, 1))
+            assert before * after < 0
+        for omega in np.geomspace(1e-3, 1e8, 40):
+            inside = any(low < omega < high for low, high in bands)
+            assert (real_admittance(law, plant, lag, omega) < 0) == inside
+
+
 def test_plant_alone_is_passive(axis, plant, clock):
     # M_a = M and B = F_v: the law compensates Coulomb friction and does nothing else.
     law = ImpedanceLaw(plant.mass, plant.viscous_positive, plant, filter=500.0)

@@ -420,9 +420,11 @@ def test_measures_are_those_of_the_samples(axis):
     assert effort["tracking_error"] == pytest.approx(np.sqrt(np.mean((task.wish - found.q)[held] ** 2)))
     assert effort["work"] == pytest.approx(np.sum((found.tau_e[:-1] * np.diff(found.q))[held]))
     moving = found.v[:-1] * found.v[1:] > 0.0
-    moving[task.release :] = False
-    columns = np.column_stack([np.diff(found.v), np.diff(found.q)])[moving] / 1e-3
-    fitted = np.linalg.lstsq(columns, found.tau_e[:-1][moving])[0]
+    n, t = task.release, task.time[: task.release]
+    signals = np.stack([np.diff(found.v)[:n] / 1e-3, np.diff(found.q)[:n] / 1e-3, found.tau_e[:n]]) * moving[:n]
+    a, v, f = signals @ np.exp(-2j * np.pi * np.outer(t, [0.4, 1.0]))
+    columns = np.column_stack([a, v])
+    fitted = np.linalg.lstsq(np.vstack([columns.real, columns.imag]), np.concatenate([f.real, f.imag]))[0]
     np.testing.assert_allclose([x[0] for x in measures.fit[:2]], fitted, rtol=1e-9)
     last = found.v[task.end + 1 :]
     assert (measures.end_min_v[0], measures.end_max_v[0]) == pytest.approx((last.min(), last.max()), abs=1e-5)
