@@ -71,6 +71,11 @@ class Block:
         return self.kind is OBSERVER
 
     @property
+    def waits(self) -> int | None:
+        """Place in the memory of what waits while the limit acts on the sum of law and feed-forward; None: nothing."""
+        return None if self.ahead is None else self.law.integral
+
+    @property
     def limit(self) -> float:
         """The largest output [command units, or N]."""
         return NO_LIMIT if self.observes else float(self.axis.drive.command_limit)
@@ -90,9 +95,8 @@ class Block:
         """
         if self.law.error_alone:
             reference, q = np.zeros(q.size), q - reference
-        u, states = self._answers(start, reference, q, f_ext)
-        if self.ahead is not None:
-            u = u + self.ahead.command(*motion)
+        added = np.zeros(q.size) if self.ahead is None else self.ahead.command(*motion)
+        u, states = self._answers(start, reference, q, f_ext, added)
         return np.clip(u, -self.limit, self.limit), states
 
     def rounded_kernel(self, now: Roundings) -> Any:
@@ -102,8 +106,10 @@ class Block:
             return kernel
         return with_effects(kernel, {f"added_{hook}": one for hook, one in rounded_sums(self.parts, now).items()})
 
-    def _answers(self, start: np.ndarray, reference: np.ndarray, q: np.ndarray, f_ext: np.ndarray) -> Any:
-        """What the law answers (n,), before the drive's limit, and its memory (n, memory)."""
+    def _answers(
+        self, start: np.ndarray, reference: np.ndarray, q: np.ndarray, f_ext: np.ndarray, added: np.ndarray
+    ) -> Any:
+        """What the law answers with what is ``added`` (n,), before the drive's limit, and its memory (n, memory)."""
         kernel, gains, memory = self._python() if self.observes else self._compiled()
         u, states, k, limit = np.empty(q.size), np.empty((q.size, self.law.memory)), 0, self.limit
         signals = zip(start.tolist(), reference.tolist(), q.tolist(), f_ext.tolist(), strict=True)
@@ -112,7 +118,10 @@ class Block:
                 k = 0
                 for j in range(self.law.memory):
                     memory[j] = 0.0
-            u[i] = kernel(k, *given, limit, gains, memory)
+            integral = None if self.waits is None else memory[self.waits]
+            u[i] = kernel(k, *given, limit, gains, memory) + added[i]
+            if integral is not None and abs(u[i]) > limit:
+                memory[self.waits] = integral
             states[i] = memory[: self.law.memory]
             k += 1
         return u, states

@@ -38,6 +38,7 @@ BESIDE = (
     "(q_ref[k], v_ref[k]: 0; q[k]: position less reference; u[k]: before feed-forward and limit)",
     "command[k] = u[k] + feedforward(ahead_q[k], ahead_v[k], ahead_a[k]), within the limit",
 )
+WAITS = "; while that acts, i[k] = i[k-1]"
 CHARACTERS = 120  # of a line of a comment
 
 
@@ -70,7 +71,9 @@ def words_of(name: str, block: Block) -> dict[str, Any]:
     axis, law = block.axis, block.law
     own, fields = block.parameters, block.kind.table.model_fields
     said = block.kind.equations(block.kind.table(**own), axis, axis.sampling.period)
-    said = (*said, *(BESIDE if law.error_alone else ()))
+    if law.error_alone:
+        first, last = BESIDE
+        said = (*said, first, last + (WAITS if block.waits is not None else ""))
     unit = axis.units.unit
     parameters = [
         f"{'.'.join(path)} = {value} {unit(unit_of(field))}".rstrip()
@@ -94,6 +97,7 @@ def words_of(name: str, block: Block) -> dict[str, Any]:
         "memories": law.memory,
         "inputs": 6 if block.ahead is not None else 3,
         "ahead": None,
+        "waits": block.waits,
         "feedforward": None if block.ahead is None else said_of(block.ahead),
         "velocity_unit": unit("m/s"),
         "acceleration_unit": unit("m/s^2"),

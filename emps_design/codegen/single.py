@@ -40,5 +40,9 @@ class SinglePrecision:
     def _answer(self, given: Sequence[Rounded], added: Rounded) -> list[Any]:
         """The command and the memory after it."""
         memory = list(self.memory)
-        u = self.kernel(self.k, *given, self.limit, self.gains, memory)
-        return [largest(smallest(u + added, self.limit), -self.limit), *memory]
+        waits = self.block.waits
+        integral = None if waits is None else memory[waits]
+        u = self.kernel(self.k, *given, self.limit, self.gains, memory) + added
+        if waits is not None and (u > self.limit or u < -self.limit):
+            memory[waits] = integral
+        return [largest(smallest(u, self.limit), -self.limit), *memory]

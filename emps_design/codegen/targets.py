@@ -119,6 +119,7 @@ def in_json(name: str, block: Block, vectors: Vectors) -> Files:
             {"value": float(gain), "name": said} for gain, said in zip(block.law.gains, gain_names(block), strict=True)
         ],
         "memory": block.law.memory,
+        "integral_that_waits": block.waits,
         "operations": operations_of(block),
         "drives": drive_settings(block.axis, {} if block.observes else gains_of(block.axis)),
         "feedforward": None if block.ahead is None else _as_numbers(block.ahead),

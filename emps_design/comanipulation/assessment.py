@@ -166,7 +166,7 @@ class ImpedanceAssessment:
 
         Beside a law that swings one may by chance come to rest: without a mismatch estimates are off a little too.
         """
-        size, task = self.mismatch or LITTLE, fitted_task(self.axis, law)
+        size, task = self.mismatch or LITTLE, fitted_task(self.axis, law, self.mismatch or 0.0)
         split = self.plant.two_quadrant or (self.study is not None and self.study.split)
         corners = box_of(corner_errors(size, split))
         drawn = np.random.default_rng(0).uniform(

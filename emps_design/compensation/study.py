@@ -65,6 +65,7 @@ class Compensation:
     mismatch: float
     phase_deg: float
     limited: float
+    overshoot: tuple[float, float]
     unit: str
     feedback: tuple[dict[str, Any], ...] = ()
     warnings: tuple[str, ...] = ()
@@ -100,7 +101,9 @@ class Compensation:
                 "not_varied": "periods and lengths, whose error is that of the phase, and exponents",
             },
             "limited_share": self.limited,
+            "overshoot": dict(zip(("without", "with"), self.overshoot, strict=True)),
             "units": {
+                "overshoot": self.unit,
                 "tracking_rms": self.unit,
                 "alone": self.unit,
                 "lead": "s",
@@ -129,17 +132,18 @@ class Trial:
         return Plant.of(self.axis)
 
     @cached_property
-    def _law(self) -> Law:
+    def law(self) -> Law:
+        """The law of the axis."""
         return law_of(self.axis, self.axis.sampling.period)
 
     @cached_property
     def _follows_velocity(self) -> bool:
-        if self._law.follows == "rest position":
+        if self.law.follows == "rest position":
             raise InputError(
                 f"controller.kind: found {self.axis.controller.kind!r}, which follows no reference; expected a law "
                 "that follows a position or a velocity"
             )
-        return self._law.follows == "velocity"
+        return self.law.follows == "velocity"
 
     @property
     def unit(self) -> str:
@@ -151,12 +155,24 @@ class Trial:
 
         None for ``ahead``: the law alone, as it is. Raises :class:`SimulationError` where the loop is unstable.
         """
-        velocity = self._follows_velocity
-        law = self._law if ahead is None else self._law.on_error()
+        law = self.law if ahead is None else self.law.on_error()
         run = self._plant.closed_loop(self.q_ref, voltage_noise=ahead, law=law)
-        wanted = np.gradient(self.q_ref, self.axis.sampling.period) if velocity else self.q_ref
         limited = float(np.mean(np.abs(run.u) >= self.axis.drive.command_limit))
-        return wanted - (run.v if velocity else run.position), limited
+        return self.wanted - (run.v if self._follows_velocity else run.position), limited
+
+    @property
+    def wanted(self) -> np.ndarray:
+        """What the law is to follow (n,) [m or m/s]."""
+        return np.gradient(self.q_ref, self.axis.sampling.period) if self._follows_velocity else self.q_ref
+
+    def overshoot(self, ahead: np.ndarray | None) -> float:
+        """How far beyond all that is wanted the axis goes, in the unit of the tracking error; infinite if unstable."""
+        wanted = self.wanted
+        try:
+            came = wanted - self.error(ahead)[0]
+        except SimulationError:
+            return math.inf
+        return float(max(came.max() - wanted.max(), wanted.min() - came.min(), 0.0))
 
     def run(self, ahead: np.ndarray | None) -> tuple[float, float]:
         """Rms of :meth:`error`, infinite where the loop is unstable, and the share of samples at the limit."""
@@ -238,15 +254,27 @@ def compensate(
             "anti_windup none: beside a feed-forward the integral has all of an error that the limit leaves, and may "
             "keep the axis swinging; take hold"
         )
+    overshoot = trial.overshoot(None), trial.overshoot(trial.ahead(ahead))
     if limited > 0.0:
-        warnings.append(f"the command is at its limit {100 * limited:.2g} % of the time")
+        warnings.append(f"the command is at its limit {100 * limited:.2g} % of the time{_farther(*overshoot, trial)}")
     tried = tuple(
         Term(name, name in kept, alone[name], *trials[name], notes.get(name, _home(axis, name))) for name in possible
     )
     return Compensation(
         axis, ahead, q_ref, without, baseline, achieved, worst, tried, left, mismatch, phase_deg, limited,
-        trial.unit, tuple(feedback_cures(axis)), tuple(warnings),
+        overshoot, trial.unit, tuple(feedback_cures(axis)), tuple(warnings),
     )  # fmt: skip
+
+
+def _farther(without: float, achieved: float, trial: Trial) -> str:
+    """In words that the feed-forward takes the axis farther beyond its reference than the law alone does."""
+    if not achieved > max(1.05 * without, 1e-3 * float(np.ptp(trial.wanted))):
+        return ""
+    unit = "mm/s" if trial.law.follows == "velocity" else "mm"
+    return (
+        f", and the axis goes up to {1e3 * achieved:.3g} {unit} beyond the reference, {1e3 * without:.3g} {unit} "
+        "without feed-forward, which lags behind instead: the limit does not let it follow; ask for less acceleration"
+    )
 
 
 def _selected(

@@ -76,7 +76,8 @@ class Law:
 
     ``gains`` (g,), or (n, g) where a record gives them sample by sample. After ``cycle`` samples the law does the same
     again: 1, but for loops of different rates. For :mod:`.linear` the gains may be a list that holds arrays (m,), of m
-    laws, or symbols. With ``error_alone`` it is not told where it is but how far from the reference.
+    laws, or symbols. With ``error_alone`` it is not told where it is but how far from the reference; what it then
+    keeps at ``integral`` of its memory waits while the limit acts on its sum with a feed-forward (None: nothing does).
     """
 
     kernel: Callable[..., float]
@@ -86,6 +87,7 @@ class Law:
     state_feedback: bool = False
     cycle: int = 1
     error_alone: bool = False
+    integral: int | None = None
 
     def on_error(self) -> Law:
         """The law that is given the position error alone, ``q`` - reference [m], and a reference of 0.
@@ -137,6 +139,8 @@ class LawKind:
     more, with 1/period and whether v is the two-tap estimate behind them: fused runs compute it in its place.
     ``gain`` is the parameter (dotted where it is in a table of its own) that scales all the law answers to the motion.
     ``apparent`` says that the law gives the carriage the apparent ``mass`` and ``damping`` of its table.
+    ``integral`` is the place in the memory of an integral that does not run while the limit acts, or a function of the
+    table that gives it, None for none: beside a feed-forward the kernel does not see when that is.
     ``propose(reference, q, u, p, period)`` gives parameters by name with which the law makes a recorded voltage ``u``
     best (nan: not to be fitted), or None.
 
@@ -157,6 +161,7 @@ class LawKind:
     state_feedback: bool = False
     gain: str = ""
     apparent: bool = False
+    integral: int | Callable[[Any], int | None] | None = None
     propose: Callable[..., dict[str, float] | None] | None = None
 
     def __post_init__(self) -> None:
@@ -180,6 +185,7 @@ class LawKind:
             self.follows(p) if callable(self.follows) else self.follows,
             self.state_feedback,
             self.cycle(p) if callable(self.cycle) else self.cycle,
+            integral=self.integral(p) if callable(self.integral) else self.integral,
         )
 
 

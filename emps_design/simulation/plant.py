@@ -352,6 +352,8 @@ class Plant:
         if law is not None:
             place, gains, memory = address(law.kernel, "law"), np.atleast_2d(law.gains), np.zeros(law.memory)
             ready.settings[motion.ERROR_ALONE] = law.error_alone
+            if law.error_alone and law.integral is not None:
+                ready.settings[motion.WAITS] = law.integral + 1
             if len(gains) not in (1, n):
                 raise InputError(f"law: found gains for {len(gains)} samples, expected {n}: those of its own record")
         plant = (ready.baseline, ready.hooks, ready.starts, ready.parameters, ready.settings)

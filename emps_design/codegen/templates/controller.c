@@ -57,7 +57,8 @@ static real {{ name }}_feedforward(real q, real v, real a)
 
 real {{ name }}_step({{ name }}_state *state, real reference, real q, real f_ext{% if ahead %}, real ahead_q, real ahead_v, real ahead_a{% endif %})
 {
-{% if ahead %}    /* The law is given the error alone. */
+{% if ahead %}{% if waits is not none %}    real integral = state->memory[{{ waits }}];
+{% endif %}    /* The law is given the error alone. */
     real u = {{ kernel }}(state->k, R(0.0), q - reference, f_ext, state->memory);
 
     u = u + {{ name }}_feedforward(ahead_q, ahead_v, ahead_a);
@@ -66,8 +67,10 @@ real {{ name }}_step({{ name }}_state *state, real reference, real q, real f_ext
 {% endif %}    state->k++;
     if (u > LIMIT) {
         u = LIMIT;
-    } else if (u < -LIMIT) {
+{% if waits is not none %}        state->memory[{{ waits }}] = integral;
+{% endif %}    } else if (u < -LIMIT) {
         u = -LIMIT;
-    }
+{% if waits is not none %}        state->memory[{{ waits }}] = integral;
+{% endif %}    }
     return u;
 }

@@ -266,4 +266,5 @@ LAW = LawKind(
     cycle=lambda p: 1 if p.position is None else p.position.every,
     loops=loops,
     gain="velocity.kp",
+    integral=lambda p: INTEGRATOR if p.velocity.ti and p.anti_windup == "hold" else None,
 )

@@ -71,4 +71,5 @@ LAW = LawKind(
     equations=equations,
     follows="velocity",
     gain="k_v1",
+    integral=2,
 )

@@ -53,6 +53,7 @@ from emps_design.simulation.kernels.motion import (
     SLIDES,
     TOUCH,
     TOUCH_MASS,
+    WAITS,
     balance,
     derivative,
     encoded,
@@ -190,6 +191,9 @@ def run(
             told, wanted = seen, reference[k]
             if error_alone:
                 told, wanted = seen - wanted, 0.0
+            waiting, integral = int(settings[WAITS]), 0.0
+            if waiting > 0:
+                integral = memory_[waiting - 1]
             volts = call_law(law, k, wanted, told, felt, limit, shifted(gains_, k * stride), memory_)
         else:
             volts = reference[k]
@@ -199,6 +203,9 @@ def run(
             volts += noise[k]
         if not abs(volts) < np.inf:
             return DIVERGED, k, 0.0
+        if law != 0:
+            if waiting > 0 and abs(volts) > limit:  # of law and feed-forward together
+                memory_[waiting - 1] = integral
         if abs(volts) >= limit:
             volts = limit if volts > 0.0 else -limit
             if law != 0:

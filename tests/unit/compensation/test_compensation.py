@@ -151,6 +151,41 @@ def test_feedback_is_left_on_a_motion_that_saturates_the_law():
     assert 0.0 < np.abs(law.on_error().commands(PROGRAM, off, limit)).max() < 0.5 * limit
 
 
+FAST = {"kind": "cascade", "position": {"kp": 30.0}, "velocity": {"kp": 100.0, "ti": 0.005}}
+
+
+def ramps(acceleration, speed, stroke):
+    """Rest, a trapezoid of velocity, rest."""
+    t = np.arange(int((stroke / speed + speed / acceleration) / 1e-3)) * 1e-3
+    v = np.clip(np.minimum(acceleration * t, acceleration * (t[-1] - t)), 0.0, speed)
+    q = np.cumsum(v) * 1e-3
+    return np.concatenate([np.zeros(100), q, np.full(600, q[-1])])
+
+
+@pytest.mark.parametrize(("wind", "largest"), [("hold", 1.5e-3), ("none", np.inf)])
+def test_the_integral_waits_while_the_limit_acts_on_law_and_feed_forward(wind, largest):
+    """The motion asks for twice what the limit gives: 4.5 mm too far while the law saw its own share alone."""
+    axis = machine("emps2018").replace(controller={**FAST, "anti_windup": wind})
+    q_ref = ramps(5.0, 0.3, 0.15)
+    trial, ahead = Trial(axis, q_ref), FeedForward.of(axis, tuple(BASELINE)).along(q_ref)
+    error, limited = trial.error(ahead)
+    assert limited > 0.2
+    assert trial.overshoot(ahead) == pytest.approx(-error.min(), abs=1e-9)
+    assert trial.overshoot(ahead) < largest
+    assert (trial.overshoot(ahead) > 3e-3) == (wind == "none")
+
+
+def test_a_limit_that_does_not_let_the_axis_follow_is_said_with_how_far_it_goes():
+    """Less lag than without feed-forward, and so more speed where it has to brake: no anti-windup changes that."""
+    table = {"kind": "cascade", "position": {"kp": 20.0}, "velocity": {"kp": 300.0, "ti": 0.01}}
+    axis = machine("emps2018").replace(controller=table)
+    found = compensate(axis, ramps(5.0, 0.3, 0.15), mismatch=0.0)
+    document = found.to_dict()
+    assert document["overshoot"]["without"] < 1e-5 < 2e-3 < document["overshoot"]["with"] < 3e-3
+    assert document["tracking_rms"]["with"] < 0.5 * document["tracking_rms"]["without"]
+    assert any("2.42 mm beyond the reference" in text and "less acceleration" in text for text in found.warnings)
+
+
 def test_no_feed_forward_is_an_answer():
     """Where the numbers are so wrong that every term does harm, the law stays as it is, in the code too."""
     axis = machine("emps2018").replace(controller={"kind": "cascade", **GAINS["cascade"]})

@@ -118,7 +118,7 @@ def test_a_light_carriage_is_felt_in_three_digits(capsys, axis, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((), "B = 100 N/(m/s), filter 500 rad/s sampled loop"),
+        ((), "B = 100 N/(m/s), filter 500 rad/s exact estimates"),
         (("--force-sensor",), "with a force sensor, (28)"),
         *quick(
             [

@@ -61,9 +61,9 @@ def test_a_law_without_a_mismatch_is_refused_where_it_swings(belt, capsys):
 
 def test_creep_is_in_the_headline_with_how_many_and_exits_0(capsys):
     assert run(["impedance", "emps2018-two-quadrant", "--mass", "50", "--damping", "100", "--mismatch", "0.02"]) == 0
-    first = " ".join(capsys.readouterr().out.split()[:22])
-    assert first.startswith("CREEPING: the released carriage creeps on in 176 of 232 plants simulated within +-2 %, at")
-    assert first.endswith("at up to 3.84 mm/s")
+    first = " ".join(capsys.readouterr().out.split())
+    said = "CREEPING: the released carriage creeps on in 176 of 232 plants simulated within +-2 %, at up to 3.84 mm/s"
+    assert first.startswith(said)
 
 
 @pytest.mark.parametrize(("resolution", "ended"), [(5e-8, False), (2e-5, True)])
