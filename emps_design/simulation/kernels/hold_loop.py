@@ -203,12 +203,12 @@ def run(
             volts += noise[k]
         if not abs(volts) < np.inf:
             return DIVERGED, k, 0.0
-        if law != 0:
-            if waiting > 0 and abs(volts) > limit:  # of law and feed-forward together
-                memory_[waiting - 1] = integral
         if abs(volts) >= limit:
+            beyond = abs(volts) > limit
             volts = limit if volts > 0.0 else -limit
             if law != 0:
+                if waiting > 0 and beyond:  # the limit acts on law and feed-forward together
+                    memory_[waiting - 1] = integral
                 swings = swing(volts, k, period, swings)
                 if swings[1] >= SWINGS:
                     return RUNAWAY, k, 0.0
