@@ -13,6 +13,7 @@ import pytest
 from emps_design.cli import app
 from emps_design.machines import machine
 from emps_design.simulation.synthetic import synthetic_record
+from tests.studies import quick
 
 WRITES = {
     "gains": "gains {axis} --crossover 100 --out {out}",
@@ -171,7 +172,7 @@ sys.exit(app.run(sys.argv[1:]))
 """
 
 
-@pytest.mark.parametrize("name", ["gains", "simulate", "observe"])
+@pytest.mark.parametrize("name", quick(["gains", "simulate", "observe"], 1, "the disk fills again and again"))
 def test_a_full_disk_changes_nothing(folder, name):
     """A limit on the size of files stands for the disk: the same refusal in the middle of writing."""
     out = folder / NAMES.get(name, "out.toml")

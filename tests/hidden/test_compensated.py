@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from benchmarks.compensation import MACHINES, machine
+from tests.studies import quick
 
 SEED = 11  # not that of the benchmark
 
 
-@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize("name", quick(MACHINES, 3, "more machines"))
 def test_a_hidden_effect_fed_forward_lowers_the_error_with_wrong_numbers_too(name):
     """Below no feed-forward and below the rigid one; 2 % and 10 degrees wrong still, and at rest it stays at rest."""
     row = machine(name, SEED, found=False)

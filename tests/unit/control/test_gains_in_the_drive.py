@@ -9,6 +9,7 @@ from benchmarks import gains
 SERVO = Path(__file__).resolve().parents[3].parent / "shared" / "data" / "servo"
 
 
+@pytest.mark.study("random axes")
 def test_random_axes_against_brute_force():
     found = gains.summary(gains.random_loops(6, seed=77))
     assert found["margins"] >= 18

@@ -328,6 +328,7 @@ def test_nothing_is_fitted_on_where_less_than_the_noise_is_left():
 HEIGHTS = {f"height_{i}": h for i, h in enumerate((4.0, -3.0, 6.0, 0.0, 5.0, -4.0), start=1)}
 
 
+@pytest.mark.study("a search over curves")
 @pytest.mark.parametrize(
     "hidden",
     quick(

@@ -54,7 +54,9 @@ def model(**effects):
 SPRING = {"stiffness": 60.0, "rest_position": 0.05}
 
 
-@pytest.mark.parametrize(("there", "share", "refuted"), [(60.0, 1.0, False), (30.0, 0.5, True), (120.0, 2.0, True)])
+@pytest.mark.parametrize(
+    ("there", "share", "refuted"), quick([(30.0, 0.5, True), (60.0, 1.0, False), (120.0, 2.0, True)], 1, "other shares")
+)
 def test_a_record_asks_for_the_share_that_is_there(there, share, refuted):
     (asked,) = asked_for(Hypothesis(problem(there), model(elastic_force=SPRING)))
     assert asked.exercised
@@ -100,6 +102,7 @@ def test_what_stands_is_known_as_well_whatever_the_numbers_of_the_model_that_it_
     assert stands.model.values[0][0, 0] == pytest.approx(150.0, rel=0.01)
 
 
+@pytest.mark.study("two diagnoses")
 @pytest.mark.parametrize(("largest", "stands"), quick([(140.0, False), (1e9, True)], 1, "where it stands"))
 def test_what_ends_on_a_bound_when_it_is_fitted_anew_does_not_stand(largest, stands):
     spring = get_effect("elastic_force")

@@ -157,7 +157,7 @@ def test_what_the_data_do_not_reach_is_said():
     assert any("beyond the data, on their mass line" in warning for warning in words)
 
 
-@pytest.mark.parametrize(("every", "kp"), [(2, 900.0), (4, 200.0), (7, 400.0)])
+@pytest.mark.parametrize(("every", "kp"), quick([(2, 900.0), (4, 200.0), (7, 400.0)], 1, "slower rates"))
 @pytest.mark.parametrize("base", [machine("emps2019"), two_mass()], ids=["rigid", "two masses"])
 def test_loops_of_several_rates_have_the_margins_of_the_periodic_loop(base, every, kp):
     law = {**CASCADE, "velocity": {"kp": kp, "ti": 0.05}, "position": {"kp": 30.0, "every": every}}

@@ -34,6 +34,7 @@ def recorded(axis, at=0.0, speed=0.0947, acceleration=1.031, laps=1):
     return Record.from_arrays(PERIOD, q_ref, run.q, run.u, name=f"at {at:g} m")
 
 
+@pytest.mark.study("every phase of the steps")
 @pytest.mark.parametrize(
     ("estimate", "axis", "motion"),
     [(identify, LIGHT, (0.1847, 3.07, 1)), (identify_by_output_error, COARSE, (0.0947, 1.031, 2))],

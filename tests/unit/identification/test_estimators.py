@@ -14,6 +14,7 @@ from emps_design.identification.several import identify_several
 from emps_design.identification.tested import identify_tested
 from emps_design.machines import machine
 from emps_design.records import Record
+from tests.studies import quick
 from tests.unit.identification.slow_noise_records import slow_noise, trajectory
 
 AXIS = machine("emps2019")
@@ -134,7 +135,9 @@ def test_the_curve_beside_the_cutoff_says_where_the_model_stops_explaining(recor
     assert np.mean(explained[frequency > 100.0]) < 0.1
 
 
-@pytest.mark.parametrize("estimate", [identify, identify_with_instruments, identify_by_output_error])
+@pytest.mark.parametrize(
+    "estimate", quick([identify, identify_by_output_error, identify_with_instruments], 1, "other estimators")
+)
 def test_rests_bias_nothing(reference_plant, truth, estimate):
     """Two thirds of the record stand still under a slow force: Coulomb friction was 3 % low by output error."""
     q_ref, values = trajectory(1, rest=2.5), []

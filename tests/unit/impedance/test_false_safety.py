@@ -132,6 +132,7 @@ def test_without_friction_the_poles_decide_at_the_wall():
     assert 0.7 * found.linear < found.simulated <= found.linear
 
 
+@pytest.mark.study("random plants")
 def test_no_plant_is_called_stable_where_the_poles_are_not():
     axis = STIFF.replace(drive={"current_time_constant": 5e-3}, sampling={"computation_delay": 2})
     found = assess_impedance(axis, 10.0, 200.0, 0.02, plants=20)

@@ -84,6 +84,7 @@ def test_a_page_has_the_sections_that_were_asked_for(sketched):
     assert not [text for text in report.warnings if "creep" in text or "passive" in text]
 
 
+@pytest.mark.study("whole reports")
 def test_the_axis_brings_its_own_sections(undrawn):
     axis = machine("emps2018")
     cascaded = axis.replace(controller={"kind": "ip_velocity", "k_v1": 556.0, "t_v": 8.4e-3, "k_e1": 2e-3})
@@ -101,6 +102,7 @@ def test_captions_name_no_colour_of_a_line(page):
     assert named == []
 
 
+@pytest.mark.study("a whole report")
 def test_an_unstable_impedance_law_is_announced_first(sketched):
     report = assemble_report("emps2018", crossover=100.0, mass=1.0, damping=1.0)
     html = report.page.html()

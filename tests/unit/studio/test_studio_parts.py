@@ -633,6 +633,7 @@ def test_the_law_goes_on_the_axis_that_was_identified(at_once, monkeypatch):
     assert view.model.controller.kp == 12.0
 
 
+@pytest.mark.study("a diagnosis")
 def test_the_model_that_follows_most_closely_is_designed_on_where_it_is_sought(at_once, monkeypatch):
     closest = machine("emps2019").replace(mechanics={"mass": 91.0})
     asked = []

@@ -112,6 +112,7 @@ def test_an_impedance_law_that_a_coupling_makes_unstable_is_unstable_in_the_desi
     assert "unstable" not in rigid
 
 
+@pytest.mark.study("a diagnosis")
 def test_a_gap_that_no_effect_explains_is_no_good_news(monkeypatch):
     sought = discrepancy.diagnose
     monkeypatch.setattr(

@@ -172,6 +172,7 @@ def test_deviations_hold_the_truth_as_often_as_they_say():
     assert all(181 <= count <= 199 for count in within.values()), within  # 191, four deviations of the count
 
 
+@pytest.mark.study("searches over structures")
 @pytest.mark.parametrize(
     "name", quick(["position_pd, backward, coarse encoder", "velocity reference"], 1, "another loop")
 )
@@ -298,6 +299,7 @@ def test_the_command_prints_the_table_and_never_reads_the_one_in_the_axis(tmp_pa
     assert "[controller]" in capsys.readouterr().out
 
 
+@pytest.mark.study("a search over structures")
 def test_no_structure_is_listed_twice():
     found = identify_law(record_of(Loop(kp=30.0, kv=300.0, noise=0.01, samples=1000)))
     terms = [row["terms"] for row in found.tried]
