@@ -10,7 +10,7 @@ of P. D. Welch (IEEE Trans. Audio Electroacoust. 15, 1967), with the instrument 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,10 +19,13 @@ from emps_design.frequency_response.signals import Signals
 
 NEAR = 10  # lines on either side
 ORDER = 2
+FINER = 4  # the order of the fit that shows what parabolas miss
 CLEAR = 10.0  # times the noise that the answers of command and position have to be, or their quotient is the noise's
 ROUGH = 0.05  # share of the instrument's power near a line that no parabola has, or it excites nothing there
 AT_ONCE = 2048  # lines fitted together
 FEWEST_BLOCKS = 4  # that averaged spectra are taken of
+FEWEST_ACTING = 1.5  # of them that have the power of a line
+LEAST_LEFT = 0.1  # share of a line's power in other blocks than one; with less, the average hides that one's error
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +33,8 @@ class Answer:
     """What instrument of amplitude 1 does at ``frequency`` (m,) [Hz]: ``z`` (m, 2), its ``noise`` (m, 2, 2) covariance.
 
     ``freedom`` is that of the covariance, ``weight`` (m,) what to average several of them by: the instrument's power,
-    or the inverse of what noise becomes in ``z``; 0 where the instrument excites nothing.
+    or the inverse of what noise becomes in ``z``; 0 where the instrument excites nothing. ``missed`` (m, 2) is what a
+    finer interpolation between the lines adds to ``z``, and ``missed_noise`` (m, 2, 2) the covariance of that.
     """
 
     frequency: np.ndarray
@@ -38,15 +42,29 @@ class Answer:
     noise: np.ndarray
     freedom: float
     weight: np.ndarray
+    missed: np.ndarray | None = None
+    missed_noise: np.ndarray | None = None
 
     @property
     def variance(self) -> np.ndarray:
         """Of the quotient of position and command, relative, to first order (m,)."""
-        z_q, z_u, C = self.z[:, 0], self.z[:, 1], self.noise
+        return self._of_quotient(self.noise)
+
+    @property
+    def interpolation(self) -> np.ndarray:
+        """The square (m,) of the relative error of the quotient by what the interpolation missed, less what noise makes of
+        it: below 0 where that happens to be more."""
+        if self.missed is None or self.missed_noise is None:
+            return np.zeros(self.frequency.size)
+        relative = self.missed / self.z
+        return np.abs(relative[:, 0] - relative[:, 1]) ** 2 - self._of_quotient(self.missed_noise)
+
+    def _of_quotient(self, covariance: np.ndarray) -> np.ndarray:
+        z_q, z_u = self.z[:, 0], self.z[:, 1]
         found = (
-            C[:, 0, 0].real / np.abs(z_q) ** 2
-            + C[:, 1, 1].real / np.abs(z_u) ** 2
-            - 2.0 * (C[:, 0, 1] / (z_q * z_u.conj())).real
+            covariance[:, 0, 0].real / np.abs(z_q) ** 2
+            + covariance[:, 1, 1].real / np.abs(z_u) ** 2
+            - 2.0 * (covariance[:, 0, 1] / (z_q * z_u.conj())).real
         )
         return np.maximum(found, 0.0)
 
@@ -71,26 +89,44 @@ def local_polynomial(signals: Signals, part: slice, lowest: float, highest: floa
     low, high = max(NEAR + 1, round(lowest / step)), min(r.size - NEAR - 2, int(highest / step))
     centres = np.arange(low, max(high, low) + 1, NEAR // 2)
     offsets = np.arange(-NEAR, NEAR + 1)
-    powers = (offsets[:, None] / NEAR) ** np.arange(ORDER + 1)
+    powers = (offsets[:, None] / NEAR) ** np.arange(FINER + 1)
+    coarse = powers[:, : ORDER + 1]
     z, noise = np.empty((centres.size, 2), complex), np.empty((centres.size, 2, 2), complex)
+    missed, missed_noise = np.empty_like(z), np.empty_like(noise)
     weight = np.empty(centres.size)
     freedom = offsets.size - 2 * (ORDER + 1)
-    away = np.eye(offsets.size) - powers @ np.linalg.pinv(powers)
+    away = np.eye(offsets.size) - coarse @ np.linalg.pinv(coarse)
     for first in range(0, centres.size, AT_ONCE):
         own = slice(first, first + AT_ONCE)
         at = centres[own, None] + offsets
-        K = np.concatenate([r[at][..., None] * powers, np.broadcast_to(powers, (*at.shape, ORDER + 1))], axis=-1)
-        scale = np.sqrt(np.sum(np.abs(K) ** 2, axis=1, keepdims=True))
-        fit = np.linalg.pinv(K / scale, rcond=1e-8)
-        theta = fit @ both[at]
-        left = both[at] - (K / scale) @ theta
-        z[own] = theta[:, 0] / scale[:, 0, 0, None]
-        grown = np.sum(np.abs(fit[:, 0]) ** 2, axis=-1) / scale[:, 0, 0] ** 2
+        theta, left, grown = _fitted(r[at], both[at], coarse)
+        z[own] = theta
         # An instrument that is as smooth as a transient there, such as the leakage of a sweep, cannot be told from one.
         rough = np.sum(np.abs(r[at] @ away) ** 2, axis=1) > ROUGH * np.sum(np.abs(r[at]) ** 2, axis=1)
         weight[own] = np.where(rough, 1.0 / grown, 0.0)
-        noise[own] = np.einsum("kli,klj->kij", left, left.conj()) / freedom * grown[:, None, None]
-    return Answer(centres * step, z, noise, freedom, weight)
+        of_lines = np.einsum("kli,klj->kij", left, left.conj()) / freedom
+        noise[own] = of_lines * grown[:, None, None]
+        finer, left, grown_finer = _fitted(r[at], both[at], powers)
+        missed[own] = finer - theta
+        # The difference to a fit that has more columns is uncorrelated with the fit itself.
+        of_lines = np.einsum("kli,klj->kij", left, left.conj()) / (offsets.size - 2 * (FINER + 1))
+        missed_noise[own] = of_lines * np.maximum(grown_finer - grown, 0.0)[:, None, None]
+    return Answer(centres * step, z, noise, freedom, weight, missed, missed_noise)
+
+
+def _fitted(r: np.ndarray, both: np.ndarray, powers: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The answers (k, 2) at the middle of lines (k, l) of ``both`` (k, l, 2) to ``r``, what is left, and by how much
+    the variance of noise grows in the answers (k,).
+
+    Plant and transient have the columns ``powers`` (l, p) both.
+    """
+    K = np.concatenate([r[..., None] * powers, np.broadcast_to(powers, (*r.shape, powers.shape[1]))], axis=-1)
+    scale = np.sqrt(np.sum(np.abs(K) ** 2, axis=1, keepdims=True))
+    fit = np.linalg.pinv(K / scale, rcond=1e-8)
+    theta = fit @ both
+    left = both - (K / scale) @ theta
+    grown = np.sum(np.abs(fit[:, 0]) ** 2, axis=-1) / scale[:, 0, 0] ** 2
+    return theta[:, 0] / scale[:, 0, 0, None], left, grown
 
 
 def welch(signals: Signals, samples: int, lowest: float, highest: float) -> Answer:
@@ -108,23 +144,42 @@ def welch(signals: Signals, samples: int, lowest: float, highest: float) -> Answ
             f"{signals.name}: found {count} blocks of {samples * signals.period:g} s, expected at least "
             f"{FEWEST_BLOCKS} for averaged spectra; record for longer, or take local-polynomial"
         )
-    cross, power, other = 0.0, 0.0, 0.0
-    for begin in begins:
-        part = slice(begin, begin + samples)
-        r, dq, u = (rfft(window * _detrended(values[part])) for values in (signals.r, signals.dq, signals.u))
-        both = np.stack([dq, u], axis=-1)
-        cross = cross + both * r.conj()[:, None]
-        power = power + np.abs(r) ** 2
-        other = other + both[:, :, None] * both.conj()[:, None, :]
     frequency = np.arange(samples // 2 + 1) / (samples * signals.period)
     kept = (frequency >= max(lowest, 2.0 / (samples * signals.period))) & (frequency <= highest)
-    power = np.maximum(np.asarray(power)[kept], np.finfo(float).tiny)
-    z = np.asarray(cross)[kept] / power[:, None]
+
+    def spectra(begin: int) -> tuple[np.ndarray, np.ndarray]:
+        part = slice(begin, begin + samples)
+        r, dq, u = (rfft(window * _detrended(values[part]))[kept] for values in (signals.r, signals.dq, signals.u))
+        return r, np.stack([dq, u], axis=-1)
+
+    tiny = np.finfo(float).tiny
+    lines = np.count_nonzero(kept)
+    cross, power, squares = np.zeros((lines, 2), complex), np.full(lines, tiny), np.zeros(lines)
+    for begin in begins:
+        r, both = spectra(begin)
+        cross += both * r.conj()[:, None]
+        power += np.abs(r) ** 2
+        squares += np.abs(r) ** 4
+    z = cross / power[:, None]
+    alike, weighed = np.zeros((2, power.size, 2, 2), complex)
+    for begin in begins:
+        r, both = spectra(begin)
+        left = both - z * r[:, None]
+        products = left[:, :, None] * left.conj()[:, None, :]
+        share = np.abs(r) ** 2 / power
+        alike += products
+        weighed += products * (share / np.maximum(1.0 - share, LEAST_LEFT) ** 2)[:, None, None]
     # Hann windows that overlap by half: 11/18 of the blocks are independent (Welch's formula, for many of them).
     freedom = 11.0 / 18.0 * count - 1.0
-    left = np.asarray(other)[kept] - z[:, :, None] * z.conj()[:, None, :] * power[:, None, None]
-    noise = left / power[:, None, None] / freedom
-    return Answer(frequency[kept], z, noise, freedom, power)
+    # What is left of the blocks is noise that all have, or, as the leakage of a sweep, an error of those that have the
+    # line's power (J. G. MacKinnon and H. White, J. Econometrics 29, 1985): the larger counts.
+    by_block = [noise / power[:, None, None] for noise in (alike / freedom, weighed * 18.0 / 11.0)]
+    answers = [Answer(frequency[kept], z, noise, freedom, power) for noise in by_block]
+    larger = answers[1].variance > answers[0].variance
+    noise = np.where(larger[:, None, None], by_block[1], by_block[0])
+    # One block alone, such as at the ends of a sweep, says nothing of what the window cut off.
+    several = power**2 >= FEWEST_ACTING * squares
+    return replace(answers[0], noise=noise, weight=np.where(several, power, 0.0))
 
 
 def _spectrum(values: np.ndarray, rfft: object) -> np.ndarray:

@@ -34,14 +34,20 @@ class Distortion:
     odd_lines: np.ndarray
     odd_power: np.ndarray
 
-    def odd_variance(self, frequency: np.ndarray) -> np.ndarray:
-        """Relative variance (n,) that odd distortion adds to a response; more averages do not lower it."""
+    def odd_variance(self, frequency: np.ndarray, power: np.ndarray) -> np.ndarray:
+        """Relative variance (n,) that odd distortion adds to a response; more averages do not lower it.
+
+        ``power`` (n,) of the motion: what moves less than the lines beside it is distorted the more.
+        """
         if self.odd is None or not self.odd > 0.0:
             return np.zeros(frequency.size)
+        from scipy.ndimage import median_filter
+
         half = 4
         near = np.clip(np.arange(self.odd_lines.size)[:, None] + np.arange(-half, half + 1), 0, self.odd_lines.size - 1)
         smooth = np.maximum(np.mean(self.odd_power[near], axis=1), 0.0)
-        return np.interp(frequency, self.odd_lines, smooth)
+        usual = median_filter(power, 2 * half + 1, mode="nearest")
+        return np.interp(frequency, self.odd_lines, smooth) * np.maximum(usual / power, 1.0)
 
     @property
     def words(self) -> list[str]:

@@ -33,6 +33,7 @@ from emps_design.frequency_response.hold import continuous_from_increments, with
 from emps_design.frequency_response.phase import has_wrong_sign
 from emps_design.frequency_response.resonances import Resonance, resonances
 from emps_design.frequency_response.response import BAND, FrequencyResponse
+from emps_design.frequency_response.scatter import excess_variance
 from emps_design.frequency_response.signals import Signals, motion, signals_of
 from emps_design.frequency_response.unrepeated import broadband_answer
 from emps_design.observer import given_back, motor_share
@@ -44,6 +45,7 @@ HIGHEST_SHARE = 0.8  # of the Nyquist frequency; above it the aliases are as lar
 WORST = 0.5  # relative deviation beyond which a line says nothing
 POOLED = 9  # neighbouring lines whose noise is averaged
 REPEATED = 1.5  # times what would by chance, the encoder's steps that repeat that are worth a word
+APART = {"periodic": 1, "local-polynomial": 4, "welch": 2}  # lines whose noise is not the same
 RESTING = 0.01  # share of the time from which on a rest is worth a word
 
 
@@ -220,10 +222,13 @@ def _finished(
         variance = _pooled(variance, np.abs(z_q / z_u))
         freedom *= min(POOLED, variance.size) * (1.0 if method == "periodic" else 0.5)
     variance = variance * max(1.0, extra.scatter) * _for_few(freedom)
+    power = answer.weight * _near(np.abs(z_q) ** 2, np.median)
     if extra.distortion is not None:
-        variance = variance + extra.distortion.odd_variance(answer.frequency)
+        variance = variance + extra.distortion.odd_variance(answer.frequency, power)
     coherence = 1.0 / (1.0 + variance * extra.averages)
     variance = variance + extra.bias
+    if method != "stepped":
+        variance = np.maximum(variance, excess_variance(answer.frequency, z_q / z_u, variance, power, APART[method]))
     response, aliases = without_aliases(w, plant(z_q / z_u), np.sqrt(variance), period)
     std = np.sqrt(variance + aliases**2)
     of_q, of_u = C[:, 0, 0].real, C[:, 1, 1].real

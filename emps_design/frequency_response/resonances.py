@@ -1,6 +1,6 @@
 """Resonances and antiresonances of a measured response, with their deviations.
 
-Around each peak of |j w G| that the deviations do not explain, a parabola in frequency over a straight line, with
+Around each peak of |j w G| that stands out of what is usual beside it by more than the deviations explain, a parabola in frequency over a straight line, with
 complex coefficients, is fitted to the response; around each dip, to its inverse. The root of the line is the pole, or
 the zero: its real part in frequency is the natural frequency, its imaginary part the damping. The fit is linear once
 the denominator of the last turn weighs the equations (C. K. Sanathanan and J. Koerner, IEEE Trans. Automatic Control 8,
@@ -21,8 +21,10 @@ TURNS = 12
 NARROWEST = 5  # lines on either side of the extreme
 WIDEST = 0.1  # share of its frequency on either side
 SYSTEMATIC = 1e-3  # relative, what the fit may differ from a response by
-CLEAR = 1.3  # ratio to both flanks that makes an extreme
+CLEAR = 1.3  # ratio to both flanks, as they usually are, that makes an extreme
+ROUGH = 0.05  # deviation from which on one line alone makes none
 FAR = 0.5  # share of the frequency within which the flanks are looked for
+UNLIKELY = 3.0  # deviations by which a damping may be below 0
 VAGUE = 0.02  # share of its frequency; a root that is less certain is none
 BROAD = 0.3  # damping ratio from which on there is no extreme to speak of
 
@@ -74,8 +76,9 @@ def _peaks(size: np.ndarray, frequency: np.ndarray, std: np.ndarray) -> list[int
         left, right = size[:at][far[:at]], size[at + 1 :][far[at + 1 :]]
         if left.size < 2 or right.size < 2:
             continue
-        clear = max(CLEAR, 1.0 + 6.0 * float(np.max(std[max(0, at - 2) : at + 3])))
-        if size[at] > clear * np.min(left) and size[at] > clear * np.min(right):
+        spread = float(np.max(std[max(0, at - 2) : at + 3]))
+        height = size[at] if spread < ROUGH else max(size[at - 1], size[at + 1])
+        if height > max(CLEAR, 1.0 + 6.0 * spread) * max(np.median(left), np.median(right)):
             found.append(at)
     return found
 
@@ -101,11 +104,13 @@ def _root(response: FrequencyResponse, at: int, kind: str) -> Resonance | None:
     root = -1.0 / theta[-1]
     if abs(root) > np.max(np.abs(x)):
         return None
-    rows = np.column_stack([powers, -(powers @ theta[:-1]) / below * x]) / (spread * below)[:, None]
+    fitted = powers @ theta[:-1] / below
+    rows = np.column_stack([powers, -fitted * x]) / (spread * below)[:, None]
     inverse = np.linalg.pinv(rows)[-1]
-    std = float(np.sqrt(0.5) * np.linalg.norm(inverse) * abs(root) ** 2)
+    misfit = float(np.sqrt(np.sum(np.abs((y - fitted) / spread) ** 2) / (x.size - theta.size)))
+    std = float(np.sqrt(0.5) * np.linalg.norm(inverse) * abs(root) ** 2) * max(1.0, misfit)
     place = 1.0 + root
-    damping = float(abs(place.imag) / place.real)
-    if std > VAGUE or damping > BROAD:
+    damping = float(place.imag / place.real)
+    if std > VAGUE or abs(damping) > BROAD or damping < -UNLIKELY * std:  # which would swing up by itself
         return None
-    return Resonance(kind, float(centre * place.real), centre * std, damping)
+    return Resonance(kind, float(centre * place.real), centre * std, abs(damping))

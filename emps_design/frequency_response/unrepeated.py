@@ -3,7 +3,9 @@
 In long blocks a resonance is resolved; in short ones a sweep stands out of the noise while it passes. So blocks of
 several lengths are tried, and the longest taken that keep, at most frequencies, most of what the best ones tell. What
 short blocks smooth over is no noise: it shows as the difference to blocks of half the length. Where that error goes
-with the square of the width, a third of the difference is left in the longer ones.
+with the square of the width, a third of the difference is left in the longer ones; of averaged spectra, which cut the
+answer to a sweep off at the end of each block, all of it counts. What a parabola between the lines misses shows as the
+difference to a polynomial of the fourth order.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ LONGER = 6  # times that blocks are doubled
 KEPT = 0.5  # share of the most information that the longest blocks have to keep
 MOST = 0.8  # share of the octaves in which they do
 ALIKE = 0.5  # share of the longest part, shorter than which a part is left out
-REST = 1.0 / 3.0  # of the difference to blocks of half the length
+REST = {"local-polynomial": 1.0 / 3.0, "welch": 1.0}  # of the difference to blocks of half the length
 NEAR = 9  # lines over which that is averaged
 FEWEST = 80  # samples of a block
 
@@ -55,7 +57,9 @@ def broadband_answer(
     tried = _tried(read, take, tell)
     at = _longest_that_keeps([answer for _, answer, _ in tried])
     samples, answer, count = tried[at]
-    bias = _rest(answer, tried[at - 1][1]) if at else np.zeros(answer.frequency.size)
+    bias = np.maximum(_smooth(answer.interpolation), 0.0)
+    if at:
+        bias = np.maximum(bias, REST[method] ** 2 * np.maximum(_apart(answer, tried[at - 1][1]), 0.0))
     ratio, _ = take([replace(one, r=one.u, kind=COMMAND) for one in read], samples)
     passes = len(read) if method == "welch" else count
     return answer, Extra(passes, count, count, _quotient_at(answer.frequency, ratio), bias=bias)
@@ -99,13 +103,18 @@ def _longest_that_keeps(tried: list[Answer]) -> int:
     return max(min(1, len(tried) - 1), *np.flatnonzero(keeps).tolist() or [int(np.argmax(enough @ octaves))])
 
 
-def _rest(answer: Answer, shorter: Answer) -> np.ndarray:
-    """The relative variance (m,) that the width of the lines adds, from blocks of half the length."""
+def _apart(answer: Answer, shorter: Answer) -> np.ndarray:
+    """The relative variance (m,) by which blocks of half the length differ, less what noise makes of it."""
+    apart = _quotient_at(answer.frequency, shorter) / _quotient_at(answer.frequency, answer) - 1.0
+    by_noise = answer.variance + np.interp(answer.frequency, shorter.frequency, shorter.variance)
+    return _smooth(np.abs(apart) ** 2 - by_noise)
+
+
+def _smooth(variance: np.ndarray) -> np.ndarray:
+    """The mean of ``variance`` (m,) over neighbouring lines."""
     from scipy.ndimage import uniform_filter1d
 
-    apart = _quotient_at(answer.frequency, shorter) / _quotient_at(answer.frequency, answer) - 1.0
-    more = np.abs(apart) ** 2 - answer.variance - np.interp(answer.frequency, shorter.frequency, shorter.variance)
-    return REST**2 * np.maximum(uniform_filter1d(more, NEAR, mode="nearest"), 0.0)
+    return np.asarray(uniform_filter1d(variance, NEAR, mode="nearest"))
 
 
 def _quotient_at(frequency: np.ndarray, answer: Answer) -> np.ndarray:
@@ -130,4 +139,16 @@ def _averaged(answers: list[Answer]) -> Answer:
     z = np.sum(share[..., None] * np.array([one.z[excited] for one in answers]), axis=0)
     noise = np.sum(share[..., None, None] ** 2 * np.array([one.noise[excited] for one in answers]), axis=0)
     freedom = sum(one.freedom for one in answers)
-    return Answer(answers[0].frequency[excited], z, noise, freedom, weights.sum(axis=0))
+    # What an interpolation misses it misses in every block alike: amplitudes are averaged, of noise the powers.
+    finer = [(one.missed[excited], one.missed_noise[excited]) for one in answers if one.missed is not None]  # type: ignore[index]
+    missed = np.sum([s[:, None] * one for s, (one, _) in zip(share, finer, strict=True)], axis=0) if finer else None
+    of_noise = [s[:, None, None] ** 2 * one for s, (_, one) in zip(share, finer, strict=True)] if finer else None
+    return Answer(
+        answers[0].frequency[excited],
+        z,
+        noise,
+        freedom,
+        weights.sum(axis=0),
+        missed,
+        None if of_noise is None else np.sum(of_noise, axis=0),
+    )
