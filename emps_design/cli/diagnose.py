@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,6 +18,9 @@ from emps_design.cli.partial_diagnosis import PartialDiagnosis
 from emps_design.errors import InputError, one_line
 from emps_design.files import write_aside, write_text, write_together
 from emps_design.quantities import rounded, share_asked
+
+if TYPE_CHECKING:
+    from emps_design.records import Record
 
 FILES = {
     "model.toml": AXIS,
@@ -32,7 +36,7 @@ def command(
     context: typer.Context,
     records: Annotated[list[Path], typer.Argument(metavar="RECORD...", help="records of one axis (.mat, .csv, .npz)")],
     axis: Annotated[str, typer.Option(help="axis file or embedded machine")] = "emps2019",
-    holdout: Annotated[Path | None, typer.Option(help="a record to confirm on, opened once, at the end")] = None,
+    holdout: Annotated[Path | None, typer.Option(help="a record to confirm on, opened once, at the end; by default a part of RECORD")] = None,
     fit_time: Annotated[str | None, typer.Option(metavar="A:B", help="fit on this interval only [s]")] = None,
     confirm_time: Annotated[str | None, typer.Option(metavar="C:D", help="confirm on this interval [s]")] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="folder for model, report, prediction")] = None,
@@ -60,6 +64,7 @@ def command(
     machine = load_axis(axis)
     read = [import_record(path, machine) for path in records]
     held_out = None if holdout is None else import_record(holdout, machine)
+    _check_diagnosis_there(out, read, force)
     partial = PartialDiagnosis(out)
     with progress_bar() as bar, before_the_end(partial.write):
         diagnosis = diagnose(
@@ -95,6 +100,27 @@ def _window(text: str | None, option: str) -> tuple[float, float] | None:
     if not start < stop:
         raise InputError(f"{option}: found {text!r}, expected a start before the stop")
     return start, stop
+
+
+def _check_diagnosis_there(out: Path | None, records: Sequence[Record], force: bool) -> None:
+    """Refuse, without ``force``, to replace the diagnosis in ``out`` of other ``records`` than are diagnosed now."""
+    path = None if out is None else out / "diagnosis.json"
+    if path is None or force or not path.is_file() or not path.stat().st_size:
+        return
+    try:
+        there = json.loads(path.read_text(encoding="utf-8"))
+        trained = {one["sha256"]: one["name"] for one in there["records"] if one["role"] == "train"}
+    except (ValueError, TypeError, KeyError) as error:
+        raise InputError(
+            f"--out: {path} is no diagnosis that can be read, expected one of the same records or none; choose another "
+            "folder, or give --force"
+        ) from error
+    others = [name for sha256, name in trained.items() if sha256 not in {record.sha256 for record in records}]
+    if others:
+        raise InputError(
+            f"--out: {out} holds the diagnosis of {', '.join(others)}, expected one of the same records or none; choose "
+            "another folder, or give --force"
+        )
 
 
 def _write(diagnosis: Any, out: Path, axis: str) -> None:

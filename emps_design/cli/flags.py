@@ -13,6 +13,7 @@ FLAGS = {
     "design_on": "--design-on",
     "external_force_known=True": "--external-force known",
     "fit_time": "--fit-time",
+    "holdout": "--holdout",
     "identify": "--estimator ls",
     "mismatch": "--mismatch",
     "peak": "--peak",

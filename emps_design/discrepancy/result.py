@@ -120,8 +120,10 @@ class Diagnosis:
 
     @property
     def sentence(self) -> str:
-        """The answer in one sentence, as on the first screen of the report, and what it does not speak of."""
-        return " ".join([self._answer, *(f"{rest}." for rest in self.details.get("rest", ()))])
+        """The answer in one sentence, as on the first screen of the report, what confirms it, and what it does not
+        speak of."""
+        confirming = self.details.get("held_out", {}).get("text", "")
+        return " ".join([self._answer, *filter(None, [confirming]), *(f"{rest}." for rest in self.details.get("rest", ()))])
 
     @property
     def _answer(self) -> str:
@@ -147,7 +149,8 @@ class Diagnosis:
             known = "".join(f"{finding.in_words()}; " for finding in self.findings)  # from the controller's law
             missed = f"{left} N"
             if self.holdout is not None:
-                sides = f"{left} N of the held-out record", f"{rounded(self.train.extended)} N of the training record"
+                part = "record" if self.trace.window is None else "part"
+                sides = f"{left} N of the held-out {part}", f"{rounded(self.train.extended)} N of the training {part}"
                 missed = ", ".join(sides if unexplained["record"] == "holdout" else sides[::-1])
             text = f"{known}{'beside that ' if known else ''}the model misses {missed}"
             text = f"{text[0].upper()}{text[1:]} (noise {noise} N){where}, and no effect of the library explains it"
@@ -177,6 +180,7 @@ class Diagnosis:
         | ``experiment`` | :meth:`Experiment.to_dict`: what would separate what these data cannot, or None |
         | ``response`` | of records with an excitation: {coupling, model}, as those of ``frf --json`` |
         | ``closest`` | where asked for: {text, model_file, effects, gap, gap_inverse_60hz, share_of_force} |
+        | ``held_out`` | {what, chosen: "given", "kept" or "none", time [s] or None, text}: what ``gap.holdout`` is of |
         | ``records`` | [{name, role, sha256}] with role "train" or "holdout" |
         | ``calibration`` | str, how the threshold was found |
         | ``assumptions``, ``warnings`` | [str] |

@@ -34,7 +34,8 @@ from emps_design.frequency_response.phase import has_wrong_sign
 from emps_design.frequency_response.resonances import Resonance, resonances
 from emps_design.frequency_response.response import BAND, FrequencyResponse
 from emps_design.frequency_response.scatter import excess_variance
-from emps_design.frequency_response.signals import Signals, motion, signals_of
+from emps_design.frequency_response.signals import COMMAND, EXCITATION, REFERENCE, Signals, motion, signals_of
+from emps_design.laws import NONE
 from emps_design.frequency_response.unrepeated import broadband_answer
 from emps_design.observer import given_back, motor_share
 from emps_design.progress import Progress, untold
@@ -129,9 +130,10 @@ def estimate_response(
     that many samples late; hold, difference and delay are divided out, a lag of the current loop is part of
     what is measured. A duty is one of the ``supply`` that the records have at each sample, else of the drive's. Where
     ``enable`` is 0 the force is 0, and a back-EMF that brakes nothing then is given back. ``method`` is ``auto`` or one
-    of ``METHODS``; ``instrument`` as for :func:`~emps_design.frequency_response.signals.signals_of`; ``low`` and
-    ``high`` [Hz] bound the lines.
-    Raises :class:`RecordError` where nothing moves the loop from outside, where the motor is switched off throughout,
+    of ``METHODS``; ``instrument`` as for :func:`~emps_design.frequency_response.signals.signals_of`, or ``command``
+    for records made in open loop, where no controller is known to ``axis``; ``low`` and ``high`` [Hz] bound the lines.
+    Raises :class:`RecordError` where nothing moves the loop from outside, where what moves it is a command with the
+    controller's feedback in it, where the motor is switched off throughout,
     where the excitation is too weak, and for frequencies beyond Nyquist; :class:`AxisError` for a duty whose supply
     neither ``axis`` nor a record has.
     """
@@ -151,6 +153,9 @@ def estimate_response(
             f"{several[0].name}: found a band from {low:g} to {highest:g} Hz, expected its lowest frequency below its "
             f"highest, which is at most {HIGHEST_SHARE * nyquist:g} Hz at this sampling"
         )
+    _check_excitation(several, axis, instrument)
+    if instrument == COMMAND:  # in open loop it is all that was added
+        several, instrument = [replace(record, excitation=record.u) for record in several], EXCITATION
     read = [signals_of(_driven(record, axis), instrument) for record in several]
     method = _method(read) if method == "auto" else method
     tell = progress or untold
@@ -161,6 +166,20 @@ def estimate_response(
     else:
         answer, extra = broadband_answer(read, method, low, highest, tell)
     return _finished(several, read, axis, answer, method, extra, low, highest)
+
+
+def _check_excitation(records: list[Record], axis: Axis, instrument: str) -> None:
+    """Refuse a command as the excitation where the controller of ``axis`` makes it: its feedback would be in both."""
+    if axis.controller.kind == NONE or instrument == REFERENCE:
+        return
+    for record in records:
+        added = record.u if instrument == COMMAND else record.excitation
+        if added is not None and np.ptp(added) > 0.0 and np.allclose(added, record.u, rtol=1e-9, atol=0.0):
+            raise RecordError(
+                f"{record.name}: found the command as the excitation too, expected what was added to the output of the "
+                f"controller of {axis.name} ({axis.controller.kind}), whose feedback is in the command; of a record made "
+                "in open loop the axis file has kind = \"none\" in [controller]"
+            )
 
 
 def _driven(record: Record, axis: Axis) -> Record:
@@ -234,7 +253,8 @@ def _finished(
     of_q, of_u = C[:, 0, 0].real, C[:, 1, 1].real
     if method != "stepped":
         of_q, of_u = _near(of_q, np.mean), _near(of_u, np.mean)
-    above = np.minimum(np.abs(z_q) ** 2 / of_q, np.abs(z_u) ** 2 / of_u)
+    quiet = np.finfo(float).tiny  # of a command that is the excitation
+    above = np.minimum(*(np.abs(z) ** 2 / np.maximum(of, quiet) for z, of in ((z_q, of_q), (z_u, of_u))))
     if method != "stepped":  # a line that is kept because its own answer happens to be large is too large
         above = _near(above, np.median)
     clear = above >= CLEAR

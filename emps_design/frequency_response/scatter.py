@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 AROUND = 20  # lines on either side, whose usual difference counts
-CLEARLY = 1.5  # times the variance that noise explains
+CLEARLY = 2.0  # times the variance that noise explains
 FEWEST = 12  # lines that tell what is usual
 NEIGHBOURS = np.array([-2, -1, 1, 2])
 
@@ -30,7 +30,7 @@ def excess_variance(
     >>> rough = mass * (1.0 + 0.1 * (noise[0] + 1j * noise[1]))
     >>> found = [excess_variance(f, rough, np.full(100, v), np.ones(100)) for v in (1e-2, 1e-6)]
     >>> float(np.max(found[0])), round(float(np.sqrt(np.median(found[1]))), 2)
-    (0.0, 0.1)
+    (0.0, 0.08)
     """
     n, offsets = frequency.size, apart * NEIGHBOURS
     if n < FEWEST + 4 * apart:

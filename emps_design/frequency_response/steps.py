@@ -17,7 +17,7 @@ SAME = 1e-3  # share of its power by which a run may differ from a sine
 EVEN = 1e-2  # share of its amplitude by which a sine may differ a block later
 WHOLE = 1e-5  # of a period, by which a block may miss whole periods
 SETTLING = 5  # one of so many parts of a step is for the loop to settle in
-FEWEST = 4  # different lines
+FEWEST = 4  # different lines, or one
 LOOKED_AT = 1 << 16  # samples that tell whether a run is a sine
 
 
@@ -32,7 +32,14 @@ class Step:
 
 
 def steps_of(r: np.ndarray) -> tuple[Step, ...]:
-    """The steps in the instrument ``r`` (n,); none where there are fewer than four lines, or most of it is no sine."""
+    """The steps in the instrument ``r`` (n,); none where there are two or three lines, or most of it is no sine.
+
+    One line is a step of an experiment with one record for each.
+
+    >>> (one,) = steps_of(np.sin(0.02 * np.pi * np.arange(1000)))
+    >>> one.turns / one.samples
+    0.01
+    """
     change = np.abs(np.diff(r, prepend=r[:1]))
     active = np.flatnonzero(change > ACTIVE * np.max(change))
     if active.size < SHORTEST:
@@ -50,7 +57,7 @@ def steps_of(r: np.ndarray) -> tuple[Step, ...]:
             return ()
     different = {round(step.turns / step.samples, 9) for step in found}
     stepped = sum(step.stop - step.start for step in found)
-    return tuple(found) if len(different) >= FEWEST and stepped > others else ()
+    return tuple(found) if (len(different) >= FEWEST or len(different) == 1) and stepped > others else ()
 
 
 def _step(r: np.ndarray, first: int, last: int) -> Step | None:

@@ -41,7 +41,8 @@ def in_plain_words(document: Mapping[str, Any]) -> str:
         closed = f" With {whom} the corrected model explains {share} of the difference."
     cause = "one cause has" if len(names) == 1 else f"{len(names)} causes have"
     rest = " Something is left that nothing known explains; it needs another measurement." if left else ""
-    sure = f" A second record that played no part in finding {whom} agrees." if _agrees(findings) else ""
+    other = "A second record" if document.get("held_out", {}).get("time") is None else "A part of the record"
+    sure = f" {other} that played no part in finding {whom} agrees." if _agrees(findings) else ""
     return f"The machine does not quite do what its model says, and {cause} been found: {listed}.{closed}{sure}{rest}"
 
 
@@ -50,11 +51,11 @@ def _agrees(findings: Sequence[Mapping[str, Any]]) -> bool:
 
 
 def how_sure(finding: Mapping[str, Any]) -> str:
-    """What the held-out record says of a finding."""
+    """What the held-out data say of a finding."""
     confirmed = finding.get("confirmed")
     if not confirmed:
-        return "not seen on a held-out record"
-    return f"the held-out record asks for {_share(confirmed)} of it"
+        return "not seen on held-out data"
+    return f"the held-out data ask for {_share(confirmed)} of it"
 
 
 def closed_share(before: float, after: float, floor: float) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.checks.controller_law import LawCheck, beside_the_law, check_law
+from emps_design.discrepancy.checks.kept_closed import Confirming, given, kept_closed
 from emps_design.discrepancy.checks.requirements import (
     ONE_SPEED,
     check_records,
@@ -58,7 +59,7 @@ class Preparation:
 
     ``records`` are as they were given; ``start`` is the axis file's own model of them, with what the controller adds to
     its law; ``library`` are the effects to look for, ``laws`` the checks of the controller's law, one per record where
-    the controller is known.
+    the controller is known. ``confirming`` says what ``held_out`` is, or why it is None.
     """
 
     records: tuple[Record, ...]
@@ -66,6 +67,7 @@ class Preparation:
     library: tuple[Effect, ...]
     laws: tuple[LawCheck, ...]
     held_out: HeldOut | None
+    confirming: Confirming
     warnings: tuple[str, ...]
 
     @property
@@ -84,8 +86,10 @@ def prepare(
 ) -> Preparation:
     """Check the records and the controller's law, size the library to the axis, split what may be fitted.
 
-    What confirms stays closed.
+    What confirms stays closed: ``holdout``, or ``confirm_time`` [s] of the first record, or else what can be spared.
     """
+    confirming = _confirming(records, holdout, fit_time, confirm_time)
+    confirm_time = confirming.time
     dropped, first = [one.effect.name for one in axis.effects], records[0]
     axis = axis.replace(effects=[]).supplied_by(*records, *(() if holdout is None else (holdout,)))
     factors = sizes(first.q, first.u, first.period, axis.drive.gain)
@@ -129,7 +133,15 @@ def prepare(
         warnings.append(ONE_SPEED)
     start = Hypothesis(problem, _as_the_axis_says(Candidate.of(axis, factors, held), laws))
     plant = tuple(effect for effect in library if effect.channel != "controller")
-    return Preparation(records, start, plant, laws, held_out, tuple(warnings))
+    return Preparation(records, start, plant, laws, held_out, confirming, tuple(warnings))
+
+
+def _confirming(
+    records: tuple[Record, ...], holdout: Record | None, fit_time: Interval | None, confirm_time: Interval | None
+) -> Confirming:
+    if holdout is not None:
+        return given(holdout)
+    return kept_closed(records, fit_time) if confirm_time is None else given(records[0], confirm_time)
 
 
 def _splits(records: tuple[Record, ...], fit_time: Interval | None, confirm_time: Interval | None) -> tuple[Split, ...]:

@@ -108,6 +108,7 @@ def _details(validation: Validation, missed: MissingForce) -> dict[str, Any]:
         "parameters": _parameters(validation),
         "not_excluded": unseen,
         "records": _records(validation),
+        "held_out": calibration.preparation.confirming.to_dict(),
         "calibration": calibration_in_words(calibration),
         "assumptions": list(ASSUMPTIONS),
         "warnings": warnings(validation),
