@@ -56,7 +56,8 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     answer = (Text(typeset(document["sentence"])),) if "sentence" in document else ()
     summary: list[Any] = [Callout(level, in_plain_words(document), verdict), answer_points(document), *answer]
     simulated = document.get("simulation", "closed loop")
-    summary.append(_gap_facts(document["gap"], simulated, document.get("unexplained") or {}))
+    whole = document.get("held_out", {}).get("time") is None
+    summary.append(_gap_facts(document["gap"], simulated, document.get("unexplained") or {}, whole))
     if diagnosis.views:
         summary.append(Picture(figures.where_figure(diagnosis), _where_caption(diagnosis, findings), "Where"))
     if diagnosis.trace is not None:
@@ -121,14 +122,17 @@ def _trace_caption(name: str, simulated: str, extended: bool) -> str:
     )
 
 
-def _gap_facts(gap: Mapping[str, Any], simulated: str, unexplained: Mapping[str, Any]) -> Facts:
-    """The force error before and after, and where the unknown is of one kind with a force of that kind as well."""
+def _gap_facts(gap: Mapping[str, Any], simulated: str, unexplained: Mapping[str, Any], whole: bool) -> Facts:
+    """The force error before and after, and where the unknown is of one kind with a force of that kind as well.
+
+    ``whole``: a record of its own was held out, if any was, and no part.
+    """
     held_out = gap.get("holdout")
     nothing_added = held_out and held_out["baseline"] == held_out["extended"]
     part = "holdout" if held_out and not (nothing_added and unexplained.get("record") == "train") else "train"
     values = gap[part]
     unit = gap.get("unit", "N")
-    word = "held-out record" if part == "holdout" else "training record"
+    word = f"{'held-out' if part == 'holdout' else 'training'} {'record' if whole else 'part'}"
     before, after, floor = values.get("baseline"), values.get("extended"), gap.get("floor")
     errors = [("force error before", before), ("force error after", after)]
     if before == after:  # one model: nothing was added
@@ -140,6 +144,10 @@ def _gap_facts(gap: Mapping[str, Any], simulated: str, unexplained: Mapping[str,
     items.append(("noise floor", quantity(floor, unit, 3), gap.get("floor_from", "")))
     if before is not None and after is not None and floor is not None and before > max(floor, after):
         items.append(
-            ("of the gap closed", closed_share(before, after, floor), "in mean square over the floor; 100 % reaches it")
+            (
+                "of the gap closed",
+                closed_share(before, after, floor),
+                f"of the {word}, in mean square over the floor; 100 % reaches it",
+            )
         )
     return Facts(tuple(items))
