@@ -36,7 +36,9 @@ def command(
     context: typer.Context,
     records: Annotated[list[Path], typer.Argument(metavar="RECORD...", help="records of one axis (.mat, .csv, .npz)")],
     axis: Annotated[str, typer.Option(help="axis file or embedded machine")] = "emps2019",
-    holdout: Annotated[Path | None, typer.Option(help="a record to confirm on, opened once, at the end; by default a part of RECORD")] = None,
+    holdout: Annotated[
+        Path | None, typer.Option(help="a record to confirm on, opened once, at the end; by default a part of RECORD")
+    ] = None,
     fit_time: Annotated[str | None, typer.Option(metavar="A:B", help="fit on this interval only [s]")] = None,
     confirm_time: Annotated[str | None, typer.Option(metavar="C:D", help="confirm on this interval [s]")] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="folder for model, report, prediction")] = None,

@@ -27,7 +27,9 @@ def command(
     ),
     method: str = typer.Option("auto", "--method", help="auto, periodic, stepped, local-polynomial or welch."),
     instrument: str = typer.Option(
-        "", "--instrument", help="What moves the axis: excitation (default where recorded), reference, or, in open loop, command."
+        "",
+        "--instrument",
+        help="What moves the axis: excitation (default where recorded), reference, or, in open loop, command.",
     ),
     low: float = typer.Option(0.0, "--from", **HERTZ, help="Lowest frequency [Hz]."),
     high: float | None = typer.Option(None, "--to", **HERTZ, help="Highest frequency [Hz]; 0.8 of Nyquist at most."),

@@ -45,8 +45,8 @@ def diagnose(
     """Find where the closed-loop simulation of ``axis`` and ``records`` disagree, and which effect is missing.
 
     ``records`` of one axis are explained together; ``holdout``, or ``confirm_time`` (start, stop) [s] of the first
-    record, is opened once, at the end: without either the last lap or third of a single record, where enough is left to
-    fit. ``fit_time`` [s] limits what is fitted. ``library`` defaults to every known
+    record, is opened once, at the end. Without either it is the first lap, or the last third, of a single record, where
+    enough is left to fit. ``fit_time`` [s] limits what is fitted. ``library`` defaults to every known
     effect; its starts and bounds are sized to the axis. ``searches`` healthy records are simulated and searched like
     this one, for the gain that chance alone reaches; 0 takes a linearisation of that. ``progress(stage, share)``
     hears how far it is, ``searched(model)`` the model with which a search ended, before it is confirmed. Of records

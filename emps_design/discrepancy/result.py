@@ -123,7 +123,9 @@ class Diagnosis:
         """The answer in one sentence, as on the first screen of the report, what confirms it, and what it does not
         speak of."""
         confirming = self.details.get("held_out", {}).get("text", "")
-        return " ".join([self._answer, *filter(None, [confirming]), *(f"{rest}." for rest in self.details.get("rest", ()))])
+        return " ".join(
+            [self._answer, *filter(None, [confirming]), *(f"{rest}." for rest in self.details.get("rest", ()))]
+        )
 
     @property
     def _answer(self) -> str:

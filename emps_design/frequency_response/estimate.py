@@ -178,7 +178,7 @@ def _check_excitation(records: list[Record], axis: Axis, instrument: str) -> Non
             raise RecordError(
                 f"{record.name}: found the command as the excitation too, expected what was added to the output of the "
                 f"controller of {axis.name} ({axis.controller.kind}), whose feedback is in the command; of a record made "
-                "in open loop the axis file has kind = \"none\" in [controller]"
+                'in open loop the axis file has kind = "none" in [controller]'
             )
 
 

@@ -1,8 +1,9 @@
-"""What of a record confirms where no other one was given: its last lap or its last strokes, closed during the search.
+"""What of a record confirms where no other one was given: its first lap or its last strokes, closed during the search.
 
 A share of the gap that is closed on the samples that were fitted says little. So one lap is kept, where the reference
-repeats and two laps are left to tell the noise; otherwise the strokes that begin in the last third. Where that would
-leave too little to find anything by, nothing is kept, and the answer says so.
+repeats and two laps are left to tell the noise: the first, which starts from rest unlike the others and tells none of
+it. Otherwise it is the last third of the strokes. Where that would leave too little to find anything by, nothing is
+kept, and the answer says so.
 """
 
 from __future__ import annotations
@@ -66,8 +67,8 @@ def kept_closed(records: tuple[Record, ...], fit_time: Interval | None = None) -
     """Choose what of ``records`` to keep closed within ``fit_time`` [s]: of several, which are fitted whole, nothing.
 
     >>> wave = np.abs(np.arange(6000) % 1000 - 500.0) * 1e-3
-    >>> kept_closed((Record.from_arrays(1e-3, wave, wave, wave, name="run"),))
-    Confirming(what='the last lap of run, 5 to 6 s', chosen='kept', time=(4.9995, 5.9995))
+    >>> kept_closed((Record.from_arrays(1e-3, wave, wave, wave, name="run"),)).sentence
+    'Nothing was fitted to the first lap of run, 0 to 1 s, kept closed to confirm.'
     >>> kept_closed((Record.from_arrays(1e-3, wave[:1200], wave[:1200], wave[:1200], name="run"),)).sentence
     'Nothing was held out (run has 3 strokes and does not repeat three times): errors and shares are of what was \
 fitted; give another record as `holdout`.'
@@ -81,18 +82,18 @@ fitted; give another record as `holdout`.'
     lap, strokes = find_lap(record.q_ref), find_strokes(record.q_ref, record.period)
     inside = [(start, stop) for start, stop in strokes if start >= begin and stop <= end]
     if lap and end - begin >= LAPS * lap - START_UP:
-        start, what = end - lap, "the last lap"
+        start, stop, what = begin, begin + lap, "the first lap"
     elif lap or len(inside) < STROKES:
         return Confirming(f"{record.name} has {_strokes(len(inside))} and does not repeat three times", "none")
     else:
         count = int(KEPT * len(inside))
-        start, what = inside[-count][0], f"the last {count} of {_strokes(len(inside))}"
-    left = start - max(begin, START_UP)
-    if end - start < rules.FEWEST_TO_CONFIRM or left < rules.FEWEST_TO_FIT + rules.FEWEST_TO_SELECT:
+        start, stop, what = inside[-count][0], end, f"the last {count} of {_strokes(len(inside))}"
+    left = end - begin - (stop - start)
+    if stop - start < START_UP + rules.FEWEST_TO_CONFIRM or left < rules.FEWEST_TO_FIT + rules.FEWEST_TO_SELECT:
         return Confirming(f"{record.name} has {end - begin} samples to fit", "none")
-    half = 0.5 * record.period
-    time = float(record.t[start]) - half, float(record.t[end - 1]) + half
-    return Confirming(f"{what} of {record.name}, {time[0]:.4g} to {time[1]:.4g} s", "kept", time)
+    time = float(record.t[start]), float(record.t[stop - 1]) + 0.5 * record.period
+    shown = f"{time[0]:.4g} to {time[0] + (stop - start) * record.period:.4g} s"
+    return Confirming(f"{what} of {record.name}, {shown}", "kept", time)
 
 
 def _strokes(number: int) -> str:

@@ -1,0 +1,90 @@
+"""What is kept closed of a record where no other one confirms, and what is said of it."""
+
+import json
+
+import numpy as np
+import pytest
+
+from emps_design.cli.app import run as command
+from emps_design.discrepancy import diagnose
+from emps_design.discrepancy.checks.kept_closed import kept_closed
+from emps_design.discrepancy.checks.preparation import prepare
+from emps_design.effects import get_effect
+from emps_design.machines import machine
+from emps_design.records import Record
+from emps_design.simulation.synthetic import synthetic_record, trapezoid_laps
+
+AXIS = machine("emps2019")
+LIBRARY = (get_effect("actuator_delay"),)
+
+
+def moved(q_ref):
+    return Record.from_arrays(1e-3, q_ref, q_ref, q_ref, name="run")
+
+
+LAPS = trapezoid_laps(1e-3, stroke=0.1, laps=3)
+WANDER = np.cumsum(np.repeat([1.0, -0.6, 0.7, -1.1, 0.4, -0.9, 0.8, -0.3], 500)) * 1e-4  # eight strokes, no laps
+
+
+def test_of_laps_one_is_kept_and_of_strokes_the_last_third():
+    lap = LAPS.size // 3
+    found = kept_closed((moved(LAPS),))
+    assert (found.chosen, found.what[:13]) == ("kept", "the first lap")
+    assert found.time == pytest.approx((0.0, lap * 1e-3), abs=1e-3)
+    assert kept_closed((moved(WANDER),)).what == "the last 2 of 8 strokes of run, 3 to 4 s"
+    within = kept_closed((moved(LAPS),), (0.0, 1.7 * lap * 1e-3))
+    assert within.chosen == "none"  # one lap and a bit would be left
+
+
+@pytest.mark.parametrize("records", [(moved(LAPS[: 2 * LAPS.size // 3]),), (moved(WANDER[:2400]),), (moved(LAPS),) * 2])
+def test_where_too_little_would_be_left_nothing_is_held_out_and_it_is_said(records):
+    found = kept_closed(records)
+    assert (found.chosen, found.time) == ("none", None)
+    assert found.sentence.startswith("Nothing was held out (")
+    assert "errors and shares are of what was fitted; give another record as `holdout`" in found.sentence
+
+
+def test_nothing_of_what_is_kept_is_fitted():
+    record = synthetic_record(AXIS, stroke=0.1)
+    preparation = prepare((record,), AXIS, LIBRARY, None, None, None)
+    (split,) = preparation.start.problem.splits
+    (closed,) = preparation.held_out.problem.splits
+    n = split.used.size
+    assert not np.any(split.used & closed.used[:n])
+    assert np.count_nonzero(closed.used) > 0.3 * len(record)
+    assert preparation.confirming.chosen == "kept"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("kept")
+    delayed = AXIS.replace(effects=[{"kind": "actuator_delay", "delay": 2e-3}])
+    synthetic_record(delayed, stroke=0.1).save(folder / "one.npz")
+    synthetic_record(AXIS, seed=1, stroke=0.1).save(folder / "other.npz")
+    return folder
+
+
+def test_the_answer_says_what_confirmed_it(folder):
+    answer = diagnose(synthetic_record(AXIS.replace(effects=[]), stroke=0.1, seed=3), AXIS, library=LIBRARY)
+    document = answer.to_dict()
+    assert document["verdict"] == "nothing-missing"
+    assert document["held_out"]["chosen"] == "kept"
+    assert document["gap"]["holdout"]["extended"] < 2.0 * document["gap"]["floor"]
+    assert document["held_out"]["text"] in document["sentence"]
+    assert "Nothing was fitted to the first lap of synthetic-emps2019" in document["sentence"]
+
+
+def test_a_diagnosis_of_another_record_is_not_replaced_without_being_asked(folder, capsys):
+    out = folder / "found"
+    out.mkdir()
+    (out / "diagnosis.json").write_text(
+        json.dumps({"records": [{"name": "one", "role": "train", "sha256": "ab" * 32}]}), encoding="utf-8"
+    )
+    assert command(["diagnose", str(folder / "other.npz"), "--axis", "emps2019", "--out", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert "holds the diagnosis of one, expected one of the same records or none" in error
+    assert "--force" in error
+    assert error.count("\n") == 1
+    (out / "diagnosis.json").write_text("{}", encoding="utf-8")
+    assert command(["diagnose", str(folder / "other.npz"), "--axis", "emps2019", "--out", str(out)]) == 2
+    assert "is no diagnosis that can be read" in capsys.readouterr().err
