@@ -120,8 +120,8 @@ def _check_diagnosis_there(out: Path | None, records: Sequence[Record], force: b
     others = [name for sha256, name in trained.items() if sha256 not in {record.sha256 for record in records}]
     if others:
         raise InputError(
-            f"--out: {out} holds the diagnosis of {', '.join(others)}, expected one of the same records or none; choose "
-            "another folder, or give --force"
+            f"--out: {out} holds the diagnosis of {', '.join(others)}, expected one of the same records or none; "
+            "choose another folder, or give --force"
         )
 
 

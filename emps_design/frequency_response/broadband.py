@@ -52,8 +52,10 @@ class Answer:
 
     @property
     def interpolation(self) -> np.ndarray:
-        """The square (m,) of the relative error of the quotient by what the interpolation missed, less what noise makes of
-        it: below 0 where that happens to be more."""
+        """The square (m,) of the relative error of the quotient by what the interpolation missed.
+
+        What noise makes of it is taken off: it is below 0 where that happens to be more.
+        """
         if self.missed is None or self.missed_noise is None:
             return np.zeros(self.frequency.size)
         relative = self.missed / self.z

@@ -35,8 +35,8 @@ from emps_design.frequency_response.resonances import Resonance, resonances
 from emps_design.frequency_response.response import BAND, FrequencyResponse
 from emps_design.frequency_response.scatter import excess_variance
 from emps_design.frequency_response.signals import COMMAND, EXCITATION, REFERENCE, Signals, motion, signals_of
-from emps_design.laws import NONE
 from emps_design.frequency_response.unrepeated import broadband_answer
+from emps_design.laws import NONE
 from emps_design.observer import given_back, motor_share
 from emps_design.progress import Progress, untold
 from emps_design.records import Record
@@ -177,8 +177,8 @@ def _check_excitation(records: list[Record], axis: Axis, instrument: str) -> Non
         if added is not None and np.ptp(added) > 0.0 and np.allclose(added, record.u, rtol=1e-9, atol=0.0):
             raise RecordError(
                 f"{record.name}: found the command as the excitation too, expected what was added to the output of the "
-                f"controller of {axis.name} ({axis.controller.kind}), whose feedback is in the command; of a record made "
-                'in open loop the axis file has kind = "none" in [controller]'
+                f"controller of {axis.name} ({axis.controller.kind}), whose feedback is in the command; of a record "
+                'made in open loop the axis file has kind = "none" in [controller]'
             )
 
 

@@ -1,10 +1,11 @@
 """Resonances and antiresonances of a measured response, with their deviations.
 
-Around each peak of |j w G| that stands out of what is usual beside it by more than the deviations explain, a parabola in frequency over a straight line, with
-complex coefficients, is fitted to the response; around each dip, to its inverse. The root of the line is the pole, or
-the zero: its real part in frequency is the natural frequency, its imaginary part the damping. The fit is linear once
-the denominator of the last turn weighs the equations (C. K. Sanathanan and J. Koerner, IEEE Trans. Automatic Control 8,
-1963).
+Around each peak of |j w G| that stands out of what is usual beside it by more than the deviations explain, a parabola
+in frequency over a straight line, with complex coefficients, is fitted to the response; around each dip, to its
+inverse. The root of the line is the pole, or the zero: its real part in frequency is the natural frequency, its
+imaginary part the damping, which no machine has below 0. The fit is linear once the denominator of the last turn weighs
+the equations (C. K. Sanathanan and J. Koerner, IEEE Trans. Automatic Control 8, 1963). Where the response is rough, as
+dry friction makes it, one line that stands out is no peak, and what the fit leaves raises the deviation.
 """
 
 from __future__ import annotations

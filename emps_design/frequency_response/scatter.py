@@ -20,7 +20,7 @@ NEIGHBOURS = np.array([-2, -1, 1, 2])
 def excess_variance(
     frequency: np.ndarray, response: np.ndarray, variance: np.ndarray, power: np.ndarray, apart: int = 1
 ) -> np.ndarray:
-    """Relative variance (n,) that ``response`` (n,) must have by how its lines differ; 0 where ``variance`` explains it.
+    """Return the relative variance (n,) of ``response`` (n,) by how its lines differ; 0 where ``variance`` explains it.
 
     ``frequency`` (n,) ascending, ``variance`` (n,) relative, ``power`` (n,) of the motion in it over that of the same
     disturbance. Lines nearer than ``apart`` share their noise.

@@ -1,4 +1,4 @@
-"""Records without noise, made in open loop on axes solved exactly: an error that is no noise is in the deviations too."""
+"""Records without noise, made in open loop on axes solved exactly: an error that is no noise is in the deviations."""
 
 from dataclasses import replace
 
