@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Callable
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +18,7 @@ from emps_design.cli.output import progress_bar
 from emps_design.errors import EmpsError
 from emps_design.files import write_text
 from emps_design.identification import identify
-from emps_design.identification.instruments import identify_with_instruments
-from emps_design.identification.output_error import identify_by_output_error
 from emps_design.identification.result import Identification
-from emps_design.identification.tested import identify_tested
 from emps_design.records import Record
 
 RUNS = int(os.environ.get("EMPS_DESIGN_COVERAGE", "1000"))
@@ -40,10 +38,10 @@ TABLES = {"coverage": CASES, "coverage_quiet": QUIET}
 def estimates(record: Record, axis: Axis, seed: int) -> dict[str, Callable[[], Identification]]:
     """Each estimator as it is called by default; the bootstrap is that of least squares."""
     return {
-        "ls": lambda: identify(record, axis, bootstrap=DRAWS, seed=seed),
-        "iv": lambda: identify_with_instruments(record, axis),
-        "oe": lambda: identify_by_output_error(record, axis),
-        "auto": lambda: identify_tested(record, axis),
+        "ls": partial(identify, record, axis, estimator="ls", bootstrap=DRAWS, seed=seed),
+        "iv": partial(identify, record, axis, estimator="iv"),
+        "oe": partial(identify, record, axis, estimator="oe"),
+        "auto": partial(identify, record, axis),
     }
 
 

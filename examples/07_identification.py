@@ -6,13 +6,7 @@ stands beside the estimates.
 
 import sys
 
-from emps_design.identification import (
-    chosen_cutoff,
-    identify,
-    identify_by_output_error,
-    identify_several,
-    identify_with_instruments,
-)
+from emps_design.identification import chosen_cutoff, identify, identify_several
 from emps_design.machines import machine
 from emps_design.records import read_record
 from emps_design.simulation import synthetic_record
@@ -26,9 +20,12 @@ record = records[0]
 print(f"cut-off chosen from the data: {chosen_cutoff(record):g} Hz")
 
 # 2. Least squares on three chains, instruments, output error.
-estimates = {f"least squares, {chain}": identify(record, axis, chain=chain) for chain in ("report", "paper", "hold")}
-estimates["instruments"] = instruments = identify_with_instruments(record, axis)
-estimates["output error"] = identify_by_output_error(record, axis)
+estimates = {
+    f"least squares, {name}": identify(record, axis, estimator="ls", filter=name)
+    for name in ("report", "paper", "hold")
+}
+estimates["instruments"] = instruments = identify(record, axis, estimator="iv")
+estimates["output error"] = identify(record, axis, estimator="oe")
 if not given:
     print(f"{'truth':24}", *(f"{value:9.3f}" for value in axis.mechanics.array()))
 for label, found in estimates.items():

@@ -7,11 +7,13 @@ import re
 # The library writes an argument between backquotes, with or without a value: `chain='hold'`.
 FLAGS = {
     "bootstrap": "--bootstrap",
-    "chain": "--filter",
     "confirm_time": "--confirm-time",
+    "cutoff": "--cutoff",
     "cutoff_hz": "--cutoff",
     "design_on": "--design-on",
-    "external_force_known=True": "--external-force known",
+    "estimator": "--estimator",
+    "external_force": "--external-force",
+    "filter": "--filter",
     "fit_time": "--fit-time",
     "holdout": "--holdout",
     "identify": "--estimator ls",
@@ -28,9 +30,9 @@ FLAGS = {
 # A report identifies too; its own --filter is that of the impedance law.
 FLAGS_OF = {
     "report": {
-        "chain": "--record-filter",
-        "cutoff_hz": "--cutoff of 'identify'",
-        "external_force_known=True": "--external-force known of 'identify'",
+        "cutoff": "--cutoff of 'identify'",
+        "external_force='known'": "--external-force known of 'identify'",
+        "filter": "--record-filter",
     }
 }
 
@@ -38,9 +40,9 @@ FLAGS_OF = {
 def in_flags(text: str, command: str = "") -> str:
     """Return ``text`` with every argument of the library as the flag of ``command`` that sets it.
 
-    >>> in_flags("too slow for a cut-off; give `cutoff_hz`, or use `chain='report'`")
+    >>> in_flags("too slow for a cut-off; give `cutoff`, or use `filter='report'`")
     'too slow for a cut-off; give --cutoff, or use --filter report'
-    >>> in_flags("use `chain='hold'`", "report")
+    >>> in_flags("use `filter='hold'`", "report")
     'use --record-filter hold'
     """
     flags = FLAGS | FLAGS_OF.get(command, {})

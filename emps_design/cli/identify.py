@@ -13,10 +13,8 @@ from emps_design.cli.frequency import HERTZ
 from emps_design.cli.ignored import refuse_force, refuse_ignored
 
 if TYPE_CHECKING:
-    from emps_design.axis import Axis
     from emps_design.identification.result import Identification
     from emps_design.identification.several import SeveralIdentifications
-    from emps_design.records import Record
 
 MOST_PLACES = 6  # behind the point, in a column of the table
 
@@ -34,10 +32,10 @@ def command(
         help="TOML file or embedded machine: G_tau, limits, controller, and effects that are known already.",
     ),
     model: str = typer.Option("symmetric", "--model", help="symmetric or asymmetric friction."),
-    chain: str | None = typer.Option(
-        None,
+    filter: str = typer.Option(
+        "hold",
         "--filter",
-        help="hold (default): models the hold of the drive, leaves rests out, cut-off from the data; report: 100 Hz "
+        help="hold: models the hold of the drive, leaves rests out, cut-off from the data; report: 100 Hz "
         "low-pass, of the 2019 report; paper: median and decimation, of the 2018 paper.",
     ),
     cutoff: float | None = typer.Option(
@@ -71,18 +69,12 @@ def command(
 
     from emps_design.cli.output import print_json, progress_bar, tell
     from emps_design.cli.wording import load_axis
-    from emps_design.errors import InputError, nearest_name, one_line
+    from emps_design.errors import one_line
     from emps_design.files import write_text
-    from emps_design.identification.chains import DEFAULT_CHAIN
+    from emps_design.identification import identify
+    from emps_design.identification.request import Request
     from emps_design.importing import import_record
 
-    if external_force not in ("refuse", "known"):
-        raise InputError(f"--external-force: found {external_force!r}, expected refuse or known")
-    estimators = ("auto", "ls", "iv", "oe")
-    if estimator not in estimators:
-        raise InputError(
-            f"--estimator: found {estimator!r}, expected {', '.join(estimators)}{nearest_name(estimator, estimators)}"
-        )
     _refuse_ignored(context, estimator, len(records))
     refuse_force(context, out)
     if not bootstrap:
@@ -91,21 +83,21 @@ def command(
     loaded = load_axis(axis)
     options: dict[str, Any] = {
         "model": model,
-        "chain": chain or DEFAULT_CHAIN,
-        "cutoff_hz": cutoff,
-        "external_force_known": external_force == "known",
+        "estimator": estimator,
+        "filter": filter,
+        "cutoff": cutoff,
+        "external_force": external_force,
     }
+    Request(**options)  # refused before the records are read
     read = [import_record(path, loaded) for path in records]
     if len(read) == 1:
         judge = None if holdout is None else import_record(holdout, loaded)
-        found: Any = _one(
-            estimator, read[0], loaded, {**options, "bootstrap": bootstrap, "seed": seed, "holdout": judge}
-        )
+        found: Any = identify(read[0], loaded, **options, bootstrap=bootstrap, seed=seed, holdout=judge)
     else:
         from emps_design.identification.several import identify_several
 
         with progress_bar(not as_json or sys.stderr.isatty()) as progress:
-            found = identify_several(read, loaded, progress=progress, test=estimator == "auto", **options)
+            found = identify_several(read, loaded, progress=progress, **options)
     if as_json:
         print_json(found)
     elif len(read) == 1:
@@ -130,26 +122,7 @@ def _refuse_ignored(context: typer.Context, estimator: str, records: int) -> Non
     if records > 1:
         raise InputError(f"--estimator: {estimator} takes one record, found {records}; use ls for several")
     why = f"goes with --estimator ls, found {estimator}, which filters as hold does and has intervals of its own"
-    refuse_ignored(context, ["chain", "bootstrap", "holdout"], why)
-
-
-def _one(estimator: str, record: Record, axis: Axis, options: dict[str, Any]) -> Identification:
-    if estimator == "auto":
-        from emps_design.identification.tested import identify_tested
-
-        return identify_tested(record, axis, **options)
-    if estimator == "ls":
-        from emps_design.identification.identify import identify
-
-        return identify(record, axis, **options)
-    options = {key: options[key] for key in ("model", "cutoff_hz", "external_force_known")}
-    if estimator == "iv":
-        from emps_design.identification.instruments import identify_with_instruments
-
-        return identify_with_instruments(record, axis, **options)
-    from emps_design.identification.output_error import identify_by_output_error
-
-    return identify_by_output_error(record, axis, **options)
+    refuse_ignored(context, ["filter", "bootstrap", "holdout"], why)
 
 
 def _show_one(found: Identification) -> None:
@@ -188,6 +161,8 @@ def _show_one(found: Identification) -> None:
         f"* {found.samples} rows count as {found.residual.effective_samples:.0f} independent ones (residual correlated "
         f"over {1e3 * found.residual.correlation_time:.0f} ms)"
     )
+    if found.extra["cutoff_sensitivity"] is not None:
+        console.print(_moved_by_cutoff(found))
     if any(estimate.systematic for estimate in found.parameters.values()):
         console.print("95 % ± holds what this filter is off by as well, judged by --filter hold")
     stepped = {name: one.encoder for name, one in found.parameters.items() if one.encoder}
@@ -220,6 +195,19 @@ def _show_one(found: Identification) -> None:
             f"closed loop from q_ref: position {1e6 * loop['position_rms_error']:.3f} um rms, force "
             f"{rounded(loop['force_rms_error'], 3)} N rms ({loop['force_relative_error_percent']:.2f} %)"
         )
+
+
+def _moved_by_cutoff(found: Identification) -> str:
+    """What half and twice the cut-off change, and whether the intervals hold it."""
+    moved = ", ".join(
+        f"{name} {100.0 * share:.2g} %"
+        for name, share in found.extra["cutoff_sensitivity"].items()
+        if share is not None and found.parameters[name].determined
+    )
+    tried = " and ".join(f"{one:.3g}" for one in found.extra["cutoffs_tried"]["cutoff_hz"])
+    beyond = any(one.cutoff for one in found.parameters.values())
+    held = "; 95 % ± holds what is beyond chance" if beyond else ", no more than chance"
+    return f"cut-offs of {tried} Hz change {moved}{held}" if tried else "no other cut-off leaves enough of the record"
 
 
 def _written(number: float | None, places: int) -> str:

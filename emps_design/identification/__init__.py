@@ -14,15 +14,12 @@ if TYPE_CHECKING:
         report_chain as report_chain,
     )
     from emps_design.identification.cutoff import chosen_cutoff as chosen_cutoff
-    from emps_design.identification.instruments import identify_with_instruments as identify_with_instruments
     from emps_design.identification.observation import (
         Observation as Observation,
         observe as observe,
         with_known_push as with_known_push,
     )
-    from emps_design.identification.output_error import identify_by_output_error as identify_by_output_error
     from emps_design.identification.result import Estimate as Estimate, Identification as Identification
     from emps_design.identification.several import identify_several as identify_several
-    from emps_design.identification.tested import identify_tested as identify_tested
 else:
     __getattr__, __dir__, __all__ = on_first_use(__name__)

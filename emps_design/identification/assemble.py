@@ -2,67 +2,65 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from emps_design.axis import Axis
 from emps_design.identification.cutoff import LONGEST, first_part
-from emps_design.identification.excitation import WEAK_RELIABILITY, reliability, share_near_gaps
-from emps_design.identification.filtered import Filtered
-from emps_design.identification.inverse_model import LeastSquares, parameters_of, regression
-from emps_design.identification.known import filter_record
+from emps_design.identification.excitation import WEAK_RELIABILITY, follows, reliability, share_near_gaps
+from emps_design.identification.inverse_model import LeastSquares, parameters_of
 from emps_design.identification.plausibility import implausible
+from emps_design.identification.problem import Problem
 from emps_design.identification.result import Estimate, Identification
+from emps_design.identification.sensitivity import CutoffSensitivity
 from emps_design.identification.statistics import LongRun, hac_covariance, long_run
-from emps_design.records import Record
+from emps_design.identification.unexplained import unexplained
 
 LAGS = (0.0, 0.005, 0.01, 0.02, 0.04)  # s by which a loop may follow its reference late
 LARGEST_NEAR_GAPS = 0.5  # share of what tells a friction parameter apart that may lie beside a rest
-FEWEST_STEPS = 100  # away from rest, for statistics that leave rest out
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What an estimate is off by besides chance, (p,) each, None where it was not looked for: part of the intervals.
+
+    ``systematic``: what a chain that models neither hold nor rest is off by (NaN: another chain finds the parameter not
+    determined away from rest). ``encoder``: what the steps of the encoder do. ``cutoff``: what half and twice the
+    cut-off say.
+    """
+
+    systematic: np.ndarray | None = None
+    encoder: np.ndarray | None = None
+    cutoff: CutoffSensitivity | None = None
 
 
 def assemble(
-    record: Record,
-    axis: Axis,
-    model: str,
-    estimator: str,
-    filtered: Filtered,
-    W: np.ndarray,
+    problem: Problem,
     fit: LeastSquares,
+    estimator: str,
     Z: np.ndarray | None = None,
-    bootstrap: int = 0,
-    seed: int = 0,
-    extra: dict[str, Any] | None = None,
-    systematic: np.ndarray | None = None,
-    encoder: np.ndarray | None = None,
+    errors: Errors = Errors(),
     notes: Sequence[str] = (),
+    extra: Mapping[str, Any] | None = None,
     weakest: float = WEAK_RELIABILITY,
 ) -> Identification:
-    """Put statistics beside ``fit`` and make an :class:`Identification` of it; ``Z`` are the instruments, if any.
+    """Put statistics beside the ``fit`` of a ``problem`` and make an :class:`Identification` of it.
 
-    ``systematic`` (p,) is what the chain is off by, where that is known (NaN: another chain finds the parameter not
-    determined away from rest), ``encoder`` (p,) what the steps of the encoder do: both widen the intervals, the second
-    where it is more than the residual tells. ``weakest`` reliability of a column that still determines its parameter;
-    0 where W was simulated, not measured.
+    ``Z`` (n, p) are the instruments, if any. ``weakest`` reliability of a column that still determines its parameter; 0
+    where W was simulated, not measured.
     """
-    residual, spread, lag, period = residual_statistics(filtered, W, fit, Z)
+    record, axis, filtered, W = problem.record, problem.axis, problem.filtered, problem.W
+    spread, lag = residual_statistics(problem, fit, Z)
     hac = np.sqrt(np.diag(hac_covariance(W, fit.residual, lag, Z)))
-    boot = np.full(len(fit.value), np.nan)
-    if bootstrap:
-        from emps_design.identification.statistics import residual_bootstrap
-
-        steps, away = independent_rows(filtered)
-        rows = (W[::steps], fit.residual[::steps] * away[::steps], away[::steps])
-        boot = np.sqrt(np.diag(residual_bootstrap(*rows, spread, bootstrap, seed)))
-    shares = _reliability(record, axis, model, filtered, W) if weakest > 0 else None
-    at_rests = told_at_rests(W, filtered, model) if weakest > 0 else ()
-    said = dict(zip((quantity.name for quantity in parameters_of(model)), fit.value.tolist(), strict=True))
+    left = unexplained(problem, fit.residual, spread)
+    shares = _reliability(problem) if weakest > 0 else None
+    at_rests = told_at_rests(problem) if weakest > 0 else ()
+    said = dict(zip(problem.names, fit.value.tolist(), strict=True))
     warnings = [*record.warnings, *notes, *implausible(said, axis)]
     estimates = {}
-    for i, written in enumerate(parameters_of(model)):
+    for i, written in enumerate(parameters_of(problem.model)):
         quantity = replace(written, unit=axis.units.unit(written.unit), text=axis.units.words(written.text))
         told, why = None if shares is None else float(shares[i]), ""
         if told is not None and told < weakest:
@@ -70,7 +68,7 @@ def assemble(
                 f"the reference explains {100 * told:.0f} % of its column, the rest is noise; "
                 "record motion that excites it"
             )
-        elif (systematic is not None and np.isnan(systematic[i])) or quantity.name in at_rests:
+        elif (errors.systematic is not None and np.isnan(errors.systematic[i])) or quantity.name in at_rests:
             why = (
                 "only reversals and rests speak of it, which the inverse model does not hold; record several constant "
                 "speeds in both directions, with acceleration between them"
@@ -79,32 +77,30 @@ def assemble(
             warnings.append(f"{quantity.name} is not determined: {why}")
             estimates[quantity.name] = Estimate(quantity, None, None, reliability=told)
             continue
-        bias = 0.0 if systematic is None else float(systematic[i])
+        bias = 0.0 if errors.systematic is None else float(errors.systematic[i])
+        std = left.widening * float(spread.std[i])
         # Where the residual tells of more than the steps of the encoder do, it has told of them.
-        stepped = 0.0 if encoder is None or encoder[i] <= spread.std[i] else float(encoder[i])
-        known = float(np.hypot(bias, stepped))
-        half = spread.quantile * float(np.hypot(spread.std[i], known))
+        stepped = 0.0 if errors.encoder is None or errors.encoder[i] <= std else float(errors.encoder[i])
+        moved = 0.0 if errors.cutoff is None else float(errors.cutoff.beyond_chance[i])
+        half = float(np.hypot(spread.quantile * np.linalg.norm([std, bias, stepped]), moved))
         if half > abs(fit.value[i]) and quantity.name != "constant_force":
             warnings.append(f"{quantity.name}: its 95 % interval reaches zero; the record hardly determines it")
         estimates[quantity.name] = Estimate(
             quantity=quantity,
             value=float(fit.value[i]),
             std=float(fit.std[i]),
-            std_long_run=float(spread.std[i]),
+            std_long_run=std,
             interval_95=_around(fit.value[i], half),
             std_hac=float(hac[i]),
-            std_bootstrap=float(boot[i]) if bootstrap else None,
-            interval_95_bootstrap=_around(fit.value[i], spread.quantile * np.hypot(boot[i], known))
-            if bootstrap
-            else None,
-            systematic=None if systematic is None else bias,
-            encoder=None if encoder is None else stepped,
+            systematic=None if errors.systematic is None else bias,
+            encoder=None if errors.encoder is None else stepped,
+            cutoff=None if errors.cutoff is None else moved,
             reliability=told,
         )
     return Identification(
         record=record.name,
         sha256=record.sha256,
-        model=model,
+        model=problem.model,
         estimator=estimator,
         chain=filtered.chain,
         filter_text=filtered.text,
@@ -115,8 +111,8 @@ def assemble(
         condition_number=fit.condition_number,
         samples=int(filtered.used.sum()),
         residual=spread,
-        hac_lag=lag * period,
-        warnings=tuple(warnings),
+        hac_lag=lag * filtered.period,
+        warnings=(*warnings, *left.warnings()),
         axis=axis,
         period=record.period,
         series={
@@ -124,10 +120,15 @@ def assemble(
             "columns": W,
             "measured": W @ fit.value + fit.residual,
             "model": W @ fit.value,
-            "residual": residual,
+            "residual": fit.residual,
             "used": filtered.used,
         },
-        extra=extra or {},
+        extra={
+            "unexplained": left.to_dict(),
+            "cutoff_sensitivity": None if errors.cutoff is None else errors.cutoff.relative,
+            "cutoffs_tried": None if errors.cutoff is None else errors.cutoff.to_dict(),
+            **(extra or {}),
+        },
     )
 
 
@@ -135,62 +136,67 @@ def _around(value: float, half: float) -> tuple[float, float]:
     return float(value - half), float(value + half)
 
 
-def residual_statistics(
-    filtered: Filtered, W: np.ndarray, fit: LeastSquares, Z: np.ndarray | None = None
-) -> tuple[np.ndarray, LongRun, int, float]:
-    """Residual [N], its long-run statistics, the HAC lag [rows] and the period of a row [s].
+def with_bootstrap(found: Identification, problem: Problem, fit: LeastSquares, draws: int, seed: int) -> Identification:
+    """``found`` with the deviations and intervals of a bootstrap that redraws the residual's noise ``draws`` times."""
+    from emps_design.identification.statistics import residual_bootstrap
+
+    steps, away = problem.filtered.independent_rows
+    rows = (problem.W[::steps], fit.residual[::steps] * away[::steps], away[::steps])
+    std = np.sqrt(np.diag(residual_bootstrap(*rows, found.residual, draws, seed)))
+    parameters, widening = {}, found.extra["unexplained"]["widening"]
+    for (name, one), own in zip(found.parameters.items(), std.tolist(), strict=True):
+        parameters[name] = one
+        if one.value is None:
+            continue
+        known = np.linalg.norm([widening * own, one.systematic or 0.0, one.encoder or 0.0])
+        half = float(np.hypot(found.residual.quantile * known, one.cutoff or 0.0))
+        parameters[name] = replace(one, std_bootstrap=own, interval_95_bootstrap=_around(one.value, half))
+    return replace(found, parameters=parameters)
+
+
+def residual_statistics(problem: Problem, fit: LeastSquares, Z: np.ndarray | None = None) -> tuple[LongRun, int]:
+    """Long-run statistics of the residual of ``fit``, and the HAC lag [rows].
 
     The lag is four correlation times, at least 0.1 s. The autoregressive model is made of rows away from rest, as far
     apart as the band resolves (half a period).
     """
-    steps, away = independent_rows(filtered)
+    filtered = problem.filtered
+    steps, away = filtered.independent_rows
     spread = long_run(
-        W[::steps],
+        problem.W[::steps],
         fit.residual[::steps] * away[::steps],
         away[::steps],
         filtered.period * steps,
         None if Z is None else Z[::steps],
     )
     lag = int(max(0.1, 4.0 * spread.correlation_time) / filtered.period)
-    return fit.residual, spread, min(lag, len(W) // 10), filtered.period
+    return spread, min(lag, len(problem.W) // 10)
 
 
-def independent_rows(filtered: Filtered) -> tuple[int, np.ndarray]:
-    """Rows between two that the band resolves, and which take part in the statistics: those away from rest (n,)."""
-    steps = resolved_steps(filtered)
-    away = filtered.used & filtered.away
-    return steps, away if int(away[::steps].sum()) >= FEWEST_STEPS else filtered.used
-
-
-def resolved_steps(filtered: Filtered) -> int:
-    """Rows between two that the filter's band lets differ: half a period of its upper end."""
-    return max(1, round(0.5 / (filtered.band_hz * filtered.period)))
-
-
-def told_at_rests(W: np.ndarray, filtered: Filtered, model: str) -> tuple[str, ...]:
+def told_at_rests(problem: Problem) -> tuple[str, ...]:
     """Friction parameters that mostly the rows beside what the ``hold`` chain leaves out tell apart.
 
     Within another period of the cut-off the filter still spreads what friction does at rest. A mass may be told there:
     acceleration is where the velocity turns.
     """
+    filtered = problem.filtered
     if filtered.chain != "hold":
         return ()
     part = slice(0, LONGEST)
-    shares = share_near_gaps(W[part], filtered.used[part], int(1.0 / (filtered.band_hz * filtered.period)))
-    names = (quantity.name for quantity in parameters_of(model))
+    reach = int(1.0 / (filtered.band_hz * filtered.period))
+    shares = share_near_gaps(problem.W[part], filtered.used[part], reach)
     friction = ("viscous", "coulomb")
-    return tuple(n for n, s in zip(names, shares, strict=True) if n.startswith(friction) and s > LARGEST_NEAR_GAPS)
+    pairs = zip(problem.names, shares, strict=True)
+    return tuple(n for n, s in pairs if n.startswith(friction) and s > LARGEST_NEAR_GAPS)
 
 
-def _reliability(record: Record, axis: Axis, model: str, filtered: Filtered, W: np.ndarray) -> np.ndarray | None:
+def _reliability(problem: Problem) -> np.ndarray | None:
     """Reliability of each column by the same chain on the reference; None where the motion does not follow it."""
-    part = first_part(record)
-    if float(np.std(part.q - part.q_ref)) > 0.1 * float(np.std(part.q)):
+    part = first_part(problem.record)
+    if not follows(part):
         return None
-    if part is not record:
-        filtered = filter_record(part, axis, filtered.chain, filtered.cutoff_hz)
-        W, _ = regression(filtered, model)
-    led = filter_record(replace(part, q=part.q_ref), axis, filtered.chain, filtered.cutoff_hz)
-    Z, _ = regression(led, model)
-    lags = tuple(round(delay / filtered.period) for delay in LAGS)
-    return reliability(W, Z * filtered.used[:, None], tuple(sorted(set(lags))))
+    if part is not problem.record:
+        problem = problem.alike(part)
+    led = problem.alike(replace(part, q=part.q_ref))
+    lags = tuple(round(delay / problem.filtered.period) for delay in LAGS)
+    return reliability(problem.W, led.W * problem.used[:, None], tuple(sorted(set(lags))))

@@ -27,8 +27,8 @@ from emps_design.records import Record
 
 REPORT_CUTOFF = 100.0  # Hz, five times the 20 Hz band of interest of the 2019 report
 REPORT_DROPPED = 49  # first samples, spoilt by the ends of filter and differences
-LONG = 1_000_000  # samples from which on rows are kept no closer than they have to be
 FEWEST_ROWS = 160  # away from rest, eight in a period of the cut-off, for a regression that leaves rest out
+LONG = 1_000_000  # samples from which on rows are kept no closer than they have to be
 
 
 def report_chain(record: Record, force_gain: float, cutoff_hz: float | None = None) -> Filtered:
@@ -41,7 +41,7 @@ def report_chain(record: Record, force_gain: float, cutoff_hz: float | None = No
         if 0.5 / record.period <= REPORT_CUTOFF:
             raise InputError(
                 f"{record.name}: sampled at {1 / record.period:g} Hz, the report's low-pass of {REPORT_CUTOFF:g} Hz "
-                f"needs more than {2 * REPORT_CUTOFF:g} Hz; use `chain='hold'`, or give `cutoff_hz`"
+                f"needs more than {2 * REPORT_CUTOFF:g} Hz; use `filter='hold'`, or give `cutoff`"
             )
         cutoff_hz = REPORT_CUTOFF
     force = _decimated(record.u, force_gain)
@@ -70,7 +70,7 @@ def paper_chain(record: Record, force_gain: float, cutoff_hz: float | None = Non
     the chain's low-pass is the decimation's.
     """
     if cutoff_hz is not None:
-        raise InputError("cut-off: the paper's chain has none, its low-pass is the decimation's; use `chain='hold'`")
+        raise InputError("cut-off: the paper's chain has none, its low-pass is the decimation's; use `filter='hold'`")
     force = _decimated(median_of_three(record.u), force_gain)
     v = median_of_three(np.diff(record.q, prepend=record.q[0]) / record.period)
     a = median_of_three(central_difference(v, record.period))

@@ -3,14 +3,15 @@
 A zero-phase filter spreads friction at rest over a period and a half of its cut-off, and what it spreads over is left
 out: a low cut-off costs rows, and the acceleration beside the reversals first. A high one lets in the noise of the
 encoder, which the second derivative multiplies. So the lowest that keeps nearly all of the motion is chosen, or a
-lower one where that noise would be felt. It depends on motion and encoder, not on mass, friction or clock.
+lower one where that noise would be felt. It depends on motion and encoder, not on friction or clock; on the force only
+where noise would hide the mass.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_left
 from functools import cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,20 +23,24 @@ from emps_design.records import Record
 STEP = 2.0**0.25  # between two cut-offs that are tried
 FEWEST_PERIODS = 20  # of the lowest that is tried, in the record
 # Shares that a cut-off keeps: of the rows that are not slow, and of the acceleration's power.
-LEAST, ENOUGH = (0.75, 0.5), (0.9, 0.8)
+HARDLY, LEAST, ENOUGH = (0.1, 0.05), (0.75, 0.5), (0.9, 0.8)
 NOISE = 2e-4  # of the acceleration's power, by which the encoder's noise may pull the mass down
+QUIET, NOISY = 0.01, 0.03  # of the mass, that noise may take away at the cut-off that judges, and at the one chosen
+CHANCE = 0.5  # of the mass's deviation, up to which noise does not matter
+FEWEST_INDEPENDENT = 80  # rows away from rest, two in a period of the cut-off
 LONGEST = 120_000  # samples that are looked at
 RULE = (
     f"lowest cut-off with {100 * ENOUGH[0]:.0f} % of the rows that are not slow and {100 * ENOUGH[1]:.0f} % of the "
     f"acceleration's power away from rest, or, where the encoder is noisier than {100 * NOISE:g} % of that power, "
-    f"down to {100 * LEAST[0]:.0f} % and {100 * LEAST[1]:.0f} %"
+    f"down to {100 * LEAST[0]:.0f} % and {100 * LEAST[1]:.0f} %; lower where noise would take more than "
+    f"{100 * NOISY:g} % of the mass away"
 )
 
 
 def chosen_cutoff(record: Record) -> float:
     """The lowest cut-off [Hz] that keeps :data:`ENOUGH` of the motion; lower where the encoder's noise asks for it.
 
-    No lower than keeps :data:`LEAST` of it, and at most a fifth of the sampling frequency.
+    No lower than keeps :data:`LEAST` of it, unless noise would take more than :data:`NOISY` of the mass away. At most a fifth of the sampling frequency.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
@@ -65,16 +70,58 @@ def chosen_cutoff(record: Record) -> float:
         for shares in (LEAST, ENOUGH)
     )
     power = float(np.mean(motion(part, least).a ** 2))
-    return float(f"{np.clip(_quiet(part, power), least, enough):.3g}")
+    chosen = float(np.clip(_quiet(part, power), least, enough))
+
+    # What noise hides is no loss: lower, until noise does less than chance, or as low as both together do least.
+    seen = [_mass_at(part, rest, chosen)]
+    index = bisect_left(tried, chosen, hi=len(tried) - 1)
+    while seen[-1].noise > max(QUIET, CHANCE * seen[-1].chance) and index > 0 and keeps(index - 1, HARDLY):
+        index -= 1
+        seen.append(_mass_at(part, rest, float(tried[index])))
+    surest = min(seen, key=lambda one: float(np.hypot(one.noise, one.chance)))
+    taken = next(one for one in seen if min(one.noise, abs(one.mass / surest.mass - 1.0)) <= NOISY)
+    return float(f"{taken.cutoff:.3g}")
+
+
+class _Mass(NamedTuple):
+    """The ``mass`` by least squares at a ``cutoff`` [Hz], what share of it noise takes away, and ``chance`` may."""
+
+    cutoff: float
+    mass: float
+    noise: float
+    chance: float
+
+
+def _mass_at(record: Record, rest: np.ndarray, cutoff_hz: float) -> _Mass:
+    """The mass at this cut-off, in the units of the command; without noise where too little of the record is left.
+
+    Noise in a column takes its parameter down by the share of it in what the other columns leave of that one.
+    """
+    rows = away_from(rest, cutoff_hz, record.period)
+    independent = 2.0 * cutoff_hz * record.period * int(rows.sum())
+    if independent < FEWEST_INDEPENDENT:
+        return _Mass(cutoff_hz, 1.0, 0.0, np.inf)
+    W = baseline_columns(motion(record, cutoff_hz))[rows]
+    force = low_pass(held(record.u), cutoff_hz, record.period)[rows]
+    (mass, *_), left, rank, _ = np.linalg.lstsq(W, force, rcond=None)
+    if rank < W.shape[1] or not mass * left.sum():
+        return _Mass(cutoff_hz, 1.0, 0.0, np.inf)
+    own = 1.0 / float(np.linalg.inv(W.T @ W)[0, 0]) / len(W)
+    chance = float(np.sqrt(left.sum() / len(W) / (independent * own))) / abs(float(mass))
+    return _Mass(cutoff_hz, float(mass), acceleration_noise(record, cutoff_hz) / own, chance)
 
 
 def _quiet(record: Record, power: float) -> float:
-    """The cut-off [Hz] up to which the encoder's noise is :data:`NOISE` of the acceleration's ``power`` [m^2/s^4].
+    """The cut-off [Hz] up to which the encoder's noise is :data:`NOISE` of the acceleration's ``power`` [m^2/s^4]."""
+    return float((NOISE * power / max(acceleration_noise(record, 1.0), 1e-300)) ** 0.2)
+
+
+def acceleration_noise(record: Record, cutoff_hz: float) -> float:
+    """Power of the encoder's noise in the acceleration below ``cutoff_hz`` [Hz], [m^2/s^4].
 
     White noise of variance s^2 has the power 2 s^2 T (2 pi)^4 f^5 / 5 in the second derivative below f.
     """
-    density = max(2.0 * encoder_variance(record) * record.period, 1e-300)
-    return float((5.0 * NOISE * power / ((2.0 * np.pi) ** 4 * density)) ** 0.2)
+    return 2.0 * encoder_variance(record) * record.period * (2.0 * np.pi) ** 4 * cutoff_hz**5 / 5.0
 
 
 def explained_by_frequency(record: Record, cutoff_hz: float) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from emps_design.axis import Axis
 from emps_design.errors import RecordError
 from emps_design.records import Record
 
+REFUSE, KNOWN = "refuse", "known"  # what is done with a record in which an external force was measured
 SMALLEST_STROKE = 1e-5  # m, and at least this many encoder steps:
 SMALLEST_STEPS = 200
 LARGEST_SATURATED_SHARE = 0.2
@@ -17,11 +18,11 @@ SENSOR_NOISE = 0.01  # of the motor force, up to which a measured force may be t
 WEAK_RELIABILITY = 0.5  # share of a column that the reference explains, below which its parameter is not determined
 
 
-def check_record(record: Record, axis: Axis, external_force_known: bool = False) -> Record:
+def check_record(record: Record, axis: Axis, external_force: str = REFUSE) -> Record:
     """Raise :class:`RecordError` for a record that cannot identify ``axis``: no motion, no reversal, saturated, pushed.
 
-    ``external_force_known``: the measured external force is meant to take part, as in (21). Returns the record to
-    identify from: without a measured force that is no more than a sensor's noise.
+    ``external_force`` "known": the measured one is meant to take part, as in (21); "refuse" it otherwise. Returns the
+    record to identify from: without a measured force that is no more than a sensor's noise.
     """
     stroke = float(np.ptp(record.q))
     step = axis.sampling.encoder_resolution
@@ -41,26 +42,31 @@ def check_record(record: Record, axis: Axis, external_force_known: bool = False)
             f"{record.name}: no reversal, the carriage moves one way only, so Coulomb friction and a constant force "
             "are one; record motion in both directions"
         )
-    return force_free(record, axis, external_force_known)
+    return force_free(record, axis, external_force)
 
 
-def force_free(record: Record, axis: Axis, external_force_known: bool = False) -> Record:
+def force_free(record: Record, axis: Axis, external_force: str = REFUSE) -> Record:
     """The record without a measured force that is a sensor's noise; :class:`RecordError` where it is more than that.
 
-    ``external_force_known``: it is meant to take part, and the record is left as it is.
+    ``external_force`` "known": it is meant to take part, and the record is left as it is.
     """
-    if record.f_ext is None or external_force_known:
+    if record.f_ext is None or external_force == KNOWN:
         return record
     rms, motor = (float(np.sqrt(np.mean(x**2))) for x in (record.f_ext, axis.drive.gain * record.u))
     if rms > SENSOR_NOISE * motor:
         raise RecordError(
             f"{record.name}: an external force of {rms:.3g} N rms acts, and (12) holds without one; record without "
-            "touching the carriage, or let the measured force take part with `external_force_known=True`"
+            "touching the carriage, or let the measured force take part with `external_force='known'`"
         )
     if rms == 0.0:
         return replace(record, f_ext=None)
-    note = f"f_ext: its {rms:.2g} N rms are taken for sensor noise and left out (`external_force_known=True` uses it)"
+    note = f"f_ext: its {rms:.2g} N rms are taken for sensor noise and left out (`external_force='known'` uses it)"
     return replace(record, f_ext=None, warnings=(*record.warnings, note))
+
+
+def follows(record: Record) -> bool:
+    """Whether the motion of ``record`` is that of its reference, but for a tenth."""
+    return float(np.std(record.q - record.q_ref)) <= 0.1 * float(np.std(record.q))
 
 
 def reverses(q: np.ndarray, share: float = 0.02) -> bool:

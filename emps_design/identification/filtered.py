@@ -9,6 +9,8 @@ import numpy as np
 
 from emps_design.effects import Motion
 
+FEWEST_STEPS = 100  # away from rest, for statistics that leave rest out
+
 
 @dataclass(frozen=True)
 class Filtered:
@@ -39,3 +41,14 @@ class Filtered:
         """The same with no row of motion: three columns of the whole record, which nothing needs once W is made."""
         none = np.zeros(0)
         return replace(self, motion=Motion(none, none, none, none, none, self.motion.period))
+
+    @property
+    def resolved_steps(self) -> int:
+        """Rows between two that the filter's band lets differ: half a period of its upper end."""
+        return max(1, round(0.5 / (self.band_hz * self.period)))
+
+    @property
+    def independent_rows(self) -> tuple[int, np.ndarray]:
+        """Rows between two that the band resolves, and which (n,) take part in the statistics: those away from rest."""
+        steps, away = self.resolved_steps, self.used & self.away
+        return steps, away if int(away[::steps].sum()) >= FEWEST_STEPS else self.used

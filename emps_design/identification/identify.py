@@ -1,176 +1,182 @@
-"""Identify the parameters of an axis from one record by the inverse dynamic model, (12)-(17)."""
+"""Identify the parameters of an axis from one record: least squares, or what the record asks for in its place.
+
+Noise of the force moves the carriage, the more the lighter it is and the faster its loop, and least squares then takes
+the mass too small: instruments are taken where a test says so. Where the measured acceleration is noise neither
+determines the mass, but output error may, which takes it from its simulation. Both need the controller: where the axis
+has none and the record has a reference, it is looked for in the record. A record without either stays with least
+squares; so does a record of an hour, for its memory.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.errors import InputError, RankError, RecordError
-from emps_design.identification.assemble import assemble
+from emps_design.errors import EmpsError
+from emps_design.identification.by_least_squares import held_out_on, identify_by_least_squares
 from emps_design.identification.chains import DEFAULT_CHAIN, LONG
-from emps_design.identification.cutoff import chosen_cutoff, explained_by_frequency, first_part
-from emps_design.identification.excitation import (
-    check_record,
-    force_free,
+from emps_design.identification.excitation import WEAK_RELIABILITY
+from emps_design.identification.request import (
+    AUTO,
+    BY_INSTRUMENTS,
+    BY_LEAST_SQUARES,
+    BY_OUTPUT_ERROR,
+    Request,
 )
-from emps_design.identification.filtered import Filtered
-from emps_design.identification.inverse_model import (
-    LeastSquares,
-    least_squares,
-    parameters_of,
-    regression,
-    relative_error,
-)
-from emps_design.identification.known import acting, filter_record, known_part
-from emps_design.identification.known import notes as notes_on
 from emps_design.identification.result import Identification
+from emps_design.laws import NONE
 from emps_design.records import Record
+
+if TYPE_CHECKING:
+    from typing import Unpack
+
+    from emps_design.identification.request import More
+
+UNTESTED = "whether least squares is biased was not tested"
 
 
 def identify(
     record: Record,
     axis: Axis | None = None,
     model: str = "symmetric",
-    chain: str = DEFAULT_CHAIN,
-    cutoff_hz: float | None = None,
-    external_force_known: bool = False,
-    bootstrap: int = 0,
-    seed: int = 0,
-    holdout: Record | None = None,
+    estimator: str = "auto",
+    filter: str = DEFAULT_CHAIN,
+    cutoff: float | None = None,
+    **more: Unpack[More],
 ) -> Identification:
-    """Identify ``axis`` from ``record`` by least squares on the inverse dynamic model.
+    """Identify ``axis`` from ``record``: the same as the command ``identify``, with its options and defaults.
 
-    ``axis`` (default: the embedded emps2019) gives G_tau, the voltage limit and what is known already: delays and lags
-    of its drive, and its effects, whose force is taken out and which stay in the identified axis; ``model`` is
-    ``symmetric`` or ``asymmetric``; ``chain`` the filters: ``hold`` (the hold modelled, rests left out, cut-off chosen
-    from the data), ``report`` (2019 report) or ``paper`` (2018 paper); ``cutoff_hz`` [Hz] overrides the chain's.
-    ``external_force_known`` lets a measured external force take part as in (21); ``bootstrap`` redraws the noise that
-    often. The fit is judged on ``holdout``, or, without one, on the last third of the record with parameters from the
-    rest. What cannot be, or is far from ``axis``, is a warning. Raises :class:`RecordError` for a record that cannot
-    identify, :class:`RankError` for columns it cannot tell apart.
+    ``axis`` (default: the embedded emps2019) gives G_tau, the voltage limit, the controller and what is known already:
+    delays and lags of its drive, and its effects, whose force is taken out and which stay in the identified axis. Where
+    it has no controller, the one that made the record is looked for in it. ``model`` is ``symmetric`` or
+    ``asymmetric``. ``estimator`` is ``ls`` (least squares), ``iv`` (instruments), ``oe`` (closed-loop output error) or
+    ``auto``: ``ls``; ``iv`` where the Durbin-Wu-Hausman test says that ``ls`` is biased, at 1 % and by half a standard
+    deviation or more; ``oe`` where noise leaves neither to determine a parameter, it does, and all agree on the others.
+    ``filter`` is ``hold`` (the hold modelled, rests left out, cut-off from the data), ``report`` (2019 report) or
+    ``paper`` (2018 paper), the latter two for ``ls`` alone; ``cutoff`` [Hz] overrides the filter's own.
+
+    ``more``: ``external_force`` "known" lets a measured external force take part as in (21), "refuse" (default) does
+    not; ``holdout`` is a record on which the fit is judged, without it the last third with parameters from the rest;
+    ``bootstrap`` redraws the noise that often, from ``seed``, and is one of ``ls``. The intervals hold what half and
+    twice the cut-off, the steps of the encoder and structure in the residual do. What cannot be, is far from ``axis``,
+    or is left unexplained is a warning. Raises :class:`InputError` for options that do not go together,
+    :class:`RecordError` for a record that cannot identify, :class:`RankError` for columns it cannot tell apart,
+    :class:`AxisError` for ``iv`` and ``oe`` without a controller.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
     >>> found = identify(synthetic_record(machine("emps2019"), laps=1))
-    >>> round(found.parameters["mass"].value, 0), found.parameters["mass"].quantity.unit
-    (95.0, 'kg')
+    >>> round(found.parameters["mass"].value, 0), found.parameters["mass"].quantity.unit, found.estimator
+    (95.0, 'kg', 'least_squares')
     """
+    request = Request(model, estimator, filter, cutoff, **more)
     if axis is None:
         from emps_design.machines import machine
 
         axis = machine("emps2019")
-    axis = axis.supplied_by(record)
-    record = check_record(record, axis, external_force_known)
-    axis, notes = known_part(axis, model), notes_on(known_part(axis, model))
-    chosen = chosen_cutoff(acting(record, axis))
-    if chain == "hold" and cutoff_hz is None:
-        cutoff_hz = chosen
-    filtered = filter_record(record, axis, chain, cutoff_hz)
-    W, Y = regression(filtered, model)
-    filtered = filtered.without_motion()
-    names = tuple(p.name for p in parameters_of(model))
-    fit = least_squares(W, Y, names, filtered.used)
-    extra: dict[str, Any] = {
-        "held_out": _held_out(filtered, W, Y, fit, axis, model, holdout, external_force_known),
-        "cutoff_from_data": explained_by_frequency(acting(record, axis), chosen),
-    }
-    del Y  # as long as the record; the rest is in the residual
-    systematic = None
-    if chain != "hold":
-        better, systematic = _against_hold(record, axis, model, filtered, fit, chosen)
-        if better is None:
-            notes.append("no interval away from rest: the intervals leave out what friction at rest does to them")
-        else:
-            extra["hold_modelled"] = {name: one.to_dict() for name, one in better.parameters.items()}
-    return assemble(
-        record,
-        axis,
-        model,
-        "least_squares",
-        filtered,
-        W,
-        fit,
-        bootstrap=bootstrap,
-        seed=seed,
-        extra=extra,
-        systematic=systematic,
-        encoder=_encoder(record, axis, model, filtered, fit) if chain == "hold" and len(record) <= LONG else None,
-        notes=notes,
-    )
+    estimate = BY[estimator]
+    if not request.simulates or axis.controller.kind != NONE or not record.has_reference or len(record) > LONG:
+        return estimate(record, axis, request)
+    from emps_design.identification.own_law import with_own_law
+
+    with_law, said = with_own_law(record, axis)
+    found = estimate(record, with_law or axis, request)
+    # The axis keeps what it says of its controller: `law` writes the one that was found.
+    return replace(found, axis=found.axis.replace(controller=axis.controller), warnings=(*found.warnings, said))
 
 
-def _encoder(record: Record, axis: Axis, model: str, filtered: Filtered, fit: LeastSquares) -> np.ndarray | None:
-    """What the steps of the encoder alone do to least squares (p,)."""
-    # Imported here: beside a long record's regression the modules of a simulation are a tenth of its memory.
-    from emps_design.identification.encoder import error_of_steps
-
-    def estimate(seen: Record, exact: Record) -> np.ndarray:
-        again = filter_record(seen, axis, "hold", filtered.cutoff_hz)
-        return least_squares(*regression(again, model), fit.names, again.used).value
-
-    return error_of_steps(first_part(record), axis, model, fit.value, estimate)
-
-
-def _against_hold(
-    record: Record, axis: Axis, model: str, filtered: Filtered, fit: LeastSquares, cutoff_hz: float
-) -> tuple[Identification | None, np.ndarray | None]:
-    """The same by the chain that models hold and rest, and what ``fit`` is off by; long records in part.
-
-    None where too little of the record is away from rest for that chain.
-    """
-    part = first_part(record)
-    if part is not record:
-        W, Y = regression(filter_record(part, axis, filtered.chain, filtered.cutoff_hz), model)
-        fit = least_squares(W, Y, fit.names)
+def _auto(record: Record, axis: Axis, request: Request) -> Identification:
+    """Least squares, instruments where that is biased, or output error; other chains and a bootstrap: the first."""
+    plain = identify_by_least_squares(record, axis, request)
+    if request.filter != DEFAULT_CHAIN or axis.controller.kind == NONE or not record.has_reference:
+        return plain
+    if request.bootstrap:
+        said = f"{UNTESTED}: a bootstrap is one of least squares"
+        return replace(plain, warnings=(*plain.warnings, said))
+    if len(record) > LONG:
+        said = f"{LONG} samples are the most that least squares is tested on; a part of the record says if it is biased"
+        return replace(plain, warnings=(*plain.warnings, said))
     try:
-        judge = filter_record(part, axis, "hold", cutoff_hz)
-        W, Y = regression(judge, model)
-        better = assemble(part, axis, model, "least_squares", judge, W, least_squares(W, Y, fit.names, judge.used))
-    except (RecordError, RankError):
-        return None, None
-    return better, fit.value - better.values()
+        led = _by_instruments(record, axis, request)
+    except (EmpsError, np.linalg.LinAlgError) as error:  # no simulation with this controller follows the record
+        return replace(plain, warnings=(*plain.warnings, f"{UNTESTED}: {error}"))
+    tried = _where_noise_hides(record, axis, request, plain, led)
+    if tried is not None:
+        return _judged(tried, request)
+    weaker = any(one.determined and not led.parameters[name].determined for name, one in plain.parameters.items())
+    if weaker or not led.extra["hausman_test"]["bias_matters"]:
+        return replace(plain, extra=plain.extra | {"hausman_test": led.extra["hausman_test"]})
+    return _judged(replace(led, warnings=(*led.warnings, *_weakly_led(led))), request)
 
 
-def _held_out(
-    filtered: Filtered,
-    W: np.ndarray,
-    Y: np.ndarray,
-    fit: LeastSquares,
-    axis: Axis,
-    model: str,
-    holdout: Record | None,
-    external_force_known: bool,
-) -> dict[str, Any] | None:
-    """Force error on data that took no part: another record, or the last third; None where the rest cannot do alone."""
-    if holdout is not None:
-        return held_out_on(holdout, axis, model, fit.value, filtered, external_force_known)
-    cut = 2 * len(W) // 3
-    try:
-        first = least_squares(W[:cut], Y[:cut], fit.names, filtered.used[:cut])
-    except (InputError, RankError):
+# Imported in the functions: beside a long record's regression the modules of a simulation are a tenth of its memory.
+def _by_instruments(record: Record, axis: Axis, request: Request) -> Identification:
+    from emps_design.identification.instruments import identify_with_instruments
+
+    return identify_with_instruments(record, axis, request.model, request.cutoff, request.external_force)
+
+
+def _by_output_error(record: Record, axis: Axis, request: Request) -> Identification:
+    from emps_design.identification.output_error import identify_by_output_error
+
+    return identify_by_output_error(record, axis, request.model, request.cutoff, request.external_force)
+
+
+BY: dict[str, Callable[[Record, Axis, Request], Identification]] = {
+    AUTO: _auto,
+    BY_LEAST_SQUARES: identify_by_least_squares,
+    BY_INSTRUMENTS: _by_instruments,
+    BY_OUTPUT_ERROR: _by_output_error,
+}
+
+
+def _judged(found: Identification, request: Request) -> Identification:
+    """``found`` with what it is worth on the held-out record."""
+    if request.holdout is None:
+        return found
+    judged = held_out_on(found, request.holdout, request.external_force)
+    return replace(found, extra=found.extra | {"held_out": judged})
+
+
+def _where_noise_hides(
+    record: Record, axis: Axis, request: Request, plain: Identification, led: Identification
+) -> Identification | None:
+    """Output error where it alone determines what noise hides, and agrees with ``led`` on the rest; else None."""
+    hidden = [name for name in led.parameters if _by_noise(plain, name) and _by_noise(led, name)]
+    if not hidden:
         return None
-    return _judged("last third", Y[cut:] - W[cut:] @ first.value, Y[cut:], filtered.used[cut:])
+    try:
+        found = _by_output_error(record, axis, request)
+    except EmpsError:
+        return None
+    ends = {name: one.interval_95 for name, one in found.parameters.items() if one.interval_95 is not None}
+    others = {name: one.interval_95 for name, one in led.parameters.items() if one.interval_95 is not None}
+    told = all(name in ends and ends[name][0] * ends[name][1] > 0.0 for name in hidden)
+    if not told or any(ends[name][0] > high or ends[name][1] < low for name, (low, high) in others.items()):
+        return None
+    said = (
+        f"{', '.join(hidden)}: by output error, for the measured motion is noise there, and least squares and "
+        "instruments do not determine it"
+    )
+    extra = found.extra | {"hausman_test": led.extra["hausman_test"]}
+    return replace(found, extra=extra, warnings=(*found.warnings, said))
 
 
-def held_out_on(
-    holdout: Record,
-    axis: Axis,
-    model: str,
-    value: np.ndarray,
-    by: Filtered | Identification,
-    external_force_known: bool = False,
-) -> dict[str, Any]:
-    """Force error of the parameters ``value`` (p,) on ``holdout``, filtered as what they were found ``by``."""
-    other = filter_record(force_free(holdout, axis, external_force_known), axis, by.chain, by.cutoff_hz)
-    W, Y = regression(other, model)
-    return _judged(holdout.name, Y - W @ value, Y, other.used)
+def _by_noise(found: Identification, name: str) -> bool:
+    one = found.parameters[name]
+    return not one.determined and one.reliability is not None and one.reliability < WEAK_RELIABILITY
 
 
-def _judged(on: str, error: np.ndarray, force: np.ndarray, used: np.ndarray) -> dict[str, Any]:
-    return {
-        "on": on,
-        "rms_error": float(np.sqrt(error @ error / max(int(used.sum()), 1))),
-        "relative_error_percent": relative_error(error, force),
-    }
+def _weakly_led(found: Identification) -> list[str]:
+    """Of what instruments alone determine: least squares would not, and they may be off by more than they say."""
+    shares = {name: one.reliability for name, one in found.parameters.items() if one.determined}
+    return [
+        f"{name}: the reference explains {100.0 * share:.2g} % of its column, least squares would not determine it; "
+        "compare output error (oe), or record more acceleration"
+        for name, share in shares.items()
+        if share is not None and share < WEAK_RELIABILITY
+    ]

@@ -14,22 +14,19 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import AxisError
-from emps_design.identification.assemble import assemble, residual_statistics, resolved_steps
+from emps_design.identification.assemble import Errors, assemble, residual_statistics
 from emps_design.identification.chains import hold_chain
 from emps_design.identification.closed_loop import simulate
 from emps_design.identification.cutoff import first_part
 from emps_design.identification.encoder import error_of_steps
-from emps_design.identification.excitation import check_record
-from emps_design.identification.filtered import Filtered
-from emps_design.identification.inverse_model import (
-    LeastSquares,
-    least_squares,
-    parameters_of,
-    regression,
-)
-from emps_design.identification.known import filter_record, known_part, notes
+from emps_design.identification.excitation import REFUSE, check_record
+from emps_design.identification.inverse_model import LeastSquares, least_squares, regression
+from emps_design.identification.known import known_part, notes
+from emps_design.identification.problem import Problem
 from emps_design.identification.result import Identification
+from emps_design.identification.sensitivity import Estimated, cutoff_sensitivity
 from emps_design.identification.statistics import long_run
+from emps_design.laws import NONE
 from emps_design.records import Record
 
 ITERATIONS = 8
@@ -77,8 +74,8 @@ def identify_with_instruments(
     record: Record,
     axis: Axis,
     model: str = "symmetric",
-    cutoff_hz: float | None = None,
-    external_force_known: bool = False,
+    cutoff: float | None = None,
+    external_force: str = REFUSE,
 ) -> Identification:
     """Identify ``axis`` from ``record`` by IDIM-IV on the ``hold`` chain, with the Durbin-Wu-Hausman test.
 
@@ -92,72 +89,69 @@ def identify_with_instruments(
     >>> round(found.parameters["mass"].value, 0), found.extra["hausman_test"]["bias_matters"]
     (95.0, False)
     """
-    if axis.controller.kind == "none":
+    if axis.controller.kind == NONE:
         raise AxisError(f"{axis.name}: instruments need the controller of the record; give [controller] in the axis")
     axis = axis.supplied_by(record)
-    record = check_record(record, axis, external_force_known)
+    record = check_record(record, axis, external_force)
     axis = known_part(axis, model)
-    filtered = filter_record(record, axis, "hold", cutoff_hz)
-    names = tuple(p.name for p in parameters_of(model))
-    W, Y = regression(filtered, model)
-    start = least_squares(W, Y, names, filtered.used)
-    _, spread, _, _ = residual_statistics(filtered, W, start)
-    value, fit, Z = start.value, start, W
+    problem = Problem.of(record, axis, model, cutoff=cutoff)
+    start = problem.solved()
+    spread, _ = residual_statistics(problem, start)
+    value, fit, Z, led = start.value, start, problem.W, record
     for _ in range(ITERATIONS):
-        Z = instruments(record, axis, model, value, filtered)
-        fit = _solve(Z, W, Y, names, int(filtered.used.sum()))
+        led = _led(record, axis, model, value)
+        Z = _columns(led, problem)
+        fit = _solved(Z, problem)
         change = np.max(np.abs(fit.value - value) / spread.std)
         value = fit.value
         if change < SETTLED:
             break
 
-    def estimate(seen: Record, exact: Record) -> np.ndarray:
-        again = filter_record(seen, axis, "hold", filtered.cutoff_hz)
-        led = _columns(exact, axis, model, again)
-        return _solve(led, *regression(again, model), names, int(again.used.sum())).value
+    def of_steps(seen: Record, exact: Record) -> np.ndarray:
+        again = problem.alike(seen)
+        return _solved(_columns(exact, again), again).value
 
-    test = hausman_test(W, Y, Z, filtered, float(np.max(np.abs(value - start.value) / spread.std)))
+    def at(frequency: float) -> Estimated:
+        other = Problem.of(record, axis, model, cutoff=frequency)
+        columns = _columns(led, other)
+        found = _solved(columns, other)
+        return Estimated(found.value, residual_statistics(other, found, columns)[0].std)
+
+    test = hausman_test(problem, Z, float(np.max(np.abs(value - start.value) / spread.std)))
+    own = Estimated(value, residual_statistics(problem, fit, Z)[0].std)
+    errors = Errors(
+        encoder=error_of_steps(first_part(record), axis, model, value, of_steps),
+        cutoff=cutoff_sensitivity(problem.names, own, problem.filtered.band_hz, record.period, at),
+    )
     extra = {
-        "least_squares": dict(zip(names, map(float, start.value), strict=True)),
+        "least_squares": dict(zip(problem.names, map(float, start.value), strict=True)),
         "hausman_test": test.to_dict(),
     }
-    return assemble(
-        record,
-        axis,
-        model,
-        "instrumental_variables",
-        filtered,
-        W,
-        fit,
-        Z=Z,
-        extra=extra,
-        encoder=error_of_steps(first_part(record), axis, model, value, estimate),
-        notes=notes(axis),
-        weakest=WEAK_INSTRUMENT,
-    )
+    return assemble(problem, fit, "instrumental_variables", Z, errors, notes(axis), extra, WEAK_INSTRUMENT)
 
 
-def instruments(record: Record, axis: Axis, model: str, value: np.ndarray, filtered: Filtered) -> np.ndarray:
-    """Columns of the closed-loop simulation from ``q_ref`` with parameters ``value``, filtered alike, (n, p)."""
+def _led(record: Record, axis: Axis, model: str, value: np.ndarray) -> Record:
+    """The record that the axis with parameters ``value`` (p,) makes of the reference alone."""
     run = simulate(record, axis, model, value)
-    return _columns(replace(record, q=run.position, u=run.u), axis, model, filtered)
+    return replace(record, q=run.position, u=run.u)
 
 
-def _columns(run: Record, axis: Axis, model: str, filtered: Filtered) -> np.ndarray:
-    Z, _ = regression(hold_chain(run, axis.drive.gain, filtered.cutoff_hz), model)
-    return Z * filtered.used[:, None]
+def _columns(led: Record, problem: Problem) -> np.ndarray:
+    """Columns (n, p) of a record ``led`` by the reference, filtered as the ``problem`` is."""
+    Z, _ = regression(hold_chain(led, problem.axis.drive.gain, problem.filtered.cutoff_hz), problem.model)
+    return Z * problem.used[:, None]
 
 
-def hausman_test(W: np.ndarray, Y: np.ndarray, Z: np.ndarray, filtered: Filtered, shift: float) -> HausmanTest:
-    """Durbin-Wu-Hausman test by the augmented regression: W with what of it the instruments Z do not explain.
+def hausman_test(problem: Problem, Z: np.ndarray, shift: float) -> HausmanTest:
+    """Durbin-Wu-Hausman test by the augmented regression: W with what of it the instruments Z (n, p) do not explain.
 
     ``shift`` is what the two estimates differ by, in standard deviations.
     """
     from scipy.stats import chi2
 
     # Rows as far apart as the band resolves: what is nonzero between them alone is no evidence.
-    steps = resolved_steps(filtered)
-    W, Y, Z, used = W[::steps], Y[::steps], Z[::steps], filtered.used[::steps]
+    steps = problem.filtered.resolved_steps
+    W, Y, Z, used = (one[::steps] for one in (problem.W, problem.Y, Z, problem.used))
     basis = np.linalg.qr(Z)[0]
     missed = W - basis @ (basis.T @ W)
     kept = np.linalg.norm(missed, axis=0) > 1e-3 * np.linalg.norm(W, axis=0)
@@ -174,15 +168,16 @@ def hausman_test(W: np.ndarray, Y: np.ndarray, Z: np.ndarray, filtered: Filtered
     both = np.column_stack([W, missed])
     names = tuple(f"column {i}" for i in range(both.shape[1]))
     fit = least_squares(both, Y, names, used)
-    spread = long_run(both, fit.residual, used, filtered.period * steps)
+    spread = long_run(both, fit.residual, used, problem.filtered.period * steps)
     extra = slice(W.shape[1], None)
     statistic = float(fit.value[extra] @ np.linalg.solve(spread.covariance[extra, extra], fit.value[extra]))
     return HausmanTest(statistic, missed.shape[1], float(chi2.sf(statistic, missed.shape[1])), shift)
 
 
-def _solve(Z: np.ndarray, W: np.ndarray, Y: np.ndarray, names: tuple[str, ...], n: int) -> LeastSquares:
+def _solved(Z: np.ndarray, problem: Problem) -> LeastSquares:
     """(Z^T W)^-1 Z^T Y in the shape of a least-squares fit, with the deviations for independent errors."""
+    W, Y = problem.W, problem.Y
     bread = np.linalg.inv(Z.T @ W)
     value = bread @ (Z.T @ Y)
-    condition = float(np.linalg.cond(Z.T @ W) ** 0.5)
-    return LeastSquares.of(names, value, bread @ (Z.T @ Z) @ bread.T, Y - W @ value, Y, n, condition)
+    condition, rows = float(np.linalg.cond(Z.T @ W) ** 0.5), int(problem.used.sum())
+    return LeastSquares.of(problem.names, value, bread @ (Z.T @ Z) @ bread.T, Y - W @ value, Y, rows, condition)

@@ -55,8 +55,7 @@ def filter_record(record: Record, axis: Axis, chain: str, cutoff_hz: float | Non
     the motor force, with the parameters of the axis and its present mechanics where an effect depends on them.
     Raises :class:`InputError`, which names the nearest chain.
     """
-    if chain not in CHAINS:
-        raise InputError(f"`chain`: found {chain!r}, expected {', '.join(CHAINS)}{nearest_name(chain, list(CHAINS))}")
+    check_chain(chain)
     voltage, rest = acting_voltage(sampled_with(axis, record.period), record.u)
     share = motor_share(axis, record)
     filtered = CHAINS[chain](replace(record, u=voltage * share), axis.drive.gain, cutoff_hz)
@@ -68,6 +67,12 @@ def filter_record(record: Record, axis: Axis, chain: str, cutoff_hz: float | Non
         return filtered
     moved = with_predicted_force(filtered.motion, axis.mechanics.array())
     return replace(filtered, force=filtered.force - filtered.reduce(effects_force(moved, rest)))
+
+
+def check_chain(chain: str) -> None:
+    """Raise :class:`InputError`, which names the nearest, for a ``chain`` of filters that is none."""
+    if chain not in CHAINS:
+        raise InputError(f"`filter`: found {chain!r}, expected {', '.join(CHAINS)}{nearest_name(chain, list(CHAINS))}")
 
 
 def notes(axis: Axis, simulated: bool = False) -> list[str]:

@@ -12,6 +12,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.effects import Motion
 from emps_design.errors import InputError, RecordError
+from emps_design.identification.excitation import KNOWN
 from emps_design.identification.filters import held_force, motion, share_of_nyquist
 from emps_design.identification.identify import identify
 from emps_design.identification.rests import SLOW
@@ -213,7 +214,7 @@ def direct_validation(record: Record, axis: Axis, model: str = "asymmetric", **o
     """
     if record.f_ext is None or not np.any(record.f_ext):
         raise RecordError(f"{record.name}: no measured external force; direct validation (21) needs a column f_ext")
-    return identify(record, axis, model=model, external_force_known=True, **options)
+    return identify(record, axis, model=model, external_force=KNOWN, **options)
 
 
 def with_known_push(record: Record, voltage: np.ndarray, force_gain: float) -> Record:

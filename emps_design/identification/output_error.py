@@ -15,21 +15,19 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import AxisError, InputError, RankError, RecordError
-from emps_design.identification.assemble import assemble
+from emps_design.identification.assemble import Errors, assemble, residual_statistics
 from emps_design.identification.chains import hold_chain
 from emps_design.identification.closed_loop import simulate
 from emps_design.identification.cutoff import chosen_cutoff
 from emps_design.identification.encoder import error_of_steps
-from emps_design.identification.excitation import check_record
+from emps_design.identification.excitation import REFUSE, check_record
 from emps_design.identification.filters import low_pass
-from emps_design.identification.inverse_model import (
-    LeastSquares,
-    least_squares,
-    parameters_of,
-    regression,
-)
-from emps_design.identification.known import acting, filter_record, known_part, notes
+from emps_design.identification.inverse_model import LeastSquares, least_squares, regression
+from emps_design.identification.known import acting, known_part, notes
+from emps_design.identification.problem import Problem
 from emps_design.identification.result import Identification
+from emps_design.identification.sensitivity import Estimated, cutoff_sensitivity
+from emps_design.laws import NONE
 from emps_design.observer import motor_force
 from emps_design.records import Record
 
@@ -46,13 +44,13 @@ def identify_by_output_error(
     record: Record,
     axis: Axis,
     model: str = "symmetric",
-    cutoff_hz: float | None = None,
-    external_force_known: bool = False,
+    cutoff: float | None = None,
+    external_force: str = REFUSE,
 ) -> Identification:
     """Identify ``axis`` from ``record`` by closed-loop output error on the motor force.
 
     Starts at the least-squares estimate of the ``hold`` chain, or, where that finds too little away from rest, at the
-    mechanics of ``axis``; ``cutoff_hz`` [Hz] low-passes the residual. ``extra`` holds the errors in position [m] and
+    mechanics of ``axis``; ``cutoff`` [Hz] low-passes the residual. ``extra`` holds the errors in position [m] and
     force [N]. Raises :class:`AxisError` without a controller, :class:`InputError` where the search does not converge.
 
     >>> from emps_design.machines import machine
@@ -62,38 +60,26 @@ def identify_by_output_error(
     >>> round(found.parameters["viscous"].value, -1), found.extra["closed_loop"]["position_rms_error"] < 1e-6
     (200.0, True)
     """
-    if axis.controller.kind == "none":
+    if axis.controller.kind == NONE:
         raise AxisError(f"{axis.name}: output error needs the controller of the record; give [controller] in the axis")
     axis = axis.supplied_by(record)
-    record = check_record(record, axis, external_force_known)
+    record = check_record(record, axis, external_force)
     axis = known_part(axis, model)
-    if cutoff_hz is None:
-        cutoff_hz = chosen_cutoff(acting(record, axis))
-    said = notes(axis, simulated=True)
-    names = tuple(p.name for p in parameters_of(model))
-    try:
-        filtered = filter_record(record, axis, "hold", cutoff_hz)
-        W, Y = regression(filtered, model)
-        start = least_squares(W, Y, names, filtered.used).value
-    except (RecordError, RankError):
-        filtered = hold_chain(record, axis.drive.gain, cutoff_hz, fewest_rows=0)
-        filtered = replace(filtered, used=np.ones_like(filtered.used))
-        start = _mechanics(axis, model)
-        said.append(RESTS_TAKE_PART)
-    edge = int(1.0 / (cutoff_hz * record.period))
-
+    if cutoff is None:
+        cutoff = chosen_cutoff(acting(record, axis))
+    problem, start, said = _problem(record, axis, model, cutoff)
     measured = motor_force(axis, record)
 
     def force_error(parameters: np.ndarray) -> np.ndarray:
-        run = simulate(record, axis, model, parameters)
-        error = low_pass(measured - run.force, cutoff_hz, record.period)
-        return error[edge : len(record) - edge : filtered.decimation] * filtered.used
+        return measured - simulate(record, axis, model, parameters).force
 
-    value, residual, jacobian = _least(force_error, start, 3 if model == "symmetric" else 5, record.name)
-    measured, spread = filtered.force * filtered.used, np.linalg.inv(jacobian.T @ jacobian)
-    rows, condition = int(filtered.used.sum()), float(np.linalg.cond(jacobian))
-    fit = LeastSquares.of(names, value, spread, residual, measured, rows, condition)
-    off = low_pass(record.q - simulate(record, axis, model, value).position, cutoff_hz, record.period)
+    def filtered_error(parameters: np.ndarray) -> np.ndarray:
+        return _rows(force_error(parameters), problem)
+
+    value, residual, jacobian = _least(filtered_error, start, 3 if model == "symmetric" else 5, record.name)
+    problem, fit = _linear(problem, jacobian, residual, value)
+    off = low_pass(record.q - simulate(record, axis, model, value).position, cutoff, record.period)
+    edge = _edge(problem)
     extra = {
         "closed_loop": {
             "position_rms_error": float(np.sqrt(np.mean(off[edge : len(record) - edge] ** 2))),
@@ -102,16 +88,65 @@ def identify_by_output_error(
         }
     }
 
-    def estimate(seen: Record, exact: Record) -> np.ndarray:
-        error = low_pass(motor_force(axis, seen) - motor_force(axis, exact), cutoff_hz, record.period)
-        off = error[edge : len(record) - edge : filtered.decimation] * filtered.used
-        return least_squares(jacobian, off, names, filtered.used).value
+    def of_steps(seen: Record, exact: Record) -> np.ndarray:
+        off = _rows(motor_force(axis, seen) - motor_force(axis, exact), problem)
+        return least_squares(jacobian, off, problem.names, problem.used).value
 
-    found = assemble(
-        record, axis, model, "output_error", filtered, jacobian, fit,
-        extra=extra, encoder=error_of_steps(record, axis, model, value, estimate), notes=said, weakest=0.0,
-    )  # fmt: skip
-    return replace(found, series={**found.series, "measured": measured, "model": measured - residual})
+    error = force_error(value)
+    slopes = _jacobian(force_error, value, error).T
+
+    def at(frequency: float) -> Estimated:
+        """One step of Gauss and Newton from the estimate, with error and derivatives filtered otherwise."""
+        other, _, _ = _problem(record, axis, model, frequency)
+        columns, left = np.column_stack([_rows(one, other) for one in slopes]), _rows(error, other)
+        step = least_squares(columns, left, other.names, other.used)
+        linear, found = _linear(other, columns, step.residual, value + step.value)
+        return Estimated(found.value, residual_statistics(linear, found)[0].std)
+
+    own = Estimated(value, residual_statistics(problem, fit)[0].std)
+    errors = Errors(
+        encoder=error_of_steps(record, axis, model, value, of_steps),
+        cutoff=cutoff_sensitivity(problem.names, own, cutoff, record.period, at),
+    )
+    found = assemble(problem, fit, "output_error", None, errors, said, extra, weakest=0.0)
+    return replace(found, series={**found.series, "measured": problem.Y, "model": problem.Y - residual})
+
+
+def _problem(record: Record, axis: Axis, model: str, cutoff: float) -> tuple[Problem, np.ndarray, list[str]]:
+    """The regression at this ``cutoff`` [Hz], where its least squares start the search (p,), and notes on both.
+
+    With rests, and from the mechanics of the ``axis``, where too little of the record is away from rest.
+    """
+    said = notes(axis, simulated=True)
+    try:
+        problem = Problem.of(record, axis, model, cutoff=cutoff)
+        return problem, problem.solved().value, said
+    except (RecordError, RankError):
+        filtered = hold_chain(record, axis.drive.gain, cutoff, fewest_rows=0)
+        filtered = replace(filtered, used=np.ones_like(filtered.used))
+        W, Y = regression(filtered, model)
+        return Problem(record, axis, model, filtered, W, Y), _mechanics(axis, model), [*said, RESTS_TAKE_PART]
+
+
+def _linear(
+    problem: Problem, jacobian: np.ndarray, residual: np.ndarray, value: np.ndarray
+) -> tuple[Problem, LeastSquares]:
+    """The ``problem`` with the derivatives (n, p) as its columns, and its solution ``value`` (p,)."""
+    spread, condition = np.linalg.inv(jacobian.T @ jacobian), float(np.linalg.cond(jacobian))
+    force, rows = problem.filtered.force * problem.used, int(problem.used.sum())
+    fit = LeastSquares.of(problem.names, value, spread, residual, force, rows, condition)
+    return replace(problem, W=jacobian, Y=force), fit
+
+
+def _edge(problem: Problem) -> int:
+    """Samples at each end in which the filter makes up what lies outside the record."""
+    return int(1.0 / (problem.filtered.band_hz * problem.record.period))
+
+
+def _rows(force: np.ndarray, problem: Problem) -> np.ndarray:
+    """A ``force`` [N] of the record's rate, filtered to the rows of the ``problem``."""
+    smooth = low_pass(force, problem.filtered.band_hz, problem.record.period)
+    return problem.filtered.reduce(smooth) * problem.used
 
 
 def _mechanics(axis: Axis, model: str) -> np.ndarray:
@@ -148,7 +183,7 @@ def _least(
         jacobian = _jacobian(error, value, residual)
         if fall < CONVERGED:
             return value, residual, jacobian
-    raise InputError(f"{name}: output error did not converge in {ITERATIONS} steps; give a lower `cutoff_hz`")
+    raise InputError(f"{name}: output error did not converge in {ITERATIONS} steps; give a lower `cutoff`")
 
 
 def _jacobian(error: Callable[[np.ndarray], np.ndarray], value: np.ndarray, residual: np.ndarray) -> np.ndarray:

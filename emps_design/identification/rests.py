@@ -15,18 +15,25 @@ SLOW = 0.01  # of the largest velocity: below it friction may be that of rest
 HIGHEST = 0.2  # of the sampling frequency, for any low-pass that is chosen
 REACH = 1.5  # periods of the cut-off over which a low-pass spreads a jump
 BLOCKS = 50  # in whose median the noise of the encoder is read
+MOVING = 0.1  # of the samples of such a block that differ from the one before, at least
 
 
 def encoder_variance(record: Record) -> float:
     """Variance of the encoder's white noise, rounding included [m^2]: the fourth difference of a motion is 70 of it.
+
+    Read while the position changes, for an axis at rest shows no steps; no less than the finest step's rounding.
 
     >>> t = np.arange(20000) * 1e-3
     >>> q = 0.1 * np.sin(t) + 2e-6 * np.random.default_rng(0).standard_normal(20000)
     >>> round(1e6 * encoder_variance(Record(t=t, q_ref=q, q=q, u=q, period=1e-3)) ** 0.5, 1)
     2.0
     """
-    blocks = np.array_split(np.diff(record.q, 4) ** 2, BLOCKS)
-    return float(np.median([np.mean(block) for block in blocks if block.size] or [0.0])) / 70.0
+    step = np.abs(np.diff(record.q))
+    blocks = zip(np.array_split(np.diff(record.q, 4) ** 2, BLOCKS), np.array_split(step[3:] > 0.0, BLOCKS), strict=True)
+    moving = [np.mean(fourth) for fourth, moves in blocks if moves.size and np.mean(moves) > MOVING]
+    finest = float(np.min(step, initial=np.inf, where=step > 0.0))
+    rounding = finest**2 / 12.0 if np.isfinite(finest) else 0.0
+    return max(float(np.median(moving or [0.0])) / 70.0, rounding)
 
 
 def at_rest(record: Record) -> np.ndarray:

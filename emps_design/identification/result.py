@@ -20,11 +20,11 @@ from emps_design.quantities import Quantity
 class Estimate:
     """One identified parameter: ``value``, ``std`` by (15), ``relative_std_percent`` by (16), and what holds.
 
-    ``std_long_run`` and ``interval_95`` allow for the correlation of the residual; ``std_hac`` is the HAC deviation;
-    ``systematic`` what a chain that models neither hold nor rest is off by, judged by the one that does, and
-    ``encoder`` the rms of what the steps of the encoder do by simulation, 0 where the residual tells of more: both are
-    part of the interval. All None where the record does not determine the parameter; ``reliability`` says how much of
-    its column is motion.
+    ``std_long_run`` and ``interval_95`` allow for the correlation of the residual and for structure in it; ``std_hac``
+    is the HAC deviation; ``systematic`` what a chain that models neither hold nor rest is off by, judged by the one
+    that does, ``encoder`` the rms of what the steps of the encoder do by simulation, 0 where the residual tells of
+    more, and ``cutoff`` what half and twice the cut-off move it by beyond chance: all three are part of the interval.
+    All None where the record does not determine the parameter; ``reliability`` says how much of its column is motion.
     """
 
     quantity: Quantity
@@ -37,6 +37,7 @@ class Estimate:
     interval_95_bootstrap: tuple[float, float] | None = None
     systematic: float | None = None
     encoder: float | None = None
+    cutoff: float | None = None
     reliability: float | None = None
 
     @property

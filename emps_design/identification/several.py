@@ -12,13 +12,19 @@ from emps_design.axis import Axis
 from emps_design.errors import AxisError, InputError
 from emps_design.identification.identify import identify
 from emps_design.identification.inverse_model import parameters_of
+from emps_design.identification.request import BY_INSTRUMENTS, BY_LEAST_SQUARES, BY_OUTPUT_ERROR
 from emps_design.identification.result import Identification
-from emps_design.identification.tested import identify_tested
 from emps_design.progress import Progress
 from emps_design.records import Record
 
 DRIFT_LEVEL = 0.01
-BY = ("least_squares", "instrumental_variables", "output_error")  # estimators, the more particular the later
+OUTPUT_ERROR = "output_error"
+# How an estimator is called in a result, and how it is asked for: the more particular the later.
+NAMES = {
+    "least_squares": BY_LEAST_SQUARES,
+    "instrumental_variables": BY_INSTRUMENTS,
+    OUTPUT_ERROR: BY_OUTPUT_ERROR,
+}
 
 
 @dataclass(frozen=True)
@@ -124,23 +130,18 @@ class SeveralIdentifications:
 
 
 def identify_several(
-    records: Sequence[Record],
-    axis: Axis | None = None,
-    model: str = "symmetric",
-    progress: Progress | None = None,
-    test: bool = True,
-    **options: Any,
+    records: Sequence[Record], axis: Axis | None = None, progress: Progress | None = None, **options: Any
 ) -> SeveralIdentifications:
     """Identify each of ``records`` and judge every set of parameters on every record.
 
-    ``options`` are those of :func:`emps_design.identification.identify`. With a ``test``, by the estimator that one of
-    them asks for (:func:`.identify_tested`): all by the same, so that they can be compared. Raises :class:`InputError`
-    for fewer than two records, :class:`AxisError` where a record does not determine a parameter.
+    ``options`` are those of :func:`.identify`; with the estimator ``auto`` all by the one that one of the records asks
+    for, so that they can be compared. Raises :class:`InputError` for fewer than two records, :class:`AxisError` where a
+    record does not determine a parameter.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
     >>> axis = machine("emps2019")
-    >>> found = identify_several([synthetic_record(axis, seed, laps=1) for seed in range(2)], axis, chain="hold")
+    >>> found = identify_several([synthetic_record(axis, seed, laps=1) for seed in range(2)], axis)
     >>> found.cross_validation.shape, round(found.table()[0]["mean"])
     ((2, 2), 95)
     """
@@ -150,7 +151,7 @@ def identify_several(
         from emps_design.machines import machine
 
         axis = machine("emps2019")
-    found = _identified(records, axis, model, progress, test, options)
+    found = _identified(records, axis, progress, options)
     problems = []
     for record, one in zip(records, found, strict=True):
         missing = [name for name, estimate in one.parameters.items() if not estimate.determined]
@@ -160,38 +161,27 @@ def identify_several(
                 "out, or record motion that excites them"
             )
         # What each is judged by is the inverse model, whatever the estimator: output error has other columns.
-        judge = one if one.estimator != BY[-1] else identify(record, axis, model=model, **options)
+        judge = one
+        if one.estimator == OUTPUT_ERROR:
+            judge = identify(record, axis, **{**options, "estimator": BY_LEAST_SQUARES})
         problems.append((judge.series["columns"], judge.series["measured"], judge.samples))
     matrix = np.array(
         [[float(np.sqrt(np.sum((Y - W @ one.values()) ** 2) / n)) for W, Y, n in problems] for one in found]
     )
-    warnings = []
-    for one in found:
-        warnings += [f"{one.record}: {text}" for text in one.warnings]
-    return SeveralIdentifications(tuple(found), matrix, tuple(warnings), model, axis)
+    warnings = tuple(f"{one.record}: {text}" for one in found for text in one.warnings)
+    return SeveralIdentifications(tuple(found), matrix, warnings, found[0].model, axis)
 
 
 def _identified(
-    records: Sequence[Record],
-    axis: Axis,
-    model: str,
-    progress: Progress | None,
-    test: bool,
-    options: dict[str, Any],
+    records: Sequence[Record], axis: Axis, progress: Progress | None, options: dict[str, Any]
 ) -> list[Identification]:
-    """Each of ``records`` by one estimator: least squares, or with a ``test`` the one that one of them asks for."""
+    """Each of ``records`` by one estimator: the most particular that one of them asks for."""
     found = []
     for index, record in enumerate(records):
         if progress is not None:
             progress(f"identify {record.name}", index / len(records))
-        found.append((identify_tested if test else identify)(record, axis, model=model, **options))
-    taken = max((one.estimator for one in found), key=BY.index)
-    if taken == BY[0]:
-        return found
-    from emps_design.identification.instruments import identify_with_instruments
-    from emps_design.identification.output_error import identify_by_output_error
-
-    estimate = identify_with_instruments if taken == BY[1] else identify_by_output_error
-    both = {name: value for name, value in options.items() if name in ("cutoff_hz", "external_force_known")}
+        found.append(identify(record, axis, **options))
+    taken = max((one.estimator for one in found), key=list(NAMES).index)
+    again = {**options, "estimator": NAMES[taken]}
     pairs = zip(records, found, strict=True)
-    return [one if one.estimator == taken else estimate(record, axis, model, **both) for record, one in pairs]
+    return [one if one.estimator == taken else identify(record, axis, **again) for record, one in pairs]

@@ -99,13 +99,13 @@ def reproduce_section_3(
     bench = virtual_bench(seed, given, progress)
     # The paper knows nothing of the machine but G_tau, and takes the current loop for a gain.
     plain = bench.axis.replace(effects=[], drive={"current_time_constant": 0.0})
-    several = identify_several(bench.identification, plain, model=MODEL, chain="paper")
+    several = identify_several(bench.identification, plain, model=MODEL, filter="paper")
     mean = several.values.mean(axis=0)
     cross, direct = [], []
     for record in bench.comanipulation:
         _, W, motor, sensor = _prepared(record, bench)
         cross.append(float(np.sqrt(np.mean((W @ mean - motor - sensor) ** 2))))
-        direct.append(direct_validation(record, plain, model=MODEL, chain="paper"))
+        direct.append(direct_validation(record, plain, model=MODEL, filter="paper"))
     return SectionThree(
         bench=bench,
         identification=several,

@@ -262,7 +262,7 @@ def _from_record(
 ) -> tuple[Axis, tuple[Identification, ...], Section]:  # fmt: skip
     """Identify ``axis`` from ``record``: the axis to design on, what was found, and the section that tells it."""
     from emps_design.identification.chains import DEFAULT_CHAIN
-    from emps_design.identification.tested import identify_tested
+    from emps_design.identification.identify import identify
     from emps_design.importing import import_record
     from emps_design.records import Record
     from emps_design.report.record import record_section
@@ -271,7 +271,7 @@ def _from_record(
     inputs[read.name if isinstance(record, Record) else Path(record).name] = read.sha256
     tell("identifying", 0.15)
     others = [name for name in ("symmetric", "asymmetric") if name != model]
-    found = tuple(identify_tested(read, axis, model=name, chain=chain or DEFAULT_CHAIN) for name in (model, *others))
+    found = tuple(identify(read, axis, model=name, filter=chain or DEFAULT_CHAIN) for name in (model, *others))
     section = record_section(read, found, axis)
     return (found[0].to_axis() if design_on == "record" else axis), found, section
 

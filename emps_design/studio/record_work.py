@@ -26,11 +26,11 @@ def _blocks(units: Units, *blocks: Any) -> str:
 
 def identify_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
     """Identify ``record`` and return the section of the report about it, and the axis it gives."""
-    from emps_design.identification.tested import identify_tested
+    from emps_design.identification import identify
     from emps_design.report.record import identification_blocks
 
     progress("identifying", 0.2)
-    found = identify_tested(record, axis, model=options["friction"], chain=options["chain"])
+    found = identify(record, axis, model=options["friction"], filter=options["chain"])
     progress("drawing", 0.7)
     values = ", ".join(
         f"{name.replace('_', ' ')} {quantity(e.value, e.quantity.unit)}" for name, e in found.parameters.items()

@@ -13,7 +13,7 @@ from emps_design.records import read_record
 def test_estimators_agree_across_records(hidden_data, case):
     folder = hidden_data / case
     axis = Axis.load(folder / "axis.toml")
-    train = identify(read_record(folder / "train.npz"), axis, chain="hold")
+    train = identify(read_record(folder / "train.npz"), axis, filter="hold")
     held_out = identify_by_output_error(read_record(folder / "holdout.npz"), axis)
     for name, one in train.parameters.items():
         other = held_out.parameters[name]

@@ -35,7 +35,7 @@ def pulses(emps_data):
     ("model", "table", "error"), [("symmetric", SYMMETRIC, 4.0834), ("asymmetric", ASYMMETRIC, 3.1117)]
 )
 def test_report_chain_gives_the_published_table(laps, model, table, error):
-    found = identify(laps, model=model, chain="report")
+    found = identify(laps, model=model, filter="report")
     for name, (value, std) in table.items():
         assert found.parameters[name].value == pytest.approx(value, abs=0.01 * std)
         assert found.parameters[name].std == pytest.approx(std, rel=2e-3)
@@ -43,21 +43,21 @@ def test_report_chain_gives_the_published_table(laps, model, table, error):
 
 
 def test_symmetric_parameters_judged_on_pulses(laps, pulses):
-    held_out = identify(laps, chain="report", holdout=pulses).extra["held_out"]
+    held_out = identify(laps, filter="report", holdout=pulses).extra["held_out"]
     assert held_out["on"] == "DATA_EMPS_PULSES"
     assert held_out["relative_error_percent"] == pytest.approx(5.9824, abs=1e-3)
 
 
 def test_published_deviations_are_too_small(laps):
     """The plain deviations of (15) count correlated samples as independent ones."""
-    for estimate in identify(laps, chain="report").parameters.values():
+    for estimate in identify(laps, filter="report").parameters.values():
         assert estimate.std_long_run > 1.5 * estimate.std
         assert estimate.std_hac > 1.5 * estimate.std
 
 
 def test_hold_chain_tells_more_than_the_report(laps):
     """The hold modelled and rest left out: a smaller error, and a mass that the report's chain puts 0.4 kg too high."""
-    report = identify(laps, model="asymmetric", chain="report")
-    hold = identify(laps, model="asymmetric", cutoff_hz=60.0)
+    report = identify(laps, model="asymmetric", filter="report")
+    hold = identify(laps, model="asymmetric", cutoff=60.0)
     assert hold.rms_error < 0.75 * report.rms_error
     assert np.sum(hold.series["used"]) > 0.7 * len(hold.series["used"])

@@ -37,7 +37,7 @@ def test_the_model_of_what_has_no_name_is_a_better_estimate_than_least_squares(m
     assert answer.verdict == "unnamed"
     off = abs(answer.axis.mechanics.mass / true.mechanics.mass - 1)
     squares = [
-        abs(identify(measured, true, chain=c).parameters["mass"].value / true.mechanics.mass - 1)
+        abs(identify(measured, true, filter=c).parameters["mass"].value / true.mechanics.mass - 1)
         for c in ("report", "hold")
     ]
     assert off < 0.005

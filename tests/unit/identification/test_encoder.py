@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 
 from emps_design.identification import identify
-from emps_design.identification.output_error import identify_by_output_error
-from emps_design.identification.tested import identify_tested
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant, trapezoid_laps
@@ -36,25 +34,26 @@ def recorded(axis, at=0.0, speed=0.0947, acceleration=1.031, laps=1):
 
 @pytest.mark.study("every phase of the steps")
 @pytest.mark.parametrize(
-    ("estimate", "axis", "motion"),
-    [(identify, LIGHT, (0.1847, 3.07, 1)), (identify_by_output_error, COARSE, (0.0947, 1.031, 2))],
+    ("estimator", "axis", "motion"),
+    [("ls", LIGHT, (0.1847, 3.07, 1)), ("oe", COARSE, (0.0947, 1.031, 2))],
     ids=("least squares", "output error"),
 )
-def test_intervals_hold_the_mass_at_any_phase_of_the_steps(estimate, axis, motion):
+def test_intervals_hold_the_mass_at_any_phase_of_the_steps(estimator, axis, motion):
     """Those of the residual alone do not: it is the same all along, and the steps tell where the axis starts."""
     inside, by_residual = 0, 0
     for i in range(16):
-        found = estimate(recorded(axis, 7.3e-4 + 0.34 * axis.sampling.encoder_resolution * i, *motion), axis)
+        record = recorded(axis, 7.3e-4 + 0.34 * axis.sampling.encoder_resolution * i, *motion)
+        found = identify(record, axis, estimator=estimator)
         mass, off = found.parameters["mass"], found.parameters["mass"].value - axis.mechanics.mass
         inside += abs(off) < 0.5 * np.diff(mass.interval_95)[0]
         by_residual += abs(off) < found.residual.quantile * mass.std_long_run
     assert inside >= 15 > by_residual + 3
 
 
-@pytest.mark.parametrize("estimate", [identify, identify_tested, identify_by_output_error])
-def test_nothing_is_added_where_the_encoder_is_fine(estimate):
+@pytest.mark.parametrize("estimator", ["ls", "auto", "oe"])
+def test_nothing_is_added_where_the_encoder_is_fine(estimator):
     for axis in (FINE, FINE.replace(sampling={"encoder_resolution": 0.0})):
-        found = estimate(recorded(axis), axis)
+        found = identify(recorded(axis), axis, estimator=estimator)
         for one in found.parameters.values():
             assert not one.encoder
             assert np.diff(one.interval_95)[0] == pytest.approx(2.0 * found.residual.quantile * one.std_long_run)
@@ -62,8 +61,8 @@ def test_nothing_is_added_where_the_encoder_is_fine(estimate):
 
 def test_output_error_is_taken_for_a_mass_that_noise_hides_from_the_others():
     record = recorded(SLOW, speed=0.047, acceleration=0.51)
-    assert not identify(record, SLOW).parameters["mass"].determined
-    found = identify_tested(record, SLOW, holdout=record)
+    assert not identify(record, SLOW, estimator="ls").parameters["mass"].determined
+    found = identify(record, SLOW, holdout=record)
     assert found.estimator == "output_error"
     low, high = found.parameters["mass"].interval_95
     assert low < 200.0 < high < 1.03 * low
@@ -76,7 +75,7 @@ def test_output_error_is_not_taken_where_it_contradicts_the_others():
     """A controller that did not make the record: its simulation asks for other friction."""
     record = recorded(SLOW, speed=0.047, acceleration=0.51)
     wrong = SLOW.replace(controller={"kp": 26.0, "kv": 60.0})
-    assert identify_by_output_error(record, wrong).parameters["mass"].determined
-    found = identify_tested(record, wrong)
+    assert identify(record, wrong, estimator="oe").parameters["mass"].determined
+    found = identify(record, wrong)
     assert found.estimator != "output_error"
     assert not found.parameters["mass"].determined

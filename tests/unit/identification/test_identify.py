@@ -10,7 +10,6 @@ from emps_design.errors import AxisError, InputError, RankError, RecordError
 from emps_design.identification import identify
 from emps_design.identification.chains import hold_chain, report_chain
 from emps_design.identification.filters import decimate, held, held_force, low_pass, motion
-from emps_design.identification.instruments import identify_with_instruments
 from emps_design.identification.inverse_model import baseline_columns, least_squares, with_predicted_force
 from emps_design.machines import machine
 from emps_design.records import Record
@@ -24,7 +23,7 @@ def clean(simulate):
 
 
 def test_hold_chain_returns_the_truth(clean, truth):
-    found = identify(clean, AXIS, chain="hold", cutoff_hz=40.0)
+    found = identify(clean, AXIS, filter="hold", cutoff=40.0)
     for name, value in truth.items():
         assert found.parameters[name].value == pytest.approx(value, rel=2e-3, abs=0.02)
     assert found.rms_error < 0.3
@@ -42,7 +41,7 @@ def test_ignoring_the_hold_costs_accuracy(clean, truth):
 
 
 def test_asymmetric_model_of_a_symmetric_machine(clean, truth):
-    p = identify(clean, AXIS, model="asymmetric", chain="hold", cutoff_hz=40.0).parameters
+    p = identify(clean, AXIS, model="asymmetric", filter="hold", cutoff=40.0).parameters
     assert p["viscous_positive"].value == pytest.approx(p["viscous_negative"].value, abs=3.0)
     half = 0.5 * (p["coulomb_positive"].value - p["coulomb_negative"].value)
     assert half == pytest.approx(truth["constant_force"], abs=0.1)
@@ -81,15 +80,15 @@ def test_measured_external_force_takes_part(record, truth, reference_plant):
     push = 30.0 * np.sin(2 * np.pi * 0.7 * record.t)
     run = reference_plant.closed_loop(record.q_ref, disturbance=push)
     pushed = replace(record, q=run.q, u=run.u, f_ext=push)
-    with pytest.raises(RecordError, match=r"external force of 21\.\d N rms acts.*`external_force_known=True`"):
+    with pytest.raises(RecordError, match=r"external force of 21\.\d N rms acts.*`external_force='known'`"):
         identify(pushed, AXIS)
-    found = identify(pushed, AXIS, external_force_known=True, chain="hold", cutoff_hz=40.0)
+    found = identify(pushed, AXIS, external_force="known", filter="hold", cutoff=40.0)
     assert found.parameters["mass"].value == pytest.approx(truth["mass"], rel=5e-3)
 
 
 def test_bootstrap_agrees_with_the_long_run(record):
-    found = identify(record, AXIS, chain="hold", cutoff_hz=30.0, bootstrap=200, seed=3)
-    again = identify(record, AXIS, chain="hold", cutoff_hz=30.0, bootstrap=200, seed=3)
+    found = identify(record, AXIS, filter="hold", cutoff=30.0, bootstrap=200, seed=3)
+    again = identify(record, AXIS, filter="hold", cutoff=30.0, bootstrap=200, seed=3)
     for name, estimate in found.parameters.items():
         assert estimate.std_bootstrap == again.parameters[name].std_bootstrap
         assert 0.4 < estimate.std_bootstrap / estimate.std_long_run < 1.6
@@ -121,12 +120,12 @@ def test_rank_deficiency_names_the_columns():
 def test_refusals_name_the_nearest(record):
     with pytest.raises(InputError, match="model: found 'asymetric'.*did you mean 'asymmetric'"):
         identify(record, AXIS, model="asymetric")
-    with pytest.raises(InputError, match="`chain`: found 'holt'.*did you mean 'hold'"):
-        identify(record, AXIS, chain="holt")
+    with pytest.raises(InputError, match="`filter`: found 'holt'.*did you mean 'hold'"):
+        identify(record, AXIS, filter="holt")
     with pytest.raises(InputError, match="Nyquist frequency 500 Hz"):
-        identify(record, AXIS, cutoff_hz=600.0)
+        identify(record, AXIS, cutoff=600.0)
     with pytest.raises(InputError, match="the paper's chain has none"):
-        identify(record, AXIS, chain="paper", cutoff_hz=50.0)
+        identify(record, AXIS, filter="paper", cutoff=50.0)
     with pytest.raises(InputError, match="found 10 samples, expected more than 12"):
         low_pass(np.zeros(10), 50.0, 1e-3)
 
@@ -143,7 +142,7 @@ def test_a_mass_that_nothing_accelerates_is_not_determined(record, reference_pla
     """
     t = np.arange(20000) * record.period
     slow = run_along(reference_plant, record, 0.01 * (1 - np.cos(2 * np.pi * 0.05 * t)))
-    found = identify(slow, AXIS, chain="report")
+    found = identify(slow, AXIS, filter="report")
     mass = found.parameters["mass"]
     assert not mass.determined
     assert mass.value is mass.std is mass.interval_95 is None
@@ -161,7 +160,7 @@ def test_friction_from_one_speed_is_not_split(record, reference_plant):
     t = np.arange(20000) * record.period
     velocity = np.convolve(np.where((t % 4) < 2, 0.05, -0.05), np.ones(50) / 50, "same")
     one_speed = run_along(reference_plant, record, np.cumsum(velocity) * record.period)
-    for found in (identify(one_speed, AXIS), identify_with_instruments(one_speed, AXIS)):
+    for found in (identify(one_speed, AXIS, estimator=one) for one in ("ls", "iv")):
         assert not found.parameters["coulomb"].determined
         assert found.parameters["constant_force"].determined
         assert "only reversals and rests speak of it" in " ".join(found.warnings)
@@ -174,7 +173,7 @@ def test_a_record_that_never_slides_long_says_so(record, reference_plant):
     assert found.parameters["mass"].value == pytest.approx(AXIS.mechanics.mass, rel=1e-3)
     assert "viscous is not determined: only reversals and rests speak of it" in " ".join(found.warnings)
     with pytest.raises(RecordError, match=r"\d+ rows away from rest at a cut-off of 20 Hz.* record longer strokes"):
-        identify(shaken, AXIS, cutoff_hz=20.0)
+        identify(shaken, AXIS, cutoff=20.0)
 
 
 def test_a_short_stop_is_a_rest_at_any_cutoff(reference_plant, record):
@@ -191,7 +190,7 @@ def test_a_short_stop_is_a_rest_at_any_cutoff(reference_plant, record):
 
 def test_a_record_that_holds_enough_is_not_refused(simulate, truth):
     """A few strokes at a low cut-off are fewer than 400 rows away from rest, and tell the parameters all the same."""
-    found = identify(simulate(3, laps=1).part(2000, 6500), AXIS, cutoff_hz=12.0)
+    found = identify(simulate(3, laps=1).part(2000, 6500), AXIS, cutoff=12.0)
     assert 160 < found.samples < 400
     for name in ("mass", "viscous", "coulomb"):
         low, high = found.parameters[name].interval_95
@@ -231,7 +230,7 @@ def test_report_chain_keeps_every_tenth_sample_to_the_last(record):
     assert decimate(np.arange(95.0), 10).size == 10
     assert seen.t[-1] == record.t[-1]
     np.testing.assert_allclose(np.diff(seen.t), 10 * record.period)
-    whole = identify(record, AXIS, chain="hold").series["t"]
+    whole = identify(record, AXIS, filter="hold").series["t"]
     assert record.t[0] < whole[0] < whole[-1] < record.t[-1]
 
 
@@ -240,7 +239,7 @@ def test_interval_of_a_chain_that_ignores_the_hold_knows_its_bias(truth):
     from emps_design.simulation.synthetic import synthetic_record
 
     quiet = synthetic_record(AXIS, laps=1)
-    found = identify(quiet, AXIS, chain="report")
+    found = identify(quiet, AXIS, filter="report")
     mass = found.parameters["mass"]
     assert abs(mass.value - truth["mass"]) > 2 * mass.std_long_run
     for name, value in truth.items():
@@ -251,10 +250,10 @@ def test_interval_of_a_chain_that_ignores_the_hold_knows_its_bias(truth):
 
 def test_fit_is_judged_on_what_took_no_part(record, simulate):
     """On a healthy machine the held-out error is the fit's own; on one whose friction changed it is not."""
-    own = identify(record, AXIS, chain="hold", cutoff_hz=30.0)
+    own = identify(record, AXIS, filter="hold", cutoff=30.0)
     assert own.extra["held_out"]["on"] == "last third"
     assert own.extra["held_out"]["rms_error"] == pytest.approx(own.rms_error, rel=0.3)
-    other = identify(record, AXIS, chain="hold", cutoff_hz=30.0, holdout=simulate(9))
+    other = identify(record, AXIS, filter="hold", cutoff=30.0, holdout=simulate(9))
     assert other.extra["held_out"]["on"] == "simulated-9"
     assert other.extra["held_out"]["rms_error"] == pytest.approx(own.rms_error, rel=0.3)
 
@@ -274,17 +273,17 @@ def test_a_force_sensor_nobody_touches_is_no_external_force(record, simulate):
 def test_a_cutoff_of_nothing_is_refused(record):
     for chain in ("report", "hold"):
         with pytest.raises(InputError, match="cut-off: found 0 Hz, expected between 0 and the Nyquist frequency"):
-            identify(record, AXIS, chain=chain, cutoff_hz=0.0)
+            identify(record, AXIS, filter=chain, cutoff=0.0)
 
 
 def test_slow_sampling_says_what_to_use_instead(record):
     tenth = Record.from_arrays(10 * record.period, record.q_ref[::10], record.q[::10], record.u[::10], name="tenth")
     with pytest.raises(
-        InputError, match="tenth: sampled at 100 Hz, the report's low-pass .* use `chain='hold'`, or give"
+        InputError, match="tenth: sampled at 100 Hz, the report's low-pass .* use `filter='hold'`, or give"
     ):
-        identify(tenth, AXIS, chain="report")
+        identify(tenth, AXIS, filter="report")
     assert identify(tenth, AXIS).parameters["mass"].value == pytest.approx(AXIS.mechanics.mass, rel=0.02)
     with pytest.raises(
         RecordError, match="tenth: no simulation with the controller of emps2019 at 100 Hz .* another one"
     ):
-        identify_with_instruments(tenth, AXIS)
+        identify(tenth, AXIS, estimator="iv")

@@ -34,8 +34,8 @@ def recorded(record, axis):
 def test_what_is_known_does_not_go_into_the_parameters(record, truth, estimate, table):
     axis = AXIS.replace(**table)
     seen = recorded(record, axis)
-    options = {"chain": "hold"} if estimate is identify else {}
-    known, bare = (estimate(seen, one, cutoff_hz=40.0, **options) for one in (axis, AXIS))
+    options = {"estimator": "ls"} if estimate is identify else {}
+    known, bare = (estimate(seen, one, cutoff=40.0, **options) for one in (axis, AXIS))
     for name, value in truth.items():
         assert known.parameters[name].value == pytest.approx(value, rel=0.01, abs=0.05), name
     assert known.rms_error < 0.6 * bare.rms_error
@@ -44,7 +44,7 @@ def test_what_is_known_does_not_go_into_the_parameters(record, truth, estimate, 
 
 def test_output_error_simulates_the_effects(record, truth):
     axis = AXIS.replace(effects=[BEND])
-    found = identify_by_output_error(recorded(record, axis), axis, cutoff_hz=40.0)
+    found = identify_by_output_error(recorded(record, axis), axis, cutoff=40.0)
     assert found.parameters["viscous"].value == pytest.approx(truth["viscous"], rel=1e-3)
     assert found.to_axis().effects == axis.effects
 
@@ -53,7 +53,7 @@ def test_an_asymmetry_in_the_axis_is_identified_anew(record):
     axis = AXIS.replace(effects=[ASYMMETRY, BEND])
     seen = recorded(record, axis)
     wrong = AXIS.replace(effects=[{**ASYMMETRY, "viscous_difference": 99.0}, BEND])
-    again = identify(seen, wrong, model="asymmetric", chain="hold", cutoff_hz=40.0).to_axis()
+    again = identify(seen, wrong, model="asymmetric", filter="hold", cutoff=40.0).to_axis()
     assert [one.kind for one in again.effects] == [ASYMMETRY["kind"], BEND["kind"]]
     assert again.effects[0].parameters["viscous_difference"] == pytest.approx(-25.0, abs=1.0)
 
@@ -71,6 +71,6 @@ def test_identify_runs_on_every_effect(record, effect):
     """A model that a diagnosis extended is an axis like any other."""
     small = {p.name: p.starts[0] if p.starts else max(p.lower, min(1e-6, p.upper)) for p in effect.parameters}
     axis = AXIS.replace(motion=effect.motion or "linear", effects=[{"kind": effect.name, **small}])
-    found = identify(record, axis, chain="hold", cutoff_hz=40.0)
+    found = identify(record, axis, filter="hold", cutoff=40.0)
     assert np.all(np.isfinite(found.values()))
     assert [one.kind for one in found.to_axis().effects] == [effect.name]

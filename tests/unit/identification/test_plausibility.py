@@ -22,7 +22,7 @@ def said(record, **options):
 @pytest.mark.parametrize("model", ["symmetric", "asymmetric"])
 @pytest.mark.parametrize("chain", ["hold", "report"])
 def test_a_flipped_sign_is_named(record, model, chain):
-    warning = said(replace(record, u=-record.u), model=model, chain=chain)
+    warning = said(replace(record, u=-record.u), model=model, filter=chain)
     assert "no axis has mass -95" in warning
     assert "the sign of u is probably flipped" in warning
 

@@ -16,7 +16,8 @@ RUNS = 200
 def test_intervals_cover_the_truth(simulate, truth, noise_time):
     values, held, plain = np.array(list(truth.values())), np.zeros(4), np.zeros(4)
     for seed in range(RUNS):
-        found = identify(simulate(seed, time=noise_time), machine("emps2019"), cutoff_hz=30.0).parameters.values()
+        record = simulate(seed, time=noise_time)
+        found = identify(record, machine("emps2019"), estimator="ls", cutoff=30.0).parameters.values()
         low, high = np.array([one.interval_95 for one in found]).T
         held += (low <= values) & (values <= high)
         plain += np.abs([one.value for one in found] - values) <= 1.96 * np.array([one.std for one in found])

@@ -1,0 +1,74 @@
+"""What is asked of an identification besides record and axis: the options of :func:`.identify` and its command."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypedDict
+
+from emps_design.errors import InputError, nearest_name
+from emps_design.identification.chains import DEFAULT_CHAIN
+from emps_design.identification.excitation import KNOWN, REFUSE
+from emps_design.identification.inverse_model import parameters_of
+from emps_design.identification.known import check_chain
+from emps_design.records import Record
+
+AUTO, BY_LEAST_SQUARES, BY_INSTRUMENTS, BY_OUTPUT_ERROR = "auto", "ls", "iv", "oe"
+ESTIMATORS = (AUTO, BY_LEAST_SQUARES, BY_INSTRUMENTS, BY_OUTPUT_ERROR)
+
+
+class More(TypedDict, total=False):
+    """The options of :func:`.identify` that few need."""
+
+    external_force: str
+    holdout: Record | None
+    bootstrap: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Request:
+    """The options of :func:`.identify`; raises :class:`InputError` for what is none, or what do not go together.
+
+    >>> Request(estimator="iv", bootstrap=100)  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    ...
+    emps_design.errors.InputError: `bootstrap`: goes with `estimator='ls'`, found 'iv', which filters as hold does ...
+    """
+
+    model: str = "symmetric"
+    estimator: str = AUTO
+    filter: str = DEFAULT_CHAIN
+    cutoff: float | None = None
+    external_force: str = REFUSE
+    holdout: Record | None = None
+    bootstrap: int = 0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        parameters_of(self.model)
+        check_chain(self.filter)
+        for name, allowed in (("estimator", ESTIMATORS), ("external_force", (REFUSE, KNOWN))):
+            found = getattr(self, name)
+            if found not in allowed:
+                near = nearest_name(found, list(allowed))
+                raise InputError(
+                    f"`{name}`: found {found!r}, expected {', '.join(allowed[:-1])} or {allowed[-1]}{near}"
+                )
+        if self.estimator in (AUTO, BY_LEAST_SQUARES):
+            return
+        of_least_squares = {
+            "filter": self.filter != DEFAULT_CHAIN,
+            "holdout": self.holdout is not None,
+            "bootstrap": self.bootstrap > 0,
+        }
+        for name, given in of_least_squares.items():
+            if given:
+                raise InputError(
+                    f"`{name}`: goes with `estimator='ls'`, found {self.estimator!r}, which filters as hold does and "
+                    "has intervals of its own"
+                )
+
+    @property
+    def simulates(self) -> bool:
+        """Whether an estimator takes part that simulates the record with its controller."""
+        return self.estimator != BY_LEAST_SQUARES and self.filter == DEFAULT_CHAIN and not self.bootstrap
