@@ -40,7 +40,8 @@ RULE = (
 def chosen_cutoff(record: Record) -> float:
     """The lowest cut-off [Hz] that keeps :data:`ENOUGH` of the motion; lower where the encoder's noise asks for it.
 
-    No lower than keeps :data:`LEAST` of it, unless noise would take more than :data:`NOISY` of the mass away. At most a fifth of the sampling frequency.
+    No lower than keeps :data:`LEAST` of it, unless noise would take more than :data:`NOISY` of the mass away. At most a
+    fifth of the sampling frequency.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
