@@ -81,18 +81,12 @@ def command(
         refuse_ignored(context, ["seed"], "goes with --bootstrap; nothing else is drawn")
     check_out(out, AXIS, (axis, *records, holdout), force)
     loaded = load_axis(axis)
-    options: dict[str, Any] = {
-        "model": model,
-        "estimator": estimator,
-        "filter": filter,
-        "cutoff": cutoff,
-        "external_force": external_force,
-    }
-    Request(**options)  # refused before the records are read
+    # Refused before the records are read.
+    options = vars(Request(model, estimator, filter, cutoff, external_force, None, bootstrap, seed))
     read = [import_record(path, loaded) for path in records]
     if len(read) == 1:
         judge = None if holdout is None else import_record(holdout, loaded)
-        found: Any = identify(read[0], loaded, **options, bootstrap=bootstrap, seed=seed, holdout=judge)
+        found: Any = identify(read[0], loaded, **{**options, "holdout": judge})
     else:
         from emps_design.identification.several import identify_several
 

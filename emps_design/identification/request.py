@@ -47,25 +47,24 @@ class Request:
     def __post_init__(self) -> None:
         parameters_of(self.model)
         check_chain(self.filter)
-        for name, allowed in (("estimator", ESTIMATORS), ("external_force", (REFUSE, KNOWN))):
-            found = getattr(self, name)
+        for name, found, allowed in (
+            ("`estimator`", self.estimator, ESTIMATORS),
+            ("`external_force=`", self.external_force, (REFUSE, KNOWN)),
+        ):
             if found not in allowed:
-                near = nearest_name(found, list(allowed))
-                raise InputError(
-                    f"`{name}`: found {found!r}, expected {', '.join(allowed[:-1])} or {allowed[-1]}{near}"
-                )
+                expected = f"{', '.join(allowed[:-1])} or {allowed[-1]}"
+                raise InputError(f"{name}: found {found!r}, expected {expected}{nearest_name(found, list(allowed))}")
         if self.estimator in (AUTO, BY_LEAST_SQUARES):
             return
-        of_least_squares = {
-            "filter": self.filter != DEFAULT_CHAIN,
-            "holdout": self.holdout is not None,
-            "bootstrap": self.bootstrap > 0,
-        }
-        for name, given in of_least_squares.items():
+        for name, given in (
+            ("`filter`", self.filter != DEFAULT_CHAIN),
+            ("`holdout`", self.holdout is not None),
+            ("`bootstrap`", self.bootstrap > 0),
+        ):
             if given:
                 raise InputError(
-                    f"`{name}`: goes with `estimator='ls'`, found {self.estimator!r}, which filters as hold does and "
-                    "has intervals of its own"
+                    f"{name}: goes with `estimator='ls'`, found {self.estimator!r}, which filters as hold does and has "
+                    "intervals of its own"
                 )
 
     @property

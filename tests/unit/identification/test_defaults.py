@@ -86,7 +86,7 @@ def test_no_function_of_it_takes_more_than_eight():
     ("options", "words"),
     [
         ({"estimator": "olse"}, r"`estimator`: found 'olse', expected auto, ls, iv or oe"),
-        ({"external_force": "maybe"}, r"`external_force`: found 'maybe', expected refuse or known"),
+        ({"external_force": "maybe"}, r"`external_force=`: found 'maybe', expected refuse or known"),
         ({"estimator": "oe", "filter": "report"}, r"`filter`: goes with `estimator='ls'`, found 'oe'"),
         ({"estimator": "iv", "bootstrap": 9}, r"`bootstrap`: goes with `estimator='ls'`, found 'iv'"),
     ],
