@@ -285,7 +285,10 @@ def _finished(
         rest,
         left_out,
         axis,
-        tuple(_words(found, extra, reversals, rest, seconds, left_out)),
+        (
+            *(text for record in records for text in record.contradictions),
+            *_words(found, extra, reversals, rest, seconds, left_out),
+        ),
     )
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from emps_design.axis import Axis
+from emps_design.importing.contradictions import with_contradictions
 from emps_design.importing.sanity import check_against
 from emps_design.laws import NONE
 from emps_design.records import MAX_BYTES, MAX_BYTES_TO_CUT, Record, read_record, record_from_bytes
@@ -29,7 +30,7 @@ def import_record(
     layout = replace(layout_of(axis), resample=resample, window=window)
     if max_bytes is None:
         max_bytes = MAX_BYTES if window is None else MAX_BYTES_TO_CUT
-    return check_against(axis, read_record(path, max_bytes, layout), str(path))
+    return with_contradictions(axis, check_against(axis, read_record(path, max_bytes, layout), str(path)))
 
 
 def import_bytes(content: bytes, name: str, axis: Axis, max_bytes: int = MAX_BYTES) -> Record:
@@ -42,7 +43,8 @@ def import_bytes(content: bytes, name: str, axis: Axis, max_bytes: int = MAX_BYT
     >>> round(float(record.q[-1]), 6), record.assigned[2].title
     (0.059, 'Lageistwert [mm]')
     """
-    return check_against(axis, record_from_bytes(content, name, None, max_bytes, layout_of(axis)), name)
+    read = record_from_bytes(content, name, None, max_bytes, layout_of(axis))
+    return with_contradictions(axis, check_against(axis, read, name))
 
 
 def layout_of(axis: Axis) -> Layout:

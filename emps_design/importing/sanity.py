@@ -68,7 +68,7 @@ def _same_unit(record: Record, source: str) -> None:
     """Position and reference move together, by as much."""
     if not record.q_ref_recorded or not (np.ptp(record.q_ref) and np.ptp(record.q)):
         return
-    together = _correlation(record.q, record.q_ref)
+    together = correlation(record.q, record.q_ref)
     if together < -STIFF:
         raise RecordError(
             f"{source}: columns q and q_ref: found motion against the reference, expected along it; one of them needs "
@@ -90,7 +90,7 @@ def _not_exchanged(axis: Axis, record: Record, source: str) -> None:
         raise _exchanged("q and u", "a position that is rougher than the command", source)
     if not record.q_ref_recorded:
         return
-    if np.ptp(q_ref) and abs(_correlation(q, u)) > STIFF > 0.9 > abs(_correlation(q, q_ref)):
+    if np.ptp(q_ref) and abs(correlation(q, u)) > STIFF > 0.9 > abs(correlation(q, q_ref)):
         raise _exchanged("q_ref and u", "a command that the position follows, and a reference that it does not", source)
     step = axis.sampling.encoder_resolution
     off, reference_off = _off_grid(q, step), _off_grid(q_ref, step)
@@ -99,8 +99,8 @@ def _not_exchanged(axis: Axis, record: Record, source: str) -> None:
             raise _exchanged("q and q_ref", "a reference in steps of the encoder, and a position that is not", source)
         if off < ON_GRID:
             return
-    if _correlation(q, q_ref) > STIFF:
-        explained, other = _unexplained(record, q), _unexplained(record, q_ref)
+    if correlation(q, q_ref) > STIFF:
+        explained, other = unexplained(record, q), unexplained(record, q_ref)
         if other < BEST and explained > EXPLAINS * other:
             raise _exchanged("q and q_ref", "a reference that explains the command better than the position", source)
 
@@ -131,7 +131,7 @@ def _force(axis: Axis, record: Record, source: str) -> list[str]:
     force = drive.gain * u
     if not (np.std(force) and np.std(needed)):
         return []
-    if _correlation(force, needed) < OPPOSED:
+    if correlation(force, needed) < OPPOSED:
         raise RecordError(
             f"{source}: column u: found a command against the motion it makes, expected one along it; command, or "
             "position and reference, needs sign = -1 in [record]"
@@ -143,7 +143,7 @@ def _force(axis: Axis, record: Record, source: str) -> list[str]:
             f"{source}: columns u and q: {words}, expected about as much; correct unit or scale in [record]"
         )
     # Friction may hide a wrong scale in the sum.
-    inertial, expected = float(np.std(drive.gain * _parts(record, record.q)[0][:, 0])), m.mass * float(np.std(a))
+    inertial, expected = float(np.std(drive.gain * motion_parts(record, record.q)[0][:, 0])), m.mass * float(np.std(a))
     if np.std(v) > ONE_VELOCITY * np.max(np.abs(v)) and inertial > max(
         INERTIAL * float(np.std(force)), IMPOSSIBLE_FORCE * expected
     ):
@@ -165,19 +165,24 @@ def _motion(record: Record, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
     return a, v, np.convolve(record.u, weights, "valid")[1:-1]
 
 
-def _unexplained(record: Record, q: np.ndarray) -> float:
+def unexplained(record: Record, q: np.ndarray) -> float:
     """Share of the command that acceleration, velocity and direction of ``q`` leave unexplained."""
-    parts, u = _parts(record, q)
+    parts, u = motion_parts(record, q)
     return float(np.std(u - parts.sum(axis=1)) / np.std(u)) if np.std(u) else 1.0
 
 
-def _parts(record: Record, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def motion_parts(record: Record, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Parts (n, 4) of the command: of acceleration, velocity and direction of ``q``, a constant; and that command."""
+    columns, u = motion_columns(record, q)
+    return columns * np.linalg.lstsq(columns, u, rcond=None)[0], u
+
+
+def motion_columns(record: Record, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Acceleration, velocity and direction of ``q``, and a constant (n, 4), each up to 1; and the command (n,)."""
     a, v, u = _motion(record, q)
     columns = np.column_stack([a, v, np.tanh(v / (0.01 * np.max(np.abs(v)) or 1.0)), np.ones_like(a)])
     scale = np.max(np.abs(columns), axis=0)
-    columns /= np.where(scale > 0, scale, 1.0)
-    return columns * np.linalg.lstsq(columns, u, rcond=None)[0], u
+    return columns / np.where(scale > 0, scale, 1.0), u
 
 
 def _off_grid(values: np.ndarray, step: float) -> float | None:
@@ -194,7 +199,7 @@ def _roughness(values: np.ndarray) -> float:
     return float(np.std(np.diff(values, 2)) / np.std(values))
 
 
-def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+def correlation(a: np.ndarray, b: np.ndarray) -> float:
     spread = float(np.std(a) * np.std(b))
     return float(np.mean((a - a.mean()) * (b - b.mean()))) / spread if spread > 0.0 else 0.0
 

@@ -31,7 +31,8 @@ class Record:
 
     ``measured`` has the signals at their own times where they were resampled; ``assigned`` says which column of the
     file each was. ``extra`` keeps other columns of the
-    file, unread by the analysis; ``warnings`` what the check noticed. Built by
+    file, unread by the analysis; ``warnings`` what the checks noticed, and of these ``contradictions`` what its own
+    controller or motion contradicts. Built by
     :func:`emps_design.records.read_record` or :meth:`from_arrays`.
     """
 
@@ -45,6 +46,7 @@ class Record:
     sha256: str = ""
     extra: Mapping[str, Any] = field(default_factory=dict, repr=False)
     warnings: tuple[str, ...] = ()
+    contradictions: tuple[str, ...] = ()
     velocity_reference: np.ndarray | None = None
     velocity: np.ndarray | None = None
     supply: np.ndarray | None = None

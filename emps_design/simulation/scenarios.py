@@ -91,7 +91,7 @@ def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
     """
     if len(record) <= DROPPED + 2:
         raise InputError(f"{record.name}: found {len(record)} samples, expected more than {DROPPED + 2} to compare")
-    warnings = []
+    warnings = list(record.contradictions)
     period = axis.sampling.period
     if abs(record.period / period - 1.0) > 1e-3:
         raise InputError(

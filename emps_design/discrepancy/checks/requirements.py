@@ -57,7 +57,7 @@ def check_records(records: tuple[Record, ...], axis: Axis) -> list[str]:
                 f"{record.name}: {100 * limited:.0f} % of the samples are at the voltage limit, expected less than "
                 f"{100 * rules.SATURATED:.0f} %; lower speed or acceleration"
             )
-        gaps += [f"{record.name}: {text}" for text in _not_excited(record)]
+        gaps += [f"{record.name}: {text}" for text in (*record.contradictions, *_not_excited(record))]
     return gaps
 
 

@@ -1,0 +1,27 @@
+"""What in a record its own controller, or without one its own motion, contradicts: looked at once, as it is read."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from emps_design.axis import Axis
+from emps_design.importing.controller import can_replay, check_controller
+from emps_design.importing.increments import odd_increments
+from emps_design.importing.motion import check_motion
+from emps_design.records import Record
+
+
+def with_contradictions(axis: Axis, record: Record) -> Record:
+    """Return ``record`` with what contradicts it among its ``warnings``, and alone in ``contradictions``.
+
+    Where the axis file has the law of the controller and the record what it followed, the law decides alone; else what
+    no drive does. A record with an excitation that was added to the command is taken at its word.
+    """
+    if record.excitation is not None:
+        return record
+    if can_replay(axis, record):
+        said = check_controller(axis, record) or odd_increments(record.q)
+        found = [said] if said else []
+    else:
+        found = check_motion(axis, record)
+    return replace(record, warnings=(*record.warnings, *found), contradictions=tuple(found)) if found else record

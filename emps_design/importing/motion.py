@@ -1,0 +1,186 @@
+"""Whether the signals of a record belong together, without a law: what no drive and no axis does.
+
+Less can be told than with the law: only what stands out of anything that friction, elasticity and a controller do.
+The inverse model, acceleration, velocity, direction and a constant, stands for the axis; it need not fit well, but its
+gain must not change half-way, and it must fit best at the samples at which the record says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.importing.increments import odd_increments, step_of
+from emps_design.importing.sanity import correlation, motion_columns, unexplained
+from emps_design.records import Record
+
+MEANS = "what is found from this record may be wrong by more than it says"
+LONGEST = 200_000  # samples of a long record that are looked at
+SPIKE = 8.0  # times the command that all but one sample in a thousand stay below
+ANSWERED = 0.3  # of a spike, that the motion asks for
+UNCHANGED, LIKELY = 0.04, 4.0  # of the samples in motion; times as often as it changes by one step
+COARSE = 0.2  # of the command's deviation
+ALTERNATES = 0.3  # of the command's deviation
+BLOCK = 32  # samples over which what alternates is averaged
+FITS = 0.35  # of the command, that the inverse model may leave where it is to say something
+BLOCKS = 12
+EXPLAINED = 0.5  # of what one model of the whole record leaves, that a model for either part of it leaves
+GAIN, SAME = 1.35, 1.5  # times, by which the command changes at once; within which mass and friction change alike
+SHIFTS = 0.08, 40  # s to either side, and in so many steps, by which the command is moved
+LATE, FEWEST_LATE = 0.015, 8  # s, and samples
+BETTER, WELL, LITTLE = 0.6, 0.5, 0.1  # of what is left where nothing is moved; of the command, that is left then and now
+EXCHANGED, ALIKE = 0.7, 0.99  # of what the position leaves; correlation of position and reference
+COARSER = 1.25  # times the encoder's step: a position that was rounded by the logger
+SHORT = 16  # samples, up to which a command is held; longer, somebody commands a constant
+LEVELS, NEXT = 5, 0.8  # levels that a signal in steps has, and share of its changes that go to the next one
+
+
+def check_motion(axis: Axis, record: Record) -> list[str]:
+    """One line for each thing in ``record`` that no drive of ``axis`` does; nothing for a healthy record.
+
+    >>> from dataclasses import replace
+    >>> from emps_design.machines import machine
+    >>> from emps_design.simulation.synthetic import synthetic_record
+    >>> axis = machine("emps2019")
+    >>> record = synthetic_record(axis, laps=1)
+    >>> check_motion(axis, record)
+    []
+    >>> check_motion(axis, replace(record, u=np.where(record.t < 9.0, 1.0, 2.0) * record.u))[0].split(" s on")[0]
+    'u: from about 9.09'
+    """
+    looked_at = record.until(LONGEST)
+    return [f"{text}; {MEANS}" for text in _found(axis, looked_at)]
+
+
+def _found(axis: Axis, record: Record) -> Iterator[str]:
+    u, n = record.u, len(record)
+    swing = float(np.std(u))
+    if said := odd_increments(record.q):
+        yield said
+    yield from _spike(axis, record)
+    step = step_of(u)
+    changes = np.abs(np.diff(u)) / step if step else np.zeros(0)
+    changes = changes[changes > 0.5]
+    smooth = changes.size > 0 and np.mean(changes < 1.5) > NEXT and np.ptp(u) > (LEVELS - 0.5) * step
+    if step > COARSE * swing and smooth:
+        yield f"u: recorded in steps of {step:.4g}, {100 * step / swing:.2g} % of its deviation"
+    if (share := _held_share(record, step)) > UNCHANGED:
+        yield f"u: does not change in {100 * share:.2g} % of the samples in motion: values are held, or rows repeated"
+    sign = np.where(np.arange(n - 2) % 2, -1.0, 1.0)
+    alternate = 0.5 * sign * (u[1:-1] - 0.5 * (u[:-2] + u[2:]))
+    means = alternate[: alternate.size // BLOCK * BLOCK].reshape(-1, BLOCK).mean(axis=1)
+    if means.size and float(np.sqrt(np.mean(means**2))) > ALTERNATES * swing:
+        yield "u: every second sample is another signal's"
+    yield from _exchanged(axis, record)
+    yield from _gain(record)
+    yield from _late(record)
+
+
+def _spike(axis: Axis, record: Record) -> Iterator[str]:
+    """Whether the largest command is one that the axis never answered."""
+    u = record.u
+    k, usual = int(np.argmax(np.abs(u))), float(np.quantile(np.abs(u), 0.999))
+    beside = np.delete(np.abs(u[max(k - BLOCK, 0) : k + BLOCK + 1]), min(k, BLOCK))
+    if not abs(u[k]) > SPIKE * usual > 0.0 or np.max(beside) > usual:
+        return
+    usual_there = u.copy()
+    usual_there[k] = np.median(u[max(k - 2, 0) : k + 3])
+    columns, without = motion_columns(replace(record, u=usual_there), record.q)
+    _, with_it = motion_columns(record, record.q)
+    spike = with_it - without
+    at = int(np.argmax(np.abs(spike)))
+    answer = columns[at] @ np.linalg.lstsq(columns, without, rcond=None)[0] - without[at]
+    if abs(answer) < ANSWERED * abs(spike[at]):
+        yield (
+            f"u: {u[k]:.4g} {axis.units.command_unit} at {record.t[k]:.4g} s is {abs(u[k]) / usual:.3g} times what all "
+            "but one sample in a thousand stay below, and the axis does not answer it"
+        )
+
+
+def _held_share(record: Record, step: float) -> float:
+    """Share of the samples in motion in which the command stays for a few samples, if that is more than by its step."""
+    u = record.u
+    same = np.diff(u) == 0.0
+    ends = np.flatnonzero(np.diff(same, prepend=False, append=False))
+    for start, stop in zip(ends[::2], ends[1::2], strict=True):
+        if stop - start > SHORT:
+            same[start:stop] = False
+    same &= np.abs(u[1:]) < 0.98 * np.max(np.abs(u))
+    moving = np.diff(record.q) != 0.0
+    by_one_step = np.count_nonzero((np.abs(np.diff(u)) < 1.5 * step) & (np.diff(u) != 0.0)) if step else 0
+    if not moving.any() or np.count_nonzero(same) < LIKELY * by_one_step:
+        return 0.0
+    return float(np.mean(same[moving]))
+
+
+def _exchanged(axis: Axis, record: Record) -> Iterator[str]:
+    if not (record.q_ref_recorded and np.ptp(record.q_ref)):
+        return
+    rounded, encoder = step_of(record.q), axis.sampling.encoder_resolution
+    if rounded > COARSER * encoder:  # what is left of the position is then its rounding
+        return
+    if correlation(record.q, record.q_ref) < ALIKE:
+        return
+    own, other = unexplained(record, record.q), unexplained(record, record.q_ref)
+    if other < FITS and other < EXCHANGED * own:
+        yield "q and q_ref: the reference explains the command better than the position; they may be exchanged"
+
+
+def _gain(record: Record) -> Iterator[str]:
+    """Whether the command that the same motion takes changes half-way, mass and friction alike."""
+    columns, u = motion_columns(record, record.q)
+    whole = _fit(columns, u)[1]
+    found = []
+    for cut in np.linspace(0, u.size, BLOCKS + 1).astype(int)[2:-2].tolist():
+        (before, one), (after, other) = _fit(columns[:cut], u[:cut]), _fit(columns[cut:], u[cut:])
+        found.append((one + other, cut, before, after))
+    left, cut, before, after = min(found, key=lambda one: one[0])
+    if left > EXPLAINED * whole or left > (FITS * np.std(u)) ** 2 * u.size or not np.all(before > 0.0):
+        return
+    inertial, dissipative = (after / before).tolist()
+    if not 1.0 / SAME < inertial / (dissipative or np.inf) < SAME:
+        return
+    times = float(np.copysign(np.sqrt(inertial * dissipative), dissipative))
+    if 1.0 / GAIN < times < GAIN:
+        return
+    yield (
+        f"u: from about {record.t[cut]:.3g} s on the same motion takes {times:.3g} times the command, mass and friction "
+        "alike: its gain or its unit changes there"
+    )
+
+
+def _fit(columns: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, float]:
+    """Inertial and friction part of the command (2,) that full motion takes, and the power that is left."""
+    beta = np.linalg.lstsq(columns, u, rcond=None)[0]
+    return np.array([beta[0], beta[1] + beta[2]]), float(np.sum((u - columns @ beta) ** 2))
+
+
+def _late(record: Record) -> Iterator[str]:
+    """Whether the command fits the motion much better somewhat earlier or later."""
+    reach, count = SHIFTS
+    columns, u = motion_columns(record, record.q)
+    most = min(round(reach / record.period), u.size // 4)
+    swing = float(np.std(u))
+    if not swing or most < FEWEST_LATE:
+        return
+    basis = np.linalg.qr(columns)[0]
+
+    def left(shift: int) -> float:
+        moved = np.roll(u, shift)
+        return float(np.std(moved - basis @ (basis.T @ moved))) / swing
+
+    own = left(0)
+    if own < LITTLE:
+        return
+    best, shift = min((left(shift), shift) for shift in {round(s) for s in np.linspace(-most, most, 2 * count + 1)})
+    if abs(shift) < max(LATE / record.period, FEWEST_LATE) or abs(shift) == most:
+        return
+    if best < min(BETTER * own, WELL):
+        way = "later" if shift > 0 else "earlier"
+        yield (
+            f"u and q: the command fits the motion best {1e3 * abs(shift) * record.period:.2g} ms {way} than it was "
+            "recorded: one of them is delayed, or recorded behind a filter"
+        )
