@@ -4,8 +4,8 @@
 
 Every damage meets every axis, ``count`` times. An estimate is wrong where it is off by more than 5 % and by more than
 three deviations, the largest of its ``std*`` and of a quarter of its interval; a record that is refused is a warning.
-``--healthy`` counts warnings on records that nothing was done to. The axes of ``tuning`` were looked at while the checks
-were made; those of ``final`` and seeds from 5000 on were not.
+``--healthy`` counts warnings on records that nothing was done to. The axes of ``tuning`` were looked at while the
+checks were made; those of ``final`` and seeds from 5000 on were not.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +41,9 @@ class Bench:
     def record(self, seed: int) -> Record:
         """A healthy record; every seed has a motion of its own."""
         random = np.random.default_rng((seed, 7))
-        stroke, speed, acceleration = np.array((self.stroke, self.speed, self.acceleration)) * random.uniform(0.7, 1.3, 3)
+        stroke, speed, acceleration = np.array((self.stroke, self.speed, self.acceleration)) * random.uniform(
+            0.7, 1.3, 3
+        )
         q_ref = trapezoid_laps(self.axis.sampling.period, stroke, speed, acceleration, 1)
         return synthetic_record(self.axis, seed, q_ref=q_ref)
 
@@ -60,10 +62,12 @@ TUNING = (
         {"kind": "position_pd", "kp": 60.0, "kv": 55.0}, (0.15, 0.25, 3.0),
     ),
     bench(
-        "gantry", (240.0, 700.0, 90.0, -15.0), {"command": "torque", "command_unit": "%", "force_gain": 16.0, "command_limit": 200.0},
+        "gantry", (240.0, 700.0, 90.0, -15.0),
+        {"command": "torque", "command_unit": "%", "force_gain": 16.0, "command_limit": 200.0},
         {"period": 1e-3, "encoder_resolution": 1e-6},
         {"kind": "cascade", "position": {"kp": 25.0, "every": 2}, "velocity": {"kp": 900.0, "ti": 0.05},
-         "feedforward": {"velocity": 1.0, "acceleration": 12.0, "coulomb": 4.0}, "filters": [{"kind": "lowpass", "frequency": 200.0}]},
+         "feedforward": {"velocity": 1.0, "acceleration": 12.0, "coulomb": 4.0},
+         "filters": [{"kind": "lowpass", "frequency": 200.0}]},
         (0.6, 0.5, 1.5),
     ),
     bench(
@@ -95,9 +99,11 @@ FINAL = (
          "filters": [{"kind": "notch", "frequency": 180.0, "damping": 0.5, "depth": 0.1}]}, (0.3, 0.35, 2.5),
     ),
     bench(
-        "turret", (2.6, 9.0, 6.0, -0.8), {"command": "torque", "command_unit": "N m", "force_gain": 30.0, "command_limit": 4.0},
+        "turret", (2.6, 9.0, 6.0, -0.8),
+        {"command": "torque", "command_unit": "N m", "force_gain": 30.0, "command_limit": 4.0},
         {"period": 1e-3, "encoder_resolution": 1e-5},
-        {"kind": "cascade", "position": {"kp": 18.0}, "velocity": {"kp": 5.0}, "feedforward": {"velocity": 0.8, "acceleration": 0.08}},
+        {"kind": "cascade", "position": {"kp": 18.0}, "velocity": {"kp": 5.0},
+         "feedforward": {"velocity": 0.8, "acceleration": 0.08}},
         (2.4, 1.6, 6.0), "rotary",
     ),
     bench(
@@ -289,7 +295,9 @@ def main() -> None:
     given = parser.parse_args()
     benches = AXES[given.axes]
     none = {"kind": "none"}
-    readers = [Axis.from_dict({**b.axis.to_dict(), "controller": none}) if given.without_law else b.axis for b in benches]
+    readers = [
+        Axis.from_dict({**b.axis.to_dict(), "controller": none}) if given.without_law else b.axis for b in benches
+    ]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "record.npz"
         false = 0
@@ -325,7 +333,10 @@ def main() -> None:
                     bad += bool(names)
                     quiet += bool(names) and not door
                     silent += bool(names) and not door and not rest
-                    line.append(("R" if door.startswith("refused") else "w" if door else "o" if rest else ".") + ("X" if names else " "))
+                    line.append(
+                        ("R" if door.startswith("refused") else "w" if door else "o" if rest else ".")
+                        + ("X" if names else " ")
+                    )
                     if given.verbose or (names and not door):
                         print(f"    {one.axis.name}: {', '.join(names) or 'right'}: {door or '-'} | {rest}", flush=True)
             print(f"{name:50} {' '.join(line)}", flush=True)

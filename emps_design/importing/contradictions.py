@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 from emps_design.axis import Axis
-from emps_design.importing.controller import can_replay, check_controller
+from emps_design.importing.controller import check_controller
 from emps_design.importing.increments import odd_increments
 from emps_design.importing.motion import check_motion
+from emps_design.importing.replay import can_replay
 from emps_design.records import Record
+
+MEANS = "what is found from this record may be wrong by more than it says"
 
 
 def with_contradictions(axis: Axis, record: Record) -> Record:
@@ -24,4 +27,7 @@ def with_contradictions(axis: Axis, record: Record) -> Record:
         found = [said] if said else []
     else:
         found = check_motion(axis, record)
-    return replace(record, warnings=(*record.warnings, *found), contradictions=tuple(found)) if found else record
+    if not found:
+        return record
+    texts = tuple(f"{text}; {MEANS}" for text in found)
+    return replace(record, warnings=(*record.warnings, *texts), contradictions=texts)

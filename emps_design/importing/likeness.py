@@ -8,135 +8,138 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from itertools import pairwise
 
 import numpy as np
 
 from emps_design.importing.increments import odd_increments, step_of
+from emps_design.importing.replay import Replay, commands
 
-if TYPE_CHECKING:
-    from emps_design.importing.controller import Replay
-
-EXPLAINS = 0.15  # of the gap's power, that may be left
+EXPLAINS = 0.15  # of the power of the gap, and of the command, that may be left
 FEW = 0.05  # of the samples: a gap that so few hold is theirs alone
+ROUNDED = 0.95  # of the samples, whose gap is no more than a step
 MOST_LATE = 64  # samples
 CORNERS_HZ = (1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0)
 TRIED = 20_000  # samples on which the law is run again
-PIECES = 16  # of a record, in which the gain may differ
-SMOOTH = 0.02  # of the gap, that it changes by from sample to sample: no noise
+PIECES, SAME_GAIN = 16, 0.02  # of a record, in which the gain may differ; by which it has to
 EVERY = range(2, 9)  # samples, of which one in so many may be another's
+OTHERS = 0.01  # of the gap's power in such samples, that the others may have
+SMOOTH = 0.02  # of the gap, that it changes by from sample to sample: no noise
+TOGETHER = 0.5  # correlation of the command with that of the law, from which on it is not of elsewhere
 
 
 def likeness(replay: Replay, unit: str) -> str:
-    """What the gap of ``replay`` looks like, in words."""
+    """Say what the gap of ``replay`` looks like; ``unit`` is that of the command.
+
+    >>> from emps_design.importing.replay import run_law
+    >>> from emps_design.machines import machine
+    >>> from emps_design.simulation.synthetic import synthetic_record
+    >>> axis = machine("emps2019")
+    >>> record = synthetic_record(axis, laps=1)
+    >>> likeness(run_law(axis, replace(record, q=record.q_ref, q_ref=record.q)), "V")
+    'q and q_ref are exchanged'
+    """
     for words in _looks(replay, unit):
         if words:
             return words
-    gap, changes = replay.gap[replay.used], np.diff(replay.gap[replay.used])
-    if np.median(np.abs(changes)) < SMOOTH * np.sqrt(np.mean(gap**2)):
-        return f"up to {np.max(np.abs(gap)):.3g} {unit} is added to what the law gives, or the law is another one (`law` says which)"
-    together = float(np.corrcoef(replay.record.u[replay.used], replay.wanted[replay.used])[0, 1])
-    if not together > 0.5:
-        return "it follows this law nowhere: it is of another controller or of another axis (`law` says of which)"
-    return "the controller does something beside its law, or it is another one (`law` says which), or the record is damaged"
+    used, gap = replay.used, replay.gap[replay.used]
+    if np.median(np.abs(np.diff(gap))) < SMOOTH * np.sqrt(np.mean(gap**2)):
+        most = f"{np.max(np.abs(gap)):.3g} {unit}".rstrip()
+        return f"up to {most} is added to what the law gives, or the law is another one (emps-design law says which)"
+    if not np.corrcoef(replay.record.u[used], replay.wanted[used])[0, 1] > TOGETHER:
+        return "it follows this law nowhere: it is another controller's (emps-design law says which) or another axis's"
+    return "the record is damaged, or the controller is another one (emps-design law says which)"
 
 
 def _looks(replay: Replay, unit: str) -> Iterator[str]:
+    """What is found, simplest first; "" for what is not."""
     record, used, gap = replay.record, replay.used, replay.gap
-    u, wanted = record.u[used], replay.wanted[used]
-    power = float(gap @ gap)
-
-    def explained(command: np.ndarray, where: np.ndarray = used) -> bool:
-        here = where & used
-        own = min(float(np.sum(gap[here] ** 2)), float(np.sum(record.u[here] ** 2)))
-        return float(np.sum((record.u - command)[here] ** 2)) < EXPLAINS * own
-
     yield odd_increments(record.q)
-    order = np.argsort(-(gap**2))[: max(1, int(FEW * used.sum()))]
-    if float(np.sum(gap[order] ** 2)) > (1.0 - EXPLAINS) * power:
-        count = 1 + int(np.searchsorted(np.cumsum(gap[order] ** 2), (1.0 - EXPLAINS) * power))
-        k = int(order[0])
-        one = f"one sample, {record.u[k]:.4g} {unit} at {record.t[k]:.4g} s, is" if count == 1 else f"{count} samples are"
-        yield f"{one} far outside of what the law gives"
+    yield _few(replay, unit)
     step = step_of(record.u)
-    if step and np.mean(np.abs(gap[used]) < 0.6 * step) > 0.95:
-        yield f"the command is recorded in steps of {step:.4g} {unit}"
+    if step and np.mean(np.abs(gap[used]) < 0.6 * step) > ROUNDED:
+        yield f"the command is recorded in steps of {step:.4g} {unit}".rstrip()
+    u, wanted = record.u[used], replay.wanted[used]
     gain = float(u @ wanted) / float(wanted @ wanted) if np.any(wanted) else 1.0
-    if explained(gain * replay.wanted):
+    if _explained(replay, gain * replay.wanted):
         yield f"the command is {gain:.3g} times what the law gives"
-    yield _exchanged(replay, explained)
-    late = _late(replay)
-    if late and explained(_shifted(replay.wanted, late)):
-        way = "later" if late > 0 else "earlier"
-        yield f"the command is recorded {abs(late)} sample{'s' if abs(late) > 1 else ''} {way} than the position"
-    yield from _gains_in_parts(replay, explained)
+    if replay.law.follows == "position" and record.q_ref_recorded:
+        exchanged = replace(record, q=record.q_ref, q_ref=record.q)
+        yield "q and q_ref are exchanged" if _explained(replay, commands(replay.law, exchanged, replay.limit)) else ""
+    yield _late(replay)
+    yield _gain_from(replay)
     for every in EVERY:
-        powers = [float(np.sum(gap[phase::every] ** 2)) for phase in range(every)]
-        if min(powers) < 0.01 * max(powers) and sorted(powers)[-2] < 0.05 * max(powers) or (every == 2 and min(powers) < 0.01 * max(powers)):
-            yield f"only one sample in {every} differs: they are of another signal"
-    yield from _low_passed(replay, explained)
+        least, *_, most = sorted(float(np.sum(gap[phase::every] ** 2)) for phase in range(every))
+        if least < OTHERS * most:
+            yield f"it is another signal's in some of every {every} samples"
+    yield from _low_passed(replay)
 
 
-def _exchanged(replay, explained) -> str:
-    from emps_design.importing.controller import commands
+def _explained(replay: Replay, command: np.ndarray, where: np.ndarray | None = None) -> bool:
+    """Whether ``command`` (n,) is so much nearer to the recorded one than that of the law."""
+    here = replay.used if where is None else replay.used & where
+    u = replay.record.u[here]
+    own = min(float(np.sum(replay.gap[here] ** 2)), float(np.sum(u**2)))
+    return float(np.sum((u - command[here]) ** 2)) < EXPLAINS * own
 
-    record = replay.record
-    if replay.law.follows != "position" or not record.q_ref_recorded:
+
+def _few(replay: Replay, unit: str) -> str:
+    """Whether a few samples hold the gap."""
+    record, power = replay.record, replay.gap**2
+    order = np.argsort(-power)[: max(1, int(FEW * replay.used.sum()))]
+    share = np.cumsum(power[order]) / float(power.sum())
+    if share[-1] < 1.0 - EXPLAINS:
         return ""
-    other = commands(replay.law, replace(record, q=record.q_ref, q_ref=record.q), replay.limit)
-    return "q and q_ref are exchanged" if explained(other) else ""
+    count, k = 1 + int(np.searchsorted(share, 1.0 - EXPLAINS)), int(order[0])
+    if count > 1:
+        return f"{count} samples are far from what the law gives"
+    value = f"{record.u[k]:.4g} {unit}".rstrip()
+    return f"one sample, {value} at {record.t[k]:.4g} s, is far from what the law gives"
 
 
-def _late(replay) -> int:
-    """By how many samples the recorded command follows that of the law."""
-    u, wanted = replay.record.u, replay.wanted
-    u, wanted = np.where(replay.used, u - u[replay.used].mean(), 0.0), np.where(replay.used, wanted - wanted[replay.used].mean(), 0.0)
-    shifts = list(range(-MOST_LATE, MOST_LATE + 1))
-    return max(shifts, key=lambda late: float(u @ np.roll(wanted, late)))
+def _late(replay: Replay) -> str:
+    """Whether the recorded command is that of the law some samples later, or earlier."""
+    used = replay.used
+    u, wanted = (np.where(used, x - x[used].mean(), 0.0) for x in (replay.record.u, replay.wanted))
+    late = max(range(-MOST_LATE, MOST_LATE + 1), key=lambda shift: float(u @ np.roll(wanted, shift)))
+    if not late or not _explained(replay, np.roll(replay.wanted, late)):
+        return ""
+    way, many = "later" if late > 0 else "earlier", "s" if abs(late) > 1 else ""
+    return f"the command is recorded {abs(late)} sample{many} {way} than reference and position"
 
 
-def _shifted(values: np.ndarray, late: int) -> np.ndarray:
-    return np.roll(values, late)
-
-
-def _gains_in_parts(replay, explained) -> Iterator[str]:
+def _gain_from(replay: Replay) -> str:
+    """Whether the command is a multiple of that of the law in a part of the record."""
     record, used, wanted = replay.record, replay.used, replay.wanted
     edges = np.linspace(0, len(record), PIECES + 1).astype(int)
-    gains = []
-    for start, stop in zip(edges[:-1], edges[1:], strict=True):
+    gains, left = np.ones(PIECES), np.zeros(PIECES)
+    for i, (start, stop) in enumerate(pairwise(edges.tolist())):
         own = used[start:stop]
         u, w = record.u[start:stop][own], wanted[start:stop][own]
-        gains.append(float(u @ w) / float(w @ w) if np.any(w) else 1.0)
-    scaled = wanted * np.repeat(gains, np.diff(edges))
-    # The piece in which the gain changes is explained by no gain.
-    left = [float(np.sum((record.u - scaled)[a:b][used[a:b]] ** 2)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
-    scaled = np.where(np.repeat(left == np.max(left), np.diff(edges)), record.u, scaled)
-    if explained(scaled):
-        off = [i for i, gain in enumerate(gains) if abs(gain - 1.0) > 0.02]
-        if off:
-            yield (
-                f"from about {record.t[edges[off[0]]]:.3g} s the command is {np.median([gains[i] for i in off]):.3g} times what the law gives"
-            )
+        gains[i] = float(u @ w) / float(w @ w) if np.any(w) else 1.0
+        left[i] = float(np.sum((u - gains[i] * w) ** 2))
+    left[int(np.argmax(left))] = 0.0  # the piece in which the gain changes
+    off = np.flatnonzero(np.abs(gains - 1.0) > SAME_GAIN)
+    power = min(float(np.sum(replay.gap**2)), float(np.sum(record.u[used] ** 2)))
+    if not off.size or off.size == PIECES or left.sum() > EXPLAINS * power:
+        return ""
+    since = record.t[edges[off[0]]]
+    return f"from about {since:.3g} s on the command is {np.median(gains[off]):.3g} times what the law gives"
 
 
-def _low_passed(replay, explained) -> Iterator[str]:
+def _low_passed(replay: Replay) -> Iterator[str]:
+    """Whether command or position are recorded behind a low-pass of first order."""
     from scipy.signal import lfilter
 
-    from emps_design.importing.controller import commands
-
     record = replay.record
-    w = 2.0 * np.pi * record.period
-    for corner in CORNERS_HZ:
-        keep = float(np.exp(-w * corner))
-        passed = lfilter([1.0 - keep], [1.0, -keep], replay.wanted)
-        if explained(passed):
+    kept = {corner: float(np.exp(-2.0 * np.pi * record.period * corner)) for corner in CORNERS_HZ}
+    for corner, keep in kept.items():
+        if _explained(replay, lfilter([1.0 - keep], [1.0, -keep], replay.wanted)):
             yield f"the command is recorded behind a low-pass of about {corner:g} Hz"
     short = record.until(TRIED)
-    inside = np.arange(len(record)) < len(short)
-    for corner in CORNERS_HZ:
-        keep = float(np.exp(-w * corner))
-        q = lfilter([1.0, -keep], [1.0 - keep], short.q, zi=[-keep / (1.0 - keep) * short.q[0]])[0]
-        tried = np.zeros(len(record))
-        tried[: len(short)] = commands(replay.law, replace(short, q=q), replay.limit)
-        if explained(tried, inside):
+    inside, tried = np.arange(len(record)) < len(short), np.zeros(len(record))
+    for corner, keep in kept.items():
+        before, _ = lfilter([1.0, -keep], [1.0 - keep], short.q, zi=[-keep / (1.0 - keep) * short.q[0]])
+        tried[: len(short)] = commands(replay.law, replace(short, q=before), replay.limit)
+        if _explained(replay, tried, inside):
             yield f"the position is recorded behind a low-pass of about {corner:g} Hz"

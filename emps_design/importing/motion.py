@@ -17,7 +17,6 @@ from emps_design.importing.increments import odd_increments, step_of
 from emps_design.importing.sanity import correlation, motion_columns, unexplained
 from emps_design.records import Record
 
-MEANS = "what is found from this record may be wrong by more than it says"
 LONGEST = 200_000  # samples of a long record that are looked at
 SPIKE = 8.0  # times the command that all but one sample in a thousand stay below
 ANSWERED = 0.3  # of a spike, that the motion asks for
@@ -31,7 +30,11 @@ EXPLAINED = 0.5  # of what one model of the whole record leaves, that a model fo
 GAIN, SAME = 1.35, 1.5  # times, by which the command changes at once; within which mass and friction change alike
 SHIFTS = 0.08, 40  # s to either side, and in so many steps, by which the command is moved
 LATE, FEWEST_LATE = 0.015, 8  # s, and samples
-BETTER, WELL, LITTLE = 0.6, 0.5, 0.1  # of what is left where nothing is moved; of the command, that is left then and now
+BETTER, WELL, LITTLE = (
+    0.6,
+    0.5,
+    0.1,
+)  # of what is left where nothing is moved; of the command, that is left then and now
 EXCHANGED, ALIKE = 0.7, 0.99  # of what the position leaves; correlation of position and reference
 COARSER = 1.25  # times the encoder's step: a position that was rounded by the logger
 SHORT = 16  # samples, up to which a command is held; longer, somebody commands a constant
@@ -51,8 +54,7 @@ def check_motion(axis: Axis, record: Record) -> list[str]:
     >>> check_motion(axis, replace(record, u=np.where(record.t < 9.0, 1.0, 2.0) * record.u))[0].split(" s on")[0]
     'u: from about 9.09'
     """
-    looked_at = record.until(LONGEST)
-    return [f"{text}; {MEANS}" for text in _found(axis, looked_at)]
+    return list(_found(axis, record.until(LONGEST)))
 
 
 def _found(axis: Axis, record: Record) -> Iterator[str]:
@@ -147,8 +149,8 @@ def _gain(record: Record) -> Iterator[str]:
     if 1.0 / GAIN < times < GAIN:
         return
     yield (
-        f"u: from about {record.t[cut]:.3g} s on the same motion takes {times:.3g} times the command, mass and friction "
-        "alike: its gain or its unit changes there"
+        f"u: from about {record.t[cut]:.3g} s on the same motion takes {times:.3g} times the command, mass and "
+        "friction alike: its gain or its unit changes there"
     )
 
 

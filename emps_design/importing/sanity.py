@@ -200,6 +200,7 @@ def _roughness(values: np.ndarray) -> float:
 
 
 def correlation(a: np.ndarray, b: np.ndarray) -> float:
+    """Correlation of ``a`` and ``b`` (n,), 0 where one of them is constant."""
     spread = float(np.std(a) * np.std(b))
     return float(np.mean((a - a.mean()) * (b - b.mean()))) / spread if spread > 0.0 else 0.0
 
