@@ -22,11 +22,11 @@ def with_contradictions(axis: Axis, record: Record) -> Record:
     """
     if record.excitation is not None:
         return record
-    if can_replay(axis, record):
-        said = check_controller(axis, record) or odd_increments(record.q)
-        found = [said] if said else []
-    else:
+    said = check_controller(axis, record) if can_replay(axis, record) else None
+    if said is None:
         found = check_motion(axis, record)
+    else:
+        found = [text for text in (said or odd_increments(record),) if text]
     if not found:
         return record
     texts = tuple(f"{text}; {MEANS}" for text in found)

@@ -22,7 +22,7 @@ LOOK, PARTS = 100_000, 5  # samples of a long record that are looked at, in so m
 FEWEST = 100  # samples that count
 BLOCK_TIME, FEWEST_IN_BLOCK = 0.02, 4  # s, and samples
 STRUCTURE = 2.0  # times what white noise does to the means over a block
-ROUNDING = 3.0  # times what the rounding of the record does
+ROUNDING = 6.0  # times what the rounding of the record does
 VISIBLE = 0.01  # of the command's deviation, below which a gap harms no estimate
 ALONE = 12.0  # deviations of the noise, beyond which a sample is none of it
 ALONE_VISIBLE = 0.02  # of the command's deviation, rms over the record
@@ -31,10 +31,11 @@ LOUD = 0.2  # of the command's deviation
 COARSER = 1.25  # times the encoder's step: a position that was rounded once more
 
 
-def check_controller(axis: Axis, record: Record) -> str:
+def check_controller(axis: Axis, record: Record) -> str | None:
     """Say where the law of ``axis`` gives another command than ``record`` has: how much, when, and what it looks like.
 
-    "" where it gives the same. The law must be one that :func:`~emps_design.importing.replay.can_replay`.
+    "" where it gives the same, None where the rounding of the record hides what it gives. Only for a law that
+    :func:`~emps_design.importing.replay.can_replay` takes.
 
     >>> from dataclasses import replace
     >>> from emps_design.machines import machine
@@ -49,10 +50,11 @@ def check_controller(axis: Axis, record: Record) -> str:
     parts = [
         (start, replay) for start, part in _parts_of(record) if (replay := run_law(axis, part)).used.sum() > FEWEST
     ]
-    found = [(float(np.mean(replay.gap**2)), start, replay) for start, replay in parts if _contradicts(axis, replay)]
-    if not found:
-        return ""
-    _, start, replay = max(found, key=lambda one: one[0])
+    verdicts = [_contradicts(axis, replay) for _, replay in parts]
+    if not any(verdicts):
+        return None if None in verdicts or not parts else ""
+    found = [part for part, verdict in zip(parts, verdicts, strict=True) if verdict]
+    start, replay = max(found, key=lambda part: float(np.mean(part[1].gap ** 2)))
     gap, swing, unit = replay.gap, replay.swing, axis.units.command_unit
     rms = float(np.sqrt(np.mean(gap[replay.used] ** 2)))
     first, last = _when(gap)
@@ -71,42 +73,37 @@ def _parts_of(record: Record) -> list[tuple[int, Record]]:
     return [(start, record.part(start, start + size)) for start in np.linspace(0, n - size, PARTS).astype(int).tolist()]
 
 
-def _contradicts(axis: Axis, replay: Replay) -> bool:
-    """Whether the gap of ``replay`` is more than noise, resolution and rounding of the record allow."""
+def _contradicts(axis: Axis, replay: Replay) -> bool | None:
+    """Whether the gap of ``replay`` is more than noise, resolution and rounding allow; None where rounding hides it."""
     gap, swing = replay.gap, replay.swing
     if not swing > 0.0:
         return False
     noise = _noise(gap, replay.used)
-    means, alone, whole = _sizes(replay, gap, noise)
-    width = _width(replay.record)
     step = step_of(replay.record.u)
-    if step > COARSE * swing and whole > OF_A_STEP * step:
+    sizes = _sizes(replay, gap, noise)
+    if step > COARSE * swing and sizes[2] > OF_A_STEP * step:
         return True
-    if not (
-        means > max(VISIBLE * swing, STRUCTURE * noise / np.sqrt(width))
-        or alone > ALONE_VISIBLE * swing
-        or whole > LOUD * swing
-    ):
+    white = STRUCTURE * noise / np.sqrt(_width(replay.record))
+    harmless = np.array((max(VISIBLE * swing, white), ALONE_VISIBLE * swing, LOUD * swing))
+    if np.all(sizes <= harmless):
         return False
     rounded = _rounded(axis, replay)
     if rounded is None:
         return True
-    allowed = _sizes(replay, rounded, noise)
-    return (
-        means > max(VISIBLE * swing, STRUCTURE * noise / np.sqrt(width), ROUNDING * allowed[0])
-        or alone > max(ALONE_VISIBLE * swing, ROUNDING * allowed[2])
-        or whole > max(LOUD * swing, ROUNDING * allowed[2])
-    )
+    means, _, whole = _sizes(replay, rounded, noise)
+    if whole > LOUD * swing:
+        return None
+    return bool(np.any(sizes > np.maximum(harmless, ROUNDING * np.array((means, whole, whole)))))
 
 
-def _sizes(replay: Replay, gap: np.ndarray, noise: float) -> tuple[float, float, float]:
-    """Rms of the means of ``gap`` over a block, of the samples far outside the noise, and of all."""
+def _sizes(replay: Replay, gap: np.ndarray, noise: float) -> np.ndarray:
+    """Rms of the means of ``gap`` over a block, of the samples far outside the noise, and of all (3,)."""
     used, width = replay.used, _width(replay.record)
     rows = gap.size // width * width
     blocks, whole = gap[:rows].reshape(-1, width), used[:rows].reshape(-1, width).all(axis=1)
     means = blocks[whole].mean(axis=1)
     alone = np.where(np.abs(gap) > ALONE * noise, gap, 0.0)[used]
-    return _rms(means), _rms(alone), _rms(gap[used])
+    return np.array((_rms(means), _rms(alone), _rms(gap[used])))
 
 
 def _rounded(axis: Axis, replay: Replay) -> np.ndarray | None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from emps_design.importing.account import encoder_step
+from emps_design.records import Record
 
 BESIDE = 4  # increments on either side that say what is usual
 WIDE = 16  # samples on either side over which an axis moves, whatever was held meanwhile
@@ -16,7 +17,7 @@ FEWEST_STEPS = 6.0  # of the encoder in an increment, for one that is 0 or twice
 FULL = 0.9  # of the mean increment: next to one that is 0, the motion is full
 TWICE = (1.6, 4.5)  # times those beside it
 STEADY = 0.25  # of the usual increment, within which those beside it are alike
-ROUGH = 16.0  # times what a quarter of the increments changes less by
+ROUGH, QUIET = 8.0, 0.4  # times what this share of the increments changes less by
 FEWEST, SOME = 5, 2e-3  # samples, and of all samples, that stand still or are missing
 
 
@@ -62,7 +63,7 @@ def lost(q: np.ndarray) -> np.ndarray:
     padded = np.pad(d, BESIDE, mode="edge")
     usual = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * BESIDE + 1), axis=1)
     changes = np.abs(np.diff(d))
-    rough = float(np.quantile(changes[changes > 0.0], 0.25)) if np.any(changes > 0.0) else 0.0
+    rough = float(np.quantile(changes, QUIET))  # where every fifth is missing, half of them are large
     big = np.abs(usual) > max(FEWEST_STEPS * _smallest(d), ROUGH * rough)
     with np.errstate(divide="ignore", invalid="ignore"):
         times = np.where(big, d / usual, 1.0)
@@ -71,19 +72,29 @@ def lost(q: np.ndarray) -> np.ndarray:
     return np.r_[False, (times > TWICE[0]) & (times < TWICE[1]) & beside]
 
 
-def odd_increments(q: np.ndarray) -> str:
-    """What is odd about the increments of the position ``q`` (n,), in words; "" where nothing is.
+def odd_increments(record: Record) -> str:
+    """What is odd about the increments of position and reference of ``record``, in words; "" where nothing is.
 
-    >>> q = np.arange(2000.0) ** 2
-    >>> odd_increments(q), odd_increments(np.delete(q, slice(9, None, 10)))
-    ('', 'q leaps ahead at 11 % of the samples: others are missing there, and time was numbered anew')
+    >>> t, sweep = 1e-3, np.arange(2000.0) ** 2 / 1e7
+    >>> odd_increments(Record.from_arrays(t, sweep, sweep, np.sin(1e3 * sweep)))
+    ''
+    >>> less = np.delete(sweep, slice(9, None, 10))
+    >>> odd_increments(Record.from_arrays(t, less, less, np.sin(1e3 * less)))
+    'q leaps ahead at 11 % of the samples: others are missing there, and time was numbered anew'
     """
-    for found, words in (
-        (held(q), "q stands still at {0} in full motion: values are held, or rows repeated"),
-        (lost(q), "q leaps ahead at {0}: others are missing there, and time was numbered anew"),
+    q, reference = record.q, record.q_ref
+    stands, leaps = {"q": held(q)}, {"q": lost(q)}
+    if record.q_ref_recorded and np.ptp(reference):
+        # A reference may well be given in fewer steps than it is recorded; all else then goes on.
+        again = (np.diff(q, prepend=np.nan) == 0.0) & (np.diff(record.u, prepend=np.nan) == 0.0)
+        stands["q_ref"], leaps["q_ref"] = held(reference) & again, lost(reference)
+    for found_in, words in (
+        (stands, "{0} stands still at {1} in full motion: values are held, or rows repeated"),
+        (leaps, "{0} leaps ahead at {1}: others are missing there, and time was numbered anew"),
     ):
-        if np.count_nonzero(found) > max(FEWEST, SOME * q.size):
-            return words.format(f"{100 * np.mean(found):.2g} % of the samples")
+        for name, found in found_in.items():
+            if np.count_nonzero(found) > max(FEWEST, SOME * q.size):
+                return words.format(name, f"{100 * np.mean(found):.2g} % of the samples")
     return ""
 
 

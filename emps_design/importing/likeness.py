@@ -17,7 +17,7 @@ from emps_design.importing.replay import Replay, commands
 
 EXPLAINS = 0.15  # of the power of the gap, and of the command, that may be left
 FEW = 0.05  # of the samples: a gap that so few hold is theirs alone
-ROUNDED = 0.95  # of the samples, whose gap is no more than a step
+HALF_A_STEP = 0.5  # that rounding leaves at most
 MOST_LATE = 64  # samples
 CORNERS_HZ = (1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0)
 TRIED = 20_000  # samples on which the law is run again
@@ -45,42 +45,44 @@ def likeness(replay: Replay, unit: str) -> str:
     used, gap = replay.used, replay.gap[replay.used]
     if np.median(np.abs(np.diff(gap))) < SMOOTH * np.sqrt(np.mean(gap**2)):
         most = f"{np.max(np.abs(gap)):.3g} {unit}".rstrip()
-        return f"up to {most} is added to what the law gives, or the law is another one (emps-design law says which)"
+        return f"up to {most} is added to what the law gives, or the command is another controller's or another axis's"
     if not np.corrcoef(replay.record.u[used], replay.wanted[used])[0, 1] > TOGETHER:
-        return "it follows this law nowhere: it is another controller's (emps-design law says which) or another axis's"
-    return "the record is damaged, or the controller is another one (emps-design law says which)"
+        return "the command follows this law nowhere: it is another controller's or another axis's"
+    return "the record is damaged, or the command is another controller's (emps-design law says whose)"
 
 
 def _looks(replay: Replay, unit: str) -> Iterator[str]:
     """What is found, simplest first; "" for what is not."""
     record, used, gap = replay.record, replay.used, replay.gap
-    yield odd_increments(record.q)
-    yield _few(replay, unit)
-    step = step_of(record.u)
-    if step and np.mean(np.abs(gap[used]) < 0.6 * step) > ROUNDED:
+    yield odd_increments(record)
+    step, left = step_of(record.u), float(np.sqrt(np.mean(gap[used] ** 2)))
+    if left < HALF_A_STEP * step:
         yield f"the command is recorded in steps of {step:.4g} {unit}".rstrip()
     u, wanted = record.u[used], replay.wanted[used]
     gain = float(u @ wanted) / float(wanted @ wanted) if np.any(wanted) else 1.0
-    if _explained(replay, gain * replay.wanted):
+    if _left(replay, gain * replay.wanted) < EXPLAINS:
         yield f"the command is {gain:.3g} times what the law gives"
     if replay.law.follows == "position" and record.q_ref_recorded:
         exchanged = replace(record, q=record.q_ref, q_ref=record.q)
-        yield "q and q_ref are exchanged" if _explained(replay, commands(replay.law, exchanged, replay.limit)) else ""
+        left_by = _left(replay, commands(replay.law, exchanged, replay.limit))
+        yield "q and q_ref are exchanged" if left_by < EXPLAINS else ""
     yield _late(replay)
+    yield _command_low_passed(replay)
+    yield _few(replay, unit)
     yield _gain_from(replay)
     for every in EVERY:
         least, *_, most = sorted(float(np.sum(gap[phase::every] ** 2)) for phase in range(every))
         if least < OTHERS * most:
             yield f"it is another signal's in some of every {every} samples"
-    yield from _low_passed(replay)
+    yield _position_low_passed(replay)
 
 
-def _explained(replay: Replay, command: np.ndarray, where: np.ndarray | None = None) -> bool:
-    """Whether ``command`` (n,) is so much nearer to the recorded one than that of the law."""
+def _left(replay: Replay, command: np.ndarray, where: np.ndarray | None = None) -> float:
+    """What ``command`` (n,) leaves of the recorded one, as a share of what that of the law leaves, or of all of it."""
     here = replay.used if where is None else replay.used & where
     u = replay.record.u[here]
     own = min(float(np.sum(replay.gap[here] ** 2)), float(np.sum(u**2)))
-    return float(np.sum((u - command[here]) ** 2)) < EXPLAINS * own
+    return float(np.sum((u - command[here]) ** 2)) / own if own else 1.0
 
 
 def _few(replay: Replay, unit: str) -> str:
@@ -102,7 +104,7 @@ def _late(replay: Replay) -> str:
     used = replay.used
     u, wanted = (np.where(used, x - x[used].mean(), 0.0) for x in (replay.record.u, replay.wanted))
     late = max(range(-MOST_LATE, MOST_LATE + 1), key=lambda shift: float(u @ np.roll(wanted, shift)))
-    if not late or not _explained(replay, np.roll(replay.wanted, late)):
+    if not late or _left(replay, np.roll(replay.wanted, late)) > EXPLAINS:
         return ""
     way, many = "later" if late > 0 else "earlier", "s" if abs(late) > 1 else ""
     return f"the command is recorded {abs(late)} sample{many} {way} than reference and position"
@@ -127,19 +129,34 @@ def _gain_from(replay: Replay) -> str:
     return f"from about {since:.3g} s on the command is {np.median(gains[off]):.3g} times what the law gives"
 
 
-def _low_passed(replay: Replay) -> Iterator[str]:
-    """Whether command or position are recorded behind a low-pass of first order."""
+def _command_low_passed(replay: Replay) -> str:
+    """Whether the command is recorded behind a low-pass of first order."""
     from scipy.signal import lfilter
 
-    record = replay.record
-    kept = {corner: float(np.exp(-2.0 * np.pi * record.period * corner)) for corner in CORNERS_HZ}
-    for corner, keep in kept.items():
-        if _explained(replay, lfilter([1.0 - keep], [1.0, -keep], replay.wanted)):
-            yield f"the command is recorded behind a low-pass of about {corner:g} Hz"
-    short = record.until(TRIED)
-    inside, tried = np.arange(len(record)) < len(short), np.zeros(len(record))
-    for corner, keep in kept.items():
+    left = {}
+    for corner in CORNERS_HZ:
+        keep = _kept(corner, replay.record.period)
+        left[corner] = _left(replay, lfilter([1.0 - keep], [1.0, -keep], replay.wanted))
+    corner = min(left, key=lambda one: left[one])
+    return f"the command is recorded behind a low-pass of about {corner:g} Hz" if left[corner] < EXPLAINS else ""
+
+
+def _position_low_passed(replay: Replay) -> str:
+    """Whether the position is recorded behind a low-pass of first order."""
+    from scipy.signal import lfilter
+
+    short = replay.record.until(TRIED)
+    inside, tried = np.arange(len(replay.record)) < len(short), np.zeros(len(replay.record))
+    left = {}
+    for corner in CORNERS_HZ:
+        keep = _kept(corner, short.period)
         before, _ = lfilter([1.0, -keep], [1.0 - keep], short.q, zi=[-keep / (1.0 - keep) * short.q[0]])
         tried[: len(short)] = commands(replay.law, replace(short, q=before), replay.limit)
-        if _explained(replay, tried, inside):
-            yield f"the position is recorded behind a low-pass of about {corner:g} Hz"
+        left[corner] = _left(replay, tried, inside)
+    corner = min(left, key=lambda one: left[one])
+    return f"the position is recorded behind a low-pass of about {corner:g} Hz" if left[corner] < EXPLAINS else ""
+
+
+def _kept(corner: float, period: float) -> float:
+    """What a low-pass with a ``corner`` [Hz] keeps over a ``period`` [s]."""
+    return float(np.exp(-2.0 * np.pi * corner * period))

@@ -60,7 +60,7 @@ def check_motion(axis: Axis, record: Record) -> list[str]:
 def _found(axis: Axis, record: Record) -> Iterator[str]:
     u, n = record.u, len(record)
     swing = float(np.std(u))
-    if said := odd_increments(record.q):
+    if said := odd_increments(record):
         yield said
     yield from _spike(axis, record)
     step = step_of(u)

@@ -17,7 +17,6 @@ from emps_design.records import Record
 START_UP = 0.1  # s, after which what the law remembered before the first sample is forgotten
 FEWEST_AT_START = 8  # samples
 AT_LIMIT, BEYOND_LIMIT = 0.98, 1.02  # of the limit, between which a sample is at it
-EITHER, SELDOM = 2.0, 0.02  # times the samples at the recorded limit, and share of all, that the law may be at its own
 AROUND = 3  # samples beside one with the motor switched off
 SAME_PERIOD = 1e-3  # of the axis's period
 PHASES, PHASE_LOOK = 16, 6000  # of a slower loop against the first sample, found on so many samples
@@ -57,26 +56,33 @@ def can_replay(axis: Axis, record: Record) -> bool:
 
 
 def run_law(axis: Axis, record: Record) -> Replay:
-    """Run the law of ``axis`` on the reference and the position of ``record``."""
+    """Run the law of ``axis`` on the reference and the position of ``record``.
+
+    One with an integrator runs without its limit: where that stood at first and behind each time at the limit is then a
+    constant, which is taken out.
+    """
     law, limit = law_of(axis, record.period, record.extra), float(axis.drive.command_limit)
+    integrating = integrates(law, record.period)
+    free = np.inf if integrating else limit
     tells = _tells(record)
     phase = 0
     if 1 < law.cycle <= PHASES:
         first = record.until(PHASE_LOOK)
         here = tells[: len(first)]
-        gaps = [np.abs(first.u - commands(law, first, limit, at))[here] for at in range(law.cycle)]
+        gaps = [np.abs(_centred((first.u - commands(law, first, free, at))[here])) for at in range(law.cycle)]
         phase = int(np.argmin([np.median(gap) if gap.size else 0.0 for gap in gaps]))
-    wanted = commands(law, record, limit, phase)
-    given = np.array([record.u, wanted])
-    above, below = ((sign * given > AT_LIMIT * limit) & (np.abs(given) < BEYOND_LIMIT * limit) for sign in (1.0, -1.0))
-    used = tells & ~(above.all(axis=0) | below.all(axis=0))
-    if integrates(law, record.period):
-        # A limit is met a little earlier or later where the integrator stands elsewhere.
-        either = (above | below).any(axis=0)
-        if np.mean(either) <= max(EITHER * np.mean((above | below)[0]), SELDOM):
-            used &= ~either
+    wanted = commands(law, record, free, phase)
+    above, below = ((side > AT_LIMIT) & (side < BEYOND_LIMIT) for side in (record.u / limit, -record.u / limit))
+    if integrating:
+        used = tells & ~(above | below)
         wanted = wanted + levels(record.u - wanted, used)
-    return Replay(record, law, limit, wanted, used)
+    else:
+        used = tells & ~(above & (wanted > AT_LIMIT * limit) | below & (wanted < -AT_LIMIT * limit))
+    return Replay(record, law, free, wanted, used)
+
+
+def _centred(values: np.ndarray) -> np.ndarray:
+    return values - np.median(values) if values.size else values
 
 
 def commands(law: Law, record: Record, limit: float, phase: int = 0) -> np.ndarray:
