@@ -113,10 +113,11 @@ def _rounded(axis: Axis, replay: Replay) -> np.ndarray | None:
     q_step = step_of(record.q)
     if own and q_step < COARSER * own:
         q_step = 0.0
-    followed = law.followed(record)
-    r_step = step_of(followed)
-    if not q_step and (law.follows == "velocity" or not r_step):
+    if np.array_equal(record.q, record.q.astype(np.float32)):
+        q_step = max(q_step, _single(record.q))
+    if not q_step:
         return None
+    r_step = max(step_of(record.q_ref), _single(record.q_ref))  # whatever rounded one rounded the other
     random = np.random.default_rng(0)
     r, q = (step * random.uniform(-0.5, 0.5, len(record)) for step in (r_step, q_step))
     still = np.flatnonzero(np.diff(record.q, prepend=np.nan) == 0.0)
@@ -126,6 +127,11 @@ def _rounded(axis: Axis, replay: Replay) -> np.ndarray | None:
     change = commands(law, moved, replay.limit) - commands(law, record, replay.limit)
     level = levels(change, replay.used) if integrates(law, record.period) else 0.0
     return np.where(replay.used, change - level, 0.0)
+
+
+def _single(values: np.ndarray) -> float:
+    """The step of the largest of ``values`` in single precision."""
+    return float(np.spacing(np.float32(np.max(np.abs(values)))))
 
 
 def _width(record: Record) -> int:

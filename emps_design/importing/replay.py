@@ -17,6 +17,7 @@ from emps_design.records import Record
 START_UP = 0.1  # s, after which what the law remembered before the first sample is forgotten
 FEWEST_AT_START = 8  # samples
 AT_LIMIT, BEYOND_LIMIT = 0.98, 1.02  # of the limit, between which a sample is at it
+SETTLING = 0.015  # s behind the limit, until filters have forgotten where the integrator had been
 AROUND = 3  # samples beside one with the motor switched off
 SAME_PERIOD = 1e-3  # of the axis's period
 PHASES, PHASE_LOOK = 16, 6000  # of a slower loop against the first sample, found on so many samples
@@ -74,7 +75,8 @@ def run_law(axis: Axis, record: Record) -> Replay:
     wanted = commands(law, record, free, phase)
     above, below = ((side > AT_LIMIT) & (side < BEYOND_LIMIT) for side in (record.u / limit, -record.u / limit))
     if integrating:
-        used = tells & ~(above | below)
+        settling = max(AROUND, round(SETTLING / record.period))
+        used = tells & (np.convolve(above | below, np.ones(settling + 1))[: len(record)] < 0.5)
         wanted = wanted + levels(record.u - wanted, used)
     else:
         used = tells & ~(above & (wanted > AT_LIMIT * limit) | below & (wanted < -AT_LIMIT * limit))
