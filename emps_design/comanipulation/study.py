@@ -15,7 +15,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.comanipulation.measures import Measures
-from emps_design.comanipulation.run import in_threads, run_many
+from emps_design.comanipulation.run import TaskRun, in_threads, run_many, run_task
 from emps_design.comanipulation.task import Task, fitted_task
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
 from emps_design.control.impedance.response import impedance_error
@@ -255,6 +255,25 @@ def mismatch_study(
         measures = replace(measures, raw=np.where(worse[:, None], other.raw, measures.raw))
     beyond = _beyond(axis, with_errors(law, errors[: len(corners)]), task)
     return MismatchStudy(axis.name, law, mismatch, seed, task, len(corners), errors, error, radius, measures, beyond)
+
+
+def run_worst(axis: Axis, study: MismatchStudy) -> TaskRun:
+    """The run of the worst plant of a ``study`` of ``axis``, the way round that its verdict is of.
+
+    Where the poles alone are unstable it may end before that shows.
+
+    >>> from emps_design.machines import machine
+    >>> from emps_design.control.impedance.law import impedance_law
+    >>> axis = machine("emps2018")
+    >>> run_worst(axis, mismatch_study(axis, impedance_law(axis, 50.0, 100.0), 0.02, plants=0)).verdict
+    'creeping'
+    """
+    law = study.law.with_errors(study.plant(study.worst)["errors"])
+    run = run_task(axis, law, study.task)
+    if run.verdict == VERDICTS[study.measures.verdict[study.worst]]:
+        return run
+    other = run_task(axis, law, study.task.reversed)
+    return max(run, other, key=lambda one: VERDICTS.index(one.verdict))
 
 
 def _judged(axis: Axis, laws: ImpedanceLaw, directions: tuple[int, ...]) -> np.ndarray:

@@ -200,6 +200,7 @@ def _maps(found: ImpedanceAssessment) -> list[Picture]:
 
 def _mismatch_blocks(found: ImpedanceAssessment, study: MismatchStudy, mismatch: Mapping[str, Any]) -> list[Any]:
     from emps_design.comanipulation.run import run_task
+    from emps_design.comanipulation.study import run_worst
 
     worst = mismatch["worst"]
     percent = f"±{100 * mismatch['mismatch']:g} %"
@@ -207,7 +208,7 @@ def _mismatch_blocks(found: ImpedanceAssessment, study: MismatchStudy, mismatch:
     law = found.law
     runs = {
         "exact estimates": run_task(found.axis, law, task),
-        f"worst within {percent}": run_task(found.axis, law.with_errors(worst["errors"]), task),
+        f"worst within {percent}": run_worst(found.axis, study),
         "with a force sensor": run_task(found.axis, replace(law, force_sensor=True), task),
     }
     share = f"{100 * mismatch['stable_share']:.4g} %"

@@ -36,7 +36,7 @@ class Session:
         machines = {name: machine(name) for name in machine_names()}
         machines[axis.name] = axis
         self.state = State.of(axis)
-        self.design = DesignView(self.state, machines, self._changed)
+        self.design = DesignView(self.state, machines, self._changed, self._axis_opened)
         self.motion = MotionView(lambda: self.state, self.design.turn, lambda: self.data.record)
         self.simulation = SimulationView(lambda: self.state, self.design.turn)
         own = axis.name if axis.name not in machine_names() else RECORD_AXIS
@@ -68,6 +68,13 @@ class Session:
         self.motion.show(state)
         self.simulation.show(state)
         self.compensation.show(state)
+        self.data.show(state)
+
+    def _axis_opened(self, axis: Axis) -> None:
+        """Design on an axis from a file, and take the records to come for ones of it."""
+        self.design.add_axis(axis)
+        if self.data.record is None:
+            self.data.of(axis)
 
     def _loaded(self, state: State) -> None:
         if state.pinned is not None:

@@ -16,9 +16,10 @@ from emps_design.progress import Progress
 from emps_design.report.compensation import tracking_figure
 from emps_design.report.page import inline
 from emps_design.report.style import labelled, svg
-from emps_design.studio.exports import controlled, drive_zip
+from emps_design.studio.exports import designed, drive_zip, follows
 from emps_design.studio.files_view import BUTTON
 from emps_design.studio.jobs import Job
+from emps_design.studio.motion import DESIGN, OWN
 from emps_design.studio.panes import html, message, numbers
 from emps_design.studio.state import State
 
@@ -26,10 +27,10 @@ FOLDER = "emps-design-drive.zip"
 INTRODUCTION = """
 <h3>What is fed forward</h3>
 <p>The command that the model says the reference needs, by the terms that are chosen, beside what the controller
-answers: the axis's own where it follows a reference, else the design's. Each term is tried in closed loop on the
+answers: that of the design tab, or the axis's own where it follows a reference. Each term is tried in closed loop on the
 nonlinear axis, alone and with its parameters 2 % and its phase 10 degrees wrong; one that does harm then is left
 out.</p>
-<p>The folder has the axis, the compensation, and the controller with it in C99 with the vectors that prove it:
+<p>The folder has the axis with the controller that was tried, the compensation, and both in C99 with the vectors that prove it:
 <code>make check</code> in <code>code</code> runs them.</p>
 """
 
@@ -42,6 +43,8 @@ class CompensationView:
         self.found: Compensation | None = None
         self.terms = pn.widgets.CheckBoxGroup(label="Terms", inline=True, margin=(8, 6))
         self.terms.param.watch(lambda event: self._withdraw(), "value")
+        self.controller = pn.widgets.Select(label="Controller", options=[DESIGN], width=200, margin=(4, 6))
+        self.controller.param.watch(lambda event: self._withdraw(), "value")
         self.run = pn.widgets.Button(label="Try them", color="primary", width=110, margin=(4, 6))
         self.run.on_click(lambda event: self._start())
         self.download = pn.widgets.FileDownload(
@@ -51,7 +54,8 @@ class CompensationView:
         self.job = Job()
         self.message, self.left, self.table, self.picture = html(), html(), html(INTRODUCTION), html()
         self.view = pn.Column(
-            html("<h3>Terms</h3>"), self.terms, self.left, pn.Row(self.run, self.download, margin=0), self.job.view,
+            html("<h3>Terms</h3>"), self.terms, self.left, self.controller, pn.Row(self.run, self.download, margin=0),
+            self.job.view,
             self.message, self.table, self.picture, sizing_mode="stretch_width",
         )  # fmt: skip
         self._offer()
@@ -62,15 +66,24 @@ class CompensationView:
             self._axis = state.axis
             self._offer()
 
-    @staticmethod
-    def _controlled(state: State) -> Axis | None:
+    def _controlled(self, state: State) -> Axis | None:
         """The axis that would be compensated; None where its design is refused."""
         try:
-            return controlled(state.axis, state)
+            return self._chosen(state)
         except EmpsError:
             return None
 
+    def _chosen(self, state: State) -> Axis:
+        """The axis of ``state`` with the controller that is chosen; :class:`EmpsError` where its design is refused."""
+        return state.axis if self.controller.value == OWN else designed(state)
+
     def _offer(self) -> None:
+        try:
+            own = bool(follows(self._axis))
+        except EmpsError:  # gains that only a record has
+            own = False
+        chosen = self.controller.value if own else DESIGN
+        self.controller.param.update(options=[DESIGN, OWN] if own else [DESIGN], value=chosen)
         possible, left = terms_of(self._axis)
         self.terms.options = {name.replace("_", " "): name for name in possible}
         self.terms.value = list(possible)
@@ -88,10 +101,15 @@ class CompensationView:
     def _start(self) -> None:
         state, terms = self._state(), tuple(self.terms.value)
         self._withdraw()
+        try:
+            axis = self._chosen(state)
+        except EmpsError as error:
+            self._say(str(error), "stop")
+            return
 
         def work(progress: Progress) -> Compensation:
             progress("each term in closed loop", 0.2)
-            return compensate(controlled(state.axis, state), terms=terms)
+            return compensate(axis, terms=terms)
 
         def done(found: Compensation) -> None:
             if (self._axis, tuple(self.terms.value)) == (state.axis, terms):
@@ -107,8 +125,8 @@ class CompensationView:
         more += [f"{ON_ERROR.capitalize()}."] * bool(found.feedforward.terms)
         self._say(
             f"Tracking error rms {found.without:.3g} {found.unit} without, {found.achieved:.3g} with what is kept "
-            f"({ratio:,.0f} times less), {found.worst:.3g} with every parameter wrong; controller "
-            f"{found.axis.controller.kind.replace('_', ' ')}.",
+            f"({ratio:,.0f} times less), {found.worst:.3g} with every parameter wrong; controller: "
+            f"{self.controller.value}, {found.axis.controller.kind.replace('_', ' ')}.",
             "good" if found.worst < found.without else "warning",
             "".join(f"<br>{inline(line)}" for line in (*more, *(one["advice"] for one in found.feedback))),
         )

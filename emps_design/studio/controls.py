@@ -7,8 +7,8 @@ from typing import Any
 
 import panel as pn
 
-from emps_design.axis import Axis
-from emps_design.studio.ranges import CHOICES, Choice, choices_of
+from emps_design.studio.ranges import CHOICES, Choice
+from emps_design.studio.state import State
 
 # The title of the slider stays in the page for screen readers (and for the script that names its handle).
 _QUIET = (
@@ -78,10 +78,10 @@ class Field:
     def _show(self, value: float) -> None:
         self.field.value = _written(value) if isinstance(self.field, pn.widgets.TextInput) else value
 
-    def suit(self, axis: Axis) -> None:
-        """Have the name and the range that the number has on ``axis``."""
-        choice = choices_of(axis)[self.name]
-        self.field.label = axis.units.label(choice.label)
+    def suit(self, state: State) -> None:
+        """Have the name and the range that the number has in ``state``."""
+        choice = state.choices[self.name]
+        self.field.label = state.axis.units.label(choice.label)
         if choice != self.choice:
             self.choice = choice
             self._silently(self._range, choice)
@@ -116,17 +116,18 @@ class Knob(Field):
         super()._show(value)
         self.slider.value = value
 
-    def suit(self, axis: Axis) -> None:
-        """Have the name and the range that the number has on ``axis``."""
-        super().suit(axis)
+    def suit(self, state: State) -> None:
+        """Have the name and the range that the number has in ``state``."""
+        super().suit(state)
         self.slider.label = self.field.label
 
     def _range(self, choice: Choice) -> None:
         super()._range(choice)
         self.slider.param.update(start=choice.lower, end=choice.upper, step=choice.step)
 
-    def limit(self, low: float, high: float) -> None:
-        """Let the slider reach ``low`` to ``high`` only; the field takes any number, so that the page can answer."""
+    def limit(self, low: float, high: float, value: float) -> None:
+        """Let the slider reach ``low`` to ``high`` and ``value`` only; the field takes any number, for the page to answer."""
+        low, high = min(low, value), max(high, value)
         high = high if high > low else low + self.choice.step
         self._silently(lambda: self.slider.param.update(start=low, end=high))
 

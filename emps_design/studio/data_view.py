@@ -16,6 +16,7 @@ from emps_design.records.layout import NAMED, Assignment
 from emps_design.records.mapping import ColumnMap
 from emps_design.report.display import quantity
 from emps_design.report.page import inline
+from emps_design.studio.axis_file import AxisFile
 from emps_design.studio.columns_view import ColumnsView
 from emps_design.studio.jobs import Job
 from emps_design.studio.panes import blocks, html, message
@@ -81,6 +82,14 @@ def _upload(name: str, content: bytes | str) -> tuple[str, bytes]:
     return plain, content.encode() if isinstance(content, str) else bytes(content)
 
 
+def _dropper(label: str) -> pn.widgets.FileDropper:
+    """A field that one record is dropped on."""
+    return pn.widgets.FileDropper(
+        label=label, max_file_size=f"{LIMIT_MB}MB", multiple=False, height=76, width=430, layout="compact",
+        margin=(4, 6),
+    )  # fmt: skip
+
+
 class DataView:
     """The record, what can be done with it, and what came out.
 
@@ -99,21 +108,18 @@ class DataView:
     ):
         self._machines, self._take, self._another = machines, take, another
         self.record: Record | None = None
+        self.held_out: Record | None = None
         self.model: Axis | None = None
         self._dropped_last: tuple[str, bytes | str] | None = None
+        self._second_last: tuple[str, bytes | str] | None = None
         self._work = ""  # whose result is shown, or at work
         self._table: ColumnMap | None = None
         self.columns = ColumnsView(self._read_columns)
-        self.drop = pn.widgets.FileDropper(
-            label=f"Record: drop or choose one; {', '.join(SUFFIXES)}, at most {LIMIT_MB} MB",
-            max_file_size=f"{LIMIT_MB}MB",
-            multiple=False,
-            height=76,
-            width=430,
-            layout="compact",
-            margin=(4, 6),
-        )
+        self.drop = _dropper(f"Record: drop or choose one; {', '.join(SUFFIXES)}, at most {LIMIT_MB} MB")
         self.drop.param.watch(self._dropped, "value")
+        self.second = _dropper("Second record, held out: Identify and Diagnose are tried on it")
+        self.second.param.watch(self._second_dropped, "value")
+        self.file = AxisFile(self._axis_opened, lambda text: self._say(text, "stop"))
         self.machine = pn.widgets.Select(
             label="Axis of the record", options=list(machines()), value=axis_name, width=230, margin=(4, 6)
         )
@@ -142,10 +148,10 @@ class DataView:
         self.result.styles = {"flex": "1 1 700px"}
         self.view = pn.Column(
             pn.FlexBox(
-                self.drop,
+                pn.Column(self.drop, self.second, margin=0),
                 pn.Column(
+                    pn.Row(self.machine, self.file.field, margin=0),
                     pn.Row(
-                        self.machine,
                         pn.pane.HTML("Friction model", margin=(29, 0, 0, 6)),
                         self.friction,
                         self.filter,
@@ -180,6 +186,42 @@ class DataView:
         self._dropped_last, self._table = (name, content), None
         self._read_columns(None)
 
+    def _second_dropped(self, event: Any) -> None:
+        """Hold the record out that was dropped, or none where it was taken away; no result of another stays."""
+        dropped = list(event.new.items())[-1] if event.new else None
+        if dropped == self._second_last:
+            return
+        self._second_last = dropped
+        refused = self._read_second()
+        if self.record is not None:
+            self._show(self.record)
+        if refused:
+            self._say(refused, "stop")
+
+    def _read_second(self) -> str:
+        """Read the record that is held out like the first one; why it is refused, empty where it is not."""
+        self.held_out, self.second.stylesheets = None, []
+        if self._second_last is None:
+            return ""
+        try:
+            self.held_out = read_upload(*self._second_last, self._axis)
+        except EmpsError as error:
+            self.second.stylesheets = [REFUSED]
+            return f"second record: {error}"
+        return ""
+
+    def _axis_opened(self, axis: Axis) -> None:
+        """Design on an axis from a file, and take the record for one of it."""
+        self._take(axis)
+        self.of(axis)
+
+    def of(self, axis: Axis) -> None:
+        """Take the record for one of ``axis``."""
+        self.machine.options = list(self._machines())
+        if self.machine.value == axis.name:  # the same file, edited
+            self.machine.param.trigger("value")
+        self.machine.value = axis.name
+
     def _read_columns(self, table: ColumnMap | None) -> None:
         """Read what was dropped last, by ``table`` where columns were chosen; offer the columns of an export."""
         if self._dropped_last is None:
@@ -190,7 +232,10 @@ class DataView:
         try:
             record = read_upload(name, content, axis)
             assigned, self._table = record.assigned, table
+            refused = self._read_second()
             self._show(record)
+            if refused:
+                self._say(refused, "stop")
         except EmpsError as error:
             self._withdraw()
             self._say(str(error), "stop")
@@ -249,13 +294,13 @@ class DataView:
         self.drop.stylesheets = []
         for button in self.buttons.values():
             button.disabled = False
-        notes = "".join(f"<br>{inline(warning)}" for warning in record.warnings)
-        self._say(
-            f"{record.name}: {len(record)} samples of {quantity(record.period, 's')}, "
-            f"{quantity(record.duration, 's', 3)} in all",
-            "warning" if notes else "good",
-            notes,
+        both = [record, *([] if self.held_out is None else [self.held_out])]
+        notes = "".join(f"<br>{inline(warning)}" for one in both for warning in one.warnings)
+        said = "; held out ".join(
+            f"{one.name}: {len(one)} samples of {quantity(one.period, 's')}, {quantity(one.duration, 's', 3)} in all"
+            for one in both
         )
+        self._say(said, "warning" if notes else "good", notes)
         self.about.object = f'<div class="record">{style.svg(record_figure(record, self._axis.units), "record")}</div>'
         self.result.object = ""
         self._another()
@@ -280,7 +325,12 @@ class DataView:
         record, axis = self.record, self._axis
         if name == "Law" and self.model is not None:  # a controller goes on what was found of the same record
             axis = self.model
-        options = {"friction": self.friction.value, "chain": self.filter.value, "sought": self.sought.value}
+        options = {
+            "friction": self.friction.value,
+            "chain": self.filter.value,
+            "sought": self.sought.value,
+            "held_out": self.held_out,
+        }
 
         def of_this_record(show: Callable[[Any], None]) -> Callable[[Any], None]:
             return lambda outcome: show(outcome) if self.record is record else None

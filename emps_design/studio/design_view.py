@@ -10,15 +10,17 @@ import panel as pn
 
 from emps_design.errors import EmpsError
 from emps_design.report.display import sentence_of
+from emps_design.studio.axis_file import AxisFile
 from emps_design.studio.controls import Knob
 from emps_design.studio.design_tables import laws_table, numbers_table
 from emps_design.studio.feasible import feasible, plane
 from emps_design.studio.filter_rows import FilterRows
 from emps_design.studio.panes import html, message
 from emps_design.studio.plots import LoopPlots, PlanePlot
-from emps_design.studio.state import LABELS, PLACES, SPECIFICATIONS, State, taken_for
+from emps_design.studio.state import LABELS, PLACES, SPECIFICATIONS, State, differences_in_words, taken_for
 
 if TYPE_CHECKING:
+    from emps_design.axis import Axis
     from emps_design.control.velocity.design import VelocityLoopDesign
     from emps_design.laws.library.cascade import Filter
 
@@ -30,11 +32,23 @@ GROUPS = (
     ("Impedance law", ("mass", "damping", "filter", "mismatch_percent")),
 )
 
+# What a velocity loop is asked for: typed by hand, a number that cannot be had moves to the nearest that can.
+SPECIFYING = ("frequency", "phase_margin_deg", "specification", "structure", "filters")
+
 
 class DesignView:
-    """Controls on the left, numbers and pictures on the right; ``changed(state)`` tells the other tabs."""
+    """Controls on the left, numbers and pictures on the right; ``changed(state)`` tells the other tabs.
 
-    def __init__(self, state: State, machines: dict[str, Any], changed: Callable[[State], None]):
+    ``opened(axis)`` has an axis from a file; without it the design is made on that.
+    """
+
+    def __init__(
+        self,
+        state: State,
+        machines: dict[str, Any],
+        changed: Callable[[State], None],
+        opened: Callable[[Axis], None] | None = None,
+    ):
         self.state, self.machines, self._changed = state, machines, changed
         self.design: VelocityLoopDesign | None = None
         self.pinned: VelocityLoopDesign | None = None
@@ -44,6 +58,9 @@ class DesignView:
             label="Axis", options=list(machines), value=state.axis.name, width=306, margin=(4, 6)
         )
         self.machine.param.watch(self._machine_chosen, "value")
+        self.file = AxisFile(opened or self.add_axis, self._refuse, width=306)
+        self.fresh = pn.widgets.Button(label="Start values of this axis", width=306, margin=(2, 6))
+        self.fresh.on_click(lambda event: self._start_values())
         self.words = {
             "specification": pn.widgets.RadioButtonGroup(
                 label="Frequency means",
@@ -79,7 +96,8 @@ class DesignView:
             groups += [self.words["specification"]] if title == "Velocity loop" else []
             groups += [self.knobs[name].view for name in names]
             groups += [self.words["structure"], self.filters.view] if title == "Velocity loop" else []
-        left = pn.Column(self.machine, *groups, width=330, margin=(0, 8, 0, 0))
+        axis = (self.machine, self.file.field, self.fresh)
+        left = pn.Column(*axis, *groups, width=330, margin=(0, 8, 0, 0))
         p = self.plots
         columns = ((p.magnitude, p.phase), (p.nyquist, self.plane.plot), (p.step, p.z_plane))
         pictures = pn.Row(
@@ -105,7 +123,17 @@ class DesignView:
         return first_try(self.state.axis, self.state.frequency, kind)
 
     def _machine_chosen(self, event: Any) -> None:
-        self.set_state(self.state.with_axis(self.machines[event.new]))
+        self._design_on(self.machines[event.new])
+
+    def _design_on(self, axis: Axis) -> None:
+        """Show the specification on ``axis``, and say what came with the axis."""
+        before = self.state
+        after = before.with_axis(axis)
+        self.set_state(after, differences_in_words(before, after))
+        self._changed(self.state)
+
+    def _start_values(self) -> None:
+        self.set_state(replace(State.of(self.state.axis), pinned=self.state.pinned))
         self._changed(self.state)
 
     def _heard(self, name: str, value: Any) -> None:
@@ -126,11 +154,11 @@ class DesignView:
             if name == "place":
                 self._show_pinned()
             elif name in self.knobs or name in self.words or name == "filters":
-                self._design(taken_for(name, value))
+                self._design(taken_for(name, value), move=name in SPECIFYING)
         except EmpsError as error:
             self.state = before
             self._suit()
-            self._say(f"{error}; the design stays as it was", "stop")
+            self._refuse(f"{error}; the design stays as it was")
         self._show_controls()
         self._changed(self.state)
 
@@ -141,7 +169,10 @@ class DesignView:
         self._show_pinned()
         self._changed(self.state)
 
-    def _show_pinned(self) -> None:
+    def _refuse(self, text: str) -> None:
+        self._say(text, "stop")
+
+    def _show_pinned(self, said: str = "") -> None:
         """Draw the pinned design as the grey lines to compare with, or take them away."""
         from emps_design.studio.exports import velocity_design
 
@@ -152,29 +183,28 @@ class DesignView:
         else:
             self.plots.update(self.pinned, self.state.place)
             self.plots.pin()
-        self.refresh()
+        self.refresh(said)
 
-    def add_axis(self, axis: Any) -> None:
+    def add_axis(self, axis: Axis) -> None:
         """Offer ``axis`` in the list, choose it, and design on it."""
         self.machines[axis.name] = axis
         self.machine.options = list(self.machines)
         if self.machine.value == axis.name:
-            self.set_state(self.state.with_axis(axis))
-            self._changed(self.state)
+            self._design_on(axis)
         else:
             self.machine.value = axis.name
 
-    def set_state(self, state: State) -> None:
-        """Show ``state`` in every control, and design on it."""
+    def set_state(self, state: State, said: str = "") -> None:
+        """Show ``state`` in every control, and design on it; the message begins with what is ``said``."""
         self.state = state
         self._suit()
         self._show_controls()
-        self._show_pinned()
+        self._show_pinned(said)
 
     def _suit(self) -> None:
         """Have every knob in the words and the range of the axis."""
         for knob in self.knobs.values():
-            knob.suit(self.state.axis)
+            knob.suit(self.state)
 
     def _show_controls(self) -> None:
         state = self.state
@@ -191,43 +221,46 @@ class DesignView:
         finally:
             self._quiet = False
 
-    def _feasible_note(self) -> tuple[str, bool]:
-        """Move the state to what can be reached; why it moved or where it ends, and whether there is a design."""
+    def _feasible_note(self, move: bool) -> tuple[str, bool]:
+        """What can be reached in words, and whether there is a design; the state moves there where it may ``move``."""
         notes: list[str] = []
-        reachable = feasible(self.state)
-        frequency = reachable.nearest_frequency(self.state.frequency)
-        if reachable.frequencies is not None:
-            self.knobs["frequency"].limit(*reachable.frequencies)
-        if frequency != self.state.frequency:
-            asked = self.state.frequency
+        reachable, asked = feasible(self.state), self.state.frequency
+        frequency = reachable.nearest_frequency(asked)
+        if frequency == asked:
+            notes += [reachable.text, reachable.beyond]
+        elif move:
             notes += [reachable.text, f"The frequency asked for moved from {asked:g} to {frequency:g} rad/s."]
             self.state = self.state.changed(frequency=frequency)
             reachable = feasible(self.state)
             notes.append(reachable.text)
         else:
-            notes += [reachable.text, reachable.beyond]
-        low, high = reachable.low, reachable.high
+            notes += [reachable.text, f"The nearest frequency that can be reached is {frequency:g} rad/s."]
+        if reachable.frequencies is not None:
+            self.knobs["frequency"].limit(*reachable.frequencies, self.state.frequency)
+        low, high, margin = reachable.low, reachable.high, self.state.phase_margin_deg
+        phase = reachable.nearest(margin)
+        if phase not in (None, margin) and move:
+            notes.append(f"The phase margin asked for moved from {margin:g}° to {phase:g}°.")
+            self.state = self.state.changed(phase_margin_deg=phase)
+        elif phase not in (None, margin):
+            notes.append(f"The nearest phase margin that can be reached is {phase:g}°.")
         if low is not None and high is not None:
-            phase = reachable.nearest(self.state.phase_margin_deg)
-            self.knobs["phase_margin_deg"].limit(low, high)
-            if phase != self.state.phase_margin_deg:
-                notes.append(f"The phase margin asked for moved from {self.state.phase_margin_deg:g}° to {phase:g}°.")
-                self.state = self.state.changed(phase_margin_deg=phase)
+            self.knobs["phase_margin_deg"].limit(low, high, self.state.phase_margin_deg)
         return " ".join(filter(None, notes)), not reachable.empty
 
-    def refresh(self) -> None:
+    def refresh(self, said: str = "") -> None:
         """Design what the state asks for and show it; where there is no design, show none and say why."""
         try:
-            self._design()
+            self._design(said)
         except EmpsError as error:
             self.design = None
             self.numbers.object = self.laws.object = ""
-            self._say(f"{error}; there is no design, the pictures are of the one before", "stop")
+            self._refuse(f"{said} {error}; there is no design, the pictures are of the one before".strip())
 
-    def _design(self, said: str = "") -> None:
+    def _design(self, said: str = "", move: bool = False) -> None:
         from emps_design.studio.exports import velocity_design
 
-        notes, reached = self._feasible_note()
+        notes, reached = self._feasible_note(move)
         self.design = velocity_design(self.state)
         refused = f"{sentence_of(self.design.refused)} " if self.design.refused else ""
         self._say(f"{refused}{said} {notes}".strip(), "note" if reached and not refused else "stop")

@@ -9,6 +9,7 @@ from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 from emps_design.errors import EmpsError
+from emps_design.progress import Progress, of_part, untold
 from emps_design.studio.state import State
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ def velocity_design(state: State) -> VelocityLoopDesign:
     return design_velocity_loop(state.axis, **state.requested)
 
 
-def report_html(state: State, measured: Mapping[str, Any] | None = None) -> str:
+def report_html(state: State, measured: Mapping[str, Any] | None = None, progress: Progress = untold) -> str:
     """The page of ``report`` for ``state``, with the section on the record ``measured`` where one is loaded.
 
     ``measured`` has ``record``, ``record_axis`` and ``chain`` of :func:`~emps_design.report.assemble.assemble_report`.
@@ -47,12 +48,13 @@ def report_html(state: State, measured: Mapping[str, Any] | None = None) -> str:
         damping=state.damping,
         filter=state.filter,
         mismatch=state.mismatch_percent / 100.0,
+        progress=progress,
         **state.requested,
     )
     return report.page.html()
 
 
-def figures(state: State) -> dict[str, Figure]:
+def figures(state: State, progress: Progress = untold) -> dict[str, Figure]:
     """The pictures of ``state`` as matplotlib figures by name."""
     from emps_design.control.force.design import design_force_loop
     from emps_design.report.diagrams import velocity_and_force_loop_diagram
@@ -67,17 +69,19 @@ def figures(state: State) -> dict[str, Figure]:
         **velocity_loop_figures(design),
         "force_limit": force_limit_figure(force),
         "force_loop": force_loop_figure(force),
-        **{f"simulation_{name}": figure for name, figure in simulate(state).figures().items()},
+        **{f"simulation_{name}": figure for name, figure in simulate(state, progress).figures().items()},
     }
 
 
-def figures_zip(state: State, kind: str) -> bytes:
+def figures_zip(state: State, kind: str, progress: Progress = untold) -> bytes:
     """All pictures in one archive; ``kind`` is "svg" or "png"."""
     from emps_design.report import style
 
-    drawn = figures(state).items()
-    made = {name: style.svg(one, name).encode() if kind == "svg" else style.png(one) for name, one in drawn}
-    return _zipped({f"{name}.{kind}": data for name, data in made.items()})
+    drawn, made = figures(state, of_part(progress, 0.0, 0.5)), {}
+    for place, (name, one) in enumerate(drawn.items()):
+        progress(name, 0.5 + 0.5 * place / len(drawn))
+        made[f"{name}.{kind}"] = style.svg(one, name).encode() if kind == "svg" else style.png(one)
+    return _zipped(made)
 
 
 def _zipped(files: dict[str, bytes]) -> bytes:
@@ -89,13 +93,17 @@ def _zipped(files: dict[str, bytes]) -> bytes:
     return out.getvalue()
 
 
-def controlled(axis: Axis, state: State) -> Axis:
-    """``axis`` with its controller where that follows a reference, else with the one of the design of ``state``."""
+def follows(axis: Axis) -> str:
+    """What the controller of ``axis`` follows: "position", "velocity", or "" where it follows no reference."""
     from emps_design.laws import law_of
 
-    if axis.controller.kind != "none" and law_of(axis, axis.sampling.period).follows != "rest position":
-        return axis
-    return axis.replace(controller=_for_the_drive(state))
+    kind = "rest position" if axis.controller.kind == "none" else law_of(axis, axis.sampling.period).follows
+    return "" if kind == "rest position" else kind
+
+
+def designed(state: State) -> Axis:
+    """The axis of ``state`` with the controller of its design; :class:`EmpsError` where that may not run."""
+    return state.axis.replace(controller=_for_the_drive(state))
 
 
 def drive_zip(found: Compensation) -> bytes:
@@ -129,7 +137,7 @@ def _json_text(document: Any) -> str:
 
 def model_toml(state: State) -> str:
     """The axis with the controller of the design, ready for every command."""
-    return state.axis.replace(controller=_for_the_drive(state)).to_toml()
+    return designed(state).to_toml()
 
 
 def _for_the_drive(state: State) -> dict[str, Any]:

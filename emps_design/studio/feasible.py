@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -140,10 +140,10 @@ def reachable_frequencies(state: State) -> tuple[float, float] | None:
     return _reachable(_question(state).to_toml())
 
 
-def _question(state: State, **kept: float) -> State:
+def _question(state: State, **kept: Any) -> State:
     """``state`` with what its velocity loop is made of alone, so that equal questions are equal."""
-    law = {"specification": state.specification, "structure": state.structure, "filters": state.filters}
-    return State.of(state.axis).changed(**law, **kept)
+    law: dict[str, Any] = {"specification": state.specification, "structure": state.structure, "filters": state.filters}
+    return replace(State.plain(state.axis), **law, **kept)
 
 
 @lru_cache(maxsize=16)

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from io import BytesIO
 from typing import Any
 
 import panel as pn
 
 from emps_design.errors import EmpsError
+from emps_design.progress import Progress
 from emps_design.report.page import inline
 from emps_design.studio import exports
+from emps_design.studio.jobs import Job
 from emps_design.studio.panes import html, message
 from emps_design.studio.state import State
 
+Work = Callable[[Progress], bytes]
 # A download is a link in a button's dress, which the button's type does not colour.
 BUTTON = ":host { --surface-color: #0072b2; --surface-text-color: #fff; }"
 REPORT = "the whole design as one page to read, print and hand on, with the record where one is loaded"
@@ -30,19 +33,35 @@ class FilesView:
         self, state: Callable[[], State], measured: Callable[[], dict[str, Any]], loaded: Callable[[State], None]
     ):
         self._state, self._loaded = state, loaded
-        self.message = html()
-        made: tuple[tuple[str, str, str, Callable[[], bytes]], ...] = (
-            ("Report (HTML)", "report.html", REPORT, lambda: exports.report_html(state(), measured()).encode()),
-            ("Figures (SVG)", "figures-svg.zip", VECTORS, lambda: exports.figures_zip(state(), "svg")),
-            ("Figures (PNG)", "figures-png.zip", PIXELS, lambda: exports.figures_zip(state(), "png")),
-            ("Model (TOML)", "model.toml", MODEL, lambda: exports.model_toml(state()).encode()),
-            ("Gains (JSON)", "gains.json", GAINS, lambda: exports.gains_json(state()).encode()),
-            ("State (TOML)", "state.toml", STATE, lambda: state().to_toml().encode()),
+        self.message, self.job = html(), Job()
+
+        def report() -> Work:
+            now, of_record = state(), measured()  # as they are when the button is pressed
+            return lambda progress: exports.report_html(now, of_record, progress).encode()
+
+        def pictures(kind: str) -> Callable[[], Work]:
+            def begun() -> Work:
+                now = state()
+                return lambda progress: exports.figures_zip(now, kind, progress)
+
+            return begun
+
+        long: tuple[tuple[str, str, str, Callable[[], Work]], ...] = (
+            ("Report (HTML)", "report.html", REPORT, report),
+            ("Figures (SVG)", "figures-svg.zip", VECTORS, pictures("svg")),
+            ("Figures (PNG)", "figures-png.zip", PIXELS, pictures("png")),
         )
+        short: tuple[tuple[str, str, str, Callable[[], str]], ...] = (
+            ("Model (TOML)", "model.toml", MODEL, lambda: exports.model_toml(state())),
+            ("Gains (JSON)", "gains.json", GAINS, lambda: exports.gains_json(state())),
+            ("State (TOML)", "state.toml", STATE, lambda: state().to_toml()),
+        )
+        made = [(label, name, what, self._worked_out(f"emps-design-{name}", begin)) for label, name, what, begin in long]
+        made += [(label, name, what, self._at_once(f"emps-design-{name}", make)) for label, name, what, make in short]
         rows = [
             pn.Row(
                 pn.widgets.FileDownload(
-                    callback=self._guarded(f"emps-design-{name}", make),
+                    callback=callback,
                     filename=f"emps-design-{name}",
                     label=label,
                     color="primary",
@@ -53,11 +72,12 @@ class FilesView:
                 pn.pane.HTML(inline(what), margin=(10, 6), stylesheets=["div { font-size: 13px; }"]),
                 margin=0,
             )
-            for label, name, what, make in made
+            for label, name, what, callback in made
         ]
         self.load = pn.widgets.FileInput(label="State to load (.toml)", accept=".toml", multiple=False, margin=(4, 6))
         self.load.param.watch(self._load, "value")
         self.view = pn.Column(
+            self.job.view,
             self.message,
             html("<h3>Save what the design tab shows</h3>", margin=(6, 6, 0, 6)),
             *rows,
@@ -66,17 +86,32 @@ class FilesView:
             sizing_mode="stretch_width",
         )
 
-    def _guarded(self, filename: str, make: Callable[[], bytes]) -> Callable[[], BytesIO]:
+    def _at_once(self, filename: str, make: Callable[[], str]) -> Callable[[], BytesIO]:
         def callback() -> BytesIO:
             try:
-                data = make()
+                data = make().encode()
             except EmpsError as error:
-                self._say(str(error), "stop")
+                self._refuse(str(error))
                 raise
-            self._say(f"{filename} is handed to the browser's downloads", "good")
-            return BytesIO(data)
+            return self._handed(filename, data)
 
         return callback
+
+    def _worked_out(self, filename: str, begin: Callable[[], Work]) -> Callable[[], Awaitable[BytesIO]]:
+        """A download whose work runs beside the page, of what ``begin()`` finds when the button is pressed."""
+
+        async def callback() -> BytesIO:
+            self._say(f"{filename} is at work", "note")
+            return self._handed(filename, await self.job.awaited(begin(), self._refuse))
+
+        return callback
+
+    def _handed(self, filename: str, data: bytes) -> BytesIO:
+        self._say(f"{filename} is handed to the browser's downloads", "good")
+        return BytesIO(data)
+
+    def _refuse(self, text: str) -> None:
+        self._say(text, "stop")
 
     def _load(self, event: Any) -> None:
         if not event.new:
@@ -87,10 +122,10 @@ class FilesView:
         try:
             self._loaded(State.from_toml(content.decode("utf-8", errors="strict"), name))
         except UnicodeDecodeError:
-            self._say(f"{name}: not UTF-8 text, expected a state saved by the studio", "stop")
+            self._refuse(f"{name}: not UTF-8 text, expected a state saved by the studio")
             return
         except EmpsError as error:
-            self._say(str(error), "stop")
+            self._refuse(str(error))
             return
         self._say(f"{name} is loaded; the design tab shows it", "good")
 

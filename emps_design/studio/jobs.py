@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import ctypes
 import threading
 from collections.abc import Callable
@@ -48,6 +49,21 @@ class Job:
         """Ask the work that is going on, if any, to stop; nothing waits for its end any more."""
         self._next = None
         self._stop.set()
+
+    def awaited(self, work: Callable[[Callable], Any], failed: Callable[[str], None]) -> asyncio.Future[Any]:
+        """Start ``work``; what it makes, once it is done. Cancelled where it ``failed(message)``, or a job runs already.
+
+        Raises :class:`RuntimeError` outside a coroutine.
+        """
+        made: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+
+        def give_up(text: str) -> None:
+            failed(text)
+            made.cancel()
+
+        if self.running or not self.start(work, made.set_result, give_up):
+            give_up("Other work is going on: cancel it, or wait for its end.")
+        return made
 
     def start(
         self, work: Callable[[Callable], Any], done: Callable[[Any], None], failed: Callable[[str], None]

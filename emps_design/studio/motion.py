@@ -33,7 +33,7 @@ class Motion:
 
     def verdict(self) -> tuple[str, str]:
         """How good it is, and the sentence that says it."""
-        found = self.runs[DESIGN].to_dict()
+        found, own = self.runs[DESIGN].to_dict(), self.runs.get(OWN)
         error, rate = found["tracking_error"], f"{self.loop.every}. " if self.loop.every > 1 else ""
         text = (
             f"{self.about}, kp {self.loop.kp:g} 1/s in every {rate}sample: tracking error "
@@ -43,7 +43,14 @@ class Motion:
         text = f"{text}; at the limit of the command {100.0 * clipped:.3g} %."
         if not self.loop.stable:
             return "stop", f"The cascade of this design is unstable. {text}"
-        return ("warning" if clipped else "good"), text
+        in_place = None if own is None else own.to_dict()["tracking_error"]
+        worse = in_place is not None and any(error[name] > in_place[name] for name in ("rms", "largest"))
+        if worse:
+            text += (
+                f" The axis's own controller follows more closely: {quantity(in_place['rms'], 'm')} rms, "
+                f"{quantity(in_place['largest'], 'm')} at most."
+            )
+        return ("warning" if clipped or worse else "good"), text
 
     def rows(self) -> list[tuple[str, ...]]:
         """Numbers of each run, a row each, after the row of heads."""
@@ -104,8 +111,8 @@ def reference_of(
 
 def move(state: State, file: tuple[str, bytes] | None, record: Record | None, progress: Progress) -> Motion:
     """Simulate the motion of ``state`` under the design, and under the axis's own controller where that follows it."""
-    from emps_design.laws import law_of
     from emps_design.simulation.scenarios import follow
+    from emps_design.studio.exports import follows
 
     about, q_ref, f_ext = reference_of(state, file, record)
     loop = design_loop(state)
@@ -114,7 +121,7 @@ def move(state: State, file: tuple[str, bytes] | None, record: Record | None, pr
     progress(OWN, 0.5)
     axis = state.axis
     try:
-        if axis.controller.kind == "none" or law_of(axis, axis.sampling.period).follows != "position":
+        if follows(axis) != "position":
             raise InputError(f"the axis's controller is {axis.controller.kind}, which follows no position")
         runs[OWN] = follow(axis, q_ref, f_ext)
     except EmpsError as error:

@@ -75,7 +75,7 @@ class MotionView:
         for name, select in self.words.items():
             select.value = getattr(state, name)
         for name, field in self.fields.items():
-            field.suit(state.axis)
+            field.suit(state)
             field.set(getattr(state, name))
             field.field.visible = name not in SHAPE or state.motion == "there and back"
         self.file.visible = state.motion == "file"

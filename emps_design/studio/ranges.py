@@ -9,12 +9,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 from emps_design.axis import Axis
 from emps_design.axis.tables import NO_LIMIT
 from emps_design.machines import machine
 from emps_design.quantities import one_two_five
 from emps_design.units import TURN
+
+
+ANY_AXIS = 1e9  # how far the ranges of two axes may lie apart
 
 
 @dataclass(frozen=True)
@@ -41,9 +45,16 @@ class Choice:
         """Whether ``value`` is in the range."""
         return self.lower <= value <= self.upper
 
-    def nearest(self, value: float) -> float:
-        """What is in the range next to ``value``."""
-        return min(max(value, self.lower), self.upper)
+    def with_value(self, value: float) -> Choice:
+        """The same with a range that has ``value`` in it."""
+        return self if self.holds(value) else replace(self, lower=min(self.lower, value), upper=max(self.upper, value))
+
+    def of_any_axis(self, value: Any) -> Choice:
+        """The same with ``value`` in its range where that may be a number of a smaller or a larger axis."""
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if self.size and number and self.lower / ANY_AXIS <= value <= self.upper * ANY_AXIS:
+            return self.with_value(value)
+        return self
 
 
 CHOICES: dict[str, Choice] = {
@@ -86,9 +97,7 @@ def choices_of(axis: Axis) -> dict[str, Choice]:
     """
     found = sizes(axis)
     sized = {name: _sized(choice, found[choice.size]) if choice.size else choice for name, choice in CHOICES.items()}
-    for name, value in _own(axis).items():
-        sized[name] = replace(sized[name], lower=min(sized[name].lower, value), upper=max(sized[name].upper, value))
-    return sized
+    return sized | {name: sized[name].with_value(value) for name, value in _own(axis).items()}
 
 
 def _own(axis: Axis) -> dict[str, float]:

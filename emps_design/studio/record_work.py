@@ -11,7 +11,7 @@ from emps_design.records import Record
 from emps_design.report.display import quantity
 from emps_design.units import Units
 
-Options = dict[str, str]  # what the tab chose: friction model and filter of Identify, model of Diagnose
+Options = dict[str, Any]  # what the tab chose: friction and filter of Identify, model of Diagnose, record held out
 NAMED_MODEL, CLOSEST_MODEL = "named", "closest"
 
 
@@ -30,14 +30,18 @@ def identify_work(record: Record, axis: Axis, options: Options, progress: Callab
     from emps_design.report.record import identification_blocks
 
     progress("identifying", 0.2)
-    found = identify(record, axis, model=options["friction"], filter=options["chain"])
+    found = identify(
+        record, axis, model=options["friction"], filter=options["chain"], holdout=options.get("held_out")
+    )
     progress("drawing", 0.7)
     values = ", ".join(
         f"{name.replace('_', ' ')} {quantity(e.value, e.quantity.unit)}" for name, e in found.parameters.items()
     )
+    judged = found.extra["held_out"]
+    judged_on = f", {quantity(judged['rms_error'], 'N')} on {judged['on']}" if options.get("held_out") else ""
     complete = all(estimate.determined for estimate in found.parameters.values())
     return {
-        "text": f"Identified: {values}; force error {quantity(found.rms_error, 'N')} rms.",
+        "text": f"Identified: {values}; force error {quantity(found.rms_error, 'N')} rms{judged_on}.",
         "html": _blocks(axis.units, *identification_blocks(found, axis)),
         "model": found.to_axis(name=f"{axis.name.split(' from ')[0]} from {record.name}") if complete else None,
         "level": "good" if complete else "warning",
@@ -99,7 +103,13 @@ def diagnose_work(record: Record, axis: Axis, options: Options, progress: Callab
     from emps_design.discrepancy import diagnose
     from emps_design.report.diagnosis import VERDICTS, diagnosis_page, typeset
 
-    found = diagnose(record, axis, progress=progress, closest=options["sought"] == CLOSEST_MODEL)
+    found = diagnose(
+        record,
+        axis,
+        holdout=options.get("held_out"),
+        progress=progress,
+        closest=options["sought"] == CLOSEST_MODEL,
+    )
     model = found.axis if found.closest is None or found.closest.axis is None else found.closest.axis
     progress("drawing", 0.98)
     page = diagnosis_page(found)

@@ -67,7 +67,7 @@ class SimulationView:
         """Show the numbers of ``state``."""
         self.task.value = state.task
         for name, field in self.fields.items():
-            field.suit(state.axis)
+            field.suit(state)
             field.set(getattr(state, name))
         if self._of is not None and _read(state) != _read(self._of):
             self._withdraw()

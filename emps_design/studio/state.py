@@ -85,51 +85,55 @@ class State:
 
     @classmethod
     def of(cls, axis: Axis) -> State:
-        """The controls as they stand for ``axis``."""
+        """The numbers to start with on ``axis``: those of its size, and a specification that meets the requirements."""
+        from emps_design.studio.start import started
+
+        return started(cls.plain(axis))
+
+    @classmethod
+    def plain(cls, axis: Axis) -> State:
+        """The first value of every control on ``axis``, whatever comes of them."""
         first: dict[str, Any] = {name: choice.first for name, choice in choices_of(axis).items()}
-        return cls(axis=axis, **first)._on(axis)
+        return cls(axis=axis, **{**first, **_clock(axis), **_law(axis)})
 
     def with_axis(self, axis: Axis) -> State:
-        """The same specification on another ``axis``: numbers set by hand stay where its ranges have them.
+        """The same specification on another ``axis``.
+
+        Of the axis are its clock, and the structure, the filters and the position gain of its controller where those
+        of the axis before were left as they are. A number that has another unit on ``axis`` starts anew.
 
         >>> from emps_design.machines import machine
         >>> light = machine("emps2018").replace(mechanics={"mass": 1.2})
-        >>> moved = State.of(machine("emps2018")).changed(mass=1.0, frequency=80.0).with_axis(light)
+        >>> moved = State.of(machine("emps2018")).with_axis(light)
         >>> moved.mass, moved.damping, moved.frequency
-        (1.0, 1.0, 80.0)
+        (50.0, 100.0, 100.0)
         """
-        before, now = choices_of(self.axis), choices_of(axis)
-        fresh: dict[str, Any] = {
-            name: choice.first
-            for name, choice in now.items()
-            if getattr(self, name) == before[name].first or not choice.holds(getattr(self, name))
-        }
-        if self.position_kp == position_gain(self.axis):  # not set by hand
-            fresh["position_kp"] = now["position_kp"].first
-        return replace(self, **fresh)._on(axis)
+        plain, before, now = State.plain(axis), _law(self.axis), _law(axis)
+        left = {name for name in now if getattr(self, name) == before[name]}
+        if position_gain(axis) is None and position_gain(self.axis) is None:
+            left.discard("position_kp")  # neither says anything of it
+        other_units = {name for name, choice in CHOICES.items() if _unit(choice, axis) != _unit(choice, self.axis)}
+        taken: dict[str, Any] = {name: getattr(plain, name) for name in (*_clock(axis), *left, *other_units)}
+        return replace(self, axis=axis, **taken)
 
-    def _on(self, axis: Axis) -> State:
-        """These numbers on ``axis``, with what it says itself: clock, structure, filters, position gain."""
-        structure, filters = own_structure(axis).label, own_filters(axis)
-        kp = position_gain(axis)
-        kept = self.position_kp if kp is None else kp
-        return replace(self, axis=axis, structure=structure, filters=filters, position_kp=kept, **_clock(axis))
+    @property
+    def choices(self) -> dict[str, Choice]:
+        """The ranges of the controls on the axis, with the numbers in them that came from elsewhere."""
+        return {name: choice.with_value(getattr(self, name)) for name, choice in choices_of(self.axis).items()}
 
     def changed(self, **values: Any) -> State:
-        """The state with some numbers changed, each within the range of its control, and the axis kept in step.
+        """The state with some numbers changed, each within the range of its control, and the axis kept in step."""
+        return self._changed(values, self.choices)
 
-        Another clock moves the ranges of frequencies, and a number that they leave behind goes to their end.
-        """
-        choices = choices_of(self.axis)
-        state = replace(self, **{name: checked(name, value, choices) for name, value in values.items()})
+    def _changed(self, values: dict[str, Any], choices: Mapping[str, Choice], source: str = "studio") -> State:
+        state = replace(self, **{name: checked(name, value, choices, source) for name, value in values.items()})
         if not {"period_ms", "computation_delay", "current_ms"} & set(values):
             return state
         axis = state.axis.replace(
             sampling={"period": state.period_ms * 1e-3, "computation_delay": int(state.computation_delay)},
             drive={"current_time_constant": state.current_ms * 1e-3},
         )
-        kept: dict[str, Any] = {name: choice.nearest(getattr(state, name)) for name, choice in choices_of(axis).items()}
-        return replace(state, axis=axis, **kept)
+        return replace(state, axis=axis)
 
     @property
     def requested(self) -> dict[str, Any]:
@@ -167,10 +171,12 @@ class State:
         if not isinstance(tables.get("studio"), dict) or not isinstance(tables.get("axis"), dict):
             raise InputError(f"{source}: expected the tables [studio] and [axis] of a state saved by the studio")
         state = cls.of(Axis.from_dict(tables["axis"], f"{source}: axis"))
-        choices = choices_of(state.axis)
-        values = {name: checked(name, value, choices, source) for name, value in tables["studio"].items()}
+        given = tables["studio"]
+        choices = {name: choice.of_any_axis(given.get(name)) for name, choice in choices_of(state.axis).items()}
+        values = {name: checked(name, value, choices, source) for name, value in given.items()}
         # A clock that says the same as the axis leaves the axis as it is, to the last digit.
-        return state.changed(**{name: value for name, value in values.items() if getattr(state, name) != value})
+        other = {name: value for name, value in values.items() if getattr(state, name) != value}
+        return state._changed(other, choices, source)
 
 
 def checked(name: str, value: Any, choices: Mapping[str, Choice] = CHOICES, source: str = "studio") -> Any:
@@ -231,6 +237,45 @@ def taken_for(name: str, value: Any) -> str:
     if not isinstance(value, str) or name not in CHOICES or value.strip()[-1:] in "0123456789.":
         return ""
     return f"{CHOICES[name].label.partition(' [')[0]}: {value.strip()} is {read_frequency(value):.6g} rad/s."
+
+
+def differences_in_words(before: State, after: State) -> str:
+    """The sentence that says what of ``before`` is not as it was in ``after``, on another axis; empty for nothing.
+
+    >>> from emps_design.machines import machine
+    >>> before = State.of(machine("emps2018"))
+    >>> differences_in_words(before, before.with_axis(machine("emps2018").replace(name="fast", sampling={"period": 5e-4})))
+    'With fast came sampling period 0.5 ms.'
+    """
+    found, anew = [], ""
+    for name, choice in CHOICES.items():
+        label, _, unit = choice.label.rpartition(" [")
+        if _unit(choice, after.axis) != _unit(choice, before.axis):
+            anew = "Numbers in other units start anew."
+        elif getattr(before, name) != getattr(after, name):
+            found.append(f"{label[:1].lower()}{label[1:]} {getattr(after, name):g} {unit.rstrip(']')}")
+    if before.structure != after.structure:
+        found.append(f"structure {after.structure}")
+    if before.filters != after.filters:
+        found.append(f"{len(after.filters) or 'no'} filter{'s' * (len(after.filters) != 1)}")
+    came = f"With {after.axis.name} came {', '.join(found)}." if found else ""
+    return f"{came} {anew}".strip()
+
+
+def _unit(choice: Choice, axis: Axis) -> str:
+    """The unit of a number on ``axis``."""
+    return axis.units.label(choice.label).rpartition("[")[2]
+
+
+def _law(axis: Axis) -> dict[str, Any]:
+    """What the controller of ``axis`` says of the loops, and the first position gain where it says none."""
+    kp = position_gain(axis)
+    first = choices_of(axis)["position_kp"].first
+    return {
+        "structure": own_structure(axis).label,
+        "filters": own_filters(axis),
+        "position_kp": first if kp is None else kp,
+    }
 
 
 def _clock(axis: Axis) -> dict[str, Any]:

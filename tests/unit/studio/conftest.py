@@ -16,5 +16,6 @@ def at_once(monkeypatch):
             failed(str(error))
         else:
             done(found)
+        return True
 
     monkeypatch.setattr("emps_design.studio.jobs.Job.start", start)

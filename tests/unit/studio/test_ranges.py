@@ -6,13 +6,14 @@ import pytest
 pytest.importorskip("panel", reason="the extra 'studio' is not installed")
 
 from emps_design.axis import NO_LIMIT, Axis
-from emps_design.machines import machine
+from emps_design.machines import machine, machine_names
 from emps_design.studio.design_view import DesignView
 from emps_design.studio.exports import velocity_design
 from emps_design.studio.feasible import feasible, reachable_frequencies
 from emps_design.studio.motion import DESIGN, move
 from emps_design.studio.ranges import CHOICES, choices_of, sizes
-from emps_design.studio.state import State
+from emps_design.studio.start import requirements
+from emps_design.studio.state import State, differences_in_words
 
 
 def axis(name, mechanics, drive, period, **more):
@@ -79,9 +80,73 @@ def test_a_knob_turns_over_the_range_of_its_axis():
     assert view.knobs["period_ms"].slider.end == 50.0
 
 
-def test_a_faster_clock_moves_the_ranges_and_what_they_leave_behind():
+NUMBERS = sorted(CHOICES.keys() - {"period_ms", "computation_delay", "current_ms"})
+
+
+@pytest.mark.parametrize("name", ["30 t", "4 kHz", "no limit, no friction"])
+def test_another_axis_moves_no_specification(name):
+    before = State.of(machine("emps2018"))
+    after = before.with_axis(UNLIKE[name])
+    assert after.axis == UNLIKE[name]
+    assert {one: getattr(after, one) for one in NUMBERS} == {one: getattr(before, one) for one in NUMBERS}
+    assert all(choice.holds(getattr(after, one)) for one, choice in after.choices.items())
+    assert State.from_toml(after.to_toml()) == after
+    chosen = before.changed(structure="PI", position_kp=33.0, filters=[{"kind": "lowpass", "frequency": 90.0}])
+    moved = chosen.with_axis(UNLIKE[name])
+    assert (moved.structure, moved.position_kp, moved.filters) == (chosen.structure, 33.0, chosen.filters)
+
+
+def test_numbers_in_other_units_start_anew_and_the_others_stay():
+    joint, before = UNLIKE["joint"], State.of(machine("emps2018")).changed(frequency=80.0, mass=60.0)
+    after = before.with_axis(joint)
+    assert (after.frequency, after.phase_margin_deg, after.filter) == (80.0, 60.0, 500.0)
+    assert (after.mass, after.wall, after.stroke) == tuple(
+        getattr(State.of(joint), one) for one in ("mass", "wall", "stroke")
+    )
+    assert differences_in_words(before, after) == "With joint came current loop 1 ms. Numbers in other units start anew."
+
+
+PI = {"kind": "cascade", "velocity": {"kp": 300.0, "ti": 0.03}}
+LATE = {"period": 1e-3, "computation_delay": 2, "encoder_resolution": 1e-6}
+STARTS = {
+    **UNLIKE,
+    **{name: machine(name) for name in machine_names()},
+    "PI": machine("emps2018").replace(controller=PI),
+    "late": machine("emps2018").replace(sampling=LATE, drive={"current_time_constant": 3e-3}),
+    "16 kHz": axis("cell", (0.02, 0.1, 0.05), FORCE | {"command_limit": 5.0, "current_time_constant": 5e-5}, 6.25e-5),
+    "flexible": machine("emps2018").replace(
+        effects=[{"kind": "flexible_coupling", "frequency": 45.0, "damping": 0.03, "share": 0.3}]
+    ),
+}
+
+
+@pytest.mark.parametrize("name", STARTS)
+def test_a_start_meets_its_own_requirements(name):
+    state = State.of(STARTS[name])
+    design = velocity_design(state)
+    assert requirements(state, design).met
+    assert not design.refused
+    assert design.sampled.margins.gain_margin >= 2.0
+
+
+def test_a_specification_that_another_axis_cannot_have_stays_and_the_nearest_is_named():
+    view = DesignView(State.of(machine("emps2018")), {"emps2018": machine("emps2018")}, lambda state: None)
+    view.turn("frequency", 300.0)
+    margin = view.state.phase_margin_deg
+    view.add_axis(UNLIKE["30 t"])
+    assert (view.state.frequency, view.state.phase_margin_deg) == (300.0, margin)
+    assert view.knobs["frequency"].field.value == "300"
+    assert 'class="message stop"' in view.message.object
+    assert "The nearest frequency that can be reached is" in view.message.object
+    view.fresh.clicks += 1
+    assert view.state == State.of(UNLIKE["30 t"])
+    assert 'class="message note"' in view.message.object
+
+
+def test_a_faster_clock_moves_the_ranges_and_no_specification():
     slow = State.of(machine("emps2018")).changed(frequency=10.0, filter=2500.0)
     fast = slow.changed(period_ms=0.15, current_ms=0.0)
     choice = choices_of(fast.axis)["frequency"]
-    assert (choice.lower, choice.upper, fast.frequency, fast.filter) == (50.0, 6000.0, 50.0, 2500.0)
+    assert (choice.lower, choice.upper, fast.frequency, fast.filter) == (50.0, 6000.0, 10.0, 2500.0)
+    assert (fast.choices["frequency"].lower, fast.choices["frequency"].upper) == (10.0, 6000.0)
     assert State.from_toml(fast.to_toml()) == fast

@@ -35,6 +35,7 @@ from emps_design.studio.data_view import LIMIT_MB, DataView, read_upload
 from emps_design.studio.design_view import DesignView
 from emps_design.studio.feasible import KINDS, feasible, plane, reachable_frequencies
 from emps_design.studio.jobs import Job
+from emps_design.studio.motion import DESIGN, OWN
 from emps_design.studio.plots import PlanePlot
 from emps_design.studio.record_work import CLOSEST_MODEL
 from emps_design.studio.simulated import simulate
@@ -208,7 +209,7 @@ def test_structure_and_filters_are_those_of_the_axis_until_others_are_chosen():
     view.filters.fields[0]["depth"].value = "0.2"
     notch = Filter(kind="notch", frequency=70.0, damping=0.3, depth=0.2)
     assert view.design.filters == view.state.filters == (notch,)
-    asked = {"crossover": 100.0, "phase_margin_deg": 60.0}
+    asked = {"crossover": view.state.frequency, "phase_margin_deg": view.state.phase_margin_deg}
     design = design_velocity_loop(axes["emps2018"], **asked, structure=PI_WITH_REFERENCE_FILTER, filters=(notch,))
     assert view.design.k_v1 == design.k_v1
     assert f"{design.sampled.margins.phase_margin_deg:.1f}°" in view.numbers.object
@@ -638,7 +639,7 @@ def test_the_model_that_follows_most_closely_is_designed_on_where_it_is_sought(a
     closest = machine("emps2019").replace(mechanics={"mass": 91.0})
     asked = []
 
-    def diagnose(record, axis, progress, closest=False):
+    def diagnose(record, axis, holdout, progress, closest=False):
         asked.append(closest)
         return answer if closest else replace(answer, closest=None)
 
@@ -753,6 +754,7 @@ def test_what_is_fed_forward_is_chosen_tried_and_handed_out(at_once, tmp_path):
     assert view.terms.value == ["inertia", "viscous", "coulomb", "constant", "position_ripple"]
     assert "backlash is not compensated" in view.left.object
     assert view.download.disabled
+    view.controller.value = OWN
     view._start()
     found, best = view.found, view.found.achieved
     assert "position_ripple" in found.feedforward.terms
@@ -776,6 +778,7 @@ def test_what_is_fed_forward_is_chosen_tried_and_handed_out(at_once, tmp_path):
     assert view.found is None
     assert "position_ripple" not in view.terms.value
     view._start()
-    assert view.found.axis.controller.kind == "ip_velocity"
+    assert view.controller.options == [DESIGN]
+    assert view.found.axis.controller == exports.designed(session.state).controller
     session.design.turn("frequency", 80.0)
     assert view.found is None

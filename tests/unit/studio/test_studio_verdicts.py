@@ -1,5 +1,6 @@
 """What the studio says: no green word over what is unstable, and each record, unit and gain is that of its own axis."""
 
+import asyncio
 import json
 import re
 
@@ -85,6 +86,7 @@ def test_the_motion_tab_shows_the_stop_beside_a_stable_controller_of_the_axis(at
 def test_a_position_loop_that_is_unstable_around_a_slow_design_is_said_in_the_design_tab():
     view = view_of(State.of(DRIVE))
     assert told(view.message.object) == "note"
+    view.turn("phase_margin_deg", 60.0)
     view.turn("frequency", 12.0)
     assert view.design.sampled.stable
     assert view.design.refused.startswith("the axis file's position loop with kp = 60 is unstable")
@@ -93,13 +95,14 @@ def test_a_position_loop_that_is_unstable_around_a_slow_design_is_said_in_the_de
 
 
 def test_gains_handed_out_say_that_the_kept_position_loop_is_unstable():
-    slow, fast = (json.loads(exports.gains_json(State.of(DRIVE).changed(frequency=f))) for f in (12.0, 100.0))
+    asked = State.of(DRIVE).changed(phase_margin_deg=60.0)
+    slow, fast = (json.loads(exports.gains_json(asked.changed(frequency=f))) for f in (12.0, 100.0))
     assert slow["reason"].startswith("the axis file's position loop with kp = 60 is unstable around")
     assert [loop["stable"] for loop in slow["kept_position_loop"]["loops"]][-1] is False
     assert "reason" not in fast
     assert [loop["stable"] for loop in fast["kept_position_loop"]["loops"]][-1] is True
     with pytest.raises(EmpsError, match="no controller is handed out: the axis file's position loop"):
-        exports.model_toml(State.of(DRIVE).changed(frequency=12.0))
+        exports.model_toml(asked.changed(frequency=12.0))
 
 
 def test_an_impedance_law_that_a_coupling_makes_unstable_is_unstable_in_the_design_tab():
@@ -116,7 +119,7 @@ def test_an_impedance_law_that_a_coupling_makes_unstable_is_unstable_in_the_desi
 def test_a_gap_that_no_effect_explains_is_no_good_news(monkeypatch):
     sought = discrepancy.diagnose
     monkeypatch.setattr(
-        discrepancy, "diagnose", lambda record, axis, progress, closest: sought(record, axis, library=())
+        discrepancy, "diagnose", lambda record, axis, holdout, progress, closest: sought(record, axis, library=())
     )
     axis = machine("emps2019")
     ripple = {"kind": "position_ripple", "amplitude": 6.0, "phase": 0.7, "period": 0.005}
@@ -153,7 +156,7 @@ def test_what_was_found_for_a_design_is_withdrawn_where_the_next_is_refused(at_o
     assert not view.download.disabled
     refused = now.changed(filters=SLOW)
     with pytest.raises(EmpsError):
-        exports.controlled(now.axis, refused)
+        exports.designed(refused)
     view.show(refused)
     assert view.found is None
     assert view.download.disabled
@@ -284,24 +287,24 @@ def test_a_record_of_other_units_is_left_out_of_the_report_and_the_page_says_so(
     assert "<h2>Record" not in page
 
 
-def test_the_report_is_handed_out_with_the_record_its_axis_and_its_filter(monkeypatch):
+def test_the_report_is_handed_out_with_the_record_its_axis_and_its_filter(at_once, monkeypatch):
     asked = []
-    monkeypatch.setattr(exports, "report_html", lambda now, measured: asked.append(measured) or "page")
+    monkeypatch.setattr(exports, "report_html", lambda now, measured, progress: asked.append(measured) or "page")
     session = Session(JOINT, RECORD)
     session.data.machine.value, session.data.filter.value = "emps2019", "paper"
     button = session.files.view.select(FileDownload)[0]
-    assert button.callback().read() == b"page"
+    assert asyncio.run(button.callback()).read() == b"page"
     session.data._withdraw()
-    button.callback()
+    asyncio.run(button.callback())
     assert asked == [{"record": RECORD, "record_axis": machine("emps2019"), "chain": "paper"}, {}]
 
 
-def test_what_the_files_tab_says_is_in_the_units_of_the_axis(monkeypatch):
-    def refuse(now, measured):
+def test_what_the_files_tab_says_is_in_the_units_of_the_axis(at_once, monkeypatch):
+    def refuse(now, measured, progress):
         raise EmpsError("found a wall of 3 N/m")
 
     monkeypatch.setattr(exports, "report_html", refuse)
     session = Session(JOINT)
-    with pytest.raises(EmpsError):
-        session.files.view.select(FileDownload)[0].callback()
+    with pytest.raises(asyncio.CancelledError):
+        asyncio.run(session.files.view.select(FileDownload)[0].callback())
     assert "a wall of 3 N m/rad" in session.files.message.object

@@ -1,0 +1,88 @@
+"""The requirements of a velocity loop, and the specification that a session starts with: one that meets them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import product
+from typing import TYPE_CHECKING
+
+from emps_design.axis import Axis
+from emps_design.errors import EmpsError
+from emps_design.studio.state import State
+
+if TYPE_CHECKING:
+    from emps_design.control.velocity.design import VelocityLoopDesign
+
+# Shares of the first frequency: slower ones first; faster ones for a position loop that the axis has around it.
+SHARES = (1.0, 0.5, 0.2, 0.1, 0.05, 2.0, 5.0)
+PHASES = (60.0, 70.0, 80.0)  # deg
+GAIN_MARGIN = 2.0
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """What a stable design has of what is required: its phase margin [deg], None for any, and its overshoot [%]."""
+
+    phase_margin_deg: float | None
+    overshoot_percent: float
+    phase_met: bool
+    overshoot_met: bool
+
+    @property
+    def met(self) -> bool:
+        """Whether it has all of it."""
+        return self.phase_met and self.overshoot_met
+
+
+def requirements(state: State, design: VelocityLoopDesign) -> Requirements | None:
+    """What ``design`` has of what ``state`` requires; None where its sampled loop is unstable."""
+    from emps_design.control.velocity.step_response import sampled_step
+
+    margins = design.sampled.margins
+    if not margins.stable:
+        return None
+    phase, overshoot = margins.phase_margin_deg, sampled_step(design).overshoot_percent
+    phase_met = phase is None or phase >= state.required_phase_deg
+    return Requirements(phase, overshoot, phase_met, overshoot <= state.required_overshoot_percent)
+
+
+def started(plain: State) -> State:
+    """``plain`` with the first specification whose design meets its requirements; itself where none tried does.
+
+    The force gain is half of what that design bears, where the first is more.
+    """
+    return replace(plain, **_first(plain.axis.to_toml()))
+
+
+@lru_cache(maxsize=64)
+def _first(axis: str) -> dict[str, float]:
+    plain = State.plain(Axis.from_toml(axis))
+    for share, phase in product(SHARES, PHASES):
+        asked = {"frequency": float(f"{share * plain.frequency:.6g}"), "phase_margin_deg": phase}
+        design = _met(replace(plain, **asked))
+        if design is not None:
+            return asked | _force_gain(plain, design)
+    return {}
+
+
+def _met(state: State) -> VelocityLoopDesign | None:
+    """The design of ``state`` where it can run, with the margins that are required of it and twice the gain."""
+    from emps_design.studio.exports import velocity_design
+
+    try:
+        design = velocity_design(state)
+    except EmpsError:  # no gains are positive
+        return None
+    found = requirements(state, design)
+    gain_margin = design.sampled.margins.gain_margin
+    met = found and found.met and not design.refused and (gain_margin is None or gain_margin >= GAIN_MARGIN)
+    return design if met else None
+
+
+def _force_gain(state: State, design: VelocityLoopDesign) -> dict[str, float]:
+    from emps_design.control.force.design import design_force_loop
+
+    force = design_force_loop(design, state.k_e1, hand=state.hand, environment=state.wall * 1e3)
+    limit = force.k_e1_max_sampled
+    return {"k_e1": float(f"{0.5 * limit:.1g}")} if limit and 0.5 * limit < state.k_e1 else {}
