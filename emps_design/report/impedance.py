@@ -253,7 +253,7 @@ def _mismatch_blocks(found: ImpedanceAssessment, study: MismatchStudy, mismatch:
             f"Mismatch of {percent}",
         ),
         Picture(
-            task_figure(runs),
+            task_figure(runs, task),
             "The hand guides the carriage for 5 s and lets go while it moves. Look at the velocity after the release, "
             "which must come to rest, and at the position, which must not run away.",
             "Force, velocity and position, after Fig. 12 of the paper",

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from emps_design.comanipulation.run import TaskRun
     from emps_design.comanipulation.study import MismatchStudy
+    from emps_design.comanipulation.task import Task
     from emps_design.comanipulation.wall_contact import WallContact
     from emps_design.control.impedance.passivity import ContactMap
     from emps_design.control.impedance.robustness import StabilityMap
@@ -31,15 +32,25 @@ VERDICT_COLORS = {
 _COLORS = (BLUE, RED, GREEN, PURPLE)
 
 
-def task_figure(runs: Mapping[str, TaskRun]) -> Figure:
-    """Draw Fig. 12: force of the hand, velocity and position against time, one line for each of ``runs``."""
-    rows = (("force $\\tau_e$ [N]", "tau_e", 1.0), ("velocity [mm/s]", "v", 1e3), ("position [mm]", "q", 1e3))
+def task_figure(runs: Mapping[str, TaskRun], task: Task) -> Figure:
+    """Draw Fig. 12: force of the hand, velocity and position against time, one line for each of ``runs`` of ``task``.
+
+    Below is the velocity in the time that verdicts look at, on a scale of its own: a creep or a swing that is small
+    beside the motion before shows there.
+    """
+    velocity, watched = "velocity [mm/s]", task.end * task.period
+    rows = (("force $\\tau_e$ [N]", "tau_e", 1.0, 0.0), (velocity, "v", 1e3, 0.0), ("position [mm]", "q", 1e3, 0.0),
+            (velocity, "v", 1e3, watched))  # fmt: skip
     with look():
-        figure, grid = subplots(3, 1, height=5.6, sharex=True)
-        for axes, (label, name, factor) in zip(grid, rows, strict=True):
+        figure, grid = subplots(4, 1, height=7.2)
+        for axes in grid[:2]:
+            axes.sharex(grid[2])
+            axes.tick_params(labelbottom=False)
+        for axes, (label, name, factor, begin) in zip(grid, rows, strict=True):
             for (run_name, run), color in zip(runs.items(), _COLORS, strict=False):
+                shown = run.t >= begin
                 axes.plot(
-                    *thin(run.t, factor * getattr(run, name)),
+                    *thin(run.t[shown], factor * getattr(run, name)[shown]),
                     color=color,
                     linewidth=1.3,
                     label=f"{run_name}: {run.verdict}",
@@ -47,7 +58,7 @@ def task_figure(runs: Mapping[str, TaskRun]) -> Figure:
             axes.set_ylabel(label)
             axes.axhline(0.0, color=GREY, linewidth=0.8)
             axes.margins(x=0.01)
-        grid[-1].set_xlabel("time [s]")
+        grid[-1].set_xlabel("time [s]; above the whole task, here what the verdicts look at")
         handles, labels = grid[0].get_legend_handles_labels()
         figure.legend(handles, [label.replace("_", " ") for label in labels], loc="outside upper right", ncols=2)
         figure.align_ylabels(grid)

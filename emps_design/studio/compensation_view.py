@@ -19,19 +19,19 @@ from emps_design.report.style import labelled, svg
 from emps_design.studio.exports import designed, drive_zip, follows
 from emps_design.studio.files_view import BUTTON
 from emps_design.studio.jobs import Job
-from emps_design.studio.motion import DESIGN, OWN
 from emps_design.studio.panes import html, message, numbers
 from emps_design.studio.state import State
 
 FOLDER = "emps-design-drive.zip"
+DESIGN, OWN = "the design's", "the axis's own"  # controllers to be tried
 INTRODUCTION = """
 <h3>What is fed forward</h3>
 <p>The command that the model says the reference needs, by the terms that are chosen, beside what the controller
-answers: that of the design tab, or the axis's own where it follows a reference. Each term is tried in closed loop on the
-nonlinear axis, alone and with its parameters 2 % and its phase 10 degrees wrong; one that does harm then is left
+answers: that of the design tab, or the axis's own where it follows a reference. Each term is tried in closed loop on
+the nonlinear axis, alone and with its parameters 2 % and its phase 10 degrees wrong; one that does harm then is left
 out.</p>
-<p>The folder has the axis with the controller that was tried, the compensation, and both in C99 with the vectors that prove it:
-<code>make check</code> in <code>code</code> runs them.</p>
+<p>The folder has the axis with the controller that was tried, the compensation, and both in C99 with the vectors that
+prove it: <code>make check</code> in <code>code</code> runs them.</p>
 """
 
 

@@ -126,7 +126,10 @@ class Knob(Field):
         self.slider.param.update(start=choice.lower, end=choice.upper, step=choice.step)
 
     def limit(self, low: float, high: float, value: float) -> None:
-        """Let the slider reach ``low`` to ``high`` and ``value`` only; the field takes any number, for the page to answer."""
+        """Let the slider reach ``low`` to ``high`` and ``value`` only.
+
+        The field takes any number, so that the page can answer.
+        """
         low, high = min(low, value), max(high, value)
         high = high if high > low else low + self.choice.step
         self._silently(lambda: self.slider.param.update(start=low, end=high))

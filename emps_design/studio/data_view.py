@@ -336,9 +336,10 @@ class DataView:
             return lambda outcome: show(outcome) if self.record is record else None
 
         outcome = of_this_record(self._done), of_this_record(self._failed)
-        if self.job.start(lambda progress: work(record, axis, options, progress), *outcome):
+        if not self.job.occupied:
             self._work = name
             self._say(f"{name} is at work on {record.name}", "note")
+            self.job.start(lambda progress: work(record, axis, options, progress), *outcome)
 
     def _failed(self, message: str) -> None:
         self._say(message, "stop")

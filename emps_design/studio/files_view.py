@@ -56,8 +56,8 @@ class FilesView:
             ("Gains (JSON)", "gains.json", GAINS, lambda: exports.gains_json(state())),
             ("State (TOML)", "state.toml", STATE, lambda: state().to_toml()),
         )
-        made = [(label, name, what, self._worked_out(f"emps-design-{name}", begin)) for label, name, what, begin in long]
-        made += [(label, name, what, self._at_once(f"emps-design-{name}", make)) for label, name, what, make in short]
+        made = [(label, name, what, self._worked_out(name, begin)) for label, name, what, begin in long]
+        made += [(label, name, what, self._at_once(name, make)) for label, name, what, make in short]
         rows = [
             pn.Row(
                 pn.widgets.FileDownload(
@@ -86,28 +86,28 @@ class FilesView:
             sizing_mode="stretch_width",
         )
 
-    def _at_once(self, filename: str, make: Callable[[], str]) -> Callable[[], BytesIO]:
+    def _at_once(self, name: str, make: Callable[[], str]) -> Callable[[], BytesIO]:
         def callback() -> BytesIO:
             try:
                 data = make().encode()
             except EmpsError as error:
                 self._refuse(str(error))
                 raise
-            return self._handed(filename, data)
+            return self._handed(name, data)
 
         return callback
 
-    def _worked_out(self, filename: str, begin: Callable[[], Work]) -> Callable[[], Awaitable[BytesIO]]:
+    def _worked_out(self, name: str, begin: Callable[[], Work]) -> Callable[[], Awaitable[BytesIO]]:
         """A download whose work runs beside the page, of what ``begin()`` finds when the button is pressed."""
 
         async def callback() -> BytesIO:
-            self._say(f"{filename} is at work", "note")
-            return self._handed(filename, await self.job.awaited(begin(), self._refuse))
+            self._say(f"emps-design-{name} is at work", "note")
+            return self._handed(name, await self.job.awaited(begin(), self._refuse))
 
         return callback
 
-    def _handed(self, filename: str, data: bytes) -> BytesIO:
-        self._say(f"{filename} is handed to the browser's downloads", "good")
+    def _handed(self, name: str, data: bytes) -> BytesIO:
+        self._say(f"emps-design-{name} is handed to the browser's downloads", "good")
         return BytesIO(data)
 
     def _refuse(self, text: str) -> None:

@@ -45,15 +45,20 @@ class Job:
         """Whether work is going on."""
         return self._poll is not None
 
+    @property
+    def occupied(self) -> bool:
+        """Whether work is going on that nobody asked to stop: no other can be started."""
+        return self.running and not self._stop.is_set()
+
     def stop(self) -> None:
         """Ask the work that is going on, if any, to stop; nothing waits for its end any more."""
         self._next = None
         self._stop.set()
 
     def awaited(self, work: Callable[[Callable], Any], failed: Callable[[str], None]) -> asyncio.Future[Any]:
-        """Start ``work``; what it makes, once it is done. Cancelled where it ``failed(message)``, or a job runs already.
+        """Start ``work`` from a coroutine; what it makes, once it is done.
 
-        Raises :class:`RuntimeError` outside a coroutine.
+        Cancelled, after ``failed(message)``, where the work fails, or a job runs already.
         """
         made: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
 
@@ -72,9 +77,11 @@ class Job:
 
         One that was asked to stop ends first, with no word of it.
         """
+        if self.occupied:
+            return False
         if self.running:
-            self._next = (work, done, failed) if self._stop.is_set() else None
-            return self._next is not None
+            self._next = (work, done, failed)
+            return True
         self._stop.clear()
         self._outcome, self._now = None, ("starting", 0.0)
         self.bar.value, self.view.visible = 0, True

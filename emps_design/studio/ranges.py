@@ -17,7 +17,6 @@ from emps_design.machines import machine
 from emps_design.quantities import one_two_five
 from emps_design.units import TURN
 
-
 ANY_AXIS = 1e9  # how far the ranges of two axes may lie apart
 
 

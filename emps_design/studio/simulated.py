@@ -37,7 +37,7 @@ class Simulated:
         state, worst = self.state, self.worst["verdict"]
         text = (
             f"M_a {state.mass:g} kg, B {state.damping:g} N/(m/s), filter {state.filter:g} rad/s on {state.axis.name}: "
-            f"the worst of {self.study.corners} corners and {state.plants} random plants is {worst.replace('_', ' ')}{self._not_shown}."
+            f"the worst of {self.study.corners} corners and {state.plants} random plants is {self._worst_in_words}."
         )
         if self.wall.verdict not in ("bouncing", "unstable") and self.wall_poles_stable:
             return ("good" if worst in ("stable", "dead_band") else "stop"), text
@@ -45,13 +45,16 @@ class Simulated:
         return "stop", f"{text} Pushed into the wall of {state.wall:g} N/mm it is {self.wall.verdict}{poles}."
 
     @property
-    def _not_shown(self) -> str:
-        """Why the curve of the worst plant is not what its verdict says; empty where it is."""
-        run = self.runs[WORST]
-        if run.verdict == self.worst["verdict"]:
-            return ""
-        return f" by its poles, which the {quantity(len(run.t) * self.state.axis.sampling.period, 's', 3)} drawn are too "\
-            f"short to show: {run.verdict.replace('_', ' ')} there"
+    def _worst_in_words(self) -> str:
+        """What the worst plant is, and how much of it its curve shows."""
+        run, verdict = self.runs[WORST], self.worst["verdict"]
+        if run.verdict != verdict:
+            length = quantity(len(run.t) * self.state.axis.sampling.period, "s", 3)
+            return f"{verdict.replace('_', ' ')} by its poles ({run.verdict.replace('_', ' ')} in the {length} drawn)"
+        if verdict != "limit_cycle":
+            return verdict.replace("_", " ")
+        low, high = (quantity(float(one[0]), "m/s", 2) for one in (run.measures.end_min_v, run.measures.end_max_v))
+        return f"in a limit cycle, with velocities from {low} to {high} long after the release"
 
     def rows(self) -> list[tuple[str, str]]:
         """The verdicts, and what the worst plant feels like."""
@@ -59,7 +62,9 @@ class Simulated:
         exact = self.runs[EXACT].verdict
         share, low, high = self.study.stable_share
         peak = "" if wall.peak_force is None else f", at most {quantity(wall.peak_force, 'N')}"
-        off = ", ".join(f"{name} {100 * e:+.1f} %".replace("-", "−") for name, e in worst["errors"].items())
+        off = ", ".join(
+            f"{name.replace('_', ' ')} {100 * e:+.1f} %".replace("-", "−") for name, e in worst["errors"].items()
+        )
         felt = f"{quantity(worst['apparent_mass'], 'kg')}, {quantity(worst['apparent_damping'], 'N/(m/s)')}"
         among = f" (95 %: {100 * low:.3g} to {100 * high:.3g} %)" if state.plants else ", of the corners"
         return [
@@ -81,13 +86,17 @@ class Simulated:
         """The pictures as matplotlib figures by name."""
         from emps_design.report.impedance_figures import mismatch_figure, task_figure, wall_figure
 
-        return {"task": task_figure(self.runs), "wall": wall_figure(self.wall), "plants": mismatch_figure(self.study)}
+        return {
+            "task": task_figure(self.runs, self.study.task),
+            "wall": wall_figure(self.wall),
+            "plants": mismatch_figure(self.study),
+        }
 
     def captions(self) -> dict[str, str]:
         """What to see in each of the pictures."""
-        state = self.state
+        state, task = self.state, self.study.task
         return {
-            "task": f"The hand lets go after {quantity(self.study.task.to_dict()['release'], 's', 3)}: the carriage must "
+            "task": f"The hand lets go after {quantity(task.release * task.period, 's', 3)}: the carriage must "
             f"then come to rest, not creep on or swing. {WORST.capitalize()}: "
             f"{self.runs[WORST].verdict.replace('_', ' ')}.",
             "wall": f"A push of {state.push:g} N into a wall of {state.wall:g} N/mm, exact estimates: "

@@ -50,7 +50,7 @@ def requirements(state: State, design: VelocityLoopDesign) -> Requirements | Non
 def started(plain: State) -> State:
     """``plain`` with the first specification whose design meets its requirements; itself where none tried does.
 
-    The force gain is half of what that design bears, where the first is more.
+    The force gain is half of what that design bears, where it bears less than the first.
     """
     return replace(plain, **_first(plain.axis.to_toml()))
 
@@ -85,4 +85,4 @@ def _force_gain(state: State, design: VelocityLoopDesign) -> dict[str, float]:
 
     force = design_force_loop(design, state.k_e1, hand=state.hand, environment=state.wall * 1e3)
     limit = force.k_e1_max_sampled
-    return {"k_e1": float(f"{0.5 * limit:.1g}")} if limit and 0.5 * limit < state.k_e1 else {}
+    return {} if force.stable or limit is None else {"k_e1": float(f"{0.5 * limit:.1g}")}

@@ -244,7 +244,8 @@ def differences_in_words(before: State, after: State) -> str:
 
     >>> from emps_design.machines import machine
     >>> before = State.of(machine("emps2018"))
-    >>> differences_in_words(before, before.with_axis(machine("emps2018").replace(name="fast", sampling={"period": 5e-4})))
+    >>> fast = machine("emps2018").replace(name="fast", sampling={"period": 5e-4})
+    >>> differences_in_words(before, before.with_axis(fast))
     'With fast came sampling period 0.5 ms.'
     """
     found, anew = [], ""

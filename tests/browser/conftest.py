@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.browser.steps import BUSY
+
 SCREENSHOTS = os.environ.get("EMPS_DESIGN_SCREENSHOTS", "")
 ARGUMENTS = ["--no-sandbox", "--disable-gpu"]
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -75,6 +77,7 @@ def page(browser, studio, tmp_path):
     """A page on the studio that may speak to nobody else; what it asked for and what it complained about."""
     context = browser.new_context(viewport={"width": 1280, "height": 800}, accept_downloads=True)
     page = context.new_page()
+    page.set_default_timeout(BUSY)
     page.outside, page.complaints = [], []
 
     def only_here(route):
@@ -89,7 +92,7 @@ def page(browser, studio, tmp_path):
     page.on("console", lambda message: page.complaints.append(message.text) if message.type == "error" else None)
     page.on("pageerror", lambda error: page.complaints.append(str(error)))
     page.goto(studio.address)
-    page.get_by_text("this design", exact=True).wait_for(timeout=30_000)
+    page.get_by_text("this design", exact=True).wait_for()
     yield page
     assert page.outside == []
     assert page.complaints == []

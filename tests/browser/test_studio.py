@@ -6,6 +6,16 @@ import zipfile
 import numpy as np
 import pytest
 
+from tests.browser.steps import (
+    BUSY,
+    sampled_margin,
+    turn_to,
+    type_into,
+    upload,
+    wait_for_change,
+    wait_for_value,
+)
+
 pytestmark = pytest.mark.browser
 
 NAMELESS = """() => {
@@ -24,35 +34,6 @@ NAMELESS = """() => {
   visit(document);
   return found;
 }"""
-
-
-def sampled_margin(page) -> str:
-    """The phase margin on the drive that the page shows."""
-    return page.locator("b.margin").first.inner_text()
-
-
-def wait_for_change(page, before: str) -> None:
-    """Wait until the page shows another margin than ``before``."""
-    from playwright.sync_api import expect
-
-    expect(page.locator("b.margin").first).not_to_have_text(before, timeout=60_000)
-
-
-def wait_for_value(field, value: str) -> None:
-    """Wait until ``field`` holds ``value``: a machine that is busy takes its time to put a number back."""
-    from playwright.sync_api import expect
-
-    expect(field).to_have_value(value, timeout=20_000)
-
-
-def turn_to(page, tab: str) -> None:
-    page.get_by_role("button", name=tab, exact=True).click()
-
-
-def type_into(page, label: str, value: str) -> None:
-    field = page.get_by_label(label, exact=True).locator("visible=true").first
-    field.fill(value)
-    field.press("Enter")
 
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 800), (1920, 1080)])
@@ -145,39 +126,35 @@ def test_every_control_has_a_name_and_the_tabs_answer_the_keyboard(page):
         assert page.evaluate(NAMELESS) == [], tab
 
 
-def upload(page, path) -> None:
-    page.locator(".filepond--browser").first.set_input_files(str(path))
-
-
 def test_a_record_is_refused_observed_identified_and_its_model_designed_on(page, practice, tmp_path, picture):
     turn_to(page, "Data")
     bad = tmp_path / "empty.csv"
     bad.write_text("t,q\n0,0\n")
     upload(page, bad)
     alert = page.get_by_role("alert").filter(has_text="column").first
-    alert.wait_for(timeout=20_000)
+    alert.wait_for(timeout=BUSY)
     assert "empty.csv" in alert.inner_text()
     assert page.get_by_role("button", name="Identify").is_disabled()
 
     upload(page, practice)
-    page.get_by_text(re.compile("practice: [0-9]+ samples")).wait_for(timeout=20_000)
+    page.get_by_text(re.compile("practice: [0-9]+ samples")).wait_for(timeout=BUSY)
     page.get_by_role("button", name="Observe").click()
-    page.get_by_text(re.compile("cannot be told from errors")).first.wait_for(timeout=60_000)
+    page.get_by_text(re.compile("cannot be told from errors")).first.wait_for(timeout=BUSY)
     page.get_by_role("button", name="Identify").click()
-    page.get_by_text(re.compile("Identified: mass 9[0-9.]+ kg")).wait_for(timeout=60_000)
+    page.get_by_text(re.compile("Identified: mass 9[0-9.]+ kg")).wait_for(timeout=BUSY)
     page.wait_for_timeout(500)
     page.screenshot(path=picture("studio-data"), full_page=True)
     upload(page, bad)  # refused: neither the record before nor its results stay under that name
-    page.get_by_role("alert").filter(has_text="empty.csv").first.wait_for(timeout=20_000)
+    page.get_by_role("alert").filter(has_text="empty.csv").first.wait_for(timeout=BUSY)
     page.wait_for_timeout(500)
     for name in ("Identify", "Observe", "Diagnose", "Design on this model"):
         assert page.get_by_role("button", name=name).is_disabled(), name
     assert page.get_by_text("Identified: mass").count() == 0
     page.screenshot(path=picture("studio-refused"), full_page=True)
     upload(page, practice)
-    page.get_by_text(re.compile("practice: [0-9]+ samples")).wait_for(timeout=20_000)
+    page.get_by_text(re.compile("practice: [0-9]+ samples")).wait_for(timeout=BUSY)
     page.get_by_role("button", name="Identify").click()
-    page.get_by_text(re.compile("Identified: mass 9[0-9.]+ kg")).wait_for(timeout=60_000)
+    page.get_by_text(re.compile("Identified: mass 9[0-9.]+ kg")).wait_for(timeout=BUSY)
     page.get_by_role("button", name="Design on this model").click()
     page.get_by_text("The design tab now works on").wait_for()
     turn_to(page, "Design")
@@ -196,13 +173,13 @@ def test_the_columns_of_an_export_are_chosen(page, tmp_path, picture):
     (tmp_path / "trace.csv").write_text("\n".join(rows).replace(".", ","))
     turn_to(page, "Data")
     upload(page, tmp_path / "trace.csv")
-    page.get_by_role("alert").filter(has_text="trace.csv").first.wait_for(timeout=20_000)
+    page.get_by_role("alert").filter(has_text="trace.csv").first.wait_for(timeout=BUSY)
     for label, title in (("Position", "Kanal 1 [mm]"), ("Reference", "Kanal 2 [mm]")):
         page.get_by_label(label, exact=True).select_option(title)
     page.wait_for_timeout(500)
     page.screenshot(path=picture("studio-columns"), full_page=True)
     page.get_by_role("button", name="Read these columns").click()
-    page.get_by_text(re.compile("trace: 4000 samples")).wait_for(timeout=20_000)
+    page.get_by_text(re.compile("trace: 4000 samples")).wait_for(timeout=BUSY)
     page.screenshot(path=picture("studio-columns-read"), full_page=True)
 
 
@@ -217,13 +194,13 @@ def test_figure_twelve_is_simulated_and_a_long_study_cancelled(page, picture):
     page.get_by_label("Wall [N/mm]", exact=True).locator("visible=true").first.select_text()
     page.keyboard.type("200")  # and no Enter
     page.get_by_role("button", name="Simulate", exact=True).click()
-    page.get_by_text("into a wall of 200 N/mm, exact estimates: bouncing").wait_for(timeout=60_000)
+    page.get_by_text("into a wall of 200 N/mm, exact estimates: bouncing").wait_for(timeout=BUSY)
     type_into(page, "Random plants", "10000")
     page.get_by_role("button", name="Simulate", exact=True).click()
     cancel = page.get_by_role("button", name="Cancel work").locator("visible=true").first
     page.wait_for_timeout(300)
     cancel.click()
-    page.get_by_text("Cancelled; nothing was changed.").wait_for(timeout=60_000)
+    page.get_by_text("Cancelled; nothing was changed.").wait_for(timeout=BUSY)
 
 
 def test_structure_filters_and_a_motion_of_ones_own(page, tmp_path, picture):
@@ -245,7 +222,7 @@ def test_structure_filters_and_a_motion_of_ones_own(page, tmp_path, picture):
     page.locator("input[type=file]").locator("visible=true").last.set_input_files(str(tmp_path / "way.csv"))
     page.wait_for_timeout(600)
     page.get_by_role("button", name="Move", exact=True).click()
-    page.get_by_text(re.compile("way.csv, straight between its rows, kp 20 1/s")).wait_for(timeout=60_000)
+    page.get_by_text(re.compile("way.csv, straight between its rows, kp 20 1/s")).wait_for(timeout=BUSY)
     page.wait_for_timeout(500)
     page.screenshot(path=picture("studio-motion"), full_page=True)
     type_into(page, "Position gain kp [1/s]", "10")
@@ -263,7 +240,7 @@ def test_files_are_handed_out_and_a_state_comes_back(page, tmp_path, picture):
     for label in ("State (TOML)", "Gains (JSON)", "Model (TOML)", "Figures (SVG)", "Figures (PNG)", "Report (HTML)"):
         button = page.get_by_role("button", name=label)
         button.focus()
-        with page.expect_download(timeout=60_000) as download:
+        with page.expect_download(timeout=BUSY) as download:
             page.keyboard.press("Enter")
         kept[label] = tmp_path / download.value.suggested_filename
         download.value.save_as(kept[label])
@@ -310,12 +287,12 @@ def rippled(tmp_path_factory):
 def test_a_record_is_diagnosed_and_the_work_can_be_cancelled(page, rippled, picture):
     turn_to(page, "Data")
     upload(page, rippled)
-    page.get_by_text(re.compile("rippled: [0-9]+ samples")).wait_for(timeout=20_000)
+    page.get_by_text(re.compile("rippled: [0-9]+ samples")).wait_for(timeout=BUSY)
     page.get_by_role("button", name="Diagnose").click()
     cancel = page.get_by_role("button", name="Cancel work").locator("visible=true").first
     page.get_by_text("Diagnose is at work").wait_for()
     cancel.click()
-    page.get_by_text("Cancelled; nothing was changed.").wait_for(timeout=60_000)
+    page.get_by_text("Cancelled; nothing was changed.").wait_for(timeout=BUSY)
     page.get_by_role("button", name="Diagnose").click()
     page.get_by_text(re.compile("Position ripple, amplitude")).first.wait_for(timeout=200_000)
     page.wait_for_timeout(500)
@@ -324,7 +301,7 @@ def test_a_record_is_diagnosed_and_the_work_can_be_cancelled(page, rippled, pict
     turn_to(page, "Design")
     from playwright.sync_api import expect
 
-    expect(page.get_by_label("Axis", exact=True)).to_have_value(re.compile("diagnosed on rippled"), timeout=20_000)
+    expect(page.get_by_label("Axis", exact=True)).to_have_value(re.compile("diagnosed on rippled"), timeout=BUSY)
     assert sampled_margin(page).endswith("°")
 
 

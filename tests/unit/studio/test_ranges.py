@@ -103,7 +103,9 @@ def test_numbers_in_other_units_start_anew_and_the_others_stay():
     assert (after.mass, after.wall, after.stroke) == tuple(
         getattr(State.of(joint), one) for one in ("mass", "wall", "stroke")
     )
-    assert differences_in_words(before, after) == "With joint came current loop 1 ms. Numbers in other units start anew."
+    assert (
+        differences_in_words(before, after) == "With joint came current loop 1 ms. Numbers in other units start anew."
+    )
 
 
 PI = {"kind": "cascade", "velocity": {"kp": 300.0, "ti": 0.03}}

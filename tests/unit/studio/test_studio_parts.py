@@ -31,11 +31,11 @@ from emps_design.simulation.scenarios import follow
 from emps_design.simulation.synthetic import synthetic_record, there_and_back
 from emps_design.studio import controls, exports, filter_rows, jobs
 from emps_design.studio.app import Session
+from emps_design.studio.compensation_view import DESIGN, OWN
 from emps_design.studio.data_view import LIMIT_MB, DataView, read_upload
 from emps_design.studio.design_view import DesignView
 from emps_design.studio.feasible import KINDS, feasible, plane, reachable_frequencies
 from emps_design.studio.jobs import Job
-from emps_design.studio.motion import DESIGN, OWN
 from emps_design.studio.plots import PlanePlot
 from emps_design.studio.record_work import CLOSEST_MODEL
 from emps_design.studio.simulated import simulate

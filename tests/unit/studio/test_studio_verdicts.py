@@ -3,6 +3,7 @@
 import asyncio
 import json
 import re
+from dataclasses import replace
 
 import pytest
 
@@ -140,6 +141,28 @@ def test_a_wall_that_is_bounced_off_for_ever_stops_a_law_that_is_stable_in_the_a
     soft = simulate(state(wall=10.0, mismatch_percent=0.0, plants=0))
     assert soft.verdict()[0] == "good"
     assert "wall" not in soft.verdict()[1]
+
+
+def test_the_worst_plant_is_drawn_the_way_round_that_its_verdict_is_of():
+    tilted = machine("emps2018").replace(name="tilted", mechanics={"offset": -6.0})
+    found = simulate(State.of(tilted).changed(mass=25.0, filter=300.0, task="pushed", plants=0))
+    assert found.worst["verdict"] == found.runs["worst estimates"].verdict == "limit_cycle"
+    assert "Worst estimates: limit cycle." in found.captions()["task"]
+    assert re.search(r"0 random plants is in a limit cycle, with velocities from −.* mm/s to ", found.verdict()[1])
+    at_rest = replace(found, runs={**found.runs, "worst estimates": found.runs["exact estimates"]})
+    assert "is limit cycle by its poles (stable in the 10.0 s drawn)" in at_rest.verdict()[1]
+
+
+def test_a_design_that_follows_less_closely_than_the_controller_in_place_is_no_good_news():
+    now = State.of(machine("emps2019"))
+    alone, ahead = (
+        move(now.changed(feedforward=one), None, None, untold) for one in ("none", "velocity and acceleration")
+    )
+    for found, level in ((alone, "warning"), (ahead, "good")):
+        errors = [run.to_dict()["tracking_error"] for run in found.runs.values()]
+        assert (errors[0]["largest"] > errors[1]["largest"]) == (level == "warning")
+        assert found.verdict()[0] == level
+        assert ("controller follows more closely" in found.verdict()[1]) == (level == "warning")
 
 
 def test_poles_at_the_wall_say_that_the_effects_of_the_axis_are_not_in_them():
