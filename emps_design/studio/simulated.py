@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from emps_design.laws.friction_model import left_out
 from emps_design.progress import Progress, of_part, untold
 from emps_design.report.display import quantity
@@ -54,7 +56,11 @@ class Simulated:
         if verdict != "limit_cycle":
             return verdict.replace("_", " ")
         low, high = (quantity(float(one[0]), "m/s", 2) for one in (run.measures.end_min_v, run.measures.end_max_v))
-        return f"in a limit cycle, with velocities from {low} to {high} long after the release"
+        moving = np.flatnonzero(run.v)
+        last = int(moving[-1]) if moving.size else 0
+        since = quantity(float(run.t[last]), "s", 3)
+        still = "" if last == run.v.size - 1 else f"; the curve drawn stands from {since} on"
+        return f"in a limit cycle, with velocities from {low} to {high} long after the release{still}"
 
     def rows(self) -> list[tuple[str, str]]:
         """The verdicts, and what the worst plant feels like."""
