@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from emps_design.errors import EmpsError
 from emps_design.report.display import angle, delay, number, quantity, ratio
 from emps_design.report.page import inline
-from emps_design.studio.panes import numbers
+from emps_design.studio.panes import message, numbers
 from emps_design.studio.start import requirements
 from emps_design.studio.state import State
 
@@ -67,6 +67,28 @@ def _requirements(state: State, design: VelocityLoopDesign) -> str:
         f"required: {_check(found.phase_met)} · overshoot {found.overshoot_percent:.1f} % of "
         f"{state.required_overshoot_percent:g} % allowed: {_check(found.overshoot_met)}</p>"
     )
+
+
+def verdict_message(design: VelocityLoopDesign) -> str:
+    """What to do with ``design``, by the worst loop that will run, as HTML."""
+    from emps_design.control.loop.worst import (
+        SAFE_GAIN_MARGIN,
+        SAFE_PHASE_MARGIN_DEG,
+        loop_in_words,
+        margins_in_words,
+        safety,
+    )
+    from emps_design.control.verdict import DesignVerdict
+
+    worst = DesignVerdict(design).worst
+    name = f"the worst loop that will run, the {loop_in_words(worst)},"
+    if not worst.margins.stable:
+        return message(f"Do not run: {name} is unstable.", "stop")
+    has = f"{name} has {margins_in_words(worst.margins)}"
+    if safety(worst.margins) >= 1.0:
+        return message(f"Safe: {has}.", "good")
+    safe = f"{SAFE_PHASE_MARGIN_DEG:g} deg and a gain margin of {SAFE_GAIN_MARGIN:g}"
+    return message(f"Caution: {has}; a safe one has {safe}.", "warning")
 
 
 def laws_table(state: State, design: VelocityLoopDesign) -> str:

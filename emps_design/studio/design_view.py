@@ -12,7 +12,7 @@ from emps_design.errors import EmpsError
 from emps_design.report.display import sentence_of
 from emps_design.studio.axis_file import AxisFile
 from emps_design.studio.controls import Knob
-from emps_design.studio.design_tables import laws_table, numbers_table
+from emps_design.studio.design_tables import laws_table, numbers_table, verdict_message
 from emps_design.studio.feasible import feasible, plane
 from emps_design.studio.filter_rows import FilterRows
 from emps_design.studio.panes import html, message
@@ -82,7 +82,7 @@ class DesignView:
         self.pin.param.watch(self._pinned, "value")
         self.knobs = {name: Knob(name, getattr(state, name), self.turn) for _, names in GROUPS for name in names}
         self.filters = FilterRows(lambda tables: self.turn("filters", tables), self._another)
-        self.message, self.numbers, self.laws = html(), html(), html()
+        self.verdict, self.message, self.numbers, self.laws = html(), html(), html(), html()
         self.titles: dict[str, pn.pane.HTML] = {}
         self._quiet = False
         self.view = self._layout()
@@ -113,7 +113,8 @@ class DesignView:
             sizing_mode="stretch_width",
         )
         bar = pn.Row(pn.pane.HTML("Loop broken at", margin=(6, 0, 0, 5)), self.words["place"], self.pin, margin=(4, 0))
-        right = pn.Column(self.message, self.numbers, bar, pictures, self.laws, sizing_mode="stretch_width", margin=0)
+        words = (self.verdict, self.message, self.numbers)
+        right = pn.Column(*words, bar, pictures, self.laws, sizing_mode="stretch_width", margin=0)
         right.styles = {"position": "sticky", "top": "0", "align-self": "flex-start"}  # in sight of the lowest knob
         return pn.Row(left, right, sizing_mode="stretch_width")
 
@@ -254,7 +255,7 @@ class DesignView:
             self._design(said)
         except EmpsError as error:
             self.design = None
-            self.numbers.object = self.laws.object = ""
+            self.verdict.object = self.numbers.object = self.laws.object = ""
             self._refuse(f"{said} {error}; there is no design, the pictures are of the one before".strip())
 
     def _design(self, said: str = "", move: bool = False) -> None:
@@ -262,6 +263,7 @@ class DesignView:
 
         notes, reached = self._feasible_note(move)
         self.design = velocity_design(self.state)
+        self.verdict.object = self._own(verdict_message(self.design))
         refused = f"{sentence_of(self.design.refused)} " if self.design.refused else ""
         self._say(f"{refused}{said} {notes}".strip(), "note" if reached and not refused else "stop")
         state = self.state

@@ -56,7 +56,9 @@ class FilesView:
             ("Gains (JSON)", "gains.json", GAINS, lambda: exports.gains_json(state())),
             ("State (TOML)", "state.toml", STATE, lambda: state().to_toml()),
         )
-        made = [(label, name, what, self._worked_out(name, begin)) for label, name, what, begin in long]
+        made: list[tuple[str, str, str, Callable[[], Any]]] = [
+            (label, name, what, self._worked_out(name, begin)) for label, name, what, begin in long
+        ]
         made += [(label, name, what, self._at_once(name, make)) for label, name, what, make in short]
         rows = [
             pn.Row(

@@ -43,8 +43,8 @@ class Motion:
         text = f"{text}; at the limit of the command {100.0 * clipped:.3g} %."
         if not self.loop.stable:
             return "stop", f"The cascade of this design is unstable. {text}"
-        in_place = None if own is None else own.to_dict()["tracking_error"]
-        worse = in_place is not None and any(error[name] > in_place[name] for name in ("rms", "largest"))
+        in_place = {} if own is None else own.to_dict()["tracking_error"]
+        worse = any(error[name] > in_place[name] for name in ("rms", "largest") if in_place)
         if worse:
             text += (
                 f" The axis's own controller follows more closely: {quantity(in_place['rms'], 'm')} rms, "

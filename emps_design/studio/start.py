@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from emps_design.axis import Axis
 from emps_design.errors import EmpsError
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 # Shares of the first frequency: slower ones first; faster ones for a position loop that the axis has around it.
 SHARES = (1.0, 0.5, 0.2, 0.1, 0.05, 2.0, 5.0)
 PHASES = (60.0, 70.0, 80.0)  # deg
-GAIN_MARGIN = 2.0
 
 
 @dataclass(frozen=True)
@@ -56,10 +55,10 @@ def started(plain: State) -> State:
 
 
 @lru_cache(maxsize=64)
-def _first(axis: str) -> dict[str, float]:
+def _first(axis: str) -> dict[str, Any]:
     plain = State.plain(Axis.from_toml(axis))
     for share, phase in product(SHARES, PHASES):
-        asked = {"frequency": float(f"{share * plain.frequency:.6g}"), "phase_margin_deg": phase}
+        asked: dict[str, Any] = {"frequency": float(f"{share * plain.frequency:.6g}"), "phase_margin_deg": phase}
         design = _met(replace(plain, **asked))
         if design is not None:
             return asked | _force_gain(plain, design)
@@ -67,7 +66,9 @@ def _first(axis: str) -> dict[str, float]:
 
 
 def _met(state: State) -> VelocityLoopDesign | None:
-    """The design of ``state`` where it can run, with the margins that are required of it and twice the gain."""
+    """The design of ``state`` where it has what is required of it and its worst loop is safe."""
+    from emps_design.control.loop.worst import safety
+    from emps_design.control.verdict import DesignVerdict
     from emps_design.studio.exports import velocity_design
 
     try:
@@ -75,8 +76,7 @@ def _met(state: State) -> VelocityLoopDesign | None:
     except EmpsError:  # no gains are positive
         return None
     found = requirements(state, design)
-    gain_margin = design.sampled.margins.gain_margin
-    met = found and found.met and not design.refused and (gain_margin is None or gain_margin >= GAIN_MARGIN)
+    met = found and found.met and not design.refused and safety(DesignVerdict(design).worst.margins) >= 1.0
     return design if met else None
 
 

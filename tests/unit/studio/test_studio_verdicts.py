@@ -95,6 +95,19 @@ def test_a_position_loop_that_is_unstable_around_a_slow_design_is_said_in_the_de
     assert inline(sentence_of(view.design.refused)) in view.message.object
 
 
+def test_the_design_tab_begins_with_the_worst_loop_that_will_run():
+    view = view_of(State.of(machine("emps2018")))
+    assert told(view.verdict.object) == "good"
+    assert "Safe: the worst loop that will run, the velocity loop, has 39.2 deg" in view.verdict.object
+    view = view_of(State.of(machine("emps2018")).with_axis(DRIVE))  # whose velocity loop alone meets the requirements
+    assert "meets" in view.numbers.object
+    assert told(view.verdict.object) == "warning"
+    assert "Caution: the worst loop that will run, the whole loop, has" in view.verdict.object
+    view.turn("frequency", 12.0)
+    assert told(view.verdict.object) == "stop"
+    assert "Do not run" in view.verdict.object
+
+
 def test_gains_handed_out_say_that_the_kept_position_loop_is_unstable():
     asked = State.of(DRIVE).changed(phase_margin_deg=60.0)
     slow, fast = (json.loads(exports.gains_json(asked.changed(frequency=f))) for f in (12.0, 100.0))
