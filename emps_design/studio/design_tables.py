@@ -59,7 +59,7 @@ def numbers_table(state: State, design: VelocityLoopDesign, pinned: VelocityLoop
 
 
 def _requirements(state: State, design: VelocityLoopDesign) -> str:
-    found = requirements(state, design)
+    found = requirements(design, state.required_phase_deg, state.required_overshoot_percent)
     if found is None:
         return '<p class="requirements"><b class="no">The sampled loop is unstable: no requirement is met.</b></p>'
     return (

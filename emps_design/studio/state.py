@@ -15,6 +15,7 @@ from emps_design.errors import InputError, nearest_name
 from emps_design.laws.library.cascade import Filter
 from emps_design.quantities import read_frequency
 from emps_design.studio.ranges import CHOICES, Choice, choices_of, position_gain
+from emps_design.studio.start import first_specification
 
 MOST_FILTERS = 8
 SPECIFICATIONS = ("crossover", "bandwidth")
@@ -86,9 +87,8 @@ class State:
     @classmethod
     def of(cls, axis: Axis) -> State:
         """The numbers to start with on ``axis``: those of its size, and a specification that meets the requirements."""
-        from emps_design.studio.start import started
-
-        return started(cls.plain(axis))
+        specification: dict[str, Any] = first_specification(axis)
+        return replace(cls.plain(axis), **specification)
 
     @classmethod
     def plain(cls, axis: Axis) -> State:
