@@ -21,7 +21,7 @@ from scipy.signal import lfilter
 
 from emps_design.axis import Axis
 from emps_design.errors import EmpsError
-from emps_design.identification.tested import identify_tested
+from emps_design.identification import identify
 from emps_design.importing import import_record
 from emps_design.records import Record
 from emps_design.simulation.synthetic import synthetic_record, trapezoid_laps
@@ -312,7 +312,7 @@ def judge(path: Path, own: Axis, read_by: Axis) -> tuple[str, str, list[str]]:
     """What the check at the door says, what else is said, and the parameters that are wrong."""
     try:
         record = import_record(path, read_by)
-        found = identify_tested(record, read_by)
+        found = identify(record, read_by)
     except EmpsError as error:
         return f"refused: {error}", "", []
     others = [text for text in found.warnings if text not in record.contradictions]

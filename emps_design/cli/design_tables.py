@@ -62,7 +62,7 @@ def print_gains(document: dict[str, Any]) -> None:
     asks = ["asked"] if wanted else []
     margins = new_table("Margins of the velocity loop", "", *(name for name, _ in places), *asks, "unit")
     margins.columns[0].no_wrap = True
-    words = {"gain_reduction_margin": "none"}
+    unlimited = {"gain_reduction_margin": "none"}
     for label, key, unit, scale in (
         ("phase margin", "phase_margin_deg", "deg", 1.0),
         ("crossover", "crossover", "rad/s", 1.0),
@@ -79,7 +79,7 @@ def print_gains(document: dict[str, Any]) -> None:
             if key not in place
             else number(
                 None if place[key] is None else scale * place[key],
-                nothing=words.get(key, "unbounded") if place["stable"] else "undefined",
+                nothing=unlimited.get(key, "unbounded") if place["stable"] else "undefined",
             )
             for _, place in places
         ]

@@ -41,8 +41,8 @@ class SinglePrecision:
         """The command and the memory after it."""
         memory = list(self.memory)
         waits = self.block.waits
-        integral = None if waits is None else memory[waits]
+        before = list(self.memory)
         u = self.kernel(self.k, *given, self.limit, self.gains, memory) + added
         if waits is not None and (u > self.limit or u < -self.limit):
-            memory[waits] = integral
+            memory[waits] = before[waits]
         return [largest(smallest(u, self.limit), -self.limit), *memory]

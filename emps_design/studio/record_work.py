@@ -30,9 +30,7 @@ def identify_work(record: Record, axis: Axis, options: Options, progress: Callab
     from emps_design.report.record import identification_blocks
 
     progress("identifying", 0.2)
-    found = identify(
-        record, axis, model=options["friction"], filter=options["chain"], holdout=options.get("held_out")
-    )
+    found = identify(record, axis, model=options["friction"], filter=options["chain"], holdout=options.get("held_out"))
     progress("drawing", 0.7)
     values = ", ".join(
         f"{name.replace('_', ' ')} {quantity(e.value, e.quantity.unit)}" for name, e in found.parameters.items()
