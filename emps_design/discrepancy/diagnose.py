@@ -8,7 +8,7 @@ from dataclasses import replace
 from emps_design.axis import Axis
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.checks.long_records import beginnings, look_at_the_rest
-from emps_design.discrepancy.checks.preparation import prepare
+from emps_design.discrepancy.checks.preparation import Preparation, prepare
 from emps_design.discrepancy.explain.explanation import explain
 from emps_design.discrepancy.result import Diagnosis
 from emps_design.discrepancy.search.beam_search import UNFINISHED
@@ -18,7 +18,7 @@ from emps_design.discrepancy.search.noise_floor import LEFT, Floor, floor_of_lap
 from emps_design.discrepancy.search.outcome import Outcome
 from emps_design.discrepancy.search.suspects import at_first_sight, told
 from emps_design.discrepancy.validation.closest import closest_of
-from emps_design.discrepancy.validation.verdict import validate
+from emps_design.discrepancy.validation.verdict import Validation, validate
 from emps_design.effects import Effect, known_effects
 from emps_design.progress import Progress, of_part, untold
 from emps_design.records import Record
@@ -64,23 +64,40 @@ def diagnose(
     with threadpool_limits(1):
         report("checking the records and the controller's law", 0.02)
         parts = beginnings(records, fit_time, confirm_time)
-        preparation = prepare(parts, axis, library, holdout, fit_time, confirm_time)
-        seen = told(at_first_sight(preparation.start, preparation.library))
-        report(f"fitting the baseline{seen}", 0.05)
-        rough, floor = first_noise(preparation)
         searching = of_part(report, 0.1, 0.8)
-        part = of_part(searching, *SEARCHES[0])
-        outcome = search_or_kind(calibrate(preparation, rough, floor, seed, searches, part), part)
-        hears(outcome.best.model.to_axis(axis))
-        outcome = _repeated(outcome, seed, searches, searching)
-        hears(outcome.best.model.to_axis(axis))
-        report("confirming on data not used so far", 0.9)
-        validation = validate(outcome, of_part(searching, *CONFIRMATION))
+
+        def validated(preparation: Preparation) -> Validation:
+            seen = told(at_first_sight(preparation.start, preparation.library))
+            report(f"fitting the baseline{seen}", 0.05)
+            rough, floor = first_noise(preparation)
+            part = of_part(searching, *SEARCHES[0])
+            outcome = search_or_kind(calibrate(preparation, rough, floor, seed, searches, part), part)
+            hears(outcome.best.model.to_axis(axis))
+            outcome = _repeated(outcome, seed, searches, searching)
+            hears(outcome.best.model.to_axis(axis))
+            report("confirming on data not used so far", 0.9)
+            return validate(outcome, of_part(searching, *CONFIRMATION))
+
+        preparation = prepare(parts, axis, library, holdout, fit_time, confirm_time)
+        validation = validated(preparation)
+        if preparation.confirming.chosen == "kept" and _differs_there(validation):
+            opened = preparation.confirming.opened
+            whole = validated(prepare(parts, axis, library, None, fit_time, None, opened))
+            if whole.extended.model.names:
+                preparation, validation = whole.outcome.calibration.preparation, whole
         rest, more = look_at_the_rest(records, parts, preparation.laws, validation.extended)
         if closest:
             report("looking for the model that follows most closely", 0.95)
         following = closest_of(validation) if closest else None
         return explain(validation.beside_something_unknown() if more else validation, rest, following)
+
+
+def _differs_there(validation: Validation) -> bool:
+    """Whether what was kept closed has something that the fitted rest lacks, such as a drift that fades or a change."""
+    if validation.held_out is None or validation.outcome.interrupted:
+        return False
+    floor = validation.outcome.calibration.floor.force
+    return validation.held_out.gap.extended > rules.QUIET * max(floor, validation.train.gap.extended)
 
 
 def _repeated(outcome: Outcome, seed: int, searches: int, searching: Progress) -> Outcome:

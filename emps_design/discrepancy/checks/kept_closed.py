@@ -36,6 +36,11 @@ class Confirming:
     time: Interval | None = None
 
     @property
+    def opened(self) -> Confirming:
+        """The same where what was kept has something that the rest lacks: then all is fitted."""
+        return Confirming(f"{self.what}, kept closed at first, has something that the rest lacks", "none")
+
+    @property
     def sentence(self) -> str:
         """What the errors and shares are of, for who reads the answer; nothing where a record was given for it."""
         if self.chosen == "kept":

@@ -83,12 +83,14 @@ def prepare(
     holdout: Record | None,
     fit_time: Interval | None,
     confirm_time: Interval | None,
+    opened: Confirming | None = None,
 ) -> Preparation:
     """Check the records and the controller's law, size the library to the axis, split what may be fitted.
 
-    What confirms stays closed: ``holdout``, or ``confirm_time`` [s] of the first record, or else what can be spared.
+    What confirms stays closed: ``holdout``, or ``confirm_time`` [s] of the first record, or else what can be spared,
+    unless that was ``opened``.
     """
-    confirming = _confirming(records, holdout, fit_time, confirm_time)
+    confirming = opened or _confirming(records, holdout, fit_time, confirm_time)
     confirm_time = confirming.time
     dropped, first = [one.effect.name for one in axis.effects], records[0]
     axis = axis.replace(effects=[]).supplied_by(*records, *(() if holdout is None else (holdout,)))

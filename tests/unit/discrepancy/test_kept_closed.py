@@ -88,3 +88,12 @@ def test_a_diagnosis_of_another_record_is_not_replaced_without_being_asked(folde
     (out / "diagnosis.json").write_text("{}", encoding="utf-8")
     assert command(["diagnose", str(folder / "other.npz"), "--axis", "emps2019", "--out", str(out)]) == 2
     assert "is no diagnosis that can be read" in capsys.readouterr().err
+
+
+def test_what_happens_in_the_part_kept_closed_opens_it():
+    changed = AXIS.replace(effects=[{"kind": "mass_change", "change": 0.3, "time": 4.0}])
+    library = (get_effect("mass_change"), *LIBRARY)
+    answer = diagnose(synthetic_record(changed, stroke=0.1), AXIS, library=library)
+    assert [finding.effect for finding in answer.findings] == ["mass_change"]
+    assert answer.holdout is None
+    assert "kept closed at first, has something that the rest lacks" in answer.sentence
