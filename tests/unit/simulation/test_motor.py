@@ -172,7 +172,7 @@ def recorded(seed=1) -> Record:
 
 def test_identification_takes_the_back_emf_off():
     record, bare = recorded(), arm(supply=None)
-    for found in (identify(record, bare, chain="hold"), identify_by_output_error(record, bare)):
+    for found in (identify(record, bare, estimator="ls"), identify_by_output_error(record, bare)):
         for name, true in (("mass", 0.02), ("viscous", 0.01), ("coulomb", 0.02)):
             assert found.parameters[name].value == pytest.approx(true, rel=0.03), name
     assert bare.supplied_by(record).drive.supply == pytest.approx(SUPPLY, rel=0.02)
