@@ -77,7 +77,9 @@ def second_order_step(omega_0: float, z: float, t: np.ndarray, zero: float = 0.0
     if abs(root) < 1e-9:
         return 1.0 - (1.0 + x - zero * omega_0 * x) * np.exp(-x)
     slope = (z - zero * omega_0) / root
-    return 1.0 - (np.exp(-z * x) * (np.cos(root * x) + slope * np.sin(root * x))).real
+    # exp(-z x) (cos(root x) + slope sin(root x)) by the two poles, of which neither power overflows.
+    poles = np.exp((1j * root - z) * x), np.exp((-1j * root - z) * x)
+    return 1.0 - (0.5 * (poles[0] + poles[1]) + slope / 2j * (poles[0] - poles[1])).real
 
 
 def continuous_step(design: VelocityLoopDesign, points: int = 2001) -> StepResponse:

@@ -2,9 +2,11 @@
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import signal
 
 from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
 from emps_design.control.velocity.gains import (
@@ -16,6 +18,7 @@ from emps_design.control.velocity.gains import (
     velocity_gains,
 )
 from emps_design.control.velocity.specification import check_specification
+from emps_design.control.velocity.step_response import second_order_step
 from emps_design.errors import InputError, SpecificationError
 from emps_design.machines import machine
 from emps_design.paper import symbols as y
@@ -170,3 +173,18 @@ def test_infeasible_gains_of_the_plain_function():
 def test_specifications_that_cannot_be_meant(arguments, message):
     with pytest.raises(InputError, match=message):
         check_specification(*arguments)
+
+
+@pytest.mark.parametrize("z", [0.3, 0.999, 1.001, 1.9])
+def test_a_step_of_any_damping_is_that_of_its_poles(z):
+    t = np.linspace(0.0, 100.0, 4001)
+    _, expected = signal.lti([0.7, 1.0], [1.0, 2.0 * z, 1.0]).step(T=t)
+    np.testing.assert_allclose(second_order_step(1.0, z, t, zero=0.7), expected, atol=1e-7)
+
+
+def test_a_strongly_damped_step_does_not_overflow():
+    """The cosine of an imaginary argument would, long before the step is over."""
+    slow = 2.0 * 40.0  # s, the slow pole's time constant is 2 z
+    assert second_order_step(1.0, 40.0, np.array([slow, 20.0 * slow])) == pytest.approx(
+        [1.0 - math.exp(-1.0), 1.0], abs=1e-3
+    )
