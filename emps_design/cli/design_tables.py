@@ -32,9 +32,12 @@ def print_gains(document: dict[str, Any]) -> None:
     console.print(worst_in_words(document["worst_loop"]), highlight=False, soft_wrap=True)
 
     left_out, lagged = document["closed_forms_leave_out"], document["continuous_with_lags"]
-    places = [("sampled,\nplant input", sampled)]
-    places += [("with lags,\nvelocity error", lagged)] if len(left_out) > 1 else []
-    places += [("ideal,\nvelocity error", document["velocity_error"]), ("ideal,\nplant input", document["plant_input"])]
+    places = [("sampled,\nplant\ninput", sampled)]
+    places += [("with lags,\nvelocity\nerror", lagged)] if len(left_out) > 1 else []
+    places += [
+        ("ideal,\nvelocity\nerror", document["velocity_error"]),
+        ("ideal,\nplant\ninput", document["plant_input"]),
+    ]
 
     gains = new_table("Velocity loop; ideal: closed forms", "", "value", "unit", "requested")
     asked = {} if document["retuned"] else document["requested"]

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from emps_design.control.impedance.equivalence import safety_words
 from emps_design.control.impedance.law import PRINTED
 from emps_design.control.impedance.robustness import sinking_force
 from emps_design.laws.friction_model import left_out
 
-if TYPE_CHECKING:
-    from emps_design.comanipulation.assessment import ImpedanceAssessment
 
-
-def cautions_of(found: ImpedanceAssessment, document: dict[str, Any]) -> list[str]:
-    """Warnings on ``found``, whose other results are in ``document``."""
+def cautions_of(found: Any, document: dict[str, Any]) -> list[str]:
+    """Warnings on the :class:`ImpedanceAssessment` ``found``, whose other results are in ``document``."""
     axis, law = found.axis, found.law
     words = [] if found.stable else [found.reason]
     if law.at_singularity(PRINTED):

@@ -44,7 +44,7 @@ def test_designs_and_their_margins():
     assert "unbounded" in design.plant_input._repr_html_()
     assert "the sampled force loop is stable" in ed.design_force_loop(design, 0.005)._repr_html_()
     law = assess_impedance(AXIS, 50.0, 100.0, 0.02, plants=0)
-    assert law._repr_html_().startswith("<p>emps2019: the sampled impedance law is stable</p>")
+    assert law._repr_html_().startswith("<p>emps2019, impedance law, creeping: the released carriage creeps on")
     fast = ed.design_velocity_loop(AXIS, crossover=500.0, phase_margin_deg=80.0)
     assert "undefined" in fast.sampled.margins._repr_html_()
 

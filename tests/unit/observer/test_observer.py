@@ -153,7 +153,7 @@ def test_smallest_force_is_the_largest_bound():
 def test_direct_validation_beats_the_cross_one(pushed):
     """(21)-(23): parameters from the same record leave less than parameters from elsewhere."""
     wrong = AXIS.replace(mechanics={"viscous": 230.0})
-    direct = direct_validation(pushed, AXIS, model="symmetric", chain="hold", cutoff_hz=40.0)
+    direct = direct_validation(pushed, AXIS, model="symmetric", filter="hold", cutoff=40.0)
     cross = observe(pushed, wrong, offline_cutoff_hz=40.0).methods["offline"]
     assert direct.rms_error < cross.steps.rms_error_away_from_edges
 
