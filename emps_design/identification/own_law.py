@@ -14,7 +14,7 @@ def with_own_law(record: Record, axis: Axis) -> tuple[Axis | None, str]:
     >>> from emps_design.simulation.synthetic import synthetic_record
     >>> axis = machine("emps2019")
     >>> bare = axis.replace(controller={"kind": "none", "kp": 1.0, "kv": 1.0})
-    >>> found, said = with_own_law(synthetic_record(axis, laps=1), bare)
+    >>> found, said = with_own_law(synthetic_record(axis, laps=1, stroke=0.03), bare)
     >>> found.controller.kind, round(found.controller.kp)
     ('position_pd', 160)
     """

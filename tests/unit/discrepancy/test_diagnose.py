@@ -131,8 +131,15 @@ def test_a_disturbance_of_the_controller_is_named_in_the_controller_and_nowhere_
     assert found["start"] == pytest.approx(0.3437, abs=2e-3)
 
 
-def test_what_no_effect_explains_is_unnamed():
-    answer = diagnose(record(DELAYED), AXIS, library=(get_effect("elastic_force"),))
+@pytest.fixture(scope="module")
+def unexplained():
+    """A delay, and a library that has none."""
+    return diagnose(record(DELAYED), AXIS, library=(get_effect("elastic_force"),))
+
+
+@pytest.mark.slow("a diagnosis that keeps a lap closed, and opens it")
+def test_what_no_effect_explains_is_unnamed(unexplained):
+    answer = unexplained
     assert answer.verdict == "unnamed"
     assert answer.findings == ()
 
@@ -291,12 +298,12 @@ def test_the_confirming_record_withdraws_what_it_does_not_ask_for():
     assert any("elastic force" in text and "withdrawn" in text for text in answer.details["warnings"])
 
 
-def test_what_nothing_explains_has_a_place_and_a_map():
-    unexplained = diagnose(record(DELAYED), AXIS, library=(get_effect("elastic_force"),)).details["unexplained"]
-    force = np.array(unexplained["map"]["force"], float)
-    assert force.shape == (len(unexplained["map"]["velocity"]), len(unexplained["map"]["position"]))
+def test_what_nothing_explains_has_a_place_and_a_map(unexplained):
+    found = unexplained.details["unexplained"]
+    force = np.array(found["map"]["force"], float)
+    assert force.shape == (len(found["map"]["velocity"]), len(found["map"]["position"]))
     assert np.isfinite(force).any()
-    assert unexplained["text"]
+    assert found["text"]
 
 
 def test_where_is_told_in_the_words_of_the_effect():

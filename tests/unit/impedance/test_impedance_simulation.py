@@ -467,6 +467,7 @@ def test_assessment_of_an_axis_with_effects(axis):
     assert any("flexible_coupling is in the simulated plants" in warning for warning in again.to_dict()["warnings"])
 
 
+@pytest.mark.study("a law that works is looked for")
 def test_diverging_axis_with_effects_is_unstable_in_the_scenario(axis):
     coupling = {"kind": "flexible_coupling", "frequency": 20.0, "damping": 0.05, "share": 0.6}
     found = run_comanipulation(axis.replace(effects=[coupling]), plants=0).to_dict()

@@ -59,6 +59,7 @@ def test_a_law_without_a_mismatch_is_refused_where_it_swings(belt, capsys):
     assert found["wall_limit"] == {}  # nothing to press against a wall
 
 
+@pytest.mark.study("32 plants")
 def test_creep_is_in_the_headline_with_how_many_and_exits_0(capsys):
     assert run(["impedance", "emps2018-two-quadrant", "--mass", "50", "--damping", "100", "--mismatch", "0.02"]) == 0
     first = " ".join(capsys.readouterr().out.split())
@@ -66,6 +67,7 @@ def test_creep_is_in_the_headline_with_how_many_and_exits_0(capsys):
     assert first.startswith(said)
 
 
+@pytest.mark.study("long runs")
 @pytest.mark.parametrize(("resolution", "ended"), [(5e-8, False), (2e-5, True)])
 def test_a_creep_that_the_encoder_ends_is_none(resolution, ended):
     """One of 3.84 mm/s shows no step of 20 um in two periods: the estimate is 0 and nothing drives the carriage."""

@@ -179,6 +179,7 @@ def test_a_record_of_another_period_is_not_held_against_the_law(stage):
     assert with_contradictions(STAGE, slower).contradictions == ()
 
 
+@pytest.mark.slow("every command that reads a record")
 def test_every_command_that_reads_a_record_says_it(stage, tmp_path, capsys):
     axis, path = tmp_path / "stage.toml", tmp_path / "record.npz"
     axis.write_text(STAGE.to_toml())

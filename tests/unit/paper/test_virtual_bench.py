@@ -32,6 +32,7 @@ def test_every_number_says_where_it_comes_from():
 RANGES = ("rms_1", "rms_2", "rms_direct")
 
 
+@pytest.mark.slow("ten experiments of the paper")
 def test_errors_lie_in_the_printed_ranges(section):
     """Of the default seed every single one, as the paper gives least and largest of ten."""
     assert np.all(section.rms_direct < section.rms_2)

@@ -37,6 +37,7 @@ def undrawn(monkeypatch):
     monkeypatch.setattr("emps_design.report.impedance.impedance_section", lambda *arguments: empty)
 
 
+@pytest.mark.slow("a whole report with its pictures")
 def test_the_page_shows_the_gains_and_the_margins_of_all_four_loops(page):
     for said in ("556.8 V/(m/s)", "8.455 ms", "60.0°", "60.2°", "39.2°", "159.9 rad/s (25.45 Hz)", "unbounded"):
         assert said in page, said
@@ -171,6 +172,7 @@ def test_a_record_gives_the_mechanics_unless_told_otherwise(emps_data, sketched)
     assert "4.08 %" in html
 
 
+@pytest.mark.study("looks for the law of a record")
 def test_an_axis_that_is_named_stays_as_it_is(emps_data, undrawn):
     report = assemble_report("emps2018", emps_data / "DATA_EMPS.mat", crossover=100.0, model="asymmetric")
     assert report.results.velocity.axis == machine("emps2018")

@@ -180,6 +180,7 @@ def test_where_no_gain_is_stable_the_whole_height_is_shaded():
     assert bottom < design.k_e1 < top
 
 
+@pytest.mark.study("looks for the law of a record")
 def test_a_record_is_identified_with_the_drive_of_the_axis_that_made_it(sketched):
     made_on = machine("emps2019")
     other = machine("emps2018").replace(name="other", drive={"force_gain": 70.0})

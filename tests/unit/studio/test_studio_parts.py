@@ -494,6 +494,7 @@ def ask(address, path, **headers):
             return answer.status, answer.getheader("Set-Cookie")
 
 
+@pytest.mark.slow("starts a studio of its own")
 def test_the_studio_answers_this_machine_and_its_token_only():
     studio = Studio()
     try:
@@ -617,6 +618,7 @@ def test_the_law_of_a_record_is_shown_and_designed_on(monkeypatch):
     assert "not told: it never moves" in found["html"]
 
 
+@pytest.mark.study("looks for the law of a record")
 def test_the_law_goes_on_the_axis_that_was_identified(at_once, monkeypatch):
     from emps_design.identification import controller
 

@@ -278,6 +278,7 @@ def test_an_open_loop_has_no_law():
     assert identify_law(record).verdict == NOT_TOLD
 
 
+@pytest.mark.slow("three searches over structures")
 def test_the_command_prints_the_table_and_never_reads_the_one_in_the_axis(tmp_path, capsys):
     record = record_of(Loop(kp=30.0, kv=300.0, noise=0.01, samples=1200, seed=1))
     record.save(tmp_path / "trace.csv")
