@@ -9,12 +9,14 @@ from emps_design.exports import on_first_use
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from emps_design.advice import Advice as Advice, advise as advise
     from emps_design.axis import Axis as Axis
     from emps_design.comanipulation import run_task as run_task
     from emps_design.control import (
         ForceLoopDesign as ForceLoopDesign,
         ImpedanceLaw as ImpedanceLaw,
         VelocityLoopDesign as VelocityLoopDesign,
+        controller_margins as controller_margins,
         design_force_loop as design_force_loop,
         design_velocity_loop as design_velocity_loop,
         impedance_law as impedance_law,

@@ -12,6 +12,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from emps_design.cli import interrupts
+from emps_design.cli.advice import advice_on_error, say_advice
 from emps_design.cli.interrupts import STATUS as INTERRUPTED
 from emps_design.cli.output import print_json, tell
 from emps_design.cli.wording import begin
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 # Commands in the order of the work: record, axis, gains, simulation, what disagrees, page.
 COMMANDS = (
     "gains",
+    "margins",
     "force",
     "impedance",
     "simulate",
@@ -50,7 +52,7 @@ def run(arguments: list[str]) -> int:
     debug = "--debug" in arguments
     as_json = "--json" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
-    begin(arguments[0] if arguments else "")
+    begin(arguments)
     try:
         result = _result(arguments)
         sys.stdout.flush()
@@ -60,16 +62,21 @@ def run(arguments: list[str]) -> int:
     except EmpsError as error:
         if debug:
             raise
-        if as_json and isinstance(error, SpecificationError | UnstableError | SimulationError):
+        unfit = isinstance(error, SpecificationError | UnstableError | SimulationError)
+        advice = advice_on_error(error) if unfit else None
+        if as_json and unfit:
             print_json(
                 {
                     "error": type(error).__name__,
                     "reason": str(error),
                     "nearest": getattr(error, "nearest", {}),
                     "warnings": [str(error)],
+                    "advice": advice,
                 }
             )
         tell(error)
+        if advice is not None and not as_json:
+            say_advice(advice)
         return error.exit_code
     except BrokenPipeError:
         _print_nowhere()  # the reader of our output has left (`| head`)

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from emps_design.cli.advice import add_advice, say_advice
 from emps_design.cli.design_options import AsJson, AxisArgument, Force
 from emps_design.cli.destinations import AXIS, JSON, check_folder, make_folder
 from emps_design.cli.ignored import refuse_force, refuse_ignored
@@ -53,7 +54,7 @@ def command(
     machine = load_axis(axis)
     q_ref = _reference(machine, scenario, reference, stroke, speed, acceleration)
     found = compensate(machine, q_ref, mismatch, phase)
-    document = {"scenario": scenario, **found.to_dict()}
+    document = add_advice({"scenario": scenario, **found.to_dict()}, axis)
     if out is not None:
         document["out"] = _write(out, found, document)
     if as_json:
@@ -61,6 +62,8 @@ def command(
     else:
         _show(document)
     print_warnings(document["warnings"])
+    if not as_json:
+        say_advice(document)
 
 
 def _reference(axis: Any, scenario: str, path: Path | None, stroke: float, speed: float, acceleration: float) -> Any:

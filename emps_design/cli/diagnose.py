@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from emps_design.cli.advice import add_advice, say_advice
 from emps_design.cli.destinations import AXIS, JSON, OVERWRITE, PAGE, TABLE, check_folder, make_folder
 from emps_design.cli.ignored import refuse_force
 from emps_design.cli.interrupts import before_the_end
@@ -83,13 +84,16 @@ def command(
         )
     if out is not None:
         diagnosis = diagnosis.with_file("model.toml")
-        _write(diagnosis, out, axis)
-    document = diagnosis.to_dict()
+    document = add_advice(diagnosis.to_dict(), axis, records)
+    if out is not None:
+        _write(diagnosis, document, out, axis)
     if as_json:
         print_json(document)
     else:
         _show(document, out)
     print_warnings(document["warnings"])
+    if not as_json:
+        say_advice(document)
 
 
 def _window(text: str | None, option: str) -> tuple[float, float] | None:
@@ -125,7 +129,7 @@ def _check_diagnosis_there(out: Path | None, records: Sequence[Record], force: b
         )
 
 
-def _write(diagnosis: Any, out: Path, axis: str) -> None:
+def _write(diagnosis: Any, document: dict[str, Any], out: Path, axis: str) -> None:
     """Write everything into ``out``, all files together or none."""
     from emps_design.discrepancy.experiment.discrimination import FILE
     from emps_design.discrepancy.validation.closest import FILE as CLOSEST_FILE
@@ -137,7 +141,7 @@ def _write(diagnosis: Any, out: Path, axis: str) -> None:
         whose = f"numbers that belong to one record (phases, times) are those of {trace.name}"
         head = f"# {one_line(axis)}, extended by emps-design diagnose; {whose}\n"
         write_text(aside / "model.toml", head + diagnosis.axis.to_toml())
-        write_text(aside / "diagnosis.json", f"{json_text(diagnosis.to_dict())}\n")
+        write_text(aside / "diagnosis.json", f"{json_text(document)}\n")
         columns = (trace.t, trace.measured, trace.baseline, trace.extended)
         _table(aside / "holdout_prediction.csv", ("t", "force_measured", "force_baseline", "force_extended"), columns)
         if diagnosis.experiment is not None and diagnosis.experiment.q_ref is not None:

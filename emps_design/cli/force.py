@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
+from emps_design.cli.advice import add_advice, say_advice
 from emps_design.cli.design_options import (
     AsJson,
     AxisArgument,
@@ -129,6 +130,7 @@ def command(
         document["out"] = write_axis(out, machine.replace(controller={"kind": ip_velocity.LAW.name, **gains}))
     if not stable:
         document["nearest"], document["reason"] = design.nearest_stable, design.reason
+    document = add_advice(document, axis)
     if as_json:
         print_json(document)
     else:
@@ -137,4 +139,6 @@ def command(
         print_force(document)
     if not stable:
         tell(document["reason"])
+    if not as_json:
+        say_advice(document)
     return 0 if stable else 4

@@ -38,6 +38,7 @@ def command(
     force: bool = typer.Option(False, "--force", help=OVERWRITE),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
+    from emps_design.cli.advice import add_advice, say_advice
     from emps_design.cli.output import print_json, print_warnings, progress_bar
     from emps_design.cli.wording import load_axis
     from emps_design.errors import InputError, nearest_name
@@ -64,11 +65,14 @@ def command(
         write_response(out, found.response)
     if plot is not None:
         _draw(plot, found)
+    document = add_advice(found.to_dict(), axis, records)
     if as_json:
-        print_json(found)
+        print_json(document)
     else:
         _show(found, loaded.units.unit)
     print_warnings(found.all_warnings)
+    if not as_json:
+        say_advice(document)
 
 
 def _draw(path: Path, found: Estimate) -> None:

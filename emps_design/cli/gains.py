@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from emps_design.axis import Axis
+from emps_design.cli.advice import add_advice, say_advice
 from emps_design.cli.design_options import (
     AsJson,
     AxisArgument,
@@ -187,6 +188,7 @@ def command(
     if verdict.stable and out is not None:
         table = design.controller_table() if around is None else around.controller_table()
         document["out"] = write_axis(out, machine.replace(controller=table))
+    document = add_advice(document, axis)
     if as_json:
         print_json(document)
     else:
@@ -203,6 +205,8 @@ def command(
                 print_measured(document["measured"]["whole_loop"], "whole loop")
     if "reason" in document:
         tell(document["reason"])
+    if not as_json:
+        say_advice(document)
     return 0 if verdict.stable else 4
 
 

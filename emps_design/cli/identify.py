@@ -67,6 +67,7 @@ def command(
     """Identify the parameters of an axis from one record, or from several with their spread."""
     import sys
 
+    from emps_design.cli.advice import add_advice, say_advice
     from emps_design.cli.output import print_json, progress_bar, tell
     from emps_design.cli.wording import load_axis
     from emps_design.errors import one_line
@@ -92,8 +93,9 @@ def command(
 
         with progress_bar(not as_json or sys.stderr.isatty()) as progress:
             found = identify_several(read, loaded, progress=progress, **options)
+    document = add_advice(found.to_dict(), axis, records)
     if as_json:
-        print_json(found)
+        print_json(document)
     elif len(read) == 1:
         _show_one(found)
     else:
@@ -102,6 +104,8 @@ def command(
         tell(warning)
     if out is not None:  # last: what was found is shown, even where it is no machine
         write_text(out, found.to_axis(name=one_line(out.stem)).to_toml())
+    if not as_json:
+        say_advice(document)
 
 
 def _refuse_ignored(context: typer.Context, estimator: str, records: int) -> None:

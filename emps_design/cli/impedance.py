@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from emps_design.cli.advice import add_advice, say_advice
 from emps_design.cli.design_options import within
 from emps_design.cli.frequency import RAD_S
 from emps_design.cli.ignored import refuse_ignored
@@ -80,15 +81,16 @@ def command(
             coulomb_factor=coulomb_factor,
             force_sensor=force_sensor,
         )
-        document = found.to_dict()
+        document = add_advice(found.to_dict(), axis)
     if as_json:
         print_json(document)
     else:
         _print(document)
     if not found.stable:
         tell(found.reason)
-        return 4
-    return 0
+    if not as_json:
+        say_advice(document)
+    return 0 if found.stable else 4
 
 
 def _given(option: str, what: str, asked: float | None, own: float | None) -> float:

@@ -25,6 +25,7 @@ def command(
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     from emps_design.axis import Axis
+    from emps_design.cli.advice import add_advice, say_advice
     from emps_design.cli.output import LOOKING, print_json, print_warnings, progress_bar
     from emps_design.cli.wording import load_axis
     from emps_design.errors import InputError
@@ -44,11 +45,14 @@ def command(
         raise InputError(f"{found.record}: {found.reason}; {out} is not written")
     if out is not None:
         write_text(out, found.to_toml())
+    document = add_advice(found.to_dict(), axis, records)
     if as_json:
-        print_json(found)
+        print_json(document)
     else:
         _show(found)
     print_warnings(found.warnings)
+    if not as_json:
+        say_advice(document)
 
 
 def _show(found: LawEstimate) -> None:

@@ -52,6 +52,7 @@ def command(
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     """Observe the external force of a record, off-line and on-line."""
+    from emps_design.cli.advice import add_advice, say_advice
     from emps_design.cli.output import print_json, progress_bar, tell
     from emps_design.cli.wording import load_axis
     from emps_design.identification.observation import observe, with_known_push
@@ -67,12 +68,15 @@ def command(
         found = observe(read, loaded, cutoff_hz=cutoff, offline_cutoff_hz=offline_cutoff, progress=progress)
     if out is not None:
         _write(out, found, loaded.units)
+    document = add_advice(found.to_dict(), axis, [record])
     if as_json:
-        print_json(found)
+        print_json(document)
     else:
         _show(found)
     for warning in found.warnings:
         tell(warning)
+    if not as_json:
+        say_advice(document)
 
 
 def _voltage(injected: str, record: Record) -> np.ndarray:

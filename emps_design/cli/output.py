@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 LOOKING = "looking for the controller that made the record"  # what law and init --from take their time for
-NAMES = ("name", "axis", "record", "records", "file", "files", "out", "directory", "machine", "column", "title")
+NAMES = ("name", "axis", "record", "records", "file", "files", "out", "directory", "machine", "column", "title", "next")
 MESSAGES = ("reason", "warnings")  # keys under which the library's messages stand; all other text is data
 
 

@@ -60,6 +60,7 @@ def command(
     as_json: AsJson = False,
 ) -> None:
     """The whole design as one self-contained page: specification against achieved, loops, force loop, record."""
+    from emps_design.cli.advice import say_advice
     from emps_design.cli.output import print_json, progress_bar, say, tell
     from emps_design.cli.wording import load_axis, speak
     from emps_design.errors import UnstableError
@@ -106,6 +107,8 @@ def command(
         say(out)
     for warning in report.warnings:
         tell(warning)
+    if not as_json:
+        say_advice(document)
     if report.reason:
         tell(f"{report.reason}; the page says so first")
         raise typer.Exit(UnstableError.exit_code)

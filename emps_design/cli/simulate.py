@@ -64,6 +64,7 @@ def command(
     force: bool = typer.Option(False, "--force", help=OVERWRITE),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> int:
+    from emps_design.cli.advice import add_advice, say_advice
     from emps_design.cli.output import print_json, tell
     from emps_design.errors import InputError
 
@@ -93,7 +94,7 @@ def command(
             _write(out, result)
         if plot is not None:
             _draw(plot, result)
-    document = result.to_dict()
+    document = add_advice(result.to_dict(), axis or None, [record] if record else [])
     for warning in document.get("warnings", []):
         tell(warning)
     if as_json:
@@ -104,8 +105,9 @@ def command(
         _show(document)
     if "reason" in document:
         tell(document["reason"])
-        return 4
-    return 0
+    if not as_json:
+        say_advice(document)
+    return 4 if "reason" in document else 0
 
 
 def _refuse_ignored(context: typer.Context, scenario: str) -> None:

@@ -6,6 +6,7 @@ is about one axis, so everything that is printed passes :func:`in_words`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from emps_design.axis import Axis
 
 _at_hand = [Units()]
-_command = [""]
+_words: list[str] = []  # of the command line, from the name of the command on
 _asked: list[tuple[str, float, str]] = []  # numbers of the command line, until the axis says their units
 
 
@@ -29,10 +30,15 @@ def load_axis(name_or_path: str | Path) -> Axis:
     return axis
 
 
-def begin(command: str) -> None:
-    """Forget the axis and the numbers of the command before the ``command`` that begins."""
-    _at_hand[0], _command[0] = Units(), command
+def begin(words: Sequence[str]) -> None:
+    """Forget the axis and the numbers of the command before the one that begins, with these ``words``."""
+    _at_hand[0], _words[:] = Units(), words
     _asked.clear()
+
+
+def at_hand() -> tuple[str, ...]:
+    """The words of the command at hand, its name first."""
+    return tuple(_words)
 
 
 def speak(units: Units) -> None:
@@ -57,7 +63,7 @@ def in_words(text: str) -> str:
 
 def in_command(text: str) -> str:
     """``text`` of the library with the flags of the command at hand for arguments."""
-    return in_flags(text, _command[0])
+    return in_flags(text, _words[0] if _words else "")
 
 
 def in_units(value: str) -> str:

@@ -16,6 +16,7 @@ from emps_design.comanipulation.task import fitted_task
 from emps_design.comanipulation.wall_limit import WallLimit, wall_limit
 from emps_design.control.impedance.equivalence import LOW_FREQUENCY, equivalent_loop
 from emps_design.control.impedance.law import PRINTED, ApparentImpedance, FrictionModel, ImpedanceLaw, impedance_law
+from emps_design.control.impedance.margins import impedance_loops
 from emps_design.control.impedance.passivity import largest_wall, passivity
 from emps_design.control.impedance.response import relay_oscillation
 from emps_design.control.impedance.robustness import (
@@ -40,7 +41,9 @@ from emps_design.control.impedance.sampled import (
     recursion_poles,
     sampled_loop,
 )
+from emps_design.control.loop.nested import NestedLoop
 from emps_design.control.loop.sampled_loop import MARGINAL
+from emps_design.control.loop.worst import worst_loop
 from emps_design.errors import SpecificationError, UnstableError
 from emps_design.laws.friction_model import PARAMETERS, left_out
 from emps_design.notebook import table
@@ -98,6 +101,11 @@ class ImpedanceAssessment:
         if not left_out(self.axis):
             return None
         return max((extended_loop(self.axis, self.law, v) for v in self._speeds), key=lambda loop: loop.radius)
+
+    @cached_property
+    def loops(self) -> tuple[NestedLoop, ...]:
+        """The loop at the plant input in every direction, and at the corners of the mismatch."""
+        return impedance_loops(self.axis, self.law, self.mismatch or 0.0)
 
     @property
     def _speeds(self) -> list[float]:
@@ -243,6 +251,7 @@ class ImpedanceAssessment:
             "axis": self.axis.name,
             "verdict": self.verdict,
             "headline": self.headline,
+            "worst_loop": worst_loop(self.loops).to_dict(),
             "law": law.to_dict(),
             "derived": self._felt(ideal).to_dict(),
             "felt": self._felt(law).to_dict(),

@@ -10,6 +10,7 @@ from emps_design.comanipulation.assessment import ImpedanceAssessment
 from emps_design.comanipulation.study import MismatchStudy, mismatch_study
 from emps_design.comanipulation.task import fitted_task, guided_task, pushed_task, usual_scale
 from emps_design.control.impedance.law import ImpedanceLaw, impedance_law
+from emps_design.control.loop.worst import worst_loop
 from emps_design.progress import Progress
 from emps_design.quantities import one_two_five
 
@@ -55,6 +56,7 @@ class Comanipulation:
             "verdict": refused.verdict,
             "headline": refused.headline,
             "nominal_verdict": exact["verdict"],
+            "worst_loop": worst_loop(refused.loops).to_dict(),
             "asked": {"apparent_mass": self.law.mass, "apparent_damping": self.law.damping},
             "transparency": {name: exact[name] for name in ("apparent_mass", "apparent_damping", "r2", "error")},
             "peak_voltage": exact["peak_voltage"],

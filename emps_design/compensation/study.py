@@ -25,6 +25,8 @@ from emps_design.compensation.feedforward import (
     reversal_of,
     terms_of,
 )
+from emps_design.control.loop.nested import nested_loops
+from emps_design.control.loop.worst import worst_loop
 from emps_design.errors import InputError, SimulationError, UnstableError
 from emps_design.laws import law_of
 
@@ -102,6 +104,7 @@ class Compensation:
             },
             "limited_share": self.limited,
             "overshoot": dict(zip(("without", "with"), self.overshoot, strict=True)),
+            "worst_loop": worst_loop(nested_loops(self.axis)).to_dict(),
             "units": {
                 "overshoot": self.unit,
                 "tracking_rms": self.unit,

@@ -7,6 +7,10 @@ from typing import TYPE_CHECKING
 from emps_design.exports import on_first_use
 
 if TYPE_CHECKING:
+    from emps_design.control.controller import (
+        ControllerMargins as ControllerMargins,
+        controller_margins as controller_margins,
+    )
     from emps_design.control.force.design import (
         ForceLoopDesign as ForceLoopDesign,
         design_force_loop as design_force_loop,

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from emps_design.advice import Advice, advise
 from emps_design.axis import Axis
 from emps_design.errors import InputError, nearest_name
 from emps_design.laws import NONE, get_law
@@ -33,12 +35,21 @@ K_E1, WALL, OF_MASS = 0.01, 1e4, 100.0  # (m/s)/N, N/m, kg: of a force loop that
 class Report:
     """The page of a design and the results it shows."""
 
-    page: Page
     results: DesignResults
     impedance: ImpedanceAssessment | None = None
     found: tuple[Identification, ...] = ()
     warnings: tuple[str, ...] = ()
     loops: tuple[NestedLoop, ...] = ()
+
+    @cached_property
+    def page(self) -> Page:
+        """The page, what to do with the design first."""
+        return design_page(replace(self.results, advice=self.advice))
+
+    @property
+    def advice(self) -> Advice:
+        """What to do with the design."""
+        return advise("report", self._document)
 
     @property
     def reason(self) -> str:
@@ -61,6 +72,10 @@ class Report:
 
     def to_dict(self) -> dict[str, Any]:
         """Gains, force loop and identification as plain data; ``reason`` and ``nearest`` where a loop is unstable."""
+        return {**self._document, "advice": self.advice.to_dict()}
+
+    @cached_property
+    def _document(self) -> dict[str, Any]:
         from emps_design.control.velocity.comparison import kept_position_loop
 
         velocity = self.results.velocity.to_dict()
@@ -212,13 +227,14 @@ def assemble_report(
         cautions=cautions,
     )
     tell("drawing", 0.6)
-    page = design_page(results)
     warnings = [warning for one in found for warning in one.warnings]
     warnings += [*results.verdict.warnings, *velocity.warnings]
     warnings += results.force.warnings if results.force else ()
     warnings += assessed.to_dict()["warnings"] if assessed else []
+    report = Report(results, assessed, tuple(found), tuple(dict.fromkeys(warnings)), loops)
+    _ = report.page
     tell("writing", 0.95)
-    return Report(page, results, assessed, tuple(found), tuple(dict.fromkeys(warnings)), loops)
+    return report
 
 
 def has_impedance_law(axis: Axis) -> bool:

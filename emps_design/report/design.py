@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from emps_design.advice import Advice
 from emps_design.control.loop.nested import VELOCITY_LOOP
 from emps_design.control.loop.worst import where_in_words
+from emps_design.report.advice import advice_callout
 from emps_design.report.display import angle, delay, frequency, number, quantity, ratio, sentence_of, symbol
 from emps_design.report.drive import drive_section
 from emps_design.report.footer import inputs_table, versions
@@ -42,7 +44,7 @@ class DesignResults:
     ``force``: the force loop around it, None where nobody asked for one; ``inputs``: SHA-256 of every input by name,
     None for what is built in; ``parts``: more sections (a record, an impedance law), each already a :class:`Section`;
     ``measured``: the section on a measured response, which comes first; ``notes``: statements for the summary;
-    ``stops``: what else is unstable; ``cautions``: what else to read with the numbers.
+    ``stops``: what else is unstable; ``cautions``: what else to read with the numbers; ``advice``: what to do with it.
     """
 
     velocity: VelocityLoopDesign
@@ -53,6 +55,7 @@ class DesignResults:
     notes: tuple[str, ...] = ()
     stops: tuple[str, ...] = ()
     cautions: tuple[str, ...] = ()
+    advice: Advice | None = None
 
     @cached_property
     def verdict(self) -> DesignVerdict:
@@ -83,7 +86,7 @@ def design_results(
 
 
 def design_page(results: DesignResults) -> Page:
-    """Return the page of a design."""
+    """Return the page of a design, its advice first."""
     velocity = results.velocity
     asked = _asked(velocity)
     return Page(
@@ -138,7 +141,8 @@ def _stops(results: DesignResults) -> list[Callout]:
 def _summary(results: DesignResults) -> tuple[Any, ...]:
     velocity = results.velocity
     sampled, period = velocity.sampled, velocity.axis.sampling.period
-    blocks: list[Any] = list(_stops(results))
+    blocks: list[Any] = [] if results.advice is None else [advice_callout(results.advice)]
+    blocks += _stops(results)
     facts: list[tuple[Any, str, str]] = [
         (Html(symbol("k_v1")), quantity(velocity.k_v1, "V/(m/s)"), "gain of the velocity loop"),
         (Html(symbol("t_v")), quantity(velocity.t_v, "s"), "its integral time"),

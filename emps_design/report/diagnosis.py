@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from emps_design.advice import advise
 from emps_design.discrepancy.explain.extent import EVERYWHERE
 from emps_design.report import diagnosis_figures as figures
+from emps_design.report.advice import advice_callout
 from emps_design.report.diagnosis_design import design_section
 from emps_design.report.diagnosis_experiment import experiment_section
 from emps_design.report.diagnosis_sections import (
@@ -54,7 +56,13 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     findings = document["findings"]
     level, verdict = VERDICTS[document["verdict"]]
     answer = (Text(typeset(document["sentence"])),) if "sentence" in document else ()
-    summary: list[Any] = [Callout(level, in_plain_words(document), verdict), answer_points(document), *answer]
+    what_to_do = advice_callout(advise("diagnose", document))
+    summary: list[Any] = [
+        what_to_do,
+        Callout(level, in_plain_words(document), verdict),
+        answer_points(document),
+        *answer,
+    ]
     simulated = document.get("simulation", "closed loop")
     whole = document.get("held_out", {}).get("time") is None
     summary.append(_gap_facts(document["gap"], simulated, document.get("unexplained") or {}, whole))

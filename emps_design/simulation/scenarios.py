@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.control.loop.nested import nested_loops
+from emps_design.control.loop.worst import worst_loop
 from emps_design.errors import InputError, SimulationError
 from emps_design.notebook import table
 from emps_design.observer import motor_force
@@ -248,6 +250,7 @@ class Followed:
                 "force": float(np.abs(run.force).max()),
             },
             "saturated_share": float(np.mean(np.abs(run.u) >= limit)),
+            "worst_loop": worst_loop(nested_loops(self.axis)).to_dict(),
             "units": {"tracking_error": "m", "velocity": "m/s", "voltage": "V", "force": "N"},
             "run": run.to_dict(),
             "warnings": list(self.warnings),

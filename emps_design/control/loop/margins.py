@@ -3,8 +3,8 @@
 Stability comes from the poles, never from here: an unstable loop has no margins, and every caller says so first.
 The phase margin is the phase *lag* the loop bears at a crossover before its response reaches -1, the smallest over
 all crossovers; the delay margin is the smallest of that lag over its frequency; the gain margin is the smallest
-factor above one that brings the response to -1, the Nyquist frequency included, and the gain reduction margin the
-largest factor below one that does (a plant that is unstable by itself needs a least gain).
+factor above one that brings the response to -1, rest and the Nyquist frequency included, and the gain reduction margin
+the largest factor below one that does (a plant that is unstable by itself needs a least gain).
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ KEYS = (
     "gain_reduction_margin",
 )
 LOWEST = "lowest_crossover"  # rad/s, in arrays: up to which a loop acts, wherever its least phase margin is
+AT_REST = 1e-3  # rad from the real axis, within which a loop below 0 dB at the lowest frequency is there already
 ROUNDING = 1e-6  # rad, by which the lag of a loop on the border of stability may come out below 0
 Response = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -136,6 +137,9 @@ def margin_arrays(
     if where.size:
         w = _refine(lambda w, which: _sine(response(w, where[which])), frequencies[place], frequencies[place + 1])
         _keep_gains(response(w, where).real, where, w, found)
+    below = np.flatnonzero(inside[:, 0] & (np.abs(loop[:, 0].imag) < AT_REST * np.abs(loop[:, 0].real)))
+    if below.size:  # no integral action: at rest the response is real, and may be -1 there
+        _keep_gains(loop[below, 0].real, below, np.full(below.size, frequencies[0]), found)
     if nyquist is not None:
         everything = np.arange(count)
         at_nyquist = np.full(count, nyquist)

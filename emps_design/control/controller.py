@@ -1,0 +1,380 @@
+"""What the controller in an axis file achieves: crossover, margins, bandwidth, damping of each loop and of the whole.
+
+Sampled, as the drive runs it, and beside it the continuous limit with every lag of the axis. The velocity loop is
+broken at the plant input with the position loop open, the position loop at the position error with the velocity loop
+closed, the whole at the plant input, where a delay or a current loop sits. Natural frequency ``|s|`` and damping
+``-Re s / |s|`` are those of the least damped pole of the closed loop, sampled ``s = ln(z) / T``, that is not far above
+what the loop follows; a real pole has a damping of 1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.control.cases import Case, cases_of
+from emps_design.control.loop.continuous import ContinuousLoop, LawAt
+from emps_design.control.loop.margins import Margins, further_down, loop_margins
+from emps_design.control.loop.nested import (
+    PLANT_INPUT,
+    POSITION_ERROR,
+    NestedLoop,
+    at_plant_input,
+    at_position_error,
+)
+from emps_design.control.loop.sampled_loop import MARGINAL, SampledLoop, close
+from emps_design.control.loop.transfer import transfer
+from emps_design.control.loop.worst import loop_in_words, worst_loop
+from emps_design.control.plant.discretisation import SampledPlant, sample_axis
+from emps_design.control.plant.peaks import law_peaks
+from emps_design.control.velocity.gains import MINUS_3_DB
+from emps_design.control.velocity.load_range import LoadRange
+from emps_design.control.velocity.sensitivity import relative_mismatch
+from emps_design.laws import get_law, law_of, table_of
+from emps_design.laws.linear import LinearLaw, linear_law
+from emps_design.notebook import table
+
+LOOPS = ("velocity", "position", "whole")
+MOST_GAIN = 1e4  # a continuous loop that bears more gain bears any
+FAR = 5.0  # times the highest of crossover and bandwidth: oscillations above that are not the loop's own
+_REFERENCE, _POSITION = 0, 1  # places among the inputs of a law
+
+
+@dataclass(frozen=True)
+class LoopMargins:
+    """One loop: where it is ``broken``, its ``margins`` there, and -3 dB [rad/s] and least damped pole when closed.
+
+    ``bandwidth`` is None where the loop follows nothing or its answer never falls; ``velocity_error`` has the margins
+    there where they are others than at the plant input, as of a law with its proportional part on the velocity alone;
+    ``continuous`` the same loop in its limit of ever faster sampling.
+    """
+
+    broken: str
+    margins: Margins
+    bandwidth: float | None
+    natural_frequency: float | None
+    damping: float | None
+    velocity_error: Margins | None = None
+    continuous: LoopMargins | None = None
+
+    @property
+    def stable(self) -> bool:
+        """Whether the closed loop is stable, by its poles."""
+        return self.margins.stable
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contract's keys, and what stands beside them."""
+        margins = self.margins
+        document = {
+            "stable": margins.stable,
+            "broken": self.broken,
+            "crossover": margins.crossover,
+            "phase_margin_deg": margins.phase_margin_deg,
+            "gain_margin": margins.gain_margin,
+            "gain_reduction_margin": margins.gain_reduction_margin,
+            "delay_margin": margins.delay_margin,
+            "disk_margin": margins.disk_margin,
+            "bandwidth": self.bandwidth,
+            "natural_frequency": self.natural_frequency,
+            "damping": self.damping,
+        }
+        if self.velocity_error is not None:
+            document["velocity_error"] = self.velocity_error.to_dict()
+        if self.continuous is not None:
+            document["continuous"] = self.continuous.to_dict()
+        return document
+
+
+Loops = dict[str, LoopMargins | None]
+
+
+@dataclass(frozen=True)
+class ControllerMargins:
+    """The ``loops`` of the controller of ``axis`` by name, None for those it does not have.
+
+    ``others`` are the same on the other machines that were asked about, each after what it has different from the axis;
+    ``velocity`` [m/s] is where the effects are linearised.
+    """
+
+    axis: Axis
+    loops: Loops
+    others: tuple[tuple[Mapping[str, Any], Loops], ...] = ()
+    velocity: float = 0.1
+    warnings: tuple[str, ...] = field(default=(), repr=False)
+
+    @cached_property
+    def worst(self) -> NestedLoop:
+        """The loop that the controller stands or falls with, on whichever machine."""
+        return worst_loop(
+            NestedLoop(f"{name} loop", loop.broken, loop.margins, where)
+            for where, loops in (({}, self.loops), *self.others)
+            for name, loop in loops.items()
+            if loop is not None
+        )
+
+    @property
+    def stable(self) -> bool:
+        """Whether every loop is stable, on every machine."""
+        return self.worst.margins.stable
+
+    @property
+    def reason(self) -> str:
+        """Why the controller should not run, in one line; empty where every loop is stable."""
+        return "" if self.stable else f"the {loop_in_words(self.worst)} of the axis file's controller is unstable"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contract's ``margins --json``."""
+        document: dict[str, Any] = {
+            "axis": self.axis.name,
+            "controller": self.axis.controller.kind,
+            "velocity": self.velocity,
+            "stable": self.stable,
+            "worst_loop": self.worst.to_dict(),
+            "loops": _plain(self.loops),
+        }
+        if self.others:
+            document["range"] = [{"where": dict(where), "loops": _plain(loops)} for where, loops in self.others]
+        if not self.stable:
+            document["reason"] = self.reason
+        return {**document, "warnings": list(self.warnings)}
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (f"{name} loop", *(value if loop.stable else "unstable" for value in _row(loop)))
+            for name, loop in self.loops.items()
+            if loop is not None
+        ]
+        heads = ("loop", "phase margin [deg]", "crossover [rad/s]", "gain margin", "bandwidth [rad/s]", "damping")
+        verdict = "stable" if self.stable else "UNSTABLE"
+        return table(f"{self.axis.name}: its controller is {verdict}", rows, heads, missing="unbounded")
+
+
+def _row(loop: LoopMargins) -> tuple[float | None, ...]:
+    margins = loop.margins
+    return margins.phase_margin_deg, margins.crossover, margins.gain_margin, loop.bandwidth, loop.damping
+
+
+def _plain(loops: Loops) -> dict[str, Any]:
+    return {name: None if loop is None else loop.to_dict() for name, loop in loops.items()}
+
+
+def controller_margins(
+    axis: Axis, mismatch: float | None = None, load: LoadRange | None = None, velocity: float = 0.1
+) -> ControllerMargins:
+    """Return crossover, margins, bandwidth and damping of each loop of the controller of ``axis`` and of the whole.
+
+    ``mismatch``: the same at every corner of that relative error of mass, viscous friction and force gain; ``load``:
+    over a :class:`~emps_design.control.velocity.load_range.LoadRange`. ``velocity`` [m/s]: where the effects of the
+    axis are linearised; an axis with effects is looked at in the other direction too. Raises
+    :class:`~emps_design.errors.AxisError` where the axis has no controller.
+
+    >>> from emps_design.axis import Axis
+    >>> servo = Axis(mechanics={"mass": 0.74944, "viscous": 10.556, "coulomb": 0.0}, drive={"force_gain": 1.0},
+    ...              sampling={"period": 1e-3}, controller={"kind": "p", "kp": 250.0})
+    >>> found = controller_margins(servo).loops
+    >>> found["velocity"], round(found["whole"].margins.phase_margin_deg, 1)
+    (None, 41.3)
+    >>> round(found["whole"].continuous.natural_frequency, 2), round(found["whole"].continuous.damping, 3)
+    (18.26, 0.386)
+    """
+    errors = None if mismatch is None else relative_mismatch(mismatch)
+    here, *others = cases_of(axis, velocity, load, errors)
+    plant = _plant(here)
+    return ControllerMargins(
+        axis,
+        loops_around(axis, plant, velocity, continuous=True),
+        tuple((case.where, loops_around(axis, _plant(case), case.velocity)) for case in others),
+        velocity,
+        plant.linear.warnings,
+    )
+
+
+def _plant(case: Case) -> SampledPlant:
+    plant = sample_axis(case.axis, case.velocity)
+    return plant.delayed(case.delay) if case.delay else plant
+
+
+def loops_around(axis: Axis, plant: SampledPlant, velocity: float = 0.1, continuous: bool = False) -> Loops:
+    """The loops of the controller of ``axis``, by the names :data:`LOOPS`, around a ``plant`` that may be another's."""
+    found: Loops = dict.fromkeys(LOOPS)
+    for name, (follows, law) in _laws(axis, float(np.sign(velocity))).items():
+        limit = _continuous(ContinuousLoop.of(law, axis, plant), plant, name, follows) if continuous else None
+        found[name] = _sampled(law(plant.period), plant, name, follows, limit)
+    return found
+
+
+def _laws(axis: Axis, direction: float) -> dict[str, tuple[str, LawAt]]:
+    """What each loop follows, and its law at any period; a position is followed by an error alone."""
+    period = axis.sampling.period
+    law, kind = law_of(axis, period), get_law(axis.controller.kind)
+    found: dict[str, tuple[str, LawAt]] = {}
+
+    def whole(h: float) -> LinearLaw:
+        return linear_law(law_of(axis, h), h, direction)
+
+    if kind.loops is not None:
+        for _, table in kind.loops(table_of(axis)):
+
+            def inner(h: float, table: Any = table) -> LinearLaw:
+                return linear_law(kind.law(table, axis, h), h, direction)
+
+            follows = kind.law(table, axis, period).follows
+            found[follows] = follows, inner
+    elif law.follows == "velocity":
+        found["velocity"] = law.follows, whole
+    elif law.follows == "position":
+        hears_the_error_alone = not _hears(_velocity_alone(whole(period)))
+        if law.state_feedback and not hears_the_error_alone:
+            found["velocity"] = "", lambda h: _velocity_alone(whole(h))
+        if law.state_feedback or hears_the_error_alone:
+            found["position"] = law.follows, whole
+    return {**found, "whole": (law.follows, whole)}
+
+
+def _velocity_alone(form: LinearLaw) -> LinearLaw:
+    """``form`` of a law of position error and velocity, with the position error held: what brakes is left."""
+    B, D = form.B.copy(), form.D.copy()
+    for columns in (B, D):
+        columns[..., _POSITION] += columns[..., _REFERENCE]
+        columns[..., _REFERENCE] = 0.0
+    size = np.abs(form.D[..., _POSITION])
+    D[..., _POSITION] = np.where(np.abs(D[..., _POSITION]) < 1e-12 * size, 0.0, D[..., _POSITION])
+    return replace(form, B=B, D=D)
+
+
+def _hears(form: LinearLaw) -> bool:
+    """Whether a law answers to a position."""
+    return bool(np.any(form.D[..., _POSITION]) or np.any(form.used()))
+
+
+def _sampled(
+    form: LinearLaw, plant: SampledPlant, name: str, follows: str, continuous: LoopMargins | None
+) -> LoopMargins:
+    loop = close(plant, form, plant_input=True)
+    at_error = name == "position"
+    margins = at_position_error(plant, form) if at_error else at_plant_input(plant, form)
+    grid = plant.frequencies(peaks=law_peaks(form, plant.period))
+    rate = loop.cycle * plant.period
+    bandwidth = _minus_3_db(_closed(loop, plant, follows), grid) if margins.stable and follows in FOLLOWED else None
+    error = None
+    if name == "velocity" and follows == "velocity" and margins.stable:
+        error = _other(margins, loop_margins(_velocity_error(loop, form, plant), grid, True, plant.period))
+    poles = loop.poles[np.abs(loop.poles) > 1e-9]
+    return LoopMargins(
+        POSITION_ERROR if at_error else PLANT_INPUT,
+        margins,
+        bandwidth,
+        *_least_damped(np.log(poles.astype(complex)) / rate, margins.crossover, bandwidth),
+        error,
+        continuous,
+    )
+
+
+FOLLOWED = ("position", "velocity", "")  # and by the last the velocity loop alone, whose error is at the plant input
+
+
+def _closed(loop: SampledLoop, plant: SampledPlant, follows: str) -> Callable[[np.ndarray], np.ndarray]:
+    """What the closed loop makes of its reference: the position, or the velocity as the law estimates it."""
+
+    def velocity(w: np.ndarray) -> np.ndarray:
+        return loop.response(w, "voltage", "reference") * plant.response(w)
+
+    def position(w: np.ndarray) -> np.ndarray:
+        z = np.exp(1j * np.asarray(w) * plant.period)
+        return loop.response(w, "mean_velocity", "reference") * plant.period / (z - 1.0)
+
+    def alone(w: np.ndarray) -> np.ndarray:
+        gain = loop.loop_gain(w)
+        return gain / (1.0 + gain)
+
+    return {"velocity": velocity, "position": position}.get(follows, alone)
+
+
+def _velocity_error(loop: SampledLoop, form: LinearLaw, plant: SampledPlant) -> Callable[[np.ndarray], np.ndarray]:
+    """The sampled loop of a law that follows a velocity, broken at the velocity error."""
+
+    def response(w: np.ndarray) -> np.ndarray:
+        z = np.exp(1j * np.asarray(w) * plant.period)
+        ahead = transfer(form.A, form.B[:, _REFERENCE], form.C, form.D[_REFERENCE], z) * plant.response(w)
+        return ahead / (1.0 + loop.loop_gain(w) - ahead)
+
+    return response
+
+
+def _continuous(loop: ContinuousLoop, plant: SampledPlant, name: str, follows: str) -> LoopMargins:
+    grid, poles = loop.frequencies(plant), loop.poles
+    stable = bool(np.all(poles.real <= MARGINAL * np.abs(poles)))
+    at_error = name == "position"
+    broken = loop.at_position_error if at_error else loop.at_plant_input
+    margins = _bounded(loop_margins(lambda w: broken(1j * w), grid, stable))
+
+    def closed(w: np.ndarray) -> np.ndarray:
+        s = 1j * np.asarray(w)
+        if not follows:
+            return loop.at_plant_input(s) / (1.0 + loop.at_plant_input(s))
+        return loop.followed(s) * (s if follows == "velocity" else 1.0)
+
+    error = None
+    if name == "velocity" and follows == "velocity" and stable:
+        error = _other(margins, _bounded(loop_margins(lambda w: loop.at_velocity_error(1j * w), grid, True)))
+    bandwidth = _minus_3_db(closed, grid) if stable and follows in FOLLOWED else None
+    return LoopMargins(
+        POSITION_ERROR if at_error else PLANT_INPUT,
+        margins,
+        bandwidth,
+        *_least_damped(poles, margins.crossover, bandwidth),
+        error,
+    )
+
+
+def _bounded(margins: Margins) -> Margins:
+    """``margins`` without a gain margin that is none: what crosses so far up is rounding."""
+    far = margins.gain_margin is not None and margins.gain_margin > MOST_GAIN
+    return replace(margins, gain_margin=None, gain_margin_frequency=None) if far else margins
+
+
+def _other(margins: Margins, error: Margins) -> Margins | None:
+    """``error`` where these are other margins than ``margins``."""
+    both = [(getattr(margins, name), getattr(error, name)) for name in ("phase_margin_deg", "crossover")]
+    alike = all(a is None or b is None or math.isclose(a, b, rel_tol=1e-6) for a, b in both)
+    return None if alike else error
+
+
+def _least_damped(poles: np.ndarray, *frequencies: float | None) -> tuple[float | None, float | None]:
+    """Natural frequency [rad/s] and damping of the pole of ``poles`` (n,) [1/s] that is damped least.
+
+    Poles far above the ``frequencies`` [rad/s] of the loop, those that are known, do not count; of real ones the
+    slowest does.
+
+    >>> found = _least_damped(np.array([-20.0, -3.0 + 4.0j, -3.0 - 4.0j, -90.0 + 500.0j]), 6.0)
+    >>> [round(x, 6) for x in found], _least_damped(np.array([-4.0, -1.0]), None)
+    ([5.0, 0.6], (1.0, 1.0))
+    """
+    known = [w for w in frequencies if w is not None]
+    near = [pole for pole in poles if pole and (not known or abs(pole) <= FAR * max(known))]
+    pole = complex(min(near or poles, key=lambda one: (round(-one.real / abs(one), 9), abs(one)), default=0.0))
+    return (abs(pole), -pole.real / abs(pole)) if pole else (None, None)
+
+
+def _minus_3_db(response: Callable[[np.ndarray], np.ndarray], grid: np.ndarray) -> float | None:
+    """First frequency [rad/s] at which a closed ``response`` has fallen to -3 dB of what it is at rest; None: never."""
+    grid = further_down(grid)
+    size = np.abs(response(grid))
+    level = MINUS_3_DB * size[0]
+    below = np.flatnonzero(size < level)
+    if not below.size or not level:
+        return None
+    low, high = np.log(grid[below[0] - 1]), np.log(grid[below[0]])
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        if abs(response(np.exp(np.array([middle])))[0]) < level:
+            high = middle
+        else:
+            low = middle
+    return float(np.exp(0.5 * (low + high)))

@@ -1,0 +1,59 @@
+"""What is said about a record, from documents of every kind."""
+
+import pytest
+
+from emps_design.advice import advise
+
+WORDS = ("diagnose", "r.npz", "--axis", "a.toml")
+
+
+@pytest.mark.parametrize(
+    ("verdict", "confirmed", "level"),
+    [
+        ("nothing-missing", None, "safe"),
+        ("parameters-only", None, "safe"),
+        ("named", {"share": 1.0, "std": 0.1}, "safe"),
+        ("named", None, "caution"),
+        ("partly-named", {"share": 1.0, "std": 0.1}, "caution"),
+        ("ambiguous", {"share": 1.0, "std": 0.1}, "caution"),
+        ("unnamed", None, "caution"),
+    ],
+)
+def test_only_what_was_confirmed_or_complete_is_safe(verdict, confirmed, level):
+    named = verdict not in ("nothing-missing", "parameters-only", "unnamed")
+    findings = [{"label": "friction that falls with speed", "confirmed": confirmed}] if named else []
+    document = {"verdict": verdict, "findings": findings, "warnings": [], "experiment": None}
+    found = advise("diagnose", document, WORDS, "a.toml", ["r.npz"])
+    assert found.level == level
+    assert found.next == "emps-design diagnose r.npz --axis a.toml --out diagnosis"
+
+
+def test_an_experiment_that_was_written_is_tried_next():
+    document = {"verdict": "ambiguous", "findings": [], "warnings": [], "experiment": {"file": "experiment.csv"}}
+    found = advise("diagnose", document, (*WORDS, "--out", "d"), "a.toml", ["r.npz"])
+    assert found.next == "emps-design simulate d/model.toml --reference d/experiment.csv"
+
+
+LAW = {"controller": {"kind": "p", "kp": 2.0}, "verdict": "told", "reason": "", "equivalents": [], "warnings": []}
+
+
+@pytest.mark.parametrize(
+    ("more", "level"),
+    [
+        ({}, "safe"),
+        ({"controller": None, "verdict": "not told", "reason": "the reference stands still"}, "caution"),
+        ({"verdict": "ambiguous", "equivalents": [{}]}, "caution"),
+        ({"warnings": ["the records disagree on kp"]}, "caution"),
+    ],
+)
+def test_a_law_is_safe_where_it_alone_explains_the_record(more, level):
+    assert advise("law", {**LAW, **more}).level == level
+
+
+@pytest.mark.parametrize("value", [2.0, None])
+def test_an_identification_with_a_warning_names_diagnose(value):
+    document = {"record": "r.npz", "axis": "a", "parameters": {"mass": {"value": value}}, "warnings": []}
+    assert advise("identify", document).level == ("safe" if value else "caution")
+    said = advise("identify", {**document, "warnings": ["38 % of the force is left"]})
+    assert (said.level, said.text) == ("caution", "38 % of the force is left")
+    assert said.next == "emps-design diagnose r.npz --axis a"
