@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from emps_design.advice import Advice, advise, advise_on_error
+from emps_design.cli.output import show
 from emps_design.cli.wording import at_hand, in_command, in_words
-from emps_design.errors import EmpsError, printable
+from emps_design.errors import EmpsError
 
 
 def add_advice(
@@ -33,7 +34,7 @@ def _in_flags(found: Advice) -> Advice:
     return Advice(found.level, in_command(found.text), found.next)
 
 
-def say_advice(found: dict[str, Any] | Advice) -> None:
-    """Print the advice, that of a document or one by itself, as one line on standard output."""
-    advice = found if isinstance(found, Advice) else Advice(**found["advice"])
-    print(printable(str(Advice(advice.level, in_words(advice.text), advice.next))))
+def say_advice(document: dict[str, Any]) -> None:
+    """Print the advice of ``document`` as one line on standard output."""
+    advice = Advice(**document["advice"])
+    show(str(Advice(advice.level, in_words(advice.text), advice.next)))

@@ -12,7 +12,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from emps_design.cli import interrupts
-from emps_design.cli.advice import advice_on_error, say_advice
+from emps_design.cli.advice import advice_on_error
 from emps_design.cli.interrupts import STATUS as INTERRUPTED
 from emps_design.cli.output import print_json, tell
 from emps_design.cli.wording import begin
@@ -62,21 +62,17 @@ def run(arguments: list[str]) -> int:
     except EmpsError as error:
         if debug:
             raise
-        unfit = isinstance(error, SpecificationError | UnstableError | SimulationError)
-        advice = advice_on_error(error) if unfit else None
-        if as_json and unfit:
+        if as_json and isinstance(error, SpecificationError | UnstableError | SimulationError):
             print_json(
                 {
                     "error": type(error).__name__,
                     "reason": str(error),
                     "nearest": getattr(error, "nearest", {}),
                     "warnings": [str(error)],
-                    "advice": advice,
+                    "advice": advice_on_error(error),
                 }
             )
         tell(error)
-        if advice is not None and not as_json:
-            say_advice(advice)
         return error.exit_code
     except BrokenPipeError:
         _print_nowhere()  # the reader of our output has left (`| head`)

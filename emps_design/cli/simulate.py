@@ -258,6 +258,8 @@ def _rows(document: dict[str, Any], units: dict[str, str], before: tuple[str, ..
             "effort",
             "headline",
             "reason",
+            "advice",
+            "worst_loop",
         ):
             continue
         if isinstance(value, dict):

@@ -68,7 +68,9 @@ def test_every_option_that_asks_for_a_frequency(line, key, tmp_path, capsys, mon
     found = []
     for asked in (words, [plain.get(word, word) for word in words]):
         assert run([*asked, "--json", "--force"] if "report" in line else [*asked, "--json"]) in (0, 4)
-        found.append(json.loads(capsys.readouterr().out))
+        document = json.loads(capsys.readouterr().out)
+        document.get("advice", {}).pop("next", None)  # repeats the words as they were given
+        found.append(document)
     assert found[0] == found[1]
     assert run([*words[:-1], "10Hx"]) == 2
     assert f"'{key}': frequency: found '10Hx', expected a number of" in capsys.readouterr().err
