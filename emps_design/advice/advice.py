@@ -16,7 +16,7 @@ GRAVE = re.compile(  # words of a warning beside which no design is safe
 )
 HARMLESS = re.compile(  # warnings about a record that speak against nothing that was found in it
     r"f_ext acts on the simulated carriage|by output error, for the measured motion is noise|lines left out"
-    r"|no Kalman observer|simulated in open loop from the recorded"
+    r"|no Kalman observer|simulated in open loop from the recorded|fitted anew on the confirming record"
 )
 PROPOSED = {  # what `nearest` proposes -> the option that asks for it
     "crossover": "crossover", "bandwidth": "bandwidth", "phase_margin_deg": "phase_margin",
