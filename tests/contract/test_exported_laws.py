@@ -176,7 +176,7 @@ CASCADE = {"kind": "cascade", "velocity": {"kp": 40.0, "ti": 0.05, "form": "ip"}
 COMPENSATED = {
     "rigid": {},
     "velocity": {"controller": CASCADE},
-    "limited": {"controller": {**CASCADE, "position": {"kp": 30.0}}, "drive": {"command_limit": 3.0}},
+    "limited": {"controller": {**CASCADE, "position": {"kp": 6.0}}, "drive": {"command_limit": 2.0}},
     "several": {"effects": EFFECTS_HERE[:4]},
     "itself": {"effects": [EFFECTS_HERE[4]]},
     "late": {"effects": [EFFECTS_HERE[5], EFFECTS_HERE[7]]},
