@@ -10,7 +10,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.loop.nested import nested_loops
-from emps_design.control.loop.worst import worst_loop
+from emps_design.control.loop.worst import loop_in_words, worst_loop
 from emps_design.errors import InputError, SimulationError
 from emps_design.notebook import table
 from emps_design.observer import motor_force
@@ -236,8 +236,9 @@ class Followed:
     warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Tracking error, largest numbers, events."""
+        """Tracking error, largest numbers, events; a ``reason`` where a loop is unstable that the limit holds."""
         run, limit = self.run, self.axis.drive.command_limit
+        worst = worst_loop(nested_loops(self.axis))
         error = run.q_ref - run.position
         return {
             "scenario": "reference",
@@ -250,10 +251,11 @@ class Followed:
                 "force": float(np.abs(run.force).max()),
             },
             "saturated_share": float(np.mean(np.abs(run.u) >= limit)),
-            "worst_loop": worst_loop(nested_loops(self.axis)).to_dict(),
+            "worst_loop": worst.to_dict(),
             "units": {"tracking_error": "m", "velocity": "m/s", "voltage": "V", "force": "N"},
             "run": run.to_dict(),
             "warnings": list(self.warnings),
+            **({} if worst.margins.stable else {"reason": f"the {loop_in_words(worst)} is unstable; only limits hold it"}),
         }
 
 

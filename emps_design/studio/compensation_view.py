@@ -7,19 +7,22 @@ from io import BytesIO
 
 import panel as pn
 
+from emps_design.advice import advise
 from emps_design.axis import Axis
 from emps_design.compensation import Compensation, compensate
 from emps_design.compensation.feedforward import terms_of
 from emps_design.compensation.study import ON_ERROR
 from emps_design.errors import EmpsError
 from emps_design.progress import Progress
+from emps_design.report.advice import LEVELS
 from emps_design.report.compensation import tracking_figure
+from emps_design.report.display import sentence_of
 from emps_design.report.page import inline
 from emps_design.report.style import labelled, svg
 from emps_design.studio.exports import designed, drive_zip, follows
 from emps_design.studio.files_view import BUTTON
 from emps_design.studio.jobs import Job
-from emps_design.studio.panes import html, message, numbers
+from emps_design.studio.panes import html, judgement, message, numbers
 from emps_design.studio.state import State
 
 FOLDER = "emps-design-drive.zip"
@@ -123,13 +126,15 @@ class CompensationView:
         said_above = tuple(f"{name} is not compensated" for name in found.not_compensated)
         more = [line for line in found.warnings if not line.startswith(said_above)]
         more += [f"{ON_ERROR.capitalize()}."] * bool(found.feedforward.terms)
-        self._say(
+        advice = advise("compensate", found.to_dict())
+        text = (
             f"Tracking error rms {found.without:.3g} {found.unit} without, {found.achieved:.3g} with what is kept "
             f"({ratio:,.0f} times less), {found.worst:.3g} with every parameter wrong; controller: "
-            f"{self.controller.value}, {found.axis.controller.kind.replace('_', ' ')}.",
-            "good" if found.worst < found.without else "warning",
-            "".join(f"<br>{inline(line)}" for line in (*more, *(one["advice"] for one in found.feedback))),
+            f"{self.controller.value}, {found.axis.controller.kind.replace('_', ' ')}."
         )
+        lines = (text, *more, *(one["advice"] for one in found.feedback))
+        shown = "".join(f"<br>{inline(line)}" for line in lines)
+        self.message.object = self._axis.units.text(judgement(sentence_of(advice.text), LEVELS[advice.level][0], shown))
         heads = ("term", f"alone [{found.unit}]", "all but it", "all, it wrong", "")
         rows = [
             (term.name.replace("_", " "), *map(_written, (term.alone, term.left_out, term.worst)),

@@ -14,12 +14,13 @@ from emps_design.identification.chains import CHAINS, DEFAULT_CHAIN
 from emps_design.records import Record
 from emps_design.records.layout import NAMED, Assignment
 from emps_design.records.mapping import ColumnMap
-from emps_design.report.display import quantity
+from emps_design.report.advice import LEVELS
+from emps_design.report.display import quantity, sentence_of
 from emps_design.report.page import inline
 from emps_design.studio.axis_file import AxisFile
 from emps_design.studio.columns_view import ColumnsView
 from emps_design.studio.jobs import Job
-from emps_design.studio.panes import blocks, html, message
+from emps_design.studio.panes import blocks, html, judgement, message
 from emps_design.studio.record_work import CLOSEST_MODEL, NAMED_MODEL, WORK
 from emps_design.studio.state import FRICTIONS, State
 
@@ -345,7 +346,9 @@ class DataView:
         self._say(message, "stop")
 
     def _done(self, found: dict[str, Any]) -> None:
-        self._say(found["text"], found.get("level", "good"))
+        advice, summary = found["advice"], inline(found["text"])
+        level = LEVELS[advice.level][0]
+        self.message.object = self._own(judgement(sentence_of(advice.text), level, f"<br>{summary}"))
         self.result.object = found["html"]
         self.model = found.get("model")
         self.take.disabled = self.model is None

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from emps_design.advice import SAFE, advise
 from emps_design.errors import EmpsError, InputError
 from emps_design.progress import Progress
-from emps_design.report.display import quantity
+from emps_design.report.advice import LEVELS
+from emps_design.report.display import quantity, sentence_of
 from emps_design.studio.state import State
 
 if TYPE_CHECKING:
@@ -50,7 +52,10 @@ class Motion:
                 f" The axis's own controller follows more closely: {quantity(in_place['rms'], 'm')} rms, "
                 f"{quantity(in_place['largest'], 'm')} at most."
             )
-        return ("warning" if clipped or worse else "good"), text
+        advice = advise("simulate", found)
+        if advice.level != SAFE:
+            text = f"{sentence_of(advice.text)} {text}"
+        return ("warning" if worse and advice.level == SAFE else LEVELS[advice.level][0]), text
 
     def rows(self) -> list[tuple[str, ...]]:
         """Numbers of each run, a row each, after the row of heads."""

@@ -15,7 +15,7 @@ from emps_design.report.style import labelled, svg
 from emps_design.studio.controls import Field, after_this_event
 from emps_design.studio.jobs import Job
 from emps_design.studio.motion import Motion, move
-from emps_design.studio.panes import html, message, numbers
+from emps_design.studio.panes import html, judgement, message, numbers
 from emps_design.studio.state import FEEDFORWARDS, State
 
 MOTIONS = {"There and back": "there and back", "A file of mine": "file", "The record's reference": "record"}
@@ -115,7 +115,7 @@ class MotionView:
         self.found, units = found, found.state.axis.units
         drawn = svg(labelled(motion_figure(found.runs), units), "motion")  # before the words that stand over it
         level, text = found.verdict()
-        self.message.object = units.text(message(text, level, "".join(f"<br>{inline(one)}" for one in found.notes)))
+        self.message.object = units.text(judgement(text, level, "".join(f"<br>{inline(one)}" for one in found.notes)))
         heads, *rows = ([inline(cell) for cell in row] for row in found.rows())
         self.table.object = units.text(numbers(heads, rows))
         self.picture.object = drawn

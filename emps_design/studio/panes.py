@@ -9,6 +9,7 @@ from typing import Any
 
 import panel as pn
 
+from emps_design.report.advice import LEVELS
 from emps_design.report.page import inline
 
 STYLE = """
@@ -43,6 +44,16 @@ def message(text: str, level: str, more: str = "") -> str:
     """Return ``text`` as the HTML of a message, ``stop`` read out at once by screen readers; ``more`` is HTML."""
     role = "alert" if level == "stop" else "status"
     return f'<div class="message {level}" role="{role}">{inline(text)}{more}</div>'
+
+
+def judgement(text: str, level: str, more: str = "") -> str:
+    """Return the message on a result as HTML: what to do with it first, then ``text``, which says why.
+
+    >>> judgement("The loop is unstable.", "stop")
+    '<div class="message stop" role="alert"><b>Do not run this.</b> The loop is unstable.</div>'
+    """
+    title = dict(LEVELS.values())[level]
+    return message("", level, f"<b>{title}</b> {inline(text)}{more}")
 
 
 def numbers(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from emps_design.advice import Advice, advise
 from emps_design.axis import Axis
 from emps_design.progress import of_part
 from emps_design.records import Record
@@ -22,6 +23,11 @@ def _blocks(units: Units, *blocks: Any) -> str:
     text = Page("", "", (), (Section("Result", *blocks),), units=units).html()
     start = text.index("</h2>", text.index('<section id="result">')) + len("</h2>")
     return text[start : text.index("</section>", start)]
+
+
+def _advice(name: str, found: Any, record: Record, axis: Axis) -> Advice:
+    """What to do with what the command ``name`` would find in ``record``."""
+    return advise(name, found.to_dict(), axis=axis.name, records=[record.name])
 
 
 def identify_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
@@ -42,7 +48,7 @@ def identify_work(record: Record, axis: Axis, options: Options, progress: Callab
         "text": f"Identified: {values}; force error {quantity(found.rms_error, 'N')} rms{judged_on}.",
         "html": _blocks(axis.units, *identification_blocks(found, axis)),
         "model": found.to_axis(name=f"{axis.name.split(' from ')[0]} from {record.name}") if complete else None,
-        "level": "good" if complete else "warning",
+        "advice": _advice("identify", found, record, axis),
     }
 
 
@@ -58,6 +64,7 @@ def observe_work(record: Record, axis: Axis, options: Options, progress: Callabl
     return {
         "text": f"Observed with {axis.name}: forces below {quantity(least, 'N', 3)} cannot be told from errors.",
         "html": _blocks(axis.units, *observation_blocks(found)),
+        "advice": _advice("observe", found, record, axis),
     }
 
 
@@ -74,7 +81,7 @@ def law_work(record: Record, axis: Axis, options: Options, progress: Callable) -
         "text": f"Law {found.verdict}: {found.in_words or found.reason}.",
         "html": _blocks(axis.units, *law_blocks(found)),
         "model": None if table is None else Axis.from_dict({**axis.to_dict(), "controller": table, "name": name}, name),
-        "level": "good" if found.verdict == "told" else "warning",
+        "advice": _advice("law", found, record, axis),
     }
 
 
@@ -92,14 +99,14 @@ def response_work(record: Record, axis: Axis, options: Options, progress: Callab
         "text": f"Response at {len(found.response)} lines by the {found.instrument}: {compared.agreement.sentence}.",
         "html": _blocks(axis.units, *response_blocks(compared, found.spectral_ratio)),
         "model": chain.on(axis).replace(name=f"{axis.name} with the response of {record.name}"),
-        "level": "warning" if found.all_warnings else "good",
+        "advice": _advice("frf", found, record, axis),
     }
 
 
 def diagnose_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
     """Find where ``record`` and ``axis`` disagree; return the page's summary and the model that was sought."""
     from emps_design.discrepancy import diagnose
-    from emps_design.report.diagnosis import VERDICTS, diagnosis_page, typeset
+    from emps_design.report.diagnosis import diagnosis_page, typeset
 
     found = diagnose(
         record,
@@ -117,7 +124,7 @@ def diagnose_work(record: Record, axis: Axis, options: Options, progress: Callab
         "text": typeset(document.get("sentence", document["verdict"])),
         "html": _blocks(axis.units, *shown),
         "model": model.replace(name=f"{axis.name} diagnosed on {record.name}"),
-        "level": VERDICTS[document["verdict"]][0],
+        "advice": _advice("diagnose", found, record, axis),
     }
 
 

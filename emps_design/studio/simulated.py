@@ -42,7 +42,8 @@ class Simulated:
             f"the worst of {self.study.corners} corners and {state.plants} random plants is {self._worst_in_words}."
         )
         if self.wall.verdict not in ("bouncing", "unstable") and self.wall_poles_stable:
-            return ("good" if worst in ("stable", "dead_band") else "stop"), text
+            creeps = "warning" if worst in ("creeping", "no_motion") else "stop"
+            return ("good" if worst in ("stable", "dead_band") else creeps), text
         poles = "" if self.wall_poles_stable else ", where the poles of the loop are unstable"
         return "stop", f"{text} Pushed into the wall of {state.wall:g} N/mm it is {self.wall.verdict}{poles}."
 

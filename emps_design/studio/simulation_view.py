@@ -11,7 +11,7 @@ from emps_design.report.page import inline
 from emps_design.report.style import labelled, svg
 from emps_design.studio.controls import Field, after_this_event
 from emps_design.studio.jobs import Job
-from emps_design.studio.panes import html, message
+from emps_design.studio.panes import html, judgement, message
 from emps_design.studio.simulated import Simulated, simulate
 from emps_design.studio.state import State
 
@@ -94,7 +94,7 @@ class SimulationView:
             return
         level, text = found.verdict()
         units = found.state.axis.units
-        self.message.object = units.text(message(text, level))
+        self.message.object = units.text(judgement(text, level))
         rows = "".join(
             f"<tr><th>{inline(name)}</th><td><b>{inline(value)}</b></td></tr>" for name, value in found.rows()
         )

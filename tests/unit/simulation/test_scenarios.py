@@ -215,3 +215,12 @@ def test_an_arm_that_falls_by_itself_has_no_break_away():
     assert (found.forward, found.backward) == (None, None)
     assert found.to_dict()["static_friction"] is None
     assert "leaves without a push" in found.warnings[0]
+
+
+def test_a_loop_that_only_the_limit_holds_is_unstable():
+    """Position gain 30 1/s around a velocity loop of 15 rad/s: the limit of 3 V keeps the swing bounded."""
+    loop = {"kind": "cascade", "position": {"kp": 30.0}, "velocity": {"kp": 40.0, "ti": 0.05, "form": "ip"}}
+    axis = AXIS.replace(controller=loop, drive={"command_limit": 3.0})
+    found = follow(axis, 0.1 * (1.0 - np.cos(3e-3 * np.arange(1000)))).to_dict()
+    assert found["reason"] == "the position loop is unstable; only limits hold it"
+    assert "reason" not in follow(axis.replace(controller={**loop, "position": {"kp": 5.0}}), np.zeros(10)).to_dict()

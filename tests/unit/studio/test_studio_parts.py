@@ -18,6 +18,7 @@ import pytest
 pytest.importorskip("panel", reason="the extra 'studio' is not installed")
 
 from emps_design import discrepancy
+from emps_design.advice import Advice
 from emps_design.axis import Axis
 from emps_design.cli.app import run
 from emps_design.control.position import PositionLoopDesign
@@ -229,7 +230,7 @@ def test_a_refused_upload_takes_the_record_before_it_away():
     axis = machine("emps2019")
     record = synthetic_record(axis, laps=1)
     view = DataView(lambda: {axis.name: axis}, axis.name, state, lambda *turn: None, lambda axis: None, record)
-    view._done({"text": "Identified", "html": "<p>result</p>", "model": axis})
+    view._done({"advice": Advice("safe", "as known"), "text": "Identified", "html": "<p>result</p>", "model": axis})
     assert not view.take.disabled
     view.drop.value = {"empty.csv": b"t,q\n0,0\n"}
     assert view.record is None
@@ -249,7 +250,7 @@ def test_a_result_goes_when_a_choice_that_it_read_is_another():
 
     def found(work):
         view._work = work
-        view._done({"text": "found", "html": "<p>result</p>", "model": axis})
+        view._done({"advice": Advice("safe", "as known"), "text": "found", "html": "<p>result</p>", "model": axis})
 
     found("Identify")
     view.filter.value = "paper"
@@ -259,6 +260,19 @@ def test_a_result_goes_when_a_choice_that_it_read_is_another():
     assert "result" in view.result.object  # the observer has no filter to choose
     view.machine.value = other.name
     assert (view.result.object, view.model, view.record) == ("", None, record)
+
+
+@pytest.mark.parametrize(
+    ("level", "shown"), [("safe", "good"), ("caution", "warning"), ("do-not-run", "stop")], ids=lambda one: one
+)
+def test_a_result_of_a_record_begins_with_what_to_do_with_it(level, shown):
+    axis = machine("emps2019")
+    view = DataView(lambda: {axis.name: axis}, axis.name, state, lambda *turn: None, lambda axis: None)
+    view._done({"advice": Advice(level, "the model leaves 14 %"), "text": "mass 3 kg", "html": "", "model": None})
+    said = view.message.object
+    assert f'class="message {shown}"' in said
+    title = level.replace("-", " ").capitalize()
+    assert said.index(f"<b>{title}") < said.index("The model leaves 14 %") < said.index("mass 3 kg")
 
 
 def test_a_motion_along_a_record_goes_with_that_record():
@@ -342,7 +356,7 @@ def test_a_pinned_design_that_cannot_be_is_refused_and_nothing_changes():
 def test_a_simulation_has_traces_the_wall_and_a_verdict(task):
     stages = []
     found = simulate(state(task=task, plants=0), lambda stage, share: stages.append(stage))
-    assert found.verdict()[0] == "stop"
+    assert found.verdict()[0] == "warning"
     assert "corners and 0 random plants is creeping" in found.verdict()[1]
     rows = dict(found.rows())
     assert rows["pushed into a wall of 10 N/mm"].startswith("at rest, at most ")

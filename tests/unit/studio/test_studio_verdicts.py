@@ -140,8 +140,8 @@ def test_a_gap_that_no_effect_explains_is_no_good_news(monkeypatch):
     record = synthetic_record(axis.replace(effects=[ripple]), laps=1)
     assert sought(record, axis, library=()).to_dict()["verdict"] == "unnamed"
     found = diagnose_work(record, axis, {"sought": NAMED_MODEL}, untold)
-    assert found["level"] == "warning"
-    assert diagnose_work(RECORD, axis, {"sought": NAMED_MODEL}, untold)["level"] == "good"
+    assert found["advice"].level == "caution"
+    assert diagnose_work(RECORD, axis, {"sought": NAMED_MODEL}, untold)["advice"].level == "safe"
 
 
 def test_a_wall_that_is_bounced_off_for_ever_stops_a_law_that_is_stable_in_the_air():
