@@ -27,7 +27,7 @@ from emps_design.identification.request import (
     BY_OUTPUT_ERROR,
     Request,
 )
-from emps_design.identification.result import Identification
+from emps_design.identification.result import Estimate, Identification
 from emps_design.laws import NONE
 from emps_design.records import Record
 
@@ -100,16 +100,23 @@ def _auto(record: Record, axis: Axis, request: Request) -> Identification:
     if len(record) > LONG:
         said = f"{LONG} samples are the most that least squares is tested on; a part of the record says if it is biased"
         return replace(plain, warnings=(*plain.warnings, said))
+    from emps_design.identification.instruments import WEAK_INSTRUMENT, solve_with_instruments
+
     try:
-        led = _by_instruments(record, axis, request)
+        fit = solve_with_instruments(record, axis, request.model, request.cutoff, request.external_force)
+        hidden = [name for name, one in plain.parameters.items() if _by_noise(one, WEAK_INSTRUMENT)]
+        led = fit.identification() if hidden or fit.test.matters else None
     except (EmpsError, np.linalg.LinAlgError) as error:  # no simulation with this controller follows the record
         return replace(plain, warnings=(*plain.warnings, f"{UNTESTED}: {error}"))
-    tried = _where_noise_hides(record, axis, request, plain, led)
+    tried = None if led is None else _where_noise_hides(record, axis, request, hidden, led)
     if tried is not None:
         return _judged(tried, request)
-    weaker = any(one.determined and not led.parameters[name].determined for name, one in plain.parameters.items())
-    if weaker or not led.extra["hausman_test"]["bias_matters"]:
-        return replace(plain, extra=plain.extra | {"hausman_test": led.extra["hausman_test"]})
+    if (
+        led is None
+        or not fit.test.matters
+        or any(one.determined and not led.parameters[name].determined for name, one in plain.parameters.items())
+    ):
+        return replace(plain, extra=plain.extra | {"hausman_test": fit.test.to_dict()})
     return _judged(replace(led, warnings=(*led.warnings, *_weakly_led(led))), request)
 
 
@@ -143,10 +150,9 @@ def _judged(found: Identification, request: Request) -> Identification:
 
 
 def _where_noise_hides(
-    record: Record, axis: Axis, request: Request, plain: Identification, led: Identification
+    record: Record, axis: Axis, request: Request, hidden: list[str], led: Identification
 ) -> Identification | None:
     """Output error where it alone determines what noise hides, and agrees with ``led`` on the rest; else None."""
-    hidden = [name for name in led.parameters if _by_noise(plain, name) and _by_noise(led, name)]
     if not hidden:
         return None
     try:
@@ -166,9 +172,9 @@ def _where_noise_hides(
     return replace(found, extra=extra, warnings=(*found.warnings, said))
 
 
-def _by_noise(found: Identification, name: str) -> bool:
-    one = found.parameters[name]
-    return not one.determined and one.reliability is not None and one.reliability < WEAK_RELIABILITY
+def _by_noise(one: Estimate, weakest: float) -> bool:
+    """Whether noise in its column hides the parameter from an estimator that needs ``weakest`` of it explained."""
+    return not one.determined and one.reliability is not None and one.reliability < weakest
 
 
 def _weakly_led(found: Identification) -> list[str]:

@@ -70,6 +70,47 @@ class HausmanTest:
         }
 
 
+@dataclass(frozen=True)
+class InstrumentalFit:
+    """The fit by instruments ``Z`` (n, p) of a simulation ``led`` by the reference, beside least squares ``start``.
+
+    The test costs little; deviations and intervals are made by :meth:`identification` alone.
+    """
+
+    problem: Problem
+    start: LeastSquares
+    fit: LeastSquares
+    Z: np.ndarray
+    led: Record
+    test: HausmanTest
+
+    def identification(self) -> Identification:
+        """The fit with its statistics, and what the encoder's steps and other cut-offs do to it."""
+        problem, fit, Z = self.problem, self.fit, self.Z
+        record, axis, model = problem.record, problem.axis, problem.model
+
+        def of_steps(seen: Record, exact: Record) -> np.ndarray:
+            again = problem.alike(seen)
+            return _solved(_columns(exact, again), again).value
+
+        def at(frequency: float) -> Estimated:
+            other = Problem.of(record, axis, model, cutoff=frequency)
+            columns = _columns(self.led, other)
+            found = _solved(columns, other)
+            return Estimated(found.value, residual_statistics(other, found, columns)[0].std)
+
+        own = Estimated(fit.value, residual_statistics(problem, fit, Z)[0].std)
+        errors = Errors(
+            encoder=error_of_steps(first_part(record), axis, model, fit.value, of_steps),
+            cutoff=cutoff_sensitivity(problem.names, own, problem.filtered.band_hz, record.period, at),
+        )
+        extra = {
+            "least_squares": dict(zip(problem.names, map(float, self.start.value), strict=True)),
+            "hausman_test": self.test.to_dict(),
+        }
+        return assemble(problem, fit, "instrumental_variables", Z, errors, notes(axis), extra, WEAK_INSTRUMENT)
+
+
 def identify_with_instruments(
     record: Record,
     axis: Axis,
@@ -89,6 +130,13 @@ def identify_with_instruments(
     >>> round(found.parameters["mass"].value, 0), found.extra["hausman_test"]["bias_matters"]
     (95.0, False)
     """
+    return solve_with_instruments(record, axis, model, cutoff, external_force).identification()
+
+
+def solve_with_instruments(
+    record: Record, axis: Axis, model: str, cutoff: float | None, external_force: str
+) -> InstrumentalFit:
+    """Iterate simulation and instruments until they settle; arguments as of :func:`identify_with_instruments`."""
     if axis.controller.kind == NONE:
         raise AxisError(f"{axis.name}: instruments need the controller of the record; give [controller] in the axis")
     axis = axis.supplied_by(record)
@@ -106,28 +154,8 @@ def identify_with_instruments(
         value = fit.value
         if change < SETTLED:
             break
-
-    def of_steps(seen: Record, exact: Record) -> np.ndarray:
-        again = problem.alike(seen)
-        return _solved(_columns(exact, again), again).value
-
-    def at(frequency: float) -> Estimated:
-        other = Problem.of(record, axis, model, cutoff=frequency)
-        columns = _columns(led, other)
-        found = _solved(columns, other)
-        return Estimated(found.value, residual_statistics(other, found, columns)[0].std)
-
     test = hausman_test(problem, Z, float(np.max(np.abs(value - start.value) / spread.std)))
-    own = Estimated(value, residual_statistics(problem, fit, Z)[0].std)
-    errors = Errors(
-        encoder=error_of_steps(first_part(record), axis, model, value, of_steps),
-        cutoff=cutoff_sensitivity(problem.names, own, problem.filtered.band_hz, record.period, at),
-    )
-    extra = {
-        "least_squares": dict(zip(problem.names, map(float, start.value), strict=True)),
-        "hausman_test": test.to_dict(),
-    }
-    return assemble(problem, fit, "instrumental_variables", Z, errors, notes(axis), extra, WEAK_INSTRUMENT)
+    return InstrumentalFit(problem, start, fit, Z, led, test)
 
 
 def _led(record: Record, axis: Axis, model: str, value: np.ndarray) -> Record:

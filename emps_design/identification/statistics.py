@@ -219,7 +219,10 @@ def _model(autocovariance: np.ndarray, order: int, n: int) -> np.ndarray:
 
 def _convolve(model: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Product of the Toeplitz matrix of ``model`` with ``columns`` (n, p), without the matrix."""
-    from scipy.signal import oaconvolve
+    from scipy.fft import irfft, next_fast_len, rfft
 
-    kernel, rows = np.concatenate([model[:0:-1], model]), slice(len(model) - 1, len(model) - 1 + len(columns))
-    return np.column_stack([oaconvolve(column, kernel)[rows] for column in columns.T])
+    size = next_fast_len(len(columns) + len(model) - 1, real=True)  # so much that the circle does not close
+    kernel = np.zeros(size)
+    kernel[: len(model)] = model
+    kernel[size - len(model) + 1 :] = model[:0:-1]
+    return irfft(rfft(kernel)[:, None] * rfft(columns, size, axis=0), size, axis=0)[: len(columns)]

@@ -227,6 +227,9 @@ def _held(most: float, peak: float) -> str:
     )
 
 
+HELD = "is unstable; only limits hold it"
+
+
 @dataclass(frozen=True)
 class Followed:
     """A reference of one's own, followed in closed loop."""
@@ -255,7 +258,7 @@ class Followed:
             "units": {"tracking_error": "m", "velocity": "m/s", "voltage": "V", "force": "N"},
             "run": run.to_dict(),
             "warnings": list(self.warnings),
-            **({} if worst.margins.stable else {"reason": f"the {loop_in_words(worst)} is unstable; only limits hold it"}),
+            **({} if worst.margins.stable else {"reason": f"the {loop_in_words(worst)} {HELD}"}),
         }
 
 

@@ -20,7 +20,8 @@ def raw(path: Path, machine: str) -> dict[str, np.ndarray]:
     start = next(i for i, line in enumerate(lines) if line[:4] in ("Zeit", "time"))
     between = ";" if machine == "gantry" else ","
     titles = [title.partition(" [")[0] for title in lines[start].split(between)]
-    table = np.array([[float(cell.replace(",", ".")) for cell in line.split(between)] for line in lines[start + 1 :]])
+    cells = (line.replace(",", ".") if between == ";" else line for line in lines[start + 1 :])
+    table = np.loadtxt(cells, delimiter=between)
     return dict(zip(titles, table.T, strict=True))
 
 
@@ -30,7 +31,7 @@ def test_a_servo_export_is_read_to_its_last_digit(folder):
     axis, machine = Axis.load(folder / "axis.toml"), folder.name.partition("-")[0]
     names = {"gantry": ("Lageistwert", "Lagesollwert", "Momentensollwert"), "joint": ("pos_deg", "ref_deg", "cmd_A")}
     unit = {"gantry": 1e-3, "joint": np.pi / 180}[machine]
-    for part in ("train", "holdout"):
+    for part in ("train", "holdout") if "-none-" in folder.name else ("holdout",):  # written by one program
         record = import_record(folder / f"{part}.csv", axis)
         columns = raw(folder / f"{part}.csv", machine)
         assert record.period == axis.sampling.period
