@@ -39,6 +39,14 @@ def sketched(monkeypatch):
     monkeypatch.setattr("emps_design.report.page.svg", lambda figure, key="": "<svg></svg>")
 
 
+@pytest.fixture
+def no_walls(monkeypatch):
+    """Impedance laws that are pressed against no wall, which takes longest: for tests of everything else."""
+    from emps_design.comanipulation.assessment import ImpedanceAssessment
+
+    monkeypatch.setattr(ImpedanceAssessment, "walls", {})
+
+
 @pytest.fixture(scope="session")
 def emps_data() -> Path:
     """Folder with DATA_EMPS.mat and DATA_EMPS_PULSES.mat."""

@@ -49,7 +49,7 @@ DOCUMENTS = {
         "relative_error_percent.force",
     ),
     "comanipulation": (
-        "simulate --scenario comanipulation",
+        "simulate --scenario comanipulation --plants 5",
         "verdict transparency.apparent_mass transparency.apparent_damping transparency.r2 transparency.error "
         "seed plants",
     ),
@@ -206,7 +206,7 @@ def test_gains_that_cannot_be_met_exit_3_with_the_nearest(capsys):
 CASCADE = {"kind": "cascade", "position": {"kp": 120.0, "every": 4}, "velocity": {"kp": 600.0, "ti": 0.05}}
 
 
-def test_gains_say_what_becomes_of_the_position_loop_around_them(capsys, tmp_path):
+def test_gains_say_what_becomes_of_the_position_loop_around_them(capsys, tmp_path, sketched):
     """It was made for a faster velocity loop: margins where it is stable, and nothing is written where it is not."""
     axis, out = tmp_path / "axis.toml", tmp_path / "out.toml"
     axis.write_text(machine("emps2019").replace(controller=CASCADE).to_toml())

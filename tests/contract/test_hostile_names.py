@@ -99,16 +99,16 @@ def test_control_characters(capsys, tmp_path, name):
         Axis.from_dict({**machine("emps2019").to_dict(), "name": name}, "a.toml")
     assert str(told.value).isprintable()
     path = tmp_path / f"{name}.npz"
-    synthetic_record(machine("emps2019"), laps=1).save(path)
-    for more in ([], ["--json"]):
-        out = run(capsys, "identify", path, *more)
+    synthetic_record(machine("emps2019"), laps=1, stroke=0.03, speed=0.15).save(path)
+    for line in (["simulate", "--scenario", "replay", "--record", path], ["import", path, "--json"]):
+        out = run(capsys, *line)
         assert all(c.isprintable() or c == "\n" for c in out)
 
 
-def test_names_that_are_no_text(capfdbinary, tmp_path):
+def test_names_that_are_no_text(capfdbinary, tmp_path, sketched):
     """A name on Linux is bytes; those that are no UTF-8 come as lone surrogates."""
     path = tmp_path / "r\udcff.npz"
-    synthetic_record(machine("emps2019"), laps=1).save(path)
+    synthetic_record(machine("emps2019"), laps=1, stroke=0.03, speed=0.15).save(path)
     axis = tmp_path / "a\udcff.toml"
     axis.write_text(machine("emps2019").to_toml())
     out = tmp_path / "o\udcff.html"

@@ -1,10 +1,10 @@
-"""How the fuzzing runs: 150 inputs each, always the same, with the tests; EMPS_DESIGN_FUZZ of them by `make fuzz`."""
+"""How the fuzzing runs: 60 inputs each, always the same, with the tests; EMPS_DESIGN_FUZZ of them by `make fuzz`."""
 
 import os
 
 from hypothesis import HealthCheck, settings
 
-EXAMPLES = int(os.environ.get("EMPS_DESIGN_FUZZ", "150"))
+EXAMPLES = int(os.environ.get("EMPS_DESIGN_FUZZ", "60"))
 
 fuzz = settings(
     max_examples=EXAMPLES,

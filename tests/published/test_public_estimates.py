@@ -20,7 +20,7 @@ def read(record, axis):
 
 @pytest.mark.parametrize(
     ("axis", "name"),
-    [("axis_law.toml", "law"), pytest.param("axis.toml", "none", marks=pytest.mark.slow("looks for the law"))],
+    [("axis_law.toml", "law"), pytest.param("axis.toml", "none", marks=pytest.mark.study("looks for the law"))],
 )
 def test_steps_of_a_proportional_loop(axis, name):
     """0.71 kg by output error in free run; least squares at 200 Hz, as it was chosen, gave 0.24."""

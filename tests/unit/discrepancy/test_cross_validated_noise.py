@@ -59,6 +59,7 @@ def test_an_effect_without_a_start_is_said_not_to_be_looked_for():
     assert rows[-1]["text"].startswith("not looked for")
 
 
+@pytest.mark.study("a whole diagnosis")
 def test_physics_without_a_name_is_no_noise_either():
     # A force that depends on position and velocity together, as no effect of the library does.
     q_ref = multi_sine(5)

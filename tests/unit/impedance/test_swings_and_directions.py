@@ -14,6 +14,7 @@ from emps_design.control.impedance.sampled import Clock, sampled_loop
 from emps_design.machines import machine
 from tests.studies import quick
 
+pytestmark = pytest.mark.usefixtures("no_walls")
 AXIS = machine("emps2018")
 JOINT = AXIS.replace(
     motion="rotary",

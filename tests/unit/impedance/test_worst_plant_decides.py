@@ -27,6 +27,7 @@ def belt(tmp_path_factory):
     return str(path)
 
 
+@pytest.mark.usefixtures("no_walls")
 @pytest.mark.parametrize("command", [("impedance",), ("simulate", "--scenario", "comanipulation")], ids="-".join)
 def test_five_unstable_plants_of_five_exit_4(command, belt, capsys):
     """The poles are stable, with exact estimates and at every corner: only the simulation has the encoder."""
@@ -45,6 +46,7 @@ def test_five_unstable_plants_of_five_exit_4(command, belt, capsys):
     assert run_task(BELT, law, fitted_task(BELT, law)).verdict not in SWINGS
 
 
+@pytest.mark.usefixtures("no_walls")
 def test_the_law_that_is_proposed_passes_where_the_other_failed():
     nearest = assess_impedance(BELT, 5.0, 60.0, 0.02, plants=0).nearest
     again = assess_impedance(BELT, nearest["mass"], nearest["damping"], 0.02, nearest["filter"], plants=100, seed=3)
@@ -80,6 +82,7 @@ def test_a_creep_that_the_encoder_ends_is_none(resolution, ended):
     assert any("makes the released carriage creep" in text for text in found.to_dict()["warnings"]) != ended
 
 
+@pytest.mark.usefixtures("no_walls")
 @pytest.mark.parametrize(("name", "mass"), [("emps2019", 190.2178), ("emps2018", 231.463)])
 def test_twice_the_mass_is_singular_in_the_printed_law_alone(name, mass, capsys):
     assert run(["impedance", name, "--mass", str(mass), "--damping", "500", "--json"]) == 0
