@@ -28,7 +28,7 @@ from emps_design.simulation.synthetic import trapezoid_laps
 from tests.studies import quick
 
 AXIS = machine("emps2019")
-Q_REF = trapezoid_laps(1e-3, stroke=0.1, speed=0.2, laps=3)
+Q_REF = trapezoid_laps(1e-3, stroke=0.06, speed=0.2, laps=3)
 SHORT = tuple(
     get_effect(name)
     for name in ("stribeck_friction", "actuator_delay", "actuator_lag", "elastic_force", "controller_disturbance")
