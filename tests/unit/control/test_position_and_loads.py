@@ -159,7 +159,7 @@ def test_the_command(capsys, tmp_path):
     assert [one["name"] for one in found["position_loop"]["loops"]] == ["velocity loop", "position loop", "whole loop"]
     assert len(found["load_range"]["points"]) == 3
     assert run(["gains", str(tmp_path / "out.toml"), "--crossover", "60"]) == 0
-    assert run("gains --crossover 60 --structure pi --position-bandwidth 10".split()) == 0
+    assert run(["gains", "--crossover", "60", "--structure", "pi", "--position-bandwidth", "10"]) == 0
     assert "Following error" in capsys.readouterr().out
     assert run(["gains", "--crossover", "60", "--inertia-range", "5"]) == 2
     assert "--inertia-range: found '5', expected LOW:HIGH" in capsys.readouterr().err
