@@ -96,6 +96,7 @@ def load_fits(axis, records, **options):
     return whole, free_run_fit(axis, PENDULUM, np.array([*whole[:8], 1.0, 0.0]), records, **options)
 
 
+@pytest.mark.study("fits of eight records in free run")
 def test_a_pendulum_on_a_servo_needs_friction_that_grows_with_the_load(pendulum):
     """Fitted at gains 100 and 400, judged at 200; published parameter sets leave 60 to 82 mrad."""
     axis, records = pendulum

@@ -54,6 +54,7 @@ def test_an_effect_comes_back_with_the_baseline():
     assert fitted.std(0, 0) < 1e-4
 
 
+@pytest.mark.study("a search that many fits share")
 def test_play_is_found_where_a_descent_along_slopes_ends_in_a_dent():
     """Whether a descent ends in one depends on the last digit, and so on the processor: one of two does.
 

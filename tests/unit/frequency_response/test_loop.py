@@ -187,6 +187,7 @@ def test_rates_too_far_apart_and_lines_beyond_nyquist_are_refused():
         law_response(law, F, 1e-3)
 
 
+@pytest.mark.slow("a retuning on data, twice")
 def test_gains_on_a_response(tmp_path, capsys):
     axis, path = two_mass(), tmp_path / "two.csv"
     (tmp_path / "axis.toml").write_text(axis.to_toml())

@@ -8,6 +8,7 @@ from emps_design.errors import RecordError
 from emps_design.frequency_response import estimate_response
 from emps_design.frequency_response.response import BAND
 from emps_design.machines import machine
+from tests.studies import quick
 from tests.unit.frequency_response.cases import exact, passes, run
 
 SECONDS = 20
@@ -34,7 +35,7 @@ def inside(found, axis):
     return np.abs(response.response / exact(axis, response.frequency) - 1.0) <= BAND * response.std
 
 
-@pytest.mark.parametrize("method", ["linear", "logarithmic"])
+@pytest.mark.parametrize("method", quick(["linear", "logarithmic"], 1, "the other sweep"))
 def test_a_sweep(method):
     axis = machine("emps2019")
     found = estimate_response(record_of(axis, sweep(method), 1.0, np.random.default_rng(3)), axis)

@@ -131,6 +131,7 @@ def test_the_worse_direction_of_motion_counts():
     assert contact_map(law, plant, clock, stiffness, np.zeros(1)).stable.tolist() == [[True, False]]
 
 
+@pytest.mark.study("the nearest law that works on two masses")
 def test_an_unstable_loop_has_no_wall_and_no_passivity():
     document = assess_impedance(COUPLED, 50.0, 100.0).to_dict()
     assert not document["sampled"]["stable"]

@@ -160,6 +160,7 @@ def test_the_steppers_cache_depends_on_every_file_it_is_built_from():
         assert dispatcher._cache._cache_file._source_stamp == hashlib.sha256(content).digest()
 
 
+@pytest.mark.study("compiles in a process of its own")
 def test_nowhere_to_write_a_cache_is_no_obstacle():
     code = """
         import numpy as np
