@@ -49,7 +49,8 @@ _SPELLINGS = {
     "°": "deg", "degree": "deg", "grad": "deg", "°/s": "deg/s", "dps": "deg/s", "radian": "rad", "turn": "rev",
     "turn/s": "rev/s", "sec": "s", "second": "s", "msec": "ms", "usec": "us", "percent": "%", "pct": "%", "inch": "in",
     "count": COUNTS, "inc": COUNTS, "1/min": "rpm", "u/min": "rpm", "min-1": "rpm", "min^-1": "rpm", "rev/min": "rpm",
-    "1": "", "-": "", "none": "", "volt": "V", "ampere": "A", "amp": "A", "newton": "N",
+    "r/min": "rpm", "tr/min": "rpm", "min⁻¹": "rpm", "1": "", "-": "", "none": "", "volt": "V", "ampere": "A",
+    "amp": "A", "newton": "N",
 }  # fmt: skip
 
 # quantities of a linear axis -> of a rotary one
@@ -84,7 +85,7 @@ _CODE = re.compile(
 def spelled(unit: str) -> str:
     """Return a unit as this package writes it, whatever it is a unit of; one that is not known comes back as it is.
 
-    >>> spelled("µm"), spelled("Nm"), spelled("N.m"), spelled("°"), spelled("1/min"), spelled("RPM"), spelled("sec")
+    >>> spelled("µm"), spelled("Nm"), spelled("N.m"), spelled("°"), spelled("1/min"), spelled("r/min"), spelled("sec")
     ('um', 'N m', 'N m', 'deg', 'rpm', 'rpm', 's')
     """
     text = " ".join(str(unit).split()).replace("µ", "u").replace("μ", "u")

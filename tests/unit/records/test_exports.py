@@ -225,6 +225,17 @@ def test_optional_columns_are_kept_and_come_back(tmp_path):
     assert part.f_ext is None
 
 
+@pytest.mark.parametrize("unit", ["r/min", "rpm", "1/min", "U/min", "min-1", "rev/min"])
+def test_revolutions_a_minute_however_they_are_written(unit):
+    titled = "\n".join(["t;q;q_ref;u;Motor speed [" + unit + "]", *rows(T, Q, Q_REF, U, 60 * T)])
+    plain = titled.replace(f" [{unit}]", "")
+    turning = Units("rotary")
+    by_table = read(plain, {"velocity": {"column": "Motor speed", "unit": unit}}, units=turning)
+    by_title = read(titled, {"velocity": {"column": "Motor speed"}}, units=turning)
+    for record in (by_table, by_title):
+        np.testing.assert_allclose(record.velocity, 2 * np.pi * T, atol=1e-6)
+
+
 def test_a_reference_may_be_absent_where_no_controller_needs_one():
     text = "\n".join(["t;q;u;vset", *rows(T, Q, U, np.gradient(Q_REF, T))])
     columns = {"reference": {"column": "q_ref"}, "velocity_reference": {"column": "vset", "unit": "m/s"}}
