@@ -98,6 +98,15 @@ def spelled(unit: str) -> str:
     return word if word in _KNOWN else text
 
 
+def is_unit(text: str) -> bool:
+    """Whether ``text`` is a unit of any column of a record, or says that there is none.
+
+    >>> is_unit("r/min"), is_unit("Nm"), is_unit("-"), is_unit("Torque")
+    (True, True, True, False)
+    """
+    return spelled(text) in _KNOWN
+
+
 @dataclass(frozen=True)
 class Units:
     """The units of one axis: its ``motion``, the kind of its ``command``, and what that is counted in.

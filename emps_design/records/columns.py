@@ -108,6 +108,15 @@ def title_unit(text: str) -> tuple[str, str]:
     return (head, spelled(tail)) if head and spelled(tail) in (*TAILS, *LETTERS) else (plain, "")
 
 
+def column_titles(name: str, count: int) -> list[str]:
+    """The titles of ``count`` columns of a matrix called ``name``, which has none itself.
+
+    >>> column_titles("data", 3)
+    ['data:0', 'data:1', 'data:2']
+    """
+    return [f"{name}:{k}" for k in range(count)]
+
+
 def listed(titles: Sequence[str]) -> str:
     """The ``titles`` of a file, as a message lists them."""
     return ", ".join(_shorten(text) for text in titles[:12]) or "none"

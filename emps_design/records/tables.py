@@ -1,4 +1,4 @@
-"""Text tables as drives export them: ; , or tab, decimal point or comma, a preamble, comments, several encodings."""
+"""Text tables as drives export them: ; , tab or space, decimal point or comma, a preamble, comments, encodings."""
 
 from __future__ import annotations
 
@@ -14,7 +14,16 @@ import numpy as np
 
 from emps_design.errors import RecordError, one_line
 from emps_design.records.check import CUT
-from emps_design.records.header import COMMENT, LOOKED_AT, Choice, find_header, number, split
+from emps_design.records.header import (
+    COMMENT,
+    LOOKED_AT,
+    SPACE,
+    Choice,
+    find_header,
+    is_comment,
+    number,
+    split,
+)
 from emps_design.records.layout import LONGEST
 from emps_design.records.scope import is_scope, read_scope, scope_titles
 
@@ -67,7 +76,9 @@ def table_titles(file: BinaryIO, source: str) -> list[str]:
         head = list(islice((line[:LONGEST_LINE] for line in text), LOOKED_AT))
     finally:
         text.detach()
-    return list(scope_titles(head, source) if is_scope(head) else find_header(head, lambda titles: [], source).titles)
+    return list(
+        scope_titles(head, source) if is_scope(head) else find_header(head, lambda titles: titles, source).titles
+    )
 
 
 def read_plain_table(content: bytes, source: str, expected: str, needed: Collection[str] = ()) -> dict[str, np.ndarray]:
@@ -175,15 +186,16 @@ def _parse(
     rows: list[str], delimiter: str, wanted: list[int], titles: list[str], source: str, first_row: int
 ) -> np.ndarray:
     """Numbers of the ``wanted`` columns, shape (rows, wanted); the slow way is for naming the cell that is wrong."""
-    longer = delimiter != " " and max(row.count(delimiter) for row in rows) >= len(titles)
-    if not longer and not any('"' in row or row[0] == COMMENT or not row.strip() for row in rows):
+    between = None if delimiter == SPACE else delimiter
+    longer = max(len(row.split()) - 1 if between is None else row.count(between) for row in rows) >= len(titles)
+    if not longer and not any('"' in row or is_comment(row) or not row.strip() for row in rows):
         decimal_comma = delimiter != "," and any("," in row for row in islice(rows, 100))
         points = (row.replace(",", ".") for row in rows) if decimal_comma else rows
         with suppress(ValueError):  # a cell is no number, or a decimal comma comes late: cell by cell finds it
-            return np.loadtxt(points, delimiter=delimiter, comments=None, usecols=wanted, ndmin=2)
+            return np.loadtxt(points, delimiter=between, comments=None, usecols=wanted, ndmin=2)
     table, filled = np.empty((len(rows), len(wanted))), 0
     for i, row in enumerate(rows):
-        if row[0] == COMMENT:
+        if is_comment(row):
             continue
         cells = split(row, delimiter)
         if any(cell.strip() for cell in cells[len(titles) :]):

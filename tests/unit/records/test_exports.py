@@ -70,6 +70,66 @@ def test_units_on_a_line_of_their_own_and_titles_in_a_comment():
     assert same(read("\n".join(["# Time [ms];Actual position [mm];Set position [mm];Set torque [%]", *body])))
 
 
+@pytest.mark.parametrize("between", [";", ",", "\t", "  "])
+def test_units_below_the_titles_and_plainer_titles_beside_them(between):
+    """A servo tool writes Time over ms, but Analog 1 over what that is."""
+    head = [
+        "Axis1",
+        f"Number of data{between}400",
+        between.join(["Time", "Analog 1", "Analog 2", "Analog 3", "Analog 4"]),
+    ]
+    plainer = between.join(["ms", "Motor speed", "Actual position", "Set position", "Torque"])
+    body = rows(1e3 * T, 60 * T, Q, Q_REF, U, between=between)
+    columns = {
+        "time": {"column": "Time"},
+        "velocity": {"column": "Motor speed", "unit": "r/min"},
+        "position": {"column": "Actual position", "unit": "rad"},
+        "reference": {"column": "Set position", "unit": "rad"},
+        "command": {"column": "Torque"},
+    }
+    turning = Units("rotary", "torque", "%")
+    record = read("\n".join([*head, plainer, *body]), columns, units=turning)
+    assert same(record)
+    assert [one.title for one in record.assigned][:2] == ["Time [ms]", "Set position"]
+    by_place = {key: {**one, "column": f"Analog {k}"} for k, (key, one) in enumerate(columns.items())}
+    by_place["time"] = {"column": "Time", "unit": "ms"}
+    assert same(read("\n".join([*head, plainer, *body]), by_place, units=turning))
+
+
+@pytest.mark.parametrize("mark", ["# ", "#", "% ", "// "])
+def test_what_savetxt_writes(mark):
+    head = [
+        f"{mark}bench 3, measured on a Friday",
+        f"{mark}Time [ms] Actual position [mm]  Set position [mm] Set torque [%]",
+    ]
+    assert same(read("\n".join([*head, *rows(1e3 * T, 1e3 * Q, 1e3 * Q_REF, U, between=" ")])))
+    plain = [f"{mark}t q q_ref u", f"{mark}ms mm mm -"]
+    assert same(read("\n".join([*plain, *rows(1e3 * T, 1e3 * Q, 1e3 * Q_REF, U, between=" ")])))
+
+
+def test_a_table_between_spaces_with_a_preamble_decimal_commas_and_comments():
+    head = ["Test bench 4", "rate 1000 Hz", "", "   Time       Actual position   Set position   Set torque"]
+    units = "    [ms]       [mm]              [mm]           [%]"
+    body = [f"   {row}" for row in rows(1e3 * T, 1e3 * Q, 1e3 * Q_REF, U, between="     ", comma=True)]
+    assert same(read("\n".join([*head, units, *body[:200], "# half-way", *body[200:]])))
+    with pytest.raises(RecordError, match="row 12, column 'Actual position .mm.': found 'x', expected a number"):
+        read("\n".join([*head, units, *body[:6], "0 x 0 0", *body[6:]]))
+
+
+def test_a_table_without_titles_is_mapped_by_place():
+    columns = {
+        "time": {"column": "data:0", "unit": "ms"},
+        "position": {"column": "data:1", "unit": "mm"},
+        "reference": {"column": "data:2", "unit": "mm"},
+        "command": {"column": "data:3"},
+    }
+    body = rows(1e3 * T, 1e3 * Q, 1e3 * Q_REF, U, between=" ")
+    assert same(read("\n".join(body), columns))
+    assert same(read("\n".join(["# measured on a Friday at four", *body]), columns))
+    with pytest.raises(RecordError, match="row 1: found numbers, expected a header .* columns data:0, data:1"):
+        read("\n".join(body))
+
+
 def test_counts_scale_and_sign():
     header = "Takt;Lageistwert [inc];Lagesollwert [mm];Momentensollwert [%]"
     text = "\n".join([header, *rows(np.arange(N), -Q / ENCODER, 1e3 * Q_REF, U / 10)])
