@@ -232,8 +232,8 @@ def _such_as(name: str, layout: Layout) -> str:
 def _lacking(
     lacking: list[str], found: dict[str, Assignment], titles: Sequence[str], layout: Layout, source: str
 ) -> str:
-    expected = (
-        f"t [s], q_ref [{layout.unit('q')}], q [{layout.unit('q')}], u [{layout.unit('u')}] (or the EMPS names t, "
-        "qg, qm, vir)"
-    )
-    return f"{source}: missing column {', '.join(lacking)}; found {listed(titles)}; expected {expected}"
+    reference = f"q_ref [{layout.unit('q')}], " if layout.reference_needed else ""
+    expected = f"t [s], {reference}q [{layout.unit('q')}], u [{layout.unit('u')}] (or the EMPS names t, qg, qm, vir)"
+    place = next((title for title in titles if title.endswith(":1")), "")
+    hint = f'; the columns of a matrix are for [record] to name: position = {{ column = "{place}" }}' if place else ""
+    return f"{source}: missing column {', '.join(lacking)}; found {listed(titles)}; expected {expected}{hint}"

@@ -14,8 +14,8 @@ import numpy as np
 
 from emps_design.errors import InputError, RecordError, one_line
 from emps_design.records.archives import read_archive
-from emps_design.records.check import CUT, PLAIN, checked
-from emps_design.records.columns import RECORD
+from emps_design.records.check import CUT, PLAIN, SHORTEST, checked
+from emps_design.records.columns import NAMES, RECORD, column_titles
 from emps_design.records.layout import NAMED, Layout, assign
 from emps_design.records.matlab_v5 import is_v5, read_v5
 from emps_design.records.matlab_v73 import is_v73, read_v73
@@ -149,11 +149,28 @@ def _recognised(file: BinaryIO, name: str, source: str) -> tuple[bytes, str]:
 
 
 def _arrays(file: BinaryIO, kind: str, head: bytes, source: str, max_bytes: int) -> dict[str, np.ndarray]:
-    """The arrays of a binary file by name."""
+    """The arrays of a binary file by name, those of a matrix by name and place."""
     if kind == ".npz":
-        return read_archive(file, source, max_bytes)
+        return _columns(read_archive(file, source, max_bytes))
     reader = read_v5 if is_v5(head) and not is_v73(head) else read_v73
-    return {n: v for n, v in reader(file, source, max_bytes).items() if not n.startswith("__")}
+    return _columns({n: v for n, v in reader(file, source, max_bytes).items() if not n.startswith("__")})
+
+
+def _columns(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """``arrays`` with a matrix taken apart along its shorter side: its columns, however it lies in the file.
+
+    >>> sorted(_columns({"data": np.zeros((60, 2)), "gain": np.eye(3)}))
+    ['data:0', 'data:1', 'gain']
+    """
+    found: dict[str, np.ndarray] = {}
+    for name, values in arrays.items():
+        shape = values.shape
+        if name in NAMES or len(shape) != 2 or not 2 <= min(shape) < max(shape) >= SHORTEST:
+            found[name] = values
+            continue
+        columns = values if shape[1] > shape[0] else values.T
+        found |= dict(zip(column_titles(name, min(shape)), columns, strict=True))
+    return found
 
 
 def _kind(head: bytes) -> str:

@@ -12,6 +12,8 @@ from scipy.io import savemat
 
 from emps_design.errors import RecordError
 from emps_design.records import Record, read_record, record_from_bytes
+from emps_design.records.layout import Layout
+from emps_design.records.mapping import ColumnMap
 
 N = 200
 T = np.arange(N) * 1e-3
@@ -49,6 +51,26 @@ def test_mat_v5(tmp_path):
     assert same(read_record(tmp_path / "b.mat"))
     assert float(np.ravel(record.extra["gtau"])[0]) == 35.15
     assert len(record.sha256) == 64
+
+
+@pytest.mark.parametrize("flat", [False, True])
+@pytest.mark.parametrize("kind", ["v5", "v7.3", "npz"])
+def test_a_matrix_is_mapped_by_place(tmp_path, kind, flat):
+    """However it lies in the file; without a mapping the message says how to name its columns."""
+    table = np.column_stack([1e3 * T, Q, Q_REF, U])
+    table = table.T if flat else table
+    path = tmp_path / ("a.npz" if kind == "npz" else "a.mat")
+    if kind == "npz":
+        np.savez(path, data=table, Ts=1e-3)
+    elif kind == "v5":
+        savemat(path, {"data": table, "Ts": 1e-3, "gain": np.eye(3)})
+    else:
+        write_h5(path, data=table, Ts=1e-3)
+    keys = {"time": {"unit": "ms"}, "position": {}, "reference": {}, "command": {}}
+    columns = {key: {"column": f"data:{k}", **more} for k, (key, more) in enumerate(keys.items())}
+    assert same(read_record(path, layout=Layout(columns=ColumnMap.model_validate(columns))))
+    with pytest.raises(RecordError, match=r'missing column t, .*data:0, data:1.*position = . column = "data:1"'):
+        read_record(path)
 
 
 @pytest.mark.parametrize("userblock", [0, 512])
