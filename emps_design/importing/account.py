@@ -34,8 +34,7 @@ class Account:
     @property
     def encoder_step(self) -> float | None:
         """The step that the position moves in [m or rad], None where it shows none."""
-        q = self.record.q if self.record.measured is None else self.record.measured["q"]
-        return encoder_step(q)
+        return step_seen(self.record)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -111,6 +110,13 @@ class Account:
             "lowest": float(values.min()),
             "highest": float(values.max()),
         }
+
+
+def step_seen(record: Record) -> float | None:
+    """The step of the encoder [m or rad] that the position of ``record``, where it has one itself, moves in."""
+    if record.assigned and all(one.name != "q" for one in record.assigned):
+        return None
+    return encoder_step(record.q if record.measured is None else record.measured["q"])
 
 
 def encoder_step(q: np.ndarray) -> float | None:

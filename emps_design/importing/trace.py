@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from emps_design.errors import RecordError
-from emps_design.importing.account import encoder_step, record_table
+from emps_design.importing.account import record_table, step_seen
 from emps_design.records import Record, read_record
 from emps_design.records.columns import NAMES, title_unit
 from emps_design.records.layout import NAMED, Assignment, Layout
@@ -46,7 +46,7 @@ class Trace:
     @property
     def encoder_step(self) -> float | None:
         """The step of the encoder [m or rad] where the position shows one."""
-        return None if self.record is None else encoder_step(self.record.q)
+        return None if self.record is None else step_seen(self.record)
 
     @property
     def limit(self) -> float | None:

@@ -83,6 +83,12 @@ def checked(
         n = named["t"].size
         _fits(n, source, LONGEST)
     period = period or found
+    if "q" not in named:
+        named["q"] = _integral(named["velocity"], period)
+        if resampled is not None:
+            own = resampled.measured["t"]
+            resampled.measured["q"] = np.interp(own - own[0], named["t"], named["q"])
+        notes.append("q: not recorded; the integral of velocity from 0 stands for it")
     _moving(named, layout, source)
     if "q_ref" in named and resampled is None:
         nothing_lost(named["q"], named["q_ref"], named["t"], layout.unit("q"), source)
@@ -112,6 +118,18 @@ _NO_REFERENCE = {
     True: "q_ref: not recorded; the integral of velocity_reference from the first position stands for it",
     False: "q_ref: not recorded; q itself stands for it",
 }
+
+
+def _integral(velocity: np.ndarray, period: float) -> np.ndarray:
+    """The position (n,) from 0 on that ``velocity`` (n,) makes, by the trapezoidal rule.
+
+    >>> _integral(np.array([0.0, 2.0, 2.0]), 0.5).tolist()
+    [0.0, 0.5, 1.5]
+    """
+    q = np.zeros(velocity.size)
+    np.cumsum(velocity[1:] + velocity[:-1], out=q[1:])
+    q *= 0.5 * period
+    return q
 
 
 def _reference_from(named: dict[str, np.ndarray], period: float) -> np.ndarray:

@@ -96,7 +96,7 @@ def assign(titles: Sequence[str], layout: Layout, source: str) -> list[Assignmen
         found[title.name] = Assignment(title.name, text, title.unit, title.factor)
     if missing(found, layout):
         _recognise(found, titles, layout, source)
-    lacking = missing(found, layout)
+    lacking = [name for name in missing(found, layout) if name != "q" or "velocity" not in found]
     if lacking:
         raise RecordError(_lacking(lacking, found, titles, layout, source))
     return [found[name] for name in QUANTITIES if name in found]
@@ -130,7 +130,7 @@ def _all_mapped(titles: Sequence[str], layout: Layout, source: str) -> dict[str,
 
 
 def missing(found: dict[str, Assignment], layout: Layout) -> list[str]:
-    """The names of a record that have no column yet and need one."""
+    """The names of a record that have no column yet and need one; a velocity may do for a position."""
     needed = ["t", "q_ref", "q", "u"] if layout.reference_needed else ["t", "q", "u"]
     return [name for name in needed if name not in found and (name != "q_ref" or "velocity_reference" not in found)]
 
@@ -199,11 +199,14 @@ def _is_other_quantity(unit: str, layout: Layout) -> bool:
 def _recognise(found: dict[str, Assignment], titles: Sequence[str], layout: Layout, source: str) -> None:
     """Add to ``found`` what titles say in plain words; two that say the same are not chosen between."""
     free = [title for title in titles if title not in {one.title for one in found.values()}]
-    for name, candidates in meanings(free, layout.units).items():
+    meant, needed = meanings(free, layout.units), missing(found, layout)
+    if "q" in needed and not meant["q"]:
+        needed.append("velocity")
+    for name, candidates in meant.items():
         if name in found or not candidates:
             continue
         if len(candidates) > 1:
-            if name in missing(found, layout):
+            if name in needed:
                 raise RecordError(
                     f"{source}: columns {' and '.join(map(repr, candidates[:3]))} may each be {KEYS[name]}; "
                     f"say which in [record]: {KEYS[name]} = {{ column = ... }}"
@@ -214,7 +217,7 @@ def _recognise(found: dict[str, Assignment], titles: Sequence[str], layout: Layo
         factor = factor_of(unit, name, layout.units) if unit else None
         command = QUANTITIES[name] == "command"
         if factor is None and not (unit == "" and command):
-            if name in missing(found, layout):
+            if name in needed:
                 raise RecordError(
                     f"{source}: column {title!r}: found {f'the unit {unit}' if unit else 'no unit'}, expected "
                     f"{_such_as(name, layout)}; say in [record]: {KEYS[name]} = {{ column = ..., unit = ... }}"
@@ -233,7 +236,8 @@ def _lacking(
     lacking: list[str], found: dict[str, Assignment], titles: Sequence[str], layout: Layout, source: str
 ) -> str:
     reference = f"q_ref [{layout.unit('q')}], " if layout.reference_needed else ""
-    expected = f"t [s], {reference}q [{layout.unit('q')}], u [{layout.unit('u')}] (or the EMPS names t, qg, qm, vir)"
+    position = f"q [{layout.unit('q')}] or velocity [{layout.unit('velocity')}]"
+    expected = f"t [s], {reference}{position}, u [{layout.unit('u')}] (or the EMPS names t, qg, qm, vir)"
     place = next((title for title in titles if title.endswith(":1")), "")
     hint = f'; the columns of a matrix are for [record] to name: position = {{ column = "{place}" }}' if place else ""
     return f"{source}: missing column {', '.join(lacking)}; found {listed(titles)}; expected {expected}{hint}"

@@ -5,7 +5,7 @@ import pytest
 
 from emps_design.errors import AxisError, RecordError
 from emps_design.importing import import_bytes, import_record
-from emps_design.importing.account import record_table
+from emps_design.importing.account import Account, record_table
 from emps_design.machines import machine
 from emps_design.records import record_from_bytes
 from emps_design.records.check import PLAIN
@@ -309,6 +309,36 @@ def test_a_reference_may_be_absent_where_no_controller_needs_one():
     assert np.array_equal(record.q_ref, record.q)
     with pytest.raises(RecordError, match="reference: found no column 'q_ref'"):
         read(text, columns)
+
+
+SPEED = 0.6 * np.cos(6 * T)
+
+
+def test_a_velocity_without_a_position_is_integrated_and_said(tmp_path):
+    text = "\n".join(["Time [ms];Motor speed;Torque", *rows(1e3 * T, SPEED / (2 * np.pi / 60), U)])
+    turning = {"units": Units("rotary", "torque", "%"), "reference_needed": False}
+    columns = {"velocity": {"column": "Motor speed", "unit": "r/min"}}
+    record = read(text, columns, **turning)
+    np.testing.assert_allclose(record.q, 0.1 * np.sin(6 * T), atol=1e-6)
+    assert "q: not recorded; the integral of velocity from 0 stands for it" in record.warnings
+    assert Account(record, machine("emps2019")).encoder_step is None
+    record.save(tmp_path / "a.npz")
+    again = record_from_bytes((tmp_path / "a.npz").read_bytes(), "a.npz", layout=layout(columns, **turning))
+    assert np.array_equal(again.q, record.q)
+    with pytest.raises(
+        RecordError, match="'Motor speed': found no unit, expected one such as rad/s; say in .record.: vel"
+    ):
+        read(text, **turning)
+    by_title = read(text.replace("Motor speed", "Motor speed [r/min]"), **turning)
+    assert np.array_equal(by_title.q, record.q)
+
+
+def test_a_position_that_is_there_is_not_integrated():
+    text = "\n".join(["Time [ms];Speed [m/s];Position [m];Torque", *rows(1e3 * T, SPEED, Q, U)])
+    record = read(text, {"velocity": {"column": "Speed"}}, reference_needed=False)
+    np.testing.assert_allclose(record.q, Q, atol=1e-7)
+    with pytest.raises(RecordError, match="'Position': found no unit, expected one such as m"):
+        read(text.replace("Position [m]", "Position"), {"velocity": {"column": "Speed"}}, reference_needed=False)
 
 
 def jittered(gap=0.0):
