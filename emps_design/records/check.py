@@ -59,11 +59,17 @@ def checked(
             notes.append(f"{one.name}: converted from {one.unit} to {layout.unit(one.name)}")
         elif one.how == RECOGNISED:
             notes.append(f"{one.name}: taken from column {one.title!r} [{one.unit}]")
+    part = slice(0, n) if layout.window is None else _part(named["t"], layout.window, source)
     for column, values in named.items():
-        _finite(values, column, layout.unit(column), source, first_row)
+        _finite(values[part], column, layout.unit(column), source, first_row + part.start)
+    whole = _told(named, part)
+    if whole != slice(0, n):
+        columns = {title: values[whole] if np.size(values) == n else values for title, values in columns.items()}
+        named = {name: values[whole] for name, values in named.items()}
+        first_row, n = first_row + whole.start, whole.stop - whole.start
+        part = slice(part.start - whole.start, part.stop - whole.start)
     unwrap(named, assigned)
     late = {one.name: one.delay for one in assigned if one.delay}
-    part = slice(0, n) if layout.window is None else _part(named["t"], layout.window, source)
     _fits(part.stop - part.start, source, LONGEST)
     if late:
         part, delay_notes = _shift(named, late, part, source, first_row + part.start)
@@ -152,6 +158,18 @@ def _part(t: np.ndarray, window: tuple[float, float], source: str) -> slice:
     return slice(int(inside[0]), int(inside[-1]) + 1)
 
 
+def _told(named: Mapping[str, np.ndarray], part: slice) -> slice:
+    """The rows around ``part`` in which every signal has a number: what is missing elsewhere does not matter."""
+    n = named["t"].size
+    start, stop = 0, n
+    for values in named.values() if part != slice(0, n) else ():
+        lacking = np.flatnonzero(~np.isfinite(values))
+        place = int(np.searchsorted(lacking, part.start))
+        start = max(start, int(lacking[place - 1]) + 1) if place else start
+        stop = min(stop, int(lacking[place])) if place < lacking.size else stop
+    return slice(start, stop)
+
+
 def _shift(
     named: Mapping[str, np.ndarray], late: Mapping[str, float], part: slice, source: str, first_row: int
 ) -> tuple[slice, list[str]]:
@@ -231,7 +249,8 @@ def _finite(values: np.ndarray, column: str, unit: str, source: str, first_row: 
     if bad.size:
         raise RecordError(
             f"{source}: column {column}, row {first_row + bad[0]}: found {values[bad[0]]}, expected a finite number"
-            f"{f' ({bad.size} such samples)' if bad.size > 1 else ''}; cut the gap out or record again"
+            f"{f' ({bad.size} such samples)' if bad.size > 1 else ''}; cut the gap out with import and its `window`, "
+            "or record again"
         )
     for row in (int(np.argmax(values)), int(np.argmin(values))):
         if abs(values[row]) > LARGEST:

@@ -7,7 +7,7 @@ from emps_design.errors import AxisError, RecordError
 from emps_design.importing import import_bytes, import_record
 from emps_design.importing.account import Account, record_table
 from emps_design.machines import machine
-from emps_design.records import record_from_bytes
+from emps_design.records import read_record, record_from_bytes
 from emps_design.records.check import PLAIN
 from emps_design.records.layout import Layout
 from emps_design.records.mapping import ColumnMap
@@ -364,6 +364,28 @@ def test_a_part_without_the_gap_is_read():
     assert record.duration == pytest.approx(0.19, abs=2e-3)
     with pytest.raises(RecordError, match="column t: found .* s, expected some of it between 7 and 9 s"):
         read(jittered(), resample=True, window=(7.0, 9.0))
+
+
+@pytest.mark.parametrize("suffix", ["csv", "npz"])
+def test_what_is_missing_outside_the_part_does_not_matter(tmp_path, suffix):
+    q, late = Q.copy(), np.interp(T - 0.05, T, U)
+    q[:6], q[-3:] = np.nan, np.nan
+    path, table = tmp_path / f"a.{suffix}", {"t": T, "q": q, "q_ref": Q_REF, "u": late, "angle": (3e3 * Q) % 360}
+    if suffix == "npz":
+        np.savez(path, **table)
+    else:
+        np.savetxt(path, np.column_stack(list(table.values())), header=" ".join(table), fmt="%.9g")
+    columns = {"command": {"column": "u", "delay": 0.05}}
+    record = read_record(path, layout=layout(columns, PLAIN.units, window=(0.1, 0.3)))
+    np.testing.assert_allclose(record.q, Q[100:301], atol=1e-7)
+    np.testing.assert_allclose(record.u, U[100:301], atol=1e-6)
+    wrapped = {"position": {"column": "angle", "unit": "deg", "modulo": 360}}
+    turned = read_record(path, layout=layout(wrapped, Units("rotary"), window=(0.1, 0.3)))
+    assert np.ptp(turned.q) == pytest.approx(np.radians(3e3 * np.ptp(Q[100:301])), rel=1e-6)
+    with pytest.raises(RecordError, match=r"column q, row \d+: found nan, .*6 such .*cut the gap out with import"):
+        read_record(path, layout=layout({}, PLAIN.units, window=(0.0, 0.3)))
+    end = read_record(path, layout=layout(columns, PLAIN.units, window=(0.2, 0.396)))
+    assert "u: not recorded for the last 50 samples, left out" in end.warnings
 
 
 def test_the_original_times_are_kept_through_an_archive(tmp_path):
