@@ -5,8 +5,9 @@ Sign convention: ``G_tau u = M qdd + F_v qd + F_c sign(qd) + offset`` (load side
 
 from __future__ import annotations
 
+import json
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,6 +25,7 @@ from emps_design.records.mapping import ColumnMap
 from emps_design.units import Units
 
 MAX_BYTES = 1_000_000  # of an axis file
+NEW_LINE = "\n"
 
 
 def _printable(name: str) -> str:
@@ -190,18 +192,23 @@ class Axis(Table):
         return "\n".join(lines) + "\n"
 
 
-def record_toml(columns: Mapping[str, Mapping[str, Any]]) -> str:
+def record_toml(columns: Mapping[str, Mapping[str, Any] | Sequence[str]]) -> str:
     """The ``[record]`` table of an axis file: each of the ``columns``, by key, on a line of its own.
 
-    >>> print(record_toml({"position": {"column": "Pos", "scale": 1e-6}}), end="")
+    >>> print(record_toml({"position": {"column": "Pos", "scale": 1e-6}, "accept": ("rough-position",)}), end="")
     [record]
     position = { column = "Pos", scale = 1e-06 }
+    accept = ["rough-position"]
     """
     import tomli_w
 
-    # A title may hold what Unicode counts as the end of a line.
-    lines = [", ".join(tomli_w.dumps(column).strip("\n").split("\n")) for column in columns.values()]
-    return "[record]\n" + "".join(f"{key} = {{ {line} }}\n" for key, line in zip(columns, lines, strict=True))
+    def written(entry: Mapping[str, Any] | Sequence[str]) -> str:
+        if not isinstance(entry, Mapping):
+            return json.dumps(list(entry))
+        # A title may hold what Unicode counts as the end of a line.
+        return f"{{ {', '.join(tomli_w.dumps(entry).strip(NEW_LINE).split(NEW_LINE))} }}"
+
+    return "[record]\n" + "".join(f"{key} = {written(entry)}\n" for key, entry in columns.items())
 
 
 def _text(path: Path) -> str:

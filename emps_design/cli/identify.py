@@ -73,6 +73,7 @@ def command(
     from emps_design.errors import one_line
     from emps_design.files import write_text
     from emps_design.identification import identify
+    from emps_design.identification.excitation import goes_one_way
     from emps_design.identification.request import Request
     from emps_design.importing import import_record
 
@@ -85,9 +86,14 @@ def command(
     # Refused before the records are read.
     options = vars(Request(model, estimator, filter, cutoff, external_force, None, bootstrap, seed))
     read = [import_record(path, loaded) for path in records]
-    if len(read) == 1:
+    together = len(read) > 1 and any(map(goes_one_way, read))
+    if together:
+        from emps_design.identification.several import identify_together
+
+        found: Any = identify_together(read, loaded, **options)
+    elif len(read) == 1:
         judge = None if holdout is None else import_record(holdout, loaded)
-        found: Any = identify(read[0], loaded, **{**options, "holdout": judge})
+        found = identify(read[0], loaded, **{**options, "holdout": judge})
     else:
         from emps_design.identification.several import identify_several
 
@@ -96,7 +102,7 @@ def command(
     document = add_advice(found.to_dict(), axis, records)
     if as_json:
         print_json(document)
-    elif len(read) == 1:
+    elif together or len(read) == 1:
         _show_one(found)
     else:
         _show_several(found)

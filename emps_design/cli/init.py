@@ -95,7 +95,7 @@ def _from_trace(trace: Path, directory: Path, force: bool, as_json: bool) -> Non
         raise InputError(f"{directory}: axis.toml exists already; choose another folder, or give --force")
     found = read_trace(trace)
     law = None
-    if found.record is not None:
+    if found.record is not None and not found.guessed:
         with progress_bar() as progress:
             progress(LOOKING, 0.0)
             law = identify_law(found.record, found.units.command_unit)
@@ -104,7 +104,8 @@ def _from_trace(trace: Path, directory: Path, force: bool, as_json: bool) -> Non
     write_text(path, text)
     waiting = re.findall(r"^# (\w+) = ", text, re.MULTILINE)
     record = found.record
-    warnings = [found.reason] if record is None else list(record.warnings)
+    warnings = [found.reason] if found.reason else []
+    warnings += [] if record is None else record.warnings
     if as_json:
         print_json(
             {

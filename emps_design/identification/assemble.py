@@ -57,8 +57,7 @@ def assemble(
     left = unexplained(problem, fit.residual, spread)
     shares = _reliability(problem) if weakest > 0 else None
     at_rests = told_at_rests(problem) if weakest > 0 else ()
-    said = dict(zip(problem.names, fit.value.tolist(), strict=True))
-    warnings = [*record.warnings, *notes, *implausible(said, axis)]
+    warnings: list[str] = []
     estimates = {}
     for i, written in enumerate(parameters_of(problem.model)):
         quantity = replace(written, unit=axis.units.unit(written.unit), text=axis.units.words(written.text))
@@ -73,16 +72,21 @@ def assemble(
                 "only reversals and rests speak of it, which the inverse model does not hold; record several constant "
                 "speeds in both directions, with acceleration between them"
             )
-        if why:
-            warnings.append(f"{quantity.name} is not determined: {why}")
-            estimates[quantity.name] = Estimate(quantity, None, None, reliability=told)
-            continue
         bias = 0.0 if errors.systematic is None else float(errors.systematic[i])
         std = left.widening * float(spread.std[i])
         # Where the residual tells of more than the steps of the encoder do, it has told of them.
         stepped = 0.0 if errors.encoder is None or errors.encoder[i] <= std else float(errors.encoder[i])
         moved = 0.0 if errors.cutoff is None else float(errors.cutoff.beyond_chance[i])
         half = float(np.hypot(spread.quantile * np.linalg.norm([std, bias, stepped]), moved))
+        if not why and quantity.name == "mass" and half >= fit.value[i] and fit.value[i] > -half:
+            why = (
+                f"what the record says of it, {fit.value[i]:.3g} +- {half:.2g} {quantity.unit}, may be nothing: its "
+                "speeds are constant, or its encoder hides the acceleration; record acceleration"
+            )
+        if why:
+            warnings.append(f"{quantity.name} is not determined: {why}")
+            estimates[quantity.name] = Estimate(quantity, None, None, reliability=told)
+            continue
         if half > abs(fit.value[i]) and quantity.name != "constant_force":
             warnings.append(f"{quantity.name}: its 95 % interval reaches zero; the record hardly determines it")
         estimates[quantity.name] = Estimate(
@@ -97,6 +101,8 @@ def assemble(
             cutoff=None if errors.cutoff is None else moved,
             reliability=told,
         )
+    values = {name: one.value for name, one in estimates.items() if one.value is not None}
+    warnings = [*record.warnings, *notes, *implausible(values, axis), *warnings]
     return Identification(
         record=record.name,
         sha256=record.sha256,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,19 @@ from emps_design.errors import InputError, RankError, RecordError
 from emps_design.identification.assemble import Errors, assemble, residual_statistics, with_bootstrap
 from emps_design.identification.chains import DEFAULT_CHAIN, LONG
 from emps_design.identification.cutoff import acceleration_noise, chosen_cutoff, explained_by_frequency, first_part
-from emps_design.identification.excitation import REFUSE, check_record, force_free
-from emps_design.identification.inverse_model import LeastSquares, least_squares, relative_error
+from emps_design.identification.excitation import REFUSE, check_record, force_free, goes_one_way
+from emps_design.identification.inverse_model import (
+    LUMP,
+    ONE_WAY,
+    LeastSquares,
+    least_squares,
+    parameters_of,
+    relative_error,
+)
 from emps_design.identification.known import acting, known_part, notes
 from emps_design.identification.problem import Problem
 from emps_design.identification.request import Request
-from emps_design.identification.result import Identification
+from emps_design.identification.result import Estimate, Identification
 from emps_design.identification.sensitivity import CutoffSensitivity, Estimated, cutoff_sensitivity
 from emps_design.records import Record
 
@@ -26,12 +34,13 @@ MOST_NOISE = 0.5  # of a column's own power, that is taken for the encoder's noi
 def identify_by_least_squares(record: Record, axis: Axis, request: Request) -> Identification:
     """Identify ``axis`` from ``record`` by least squares; options and errors are those of :func:`.identify`."""
     axis = axis.supplied_by(record)
-    record = check_record(record, axis, request.external_force)
+    model = ONE_WAY if request.model == "symmetric" and goes_one_way(record) else request.model
+    record = check_record(record, axis, request.external_force, one_way=model == ONE_WAY)
     axis = known_part(axis, request.model)
     said, chosen = notes(axis), chosen_cutoff(acting(record, axis))
     hold = request.filter == DEFAULT_CHAIN
     cutoff = chosen if hold and request.cutoff is None else request.cutoff
-    problem = Problem.of(record, axis, request.model, request.filter, cutoff)
+    problem = Problem.of(record, axis, model, request.filter, cutoff)
     fit = problem.solved()
     extra: dict[str, Any] = {
         "held_out": _held_out(problem, fit, request),
@@ -47,7 +56,26 @@ def identify_by_least_squares(record: Record, axis: Axis, request: Request) -> I
         else:
             extra["hold_modelled"] = {name: one.to_dict() for name, one in better.parameters.items()}
     found = assemble(problem, fit, "least_squares", errors=errors, notes=said, extra=extra)
-    return found if not request.bootstrap else with_bootstrap(found, problem, fit, request.bootstrap, request.seed)
+    if request.bootstrap:
+        found = with_bootstrap(found, problem, fit, request.bootstrap, request.seed)
+    return found if model == request.model else _one_way(found, request.model)
+
+
+def _one_way(found: Identification, model: str) -> Identification:
+    """``found`` with the parameters of ``model`` that motion one way does not tell apart, not determined."""
+    told = dict(found.parameters)
+    for written in parameters_of(model):
+        if written.name not in told:
+            units = found.axis.units
+            quantity = replace(written, unit=units.unit(written.unit), text=units.words(written.text))
+            told[written.name] = Estimate(quantity, None, None)
+    names = [quantity.name for quantity in parameters_of(model)]
+    said = (
+        "coulomb, constant_force are not determined: the motion goes one way only, where both are one force, "
+        f"{LUMP.name}; record the other way too and give both records"
+    )
+    parameters = {name: told[name] for name in (*names, LUMP.name)}
+    return replace(found, model=model, parameters=parameters, warnings=(*found.warnings, said))
 
 
 def _encoder(problem: Problem, fit: LeastSquares) -> np.ndarray | None:

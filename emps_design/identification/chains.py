@@ -22,7 +22,7 @@ from emps_design.identification.filters import (
     motion,
     share_of_nyquist,
 )
-from emps_design.identification.rests import REACH, SLOW, at_rest, away_from
+from emps_design.identification.rests import REACH, SLOW, at_rest, away_from, known
 from emps_design.records import Record
 
 REPORT_CUTOFF = 100.0  # Hz, five times the 20 Hz band of interest of the 2019 report
@@ -148,7 +148,7 @@ def hold_chain(
     force = reduce(held_force(record, force_gain, cutoff_hz)).copy()
     f_ext = None if record.f_ext is None else reduce(low_pass(record.f_ext, cutoff_hz, record.period)).copy()
     seen = replace(motion(record, cutoff_hz), force_gain=force_gain)
-    used = reduce(away_from(at_rest(record), cutoff_hz, record.period))
+    used = reduce(away_from(at_rest(record), cutoff_hz, record.period) & known(record, seen.a, cutoff_hz))
     if int(used.sum()) < fewest_rows:
         raise RecordError(
             f"{record.name}: {int(used.sum())} rows away from rest at a cut-off of {cutoff_hz:g} Hz, expected at least "

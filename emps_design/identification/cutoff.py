@@ -17,7 +17,7 @@ import numpy as np
 
 from emps_design.identification.filters import held, low_pass, motion
 from emps_design.identification.inverse_model import baseline_columns
-from emps_design.identification.rests import HIGHEST, at_rest, away_from, encoder_variance
+from emps_design.identification.rests import HIGHEST, at_rest, away_from, encoder_variance, known
 from emps_design.records import Record
 
 STEP = 2.0**0.25  # between two cut-offs that are tried
@@ -52,18 +52,22 @@ def chosen_cutoff(record: Record) -> float:
     tried = np.geomspace(lowest, top, 1 + int(np.log(top / lowest) / np.log(STEP)))
 
     rest = at_rest(part)
-    moving = len(rest) - int(rest.sum())
 
     @cache  # the halvings for the two shares meet at the same cut-offs
-    def kept(index: int) -> tuple[int, float, float]:
-        """Rows away from rest, the acceleration's power in them, and all of it."""
-        away = away_from(rest, tried[index], part.period)
-        power = motion(part, float(tried[index])).a ** 2
-        return int(away.sum()), float(power[away].sum()), float(power.sum())
+    def kept(index: int) -> tuple[float, float, float]:
+        """Shares of rows that are not slow and of the acceleration's power, away from rest; periods in these rows."""
+        power = motion(part, float(tried[index])).a
+        there = known(part, power, tried[index])
+        np.square(power, out=power)
+        away = away_from(rest, tried[index], part.period) & there
+        edge = int(1.0 / (tried[index] * part.period))
+        periods = float(away[edge : len(away) - edge].sum() * part.period * tried[index])
+        rows = float(away.sum()) / max(int((there & ~rest).sum()), 1)
+        return rows, float(power[away].sum()) / max(float(power[there].sum()), 1e-300), periods
 
     def keeps(index: int, shares: tuple[float, float]) -> bool:
-        rows, inside, power = kept(index)
-        return rows >= shares[0] * moving and inside >= shares[1] * power
+        rows, inside, periods = kept(index)
+        return periods >= FEWEST_PERIODS and rows >= shares[0] and inside >= shares[1]
 
     # Both shares grow with the cut-off: the first that is enough, by halving.
     least, enough = (

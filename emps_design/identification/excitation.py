@@ -9,6 +9,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.errors import RecordError
 from emps_design.records import Record
+from emps_design.stretches import stretches
 
 REFUSE, KNOWN = "refuse", "known"  # what is done with a record in which an external force was measured
 SMALLEST_STROKE = 1e-5  # m, and at least this many encoder steps:
@@ -18,11 +19,12 @@ SENSOR_NOISE = 0.01  # of the motor force, up to which a measured force may be t
 WEAK_RELIABILITY = 0.5  # share of a column that the reference explains, below which its parameter is not determined
 
 
-def check_record(record: Record, axis: Axis, external_force: str = REFUSE) -> Record:
+def check_record(record: Record, axis: Axis, external_force: str = REFUSE, one_way: bool = False) -> Record:
     """Raise :class:`RecordError` for a record that cannot identify ``axis``: no motion, no reversal, saturated, pushed.
 
-    ``external_force`` "known": the measured one is meant to take part, as in (21); "refuse" it otherwise. Returns the
-    record to identify from: without a measured force that is no more than a sensor's noise.
+    ``one_way``: motion one way only will do. ``external_force`` "known": the measured one is meant to take part, as in
+    (21); "refuse" it otherwise. Returns the record to identify from: without a measured force that is no more than a
+    sensor's noise.
     """
     stroke = float(np.ptp(record.q))
     step = axis.sampling.encoder_resolution
@@ -37,7 +39,7 @@ def check_record(record: Record, axis: Axis, external_force: str = REFUSE) -> Re
             f"{record.name}: u is at the limit of {axis.drive.command_limit:g} V for {100 * saturated:.0f} % of the "
             f"time, expected at most {100 * LARGEST_SATURATED_SHARE:.0f} %; record slower motion with less acceleration"
         )
-    if not reverses(record.q):
+    if not one_way and goes_one_way(record):
         raise RecordError(
             f"{record.name}: no reversal, the carriage moves one way only, so Coulomb friction and a constant force "
             "are one; record motion in both directions"
@@ -79,6 +81,14 @@ def reverses(q: np.ndarray, share: float = 0.02) -> bool:
     rise = float(np.max(q - np.minimum.accumulate(q)))
     fall = float(np.max(np.maximum.accumulate(q) - q))
     return min(rise, fall) >= share * stroke
+
+
+def goes_one_way(record: Record) -> bool:
+    """Whether no piece of ``record`` reverses and all go the same way: then Coulomb and a constant force are one."""
+    there = np.ones(len(record), bool) if record.bridged is None else record.bridged == 0.0
+    pieces = [record.q[start:stop] for start, stop in stretches(there) if stop - start > 1]
+    pieces = [q for q in pieces if np.ptp(q) >= 0.02 * max(np.ptp(piece) for piece in pieces)]
+    return not any(map(reverses, pieces)) and len({bool(q[-1] > q[0]) for q in pieces}) < 2
 
 
 def reliability(W: np.ndarray, Z: np.ndarray, lags: tuple[int, ...] = (0,)) -> np.ndarray:

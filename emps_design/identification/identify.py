@@ -19,7 +19,7 @@ from emps_design.axis import Axis
 from emps_design.errors import EmpsError
 from emps_design.identification.by_least_squares import held_out_on, identify_by_least_squares
 from emps_design.identification.chains import DEFAULT_CHAIN, LONG
-from emps_design.identification.excitation import WEAK_RELIABILITY
+from emps_design.identification.excitation import WEAK_RELIABILITY, goes_one_way
 from emps_design.identification.request import (
     AUTO,
     BY_INSTRUMENTS,
@@ -100,6 +100,8 @@ def _auto(record: Record, axis: Axis, request: Request) -> Identification:
     if len(record) > LONG:
         said = f"{LONG} samples are the most that least squares is tested on; a part of the record says if it is biased"
         return replace(plain, warnings=(*plain.warnings, said))
+    if goes_one_way(record):
+        return replace(plain, warnings=(*plain.warnings, f"{UNTESTED}: motion one way tells too little"))
     from emps_design.identification.instruments import WEAK_INSTRUMENT, solve_with_instruments
 
     try:

@@ -32,6 +32,8 @@ MODELS: dict[str, tuple[Quantity, ...]] = {
         Quantity("coulomb_negative", "F_c^-", "N", text="Coulomb friction, velocity < 0"),
     ),
 }
+# What a record that goes one way tells of the symmetric model: what opposes the motion whatever its speed is one force.
+ONE_WAY, LUMP = "one way", Quantity("coulomb_and_offset", "F_c0", "N", text="Coulomb friction and constant force")
 
 # Columns of unit length whose smallest singular value is below this share of the largest cannot be told apart.
 RANK_TOLERANCE = 1e-7
@@ -40,6 +42,8 @@ NO_FORCE = 1e-6  # of the residual: what a filter lets ring on of a motor that w
 
 def parameters_of(model: str) -> tuple[Quantity, ...]:
     """The parameters of ``model``; :class:`InputError` names the nearest model otherwise."""
+    if model == ONE_WAY:
+        return (*MODELS["symmetric"][:2], LUMP)
     if model not in MODELS:
         raise InputError(f"model: found {model!r}, expected {' or '.join(MODELS)}{nearest_name(model, list(MODELS))}")
     return MODELS[model]
@@ -62,7 +66,7 @@ def column(motion: Motion, name: str) -> np.ndarray:
     if name == "viscous_negative":
         return np.where(v < 0, v, 0.0)
     # Signs take a byte each: beside the columns of a long record they are nothing.
-    if name == "coulomb":
+    if name in ("coulomb", LUMP.name):
         return motion.smooth(np.sign(v).astype(np.int8))
     if name == "coulomb_positive":
         return motion.smooth((v > 0).astype(np.int8))
@@ -80,6 +84,8 @@ def baseline_of(model: str, p: Mapping[str, float]) -> np.ndarray:
     >>> baseline_of("asymmetric", {"mass": 2.0, **two}).tolist()
     [2.0, 4.0, 7.0, 1.0]
     """
+    if model == ONE_WAY:
+        return np.array([p["mass"], p["viscous"], p[LUMP.name], 0.0])
     if model == "symmetric":
         return np.array([p[quantity.name] for quantity in MODELS[model]])
     return np.array(

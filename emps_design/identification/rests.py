@@ -14,6 +14,8 @@ from emps_design.records import Record
 SLOW = 0.01  # of the largest velocity: below it friction may be that of rest
 HIGHEST = 0.2  # of the sampling frequency, for any low-pass that is chosen
 REACH = 1.5  # periods of the cut-off over which a low-pass spreads a jump
+FAR = 3.0  # the same for what it makes up
+ACCELERATES = 0.1  # of the rms acceleration
 BLOCKS = 50  # in whose median the noise of the encoder is read
 MOVING = 0.1  # of the samples of such a block that differ from the one before, at least
 
@@ -37,7 +39,7 @@ def encoder_variance(record: Record) -> float:
 
 
 def at_rest(record: Record) -> np.ndarray:
-    """Where the carriage turns, or is slower than 1 % of its largest velocity, (n,) of bool."""
+    """Where the carriage turns, is slower than 1 % of its largest velocity, or was not recorded, (n,) of bool."""
     top = HIGHEST / record.period
     rough = central_difference(low_pass(record.q, top, record.period), record.period)
     slow = SLOW * float(np.quantile(np.abs(rough), 0.999))
@@ -50,7 +52,24 @@ def at_rest(record: Record) -> np.ndarray:
         v = central_difference(low_pass(record.q, quiet, record.period), record.period)
     rest = (v < slow) & (v > -slow)
     rest[1:] |= (v[1:] > 0) != (v[:-1] > 0)  # a reversal may pass between two samples
+    if record.bridged is not None:
+        rest |= record.bridged > 0.0
     return rest
+
+
+def known(record: Record, a: np.ndarray, cutoff_hz: float) -> np.ndarray:
+    """Where a filter of ``cutoff_hz`` [Hz] sees nothing that it makes up, (n,) of bool.
+
+    That is what lies in a gap, and beyond an end at which the axis has an acceleration ``a`` (n,), which no reflection
+    continues: unlike a jump of friction, all of the force is wrong there, and seen from further away.
+    """
+    n = len(record)
+    made_up = np.zeros(n, bool) if record.bridged is None else record.bridged > 0.0
+    inside = min(int(1.0 / (cutoff_hz * record.period)), n - 1)  # where the reflection leaves the acceleration alone
+    felt = ACCELERATES * float(np.sqrt(np.mean(a**2)))
+    made_up[0] |= abs(a[inside]) > felt
+    made_up[-1] |= abs(a[-1 - inside]) > felt
+    return away_from(made_up, cutoff_hz * REACH / FAR, record.period)
 
 
 def away_from(rest: np.ndarray, cutoff_hz: float, period: float) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,13 +12,15 @@ from emps_design.axis import Axis
 from emps_design.errors import AxisError, InputError
 from emps_design.identification.identify import identify
 from emps_design.identification.inverse_model import parameters_of
-from emps_design.identification.request import BY_INSTRUMENTS, BY_LEAST_SQUARES, BY_OUTPUT_ERROR
+from emps_design.identification.request import AUTO, BY_INSTRUMENTS, BY_LEAST_SQUARES, BY_OUTPUT_ERROR
 from emps_design.identification.result import Identification
 from emps_design.progress import Progress
 from emps_design.records import Record
+from emps_design.records.joined import joined
 
 DRIFT_LEVEL = 0.01
 OUTPUT_ERROR = "output_error"
+TOGETHER = "the records go one way each, and are fitted together"
 # How an estimator is called in a result, and how it is asked for: the more particular the later.
 NAMES = {
     "least_squares": BY_LEAST_SQUARES,
@@ -89,8 +91,6 @@ class SeveralIdentifications:
 
         Its intervals are those in which the parameters of one more record lie with 95 % (Student's t of so many).
         """
-        from dataclasses import replace
-
         from scipy.stats import t
 
         first, count = self.identifications[0], len(self.identifications)
@@ -170,6 +170,18 @@ def identify_several(
     )
     warnings = tuple(f"{one.record}: {text}" for one in found for text in one.warnings)
     return SeveralIdentifications(tuple(found), matrix, warnings, found[0].model, axis)
+
+
+def identify_together(records: Sequence[Record], axis: Axis, **options: Any) -> Identification:
+    """Identify ``axis`` from ``records`` as from one: for those that go one way each, and tell all of it together.
+
+    ``options`` are those of :func:`.identify`, by least squares. Raises :class:`InputError` for another estimator.
+    """
+    estimator = options.pop("estimator", BY_LEAST_SQUARES)
+    if estimator not in (AUTO, BY_LEAST_SQUARES):
+        raise InputError(f"`estimator`: found {estimator!r}, expected 'ls' for records that go one way each")
+    found = identify(joined(records, axis.units.rotary), axis, estimator=BY_LEAST_SQUARES, **options)
+    return replace(found, warnings=(*found.warnings, TOGETHER))
 
 
 def _identified(

@@ -62,7 +62,7 @@ class Account:
             return ""
         there = {one.name for one in assigned}
         absent = {name: column for name, column in self.axis.record.named.items() if name not in there}
-        return record_table(assigned, absent)
+        return record_table(assigned, absent, self.axis.record.accept)
 
     def to_dict(self) -> dict[str, Any]:
         """Columns, clock, encoder and notes as plain data."""
@@ -102,7 +102,7 @@ class Account:
         return {
             "name": one.name,
             "title": one.title,
-            "key": KEYS[one.name],
+            "key": KEYS.get(one.name, one.name),
             "how": one.how,
             "unit_in_file": one.unit,
             "factor": one.factor,
@@ -148,14 +148,16 @@ def _grid(increments: np.ndarray, step: float) -> float | None:
     return step
 
 
-def record_table(assigned: Sequence[Assignment], absent: Mapping[str, Column] = MappingProxyType({})) -> str:
-    """The ``[record]`` table of an axis file for columns that were ``assigned``, and ``absent`` ones by name.
+def record_table(
+    assigned: Sequence[Assignment], absent: Mapping[str, Column] = MappingProxyType({}), accept: Sequence[str] = ()
+) -> str:
+    """The ``[record]`` table of an axis file for columns ``assigned``, ``absent`` ones by name, doubts to ``accept``.
 
     What an axis file says of a column stands there unchanged; of any other, its title and its unit.
     """
-    entries = {one.name: _entry(one) for one in assigned}
+    entries = {one.name: _entry(one) for one in assigned if one.name in KEYS}
     entries |= {name: _written(column) for name, column in absent.items()}
-    return record_toml({KEYS[name]: entry for name, entry in entries.items()})
+    return record_toml({KEYS[name]: entry for name, entry in entries.items()} | ({"accept": accept} if accept else {}))
 
 
 def _entry(one: Assignment) -> dict[str, Any]:
@@ -163,7 +165,10 @@ def _entry(one: Assignment) -> dict[str, Any]:
     if one.entry is not None:
         return _written(one.entry)
     own = one.name == "enable" or (one.name == "u" and one.factor == 1.0)
-    return {"column": plain_title(one.title)[0]} | ({"unit": one.unit} if one.unit and not own else {})
+    bracketed = one.title.rstrip().endswith(("]", ")"))
+    return {"column": plain_title(one.title)[0] if bracketed else one.title.strip()} | (
+        {"unit": one.unit} if one.unit and not own else {}
+    )
 
 
 def _written(column: Column) -> dict[str, Any]:

@@ -54,4 +54,5 @@ def layout_of(axis: Axis) -> Layout:
         columns=axis.record,
         period=axis.sampling.period,
         reference_needed=axis.controller.kind != NONE,
+        limit=float(axis.drive.command_limit),
     )

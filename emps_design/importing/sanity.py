@@ -1,11 +1,12 @@
 """Whether a record can be of this axis: units, scales, exchanged columns. Nothing is guessed or mended.
 
-What cannot be is refused in one line; what is odd is noted. Only a file whose columns were mapped or recognised is
-looked at: one with the names of a record is taken at its word.
+What cannot be is refused in one line, unless ``[record]`` accepts it by its name; what is odd is noted. Only a file
+whose columns were mapped or recognised is looked at: one with the names of a record is taken at its word.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -14,12 +15,14 @@ from emps_design.axis import Axis
 from emps_design.errors import RecordError
 from emps_design.records import Record
 from emps_design.records.layout import NAMED
+from emps_design.records.mapping import Doubt
 
 ON_THE_CLOCK = 1e-3  # of the axis's period
 WEAK_LOOP = 20.0  # times as far as it is told, or as little, no controller lets an axis move
 STIFF = 0.999  # correlation of position and reference of a loop that follows; there the factor is between the next two
 FOLLOWS = (0.5, 2.0)
 ROUGHER = 3.0  # times: a position is never rougher than the force that it is two integrals of
+BENDS = 0.1  # of its deviation, by which a command bends over the span in which the two are compared
 OPPOSED = -0.8  # correlation of the motor's force with what the motion needs
 IMPOSSIBLE_FORCE = 300.0  # times what the motion needs, or as little: a scale is wrong by 1000
 INERTIAL = 0.1  # of the command, from which on its part that follows the acceleration says how large the mass is
@@ -43,116 +46,145 @@ NAMES = {
 }
 
 
+Found = Iterator[tuple[Doubt | None, str]]  # what is doubted, by its name, or no more than noted
+
+
 def check_against(axis: Axis, record: Record, source: str) -> Record:
-    """Return ``record`` with notes on what is odd; raise :class:`RecordError` where it cannot be of this ``axis``."""
+    """Return ``record`` with notes on what is odd; raise :class:`RecordError` where it cannot be of this ``axis``.
+
+    What the ``[record]`` table accepts by its name is noted too.
+    """
     if all(one.how == NAMED for one in record.assigned):
         return record
-    _same_unit(record, source)
-    _not_exchanged(axis, record, source)
-    notes = [*_clock(axis, record, source), *_limit(axis, record, source), *_force(axis, record, source)]
+    notes = []
+    for check in (_same_unit, _rough, _exchanged, _clock, _limit, _force):
+        for doubt, text in check(axis, record):
+            if doubt is not None and doubt not in axis.record.accept:
+                raise RecordError(f'{source}: {text}; or if it is right: accept = ["{doubt}"] in [record]')
+            notes.append(text if doubt is None else f"{text} (accepted as [record] says)")
     return replace(record, warnings=(*record.warnings, *notes))
 
 
-def _clock(axis: Axis, record: Record, source: str) -> list[str]:
+def _clock(axis: Axis, record: Record) -> Found:
     ratio = record.period / axis.sampling.period
     if abs(ratio - 1.0) < ON_THE_CLOCK:
-        return []
+        return
     found = f"found a sampling period of {1e3 * record.period:.6g} ms"
     expected = f"the axis's {1e3 * axis.sampling.period:.6g} ms"
     if abs(ratio) > 30 and _named(ratio):
-        raise RecordError(f"{source}: column t: {found}, expected {expected}; {_named(ratio)}?")
-    return [f"t: {found}, not {expected}"]
+        yield "sampling-period", f"column t: {found}, expected {expected}; {_named(ratio)}?"
+    else:
+        yield None, f"t: {found}, not {expected}"
 
 
-def _same_unit(record: Record, source: str) -> None:
+def _same_unit(axis: Axis, record: Record) -> Found:
     """Position and reference move together, by as much."""
     if not record.q_ref_recorded or not (np.ptp(record.q_ref) and np.ptp(record.q)):
         return
     together = correlation(record.q, record.q_ref)
     if together < -STIFF:
-        raise RecordError(
-            f"{source}: columns q and q_ref: found motion against the reference, expected along it; one of them needs "
-            "sign = -1 in [record]"
+        yield (
+            "opposed-reference",
+            "columns q and q_ref: found motion against the reference, expected along it; one of them needs sign = -1 "
+            "in [record]",
         )
     slope = float(np.std(record.q) / np.std(record.q_ref))
     low, high = FOLLOWS if together > STIFF else (1.0 / WEAK_LOOP, WEAK_LOOP)
     if together > 0.9 and not low < slope < high:
         known = f" ({_named(slope)}?)" if _named(slope) else ""
-        raise RecordError(
-            f"{source}: columns q and q_ref: found a position that is {slope:.4g} times the reference{known}, expected "
-            "both in their units; correct unit or scale in [record]"
+        yield (
+            "reference-scale",
+            f"columns q and q_ref: found a position that is {slope:.4g} times the reference{known}, expected both in "
+            "their units; correct unit or scale in [record]",
         )
 
 
-def _not_exchanged(axis: Axis, record: Record, source: str) -> None:
-    q, q_ref, u = record.q, record.q_ref, record.u
-    if _roughness(q) > ROUGHER * _roughness(u):
-        raise _exchanged("q and u", "a position that is rougher than the command", source)
+def _rough(axis: Axis, record: Record) -> Found:
+    """A position is two integrals of the command, and never rougher, but for the steps and the noise of its encoder.
+
+    So both are looked at over a span in which the command bends visibly: there these are nothing.
+    """
+    span, roughness = 1, _roughness(record.u, 1)
+    while roughness < BENDS and 8 * span < len(record):
+        span *= 2
+        roughness = _roughness(record.u, span)
+    if _roughness(record.q, span) > ROUGHER * roughness:
+        yield "rough-position", _exchange("q and u", "a position that is rougher than the command")
+
+
+def _exchanged(axis: Axis, record: Record) -> Found:
     if not record.q_ref_recorded:
         return
+    q, q_ref, u = record.q, record.q_ref, record.u
     if np.ptp(q_ref) and abs(correlation(q, u)) > STIFF > 0.9 > abs(correlation(q, q_ref)):
-        raise _exchanged("q_ref and u", "a command that the position follows, and a reference that it does not", source)
+        found = "a command that the position follows, and a reference that it does not"
+        yield "exchanged-command", _exchange("q_ref and u", found)
     step = axis.sampling.encoder_resolution
     off, reference_off = _off_grid(q, step), _off_grid(q_ref, step)
     if off is not None and reference_off is not None:
         if reference_off < ON_GRID and off > (OFF_GRID if reference_off > EXACTLY else SELDOM):
-            raise _exchanged("q and q_ref", "a reference in steps of the encoder, and a position that is not", source)
+            found = "a reference in steps of the encoder, and a position that is not"
+            yield "exchanged-reference", _exchange("q and q_ref", found)
+            return
         if off < ON_GRID:
             return
     if correlation(q, q_ref) > STIFF:
         explained, other = unexplained(record, q), unexplained(record, q_ref)
         if other < BEST and explained > EXPLAINS * other:
-            raise _exchanged("q and q_ref", "a reference that explains the command better than the position", source)
+            found = "a reference that explains the command better than the position"
+            yield "exchanged-reference", _exchange("q and q_ref", found)
 
 
-def _exchanged(columns: str, found: str, source: str) -> RecordError:
-    return RecordError(f"{source}: columns {columns}: found {found}; are they exchanged in [record]?")
+def _exchange(columns: str, found: str) -> str:
+    return f"columns {columns}: found {found}; are they exchanged in [record]?"
 
 
-def _limit(axis: Axis, record: Record, source: str) -> list[str]:
+def _limit(axis: Axis, record: Record) -> Found:
     limit, largest = axis.drive.command_limit, float(np.max(np.abs(record.u)))
     found = f"found up to {largest:.4g}, expected at most the limit of {limit:.4g} in the axis file"
     if largest > FAR_BEYOND_LIMIT * limit:
-        raise RecordError(f"{source}: column u: {found}; correct unit or scale of command in [record]")
-    return [f"u: {found}"] if largest > BEYOND_LIMIT * limit else []
+        yield "command-limit", f"column u: {found}; correct unit or scale of command in [record]"
+    elif largest > BEYOND_LIMIT * limit:
+        yield None, f"u: {found}"
 
 
-def _force(axis: Axis, record: Record, source: str) -> list[str]:
+def _force(axis: Axis, record: Record) -> Found:
     """The motor's force against what mass and friction of the axis need for this motion."""
     if axis.drive.command == "duty":  # of a supply, against a back-EMF
         if record.supply is None:
-            return []
+            return
         record = replace(record, u=record.u * record.supply)
     a, v, u = _motion(record, record.q)
     m, drive = axis.mechanics, axis.supplied_by(record).drive
     if drive.command == "duty" and drive.supply is None:
-        return []
+        return
     needed = m.mass * a + (m.viscous + drive.braking) * v + m.coulomb * np.sign(v) + m.offset
     force = drive.gain * u
     if not (np.std(force) and np.std(needed)):
-        return []
+        return
     if correlation(force, needed) < OPPOSED:
-        raise RecordError(
-            f"{source}: column u: found a command against the motion it makes, expected one along it; command, or "
-            "position and reference, needs sign = -1 in [record]"
+        yield (
+            "opposed-command",
+            "column u: found a command against the motion it makes, expected one along it; command, or position and "
+            "reference, needs sign = -1 in [record]",
         )
     ratio = float(np.sqrt(np.mean(force**2) / np.mean(needed**2)))
     words = f"found force_gain x command {ratio:.3g} times what mass and friction need for the motion"
     if not 1.0 / IMPOSSIBLE_FORCE < ratio < IMPOSSIBLE_FORCE:
-        raise RecordError(
-            f"{source}: columns u and q: {words}, expected about as much; correct unit or scale in [record]"
-        )
+        yield "force-scale", f"columns u and q: {words}, expected about as much; correct unit or scale in [record]"
     # Friction may hide a wrong scale in the sum.
     inertial, expected = float(np.std(drive.gain * motion_parts(record, record.q)[0][:, 0])), m.mass * float(np.std(a))
     if np.std(v) > ONE_VELOCITY * np.max(np.abs(v)) and inertial > max(
         INERTIAL * float(np.std(force)), IMPOSSIBLE_FORCE * expected
     ):
-        raise RecordError(
-            f"{source}: columns q and q_ref: found a motion that {inertial / expected:.3g} times the mass of the axis "
-            "would make under this command, expected about that mass; correct unit or scale of both in [record]"
+        yield (
+            "inertia-scale",
+            f"columns q and q_ref: found a motion that {inertial / expected:.3g} times the mass of the axis would make "
+            "under this command, expected about that mass; correct unit or scale of both in [record]",
         )
     known = f" ({_named(ratio)}?)" if _named(ratio) else ""
-    return [] if 1.0 / ODD_FORCE < ratio < ODD_FORCE else [f"u and q: {words}{known}; check their units"]
+    if not 1.0 / ODD_FORCE < ratio < ODD_FORCE:
+        yield None, f"u and q: {words}{known}; check their units"
 
 
 def _motion(record: Record, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -195,8 +227,10 @@ def _off_grid(values: np.ndarray, step: float) -> float | None:
     return float(np.mean(np.abs(steps - np.round(steps))))
 
 
-def _roughness(values: np.ndarray) -> float:
-    return float(np.std(np.diff(values, 2)) / np.std(values))
+def _roughness(values: np.ndarray, span: int) -> float:
+    """How much ``values`` (n,) bend over a ``span`` of samples, as a share of their deviation; 0 without one."""
+    bends = values[2 * span :] - 2.0 * values[span:-span] + values[: -2 * span]
+    return float(np.std(bends) / np.std(values)) if np.ptp(values) else 0.0
 
 
 def correlation(a: np.ndarray, b: np.ndarray) -> float:

@@ -18,6 +18,8 @@ PLAIN = Layout()  # what a record is without an axis: metres and volts, by the n
 SHORTEST = 50  # samples; less than this says nothing about an axis
 CUT = "take a part of it with import and its `window`, or split it"
 NOTED_SATURATION = 0.005  # share of samples
+AT_LIMIT = 0.98  # of the limit
+IN_STEPS = 0.9  # of the samples that keep the command of the one before: it is set in steps, and not cut
 LARGEST = 1e15  # of any column; beyond it the checks themselves would overflow
 # Beyond these a unit was mistaken: no single axis is longer, faster or stronger.
 LONGEST_STROKE = {"linear": 20.0, "rotary": 1e5}  # m, rad
@@ -89,23 +91,18 @@ def checked(
         n = named["t"].size
         _fits(n, source, LONGEST)
     period = period or found
-    if "q" not in named:
-        named["q"] = _integral(named["velocity"], period)
-        if resampled is not None:
-            own = resampled.measured["t"]
-            resampled.measured["q"] = np.interp(own - own[0], named["t"], named["q"])
-        notes.append("q: not recorded; the integral of velocity from 0 stands for it")
+    recorded, stood_in = _stand_ins(named, period, layout)
+    notes += stood_in
+    if resampled is not None and "q" not in resampled.measured:
+        own = resampled.measured["t"]
+        resampled.measured["q"] = np.interp(own - own[0], named["t"], named["q"])
     _moving(named, layout, source)
-    if "q_ref" in named and resampled is None:
+    if recorded and resampled is None:
         nothing_lost(named["q"], named["q_ref"], named["t"], layout.unit("q"), source)
     no_jump(named["q"], named["t"], layout.unit("q"), source)
     _plausible(named, period, layout, assigned, source)
     named["t"][:] = np.arange(n)
     named["t"] *= period
-    recorded = "q_ref" in named
-    if not recorded:
-        named["q_ref"] = _reference_from(named, period)
-        notes.append(_NO_REFERENCE["velocity_reference" in named])
     return {
         "t": named["t"],
         "q_ref": named["q_ref"],
@@ -120,10 +117,29 @@ def checked(
     }
 
 
-_NO_REFERENCE = {
-    True: "q_ref: not recorded; the integral of velocity_reference from the first position stands for it",
-    False: "q_ref: not recorded; q itself stands for it",
-}
+def _stand_ins(named: dict[str, np.ndarray], period: float, layout: Layout) -> tuple[bool, list[str]]:
+    """Put into ``named`` what stands for a position or a reference that has no column; return if there is one, notes.
+
+    Where no controller needs a reference, one that is constant is none.
+    """
+    notes, why = [], "not recorded"
+    if "q" not in named:
+        named["q"] = _integral(named["velocity"], period)
+        notes.append("q: not recorded; the integral of velocity from 0 stands for it")
+    if "q_ref" in named and not layout.reference_needed and np.ptp(named["q_ref"]) == 0.0:
+        why = f"constant at {named.pop('q_ref')[0]:g} {layout.unit('q')}, no reference of this motion"
+    if "q_ref" in named:
+        return True, notes
+    if "velocity_reference" in named:
+        steps = named["velocity_reference"] * period
+        steps[0] = named["q"][0]
+        named["q_ref"] = np.cumsum(steps)
+        return False, [
+            *notes,
+            f"q_ref: {why}; the integral of velocity_reference from the first position stands for it",
+        ]
+    named["q_ref"] = named["q"].copy()
+    return False, [*notes, f"q_ref: {why}; q itself stands for it"]
 
 
 def _integral(velocity: np.ndarray, period: float) -> np.ndarray:
@@ -136,15 +152,6 @@ def _integral(velocity: np.ndarray, period: float) -> np.ndarray:
     np.cumsum(velocity[1:] + velocity[:-1], out=q[1:])
     q *= 0.5 * period
     return q
-
-
-def _reference_from(named: dict[str, np.ndarray], period: float) -> np.ndarray:
-    """The position reference of a record that has none: its velocity reference integrated, or the position itself."""
-    if "velocity_reference" not in named:
-        return named["q"].copy()
-    steps = named["velocity_reference"] * period
-    steps[0] = named["q"][0]
-    return np.cumsum(steps)
 
 
 def _part(t: np.ndarray, window: tuple[float, float], source: str) -> slice:
@@ -323,8 +330,9 @@ def _notes(named: Mapping[str, np.ndarray], layout: Layout, recorded: bool) -> l
     if largest < SMALLEST_VOLTAGE and layout.unit("u") == "V":
         notes.append(f"u: at most {largest:.3g} V; check that it is in volts")
     saturated = int(np.count_nonzero(u >= largest * (1 - 1e-6)))
-    if saturated > max(NOTED_SATURATION * u.size, 5):
+    cut = np.mean(np.diff(named["u"]) == 0.0) < IN_STEPS or (layout.limit and largest >= AT_LIMIT * layout.limit)
+    if cut and saturated > max(NOTED_SATURATION * u.size, 5):
         unit = layout.unit("u")
         extreme = f"{largest:.4g} {unit}".rstrip()
-        notes.append(f"u: {100 * saturated / u.size:.2g} % of the samples sit at the extreme of {extreme}: saturated")
+        notes.append(f"u: {100 * saturated / u.size:.3g} % of the samples sit at the extreme of {extreme}: saturated")
     return notes

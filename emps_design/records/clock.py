@@ -13,7 +13,8 @@ NOTED_JITTER = 0.01
 ON_THE_CLOCK = 1e-3  # of the axis's period: the stamps jitter, the drive's clock does not
 SHORTEST_PERIOD, LONGEST_PERIOD = 1e-6, 0.1  # s
 GAP = 10.5  # periods without a sample: more than a lost telegram or two
-STEPWISE = ("enable",)  # what is on or off, and nothing between
+MOST_BRIDGED = 0.5  # of a record, that its gaps may be
+STEPWISE = ("enable", "bridged")  # what is on or off, and nothing between
 MISSING = 2.5  # periods without a sample: some are missing
 
 
@@ -53,7 +54,8 @@ def on_one_clock(
 ) -> tuple[float, tuple[str, ...], Resampled | None]:
     """The period [s] of ``signals`` by name, notes, and the signals resampled where their time is irregular.
 
-    Irregular time is refused with :class:`RecordError` unless a ``wanted`` period is given; a gap always is.
+    Irregular time is refused with :class:`RecordError` unless a ``wanted`` period is given. Between the pieces of a
+    record with gaps the signals are straight, and ``bridged`` is 1.
     """
     t = signals["t"]
     typical, away = steps_of(t, source, first_row)
@@ -74,8 +76,8 @@ def on_one_clock(
             f"{typical:.6g} s as elsewhere; sampling must be uniform: resample, or cut the record there"
         )
     del away
-    no_gap(t, typical, source, first_row)
-    resampled = _resampled(signals, wanted, typical)
+    bridges = _bridges(t, typical, source, first_row)
+    resampled = _resampled(signals, wanted, typical, bridges)
     return resampled.period, resampled.notes, resampled
 
 
@@ -108,36 +110,60 @@ def nominal(period: float) -> float:
 
 def no_gap(t: np.ndarray, typical: float, source: str, first_row: int) -> None:
     """Refuse with :class:`RecordError` a time column ``t`` [s] of ``typical`` steps [s] that has a gap."""
+    gaps = np.flatnonzero(np.diff(t) > GAP * typical)
+    if gaps.size:
+        raise _with_gaps(t, gaps, typical, source, first_row)
+
+
+def _bridges(t: np.ndarray, typical: float, source: str, first_row: int) -> np.ndarray:
+    """The rows behind which ``t`` [s] has a gap; :class:`RecordError` where the gaps are most of it."""
     step = np.diff(t)
     gaps = np.flatnonzero(step > GAP * typical)
-    if gaps.size:
-        i = int(gaps[0])
-        more = f" ({gaps.size} such gaps)" if gaps.size > 1 else ""
-        raise RecordError(
-            f"{source}: column t, row {first_row + i + 1}: nothing from {t[i]:.6g} s to {t[i + 1]:.6g} s{more}, "
-            f"expected a sample every {typical:.4g} s; emps-design import --time A:B takes a part without it"
-        )
+    if float(step[gaps].sum()) > MOST_BRIDGED * float(t[-1] - t[0]):
+        raise _with_gaps(t, gaps, typical, source, first_row)
+    return gaps
 
 
-def _resampled(signals: dict[str, np.ndarray], wanted: float, typical: float) -> Resampled:
+def _with_gaps(t: np.ndarray, gaps: np.ndarray, typical: float, source: str, first_row: int) -> RecordError:
+    i = int(gaps[0])
+    more = f" ({gaps.size} such gaps)" if gaps.size > 1 else ""
+    return RecordError(
+        f"{source}: column t, row {first_row + i + 1}: nothing from {t[i]:.6g} s to {t[i + 1]:.6g} s{more}, "
+        f"expected a sample every {typical:.4g} s; emps-design import --time A:B takes a part without it"
+    )
+
+
+def _resampled(signals: dict[str, np.ndarray], wanted: float, typical: float, bridges: np.ndarray) -> Resampled:
     """``signals`` by linear interpolation on a uniform clock: ``wanted`` [s], or what is nearest to their own."""
     t = signals["t"]
-    mean = float(t[-1] - t[0]) / (t.size - 1)
+    step = np.diff(t)
+    mean = (float(t[-1] - t[0]) - float(step[bridges].sum())) / (step.size - bridges.size)
     period = wanted if 0.5 <= wanted / mean <= 1.5 else nominal(float(f"{mean:.3g}"))
     grid = np.arange(int(np.floor((t[-1] - t[0]) / period * (1 + 1e-12))) + 1) * period
     at = grid + t[0]
     new = {name: grid if name == "t" else between_samples(name, t, values, at) for name, values in signals.items()}
-    step = np.diff(t)
     costs = ", ".join(
         f"{name} {interpolation_error(t, signals[name])[0]:.2g}" for name in ("q", "q_ref", "u") if name in signals
     )
     missing = int(np.count_nonzero(step > MISSING * typical))
     bridged = f"; {missing} of them bridge missing samples" if missing else ""
-    note = (
+    notes = [
         f"t: irregular, steps of {1e3 * step.min():.4g} to {1e3 * step.max():.4g} ms (median {1e3 * typical:.4g})"
         f"{bridged}; put on {1e3 * period:.4g} ms by linear interpolation, off by at most (rms) {costs}"
-    )
-    return Resampled(new, period, (note,), {name: values.copy() for name, values in signals.items()})
+    ]
+    if bridges.size:
+        inside = np.zeros(grid.size)
+        for i in bridges:  # between the last sample before a gap and the first behind it
+            inside[np.searchsorted(at, t[i], side="right") : np.searchsorted(at, t[i + 1])] = 1.0
+        new["bridged"] = np.maximum(inside, new.get("bridged", inside))
+        i = int(bridges[np.argmax(step[bridges])])
+        lost = f"{float(step[bridges].sum()):.3g} s in all"
+        notes.append(
+            f"t: nothing from {t[i]:.6g} s to {t[i + 1]:.6g} s"
+            f"{f' and in {bridges.size - 1} more gaps, {lost}' if bridges.size > 1 else ''}; taken as "
+            f"{bridges.size + 1} pieces, and what lies between takes no part"
+        )
+    return Resampled(new, period, tuple(notes), {name: values.copy() for name, values in signals.items()})
 
 
 def between_samples(name: str, t: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:

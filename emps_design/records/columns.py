@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from emps_design.errors import InputError, RecordError
-from emps_design.units import Units, spelled
+from emps_design.units import Units, is_unit, spelled
 
 # The contract's names, and the names of the EMPS data set.
 NAMES = {"t": "t", "qg": "q_ref", "q_ref": "q_ref", "qm": "q", "q": "q", "vir": "u", "u": "u"}
-OPTIONAL = ("f_ext", "velocity_reference", "velocity", "supply", "enable", "excitation")
+OPTIONAL = ("f_ext", "velocity_reference", "velocity", "supply", "enable", "excitation", "bridged")
 NAMES |= {name: name for name in OPTIONAL}
 # name -> what it measures, one of the columns that units are known of; a switch has none
 QUANTITIES = {
@@ -25,6 +25,7 @@ QUANTITIES = {
     "supply": "supply",
     "enable": "switch",
     "excitation": "command",
+    "bridged": "switch",
 }
 _BASE = {"time": "s", "position": "m", "velocity": "m/s", "force": "N", "command": "V", "supply": "volt", "switch": ""}
 RECORD = "emps_design_record"  # a member of an archive that this package wrote: its columns need no mapping
@@ -34,6 +35,9 @@ LETTERS = ("s", "m", "A", "V", "N")
 PLAIN = Units()  # of a record that no axis file describes
 _CONTRACT = re.compile(r"\s*(?P<name>\w+)\s*(?:\[(?P<square>[^\]]*)\]|\((?P<round>[^)]*)\)|/\s*(?P<slash>\w+))?\s*")
 _BRACKETED = re.compile(r"\s*(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\))\s*")
+_BEHIND_A_STROKE = re.compile(
+    r"\s*(?P<name>[^/\[\]()]*[^/\[\]()\s])\s*/\s*(?P<unit>[^/\s\[\]()]+(?:/[^/\s\[\]()]+)?)\s*"
+)
 
 
 @dataclass(frozen=True)
@@ -84,15 +88,21 @@ def read_title(text: str, source: str, units: Units = PLAIN) -> Title:
 
 
 def plain_title(text: str) -> tuple[str, str]:
-    """Return a title without its bracketed unit, and that unit, or "" where it has none.
+    """Return a title without the unit in brackets or behind a stroke, and that unit, or "" where it has none.
 
     >>> plain_title("Lageistwert [mm]"), plain_title("pos_deg"), plain_title("Torque (act) (Nm)")
     (('Lageistwert', 'mm'), ('pos_deg', ''), ('Torque (act)', 'Nm'))
+    >>> plain_title("Time/ms"), plain_title("speed / (r/min)"), plain_title("speed m/s"), plain_title("on/off")
+    (('Time', 'ms'), ('speed', 'r/min'), ('speed m/s', ''), ('on/off', ''))
     """
     match = _BRACKETED.fullmatch(text)
-    if match is None or not match["name"]:
+    if match is not None and match["name"]:
+        return match["name"].rstrip("/ ") or match["name"], (match["square"] or match["round"] or "").strip()
+    match = _BEHIND_A_STROKE.fullmatch(text)
+    if match is None or not spelled(match["unit"]) or not is_unit(match["unit"]):
         return text.strip(), ""
-    return match["name"], (match["square"] or match["round"] or "").strip()
+    part_of_it = is_unit(f"{match['name'].split()[-1]}/{match['unit']}")
+    return (text.strip(), "") if part_of_it else (match["name"], match["unit"])
 
 
 def title_unit(text: str) -> tuple[str, str]:

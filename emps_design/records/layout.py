@@ -36,7 +36,7 @@ class Layout:
 
     An export is put on the ``period`` [s] where its time is irregular, a record of this package only where ``resample``
     asks for it; ``window`` takes a part [s] of the file's time alone. ``reference_needed`` is False where no controller
-    needs one.
+    needs one; ``limit`` is that of the command, where it is known.
     """
 
     units: Units = PLAIN
@@ -45,6 +45,7 @@ class Layout:
     resample: bool = False
     window: tuple[float, float] | None = None
     reference_needed: bool = True
+    limit: float | None = None
 
     @property
     def longest(self) -> int:

@@ -2,10 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+# What an import refuses because it cannot be of the axis, unless its table accepts it.
+Doubt = Literal[
+    "sampling-period",
+    "opposed-reference",
+    "reference-scale",
+    "rough-position",
+    "exchanged-command",
+    "exchanged-reference",
+    "command-limit",
+    "opposed-command",
+    "force-scale",
+    "inertia-scale",
+]
+DOUBTS: tuple[Doubt, ...] = get_args(Doubt)
 LONGEST_DELAY = 0.1  # s; what is recorded later than that was not recorded with the rest
 
 
@@ -29,7 +43,7 @@ class Column(BaseModel):
 
 
 class ColumnMap(BaseModel):
-    """The table itself; every key is a column of a record.
+    """The table itself: columns of a record, and which doubts of an import are overruled (``accept``).
 
     >>> ColumnMap.model_validate({"position": {"column": "Lageistwert", "unit": "mm"}}).named["q"].unit
     'mm'
@@ -47,6 +61,7 @@ class ColumnMap(BaseModel):
     excitation: Column | None = None
     supply: Column | None = None
     enable: Column | None = None
+    accept: tuple[Doubt, ...] = ()
 
     @model_validator(mode="after")
     def _time_is_the_clock(self) -> ColumnMap:
@@ -66,4 +81,4 @@ class ColumnMap(BaseModel):
 
 # name of a record's column -> key of the table, in the order of the table
 _IN_A_RECORD = "t q q_ref velocity_reference u velocity f_ext excitation supply enable"
-KEYS = dict(zip(_IN_A_RECORD.split(), ColumnMap.model_fields, strict=True))
+KEYS = dict(zip(_IN_A_RECORD.split(), (key for key in ColumnMap.model_fields if key != "accept"), strict=True))

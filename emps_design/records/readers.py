@@ -121,7 +121,7 @@ def _read(file: BinaryIO, name: str, source: str, max_bytes: int, layout: Layout
     signals = checked(columns, source, first_row, layout=layout, assigned=assigned)
     if measured:
         signals["measured"] = {key.removeprefix(MEASURED): values for key, values in measured.items()}
-    signals["assigned"] = tuple(assigned)
+    signals["assigned"] = tuple(one for one in assigned if one.name != "q_ref" or signals["q_ref_recorded"])
     signals["warnings"] = (*notes, *signals["warnings"])
     return Record(name=one_line(Path(name).stem), sha256=digest, **signals)
 

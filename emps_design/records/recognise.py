@@ -72,6 +72,7 @@ def meanings(titles: Sequence[str], units: Units) -> dict[str, list[str]]:
         "q": _first(
             lambda: those(_ACTUAL, _POSITION, but=f"{_VELOCITY}|{_SET}", name="q"),
             lambda: those(_POSITION, but=f"{_VELOCITY}|{_SET}", name="q"),
+            lambda: those(r"^(x|theta|phi)$", name="q"),
         ),
         "u": _first(
             lambda: those(_SET, _FORCE, but=drive),
@@ -80,7 +81,9 @@ def meanings(titles: Sequence[str], units: Units) -> dict[str, list[str]]:
             lambda: alone(r"cmd|command|stellgröße|u", "u"),
         ),
         "velocity_reference": those(_SET, _VELOCITY, name="velocity"),
-        "velocity": those(_VELOCITY, but=_SET, name="velocity"),
+        "velocity": _first(
+            lambda: those(_VELOCITY, but=_SET, name="velocity"), lambda: those(r"^(v|w|dq|qd)$", name="velocity")
+        ),
         "f_ext": those(_SENSOR, _FORCE, name="f_ext"),
         "supply": those(_SUPPLY, r"volt|spannung", name="supply"),
     }

@@ -27,7 +27,8 @@ class Record:
     an axis that turns], both on the load side; ``u`` what the drive was given [V, or the command unit of the axis].
     Where there are such columns: ``f_ext`` measured external force [N or N m]; ``velocity_reference`` and ``velocity``,
     the drive's own [m/s or rad/s]; ``supply`` [V]; ``enable``, 0 where the motor was switched off; ``excitation``, what
-    was added to the controller's output [as u]. ``q_ref_recorded`` is False where something stands for the reference.
+    was added to the controller's output [as u]; ``bridged``, 1 where nothing was recorded and a straight line joins two
+    pieces. ``q_ref_recorded`` is False where something stands for the reference.
 
     ``measured`` has the signals at their own times where they were resampled; ``assigned`` says which column of the
     file each was. ``extra`` keeps other columns of the
@@ -52,6 +53,7 @@ class Record:
     supply: np.ndarray | None = None
     enable: np.ndarray | None = None
     excitation: np.ndarray | None = None
+    bridged: np.ndarray | None = None
     q_ref_recorded: bool = True
     measured: Mapping[str, np.ndarray] | None = field(default=None, repr=False)
     assigned: tuple[Assignment, ...] = field(default=(), repr=False)

@@ -20,7 +20,7 @@ from emps_design.discrepancy.checks.requirements import (
     told_by_one_speed,
 )
 from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.partition import Split, split
+from emps_design.discrepancy.model.partition import FEWEST_STROKES, PARTS, Split, find_strokes, split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.effects import Effect
@@ -157,15 +157,21 @@ def _splits(records: tuple[Record, ...], fit_time: Interval | None, confirm_time
                 f"{rules.FEWEST_TO_CONFIRM}"
             )
         allowed[0] &= ~kept
+    there = [
+        mask[start:stop].any()
+        for record, mask in zip(records, allowed, strict=True)
+        for start, stop in find_strokes(record.q_ref, record.period)
+    ]
+    few = sum(there) < FEWEST_STROKES
     splits: list[Split] = []
     for record, mask in zip(records, allowed, strict=True):
-        splits.append(split(record, mask, sum(len(made.strokes) for made in splits)))
+        splits.append(split(record, mask, sum(len(made.strokes) for made in splits), PARTS if few else 1))
     fits, selects, used = (int(sum(getattr(s, part).sum() for s in splits)) for part in ("fit", "select", "used"))
     if fits < rules.FEWEST_TO_FIT or selects < rules.FEWEST_TO_SELECT:
         raise InputError(
             f"{', '.join(record.name for record in records)}: found {used} samples to fit, in "
-            f"{sum(len(made.strokes) for made in splits)} strokes; expected at least two strokes to fit and one to "
-            "select from: record two reversals or more (identify needs none)"
+            f"{sum(len(made.strokes) for made in splits)} strokes; expected at least {rules.FEWEST_TO_FIT} to fit and "
+            f"{rules.FEWEST_TO_SELECT} others to select from: record longer (identify needs less)"
         )
     return tuple(splits)
 

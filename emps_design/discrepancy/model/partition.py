@@ -11,6 +11,7 @@ from emps_design.effects.sizes import TURN
 from emps_design.records import Record
 
 START_UP = 50  # samples left out at the start of a record: the loop's own transient, as in the published figures
+FEWEST_STROKES, PARTS = 3, 4  # fewer strokes than that, of all records, are taken in so many parts each
 MOST_TURNS = 12  # of a shaft that turns on and on: pieces that are whole strokes to it
 
 
@@ -19,7 +20,7 @@ class Split:
     """Boundaries of strokes and laps [samples], and the samples that fit and that select, as boolean arrays.
 
     Laps alternate between fitting and selecting where there are more than three (the start of the first is left out),
-    strokes otherwise, so that whatever changes with time is seen by both parts.
+    strokes otherwise, or parts of strokes where there are too few, so that whatever changes with time is seen by both.
     """
 
     strokes: tuple[tuple[int, int], ...]
@@ -38,15 +39,20 @@ class Split:
         return Split(strokes, self.lap, self.fit[:stop], self.select[:stop])
 
 
-def split(record: Record, fit_share: np.ndarray | None = None, before: int = 0) -> Split:
+def split(record: Record, fit_share: np.ndarray | None = None, before: int = 0, parts: int = 1) -> Split:
     """Split ``record`` by whole strokes; ``fit_share`` (n,) bool limits what may be used at all.
 
-    ``before`` is the number of strokes of the records before this one, so that single strokes take turns too.
+    ``before`` is the number of strokes of the records before this one, so that single strokes take turns too; ``parts``
+    into how many each is taken apart.
     """
     n = len(record)
     allowed = np.ones(n, bool) if fit_share is None else fit_share.copy()
     allowed[:START_UP] = False
+    if record.bridged is not None:  # nor behind a gap, in which the model went its own way
+        allowed &= np.convolve(record.bridged > 0.0, np.ones(2 * START_UP + 1), "same") < 0.5
     strokes = find_strokes(record.q_ref, record.period)
+    if parts > 1:
+        strokes = tuple(part for start, stop in strokes for part in _parts(record.q, start, stop, parts))
     lap = find_lap(record.q_ref)
     laps = int(allowed.sum()) // lap if lap else 0
     fit = np.zeros(n, bool)
@@ -56,6 +62,18 @@ def split(record: Record, fit_share: np.ndarray | None = None, before: int = 0) 
         for index, (start, stop) in enumerate(strokes):
             fit[start:stop] = (before + index) % 3 != 2
     return Split(strokes, lap, fit & allowed, ~fit & allowed)
+
+
+def _parts(q: np.ndarray, start: int, stop: int, count: int) -> list[tuple[int, int]]:
+    """``count`` parts of a stroke of ``q`` (n,), of as much time and travel together: a long rest tells little.
+
+    >>> _parts(np.concatenate([np.arange(100.0), np.full(300, 99.0)]), 0, 400, 2)
+    [(0, 79), (79, 400)]
+    """
+    travel = np.cumsum(np.abs(np.diff(q[start:stop], prepend=q[start])))
+    spent = np.arange(stop - start) / (stop - start) + travel / max(float(travel[-1]), 1e-300)
+    edges = [start, *(start + np.searchsorted(spent, spent[-1] * np.arange(1, count) / count)).tolist(), stop]
+    return list(itertools.pairwise(edges))
 
 
 def find_lap(q_ref: np.ndarray) -> int:

@@ -54,6 +54,21 @@ def test_a_shaft_that_turns_on_and_on_is_cut_into_pieces_of_at_least_a_turn():
     assert len(find_strokes(np.linspace(0.0, 6.0, 5000), 1e-3)) == 1  # less than a turn
 
 
+def test_two_strokes_are_split_within():
+    """Every part has as much of the motion as of the time: a long rest behind a step tells little."""
+    step = np.minimum(np.arange(5000) / 400.0, 1.0)
+    q = np.concatenate([step, 1.0 - step])
+    made = split(record(q), parts=4)
+    assert len(made.strokes) == 8
+    moving = np.abs(np.gradient(q)) > 0
+    for part in (made.fit, made.select):
+        assert 0.2 < np.mean(part[moving]) < 0.8
+    axis = machine("emps2019").replace(controller={"kind": "none"})
+    two = Record.from_arrays(1e-3, 0.1 * q, 0.1 * q, np.gradient(q) * 1e3 + 0.1 * np.sin(np.arange(q.size)))
+    (prepared,) = prepare((two,), axis, (), None, None, None).start.problem.splits
+    assert len(prepared.strokes) == 8
+
+
 def test_what_is_not_allowed_is_not_used():
     q_ref = trapezoid_laps(1e-3, stroke=0.1, laps=3)
     allowed = np.arange(q_ref.size) < q_ref.size // 2

@@ -96,3 +96,53 @@ def test_a_trace_without_a_reference_or_in_another_unit_still_tells_the_rest(tmp
     document = json.loads(capsys.readouterr().out)
     assert document["encoder_step"] == pytest.approx(ENCODER, rel=1e-3)
     assert "period" not in document["to_fill_in"]
+
+
+def written(tmp_path, text):
+    (tmp_path / "trace.csv").write_text(text, encoding="utf-8")
+    trace = read_trace(tmp_path / "trace.csv")
+    return trace, axis_text(trace)
+
+
+SERVO = "\n".join(
+    [
+        "Axis1",
+        "Time,Analog 1,Analog 2",
+        "ms,Servo motor speed,Torque",
+        *rows(1e3 * T, 60 * np.cos(6 * T), U, between=","),
+    ]
+)
+
+
+def test_a_column_without_a_unit_is_filled_in_and_waits_for_it(tmp_path, capsys):
+    """Period and command are told all the same; the speed waits behind a # with the unit that a drive writes."""
+    trace, text = written(tmp_path, SERVO)
+    assert (trace.units.motion, trace.units.command, trace.guessed) == ("rotary", "torque", ("velocity",))
+    table = tomllib.loads(text)
+    assert table["record"] == {"time": {"column": "Time", "unit": "ms"}, "command": {"column": "Torque"}}
+    assert table["sampling"] == {"period": 1e-3}
+    assert '# velocity = { column = "Servo motor speed", unit = "rpm" }' in text
+    assert "# position" not in text
+    for key in ("mass", "viscous", "coulomb", "force_gain", "command_limit", "encoder_resolution", "velocity"):
+        text = text.replace(f"# {key} = ", f"{key} = ")
+    axis = Axis.from_toml(text).replace(drive={"command_limit": 100.0})
+    assert "integral of velocity" in import_record(tmp_path / "trace.csv", axis).warnings[0]
+    assert app.run(["init", "--from", str(tmp_path / "trace.csv"), str(tmp_path / "start"), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert "velocity" in document["to_fill_in"]
+    assert "'Servo motor speed': found no unit" in document["warnings"][0]
+
+
+def test_with_its_unit_nothing_of_the_table_waits(tmp_path):
+    trace, text = written(tmp_path, SERVO.replace("Servo motor speed", "Speed [r/min]"))
+    assert trace.units.motion == "rotary"
+    assert tomllib.loads(text)["record"]["velocity"] == {"column": "Speed", "unit": "rpm"}
+
+
+def test_columns_with_the_names_of_a_record_are_not_asked_for(tmp_path):
+    trace, text = written(tmp_path, "\n".join(["t,x,u", *rows(T, Q, U, between=",")]))
+    assert trace.guessed == ("q",)
+    assert '# position = { column = "x", unit = "m" }' in text
+    assert "# time" not in text
+    assert "# command = {" not in text
+    assert trace.encoder_step is None

@@ -6,6 +6,7 @@ import pytest
 from emps_design.errors import RecordError
 from emps_design.records import Record
 from emps_design.records.check import checked
+from emps_design.records.layout import Layout
 
 N = 400
 T = np.arange(N) * 1e-3
@@ -88,6 +89,13 @@ def test_noted(columns, note):
     warnings = build(**columns).warnings
     assert len(warnings) == 1
     assert note in warnings[0]
+
+
+@pytest.mark.parametrize(("limit", "said"), [(None, False), (0.3, False), (0.08, True)])
+def test_a_command_in_steps_is_no_saturated_one(limit, said):
+    steps = np.where(np.arange(N) < 150, 0.05, 0.08)
+    record = Record.from_arrays(T, Q, Q, steps, layout=Layout(limit=limit))
+    assert any("saturated" in note for note in record.warnings) is said
 
 
 def test_a_unit_that_overflows_is_refused():

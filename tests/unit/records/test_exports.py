@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from emps_design.discrepancy.model.partition import split
 from emps_design.errors import AxisError, RecordError
+from emps_design.identification.rests import at_rest
 from emps_design.importing import import_bytes, import_record
 from emps_design.importing.account import Account, record_table
 from emps_design.machines import machine
@@ -366,6 +368,37 @@ def test_a_part_without_the_gap_is_read():
         read(jittered(), resample=True, window=(7.0, 9.0))
 
 
+def test_a_record_with_gaps_is_taken_as_its_pieces_and_says_so(tmp_path):
+    t = T + np.where(T > 0.1, 0.05, 0.0) + np.where(T > 0.25, 0.02, 0.0)
+    text = "\n".join(["t;q;q_ref;u", *rows(t, np.sin(6 * t), np.sin(6 * t), np.cos(6 * t), digits=12)])
+    record = read(text, resample=True)
+    assert any(
+        "nothing from 0.1 s to 0.151 s and in 1 more gaps, 0.072 s in all; taken as 3 pieces" in note
+        for note in record.warnings
+    )
+    there = record.bridged == 0.0
+    assert there.sum() == N
+    np.testing.assert_allclose(record.q[there], np.sin(6 * record.t[there]), atol=1e-6)
+    assert np.all(at_rest(record)[~there])
+    assert not split(record).used[~there].any()
+    assert record.part(120, 300).bridged.sum() == (~there)[120:300].sum()
+    for name in ("a.npz", "a.csv"):
+        record.save(tmp_path / name)
+        again = record_from_bytes((tmp_path / name).read_bytes(), name, layout=layout())
+        assert np.array_equal(again.bridged, record.bridged)
+
+
+def test_a_reference_that_is_constant_is_none_where_no_controller_needs_one():
+    text = "\n".join(["t;q;q_ref;u", *rows(T, Q, 0 * T, U)])
+    record = read(text, units=Units(), reference_needed=False)
+    assert not record.q_ref_recorded
+    assert np.array_equal(record.q_ref, record.q)
+    assert [note for note in record.warnings if note.startswith("q_ref")] == [
+        "q_ref: constant at 0 m, no reference of this motion; q itself stands for it",
+    ]
+    assert read(text, units=Units()).q_ref_recorded
+
+
 @pytest.mark.parametrize("suffix", ["csv", "npz"])
 def test_what_is_missing_outside_the_part_does_not_matter(tmp_path, suffix):
     q, late = Q.copy(), np.interp(T - 0.05, T, U)
@@ -400,7 +433,7 @@ def test_the_original_times_are_kept_through_an_archive(tmp_path):
     ("text", "columns", "message"),
     [
         (
-            jittered(gap=0.1),
+            jittered(gap=0.6),  # more than half of it
             {"position": {"column": "q"}},
             r"row 202: nothing from 0\.19\d* s to 0\.\d* s, expected a s",
         ),
