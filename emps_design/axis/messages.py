@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from emps_design.axis.tables import field_in, fields_in
 from emps_design.errors import nearest_name
 from emps_design.laws import NONE, unit_of
+from emps_design.laws.estimators import NAME, TABLE
 from emps_design.laws.law import NUMBER, RECORDED
 from emps_design.records.mapping import Column, ColumnMap
 from emps_design.units import Units
@@ -24,7 +25,7 @@ def first_line(error: ValidationError, table: Any, tables: list[str]) -> str:
     kind = str(controller.get("kind", NONE)) if isinstance(controller, dict) else NONE
     problems = error.errors(include_url=False)
     problem = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
-    path = [str(part) for part in problem["loc"] if part not in (NUMBER, RECORDED)]
+    path = [str(part) for part in problem["loc"] if part not in (NUMBER, RECORDED, NAME, TABLE)]
     if path[:1] == ["effects"]:  # an effect's table is flat in the file
         path = [part for part in path if part != "parameters"]
     if path == ["drive", "command_limit"] and "voltage_limit" in table["drive"]:

@@ -23,7 +23,7 @@ from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, law_f
 from emps_design.control.impedance.robustness import VERDICTS, drift_speed, drift_threshold
 from emps_design.errors import InputError
 from emps_design.laws.library import ip_velocity
-from emps_design.laws.library.impedance import DELAY, impedance
+from emps_design.laws.library.impedance import DELAY, TAPS, impedance
 from emps_design.simulation.environment import HAND, Hand
 from emps_design.simulation.kernels import motion
 from emps_design.simulation.kernels.compile import address, cached
@@ -150,6 +150,7 @@ class Setup:
         plain = ready.settings[motion.EXACT] > 0.0 and not np.diff(ready.starts)[list(AROUND)].any()
         at_once = ready.settings[motion.DELAYED] == 0.0 and common[0, DELAY - OWN] == 0.0
         alike = self.law.kernel is impedance and len(common) >= LANES and np.all(common == common[0])
+        alike = alike and common[0, TAPS - OWN] >= 0.0  # no filter in the velocity estimate
         return bool(plain and at_once and alike)
 
     def measured(self, gains: np.ndarray) -> np.ndarray:

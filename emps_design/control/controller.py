@@ -230,9 +230,9 @@ def _laws(axis: Axis, direction: float) -> dict[str, tuple[str, LawAt]]:
         found["velocity"] = law.follows, whole
     elif law.follows == "position":
         hears_the_error_alone = not _hears(_velocity_alone(whole(period)))
-        if law.state_feedback and not hears_the_error_alone:
+        if kind.state_feedback and not hears_the_error_alone:
             found["velocity"] = "", lambda h: _velocity_alone(whole(h))
-        if law.state_feedback or hears_the_error_alone:
+        if kind.state_feedback or hears_the_error_alone:
             found["position"] = law.follows, whole
     return {**found, "whole": (law.follows, whole)}
 

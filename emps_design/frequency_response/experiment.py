@@ -25,6 +25,7 @@ from emps_design.frequency_response.limits import PLACES, ROOM, Limits, check_as
 from emps_design.frequency_response.quantisation import repeated_share
 from emps_design.frequency_response.rehearsal import Bound, Signals, rehearsed
 from emps_design.frequency_response.waves import BLOCKS, MultiSine, SteppedSine, Wave
+from emps_design.laws.estimators import estimator_response
 
 HIGHEST_SHARE = 0.8  # of the Nyquist frequency
 TURNING = 0.8  # share of the steady speed that the excitation may take
@@ -300,7 +301,7 @@ def _expected(
     """Relative deviations (m,) from the amplitudes of the ``command`` (m,) [V] over so many ``samples`` (m,)."""
     plant, resolution = sample_axis(axis, speed), axis.sampling.encoder_resolution
     back = np.exp(-1j * w * plant.period)
-    newer, older = plant.weights
-    position = plant.response(w) * plant.period / ((newer + older * back) * (1.0 - back))
+    estimate = estimator_response(plant.estimator, w, plant.period) * (1.0 - back)
+    position = plant.response(w) * plant.period / estimate
     power = (noise / axis.drive.gain) ** 2 + resolution**2 / 12.0 / np.abs(position) ** 2
     return np.sqrt(power / samples) / (0.5 * command)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.plant.discretisation import ESTIMATORS, filter_response
+from emps_design.control.plant.discretisation import filter_response
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.retune import retuned_gains
 from emps_design.control.velocity.specification import check_specification
@@ -21,6 +21,7 @@ from emps_design.errors import InputError, SpecificationError
 from emps_design.frequency_response.loop import measured_margins, over_limits
 from emps_design.frequency_response.measured_plant import MeasuredPlant
 from emps_design.frequency_response.response import FrequencyResponse
+from emps_design.laws.estimators import estimator_response
 from emps_design.laws.library.cascade import Filter
 
 NEAREST = 60  # slower crossovers that are tried for the nearest that works
@@ -32,7 +33,7 @@ class _Estimated:
     """A measured plant up to the velocity that a law estimates, as :func:`retuned_gains` asks for it."""
 
     plant: MeasuredPlant
-    weights: tuple[float, float]
+    estimator: Any
     filters: tuple[Filter, ...]
 
     @property
@@ -41,8 +42,8 @@ class _Estimated:
 
     def response(self, w: np.ndarray) -> np.ndarray:
         back = np.exp(-1j * np.asarray(w) * self.period)
-        newer, older = self.weights
-        found = self.plant.position(w) * (newer + older * back) * (1.0 - back) / self.period
+        estimate = estimator_response(self.estimator, w, self.period) * (1.0 - back) / self.period
+        found = self.plant.position(w) * estimate
         return found * filter_response(self.filters, w, self.period)
 
     def integrator(self, w: np.ndarray) -> np.ndarray:
@@ -85,8 +86,7 @@ def retune_on_response(
             f"{high:.4g} rad/s"
         )
     structure, filters = own_structure(axis, structure), own_filters(axis, filters)
-    weights = ESTIMATORS[axis.controller.velocity_estimator]
-    plant: Any = _Estimated(MeasuredPlant.of(response, axis), weights, filters)
+    plant: Any = _Estimated(MeasuredPlant.of(response, axis), axis.controller.velocity_estimator, filters)
     place = structure.place(at)
 
     def design_of(w: float) -> tuple[VelocityLoopDesign | None, str]:

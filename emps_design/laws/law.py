@@ -14,38 +14,43 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
-from pydantic.fields import FieldInfo
+from pydantic import Discriminator, Field, Tag
 
 from emps_design.errors import AxisError
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
-Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+from emps_design.laws.estimators import (
+    BACKWARD as BACKWARD,
+)
+from emps_design.laws.estimators import (
+    TWO_TAP as TWO_TAP,
+)
+from emps_design.laws.estimators import (
+    WORDS,
+    VelocityEstimator,
+    in_words,
+)
+from emps_design.laws.fields import (
+    Finite as Finite,
+)
+from emps_design.laws.fields import (
+    Group as Group,
+)
+from emps_design.laws.fields import (
+    NonNegative as NonNegative,
+)
+from emps_design.laws.fields import (
+    Positive as Positive,
+)
+from emps_design.laws.fields import (
+    parameter as parameter,
+)
+from emps_design.laws.fields import (
+    unit_of as unit_of,
+)
 
 FOLLOWS = ("position", "velocity", "rest position")  # the last is where a spring pulls to, and no more
-TWO_TAP: Final = "two_tap"
-BACKWARD: Final = "backward"
-
-
-def parameter(description: str, unit: str, default: Any = ...) -> Any:
-    """A field of a law's table: what it is, its unit, and its default (none: it has to be given)."""
-    return Field(default, description=description, json_schema_extra={"unit": unit})
-
-
-def unit_of(field: FieldInfo | None) -> str:
-    """The unit of a field of a table, "" where it has none."""
-    extra = field.json_schema_extra if field else None
-    return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
-
-
-class Group(BaseModel):
-    """A table inside the ``[controller]`` table: parameters that belong together, as those of one loop."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class FromRecord(Group):
@@ -65,9 +70,7 @@ Gain = Annotated[
 class LawTable(Group):
     """The ``[controller]`` table of one kind of law without its ``kind``; what every law has."""
 
-    velocity_estimator: Literal["two_tap", "backward"] = Field(
-        TWO_TAP, description="two-tap average and backward difference, or backward difference alone"
-    )
+    velocity_estimator: VelocityEstimator = Field(TWO_TAP, description=WORDS)
 
 
 @dataclass(frozen=True)
@@ -136,7 +139,8 @@ class LawKind:
     ``loops(p)`` are the loops within one another, innermost first: a name, and the table of the law up to that loop
     without feed-forward. One that follows a velocity is broken at the plant input, one that follows a position at the
     position error. ``state_feedback`` says that the kernel is ``u = gains[0] (reference - q) - gains[1] v`` and no
-    more, with 1/period and whether v is the two-tap estimate behind them: fused runs compute it in its place.
+    more, with 1/period and whether v is the two-tap estimate behind them: fused runs compute it in its place, but for
+    estimators that are a table.
     ``gain`` is the parameter (dotted where it is in a table of its own) that scales all the law answers to the motion.
     ``apparent`` says that the law gives the carriage the apparent ``mass`` and ``damping`` of its table.
     ``integral`` is the place in the memory of an integral that does not run while the limit acts, or a function of the
@@ -183,7 +187,7 @@ class LawKind:
             gains,
             self.memory(p, axis) if callable(self.memory) else self.memory,
             self.follows(p) if callable(self.follows) else self.follows,
-            self.state_feedback,
+            self.state_feedback and isinstance(p.velocity_estimator, str),
             self.cycle(p) if callable(self.cycle) else self.cycle,
             integral=self.integral(p) if callable(self.integral) else self.integral,
         )
@@ -195,5 +199,4 @@ def velocity_in_words(p: Any, period: float) -> str:
     >>> velocity_in_words(LawTable(velocity_estimator="backward"), 1e-3)
     'v[k] = (q[k] - q[k-1]) / 0.001'
     """
-    two_tap = p.velocity_estimator == TWO_TAP
-    return f"v[k] = (q[k] - q[{'k-2' if two_tap else 'k-1'}]) / {2.0 * period if two_tap else period:.10g}"
+    return in_words(p.velocity_estimator, period)

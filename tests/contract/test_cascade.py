@@ -12,6 +12,7 @@ from emps_design.errors import AxisError
 from emps_design.laws import law_of
 from emps_design.machines import machine
 from emps_design.records import Record
+from tests.contract.test_laws import ESTIMATED
 
 T = 1e-3
 FILTERS = (
@@ -63,11 +64,32 @@ def filter_of(one):
     return bilinear([1.0, one["depth"] * wide, w0**2], [1.0, wide, w0**2], 1 / T)
 
 
+def estimated(one, q):
+    """The velocity (n,) by what each estimator is: a line through points, a filter's own equation, a tracking loop."""
+    if one["kind"] == "slope":
+        n = one["points"]
+        windows = np.lib.stride_tricks.sliding_window_view(np.concatenate([[q[0]] * (n - 1), q]), n)
+        return np.polyfit(T * np.arange(n), windows.T, 1)[0]
+    difference = np.diff(q, prepend=q[0]) / T
+    if one["kind"] == "filtered":
+        w0 = 2 * np.pi * one["frequency"]
+        return lfilter(*bilinear([w0], [1.0, w0], 1 / T), difference)
+    pole, x, v, found = np.exp(-one["bandwidth"] * T), q[0], 0.0, []
+    for measured in q:
+        error = measured - (x + T * v)
+        x, v = x + T * v + (1 - pole**2) * error, v + (1 - pole) ** 2 / T * error
+        found.append(v)
+    return np.array(found)
+
+
 def command(c, r, q, limit, estimator="backward"):
     """The command (n,) of a cascade ``c`` for a reference ``r`` and positions ``q``, signal by signal."""
     velocity, ahead = c["velocity"], c.get("feedforward", {})
     before = np.concatenate(([q[0]] * 2, q))
-    v = (q - before[1:-1]) / T if estimator == "backward" else (q - before[:-2]) / (2 * T)
+    if isinstance(estimator, dict):
+        v = estimated(estimator, q)
+    else:
+        v = (q - before[1:-1]) / T if estimator == "backward" else (q - before[:-2]) / (2 * T)
     if "position" in c:
         past = np.concatenate(([r[0]] * 2, r))
         vr, ar = (r - past[1:-1]) / T, (r - 2 * past[1:-1] + past[:-2]) / T**2
@@ -119,6 +141,16 @@ def test_the_kernel_is_the_difference_equation(name, estimator, limit):
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
     assert limit > 1e3 or 0.05 < np.mean(np.abs(found) == limit) < 0.95
     assert law.follows == ("position" if "position" in CASCADES[name] else "velocity")
+
+
+@EVERY
+@pytest.mark.parametrize("estimator", ESTIMATED.values(), ids=ESTIMATED)
+def test_the_kernel_is_the_difference_equation_with_other_estimators(name, estimator):
+    law, (r, q) = law_of(axis_with(name, velocity_estimator=estimator), T), signals(name)
+    memory = [0.0] * law.memory
+    found = [law.kernel(k, r[k], q[k], 0.0, 9.0, law.gains, memory) for k in range(r.size)]
+    expected = command(CASCADES[name], r, q, 9.0, estimator)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
 @EVERY

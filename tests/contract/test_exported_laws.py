@@ -22,7 +22,7 @@ from emps_design.machines import machine
 from emps_design.observer import ForceObserver, as_driven, observe_online
 from emps_design.records import Record
 from emps_design.simulation import Plant, trapezoid_laps
-from tests.contract.test_laws import GIVEN, OWN, OWN_TABLE, axis_with
+from tests.contract.test_laws import ESTIMATED, GIVEN, OWN, OWN_TABLE, axis_with
 from tests.studies import quick
 from tests.unit.compensation.test_compensation import DUTY, EFFECTS_HERE
 
@@ -47,7 +47,9 @@ OBSERVERS = {
     "observer of 30 t": {"mechanics": {"mass": 3e4, "coulomb": 900.0}, "effects": [*MAPS, STOP, EFFECTS_HERE[4]]},
 }
 OBSERVED = pytest.mark.parametrize("name", quick(OBSERVERS, {"observer with effects"}.__contains__, "other observers"))
-ESTIMATORS = pytest.mark.parametrize("estimator", quick(["backward", "two_tap"], 1, "the other estimator"))
+ESTIMATORS = pytest.mark.parametrize(
+    "estimator", quick(["backward", "two_tap", *ESTIMATED.values()], 1, "other estimators")
+)
 compiled = pytest.mark.skipif(CC is None, reason="needs a C compiler")
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wconversion", "-O2", "-ffp-contract=off"]
 SANITIZERS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
@@ -128,6 +130,16 @@ def test_100000_samples_have_the_simulations_bits(kind, estimator, tmp_path):
     assert np.ptp(run.position) > 0.01
     found = Compiled(tmp_path, exported).run(reference, run.q, run.f_ext)
     assert found.size == 100_000
+    np.testing.assert_array_equal(found.view(np.int64), run.u.view(np.int64))
+
+
+@compiled
+def test_an_estimator_that_filters_has_the_simulations_bits(tmp_path):
+    """A slope of four points in the law that keeps an acceleration besides."""
+    axis = axis_with(get_law("impedance"), velocity_estimator=ESTIMATED["slope"])
+    exported = written(axis, tmp_path)
+    reference, run = laps(axis, exported.block.law, 5000)
+    found = Compiled(tmp_path, exported).run(reference, run.q, run.f_ext)
     np.testing.assert_array_equal(found.view(np.int64), run.u.view(np.int64))
 
 

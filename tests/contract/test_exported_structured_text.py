@@ -10,9 +10,9 @@ from emps_design.codegen import export_controller
 from emps_design.codegen.program import ARRAY, INT, REAL
 from emps_design.codegen.reader import read_program
 from emps_design.codegen.st import KEYWORDS, functions_in_st
-from emps_design.laws import LAWS
+from emps_design.laws import LAWS, get_law
 from tests.contract.test_exported_laws import COMPENSATED, OBSERVED, compensated_block, compensated_run, laps, observed
-from tests.contract.test_laws import axis_with
+from tests.contract.test_laws import ESTIMATED, axis_with
 from tests.studies import quick
 from tests.unit.codegen.structured_text import Blocks
 
@@ -34,9 +34,15 @@ def assert_the_text_gives_the_vectors(exported):
 
 
 @EVERY
-@pytest.mark.parametrize("estimator", ["two_tap", "backward"])
+@pytest.mark.parametrize("estimator", ["two_tap", "backward", *quick(ESTIMATED.values(), 0, "the other estimators")])
 def test_the_text_gives_the_bits_of_the_vectors(kind, estimator):
     assert_the_text_gives_the_vectors(export_controller(axis_with(kind, velocity_estimator=estimator), "st"))
+
+
+def test_the_text_gives_the_bits_of_an_estimator_that_filters():
+    assert_the_text_gives_the_vectors(
+        export_controller(axis_with(get_law("cascade"), velocity_estimator=ESTIMATED["tracking"]), "st")
+    )
 
 
 @EVERY

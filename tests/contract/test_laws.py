@@ -27,6 +27,11 @@ GIVEN = {
     },
     "p": {"kp": 300.0},
 }
+ESTIMATED = {  # velocity estimators with a number
+    "slope": {"kind": "slope", "points": 4},
+    "filtered": {"kind": "filtered", "frequency": 60.0},
+    "tracking": {"kind": "tracking", "bandwidth": 400.0},
+}
 DIMENSIONLESS = {"damping", "depth", "velocity"}  # of a notch, and a share of the velocity
 EVERY = pytest.mark.parametrize("kind", LAWS, ids=lambda kind: kind.name)
 
@@ -89,7 +94,7 @@ def changed(table, path, value):
 
 
 @EVERY
-@pytest.mark.parametrize("estimator", ["two_tap", "backward"])
+@pytest.mark.parametrize("estimator", ["two_tap", "backward", *ESTIMATED.values()])
 def test_the_words_mention_every_gain(kind, estimator):
     """The difference equation printed for a drive moves with every parameter, and with the period."""
     axis = axis_with(kind, velocity_estimator=estimator)
@@ -125,7 +130,7 @@ def test_a_law_that_says_state_feedback_is_that(kind, estimator):
 
 
 @EVERY
-@pytest.mark.parametrize("estimator", ["two_tap", "backward"])
+@pytest.mark.parametrize("estimator", ["two_tap", "backward", *ESTIMATED.values()])
 def test_a_law_finds_its_own_parameters_in_a_record(kind, estimator):
     """What ``propose`` answers makes the recorded voltage, where the record was made with other numbers."""
     if kind.propose is None:

@@ -19,7 +19,7 @@ from emps_design.laws.friction_model import FrictionModel
 from emps_design.laws.library import impedance as impedance_file
 from emps_design.laws.linear import Linear, LinearLaw, linear_law, own_poles, run_linear
 from emps_design.machines import machine
-from tests.contract.test_laws import GIVEN, OWN, OWN_TABLE, axis_with
+from tests.contract.test_laws import ESTIMATED, GIVEN, OWN, OWN_TABLE, axis_with
 
 EVERY = pytest.mark.parametrize("kind", LAWS, ids=lambda kind: kind.name)
 T = 1e-3
@@ -32,7 +32,7 @@ def followed(law: Law, q: np.ndarray, reference: np.ndarray, f_ext: np.ndarray) 
 
 
 @EVERY
-@pytest.mark.parametrize("estimator", ["two_tap", "backward"])
+@pytest.mark.parametrize("estimator", ["two_tap", "backward", *ESTIMATED.values()])
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 @pytest.mark.parametrize("delay", [0, 2])
 def test_kernel_and_linear_form_are_one_law(kind, estimator, direction, delay):

@@ -15,7 +15,8 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import InputError
-from emps_design.laws import Law
+from emps_design.laws import TWO_TAP, Law
+from emps_design.laws.estimators import estimator_of
 from emps_design.laws.friction_model import FrictionModel
 from emps_design.laws.library.impedance import (
     check_filters,
@@ -73,7 +74,7 @@ class ImpedanceLaw:
     coulomb_factor: float = 1.0
     current_factor: float = DERIVED
     force_sensor: bool = False
-    velocity_estimator: str = "two_tap"
+    velocity_estimator: Any = TWO_TAP
     reference_velocity: float = 0.0
 
     def __post_init__(self) -> None:
@@ -88,8 +89,7 @@ class ImpedanceLaw:
                 raise InputError(f"{name}: found {value:g} rad/s, expected more than 0 (inf: unfiltered)")
         if self.current_factor not in (DERIVED, PRINTED):
             raise InputError(f"current factor: found {self.current_factor:g}, expected 1 (derived) or 2 (printed)")
-        if self.velocity_estimator not in ("two_tap", "backward"):
-            raise InputError(f"velocity estimator: found {self.velocity_estimator!r}, expected two_tap or backward")
+        estimator_of(self.velocity_estimator)
 
     @property
     def ratio(self) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
 from emps_design.control.impedance.sampled import Clock, Environment, SampledLoop, sampled_loop, sampled_loops
-from emps_design.control.plant.discretisation import ESTIMATORS
+from emps_design.laws.estimators import estimator_response
 
 
 def impedance_response(n: dict[str, Any], clock: Clock, omega: np.ndarray, **options: Any) -> np.ndarray:
@@ -54,8 +54,9 @@ def relay_oscillation(
     """
     omega = np.geomspace(0.5, (0.5 if wall else 0.25) * np.pi / clock.period, 600)
     back = np.exp(-1j * omega * clock.period)
-    newer, older = ESTIMATORS[law.velocity_estimator]
-    turn = (newer + older * back) * back  # of the velocity the law sees, against the mean over the period that follows
+    turn = (
+        estimator_response(law.velocity_estimator, omega, clock.period) * back
+    )  # of the velocity the law sees, against the mean over the period that follows
     found = []
     for direction in plant.directions:
         i = 0 if direction > 0 else 1

@@ -26,6 +26,7 @@ from emps_design.control.impedance.sampled import (
 )
 from emps_design.control.loop.sampled_loop import MARGINAL
 from emps_design.errors import InputError
+from emps_design.laws.estimators import TWO_TAP, forgets
 from emps_design.laws.friction_model import PARAMETERS
 
 STEP = 1.05  # between apparent masses that are tried
@@ -142,13 +143,14 @@ def verdict(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, resolution: f
     return "dead_band" if min(drifts) < -threshold else "stable"
 
 
-def drift_threshold(period: float, resolution: float, velocity_estimator: str = "two_tap") -> float:
+def drift_threshold(period: float, resolution: float, velocity_estimator: Any = TWO_TAP) -> float:
     """Speed [m/s] below which friction cannot keep a creep up, nor be seen to end it: one encoder step in an estimate.
 
-    An estimate over one period (backward) or two (two_tap) that sees no step is 0 and compensates no friction. So a
-    creep of less than one step in that time ends, a faster one goes on. 0.025 mm/s on ``emps2018``, two_tap.
+    An estimate over one period (backward) or some (two_tap, a slope) that sees no step is 0 and compensates no
+    friction. So a creep of less than one step in that time ends, a faster one goes on. 0.025 mm/s on ``emps2018``,
+    two_tap. An estimate that only decays (filtered, tracking) keeps its sign: no creep ends.
     """
-    return max(resolution / period / (2.0 if velocity_estimator == "two_tap" else 1.0), 1e-6)
+    return max(resolution / period / forgets(velocity_estimator), 1e-6)
 
 
 def worst_radius(

@@ -19,7 +19,7 @@ from emps_design.control.loop.sampled_loop import SampledLoop, close, sorted_pol
 from emps_design.control.plant.discretisation import sample_axis, sample_plant
 from emps_design.control.plant.environment import FREE, Environment, attached, felt
 from emps_design.control.plant.linear_plant import rigid_plant
-from emps_design.laws import Law
+from emps_design.laws import TWO_TAP, Law
 from emps_design.laws.library.impedance import COULOMB_POSITIVE, gains_of, law_with
 from emps_design.laws.linear import linear_law, own_poles
 
@@ -74,7 +74,7 @@ def numbers(law: ImpedanceLaw, plant: FrictionModel, direction: int = 1) -> dict
 def sampled_loops(
     n: dict[str, Any],
     clock: Clock,
-    velocity_estimator: str = "two_tap",
+    velocity_estimator: Any = TWO_TAP,
     force_sensor: bool = False,
     environment: Environment = FREE,
 ) -> SampledLoop:
@@ -138,13 +138,13 @@ def recursion_poles(law: ImpedanceLaw, clock: Clock) -> np.ndarray:
     return sorted_poles(found) if found.size else np.zeros(1, dtype=complex)
 
 
-def recursion_radius(n: dict[str, Any], clock: Clock, velocity_estimator: str = "two_tap") -> np.ndarray:
+def recursion_radius(n: dict[str, Any], clock: Clock, velocity_estimator: Any = TWO_TAP) -> np.ndarray:
     """Largest modulus of :func:`recursion_poles` for many laws at once, shape (m,); ``n`` as from :func:`numbers`."""
     poles = own_poles(_law(n, clock, velocity_estimator, False), clock.period)
     return np.abs(poles).max(axis=-1, initial=0.0)
 
 
-def _law(n: dict[str, Any], clock: Clock, velocity_estimator: str, force_sensor: bool, force_gain: float = 1.0) -> Law:
+def _law(n: dict[str, Any], clock: Clock, velocity_estimator: Any, force_sensor: bool, force_gain: float = 1.0) -> Law:
     friction = SimpleNamespace(mass=n["mass_hat"], viscous=(n["viscous_hat"],) * 2, coulomb=(0.0, 0.0))
     gains = gains_of(
         friction, n["apparent_mass"], n["damping"], (n["filter"], n["current_filter"]), clock.period,

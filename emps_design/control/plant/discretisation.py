@@ -2,9 +2,7 @@
 
 The voltage computed at sample k is held over [t_k + delay, t_k+1 + delay), where the delay is ``computation_delay``
 samples plus the delays of the axis's effects, fractions of a sample included. The velocity is estimated from the
-encoder's position q as
-
-    v[k] = (q[k] - q[k-2]) / 2T    (estimator "two_tap")    or    (q[k] - q[k-1]) / T    ("backward").
+increments of the encoder's position q by the law's :mod:`~emps_design.laws.estimators`.
 """
 
 from __future__ import annotations
@@ -21,18 +19,16 @@ from emps_design.axis import Axis
 from emps_design.control.plant.linear_plant import POSITION, VELOCITY, LinearPlant, linear_plant
 from emps_design.control.plant.peaks import Peaks, filter_peaks, frequencies_around, oscillations
 from emps_design.errors import InputError
+from emps_design.laws.estimators import TWO_TAP, estimator_of, estimator_response, polynomials
 from emps_design.laws.library.cascade import Filter, filter_polynomials
 
 if TYPE_CHECKING:
     import control
 
-# Weights of the last two position increments in the velocity estimate, times T.
-ESTIMATORS = {"two_tap": (0.5, 0.5), "backward": (1.0, 0.0)}
-
 
 @dataclass(frozen=True)
 class SampledPlant:
-    """x[k+1] = Phi x[k] + G0 u[k-d] + G1 u[k-d-1] + H f[k]; encoder C x; period T [s]; the estimator's two weights.
+    """x[k+1] = Phi x[k] + G0 u[k-d] + G1 u[k-d-1] + H f[k]; encoder C x; period T [s]; the velocity ``estimator``.
 
     ``delay`` is d, whole samples; G1 carries the fraction of a sample; ``f`` is a force on the carriage, held like u.
     ``linear`` is the continuous plant it came from. Arrays may have leading axes, for many plants at once.
@@ -53,7 +49,7 @@ class SampledPlant:
     C: np.ndarray
     delay: int
     period: float
-    weights: tuple[float, float]
+    estimator: Any
     linear: LinearPlant
     filters: tuple[Filter, ...] = ()
 
@@ -100,13 +96,15 @@ class SampledPlant:
         denominator = np.array(powers)
         n0 = np.array(newer) + d0 * np.append(0.0, denominator[1:])
         n1 = np.array(older) + d1 * np.append(0.0, denominator[1:])
-        # increment/u = (N0 z + N1) / (D z^(d+2)), and the estimate weighs two increments: (w0 z + w1) / (T z).
+        # increment/u = (N0 z + N1) / (D z^(d+2)), and the estimate is (b0 + b1/z + ...) / (1 + a1/z + ...) / T of it.
         increments = np.polyadd(np.append(n0, 0.0), n1)
-        numerator = np.trim_zeros(np.polymul(increments, np.array(self.weights) / self.period), "f")
-        late = self.delay + 3
+        b, a = polynomials(self.estimator, self.period)
+        numerator = np.trim_zeros(np.polymul(increments, np.array(b) / self.period), "f")
+        poles = np.trim_zeros(a, "b")
+        late = self.delay + 2 + len(a) - len(poles)
         while late and numerator[-1] == 0.0:
             numerator, late = numerator[:-1], late - 1
-        return numerator, np.append(denominator, np.zeros(late))
+        return numerator, np.append(np.polymul(denominator, poles), np.zeros(late))
 
     def integrator(self, w: np.ndarray) -> np.ndarray:
         """T z / (z - 1) at ``w`` [rad/s], the sampled 1/s of a law [s]."""
@@ -155,8 +153,8 @@ class SampledPlant:
 
     def sampling(self, linear: LinearPlant) -> SampledPlant:
         """Return ``linear`` in place of the continuous plant, with this one's clock, estimator and filters."""
-        plant = sample_plant(linear, self.period, self._program_delay)
-        return replace(plant, weights=self.weights, filters=self.filters)
+        plant = sample_plant(linear, self.period, self._program_delay, self.estimator)
+        return replace(plant, filters=self.filters)
 
     @property
     def _program_delay(self) -> int:
@@ -176,7 +174,7 @@ class SampledPlant:
         matrices = z[..., None, None] * np.eye(self.kept.size) - self.Phi[np.ix_(self.kept, self.kept)]
         states = np.linalg.solve(matrices, (newer + older / z[..., None])[..., self.kept, None])[..., 0]
         increments = states @ row[self.kept] + newer @ self.C + (older @ self.C) / z
-        estimate = (self.weights[0] + self.weights[1] / z) / self.period
+        estimate = estimator_response(self.estimator, w, self.period) / self.period
         return self.filter_response(w) * increments * estimate / z ** (self._program_delay + whole + 1.0)
 
     def state_response(self, w: np.ndarray) -> np.ndarray:
@@ -213,7 +211,7 @@ class SampledPlant:
 
 
 def sample_plant(
-    linear: LinearPlant, period: float, delay_samples: int = 0, velocity_estimator: str = "two_tap"
+    linear: LinearPlant, period: float, delay_samples: int = 0, velocity_estimator: Any = TWO_TAP
 ) -> SampledPlant:
     """Return the exact discretisation of ``linear`` under a held voltage, ``period`` [s], ``delay_samples`` more.
 
@@ -242,7 +240,7 @@ def sample_plant(
         linear.C,
         delay_samples + int(whole),
         period,
-        ESTIMATORS[velocity_estimator],
+        estimator_of(velocity_estimator),
         linear,
     )
 

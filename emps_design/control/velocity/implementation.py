@@ -13,6 +13,7 @@ from emps_design.control.plant.actuator import ActuatorMap
 from emps_design.control.velocity.sampled import SampledVelocityLoop, velocity_table
 from emps_design.control.velocity.structure import IP, Structure
 from emps_design.laws import LawKind
+from emps_design.laws.estimators import estimator_response, polynomials
 from emps_design.laws.library.cascade import Filter, filter_polynomials
 
 CONSTANT = 1e-9  # a pole nearer than this to the unit circle belongs to something that stays as it is
@@ -41,7 +42,7 @@ class DifferenceEquation:
             "k_v1": self.k_v1,
             "integral_gain": self.k_v1 * period / self.t_v,
             "period": period,
-            "velocity_estimator": self.table.velocity_estimator,
+            "velocity_estimator": self.table.model_dump(exclude_none=True)["velocity_estimator"],
             "voltage_limit": self.axis.drive.command_limit,
         }
 
@@ -120,11 +121,11 @@ def encoder_voltage_noise(axis: Axis, loop: SampledVelocityLoop) -> dict[str, fl
     count = 1 << 14
     w = (np.arange(count) + 0.5) * math.pi / (count * plant.period)
     back = np.exp(-1j * w * plant.period)
-    newer, older = plant.weights
-    estimate = (newer + older * back) * (1.0 - back) / plant.period
+    estimate = estimator_response(plant.estimator, w, plant.period) * (1.0 - back) / plant.period
     law = loop.controller_response(w) * plant.filter_response(w)
     noise = law * estimate / (1.0 + loop.plant_input_response(w))
     rms = resolution / math.sqrt(12.0) * math.sqrt(float(np.mean(np.abs(noise) ** 2)))
     first = math.prod(filter_polynomials(one, plant.period)[0][0] for one in plant.filters)  # what passes at once
-    one_step = first * loop.k_v1 * (1.0 + plant.period / loop.t_v) * newer / plant.period * resolution
+    newest = polynomials(plant.estimator, plant.period)[0][0]
+    one_step = first * loop.k_v1 * (1.0 + plant.period / loop.t_v) * newest / plant.period * resolution
     return {"rms": rms, "one_step": one_step, "resolution": resolution}

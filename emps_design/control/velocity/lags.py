@@ -1,8 +1,9 @@
-"""The continuous velocity loop with every lag of the axis: current loop, computation delay, filters, effects.
+"""The continuous velocity loop with every lag: current loop, computation delay, filters, effects, velocity filter.
 
 The closed forms (6) to (9) take one rigid mass behind an ideal drive. Here the same gains act on the whole linear
-plant, still in continuous time: of the loop as implemented only the hold and the velocity estimator are missing. A
-delay is exact in every response; where the poles say whether the loop is stable it is its approximant of Pade, order 8.
+plant, still in continuous time: of the loop as implemented only the hold and the differences that estimate the
+velocity are missing, not a filter behind them. A delay is exact in every response; where the poles say whether the loop
+is stable it is its approximant of Pade, order 8.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from emps_design.control.loop.transfer import transfer
 from emps_design.control.plant.linear_plant import POSITION, LinearPlant, linear_plant
 from emps_design.control.plant.peaks import frequencies_around, oscillations
 from emps_design.control.velocity.structure import Structure
+from emps_design.laws.estimators import BACKWARD, continuous, estimator_in_words
 from emps_design.laws.library.cascade import Filter
 
 if TYPE_CHECKING:
@@ -48,6 +50,7 @@ class LaggedVelocityLoop:
     structure: Structure
     filters: tuple[Filter, ...] = ()
     delay: float = 0.0
+    estimator: Any = BACKWARD
 
     @classmethod
     def of(
@@ -56,7 +59,7 @@ class LaggedVelocityLoop:
         """The loop on ``axis``, its effects linearised at ``velocity`` [m/s]."""
         plant = linear_plant(axis, velocity)
         late = axis.sampling.computation_delay * axis.sampling.period
-        return cls(plant, k_v1, t_v, structure, filters, plant.delay + late)
+        return cls(plant, k_v1, t_v, structure, filters, plant.delay + late, axis.controller.velocity_estimator)
 
     @property
     def _velocity(self) -> System:
@@ -66,12 +69,17 @@ class LaggedVelocityLoop:
         keep = np.arange(B.size)[POSITION + 1 :] if not np.any(A[:, POSITION]) else np.arange(B.size)
         return A[np.ix_(keep, keep)], B[keep], row[keep], through
 
+    @property
+    def _filters(self) -> list[tuple[list[float], list[float]]]:
+        """Numerator and denominator in s of the command's filters and of the velocity estimator's."""
+        own = continuous(self.estimator)
+        return [*map(_polynomials, self.filters), *([own] if len(own[1]) > 1 else [])]
+
     def plant_response(self, w: np.ndarray) -> np.ndarray:
-        """From the command before the filters to the velocity [(m/s)/V] at ``w`` [rad/s]."""
+        """From the command before the filters to the velocity as estimated [(m/s)/V] at ``w`` [rad/s]."""
         s = 1j * np.asarray(w, dtype=float)
         found = transfer(*self._velocity, s) * np.exp(-self.delay * s)
-        for one in self.filters:
-            numerator, denominator = _polynomials(one)
+        for numerator, denominator in self._filters:
             found = found * np.polyval(numerator, s) / np.polyval(denominator, s)
         return found
 
@@ -91,7 +99,8 @@ class LaggedVelocityLoop:
         """Poles of the closed loop [rad/s], those of a delay approximated."""
         law: System = (np.zeros((1, 1)), np.ones(1), np.array([self.k_v1 / self.t_v]), self.k_v1)
         chain = self._velocity
-        for one in (*([_pade(self.delay)] if self.delay > 0.0 else []), *map(_system, self.filters), law):
+        filters = [_companion(*one) for one in self._filters]
+        for one in (*([_pade(self.delay)] if self.delay > 0.0 else []), *filters, law):
             chain = _series(one, chain)
         A, b, c, d = chain
         return np.linalg.eigvals(A - np.outer(b, c) / (1.0 + d))
@@ -141,6 +150,8 @@ def left_out(axis: Axis, filters: tuple[Filter, ...] = ()) -> tuple[str, ...]:
         found.append(f"the computation delay ({late:.3g} ms)")
     if filters:
         found.append("the filters of the command")
+    if len(continuous(axis.controller.velocity_estimator)[1]) > 1:
+        found.append(f"the velocity estimate ({estimator_in_words(axis.controller.velocity_estimator)})")
     if axis.effects:
         found.append("the effects of the axis")
     return tuple(found)
@@ -152,10 +163,6 @@ def _polynomials(one: Filter) -> tuple[list[float], list[float]]:
     if one.damping is None or one.depth is None:
         return [w], [1.0, w]
     return [1.0, 2.0 * one.depth * one.damping * w, w * w], [1.0, 2.0 * one.damping * w, w * w]
-
-
-def _system(one: Filter) -> System:
-    return _companion(*_polynomials(one))
 
 
 def _pade(delay: float) -> System:

@@ -14,7 +14,7 @@ import numpy as np
 from emps_design.control.loop.margins import Margins, further_down, loop_margins
 from emps_design.control.loop.sampled_loop import SampledLoop, close
 from emps_design.control.loop.steps import step_answer
-from emps_design.control.plant.discretisation import ESTIMATORS, SampledPlant
+from emps_design.control.plant.discretisation import SampledPlant
 from emps_design.control.velocity.structure import IP, Structure
 from emps_design.laws import LawKind
 from emps_design.laws.law import TWO_TAP, LawTable
@@ -187,7 +187,7 @@ def velocity_law(
 
     ``k_e1`` [(m/s)/N]: the measured force adds to the velocity reference; an array (m,) makes m laws.
     """
-    kind, table = velocity_table(k_v1, t_v, structure, plant.filters, estimator_of(plant))
+    kind, table = velocity_table(k_v1, t_v, structure, plant.filters, plant.estimator)
     law = linear_law(kind.law(table, None, plant.period), plant.period)
     reference, force = law.inputs.index("reference"), law.inputs.index("f_ext")
     A, B, C, D = (np.broadcast_to(x, (*np.shape(k_e1), *x.shape)).copy() for x in (law.A, law.B, law.C, law.D))
@@ -201,7 +201,7 @@ def velocity_table(
     t_v: float,
     structure: Structure = IP,
     filters: tuple[cascade.Filter, ...] = (),
-    estimator: str = TWO_TAP,
+    estimator: Any = TWO_TAP,
     in_a_cascade: bool = False,
 ) -> tuple[LawKind, LawTable]:
     """The kind of law that a velocity loop is, and its table: the paper's own where that has all of it, or a cascade.
@@ -213,8 +213,3 @@ def velocity_table(
         return ip_velocity.LAW, ip_velocity.Table(k_v1=k_v1, t_v=t_v, **own)
     loop = cascade.VelocityLoop.model_validate({"kp": k_v1, "ti": t_v, "form": structure.form})
     return cascade.LAW, cascade.Table(velocity=loop, filters=filters, **own)
-
-
-def estimator_of(plant: SampledPlant) -> str:
-    """The name of the velocity estimator whose weights ``plant`` has."""
-    return next(name for name, weights in ESTIMATORS.items() if weights == plant.weights)

@@ -13,7 +13,7 @@ from emps_design.control.loop.sampled_loop import MARGINAL, close
 from emps_design.control.plant.discretisation import SampledPlant
 from emps_design.control.plant.linear_plant import POSITION
 from emps_design.control.velocity.gains import positive_root, second_order_form
-from emps_design.control.velocity.sampled import SampledVelocityLoop, estimator_of, velocity_table
+from emps_design.control.velocity.sampled import SampledVelocityLoop, velocity_table
 from emps_design.control.velocity.structure import IP, Structure
 from emps_design.errors import InputError
 from emps_design.laws.linear import linear_law
@@ -128,7 +128,7 @@ def _stable_by_poles(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> 
         return np.ones(0, dtype=bool)
 
     def matrix(k: float, integral: float) -> np.ndarray:
-        kind, table = velocity_table(k, k / integral, IP, plant.filters, estimator_of(plant), in_a_cascade=True)
+        kind, table = velocity_table(k, k / integral, IP, plant.filters, plant.estimator, in_a_cascade=True)
         return close(plant, linear_law(kind.law(table, None, plant.period), plant.period)).A
 
     k, integral = k_v1[:, None, None], (k_v1 / t_v)[:, None, None]

@@ -7,8 +7,9 @@ Sample k, period T, reference r, position q, everything at rest before the first
     e = vc + share vr - v,   J = I + kp_v T / ti e
     w = kp_v e + J (form "pi")  or  J - kp_v v (form "ip"),   + acceleration ar + coulomb sign(vr)
 
-``source = "profile"`` feeds forward what the generator of the reference has at the sample, vr half a period later, ar a
-period later: ``vr + T ar / 2`` and ``(2 r[k] - 5 r[k-1] + 4 r[k-2] - r[k-3]) / T^2``, off in proportion to T^2.
+Other estimators of v: :mod:`~emps_design.laws.estimators`. ``source = "profile"`` feeds forward what the generator of
+the reference has at the sample, vr half a period later, ar a period later: ``vr + T ar / 2`` and
+``(2 r[k] - 5 r[k-1] + 4 r[k-2] - r[k-3]) / T^2``, off in proportion to T^2.
 
 Then the filters in their order, each by the bilinear transform ``s = 2/T (z - 1)/(z + 1)`` without prewarping:
 ``w0/(s + w0)``, and for a notch ``(s^2 + 2 depth damping w0 s + w0^2)/(s^2 + 2 damping w0 s + w0^2)``; then the limit.
@@ -22,9 +23,9 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from emps_design.errors import InputError
+from emps_design.laws.estimators import BACKWARD, WORDS, VelocityEstimator, states, taps
+from emps_design.laws.estimators import coefficients as of_estimator
 from emps_design.laws.law import (
-    BACKWARD,
-    TWO_TAP,
     Finite,
     Group,
     LawKind,
@@ -35,10 +36,11 @@ from emps_design.laws.law import (
     velocity_in_words,
 )
 
-# What stands where in the kernel's gains; five coefficients b0, b1, b2, a1, a2 follow for each filter.
-RATE, TWO_TAPS, POSITION, EVERY, PROPORTIONAL, INTEGRAL, IP, SHARE, ACCELERATION, COULOMB = range(10)
+# What stands where in the kernel's gains; five coefficients b0, b1, b2, a1, a2 follow for each filter, then those of a
+# velocity estimator that filters.
+RATE, TAPS, POSITION, EVERY, PROPORTIONAL, INTEGRAL, IP, SHARE, ACCELERATION, COULOMB = range(10)
 PROFILE, FOLLOWS_VELOCITY, HOLD, FILTERS, COEFFICIENTS = range(10, 15)
-# And in its memory; two numbers follow for each filter.
+# And in its memory; two numbers follow for each filter, then the states of the estimator.
 Q1, Q2, R1, R2, R3, WANTED, INTEGRATOR, FILTERED = range(8)
 
 
@@ -50,8 +52,16 @@ def cascade(k, reference, q, f_ext, limit, gains, memory):
         memory[R1] = memory[R2] = memory[R3] = 0.0 if gains[FOLLOWS_VELOCITY] > 0.0 else reference
         memory[WANTED] = memory[INTEGRATOR] = 0.0
     rate = gains[RATE]
-    if gains[TWO_TAPS] > 0.0:
+    if gains[TAPS] > 0.0:
         v = 0.5 * (q - memory[Q2]) * rate
+    elif gains[TAPS] < 0.0:
+        order = int(-gains[TAPS])
+        first = COEFFICIENTS + 5 * int(gains[FILTERS])
+        state = FILTERED + 2 * int(gains[FILTERS])
+        step = (q - memory[Q1]) * rate
+        v = gains[first] * step + memory[state]
+        for j in range(order):
+            memory[state + j] = gains[first + 1 + j] * step - gains[first + 1 + order + j] * v + memory[state + j + 1]
     else:
         v = (q - memory[Q1]) * rate
     memory[Q2] = memory[Q1]
@@ -141,9 +151,7 @@ class Table(LawTable):
     feedforward: Feedforward | None = parameter("feed-forward of the reference", "", None)
     filters: tuple[Filter, ...] = parameter("filters of the command, in this order", "", ())
     anti_windup: Literal["hold", "none"] = parameter("hold: no integration while the limit acts", "", "hold")
-    velocity_estimator: Literal["two_tap", "backward"] = parameter(
-        "two-tap average and backward difference, or backward difference alone", "", BACKWARD
-    )
+    velocity_estimator: VelocityEstimator = parameter(WORDS, "", BACKWARD)
 
     @model_validator(mode="after")
     def _velocity_share(self):
@@ -195,12 +203,13 @@ def filter_polynomials(one, period):
 def gains(p, axis, period):
     ahead, integral = p.feedforward or Feedforward(), p.velocity.kp * period / p.velocity.ti if p.velocity.ti else 0.0
     return (
-        1.0 / period, float(p.velocity_estimator == TWO_TAP),
+        1.0 / period, taps(p.velocity_estimator),
         p.position.kp if p.position else 0.0, p.position.every if p.position else 1,
         p.velocity.kp, integral, float(p.velocity.form == "ip"),
         ahead.velocity if p.position else 1.0, ahead.acceleration, ahead.coulomb,
         float(ahead.source == "profile"), float(p.position is None), float(p.anti_windup == "hold"), len(p.filters),
         *(number for one in p.filters for number in coefficients(one, period)),
+        *of_estimator(p.velocity_estimator, period),
     )  # fmt: skip
 
 
@@ -260,7 +269,7 @@ LAW = LawKind(
     table=Table,
     kernel=cascade,
     gains=gains,
-    memory=lambda p, axis: FILTERED + 2 * len(p.filters),
+    memory=lambda p, axis: FILTERED + 2 * len(p.filters) + states(taps(p.velocity_estimator)),
     equations=equations,
     follows=lambda p: "velocity" if p.position is None else "position",
     cycle=lambda p: 1 if p.position is None else p.position.every,

@@ -18,15 +18,18 @@ import math
 import numpy as np
 
 from emps_design.errors import InputError
+from emps_design.laws.estimators import BACKWARD, TWO_TAP, coefficients, states, taps
 from emps_design.laws.friction_model import FrictionModel
-from emps_design.laws.law import TWO_TAP, Law, LawKind, LawTable, NonNegative, Positive, parameter, velocity_in_words
+from emps_design.laws.law import Law, LawKind, LawTable, NonNegative, Positive, parameter, velocity_in_words
 
 REST = "rest position"  # what the law follows
 # What stands where in the kernel's gains.
 RATIO, MASS, DAMPING, STIFFNESS, VISCOUS_POSITIVE, VISCOUS_NEGATIVE, COULOMB_POSITIVE, COULOMB_NEGATIVE = range(8)
 KEEP_ACCELERATION, KEEP_CURRENT, CURRENT_FACTOR, FORCE_SENSOR, FORCE_GAIN, KEEP_MOTOR, DELAY, RATE, TAPS = range(8, 17)
 REFERENCE_VELOCITY = 17
-# And in its memory, before the voltages on their way: three encoder readings, what the filters and the model hold.
+COEFFICIENTS = 18  # and on: those of a velocity estimator that filters
+# And in its memory, before the voltages on their way and the states of that estimator: three encoder readings, what the
+# filters and the model hold.
 SLOW_ACCELERATION, SLOW_MOTOR, MOTOR, WAITING = 3, 4, 5, 6
 
 
@@ -50,6 +53,16 @@ def impedance(k, reference, q, f_ext, limit, gains, memory):
     if gains[TAPS] > 0.0:
         v = 0.5 * (q - memory[1]) * rate
         a = 0.5 * (q - memory[0] - memory[1] + memory[2]) * rate * rate
+    elif gains[TAPS] < 0.0:
+        order = int(-gains[TAPS])
+        state = WAITING + int(gains[DELAY])
+        step = (q - memory[0]) * rate
+        v = gains[COEFFICIENTS] * step + memory[state]
+        for j in range(order):
+            at = COEFFICIENTS + 1 + j
+            memory[state + j] = gains[at] * step - gains[at + order] * v + memory[state + j + 1]
+        a = (v - memory[state + order + 1]) * rate
+        memory[state + order + 1] = v
     else:
         v = (q - memory[0]) * rate
         a = (q - 2.0 * memory[0] + memory[1]) * rate * rate
@@ -107,13 +120,19 @@ def gains_of(
     return [
         estimate.mass / mass, estimate.mass, damping, stiffness, *estimate.viscous, *coulomb, keep_acceleration,
         keep_current, current_factor, float(force_sensor), force_gain, keep_motor, delay, 1.0 / period,
-        float(velocity_estimator == TWO_TAP), reference_velocity,
+        taps(velocity_estimator), reference_velocity, *coefficients(velocity_estimator, period),
     ]  # fmt: skip
 
 
 def law_with(gains, delay):
     """The law with the numbers of :func:`gains_of`, ``delay`` [samples] among them."""
-    return Law(impedance, gains, WAITING + delay, REST)
+    order = np.ravel(gains[..., TAPS] if isinstance(gains, np.ndarray) else gains[TAPS])[0]
+    return Law(impedance, gains, _memory(order, delay), REST)
+
+
+def _memory(order, delay):
+    """Cells of the memory; an estimator that filters also keeps the velocity before, for the acceleration."""
+    return WAITING + delay + (states(order) + 1 if order < 0.0 else 0)
 
 
 def default_filter(period: float) -> float:
@@ -153,11 +172,12 @@ def gains(p, axis, period):
 def equations(p, axis, period):
     g = gains(p, axis, period)
     delay, keep = axis.sampling.computation_delay, g[KEEP_MOTOR]
-    limit, two_tap = f"{axis.drive.command_limit:.10g}", p.velocity_estimator == TWO_TAP
-    change = "q[k] - q[k-1] - q[k-2] + q[k-3]" if two_tap else "q[k] - 2 * q[k-1] + q[k-2]"
+    limit, own = f"{axis.drive.command_limit:.10g}", p.velocity_estimator
+    changes = {TWO_TAP: "q[k] - q[k-1] - q[k-2] + q[k-3]", BACKWARD: "q[k] - 2 * q[k-1] + q[k-2]"}
+    change = f"({changes[own]}) / {(2.0 if own == TWO_TAP else 1.0) * period**2:.10g}" if own in changes else ""
     lines = (
         velocity_in_words(p, period),
-        f"a[k] = ({change}) / {(2.0 if two_tap else 1.0) * period**2:.10g}",
+        f"a[k] = {change or f'(v[k] - v[k-1]) / {period:.10g}'}",
         f"af[k] = {g[KEEP_ACCELERATION]:.10g} * af[k-1] + {1.0 - g[KEEP_ACCELERATION]:.10g} * a[k]",
         f"tf[k] = {g[KEEP_CURRENT]:.10g} * tf[k-1] + {1.0 - g[KEEP_CURRENT]:.10g} * tau[k]",
         f"fr[k] = {g[VISCOUS_POSITIVE]:.10g} * v[k] + {g[COULOMB_POSITIVE]:.10g}   (v[k] > 0)",
@@ -179,7 +199,7 @@ LAW = LawKind(
     table=Table,
     kernel=impedance,
     gains=gains,
-    memory=lambda p, axis: WAITING + axis.sampling.computation_delay,
+    memory=lambda p, axis: _memory(taps(p.velocity_estimator), axis.sampling.computation_delay),
     equations=equations,
     follows=REST,
     apparent=True,

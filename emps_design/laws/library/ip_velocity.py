@@ -5,19 +5,30 @@ back to the value that just reaches the limit. With ``k_e1`` the measured force 
 Source: section II-C of the paper, (6) to (9).
 """
 
-from emps_design.laws.law import TWO_TAP, LawKind, LawTable, Positive, parameter, velocity_in_words
+from emps_design.laws.estimators import TWO_TAP, coefficients, states, taps
+from emps_design.laws.law import LawKind, LawTable, Positive, parameter, velocity_in_words
 
-MEMORY = 3  # numbers that the kernel keeps
+COEFFICIENTS, STATES = 5, 3  # places of a velocity estimator that filters, in gains and memory
 
 
 def ip_velocity(k, reference, q, f_ext, limit, gains, memory):
-    """Gains: k_v1, k_v1 T / t_v, k_e1, 1/T, two-tap. Memory: q[k-1], q[k-2], I."""
+    """Gains: k_v1, k_v1 T / t_v, k_e1, 1/T, :func:`~.taps`, :func:`~.coefficients`.
+
+    Memory: q[k-1], q[k-2], I, states of the latter.
+    """
     if k == 0:
         memory[0] = q
         memory[1] = q
         memory[2] = 0.0
     if gains[4] > 0.0:
         v = 0.5 * (q - memory[1]) * gains[3]
+    elif gains[4] < 0.0:
+        order = int(-gains[4])
+        step = (q - memory[0]) * gains[3]
+        v = gains[COEFFICIENTS] * step + memory[STATES]
+        for i in range(order):
+            at = COEFFICIENTS + 1 + i
+            memory[STATES + i] = gains[at] * step - gains[at + order] * v + memory[STATES + i + 1]
     else:
         v = (q - memory[0]) * gains[3]
     memory[1] = memory[0]
@@ -41,7 +52,8 @@ class Table(LawTable):
 
 def gains_of(k_v1, t_v, k_e1, period, velocity_estimator=TWO_TAP):
     """Gains of the kernel; numbers or arrays (m,) for as many laws."""
-    return k_v1, k_v1 * period / t_v, k_e1, 1.0 / period, velocity_estimator == TWO_TAP
+    own = taps(velocity_estimator), *coefficients(velocity_estimator, period)
+    return k_v1, k_v1 * period / t_v, k_e1, 1.0 / period, *own
 
 
 def gains(p, axis, period):
@@ -67,7 +79,7 @@ LAW = LawKind(
     table=Table,
     kernel=ip_velocity,
     gains=gains,
-    memory=MEMORY,
+    memory=lambda p, axis: STATES + states(taps(p.velocity_estimator)),
     equations=equations,
     follows="velocity",
     gain="k_v1",

@@ -5,16 +5,26 @@ Source: the data set's own description (data/emps/README.md); the voltage is lim
 
 import numpy as np
 
-from emps_design.laws.law import TWO_TAP, LawKind, LawTable, Positive, parameter, velocity_in_words
+from emps_design.laws.estimators import coefficients, states, taps
+from emps_design.laws.law import LawKind, LawTable, Positive, parameter, velocity_in_words
+
+COEFFICIENTS, STATES = 4, 2  # places of a velocity estimator that filters, in gains and memory
 
 
 def position_pd(k, reference, q, f_ext, limit, gains, memory):
-    """Gains: kp kv, kv, 1/T, two-tap. Memory: q[k-1], q[k-2]."""
+    """Gains: kp kv, kv, 1/T, :func:`~.taps`, :func:`~.coefficients`. Memory: q[k-1], q[k-2], states of the latter."""
     if k == 0:
         memory[0] = q
         memory[1] = q
     if gains[3] > 0.0:
         v = 0.5 * (q - memory[1]) * gains[2]
+    elif gains[3] < 0.0:
+        order = int(-gains[3])
+        step = (q - memory[0]) * gains[2]
+        v = gains[COEFFICIENTS] * step + memory[STATES]
+        for i in range(order):
+            at = COEFFICIENTS + 1 + i
+            memory[STATES + i] = gains[at] * step - gains[at + order] * v + memory[STATES + i + 1]
     else:
         v = (q - memory[0]) * gains[2]
     memory[1] = memory[0]
@@ -28,7 +38,8 @@ class Table(LawTable):
 
 
 def gains(p, axis, period):
-    return p.kp * p.kv, p.kv, 1.0 / period, p.velocity_estimator == TWO_TAP
+    estimator = p.velocity_estimator
+    return p.kp * p.kv, p.kv, 1.0 / period, taps(estimator), *coefficients(estimator, period)
 
 
 def equations(p, axis, period):
@@ -43,7 +54,8 @@ def equations(p, axis, period):
 
 def propose(reference, q, u, p, period):
     """Least squares: the voltage is linear in kp kv and kv."""
-    memory, fitted = [0.0, 0.0], np.isfinite(u)
+    fitted = np.isfinite(u)
+    memory = [0.0] * (STATES + states(taps(p.velocity_estimator)))
     unit = gains(Table(kp=1.0, kv=1.0, velocity_estimator=p.velocity_estimator), None, period)
     braking = [position_pd(k, at, at, 0.0, np.inf, unit, memory) for k, at in enumerate(q)]
     columns = np.column_stack([reference - q, braking])[fitted]
@@ -58,7 +70,7 @@ LAW = LawKind(
     table=Table,
     kernel=position_pd,
     gains=gains,
-    memory=2,
+    memory=lambda p, axis: STATES + states(taps(p.velocity_estimator)),
     equations=equations,
     state_feedback=True,
     gain="kv",

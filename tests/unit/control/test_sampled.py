@@ -81,13 +81,14 @@ def test_a_fractional_delay_is_the_plant_under_a_shifted_hold(fraction):
 
 def test_polynomials_are_the_response_of_the_state_space():
     axis = PAPER.replace(sampling={"computation_delay": 2})
-    for estimator in ("two_tap", "backward"):
+    slope = {"kind": "slope", "points": 4}
+    for estimator, weights in (("two_tap", [0.5, 0.5]), ("backward", [1.0]), (slope, [0.3, 0.4, 0.3])):
         plant = sample_axis(axis.replace(controller={"velocity_estimator": estimator}))
         w = np.array([3.0, 80.0, 900.0, 3000.0])
         z = np.exp(1j * w * plant.period)
         q = np.array([plant.C @ np.linalg.solve(x * np.eye(3) - plant.Phi, plant.G0) * x**-2 for x in z])
-        one, two = plant.weights
-        expected = q * (1 - 1 / z) * (one + two / z) / plant.period
+        estimate = sum(weight * z**-i for i, weight in enumerate(weights))
+        expected = q * (1 - 1 / z) * estimate / plant.period
         assert plant.response(w) == pytest.approx(expected, rel=1e-9)
 
 

@@ -1,0 +1,215 @@
+"""How a law estimates the velocity: a linear filter ``E(z)`` of the backward difference of its encoder's position.
+
+    v = E(z) (q[k] - q[k-1]) / T,    E(z) = (b0 + b1 z^-1 + ...) / (1 + a1 z^-1 + ...),    E(1) = 1
+
+    "backward"                          1
+    "two_tap"                           (1 + z^-1) / 2
+    slope, ``points`` n                 b_i = 6 (i + 1) (n - 1 - i) / (n (n^2 - 1)), i from 0 to n - 2
+    filtered, ``frequency``             w0 / (s + w0), w0 = 2 pi frequency, by the bilinear transform without prewarping
+    tracking, ``bandwidth`` w           ((1 - p) / (1 - p z^-1))^2, p = exp(-w T)
+
+The slope is that of the straight line through the last n positions by least squares: 2 points are the backward
+difference, 3 are two_tap. The tracking loop is a phase-locked loop: it predicts ``x + T v``, and of the error e of that
+it adds ``(1 - p^2) e`` to the position x and ``(1 - p)^2 e / T`` to the velocity v, which puts both of its poles at the
+bandwidth; of so fast a clock that w T is small the gains are 2 w T and w^2 T. A kernel keeps the filter's states behind
+its own memory and runs it in transposed direct form; at rest they are 0.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationError, model_validator
+
+from emps_design.errors import InputError
+from emps_design.laws.fields import Group, Positive, parameter
+
+TWO_TAP: Final = "two_tap"
+BACKWARD: Final = "backward"
+NAMED: dict[str, tuple[float, ...]] = {TWO_TAP: (0.5, 0.5), BACKWARD: (1.0,)}  # b; no poles
+MOST_POINTS = 64
+NUMBERS = {"slope": "points", "filtered": "frequency", "tracking": "bandwidth"}  # the one number of each kind
+EXPECTED = (
+    'two_tap, backward, { kind = "slope", points = n }, { kind = "filtered", frequency = Hz } or '
+    '{ kind = "tracking", bandwidth = rad/s }'
+)
+NAME, TABLE = "a name", "a table of its own"  # what an estimator may be; with blanks, as no key of a table
+
+
+class Estimator(Group):
+    """An estimator with a number: the slope of some points, a filtered difference, or a tracking loop."""
+
+    kind: Literal["slope", "filtered", "tracking"] = parameter(
+        "slope: of the last points by least squares; filtered: backward difference, then a low-pass; tracking: a "
+        "phase-locked loop",
+        "",
+    )
+    points: Annotated[int, Field(ge=2, le=MOST_POINTS, strict=True)] | None = parameter(
+        "positions that the slope is taken of", "samples", None
+    )
+    frequency: Positive | None = parameter("corner of the low-pass behind the difference", "Hz", None)
+    bandwidth: Positive | None = parameter("both poles of the tracking loop", "rad/s", None)
+
+    @model_validator(mode="after")
+    def _complete(self) -> Estimator:
+        for kind, name in NUMBERS.items():
+            if (getattr(self, name) is None) == (self.kind == kind):
+                wanted = f"a number: {kind} has {name}" if self.kind == kind else f"no {name} of {self.kind}"
+                raise ValueError(f"{name}: found {getattr(self, name)}, expected {wanted}")
+        return self
+
+    @property
+    def number(self) -> float:
+        """The points, the frequency [Hz] or the bandwidth [rad/s]."""
+        return float(getattr(self, NUMBERS[self.kind]))
+
+
+def _named(given: Any) -> Any:
+    if not (isinstance(given, str) and given in NAMED):
+        raise ValueError(f"found {given!r:.60}, expected {EXPECTED}")
+    return given
+
+
+VelocityEstimator = Annotated[
+    Annotated[Literal["two_tap", "backward"], BeforeValidator(_named), Tag(NAME)] | Annotated[Estimator, Tag(TABLE)],
+    Discriminator(lambda given: TABLE if isinstance(given, dict | Estimator) else NAME),
+]
+WORDS = "velocity from the position: two-tap average and backward difference, backward difference alone, or a table"
+
+
+def estimator_of(given: Any) -> str | Estimator:
+    """The estimator that is ``given`` by its name, its table as plain data, or itself.
+
+    Raises :class:`InputError` for any other.
+
+    >>> estimator_of({"kind": "slope", "points": 4}).number, estimator_of("backward")
+    (4.0, 'backward')
+    """
+    if isinstance(given, Estimator) or (isinstance(given, str) and given in NAMED):
+        return given
+    try:
+        if isinstance(given, Mapping):
+            return Estimator.model_validate(dict(given))
+        _named(given)
+    except ValidationError as error:
+        problem = error.errors(include_url=False)[0]
+        place = ".".join(["velocity_estimator", *map(str, problem["loc"])])
+        raise InputError(f"{place}: {problem['msg'].removeprefix('Value error, ')}; expected {EXPECTED}") from error
+    except ValueError as error:
+        raise InputError(f"velocity estimator: {error}") from error
+    raise AssertionError(given)
+
+
+def polynomials(given: Any, period: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """``b`` and ``a`` of E(z) in powers of 1/z, equally many, at a sampling ``period`` [s].
+
+    >>> polynomials({"kind": "slope", "points": 4}, 1e-3)
+    ((0.3, 0.4, 0.3), (1.0, 0.0, 0.0))
+    """
+    one = estimator_of(given)
+    if isinstance(one, str):
+        return NAMED[one], (1.0,) + (0.0,) * (len(NAMED[one]) - 1)
+    if one.kind == "slope":
+        n = int(one.number)
+        b = tuple(6.0 * (i + 1) * (n - 1 - i) / (n * (n * n - 1)) for i in range(n - 1))
+        return b, (1.0,) + (0.0,) * (n - 2)
+    if one.kind == "filtered":
+        c = math.pi * one.number * period  # w0 T / 2
+        return (c / (1.0 + c), c / (1.0 + c)), (1.0, (c - 1.0) / (1.0 + c))
+    p = math.exp(-one.number * period)
+    return (math.expm1(-one.number * period) ** 2, 0.0, 0.0), (1.0, -2.0 * p, p * p)
+
+
+def estimator_response(given: Any, w: np.ndarray, period: float) -> np.ndarray:
+    """E(z) at ``w`` [rad/s], a frequency response of any shape.
+
+    >>> w = np.array([100.0])
+    >>> abs(estimator_response("two_tap", w, 1e-3)).round(6).tolist()
+    [0.99875]
+    """
+    back = np.exp(-1j * np.asarray(w) * period)
+    b, a = polynomials(given, period)
+    return np.polyval(b[::-1], back) / np.polyval(a[::-1], back)
+
+
+def continuous(given: Any) -> tuple[list[float], list[float]]:
+    """Numerator and denominator in s [1/s], highest power first, of the limit of E(z) with ever faster sampling.
+
+    >>> continuous({"kind": "tracking", "bandwidth": 100.0})
+    ([10000.0], [1.0, 200.0, 10000.0])
+    """
+    one = estimator_of(given)
+    if isinstance(one, str) or one.kind == "slope":
+        return [1.0], [1.0]
+    w = 2.0 * math.pi * one.number if one.kind == "filtered" else one.number
+    return ([w], [1.0, w]) if one.kind == "filtered" else ([w * w], [1.0, 2.0 * w, w * w])
+
+
+def taps(given: Any) -> float:
+    """What a kernel's gains say of the estimator: 1 two_tap, 0 backward, below 0 the order of another, negative."""
+    one = estimator_of(given)
+    if isinstance(one, str):
+        return float(one == TWO_TAP)
+    return float(1 - len(polynomials(one, 1.0)[0]))
+
+
+def coefficients(given: Any, period: float) -> tuple[float, ...]:
+    """What a kernel's gains hold of an estimator that is below 0 in :func:`taps`: b0 to bn, then a1 to an."""
+    if not taps(given) < 0.0:
+        return ()
+    b, a = polynomials(given, period)
+    return (*b, *a[1:])
+
+
+def states(order: float) -> int:
+    """Cells that a kernel's memory has for an estimator with those ``order`` of :func:`taps`."""
+    return 1 - int(order) if order < 0.0 else 0
+
+
+def forgets(given: Any) -> float:
+    """Periods after which the estimate of a carriage that stopped is 0: inf where it only decays."""
+    b, a = polynomials(given, 1.0)
+    return math.inf if any(a[1:]) else float(len(b))
+
+
+def in_words(given: Any, period: float) -> str:
+    """The estimate as a line to paste.
+
+    >>> in_words({"kind": "slope", "points": 4}, 1e-3)
+    'v[k] = (0.3 * q[k] + 0.1 * q[k-1] - 0.1 * q[k-2] - 0.3 * q[k-3]) / 0.001'
+    >>> in_words({"kind": "filtered", "frequency": 50.0}, 1e-3)
+    'v[k] = (0.135755247 * q[k] - 0.135755247 * q[k-2]) / 0.001 + 0.728489506 * v[k-1]'
+    """
+    one = estimator_of(given)
+    if isinstance(one, str):
+        two_tap = one == TWO_TAP
+        return f"v[k] = (q[k] - q[{'k-2' if two_tap else 'k-1'}]) / {2.0 * period if two_tap else period:.10g}"
+    b, a = polynomials(one, period)
+    by_position, before = np.convolve(b, [1.0, -1.0]), -np.array(a[1:])
+    sum_of_q = _sum(by_position, "q", 0)
+    past = _sum(before, "v", 1)
+    return f"v[k] = ({sum_of_q}) / {period:.10g}" + (f" + {past}" if past else "").replace("+ -", "- ")
+
+
+def estimator_in_words(given: Any) -> str:
+    """The estimator in a few words.
+
+    >>> estimator_in_words({"kind": "filtered", "frequency": 50.0}), estimator_in_words("two_tap")
+    ('difference filtered at 50 Hz', 'two-tap')
+    """
+    one = estimator_of(given)
+    if isinstance(one, str):
+        return one.replace("_", "-")
+    said = {"slope": "slope of {:.0f} points", "filtered": "difference filtered at {:.4g} Hz"}
+    return said.get(one.kind, "tracking loop of {:.4g} rad/s").format(one.number)
+
+
+def _sum(factors: np.ndarray, name: str, first: int) -> str:
+    terms = []
+    for i, factor in enumerate(factors, first):
+        if abs(factor) > 1e-15:
+            terms.append(f"{factor:.10g} * {name}[{f'k-{i}' if i else 'k'}]")
+    return " + ".join(terms).replace("+ -", "- ")
