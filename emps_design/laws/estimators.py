@@ -181,7 +181,7 @@ def in_words(given: Any, period: float) -> str:
     >>> in_words({"kind": "slope", "points": 4}, 1e-3)
     'v[k] = (0.3 * q[k] + 0.1 * q[k-1] - 0.1 * q[k-2] - 0.3 * q[k-3]) / 0.001'
     >>> in_words({"kind": "filtered", "frequency": 50.0}, 1e-3)
-    'v[k] = (0.135755247 * q[k] - 0.135755247 * q[k-2]) / 0.001 + 0.728489506 * v[k-1]'
+    'v[k] = (0.1357552482 * q[k] - 0.1357552482 * q[k-2]) / 0.001 + 0.7284895037 * v[k-1]'
     """
     one = estimator_of(given)
     if isinstance(one, str):
