@@ -11,7 +11,9 @@ from emps_design.axis import Axis
 from emps_design.cli.destinations import OVERWRITE
 from emps_design.cli.frequency import RAD_S
 from emps_design.cli.wording import check_option
+from emps_design.errors import InputError
 from emps_design.files import write_text
+from emps_design.laws.estimators import NUMBERS
 
 
 def within(unit: str) -> Any:
@@ -52,7 +54,23 @@ CurrentTimeConstant = Annotated[float | None, typer.Option(help="instead of the 
 Period = Annotated[float | None, typer.Option(help="instead of the axis's [s]")]
 EncoderResolution = Annotated[float | None, typer.Option(help="instead of the axis's [m]")]
 ComputationDelay = Annotated[int | None, typer.Option(help="instead of the axis's [samples]")]
-Estimator = Annotated[str | None, typer.Option(help="two_tap or backward")]
+Estimator = Annotated[str | None, typer.Option(help="two_tap, backward, slope:POINTS, filtered:HZ or tracking:RAD/S")]
+
+
+def estimator_given(text: str | None) -> Any:
+    """A velocity estimator as an axis file has it, from a name or ``kind:number``; checked with the axis.
+
+    >>> estimator_given("slope:4"), estimator_given("two_tap"), estimator_given("filtered:300")
+    ({'kind': 'slope', 'points': 4}, 'two_tap', {'kind': 'filtered', 'frequency': 300.0})
+    """
+    kind, colon, number = (text or "").partition(":")
+    if not colon or kind not in NUMBERS:
+        return text
+    try:
+        return {"kind": kind, NUMBERS[kind]: int(number) if kind == "slope" else float(number)}
+    except ValueError as error:
+        what = "whole number" if kind == "slope" else "number"
+        raise InputError(f"--velocity-estimator: found {text!r}, expected a {what} after {kind}:") from error
 
 
 def with_numbers(axis: Axis, **tables: dict[str, Any]) -> Axis:

@@ -23,6 +23,7 @@ from emps_design.cli.design_options import (
     PhaseMargin,
     Velocity,
     Viscous,
+    estimator_given,
     with_numbers,
     within,
     write_axis,
@@ -87,7 +88,7 @@ def command(
         mechanics={"mass": mass, "viscous": viscous},
         drive={"force_gain": force_gain, "current_time_constant": current_time_constant},
         sampling={"period": period, "computation_delay": computation_delay},
-        controller={"velocity_estimator": velocity_estimator},
+        controller={"velocity_estimator": estimator_given(velocity_estimator)},
     )
     notes: list[str] = []
     controller = machine.controller

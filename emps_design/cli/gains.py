@@ -29,6 +29,7 @@ from emps_design.cli.design_options import (
     Velocity,
     Viscous,
     VoltageLimit,
+    estimator_given,
     with_numbers,
     within,
     write_axis,
@@ -142,7 +143,7 @@ def command(
             "encoder_resolution": encoder_resolution,
             "computation_delay": computation_delay,
         },
-        controller={"velocity_estimator": velocity_estimator},
+        controller={"velocity_estimator": estimator_given(velocity_estimator)},
     )
     errors = _errors(machine, mismatch, sigma_from)
     specification: dict[str, Any] = {

@@ -74,10 +74,13 @@ def _show(found: LawEstimate) -> None:
             percent = f"{abs(100 * std / value):.2g}" if value else ""
             table.add_row(name, f"{value:.7g}", f"{std:.2g}", percent)
         console.print(table)
+    elif found.closest is not None:
+        say(f"the closest law, which is not the machine's: {found.closest_in_words}")
     if found.residual_rms is not None and found.residual_share is not None:
         left = f"{found.residual_rms:.4g} {found.command_unit}".rstrip()
         share = 100 * found.residual_share
-        console.print(f"leaves {left} rms, {share:.3g} % of the command's deviation", highlight=False)
+        own = f"; the record allows {found.allowed_rms:.4g}" if found.allowed_rms is not None else ""
+        console.print(f"leaves {left} rms, {share:.3g} % of the command's deviation{own}", highlight=False)
     for note in found.notes:
         console.print(note, highlight=False)
     if len(found.tried) > 1:

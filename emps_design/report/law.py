@@ -13,7 +13,9 @@ if TYPE_CHECKING:
 def law_blocks(found: LawEstimate) -> tuple[Any, ...]:
     """Return the blocks of a page about ``found``: verdict, table, deviations, residual, notes."""
     if found.controller is None:
-        return (Callout("warning", f"{found.verdict}: {found.reason}."), *map(Text, found.notes))
+        near = f"The closest law, which is not the machine's: {found.closest_in_words}." if found.closest else ""
+        said = (near, *found.notes) if near else found.notes
+        return (Callout("warning", f"{found.verdict}: {found.reason}."), *map(Text, said))
     rows = [
         [name, value, std, f"{abs(100.0 * std / value):.2g} %" if value else ""] for name, value, std in found.numbers
     ]

@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from emps_design.identification.controller.estimators import ESTIMATORS, other_estimators
 from emps_design.identification.controller.filters import derivatives, filtered
-from emps_design.identification.controller.fit import Fit, compress, fit, solve
-from emps_design.identification.controller.regressors import DELAYS, ESTIMATORS, EVERY, Signals, Timing, regressors
+from emps_design.identification.controller.fit import Fit, compress, estimator_slope, fit, solve
+from emps_design.identification.controller.regressors import DELAYS, EVERY, Signals, Timing, regressors
 from emps_design.identification.controller.structures import Structure
 
 NEARBY = 60.0  # of the criterion, at first order: closer ones are fitted in full
@@ -58,8 +59,9 @@ def rivals(signals: Signals, found: Fit, limited: np.ndarray | None) -> list[Fit
         [replace(found, structure=structure) for structure in _other_forms(found.structure)],
     ]  # fmt: skip
     if found.structure.velocity:
-        names = [name for name in ESTIMATORS if name != timing.velocity_estimator]
-        kinds.append([replace(found, timing=replace(timing, velocity_estimator=name)) for name in names])
+        names = [*ESTIMATORS, *other_estimators(timing.velocity_estimator, signals.period)]
+        names = [one for one in names if one != timing.velocity_estimator]
+        kinds.append([replace(found, timing=replace(timing, velocity_estimator=one)) for one in names])
     if found.structure.feeds_forward and not signals.velocity_reference:  # a filter may stand in for either
         filters = [found.filters, *(found.filters[:i] + found.filters[i + 1 :] for i in range(len(found.filters)))]
         sources = [(some, one) for some in filters for one in _sources(timing)]
@@ -105,8 +107,9 @@ def _first_order(signals: Signals, one: Fit, limited: np.ndarray | None) -> floa
     now = replace(one, wi=wi, linear=linear, cost=cost)
     if not now.stabilising:
         return np.inf
-    if one.filters:
-        slopes = derivatives(one.filters, raw @ now.beta, signals.period)
+    own = estimator_slope(signals, now, limited)
+    if one.filters or own:
+        slopes = np.column_stack([derivatives(one.filters, raw @ now.beta, signals.period), *own])
         near = (wi / 1.5, wi * 1.5) if wi else None
         *_, cost = solve(compress(signals, columns, slopes), one.structure, signals.period, near)
     return replace(now, cost=cost).criterion
@@ -135,4 +138,5 @@ def _other_loops(found: Fit) -> list[Timing]:
 
 def _sources(timing: Timing) -> list[Timing]:
     """``timing`` with each source of the feed-forward, and each estimator of the velocity that could pass for it."""
-    return [replace(timing, profile=profile, velocity_estimator=e) for profile in (False, True) for e in ESTIMATORS]
+    estimators = dict.fromkeys((*ESTIMATORS, timing.velocity_estimator))
+    return [replace(timing, profile=profile, velocity_estimator=e) for profile in (False, True) for e in estimators]

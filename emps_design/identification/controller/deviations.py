@@ -8,17 +8,19 @@ from typing import Any
 
 import numpy as np
 
+from emps_design.identification.controller.estimators import sought
 from emps_design.identification.controller.filters import Filter, derivatives, filtered
-from emps_design.identification.controller.fit import Fit
+from emps_design.identification.controller.fit import Fit, estimator_slope
 from emps_design.identification.controller.noise import resolution
 from emps_design.identification.controller.regressors import Signals, regressors
 from emps_design.identification.statistics import hac_covariance
+from emps_design.laws.estimators import NUMBERS, Estimator
 
 STEP = 1e-6  # of a sought number
 
 
 def covariance(signals: Signals, found: Fit, limited: np.ndarray | None) -> np.ndarray:
-    """Covariance of the linear coefficients, the integral rate where there is one, and the filters' numbers.
+    """Covariance of the linear coefficients, the integral rate and the numbers of filters and estimator.
 
     Of least squares behind the whitening filter, so for noise that is correlated as the residual is. Irregular
     samples have none: the residual's own correlation takes its place, and a command in steps may be cut off instead of
@@ -32,6 +34,7 @@ def covariance(signals: Signals, found: Fit, limited: np.ndarray | None) -> np.n
         columns = np.column_stack([columns, raw @ ((ends[0] - ends[1]) / (2.0 * step)) @ found.linear])
     columns = filtered(found.filters, columns, period)
     columns = np.column_stack([columns, derivatives(found.filters, raw @ found.beta, period)])
+    columns = np.column_stack([columns, *estimator_slope(signals, found, limited)])
     columns = signals.counted(columns)
     scale = np.linalg.norm(columns, axis=0)
     scale[scale == 0.0] = 1.0
@@ -69,7 +72,9 @@ def with_deviations(
 
 def _packed(found: Fit) -> np.ndarray:
     rate = [found.wi] if found.structure.form else []
-    return np.concatenate([found.linear, rate, *(one.numbers for one in found.filters)])
+    estimator = found.timing.velocity_estimator
+    own = [float(np.log(estimator.number))] if _is_sought(found) and not isinstance(estimator, str) else []
+    return np.concatenate([found.linear, rate, *(one.numbers for one in found.filters), own])
 
 
 def _unpacked(found: Fit, x: np.ndarray) -> Fit:
@@ -81,4 +86,12 @@ def _unpacked(found: Fit, x: np.ndarray) -> Fit:
     for one in found.filters:
         filters.append(Filter(one.kind, tuple(rest[: len(one.numbers)].tolist())))
         rest = rest[len(one.numbers) :]
+    estimator = found.timing.velocity_estimator
+    if _is_sought(found) and not isinstance(estimator, str):
+        own = {"kind": estimator.kind, NUMBERS[estimator.kind]: float(np.exp(rest[0]))}
+        change["timing"] = replace(found.timing, velocity_estimator=Estimator.model_validate(own))
     return replace(found, **change, filters=tuple(filters))
+
+
+def _is_sought(found: Fit) -> bool:
+    return found.structure.velocity and sought(found.timing.velocity_estimator)

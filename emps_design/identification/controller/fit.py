@@ -6,11 +6,12 @@ the samples again. The filters' numbers are found by Gauss and Newton: their der
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from emps_design.identification.controller.estimators import STEP, at_step, sought
 from emps_design.identification.controller.filters import Filter, derivatives, filtered, moved
 from emps_design.identification.controller.regressors import COLUMNS, Signals, Timing, regressors
 from emps_design.identification.controller.structures import Structure
@@ -39,7 +40,9 @@ class Fit:
     @property
     def size(self) -> int:
         """How many numbers were fitted."""
-        return self.structure.size + sum(len(f.numbers) for f in self.filters)
+        own = sum(len(f.numbers) for f in self.filters)
+        own += self.structure.velocity and sought(self.timing.velocity_estimator)
+        return self.structure.size + own
 
     @property
     def criterion(self) -> float:
@@ -140,27 +143,54 @@ def fit(
 
     ``limited`` (n,) says in which samples the limit acts, so that the integral part stands still.
     """
-    raw, period = regressors(signals, start.timing, limited), signals.period
+    period = signals.period
     best: Fit | None = None
-    trial, move, share = start.filters, np.zeros(0), 1.0
+    trial, timing, move, share = start.filters, start.timing, np.zeros(0), 1.0
+    raw = regressors(signals, timing, limited)
     for _ in range(ROUNDS):
         columns = filtered(trial, raw, period)
         compressed = compress(signals, columns)
         wi, linear, _, cost = solve(compressed, start.structure, period, within)
-        now = Fit(start.structure, start.timing, trial, wi, linear, cost, compressed.samples)
+        now = Fit(start.structure, timing, trial, wi, linear, cost, compressed.samples)
         if best is not None and not now.cost < best.cost:
             share *= SHORTER
             if share < SHORTEST or now.cost - best.cost < CONVERGED * best.cost:
                 break
-            trial = moved(best.filters, share * move, period)
+            trial, timing = all_moved(best.filters, best.timing, share * move, period)
+            raw = regressors(signals, timing, limited)
             continue
         gained = np.inf if best is None else best.cost - now.cost
         best, share = now, 1.0
-        if not trial or gained < CONVERGED * now.cost:
+        if not (trial or sought(timing.velocity_estimator)) or gained < CONVERGED * now.cost:
             break
         slopes = derivatives(trial, raw @ now.beta, period)
+        slopes = np.column_stack([slopes, *estimator_slope(signals, now, limited)])
         near = within or (wi / NEAR, wi * NEAR)
         move = np.clip(solve(compress(signals, columns, slopes), start.structure, period, near)[2], -LARGEST, LARGEST)
-        trial = moved(trial, move, period)
+        trial, timing = all_moved(trial, timing, move, period)
+        raw = regressors(signals, timing, limited) if timing != now.timing else raw
     assert best is not None
     return best
+
+
+def estimator_slope(signals: Signals, found: Fit, limited: np.ndarray | None) -> list[np.ndarray]:
+    """How the command (n,) changes with the logarithm of the estimator's number; none where it has none to seek."""
+    estimator, period = found.timing.velocity_estimator, signals.period
+    if not (found.structure.velocity and sought(estimator)):
+        return []
+    ends = []
+    for step in (STEP, -STEP):
+        timing = replace(found.timing, velocity_estimator=at_step(estimator, step, period))
+        ends.append(regressors(signals, timing, limited) @ found.beta)
+    return [filtered(found.filters, (ends[0] - ends[1]) / (2.0 * STEP), period)]
+
+
+def all_moved(
+    filters: tuple[Filter, ...], timing: Timing, steps: np.ndarray, period: float
+) -> tuple[tuple[Filter, ...], Timing]:
+    """Filters and estimator with their numbers changed by ``steps``, the estimator's the last, if it is sought."""
+    count = sum(len(one.numbers) for one in filters)
+    if steps.size > count:
+        estimator = at_step(timing.velocity_estimator, float(steps[count]), period)
+        timing = replace(timing, velocity_estimator=estimator)
+    return moved(filters, steps, period), timing

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -19,11 +20,20 @@ from emps_design.identification.controller.coarse_reference import too_coarse
 from emps_design.identification.controller.deviations import covariance, with_deviations
 from emps_design.identification.controller.fit import Fit
 from emps_design.identification.controller.law_estimate import AMBIGUOUS, NOT_TOLD, TOLD, LawEstimate
-from emps_design.identification.controller.regressors import AHEAD, Signals, joined
+from emps_design.identification.controller.regressors import AHEAD, WHOLE_LOOPS, Signals, joined
 from emps_design.identification.controller.steps import without_steps
 from emps_design.identification.controller.structures import PROPORTIONAL
 from emps_design.identification.controller.tables import deviations_of, kind_of, numbers_of, table_of
-from emps_design.identification.controller.wording import described, how_far_apart, notes_of, short
+from emps_design.identification.controller.told import TIMES, disagreement, halves, times_allowed
+from emps_design.identification.controller.wording import (
+    described,
+    how_far_apart,
+    in_parts,
+    notes_of,
+    short,
+    too_much_left,
+    unlike,
+)
 from emps_design.records import Record
 
 START_UP = 0.02  # s, before which what the controller remembers is not known
@@ -76,7 +86,8 @@ def _identified(several: list[Record], command_unit: str) -> LawEstimate:
         if signals.velocity_reference:
             return _not_told(name, command_unit, f"{IRREGULAR}, and that follows no velocity")
         polled = best_law(replace(signals, times=several[0].measured["t"]), replace(PROPORTIONAL, skew=True))
-        return _report(several, command_unit, polled, None, f"{IRREGULAR}: that ")
+        parts = halves(polled.signals)
+        return _report(several, command_unit, polled, None, parts, f"{IRREGULAR}: that ")
     found, steps = best_law(signals), None
     if not signals.velocity_reference and all(one.velocity_reference is not None for one in several):
         inner = best_law(joined([_of_its_velocity(*pair) for pair in zip(known, several, strict=True)]))
@@ -86,7 +97,13 @@ def _identified(several: list[Record], command_unit: str) -> LawEstimate:
         again = best_law(stepless[0])
         if again.share <= HOLDS:
             found, steps = again, stepless[1]
-    return _report(several, command_unit, found, steps)
+    ends = np.cumsum([0, *(len(one) + -len(one) % WHOLE_LOOPS for one in known)])
+    samples = np.arange(len(signals))
+    parts = [(samples >= start) & (samples < end) for start, end in pairwise(ends)]
+    told = _report(several, command_unit, found, steps, parts if len(several) > 1 else halves(found.signals))
+    if len(several) == 1 or told.controller is not None:
+        return told
+    return unlike(told, [_identified([one], command_unit) for one in several])
 
 
 def signals_of(record: Record, there: np.ndarray | None = None) -> Signals | str:
@@ -162,7 +179,14 @@ def _alike(records: Sequence[Record]) -> list[Record]:
     return list(records)
 
 
-def _report(several: Sequence[Record], unit: str, found: Found, steps: np.ndarray | None, why: str = "") -> LawEstimate:
+def _report(
+    several: Sequence[Record],
+    unit: str,
+    found: Found,
+    steps: np.ndarray | None,
+    parts: Sequence[np.ndarray],
+    why: str = "",
+) -> LawEstimate:
     name = " + ".join(one.name for one in several)
     velocity_reference = found.signals.velocity_reference
     compared: dict[str, dict[str, Any]] = {}  # a structure that was fitted from two beginnings is one
@@ -192,6 +216,14 @@ def _report(several: Sequence[Record], unit: str, found: Found, steps: np.ndarra
         reason = f"the record does not determine {', '.join(loose)}; record more motion"
         return _not_told(name, unit, reason, **said)
     values = {name: _rounded(value, std) for name, (value, std) in numbers.items()}
+    table = table_of(found.fit, velocity_reference, values, found.holds is not False)
+    times = times_allowed(found)
+    said["allowed_rms"] = found.rms / times
+    if times > TIMES:
+        return _not_told(name, unit, too_much_left(found, times, unit), closest=table, **said)
+    apart = disagreement(found, parts, lambda one: numbers_of(one, velocity_reference))
+    if apart is not None:
+        return _not_told(name, unit, f"{in_parts(apart, several)}; no one law made all of it", closest=table, **said)
     close = [one for one in found.rivals if one.criterion < found.fit.criterion + AS_GOOD]
     close = [one for one in close if kind_of(one, velocity_reference)]
     own, *others = (
@@ -216,7 +248,7 @@ def _report(several: Sequence[Record], unit: str, found: Found, steps: np.ndarra
         record=name,
         verdict=AMBIGUOUS if structures else TOLD,
         reason=reason,
-        controller=table_of(found.fit, velocity_reference, values, found.holds is not False),
+        controller=table,
         std=deviations_of(found.fit, {name: std for name, (_, std) in numbers.items()}),
         command_unit=unit,
         delay=found.fit.timing.delay,

@@ -13,11 +13,13 @@ class LawEstimate:
     """The controller that made a record, as the ``[controller]`` table of an axis file, or why it cannot be told.
 
     ``verdict`` is "told"; "ambiguous", where ``equivalents`` explain the record as well; or "not told", with the
-    ``reason`` and no ``controller``. ``std`` has the standard deviations in the shape of the table.
+    ``reason`` and no ``controller``: ``closest`` is then the law that came nearest, if one came near, and is not the
+    machine's. ``std`` has the standard deviations in the shape of the table.
     ``residual_rms`` [command unit] is what the law leaves of the command, ``residual_share`` the same over the
-    command's standard deviation. ``limit`` [command unit] is None where it never acts; ``delay`` [samples] lies between
-    a measurement and its command; ``tried`` has the structures that were compared, with what each leaves; ``notes`` say
-    what a table cannot hold.
+    command's standard deviation, and ``allowed_rms`` what the record's own noise and resolution would leave.
+    ``limit`` [command unit] is None where it never acts; ``delay`` [samples] lies between a measurement and its
+    command; ``tried`` has the structures that were compared, with what each leaves; ``notes`` say what a table cannot
+    hold.
     """
 
     record: str
@@ -34,6 +36,8 @@ class LawEstimate:
     equivalents: tuple[dict[str, Any], ...] = ()
     tried: tuple[dict[str, Any], ...] = ()
     notes: tuple[str, ...] = ()
+    closest: dict[str, Any] | None = None
+    allowed_rms: float | None = None
     warnings: tuple[str, ...] = field(default=())
 
     def to_dict(self) -> dict[str, Any]:
@@ -44,7 +48,13 @@ class LawEstimate:
             "reason": self.reason,
             "controller": self.controller,
             "std": self.std,
-            "residual": {"rms": self.residual_rms, "share": self.residual_share, "unit": self.command_unit},
+            "closest": self.closest,
+            "residual": {
+                "rms": self.residual_rms,
+                "share": self.residual_share,
+                "allowed": self.allowed_rms,
+                "unit": self.command_unit,
+            },
             "delay": self.delay,
             "limit": {"value": self.limit, "samples": self.limited_samples, "unit": self.command_unit},
             "equivalents": list(self.equivalents),
@@ -60,9 +70,20 @@ class LawEstimate:
         >>> LawEstimate("r", TOLD, "", {"kind": "p", "kp": 2.0000001}, {}, 0.0, 0.0, "V").in_words
         'p with kp = 2'
         """
-        if self.controller is None:
-            return ""
-        kind, *rest = self.controller.items()
+        return "" if self.controller is None else self._said(self.controller)
+
+    @property
+    def closest_in_words(self) -> str:
+        """The law that came nearest, in one line likewise; "" where none did, or the controller is told.
+
+        >>> LawEstimate("r", NOT_TOLD, "", None, {}, 0.0, 0.0, "V", closest={"kind": "p", "kp": 2.0}).closest_in_words
+        'p with kp = 2'
+        """
+        return "" if self.closest is None else self._said(self.closest)
+
+    @staticmethod
+    def _said(table: dict[str, Any]) -> str:
+        kind, *rest = table.items()
         return f"{kind[1]} with {', '.join(f'{name} = {_inline(value, 5)}' for name, value in rest)}"
 
     @property

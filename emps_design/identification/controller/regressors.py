@@ -21,10 +21,12 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter, savgol_filter
 
+from emps_design.identification.controller.estimators import UNUSUAL, AnyEstimator
+from emps_design.laws.estimators import polynomials
+
 EVERY = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20)  # samples of a position loop that are tried
 DELAYS = (0, 1, 2)  # samples
 AHEAD = 4  # samples before and after one that tell the velocity of a profile there
-ESTIMATORS = ("backward", "two_tap")
 STRANGE_START = 20.0  # of the criterion, for a position loop that does not start with the record, as axis files have it
 
 WHOLE_LOOPS = int(np.lcm.reduce(EVERY))  # samples after which a position loop of any rate is where it began
@@ -103,13 +105,17 @@ class Timing:
     every: int = 1
     phase: int = 0
     delay: int = 0
-    velocity_estimator: str = "backward"
+    velocity_estimator: AnyEstimator = "backward"
     profile: bool = False
 
     @property
     def surprise(self) -> float:
-        """-2 log of its probability before the record is seen: half of all loops run at one rate, the rest share."""
-        return (2.0 * float(np.log(len(EVERY) - 1)) if self.every > 1 else 0.0) + STRANGE_START * (self.phase > 0)
+        """-2 log of its probability before the record is seen: half of all loops run at one rate, the rest share.
+
+        And half of all drives take an estimator that has a name.
+        """
+        rates = 2.0 * float(np.log(len(EVERY) - 1)) if self.every > 1 else 0.0
+        return rates + STRANGE_START * (self.phase > 0) + UNUSUAL * (not isinstance(self.velocity_estimator, str))
 
 
 def regressors(signals: Signals, timing: Timing, limited: np.ndarray | None = None) -> np.ndarray:
@@ -173,8 +179,10 @@ def joined(several: Sequence[Signals]) -> Signals:
     return replace(several[0], **columns, levels=np.concatenate(levels), records=True)
 
 
-def estimated_velocity(q: np.ndarray, period: float, estimator: str) -> np.ndarray:
-    """Velocity (n,) from the position (n,), backward difference or two-tap; at rest before the first sample."""
+def estimated_velocity(q: np.ndarray, period: float, estimator: AnyEstimator) -> np.ndarray:
+    """Velocity (n,) from the position (n,) by an estimator; at rest before the first sample."""
+    if not isinstance(estimator, str):
+        return lfilter(*polynomials(estimator, period), np.diff(q, prepend=q[:1]) / period)
     taps = 2 if estimator == "two_tap" else 1
     before = np.concatenate([np.full(taps, q[0]), q[:-taps]])
     return (q - before) / (taps * period)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from emps_design.identification.controller.estimators import ESTIMATORS, AnyEstimator, beside, with_numbers
 from emps_design.identification.controller.filters import Filter, moved
-from emps_design.identification.controller.regressors import DELAYS, ESTIMATORS, EVERY, Signals, Timing, regressors
+from emps_design.identification.controller.regressors import DELAYS, EVERY, Signals, Timing, regressors
 from emps_design.identification.controller.spectra import (
     Spectra,
     coloured,
@@ -40,6 +42,7 @@ NOTCHES = [
 FOLLOWED, FOLLOWED_ON = 5, 2  # of the best candidates, in the first turn and later
 APART = 0.3  # of the logarithm of a frequency
 STARTS = 2  # notches, of those, that are followed
+RATIOS, MOVES = (1.5, 1.2, 1.06), 4  # by which the number of an estimator moves, and how often
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,7 @@ class Spectrum:
     def __init__(self, signals: Signals, limited: np.ndarray | None = None) -> None:
         self.signals, self.limited = signals, limited
         self.command = transform(signals, signals.command[:, None])[:, 0]
-        self.fixed: dict[tuple[str, bool], np.ndarray] = {}
+        self.fixed: dict[tuple[AnyEstimator, bool], np.ndarray] = {}
         self.known: dict[Timing, Spectra] = {}
 
     def at(self, timing: Timing) -> Spectra:
@@ -120,6 +123,7 @@ def search(signals: Signals, limited: np.ndarray | None = None) -> list[Candidat
             for delay in DELAYS:
                 plain = evaluate(spectrum, structure, Timing(1, 0, delay, name), ())
                 started.append(one_more_filter(spectrum, plain) or plain)
+    started += [one_more_filter(spectrum, one) or one for one in _otherwise_estimated(spectrum, structures)]
     started.sort(key=lambda c: c.criterion)
     beam, done = started[:FOLLOWED], []
     for turn in range(TURNS):
@@ -131,6 +135,34 @@ def search(signals: Signals, limited: np.ndarray | None = None) -> list[Candidat
             break
     best, *others = sorted(done + beam, key=lambda c: c.criterion)
     return [_started_elsewhere(spectrum, best), *others]
+
+
+def _otherwise_estimated(spectrum: Spectrum, structures: Sequence[Structure]) -> list[Candidate]:
+    """The best candidates without filters, one of each kind of estimator that has a number."""
+    period, best = spectrum.signals.period, dict[str, Candidate]()
+    for estimator in with_numbers(period):
+        for structure in structures:
+            if not structure.velocity:
+                continue
+            for delay in DELAYS:
+                one = evaluate(spectrum, structure, Timing(1, 0, delay, estimator), ())
+                if estimator.kind not in best or one.criterion < best[estimator.kind].criterion:
+                    best[estimator.kind] = one
+    return [_refined(spectrum, one) for one in best.values()]
+
+
+def _refined(spectrum: Spectrum, now: Candidate) -> Candidate:
+    """The candidate with the number of its estimator moved to where it is best, the steps halved three times."""
+    for ratio in RATIOS:
+        for _ in range(MOVES):
+            near = beside(now.timing.velocity_estimator, spectrum.signals.period, ratio)
+            timings = [replace(now.timing, velocity_estimator=one) for one in near]
+            moved_ = [evaluate(spectrum, now.structure, timing, now.filters) for timing in timings]
+            better = min((now, *moved_), key=lambda c: c.criterion)
+            if better is now:
+                break
+            now = better
+    return now
 
 
 def _started_elsewhere(spectrum: Spectrum, now: Candidate) -> Candidate:
@@ -151,9 +183,13 @@ def improve(spectrum: Spectrum, now: Candidate) -> Candidate:
         if timed.timing != now.timing:
             found = min(found, polish(spectrum, timed), key=lambda c: c.criterion)
     if found.structure.feeds_forward and not spectrum.signals.velocity_reference:
-        others = [replace(found.timing, profile=not found.timing.profile, velocity_estimator=e) for e in ESTIMATORS]
-        taken = [evaluate(spectrum, found.structure, other, found.filters) for other in others]
+        estimators = dict.fromkeys((*ESTIMATORS, found.timing.velocity_estimator))
+        profile = not found.timing.profile
+        sources = [replace(found.timing, profile=profile, velocity_estimator=e) for e in estimators]
+        taken = [evaluate(spectrum, found.structure, other, found.filters) for other in sources]
         found = min((found, *(polish(spectrum, one) for one in taken)), key=lambda c: c.criterion)
+    if found.structure.velocity and not isinstance(found.timing.velocity_estimator, str):
+        found = polish(spectrum, _refined(spectrum, found))
     fewer = [replace(found, filters=(*found.filters[:i], *found.filters[i + 1 :])) for i in range(len(found.filters))]
     more = [better for one in (found, *fewer) if (better := one_more_filter(spectrum, one)) is not None]
     found = min((found, *more), key=lambda c: c.criterion)

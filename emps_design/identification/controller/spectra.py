@@ -16,6 +16,7 @@ from scipy.fft import next_fast_len, rfft
 from emps_design.identification.controller.filters import Filter
 from emps_design.identification.controller.regressors import COLUMNS, Signals, Timing
 from emps_design.identification.controller.structures import Structure
+from emps_design.laws.estimators import polynomials
 
 BANDS = 200
 RIDGE = 1e-11  # of the scaled normal equations, where gains cannot be told apart
@@ -76,8 +77,9 @@ def cross(signals: Signals, values: np.ndarray, command: np.ndarray, timing: Tim
 
 def position_response(z: np.ndarray, period: float, timing: Timing, velocity_reference: bool) -> np.ndarray:
     """How each regressor answers to the position at ``z`` (n_bands,), (n_bands, n_columns); a hold counts as none."""
-    taps = 2 if timing.velocity_estimator == "two_tap" else 1
-    rate, total = (1.0 - z ** -float(taps)) / (taps * period), period / (1.0 - 1.0 / z)
+    b, a = polynomials(timing.velocity_estimator, period)
+    rate = np.polyval(b[::-1], 1.0 / z) / np.polyval(a[::-1], 1.0 / z) * (1.0 - 1.0 / z) / period
+    total = period / (1.0 - 1.0 / z)
     error = np.zeros_like(z) if velocity_reference else -np.ones_like(z)
     none = np.zeros_like(z)
     return np.stack([error, error * total, -rate, -rate * total, rate, rate * total, none, none, none, none], axis=1)

@@ -10,8 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from emps_design.identification.controller.estimators import ESTIMATORS
 from emps_design.identification.controller.noise import robust_deviation
-from emps_design.identification.controller.regressors import ESTIMATORS, Signals, Timing, regressors
+from emps_design.identification.controller.regressors import Signals, Timing, regressors
 
 ROUNDS = 12
 OUTLYING = 8.0  # deviations of the typical difference

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from emps_design.identification.controller.estimators import sought
+from emps_design.identification.controller.estimators import table_of as estimator_table
 from emps_design.identification.controller.fit import Fit
+from emps_design.laws.estimators import NUMBERS, Estimator
 
 AHEAD = ("velocity", "acceleration", "coulomb")  # the feed-forward, in the order of the table
 
@@ -30,14 +33,17 @@ def numbers_of(found: Fit, velocity_reference: bool) -> dict[str, float]:
     """The numbers of the law by their place in the table, such as "position.kp"."""
     kind, s = kind_of(found, velocity_reference), found.structure
     part = dict(zip(s.linear, map(float, found.linear), strict=True))
+    estimated, estimator = {}, found.timing.velocity_estimator
+    if s.velocity and isinstance(estimator, Estimator) and sought(estimator):
+        estimated = {f"velocity_estimator.{NUMBERS[estimator.kind]}": estimator.number}
     gain, rate = found.gain, found.position_rate
     if kind == "p":
         return {"kp": part["position"]}
     if kind == "position_pd":
-        return {"kp": rate if s.position else found.wi, "kv": gain}
+        return {"kp": rate if s.position else found.wi, "kv": gain} | estimated
     if kind == "ip_velocity":
         own = {"k_v1": gain, "t_v": 1.0 / found.wi}
-        return own | ({"k_e1": part["force"] / gain} if s.force else {})
+        return own | ({"k_e1": part["force"] / gain} if s.force else {}) | estimated
     numbers = {"position.kp": rate} if s.position else {}
     numbers["velocity.kp"] = gain
     if s.form:
@@ -45,6 +51,7 @@ def numbers_of(found: Fit, velocity_reference: bool) -> dict[str, float]:
     if s.share is None:
         numbers["feedforward.velocity"] = part["following"] / gain
     numbers |= {f"feedforward.{name}": part[name] for name in ("acceleration", "coulomb") if name in part}
+    numbers |= estimated
     for i, one in enumerate(found.filters):
         numbers |= {f"filters.{i}.{name}": value for name, value in zip(one.names, one.values, strict=True)}
     return numbers
@@ -75,7 +82,9 @@ def table_of(found: Fit, velocity_reference: bool, numbers: dict[str, float], ho
         if found.structure.form:
             table["anti_windup"] = "hold" if holds else "none"
     if kind not in ("p",):
-        table["velocity_estimator"] = found.timing.velocity_estimator
+        estimator = found.timing.velocity_estimator
+        (number,) = nested(numbers, "velocity_estimator").values() or (None,)
+        table["velocity_estimator"] = estimator_table(estimator, number)
     return table
 
 

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from emps_design.identification.controller.best_law import AS_GOOD, Found
 from emps_design.identification.controller.fit import Fit
+from emps_design.identification.controller.law_estimate import LawEstimate
+from emps_design.identification.controller.told import Disagreement
+from emps_design.laws import leaves
+from emps_design.laws.estimators import estimator_in_words
 from emps_design.records import Record
 
+DISTINCT = 3.0  # deviations, those of two laws added, beyond which their numbers are two
 # Twice the logarithm of the odds of the true law against one D^0.5 deviations apart is normal about D, with variance
 # 4 D: from here on it passes what counts as alike in 39 of 40 records.
 SURE = 2.0 + (4.0 + AS_GOOD) ** 0.5
@@ -26,7 +32,7 @@ def described(one: Fit, found: Found) -> dict[str, Any]:
         of = "profile's" if timing.profile else "reference"
         terms.append(f"all of the {of} velocity" if s.share == 1 else f"a share of the {of} velocity")
     terms += [name for name in ("acceleration", "coulomb", "force", "offset") if getattr(s, name)]
-    terms += [timing.velocity_estimator.replace("_", "-"), f"delay {timing.delay}"]
+    terms += [estimator_in_words(timing.velocity_estimator), f"delay {timing.delay}"]
     terms += [f"{f.kind} {f.frequency:.4g} Hz" for f in one.filters]
     return {
         "terms": ", ".join(terms),
@@ -42,7 +48,9 @@ def short(table: dict[str, Any]) -> str:
     form = table.get("velocity", {}).get("form")
     source = table.get("feedforward", {}).get("source")
     parts = [table["kind"], f"form {form}" if form else "", f"every {every}" if every else "", source or ""]
-    return " ".join(part for part in [*parts, table.get("velocity_estimator", "")] if part)
+    estimator = table.get("velocity_estimator", "")
+    own = estimator if isinstance(estimator, str) else estimator_in_words(estimator)
+    return " ".join(part for part in [*parts, own] if part)
 
 
 def how_far_apart(close: Sequence[Fit], found: Found) -> str:
@@ -83,3 +91,54 @@ def notes_of(several: Sequence[Record], unit: str, found: Found, steps: np.ndarr
     if not np.ptp(found.signals.reference[found.signals.used]) > 0.0:
         notes.append("the reference stands still, so feed-forward is not told")
     return tuple(notes)
+
+
+def too_much_left(found: Found, times: float, unit: str) -> str:
+    """Why a law is none although it leaves little: how close it came, and what is left."""
+    left = f"{found.rms:.3g} {unit}".rstrip()
+    return (
+        f"the closest law leaves {left} rms, {100 * found.share:.3g} % of the command's deviation, {times:.3g} times "
+        "what the record's own noise and resolution would: it has another structure, filter or velocity estimator"
+    )
+
+
+def in_parts(apart: Disagreement, several: Sequence[Record]) -> str:
+    """Which number two parts of a record, or two records, tell otherwise."""
+    (one, one_std), (other, other_std) = apart.one, apart.other
+    said = f"{apart.name} is {one:.5g} +- {one_std:.2g}"
+    if len(several) > 1:
+        first, second = (several[place].name for place in apart.parts)
+        return f"the records disagree: {said} in {first}, {other:.5g} +- {other_std:.2g} in {second}"
+    return f"its halves disagree: {said} in the first, {other:.5g} +- {other_std:.2g} in the second"
+
+
+def unlike(together: LawEstimate, alone: Sequence[LawEstimate]) -> LawEstimate:
+    """What no one law made, with what the records say alone: which disagree, and on what."""
+    known = [one for one in alone if one.controller is not None]
+    if len(known) < 2:
+        return together
+    first, *rest = known
+    for other in rest:
+        differ = _differences(first, other)
+        if differ:
+            reason = f"the records disagree, {first.record} and {other.record}: {'; '.join(differ)}"
+            return replace(together, reason=reason, closest=None)
+    return together
+
+
+def _differences(one: LawEstimate, other: LawEstimate) -> list[str]:
+    """What the tables of two laws have different, numbers beyond their deviations."""
+    tables = [dict(leaves(estimate.controller)) for estimate in (one, other)]
+    stds = [dict(leaves(estimate.std)) for estimate in (one, other)]
+    found = []
+    for path in dict.fromkeys([*tables[0], *tables[1]]):
+        a, b = (table.get(path) for table in tables)
+        spread = sum(std.get(path, 0.0) for std in stds)
+        numbers = isinstance(a, float) and isinstance(b, float)
+        if a != b and not (numbers and abs(a - b) <= DISTINCT * spread):
+            found.append(f"{'.'.join(path)} {_shown(a)} and {_shown(b)}")
+    return found
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.5g}" if isinstance(value, float) else "none" if value is None else str(value)

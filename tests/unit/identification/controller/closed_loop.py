@@ -24,6 +24,7 @@ class Loop:
     notches: tuple[tuple[float, float, float], ...] = ()
     limit: float = math.inf
     two_tap: bool = False
+    estimator: tuple[str, float] | None = None  # ("slope", points), ("filtered", Hz), ("tracking", rad/s)
     delay: int = 0
     proportional: bool = False  # u = kp (r - q), nothing else
     velocity_reference: bool = False
@@ -48,11 +49,15 @@ class Loop:
         sections += [_section("n", *one, T) for one in self.notches]
         memory = [[0.0, 0.0, 0.0, 0.0] for _ in sections]
         commands: list[float] = []
+        seen, estimate = [0.0] * 64, _Estimate(self.estimator, T)
         pushes = rng.normal(0.0, 2.0, self.samples // 50 + 1)
         own, own_steps = (self._speed(np.arange(self.samples) + ahead) for ahead in (0.0, 1e-3))
         for k in range(self.samples):
             q = round(x / self.step) * self.step
             v = (q - q2) / (2.0 * T) if self.two_tap else (q - q1) / T
+            if self.estimator:
+                seen = [*seen[1:], q]
+                v = estimate(seen)
             if self.velocity_reference:
                 vr, ar = r[k], (r[k] - r1) / T
             else:
@@ -103,6 +108,33 @@ class Loop:
         speed = 0.3 * np.sin(2.0 * np.pi * 2.0 * t) + 0.15 * np.sin(2.0 * np.pi * 9.0 * t)
         away = np.clip(np.minimum(t, np.abs(t - 0.5) - 0.03) / 0.05, 0.0, 1.0)
         return speed * np.sin(0.5 * np.pi * away) ** 2 * 2.0 / (self.samples * self.period)
+
+
+class _Estimate:
+    """A velocity from the last positions: a line through them, a low-pass behind a difference, a tracking loop."""
+
+    def __init__(self, estimator, period):
+        self.kind, self.number = estimator or ("", 0.0)
+        self.period, self.before, self.v, self.x = period, 0.0, 0.0, 0.0
+
+    def __call__(self, seen):
+        T, q = self.period, seen[-1]
+        if self.kind == "slope":
+            own = seen[-int(self.number) :]
+            middle = 0.5 * (len(own) - 1)
+            return sum((i - middle) * x for i, x in enumerate(own)) / sum(
+                (i - middle) ** 2 * T for i in range(len(own))
+            )
+        if self.kind == "filtered":
+            (b0, b1, _), (_, a1, _) = _section("l", self.number, T)
+            difference = (q - seen[-2]) / T
+            self.v, self.before = b0 * difference + b1 * self.before - a1 * self.v, difference
+            return self.v
+        pole = math.exp(-self.number * T)
+        error = q - self.x - T * self.v
+        self.x += T * self.v + (1.0 - pole**2) * error
+        self.v += (1.0 - pole) ** 2 / T * error
+        return self.v
 
 
 def _section(kind, frequency, *rest):

@@ -87,6 +87,26 @@ CASES = {
         {"position.kp": 25.0, "velocity.kp": 400.0, "velocity.ti": 0.04},
         {"kind": "cascade", "velocity.form": "ip"},
     ),
+    "slope of four points": (
+        Loop(kp=30.0, kv=300.0, share=1.0, estimator=("slope", 4), noise=0.02),
+        {"position.kp": 30.0, "velocity.kp": 300.0},
+        {"kind": "cascade", "feedforward.velocity": 1.0, "velocity_estimator": {"kind": "slope", "points": 4}},
+    ),
+    "slope behind a low-pass": (
+        Loop(kp=20.0, kv=400.0, ti=0.04, share=0.9, estimator=("slope", 8), lowpass=150.0, noise=0.02),
+        {"position.kp": 20.0, "velocity.kp": 400.0, "velocity.ti": 0.04, "filters.0.frequency": 150.0},
+        {"kind": "cascade", "velocity_estimator": {"kind": "slope", "points": 8}},
+    ),
+    "filtered difference": (
+        Loop(kp=20.0, kv=400.0, ti=0.04, share=0.9, estimator=("filtered", 60.0), noise=0.02),
+        {"position.kp": 20.0, "velocity.kp": 400.0, "velocity.ti": 0.04, "velocity_estimator.frequency": 60.0},
+        {"kind": "cascade", "velocity_estimator.kind": "filtered"},
+    ),
+    "tracking loop": (
+        Loop(kp=20.0, kv=300.0, estimator=("tracking", 500.0), noise=0.02),
+        {"kp": 20.0, "kv": 300.0, "velocity_estimator.bandwidth": 500.0},
+        {"kind": "position_pd", "velocity_estimator.kind": "tracking"},
+    ),
     "proportional, at its limit": (
         Loop(kp=3000.0, proportional=True, limit=25.0, friction=(150.0, 6.0), noise=0.05),
         {"kp": 3000.0},
