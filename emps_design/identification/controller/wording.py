@@ -128,7 +128,7 @@ def unlike(together: LawEstimate, alone: Sequence[LawEstimate]) -> LawEstimate:
 
 def _differences(one: LawEstimate, other: LawEstimate) -> list[str]:
     """What the tables of two laws have different, numbers beyond their deviations."""
-    tables = [dict(leaves(estimate.controller)) for estimate in (one, other)]
+    tables = [dict(leaves(_of_unlike_estimators(own, against))) for own, against in ((one, other), (other, one))]
     stds = [dict(leaves(estimate.std)) for estimate in (one, other)]
     found = []
     for path in dict.fromkeys([*tables[0], *tables[1]]):
@@ -138,6 +138,16 @@ def _differences(one: LawEstimate, other: LawEstimate) -> list[str]:
         if a != b and not (numbers and abs(a - b) <= DISTINCT * spread):
             found.append(f"{'.'.join(path)} {_shown(a)} and {_shown(b)}")
     return found
+
+
+def _of_unlike_estimators(own: LawEstimate, against: LawEstimate) -> dict[str, Any]:
+    """The table of ``own``, its velocity estimator in words where the other's is of another kind."""
+    table = own.controller or {}
+    mine, other = table.get("velocity_estimator"), (against.controller or {}).get("velocity_estimator")
+    kinds = [one.get("kind") if isinstance(one, dict) else one for one in (mine, other)]
+    if mine is None or other is None or kinds[0] == kinds[1]:
+        return table
+    return {**table, "velocity_estimator": estimator_in_words(mine)}
 
 
 def _shown(value: Any) -> str:

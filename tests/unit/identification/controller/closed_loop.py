@@ -122,9 +122,8 @@ class _Estimate:
         if self.kind == "slope":
             own = seen[-int(self.number) :]
             middle = 0.5 * (len(own) - 1)
-            return sum((i - middle) * x for i, x in enumerate(own)) / sum(
-                (i - middle) ** 2 * T for i in range(len(own))
-            )
+            squares = sum((i - middle) ** 2 for i in range(len(own)))
+            return sum((i - middle) * x for i, x in enumerate(own)) / (squares * T)
         if self.kind == "filtered":
             (b0, b1, _), (_, a1, _) = _section("l", self.number, T)
             difference = (q - seen[-2]) / T
