@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from emps_design.identification.controller.estimators import ESTIMATORS, other_estimators
+from emps_design.identification.controller.estimators import ESTIMATORS, rivals_of
 from emps_design.identification.controller.filters import derivatives, filtered
 from emps_design.identification.controller.fit import Fit, compress, estimator_slope, fit, solve
 from emps_design.identification.controller.regressors import DELAYS, EVERY, Signals, Timing, regressors
@@ -59,9 +59,8 @@ def rivals(signals: Signals, found: Fit, limited: np.ndarray | None) -> list[Fit
         [replace(found, structure=structure) for structure in _other_forms(found.structure)],
     ]  # fmt: skip
     if found.structure.velocity:
-        names = [*ESTIMATORS, *other_estimators(timing.velocity_estimator, signals.period)]
-        names = [one for one in names if one != timing.velocity_estimator]
-        kinds.append([replace(found, timing=replace(timing, velocity_estimator=one)) for one in names])
+        instead = rivals_of(timing.velocity_estimator, signals.period)
+        kinds.append([replace(found, timing=replace(timing, velocity_estimator=one)) for one in instead])
     if found.structure.feeds_forward and not signals.velocity_reference:  # a filter may stand in for either
         filters = [found.filters, *(found.filters[:i] + found.filters[i + 1 :] for i in range(len(found.filters)))]
         sources = [(some, one) for some in filters for one in _sources(timing)]

@@ -6,12 +6,13 @@ from functools import cache
 
 import numpy as np
 
-from emps_design.laws.estimators import NUMBERS, Estimator
+from emps_design.laws.estimators import MOST_POINTS, NUMBERS, Estimator, polynomials
 
 ESTIMATORS = ("backward", "two_tap")
-POINTS = (4, 5, 6, 7, 8, 10, 12, 16)  # of slopes that are tried first; 2 and 3 are the named ones
-SHARES = np.geomspace(0.006, 0.25, 7)  # of the sampling frequency: corners that are tried first
+POINTS = (4, 5, 6, 8, 11, 16)  # of slopes that are tried first; 2 and 3 are the named ones
+SHARES = np.geomspace(0.006, 0.25, 5)  # of the sampling frequency: corners that are tried first
 LOOP = 2.0  # times the corner of a filter: a tracking loop that is late by as much
+LEAST_LAG = 0.3  # samples: filters that are faster are none
 WITHIN = {"filtered": (1e-4, 0.45), "tracking": (6e-4, 3.0)}  # number times the period
 STEP = 1e-4  # of a sought number, for its derivative
 UNUSUAL = 2.0 * float(np.log(len(POINTS) + 2 * len(SHARES)))  # of the criterion: half of all drives take a named one
@@ -33,10 +34,26 @@ def with_numbers(period: float) -> tuple[Estimator, ...]:
     return tuple(found)
 
 
-def other_estimators(own: AnyEstimator, period: float) -> list[AnyEstimator]:
-    """Estimators with a number that are not ``own``: of its kind, where its number is sought, none."""
-    kind = own.kind if isinstance(own, Estimator) and sought(own) else ""
-    return [*beside(own, period, 1.0)] * (not kind) + [one for one in with_numbers(period) if one.kind != kind]
+def lag(estimator: AnyEstimator, period: float) -> float:
+    """Samples that a steady change comes late by, beside those of the backward difference.
+
+    >>> lag("two_tap", 1e-3), round(lag(Estimator(kind="slope", points=4), 1e-3), 9)
+    (0.5, 1.0)
+    """
+    late = [float(np.arange(len(one)) @ np.array(one)) / sum(one) for one in polynomials(estimator, period)]
+    return late[0] - late[1]
+
+
+def rivals_of(own: AnyEstimator, period: float) -> list[AnyEstimator]:
+    """What could pass for the estimator ``own``: those with a name, and of each other kind what is as late."""
+    late = max(lag(own, period), LEAST_LAG)
+    points = round(2.0 * late) + 2
+    found: list[AnyEstimator] = [*ESTIMATORS]
+    found += [Estimator(kind="slope", points=n) for n in range(points - 1, points + 2) if 4 <= n <= MOST_POINTS]
+    found.append(Estimator(kind="filtered", frequency=1.0 / (2.0 * float(np.pi) * late * period)))
+    found.append(Estimator(kind="tracking", bandwidth=LOOP / (late * period)))
+    kind = own.kind if isinstance(own, Estimator) and sought(own) else ""  # whose number is found by the fit
+    return [one for one in found if one != own and not (isinstance(one, Estimator) and one.kind == kind)]
 
 
 def sought(estimator: AnyEstimator) -> bool:
@@ -58,7 +75,7 @@ def beside(estimator: AnyEstimator, period: float, ratio: float) -> tuple[AnyEst
         return ()
     if estimator.kind == "slope":
         counts = (int(estimator.number) + more for more in (-1, 1))
-        return tuple(Estimator(kind="slope", points=n) for n in counts if 4 <= n <= 64)
+        return tuple(Estimator(kind="slope", points=n) for n in counts if 4 <= n <= MOST_POINTS)
     step = float(np.log(ratio))
     return tuple(at_step(estimator, sign * step, period) for sign in (-1.0, 1.0))
 

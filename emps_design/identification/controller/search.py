@@ -41,6 +41,7 @@ NOTCHES = [
 ]
 FOLLOWED, FOLLOWED_ON = 5, 2  # of the best candidates, in the first turn and later
 APART = 0.3  # of the logarithm of a frequency
+LIKELY = 4  # structures with delays that other estimators are tried with
 STARTS = 2  # notches, of those, that are followed
 RATIOS, MOVES = (1.5, 1.2, 1.06), 4  # by which the number of an estimator moves, and how often
 
@@ -117,13 +118,10 @@ def search(signals: Signals, limited: np.ndarray | None = None) -> list[Candidat
     structures = [Structure(form=form, force=signals.force is not None, **follows) for form in ("pi", "ip")]
     if not signals.velocity_reference:
         structures += [replace(structures[1], position=False, share=1), PROPORTIONAL]
-    started = []
-    for structure in structures:
-        for name in ESTIMATORS:
-            for delay in DELAYS:
-                plain = evaluate(spectrum, structure, Timing(1, 0, delay, name), ())
-                started.append(one_more_filter(spectrum, plain) or plain)
-    started += [one_more_filter(spectrum, one) or one for one in _otherwise_estimated(spectrum, structures)]
+    timings = [Timing(1, 0, delay, name) for name in ESTIMATORS for delay in DELAYS]
+    plain = [evaluate(spectrum, structure, timing, ()) for structure in structures for timing in timings]
+    plain += _otherwise_estimated(spectrum, plain)
+    started = [one_more_filter(spectrum, one) or one for one in plain]
     started.sort(key=lambda c: c.criterion)
     beam, done = started[:FOLLOWED], []
     for turn in range(TURNS):
@@ -137,17 +135,19 @@ def search(signals: Signals, limited: np.ndarray | None = None) -> list[Candidat
     return [_started_elsewhere(spectrum, best), *others]
 
 
-def _otherwise_estimated(spectrum: Spectrum, structures: Sequence[Structure]) -> list[Candidate]:
-    """The best candidates without filters, one of each kind of estimator that has a number."""
+def _otherwise_estimated(spectrum: Spectrum, named: Sequence[Candidate]) -> list[Candidate]:
+    """The best candidates without filters, one of each kind of estimator that has a number.
+
+    Of the structures and delays of those that are best with an estimator that has a name.
+    """
     period, best = spectrum.signals.period, dict[str, Candidate]()
+    known = sorted((one for one in named if one.structure.velocity), key=lambda c: c.criterion)
+    pairs = list(dict.fromkeys((one.structure, one.timing.delay) for one in known))[:LIKELY]
     for estimator in with_numbers(period):
-        for structure in structures:
-            if not structure.velocity:
-                continue
-            for delay in DELAYS:
-                one = evaluate(spectrum, structure, Timing(1, 0, delay, estimator), ())
-                if estimator.kind not in best or one.criterion < best[estimator.kind].criterion:
-                    best[estimator.kind] = one
+        for structure, delay in pairs:
+            one = evaluate(spectrum, structure, Timing(1, 0, delay, estimator), ())
+            if estimator.kind not in best or one.criterion < best[estimator.kind].criterion:
+                best[estimator.kind] = one
     return [_refined(spectrum, one) for one in best.values()]
 
 

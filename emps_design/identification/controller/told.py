@@ -54,8 +54,8 @@ def times_allowed(found: Found) -> float:
     columns = columns[:, norms > 0.0] / norms[norms > 0.0]
     if left.size < 2 * columns.shape[1]:
         return 1.0
-    found_, _, rank, _ = np.linalg.lstsq(columns, left, rcond=1e-10)
-    rest = left - columns @ found_
+    gains, _, rank, _ = np.linalg.lstsq(columns, left, rcond=1e-10)
+    rest = left - columns @ gains
     allowed = float(rest @ rest) / max(left.size - int(rank), 1)
     mean = float(left @ left) / max(left.size - law.size, 1)
     return float(np.sqrt(mean / allowed)) if allowed > 0.0 else 1.0

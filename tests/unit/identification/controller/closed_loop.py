@@ -125,9 +125,9 @@ class _Estimate:
             squares = sum((i - middle) ** 2 for i in range(len(own)))
             return sum((i - middle) * x for i, x in enumerate(own)) / (squares * T)
         if self.kind == "filtered":
-            (b0, b1, _), (_, a1, _) = _section("l", self.number, T)
-            difference = (q - seen[-2]) / T
-            self.v, self.before = b0 * difference + b1 * self.before - a1 * self.v, difference
+            half, difference = math.pi * self.number * T, (q - seen[-2]) / T  # of 2/T (1 - z^-1)/(1 + z^-1) = s
+            self.v = (half * (difference + self.before) + (1.0 - half) * self.v) / (1.0 + half)
+            self.before = difference
             return self.v
         pole = math.exp(-self.number * T)
         error = q - self.x - T * self.v

@@ -101,7 +101,7 @@ def test_records_of_two_controllers_are_told_apart():
     parts = [signals.levels == place for place in (0, 1)]
     apart = disagreement(found_with(signals, SLOPE), parts, numbers)
     said = in_parts(apart, several)
-    assert said.startswith("the records disagree: kv is 3")
+    assert said.startswith("the records disagree: kv is 299.99 +- ")
     assert said.endswith("in kv 305")
 
 
