@@ -31,6 +31,7 @@ from emps_design.frequency_response.measured_plant import law_response
 from emps_design.frequency_response.response import BAND
 from emps_design.frequency_response.signals import signals_of
 from emps_design.laws import law_of
+from emps_design.laws.estimators import estimator_response
 from emps_design.laws.linear import linear_law
 from emps_design.machines import machine
 from emps_design.progress import untold
@@ -66,8 +67,8 @@ def true_loop(axis):
     plant, law = sample_axis(axis, SPEED), linear_law(law_of(axis, period), period)
 
     def seen(w):
-        back = np.exp(-1j * w * period)
-        return law_response(law, w, period) * period / ((plant.weights[0] + plant.weights[1] * back) * (1.0 - back))
+        increments = estimator_response(plant.estimator, w, period) * (1.0 - np.exp(-1j * w * period))
+        return law_response(law, w, period) * period / increments
 
     return lambda w: -seen(w) * plant.response(w), lambda w, late: -seen(w) * plant.delayed_response(w, late)
 
@@ -83,15 +84,13 @@ def true_margins(axis):
 
 def delay_by_force(axis):
     """The delay [s] behind the plant input that makes the true loop unstable, by its poles."""
-    from dataclasses import replace
-
     from emps_design.control.loop.sampled_loop import close
 
     period = axis.sampling.period
     plant, law = sample_axis(axis, SPEED), linear_law(law_of(axis, period), period)
 
     def stable(late):
-        return close(replace(plant.delayed(late), weights=plant.weights), law).stable
+        return close(plant.delayed(late), law).stable
 
     step = high = 0.05 * period
     while stable(high):

@@ -10,7 +10,15 @@ from __future__ import annotations
 import numpy as np
 
 from emps_design.comanipulation.measures import MEASURES, in_hand, let_go, nothing, over, watched
-from emps_design.laws.library.impedance import DELAY, KEEP_ACCELERATION, TAPS, WAITING, impedance
+from emps_design.laws.library.impedance import (
+    DELAY,
+    KEEP_ACCELERATION,
+    RATE,
+    REFERENCE_VELOCITY,
+    TAPS,
+    WAITING,
+    impedance,
+)
 from emps_design.simulation.environment import hand_force
 from emps_design.simulation.kernels.compile import built_in, cached, inlined, pointer
 from emps_design.simulation.kernels.friction_period import advance, response, uneventful
@@ -19,7 +27,7 @@ from emps_design.simulation.kernels.motion import GAIN, LIMIT, PERIOD, RESOLUTIO
 
 OWN = KEEP_ACCELERATION  # gains before this place are each law's own, those from there on the same for all
 ROWS = 14 + OWN + WAITING + MEASURES
-_DELAY, _TAPS = DELAY - OWN, TAPS - OWN
+_DELAY, _RATE, _TAPS, _REFERENCE = DELAY - OWN, RATE - OWN, TAPS - OWN, REFERENCE_VELOCITY - OWN
 _hand_force, _law = built_in(hand_force), built_in(impedance)
 
 
@@ -53,7 +61,7 @@ def run_lanes(
     forward, backward = response(period, mass, viscous_p, lag), response(period, mass, viscous_n, lag)
     # A delay known to the compiler, and that the estimator does not filter, whose coefficients it therefore lacks.
     named = 1.0 if common[_TAPS] > 0.0 else 0.0
-    at_once = (*common[:_DELAY], 0.0, *common[_DELAY + 1 : _TAPS], named, *common[_TAPS + 1 :], 0.0)
+    at_once = (*common[:_DELAY], 0.0, common[_RATE], named, common[_REFERENCE], 0.0)
     n = push.size
     for block in range(0, own.shape[0], LANES):
         for i in range(LANES):
