@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from emps_design.identification.controller.estimators import ESTIMATORS, rivals_of
+from emps_design.identification.controller.estimators import beside, could_pass_for, rivals_of, sought
 from emps_design.identification.controller.filters import derivatives, filtered
 from emps_design.identification.controller.fit import Fit, compress, estimator_slope, fit, solve
 from emps_design.identification.controller.regressors import DELAYS, EVERY, Signals, Timing, regressors
@@ -35,7 +35,11 @@ def simplify(signals: Signals, found: Fit, worth: float, limited: np.ndarray | N
     while True:
         fewer = [(*found.filters[:i], *found.filters[i + 1 :]) for i in range(len(found.filters))]
         trials = [replace(found, structure=one) for one in found.structure.simpler]
-        trials += [replace(found, filters=filters) for filters in fewer]
+        estimators = [found.timing.velocity_estimator]
+        if not sought(estimators[0]):  # a filter may have made up for a point too many or too few
+            estimators += beside(estimators[0], signals.period, 1.0)
+        timings = [replace(found.timing, velocity_estimator=one) for one in estimators]
+        trials += [replace(found, filters=filters, timing=timing) for filters in fewer for timing in timings]
         for refit in _in_full(signals, trials, limited, found.criterion + NEARBY + worth):
             allowed = worth if len(refit.filters) < len(found.filters) else 0.0
             if refit.criterion < found.criterion + allowed:
@@ -50,7 +54,8 @@ def simplify(signals: Signals, found: Fit, worth: float, limited: np.ndarray | N
 def rivals(signals: Signals, found: Fit, limited: np.ndarray | None) -> list[Fit]:
     """The best other fit for each thing that could be otherwise (estimator, delay, form), the best first.
 
-    Of the position loop's samples the best few: more than one rate may explain a record as well.
+    Of the position loop's samples, and of estimators beside one with a number, the best few: more than one may explain
+    a record as well.
     """
     timing = found.timing
     loops = [replace(found, timing=loop) for loop in _other_loops(found)]
@@ -58,15 +63,19 @@ def rivals(signals: Signals, found: Fit, limited: np.ndarray | None) -> list[Fit
         [replace(found, timing=replace(timing, delay=delay)) for delay in DELAYS if delay != timing.delay],
         [replace(found, structure=structure) for structure in _other_forms(found.structure)],
     ]  # fmt: skip
+    estimated: list[Fit] = []
     if found.structure.velocity:
         instead = rivals_of(timing.velocity_estimator, signals.period)
-        kinds.append([replace(found, timing=replace(timing, velocity_estimator=one)) for one in instead])
+        estimated = [replace(found, timing=replace(timing, velocity_estimator=one)) for one in instead]
+        if isinstance(timing.velocity_estimator, str):
+            kinds, estimated = [*kinds, estimated], []
     if found.structure.feeds_forward and not signals.velocity_reference:  # a filter may stand in for either
         filters = [found.filters, *(found.filters[:i] + found.filters[i + 1 :] for i in range(len(found.filters)))]
         sources = [(some, one) for some in filters for one in _sources(timing)]
         kinds.append([replace(found, filters=some, timing=one) for some, one in sources if one != timing])
+    others = [*_in_full(signals, loops, limited), *_in_full(signals, estimated, limited)]
     best = [next(_in_full(signals, kind, limited), None) for kind in kinds]
-    others = [*_in_full(signals, loops, limited), *(one for one in best if one is not None)]
+    others += [one for one in best if one is not None]
     return sorted(others, key=lambda f: f.criterion)
 
 
@@ -137,5 +146,5 @@ def _other_loops(found: Fit) -> list[Timing]:
 
 def _sources(timing: Timing) -> list[Timing]:
     """``timing`` with each source of the feed-forward, and each estimator of the velocity that could pass for it."""
-    estimators = dict.fromkeys((*ESTIMATORS, timing.velocity_estimator))
+    estimators = could_pass_for(timing.velocity_estimator)
     return [replace(timing, profile=profile, velocity_estimator=e) for profile in (False, True) for e in estimators]

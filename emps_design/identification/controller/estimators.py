@@ -80,6 +80,12 @@ def beside(estimator: AnyEstimator, period: float, ratio: float) -> tuple[AnyEst
     return tuple(at_step(estimator, sign * step, period) for sign in (-1.0, 1.0))
 
 
+def could_pass_for(own: AnyEstimator) -> list[AnyEstimator]:
+    """The named estimators, ``own``, and a slope of a point more or less: for a reference half a period late."""
+    more = beside(own, 1.0, 1.0) if not sought(own) else ()
+    return list(dict.fromkeys((*ESTIMATORS, own, *more)))
+
+
 def table_of(estimator: AnyEstimator, number: float | None = None) -> str | dict[str, object]:
     """The estimator as in an axis file, with another ``number`` where one is given."""
     if isinstance(estimator, str):

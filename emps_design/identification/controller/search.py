@@ -9,7 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.identification.controller.estimators import ESTIMATORS, AnyEstimator, beside, with_numbers
+from emps_design.identification.controller.estimators import (
+    ESTIMATORS,
+    AnyEstimator,
+    at_step,
+    beside,
+    could_pass_for,
+    sought,
+    with_numbers,
+)
 from emps_design.identification.controller.filters import Filter, moved
 from emps_design.identification.controller.regressors import DELAYS, EVERY, Signals, Timing, regressors
 from emps_design.identification.controller.spectra import (
@@ -41,9 +49,8 @@ NOTCHES = [
 ]
 FOLLOWED, FOLLOWED_ON = 5, 2  # of the best candidates, in the first turn and later
 APART = 0.3  # of the logarithm of a frequency
-LIKELY = 4  # structures with delays that other estimators are tried with
 STARTS = 2  # notches, of those, that are followed
-RATIOS, MOVES = (1.5, 1.2, 1.06), 4  # by which the number of an estimator moves, and how often
+RATIOS, MOVES = (1.4, 1.1, 1.02), 4  # by which the number of an estimator moves, and how often
 
 
 @dataclass(frozen=True)
@@ -120,7 +127,7 @@ def search(signals: Signals, limited: np.ndarray | None = None) -> list[Candidat
         structures += [replace(structures[1], position=False, share=1), PROPORTIONAL]
     timings = [Timing(1, 0, delay, name) for name in ESTIMATORS for delay in DELAYS]
     plain = [evaluate(spectrum, structure, timing, ()) for structure in structures for timing in timings]
-    plain += _otherwise_estimated(spectrum, plain)
+    plain += _otherwise_estimated(spectrum, structures)
     started = [one_more_filter(spectrum, one) or one for one in plain]
     started.sort(key=lambda c: c.criterion)
     beam, done = started[:FOLLOWED], []
@@ -135,14 +142,10 @@ def search(signals: Signals, limited: np.ndarray | None = None) -> list[Candidat
     return [_started_elsewhere(spectrum, best), *others]
 
 
-def _otherwise_estimated(spectrum: Spectrum, named: Sequence[Candidate]) -> list[Candidate]:
-    """The best candidates without filters, one of each kind of estimator that has a number.
-
-    Of the structures and delays of those that are best with an estimator that has a name.
-    """
+def _otherwise_estimated(spectrum: Spectrum, structures: Sequence[Structure]) -> list[Candidate]:
+    """The best candidates without filters, one of each kind of estimator that has a number."""
     period, best = spectrum.signals.period, dict[str, Candidate]()
-    known = sorted((one for one in named if one.structure.velocity), key=lambda c: c.criterion)
-    pairs = list(dict.fromkeys((one.structure, one.timing.delay) for one in known))[:LIKELY]
+    pairs = [(one, delay) for one in structures if one.velocity for delay in DELAYS]
     for estimator in with_numbers(period):
         for structure, delay in pairs:
             one = evaluate(spectrum, structure, Timing(1, 0, delay, estimator), ())
@@ -152,16 +155,25 @@ def _otherwise_estimated(spectrum: Spectrum, named: Sequence[Candidate]) -> list
 
 
 def _refined(spectrum: Spectrum, now: Candidate) -> Candidate:
-    """The candidate with the number of its estimator moved to where it is best, the steps halved three times."""
+    """The candidate with the number of its estimator moved to where it is best, along a parabola at the end."""
+    period = spectrum.signals.period
+
+    def with_(estimator: AnyEstimator) -> Candidate:
+        timing = replace(now.timing, velocity_estimator=estimator)
+        return candidate(spectrum.at(timing), now.structure, timing, now.filters, now.wi)
+
     for ratio in RATIOS:
         for _ in range(MOVES):
-            near = beside(now.timing.velocity_estimator, spectrum.signals.period, ratio)
-            timings = [replace(now.timing, velocity_estimator=one) for one in near]
-            moved_ = [evaluate(spectrum, now.structure, timing, now.filters) for timing in timings]
-            better = min((now, *moved_), key=lambda c: c.criterion)
+            near = [with_(one) for one in beside(now.timing.velocity_estimator, period, ratio)]
+            better = min((now, *near), key=lambda c: c.criterion)
             if better is now:
                 break
             now = better
+        if len(near) == 2 and sought(now.timing.velocity_estimator):
+            low, middle, high = (one.criterion for one in (near[0], now, near[1]))
+            bend = low - 2.0 * middle + high
+            step = 0.5 * (low - high) / bend * float(np.log(ratio)) if bend > 0.0 else 0.0
+            now = min(now, with_(at_step(now.timing.velocity_estimator, step, period)), key=lambda c: c.criterion)
     return now
 
 
@@ -183,8 +195,7 @@ def improve(spectrum: Spectrum, now: Candidate) -> Candidate:
         if timed.timing != now.timing:
             found = min(found, polish(spectrum, timed), key=lambda c: c.criterion)
     if found.structure.feeds_forward and not spectrum.signals.velocity_reference:
-        estimators = dict.fromkeys((*ESTIMATORS, found.timing.velocity_estimator))
-        profile = not found.timing.profile
+        profile, estimators = not found.timing.profile, could_pass_for(found.timing.velocity_estimator)
         sources = [replace(found.timing, profile=profile, velocity_estimator=e) for e in estimators]
         taken = [evaluate(spectrum, found.structure, other, found.filters) for other in sources]
         found = min((found, *(polish(spectrum, one) for one in taken)), key=lambda c: c.criterion)

@@ -64,7 +64,7 @@ def table_of(found: Fit, velocity_reference: bool, numbers: dict[str, float], ho
     if kind == "cascade" and not velocity_reference:
         table["position"] = {"kp": numbers["position.kp"], "every": found.timing.every}
     if kind != "cascade":
-        table |= numbers
+        table |= {name: value for name, value in numbers.items() if "." not in name}
     else:
         table["velocity"] = nested(numbers, "velocity")
         if found.structure.form:

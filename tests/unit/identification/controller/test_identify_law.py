@@ -103,7 +103,7 @@ CASES = {
         {"kind": "cascade", "velocity_estimator.kind": "filtered"},
     ),
     "tracking loop": (
-        Loop(kp=20.0, kv=300.0, estimator=("tracking", 500.0), noise=0.02),
+        Loop(kp=20.0, kv=300.0, estimator=("tracking", 500.0), noise=0.002),
         {"kp": 20.0, "kv": 300.0, "velocity_estimator.bandwidth": 500.0},
         {"kind": "position_pd", "velocity_estimator.kind": "tracking"},
     ),
