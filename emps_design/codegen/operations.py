@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import zip_longest
+from operator import eq, ge, gt, le, lt, ne
 from typing import Any
 
 from emps_design.codegen.ahead import Ahead
@@ -25,6 +27,7 @@ from emps_design.codegen.program import (
     Unary,
 )
 
+COMPARISONS = {"<": lt, "<=": le, ">": gt, ">=": ge, "==": eq, "!=": ne}
 KINDS = {"+": "add", "-": "add", "*": "multiply", "/": "divide"}
 ORDER = ("multiply", "add", "divide", "compare", "call")
 Known = Mapping[str, Any]  # arrays by name, whole numbers by name
@@ -87,10 +90,21 @@ class _Count:
             body = self.block(step.body, dict(known))
             return Counter({kind: int(turns) * n for kind, n in body.items()})
         if isinstance(step, If):
-            blocks, tests = parts(step)
-            each = [self.block(one, dict(known)) for one in blocks]
-            return sum((self.expression(test, known) for test in tests), _most(each))
+            return self.ways(step, known)
         return self.expression(step.value, known)
+
+    def ways(self, step: If, known: dict[str, Any]) -> Counter[str]:
+        """The way with most operations of those that what is ``known`` leaves open, and the tests up to it."""
+        blocks, tests = parts(step)
+        total, each = Counter[str](), []
+        for block, test in zip_longest(blocks, tests):
+            holds = None if test is None else _holds(test, known)
+            total += Counter() if test is None else self.expression(test, known)
+            if block is not None and holds is not False:
+                each.append(self.block(block, dict(known)))
+            if holds:
+                break
+        return total + _most(each)
 
     def expression(self, one: Any, known: Known) -> Counter[str]:
         if isinstance(one, Unary):
@@ -118,6 +132,14 @@ class _Count:
 def _most(each: Sequence[Counter[str]]) -> Counter[str]:
     """The way with most operations."""
     return max(each, key=lambda one: sum(one.values()), default=Counter())
+
+
+def _holds(test: Any, known: Known) -> bool | None:
+    """Whether ``test`` compares two known numbers, and holds; None where it does not."""
+    if not (isinstance(test, Binary) and test.operator in COMPARISONS):
+        return None
+    left, right = _value(test.left, known), _value(test.right, known)
+    return None if left is None or right is None else bool(COMPARISONS[test.operator](left, right))
 
 
 def _value(one: Any, known: Known) -> Any:

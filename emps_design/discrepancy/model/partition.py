@@ -68,7 +68,7 @@ def _parts(q: np.ndarray, start: int, stop: int, count: int) -> list[tuple[int, 
     """``count`` parts of a stroke of ``q`` (n,), of as much time and travel together: a long rest tells little.
 
     >>> _parts(np.concatenate([np.arange(100.0), np.full(300, 99.0)]), 0, 400, 2)
-    [(0, 79), (79, 400)]
+    [(0, 80), (80, 400)]
     """
     travel = np.cumsum(np.abs(np.diff(q[start:stop], prepend=q[start])))
     spent = np.arange(stop - start) / (stop - start) + travel / max(float(travel[-1]), 1e-300)

@@ -134,8 +134,8 @@ def _differences(one: LawEstimate, other: LawEstimate) -> list[str]:
     for path in dict.fromkeys([*tables[0], *tables[1]]):
         a, b = (table.get(path) for table in tables)
         spread = sum(std.get(path, 0.0) for std in stds)
-        numbers = isinstance(a, float) and isinstance(b, float)
-        if a != b and not (numbers and abs(a - b) <= DISTINCT * spread):
+        alike = isinstance(a, float) and isinstance(b, float) and abs(a - b) <= DISTINCT * spread
+        if a != b and not alike:
             found.append(f"{'.'.join(path)} {_shown(a)} and {_shown(b)}")
     return found
 
