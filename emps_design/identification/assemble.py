@@ -57,6 +57,8 @@ def assemble(
     left = unexplained(problem, fit.residual, spread)
     shares = _reliability(problem) if weakest > 0 else None
     at_rests = told_at_rests(problem) if weakest > 0 else ()
+    used = filtered.used
+    sizes, swing = np.sqrt(np.mean(W[used] ** 2, axis=0)), float(np.std(problem.Y[used]))
     warnings: list[str] = []
     estimates = {}
     for i, written in enumerate(parameters_of(problem.model)):
@@ -78,11 +80,11 @@ def assemble(
         stepped = 0.0 if errors.encoder is None or errors.encoder[i] <= std else float(errors.encoder[i])
         moved = 0.0 if errors.cutoff is None else float(errors.cutoff.beyond_chance[i])
         half = float(np.hypot(spread.quantile * np.linalg.norm([std, bias, stepped]), moved))
-        if not why and quantity.name == "mass" and half >= fit.value[i] and fit.value[i] > -half:
-            why = (
-                f"what the record says of it, {fit.value[i]:.3g} +- {half:.2g} {quantity.unit}, may be nothing: its "
-                "speeds are constant, or its encoder hides the acceleration; record acceleration"
-            )
+        said = f"what the record says of it, {fit.value[i]:.3g} +- {half:.2g} {quantity.unit}, may be"
+        if not why and half * sizes[i] > swing:
+            why = f"{said} more than all of the {axis.units.words('force')}; record several speeds both ways"
+        elif not why and quantity.name == "mass" and half >= abs(fit.value[i]):
+            why = f"{said} nothing: speeds are constant, or the encoder hides the acceleration; record acceleration"
         if why:
             warnings.append(f"{quantity.name} is not determined: {why}")
             estimates[quantity.name] = Estimate(quantity, None, None, reliability=told)

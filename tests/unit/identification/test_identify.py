@@ -98,13 +98,20 @@ def test_bootstrap_agrees_with_the_long_run(record):
     ("change", "message"),
     [
         (lambda r: replace(r, q=np.zeros_like(r.q)), r"no motion, the stroke is 0 m; record a trajectory"),
-        (lambda r: replace(r, q=r.t * 0.01, q_ref=r.t * 0.01), r"no reversal, .* record motion in both directions"),
         (lambda r: replace(r, u=10.0 * np.sign(r.u)), r"at the limit of 10 V for \d+ % of the time.*slower motion"),
     ],
 )
 def test_records_that_cannot_identify(record, change, message):
     with pytest.raises(RecordError, match=message):
         identify(change(record), AXIS)
+
+
+def test_one_speed_one_way_tells_nothing_and_says_what_to_record(record):
+    found = identify(replace(record, q=record.t * 0.01, q_ref=record.t * 0.01), AXIS)
+    assert not any(one.determined for one in found.parameters.values())
+    warnings = " ".join(found.warnings)
+    assert "may be more than all of the force; record several speeds both ways" in warnings
+    assert "the motion goes one way only" in warnings
 
 
 def test_rank_deficiency_names_the_columns():
