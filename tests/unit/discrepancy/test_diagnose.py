@@ -223,8 +223,6 @@ def test_records_that_cannot_be_judged_say_what_to_record():
         diagnose(Record(2 * whole.t, whole.q_ref, whole.q, whole.u, 2e-3), AXIS)
     with pytest.raises(RecordError, match="one drive"):
         diagnose(whole, AXIS, holdout=Record(2 * whole.t, whole.q_ref, whole.q, whole.u, 2e-3))
-    with pytest.raises(InputError, match="record two reversals or more"):
-        diagnose(record(q_ref=np.linspace(0.0, 0.4, 4000)), AXIS, library=SHORT)
     with pytest.raises(InputError, match="`confirm_time`: found 39 samples"):
         diagnose(whole, AXIS, library=SHORT, confirm_time=(0.001, 0.04))
     with pytest.raises(InputError, match="`confirm_time`"):
@@ -418,8 +416,9 @@ def test_records_of_one_stroke_each_fit_and_select_together():
     runs = tuple(record(q_ref=stroke, seed=seed, name=f"run {seed}") for seed in range(3))
     problem = prepare(runs, AXIS, SHORT, None, None, None).start.problem
     assert problem.samples("fit") == 2 * problem.samples("select")
-    with pytest.raises(InputError, match="run 0: found 2450 samples to fit, in 1 strokes; expected at least two"):
-        prepare(runs[:1], AXIS, SHORT, None, None, None)
+    alone = prepare(runs[:1], AXIS, SHORT, None, None, None).start.problem  # within its strokes
+    assert 2450 * 0.6 < alone.samples("fit") < 2450 * 0.9
+    assert alone.samples("select") == 2450 - alone.samples("fit")
 
 
 @pytest.mark.study("a diagnosis")
