@@ -9,8 +9,8 @@ from emps_design.axis import Axis
 from emps_design.errors import AxisError, InputError, RankError, RecordError
 from emps_design.identification import identify
 from emps_design.identification.chains import hold_chain, report_chain
-from emps_design.identification.filters import decimate, held, held_force, low_pass, motion
-from emps_design.identification.inverse_model import baseline_columns, least_squares, with_predicted_force
+from emps_design.identification.filters import central_difference, decimate, held, held_force, low_pass, motion
+from emps_design.identification.inverse_model import baseline_columns, least_squares, regression, with_predicted_force
 from emps_design.machines import machine
 from emps_design.records import Record
 
@@ -27,6 +27,15 @@ def test_hold_chain_returns_the_truth(clean, truth):
     for name, value in truth.items():
         assert found.parameters[name].value == pytest.approx(value, rel=2e-3, abs=0.02)
     assert found.rms_error < 0.3
+
+
+def test_a_record_that_ends_on_the_move_biases_nothing(clean, truth):
+    """Beyond its ends the filters of motion and force go on differently; what they make up is left out."""
+    faster = np.diff(np.abs(central_difference(low_pass(clean.q, 20.0, clean.period), clean.period)))
+    half = len(faster) // 2
+    cut = clean.part(int(np.argmax(faster[:half])), half + int(np.argmax(faster[half:])))
+    W, Y = regression(hold_chain(cut, AXIS.drive.force_gain, 20.0), "symmetric")
+    assert np.max(np.abs(Y - W @ np.array(list(truth.values())))) < 0.25  # N, of 95
 
 
 def test_ignoring_the_hold_costs_accuracy(clean, truth):
