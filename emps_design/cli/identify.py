@@ -137,9 +137,10 @@ def _show_one(found: Identification) -> None:
     title = f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}"
     headings = ("parameter", "value", "std (15)", "% (16)", "std *", "95 % ± *", "unit")
     table = new_table(title, *headings, words=("unit",), whole=True, pad_edge=False, padding=(0, 1, 0, 0))
-    for name, estimate in found.parameters.items():
+    for key, estimate in found.parameters.items():
+        name = key.replace("_and_", " + ")
         if estimate.interval_95 is None:
-            table.add_row(name, "not determined", "", "", "", "", estimate.quantity.unit)
+            table.add_row(name, "-", "", "", "", "", estimate.quantity.unit)  # a warning says why
             continue
         low, high = estimate.interval_95
         percent, n = estimate.relative_std_percent, decimals(max(abs(estimate.value or 0.0), estimate.std or 0.0))

@@ -94,3 +94,21 @@ def test_the_command_takes_a_pair(both, tmp_path, capsys):
 def test_an_asymmetric_model_still_asks_for_both_ways(both):
     with pytest.raises(RecordError, match="no reversal"):
         identify(both[0], MOTOR, model="asymmetric")
+
+
+def test_speeds_that_are_constant_tell_no_mass():
+    """A piston that a test stand moves to and fro: friction and a weight, and an acceleration that is the encoder's."""
+    t = np.arange(12_000) * 5e-3
+    speed = np.where((t % 20.0) < 10.0, 0.006, 0.012)
+    v = speed * np.where((t % 2.0) < 1.0, 1.0, -1.0)
+    q = np.round(np.cumsum(v) * 5e-3 / 5e-6) * 5e-6
+    wave = 0.3 * np.sin(2 * np.pi * 1.3 * t) + 0.05 * np.random.default_rng(1).standard_normal(t.size)
+    drive = {"command": "force", "command_unit": "N", "command_limit": 600.0}
+    piston = MOTOR.replace(motion="linear", drive=drive, sampling={"encoder_resolution": 5e-6})
+    record = Record.from_arrays(5e-3, q, q, 49.0 + 5.0 * np.sign(v) + wave, layout=layout_of(piston))
+    found = identify(record, piston)
+    assert not found.parameters["mass"].determined
+    assert any("speeds are constant" in warning or "more than all" in warning for warning in found.warnings)
+    assert not any("no axis has mass" in warning for warning in found.warnings)
+    assert found.parameters["constant_force"].value == pytest.approx(49.0, abs=0.3)
+    assert found.parameters["coulomb"].value == pytest.approx(5.0, abs=0.5)
