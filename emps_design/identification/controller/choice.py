@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from emps_design.identification.controller.estimators import beside, could_pass_for, rivals_of, sought
+from emps_design.identification.controller.estimators import could_pass_for, rivals_of, sought
 from emps_design.identification.controller.filters import derivatives, filtered
 from emps_design.identification.controller.fit import Fit, compress, estimator_slope, fit, solve
 from emps_design.identification.controller.regressors import DELAYS, EVERY, Signals, Timing, regressors
 from emps_design.identification.controller.structures import Structure
+from emps_design.laws.estimators import estimator_in_words
 
 NEARBY = 60.0  # of the criterion, at first order: closer ones are fitted in full
 FITTED = 3  # of them at most
@@ -22,12 +23,22 @@ def choose(signals: Signals, start: Fit, worth: float, limited: np.ndarray | Non
 
     A filter must be ``worth`` so much of the information criterion.
     """
-    found = simplify(signals, fit(signals, start, limited), worth, limited)
+    found, known = simplify(signals, fit(signals, start, limited), worth, limited), set()
     while True:
         others = rivals(signals, found, limited)
-        if not others or others[0].criterion >= found.criterion - 1e-6:
+        # To leave a filter out may cost something: two laws could take turns.
+        if not others or others[0].criterion >= found.criterion - 1e-6 or _shape(found) in known:
             return found, others
+        known.add(_shape(found))
         found = simplify(signals, others[0], worth, limited)
+
+
+def _shape(found: Fit) -> tuple[object, ...]:
+    """A law without its numbers."""
+    estimator = found.timing.velocity_estimator
+    kind = estimator_in_words(estimator) if not sought(estimator) else getattr(estimator, "kind", "")
+    timing = replace(found.timing, velocity_estimator=kind)
+    return found.structure, timing, tuple(one.kind for one in found.filters)
 
 
 def simplify(signals: Signals, found: Fit, worth: float, limited: np.ndarray | None) -> Fit:
@@ -35,11 +46,7 @@ def simplify(signals: Signals, found: Fit, worth: float, limited: np.ndarray | N
     while True:
         fewer = [(*found.filters[:i], *found.filters[i + 1 :]) for i in range(len(found.filters))]
         trials = [replace(found, structure=one) for one in found.structure.simpler]
-        estimators = [found.timing.velocity_estimator]
-        if not sought(estimators[0]):  # a filter may have made up for a point too many or too few
-            estimators += beside(estimators[0], signals.period, 1.0)
-        timings = [replace(found.timing, velocity_estimator=one) for one in estimators]
-        trials += [replace(found, filters=filters, timing=timing) for filters in fewer for timing in timings]
+        trials += [replace(found, filters=filters) for filters in fewer]
         for refit in _in_full(signals, trials, limited, found.criterion + NEARBY + worth):
             allowed = worth if len(refit.filters) < len(found.filters) else 0.0
             if refit.criterion < found.criterion + allowed:
