@@ -1,6 +1,7 @@
 """Records that go one way, with gaps, or at constant speeds: what they tell is given, what they do not is said."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -39,7 +40,8 @@ def run(direction, steps=(0.05, 0.08, 0.06), seconds=2.0):
         v[k + 1] = end + (v[k] - end) * decay
         q[k + 1] = q[k] + end * T + (v[k] - end) * (1.0 - decay) * INERTIA / VISCOUS
     q = np.round(q[:-1] / 6.283e-4) * 6.283e-4
-    return Record.from_arrays(T, q, q, u, name="pos" if direction > 0 else "neg", layout=layout_of(MOTOR))
+    record = Record.from_arrays(T, q, q, u, name="pos" if direction > 0 else "neg", layout=layout_of(MOTOR))
+    return replace(record, q_ref_recorded=False)
 
 
 @pytest.fixture(scope="module")
