@@ -28,7 +28,6 @@ from emps_design.records import Record
 REPORT_CUTOFF = 100.0  # Hz, five times the 20 Hz band of interest of the 2019 report
 REPORT_DROPPED = 49  # first samples, spoilt by the ends of filter and differences
 FEWEST_ROWS = 160  # away from rest, eight in a period of the cut-off, for a regression that leaves rest out
-EDGE = 2.0  # periods of the cut-off at either end, over which a low-pass makes up what lies outside the record
 LONG = 1_000_000  # samples from which on rows are kept no closer than they have to be
 
 
@@ -141,7 +140,7 @@ def hold_chain(
     # record whose rows would fill the memory of three times: under 2e-4.
     often = 4.0 if len(record) <= LONG else 3.0
     factor = max(1, int(1.0 / (often * share_of_nyquist(cutoff_hz, record.period))))
-    edge = int(EDGE / (cutoff_hz * record.period))
+    edge = int(1.0 / (cutoff_hz * record.period))
     rows = slice(edge, len(record) - edge, factor)
 
     def reduce(column: np.ndarray) -> np.ndarray:
