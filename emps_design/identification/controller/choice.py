@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from emps_design.identification.controller.estimators import could_pass_for, rivals_of, sought
+from emps_design.identification.controller.estimators import (
+    ESTIMATORS,
+    AnyEstimator,
+    could_pass_for,
+    rivals_of,
+    sought,
+)
 from emps_design.identification.controller.filters import derivatives, filtered
 from emps_design.identification.controller.fit import Fit, compress, estimator_slope, fit, solve
 from emps_design.identification.controller.regressors import DELAYS, EVERY, Signals, Timing, regressors
@@ -77,8 +83,9 @@ def rivals(signals: Signals, found: Fit, limited: np.ndarray | None) -> list[Fit
         if isinstance(timing.velocity_estimator, str):
             kinds, estimated = [*kinds, estimated], []
     if found.structure.feeds_forward and not signals.velocity_reference:  # a filter may stand in for either
+        instead = could_pass_for(timing.velocity_estimator)
         filters = [found.filters, *(found.filters[:i] + found.filters[i + 1 :] for i in range(len(found.filters)))]
-        sources = [(some, one) for some in filters for one in _sources(timing)]
+        sources = [(some, one) for some in filters for one in _sources(timing, instead)]
         kinds.append([replace(found, filters=some, timing=one) for some, one in sources if one != timing])
     others = [*_in_full(signals, loops, limited), *_in_full(signals, estimated, limited)]
     best = [next(_in_full(signals, kind, limited), None) for kind in kinds]
@@ -147,11 +154,12 @@ def _other_loops(found: Fit) -> list[Timing]:
     loops = [(every, 0) for every in EVERY] + [(found.timing.every, phase) for phase in range(1, found.timing.every)]
     timings = [replace(found.timing, every=every, phase=phase) for every, phase in loops]
     if found.structure.feeds_forward:  # a rate is not seen from a source that is not the drive's
-        timings = [source for timing in timings for source in _sources(timing)]
+        own = found.timing.velocity_estimator
+        estimators = dict.fromkeys((*ESTIMATORS, own))
+        timings = [source for timing in timings for source in _sources(timing, list(estimators))]
     return [timing for timing in timings if timing != found.timing]
 
 
-def _sources(timing: Timing) -> list[Timing]:
-    """``timing`` with each source of the feed-forward, and each estimator of the velocity that could pass for it."""
-    estimators = could_pass_for(timing.velocity_estimator)
+def _sources(timing: Timing, estimators: Sequence[AnyEstimator]) -> list[Timing]:
+    """``timing`` with each source of the feed-forward, and each of the ``estimators`` of the velocity."""
     return [replace(timing, profile=profile, velocity_estimator=e) for profile in (False, True) for e in estimators]

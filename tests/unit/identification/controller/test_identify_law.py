@@ -92,11 +92,6 @@ CASES = {
         {"position.kp": 30.0, "velocity.kp": 300.0},
         {"kind": "cascade", "feedforward.velocity": 1.0, "velocity_estimator": {"kind": "slope", "points": 4}},
     ),
-    "slope behind a low-pass": (
-        Loop(kp=20.0, kv=400.0, ti=0.04, share=0.9, estimator=("slope", 8), lowpass=150.0, noise=0.02),
-        {"position.kp": 20.0, "velocity.kp": 400.0, "velocity.ti": 0.04, "filters.0.frequency": 150.0},
-        {"kind": "cascade", "velocity_estimator": {"kind": "slope", "points": 8}},
-    ),
     "filtered difference": (
         Loop(kp=20.0, kv=400.0, ti=0.04, share=0.9, estimator=("filtered", 60.0), noise=0.02),
         {"position.kp": 20.0, "velocity.kp": 400.0, "velocity.ti": 0.04, "velocity_estimator.frequency": 60.0},
