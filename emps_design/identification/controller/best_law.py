@@ -19,6 +19,7 @@ HOLDS = 0.05  # of the command's deviation: a law that leaves more is none
 AS_GOOD = 6.0  # of the information criterion, odds of 20 : 1: a rival closer than that cannot be told apart
 LIMIT_ROUNDS = 4
 FEWEST = 200  # samples without a limit that a search begins anew with
+WORSE_THERE = 1.5  # times what is left elsewhere, where a command that is flat is limited
 WORSE = 1.1  # times what is left with the integral free behind each plateau: what it did there is then not told
 
 
@@ -69,9 +70,9 @@ def best_law(signals: Signals, only: Structure | None = None) -> Found:
             plain = Fit(PROPORTIONAL, Timing(), none, 0.0, np.zeros(0), 1.0, 1)
             start = min((fit(free, one) for one in (start, plain)), key=lambda one: one.criterion)
         free, fitted, limited, limit, holds = _up_to_the_limit(signals, start, flat)
-        left = float(np.std(_left(free, fitted, limited if holds else None)[free.used]))
-        attempts.append((left, worth, free, fitted, limited, limit, holds))
-        if only is not None or not flat.any():
+        left = _left(free, fitted, limited if holds else None)
+        attempts.append((float(np.std(left[free.used])), worth, free, fitted, limited, limit, holds))
+        if only is not None or (limit is None and _as_good_there(signals, left, flat)):
             break
     _, worth, free, fitted, limited, limit, holds = min(attempts, key=lambda attempt: attempt[0])
     held = limited if holds else None
@@ -125,6 +126,16 @@ def _left(signals: Signals, found: Fit, held: np.ndarray | None) -> np.ndarray:
     left = np.zeros(len(signals))
     left[signals.used] = signals.counted(signals.command - command_of(signals, found, held))
     return left
+
+
+def _as_good_there(signals: Signals, left: np.ndarray, flat: np.ndarray) -> bool:
+    """Whether a law without a limit explains what is ``flat`` (n,) as well as the rest: then none acts there."""
+    there, rest = flat & signals.used, ~flat & signals.used
+    if not there.any():
+        return True
+    at_all = HOLDS * float(np.std(signals.command[signals.used]))
+    of_rest = float(np.sqrt(np.mean(left[rest] ** 2)))
+    return of_rest <= at_all and float(np.sqrt(np.mean(left[there] ** 2))) <= WORSE_THERE * of_rest
 
 
 def _wanted(signals: Signals, found: Fit, held: np.ndarray | None) -> np.ndarray:

@@ -43,6 +43,7 @@ COLUMNS = (
     "force_sum",
     "offset",
 )
+SAMPLED = 2  # of them, the first, depend on the samples of the position loop
 
 
 @dataclass(frozen=True)
@@ -130,28 +131,46 @@ def regressors(signals: Signals, timing: Timing, limited: np.ndarray | None = No
     """
     n, period = len(signals), signals.period
     r, q = signals.reference, signals.position
+    free = _free(n, timing, limited)
     v = estimated_velocity(q, period, timing.velocity_estimator)
     if signals.times is not None:
         v = np.gradient(q, signals.times)
-    if signals.velocity_reference:
-        error, vr = np.zeros(n), r
-    else:
-        error, vr = held(r - q, timing.every, timing.phase), np.diff(r, prepend=r[:1]) / period
+    vr = r if signals.velocity_reference else np.diff(r, prepend=r[:1]) / period
     ar = np.diff(vr, prepend=vr[:1] if signals.velocity_reference else 0.0) / period
     direction = np.sign(vr)
     if timing.profile:
         vr, ar = _of_the_profile(signals)
     force = np.zeros(n) if signals.force is None else signals.force
     slip = vr - v
-    free = np.ones(n, bool)
-    if limited is not None:
-        free[: n - timing.delay] = ~limited[timing.delay :]
-    sums = [_held_sum(x, free) * period for x in (error, slip, v, force)]
-    columns = (error, sums[0], slip, sums[1], v, sums[2], ar, direction, sums[3])
-    table = np.column_stack([*columns, np.ones(n)])
+    sums = [_held_sum(x, free) * period for x in (slip, v, force)]
+    columns = (slip, sums[0], v, sums[1], ar, direction, sums[2])
+    table = np.column_stack([*_of_the_position_loop(signals, timing, free), *columns, np.ones(n)])
     if timing.delay:
         table = np.concatenate([np.repeat(table[:1], timing.delay, axis=0), table[: n - timing.delay]])
     return table
+
+
+def sampled_regressors(signals: Signals, timing: Timing, limited: np.ndarray | None = None) -> np.ndarray:
+    """The first :data:`SAMPLED` columns (n, SAMPLED) without delay: what the samples of a position loop change."""
+    free = _free(len(signals), replace(timing, delay=0), limited)
+    return np.column_stack(_of_the_position_loop(signals, timing, free))
+
+
+def _of_the_position_loop(signals: Signals, timing: Timing, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The error (n,) in the samples of the position loop, and its sum times the period."""
+    if signals.velocity_reference:
+        error = np.zeros(len(signals))
+    else:
+        error = held(signals.reference - signals.position, timing.every, timing.phase)
+    return error, _held_sum(error, free) * signals.period
+
+
+def _free(n: int, timing: Timing, limited: np.ndarray | None) -> np.ndarray:
+    """In which samples (n,) the integral goes on: the limit acts ``timing.delay`` later than what it is made of."""
+    free = np.ones(n, bool)
+    if limited is not None:
+        free[: n - timing.delay] = ~limited[timing.delay :]
+    return free
 
 
 def joined(several: Sequence[Signals]) -> Signals:

@@ -19,7 +19,15 @@ from emps_design.identification.controller.estimators import (
     with_numbers,
 )
 from emps_design.identification.controller.filters import Filter, moved
-from emps_design.identification.controller.regressors import DELAYS, EVERY, Signals, Timing, regressors
+from emps_design.identification.controller.regressors import (
+    DELAYS,
+    EVERY,
+    SAMPLED,
+    Signals,
+    Timing,
+    regressors,
+    sampled_regressors,
+)
 from emps_design.identification.controller.spectra import (
     Spectra,
     coloured,
@@ -93,20 +101,22 @@ class Spectrum:
     def __init__(self, signals: Signals, limited: np.ndarray | None = None) -> None:
         self.signals, self.limited = signals, limited
         self.command = transform(signals, signals.command[:, None])[:, 0]
-        self.fixed: dict[tuple[AnyEstimator, bool], np.ndarray] = {}
+        self.fixed: dict[Timing, np.ndarray] = {}
         self.known: dict[Timing, Spectra] = {}
 
     def at(self, timing: Timing) -> Spectra:
         """The spectra of a timing; its delay does not matter."""
         timing = replace(timing, delay=0)
-        if timing not in self.known:
-            table = regressors(self.signals, timing, self.limited)
-            name = timing.velocity_estimator, timing.profile
-            if name not in self.fixed:
-                self.fixed[name] = transform(self.signals, table)
-            values = self.fixed[name].copy()
-            values[:, :2] = transform(self.signals, table[:, :2])
-            self.known[timing] = cross(self.signals, values, self.command, timing)
+        if timing in self.known:
+            return self.known[timing]
+        often = replace(timing, every=1, phase=0)
+        if often not in self.known:
+            self.fixed[often] = transform(self.signals, regressors(self.signals, often, self.limited))
+            self.known[often] = cross(self.signals, self.fixed[often], self.command, often)
+        if timing != often:
+            values = self.fixed[often].copy()
+            values[:, :SAMPLED] = transform(self.signals, sampled_regressors(self.signals, timing, self.limited))
+            self.known[timing] = cross(self.signals, values, self.command, timing, self.known[often])
         return self.known[timing]
 
     @cached_property

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.fft import next_fast_len, rfft
 
 from emps_design.identification.controller.filters import Filter
-from emps_design.identification.controller.regressors import COLUMNS, Signals, Timing
+from emps_design.identification.controller.regressors import COLUMNS, SAMPLED, Signals, Timing
 from emps_design.identification.controller.structures import Structure
 from emps_design.laws.estimators import polynomials
 
@@ -61,11 +61,23 @@ def bands(n: int) -> np.ndarray:
     return np.unique(np.concatenate([[0], np.geomspace(1, n, BANDS), np.linspace(1, n, BANDS)]).astype(int))[:-1]
 
 
-def cross(signals: Signals, values: np.ndarray, command: np.ndarray, timing: Timing) -> Spectra:
-    """Cross spectra of ``values`` (n_frequencies, n_columns) among one another and with the ``command``'s."""
-    edges = bands(len(values))
-    both = np.add.reduceat((values.conj()[:, :, None] * values[:, None, :]).real.reshape(len(values), -1), edges)
-    answer = np.add.reduceat(values.conj() * command[:, None], edges)
+def cross(
+    signals: Signals, values: np.ndarray, command: np.ndarray, timing: Timing, like: Spectra | None = None
+) -> Spectra:
+    """Cross spectra of ``values`` (n_frequencies, n_columns) among one another and with the ``command``'s.
+
+    Those ``like`` them differ in the samples of the position loop alone, and so in few columns.
+    """
+    edges, width = bands(len(values)), len(COLUMNS)
+    new = width if like is None else SAMPLED
+    products = (values[:, :new, None].conj() * values[:, None, :]).real.reshape(len(values), -1)
+    both = np.add.reduceat(products, edges).reshape(-1, new, width)
+    answer = np.add.reduceat(values[:, :new].conj() * command[:, None], edges)
+    if like is not None:
+        whole = like.regressors.reshape(-1, width, width).copy()
+        whole[:, :new], whole[:, :, :new] = both, both.transpose(0, 2, 1)
+        both, answer = whole, np.column_stack([answer, like.answer[:, new:]])
+    both = both.reshape(len(edges), -1)
     middle = 0.5 * (edges + np.append(edges[1:], len(values)) + 1)
     samples = len(signals) - int(np.argmax(signals.used))
     z = np.exp(2j * np.pi * middle / next_fast_len(samples, real=True))

@@ -1,0 +1,49 @@
+"""What a search sums once for many timings, and when it need not begin anew."""
+
+import numpy as np
+import pytest
+
+from emps_design.identification.controller import best_law as module
+from emps_design.identification.controller.best_law import best_law
+from emps_design.identification.controller.regressors import Signals, Timing, regressors
+from emps_design.identification.controller.search import Spectrum
+from emps_design.identification.controller.spectra import cross, transform
+
+
+@pytest.fixture(scope="module")
+def signals():
+    """A proportional law on a sine, 0.02 of noise in a command of 2: flat at its tops, and no limit."""
+    t, random = np.arange(3000) * 1e-3, np.random.default_rng(4)
+    q = 0.1 * np.sin(5.0 * t) + 1e-5 * np.cumsum(random.standard_normal(t.size))
+    r = q + 0.02 * np.sin(8.0 * t) + 1e-4 * random.standard_normal(t.size)
+    command = 100.0 * (r - q) + 0.02 * random.standard_normal(t.size)
+    return Signals(r, q, command, 1e-3, np.ones(t.size, bool))
+
+
+@pytest.mark.parametrize("limited", [None, slice(200, 300)])
+@pytest.mark.parametrize("timing", [Timing(4, 1), Timing(3, 0, 0, "two_tap", True)])
+def test_spectra_of_a_slower_position_loop_are_those_summed_anew(signals, timing, limited):
+    stands = None
+    if limited is not None:
+        stands = np.zeros(len(signals), bool)
+        stands[limited] = True
+    spectrum = Spectrum(signals, stands)
+    whole = cross(signals, transform(signals, regressors(signals, timing, stands)), spectrum.command, timing)
+    found = spectrum.at(timing)
+    np.testing.assert_array_equal(found.regressors, whole.regressors)
+    np.testing.assert_array_equal(found.answer, whole.answer)
+
+
+def test_a_law_that_explains_what_is_flat_is_searched_once(signals, monkeypatch):
+    searches = []
+
+    def counted(*args):
+        searches.append(args)
+        return found(*args)
+
+    found = module.search
+    monkeypatch.setattr(module, "search", counted)
+    assert module.plateau(signals.command).any()
+    best = best_law(signals)
+    assert (len(searches), best.limit) == (1, None)
+    assert best.share < 0.05
