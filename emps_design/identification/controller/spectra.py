@@ -77,14 +77,13 @@ def cross(
         whole = like.regressors.reshape(-1, width, width).copy()
         whole[:, :new], whole[:, :, :new] = both, both.transpose(0, 2, 1)
         both, answer = whole, np.column_stack([answer, like.answer[:, new:]])
-    both = both.reshape(len(edges), -1)
     middle = 0.5 * (edges + np.append(edges[1:], len(values)) + 1)
     samples = len(signals) - int(np.argmax(signals.used))
     z = np.exp(2j * np.pi * middle / next_fast_len(samples, real=True))
     power = np.add.reduceat(np.abs(command) ** 2, edges)
     counts = np.diff(np.append(edges, len(values)))
     position = position_response(z, signals.period, timing, signals.velocity_reference)
-    return Spectra(z, both, answer, power, counts, position, samples, signals.period)
+    return Spectra(z, both.reshape(len(edges), -1), answer, power, counts, position, samples, signals.period)
 
 
 def position_response(z: np.ndarray, period: float, timing: Timing, velocity_reference: bool) -> np.ndarray:
