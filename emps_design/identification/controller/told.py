@@ -24,6 +24,7 @@ PAST = 8  # increments of the position that what is left may be a function of
 PAST_REFERENCE = 3  # of the reference: more would explain the rounding of the reference itself
 APART = 6.0  # deviations between the numbers of two parts
 FEWEST = 200  # samples of a part
+ROUNDING = 1e-12  # of the command, or of a number: what terms added in another order may change
 
 Numbers = dict[str, tuple[float, float]]
 
@@ -40,7 +41,8 @@ class Disagreement:
     @property
     def apart(self) -> float:
         """Deviations between the two."""
-        return abs(self.one[0] - self.other[0]) / max(float(np.hypot(self.one[1], self.other[1])), 1e-300)
+        spread = float(np.hypot(self.one[1], self.other[1]))
+        return abs(self.one[0] - self.other[0]) / max(spread, 1e3 * ROUNDING * abs(self.one[0]), 1e-300)
 
 
 def times_allowed(found: Found) -> float:
@@ -58,6 +60,7 @@ def times_allowed(found: Found) -> float:
     rest = left - columns @ gains
     allowed = float(rest @ rest) / max(left.size - int(rank), 1)
     mean = float(left @ left) / max(left.size - law.size, 1)
+    allowed = max(allowed, (ROUNDING * float(np.abs(signals.command).max())) ** 2)
     return float(np.sqrt(mean / allowed)) if allowed > 0.0 else 1.0
 
 
