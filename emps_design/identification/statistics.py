@@ -225,4 +225,5 @@ def _convolve(model: np.ndarray, columns: np.ndarray) -> np.ndarray:
     kernel = np.zeros(size)
     kernel[: len(model)] = model
     kernel[size - len(model) + 1 :] = model[:0:-1]
-    return irfft(rfft(kernel)[:, None] * rfft(columns, size, axis=0), size, axis=0)[: len(columns)]
+    seen = rfft(kernel)
+    return np.column_stack([irfft(seen * rfft(column, size), size)[: len(columns)] for column in columns.T])

@@ -30,6 +30,7 @@ from emps_design.laws.estimators import TWO_TAP, forgets
 from emps_design.laws.friction_model import PARAMETERS
 
 STEP = 1.05  # between apparent masses that are tried
+MORE_DAMPING = (1.0, 1.5, 2.25)  # times what the law has, or what the mismatch leaves none of
 ALIKE = 0.2  # logarithm of mass and filter, within which a law swings where another one does
 # By rising severity; ``no_motion``: the carriage was not moving when it was let go, so nothing is known of it.
 VERDICTS = ("stable", "dead_band", "no_motion", "creeping", "limit_cycle", "unstable")
@@ -279,19 +280,37 @@ def nearest_stable(
 ) -> dict[str, float] | None:
     """The law nearest to ``law`` that is stable at every corner of ``mismatch``: damping, then mass and filter.
 
-    Acceleration and current share the filter. Distance is that of the logarithms of M_a and filter; the grid has
-    steps of a few percent. ``accept(law, masses, filters)`` may refuse some of the masses [kg] and filters [rad/s] for
-    reasons of its own, and ``calm(law)`` any that swings though its poles are stable. None where none was found.
+    More damping is tried where none is found. Acceleration and current share the filter. Distance is that of the
+    logarithms of M_a and filter; the grid has steps of a few percent. ``accept(law, masses, filters)`` may refuse
+    some of the masses [kg] and filters [rad/s] for reasons of its own, and ``calm(law)`` any that swings though its
+    poles are stable. None where none was found.
     """
-    damping = law.damping
-    if damping <= mismatch * max(plant.viscous):
-        damping = 1.05 * mismatch * max(plant.viscous)
+    least = 1.05 * mismatch * max(plant.viscous)
+    damping = law.damping if law.damping > mismatch * max(plant.viscous) else least
+    for factor in MORE_DAMPING if damping > 0.0 else (1.0,):
+        found = _nearest_in_mass_and_filter(
+            replace(law, damping=factor * damping), plant, clock, mismatch, accept, calm
+        )
+        if found is not None:
+            return found
+    return None
+
+
+def _nearest_in_mass_and_filter(
+    law: ImpedanceLaw,
+    plant: FrictionModel,
+    clock: Clock,
+    mismatch: float,
+    accept: Callable[[ImpedanceLaw, np.ndarray, np.ndarray], np.ndarray] | None,
+    calm: Callable[[ImpedanceLaw], bool] | None,
+) -> dict[str, float] | None:
+    """:func:`nearest_stable` at the damping of ``law``."""
     nyquist = math.pi / clock.period
     wanted_filter = min(law.filter, 0.99 * nyquist)
     masses = np.unique(np.concatenate([[law.mass], np.geomspace(law.mass, max(plant.mass, 2 * law.mass), 40)]))
     filters = np.unique(np.concatenate([[wanted_filter], np.geomspace(nyquist / 300, 0.99 * nyquist, 30)]))
     grid_mass, grid_filter = np.meshgrid(masses, filters)
-    both = replace(law, damping=damping, current_filter=None)
+    both = replace(law, current_filter=None)
     stable = worst_radius(both, plant, clock, mismatch, grid_mass, grid_filter) <= 1.0 + MARGINAL
     if accept is not None and stable.any():
         stable[stable] = accept(both, grid_mass[stable], grid_filter[stable])
@@ -305,7 +324,7 @@ def nearest_stable(
         found = replace(both, mass=float(grid_mass.flat[place]), filter=float(grid_filter.flat[place]))
         # At the edge of those that are calm others beside it are not: a little lighter it has to be so too.
         if calm is None or (calm(found) and calm(replace(found, mass=found.mass / STEP))):
-            return {"mass": found.mass, "damping": float(damping), "filter": found.filter}
+            return {"mass": found.mass, "damping": float(law.damping), "filter": found.filter}
         around = np.hypot(np.log(grid_mass / found.mass), np.log(grid_filter / found.filter))
         distance[around <= ALIKE] = np.inf
     return None

@@ -103,6 +103,6 @@ def test_the_command_writes_it_and_takes_an_old_one_away(described, tmp_path, mo
     assert "The closest model" in (tmp_path / "found" / "report.html").read_text()
     document = json.loads((tmp_path / "found" / "diagnosis.json").read_text())
     assert document["closest"]["model_file"] == "closest_model.toml"
-    assert app.run(["diagnose", *run]) == 0
+    assert app.run(["diagnose", *run, "--force"]) == 0  # over the diagnosis of another record
     assert asked == [True, False]
     assert not (tmp_path / "found" / "closest_model.toml").exists()

@@ -28,7 +28,7 @@ from emps_design.simulation.synthetic import trapezoid_laps
 from tests.studies import quick
 
 AXIS = machine("emps2019")
-Q_REF = trapezoid_laps(1e-3, stroke=0.06, speed=0.2, laps=3)
+Q_REF = trapezoid_laps(1e-3, stroke=0.1, speed=0.2, laps=3)
 SHORT = tuple(
     get_effect(name)
     for name in ("stribeck_friction", "actuator_delay", "actuator_lag", "elastic_force", "controller_disturbance")
@@ -487,7 +487,9 @@ def test_the_smallest_size_seen_is_seen_and_half_of_it_is_not():
     answers = [
         diagnose(record({"kind": "actuator_delay", "delay": k * delay}), AXIS, library=SHORT) for k in (1.5, 0.4)
     ]
-    assert [[f.effect for f in answer.findings] for answer in answers] == [["actuator_delay"], []]
+    assert [len(answer.findings) for answer in answers] == [1, 0]
+    assert answers[0].verdict in ("named", "ambiguous")  # so small a delay is as well a lag
+    assert "actuator delay" in answers[0].sentence.lower()
 
 
 def test_the_residual_is_looked_at_from_every_side(delayed):
