@@ -27,16 +27,24 @@ FITTED = 3  # of them at most
 def choose(signals: Signals, start: Fit, worth: float, limited: np.ndarray | None = None) -> tuple[Fit, list[Fit]]:
     """The fit whose rivals are all worse, and these rivals, the best first.
 
-    A filter must be ``worth`` so much of the information criterion.
+    A filter must be ``worth`` so much of the information criterion, and so must one in the velocity estimator.
     """
     found, known = simplify(signals, fit(signals, start, limited), worth, limited), set()
     while True:
         others = rivals(signals, found, limited)
+        if not _filters_velocity(found):
+            enough = found.criterion - worth
+            others = [one for one in others if one.criterion < enough or not _filters_velocity(one)]
         # To leave a filter out may cost something: two laws could take turns.
         if not others or others[0].criterion >= found.criterion - 1e-6 or _shape(found) in known:
             return found, others
         known.add(_shape(found))
         found = simplify(signals, others[0], worth, limited)
+
+
+def _filters_velocity(found: Fit) -> bool:
+    """Whether its velocity estimator has a number that is sought, as a filter has."""
+    return found.structure.velocity and sought(found.timing.velocity_estimator)
 
 
 def _shape(found: Fit) -> tuple[object, ...]:
@@ -53,8 +61,12 @@ def simplify(signals: Signals, found: Fit, worth: float, limited: np.ndarray | N
         fewer = [(*found.filters[:i], *found.filters[i + 1 :]) for i in range(len(found.filters))]
         trials = [replace(found, structure=one) for one in found.structure.simpler]
         trials += [replace(found, filters=filters) for filters in fewer]
+        if _filters_velocity(found):
+            named = [replace(found.timing, velocity_estimator=one) for one in ESTIMATORS]
+            trials += [replace(found, timing=timing) for timing in named]
         for refit in _in_full(signals, trials, limited, found.criterion + NEARBY + worth):
-            allowed = worth if len(refit.filters) < len(found.filters) else 0.0
+            less = len(refit.filters) < len(found.filters) or _filters_velocity(found) > _filters_velocity(refit)
+            allowed = worth if less else 0.0
             if refit.criterion < found.criterion + allowed:
                 found = refit
                 break
