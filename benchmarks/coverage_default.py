@@ -3,7 +3,8 @@
     python -m benchmarks.coverage_default unlike --count 300
 
 ``servo``: a ball screw at 4 kHz and a geared joint under a cascade with filters, and emps2019. ``unlike``: a stage in
-grease (M/F_v of 5 ms), a small motor that is told a current, a gantry of 900 kg at 250 Hz. A slow force acts on each,
+grease (M/F_v of 5 ms), a small motor that is told a current, a gantry of 900 kg at 250 Hz. ``viscous``: a slide and a
+joint whose M/F_v is shorter than their excitation's period. A slow force acts on each,
 which its loop answers, and the recorded command has white noise. Of a sample of the records the command's JSON is
 compared with ``to_dict()``. Writes benchmarks/coverage_default_SET.json after every axis.
 """
@@ -69,6 +70,22 @@ SMALL = {
     "sampling": {"period": 0.2e-3, "encoder_resolution": 1.5e-4},
     "controller": {"kind": "cascade", "position": {"kp": 50.0}, "velocity": {"kp": 1.1, "ti": 0.02}},
 }
+# Strongly viscous: F_v/M of 60 and 80 1/s, so that noise of the force moves the speed at once.
+SLIDE = {
+    "name": "slide, 1 kHz, voltage",
+    "mechanics": {"mass": 8.0, "viscous": 480.0, "coulomb": 12.0, "offset": -1.5},
+    "drive": {"force_gain": 25.0, "voltage_limit": 48.0},
+    "sampling": {"period": 1e-3, "encoder_resolution": 1e-6},
+    "controller": {"kind": "position_pd", "kp": 25.0, "kv": 30.0},
+}
+DAMPED = {
+    "name": "damped joint, 2 kHz, current in A",
+    "motion": "rotary",
+    "mechanics": {"mass": 0.02, "viscous": 1.6, "coulomb": 0.3, "offset": 0.02},
+    "drive": {"command": "current", "force_gain": 0.9, "command_limit": 12.0},
+    "sampling": {"period": 0.5e-3, "encoder_resolution": 1e-4},
+    "controller": {"kind": "cascade", "position": {"kp": 30.0}, "velocity": {"kp": 2.0, "ti": 0.03}},
+}
 GANTRY = {
     "name": "gantry, 900 kg, 250 Hz",
     "mechanics": {"mass": 900.0, "viscous": 1500.0, "coulomb": 180.0, "offset": -30.0},
@@ -88,6 +105,10 @@ SETS: dict[str, tuple[Case, ...]] = {
         (Axis.from_dict(STAGE), (0.06, 0.25, 8.0), 4.0, 4.0),
         (Axis.from_dict(SMALL), (2.5, 9.0, 150.0), 4e-4, 5e-4),
         (Axis.from_dict(GANTRY), (0.8, 0.5, 0.8), 9.0, 6.0),
+    ),
+    "viscous": (
+        (Axis.from_dict(SLIDE), (0.2, 0.3, 3.0), 2.0, 1.5),
+        (Axis.from_dict(DAMPED), (2.0, 2.5, 30.0), 0.03, 0.03),
     ),
 }
 

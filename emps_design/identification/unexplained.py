@@ -18,6 +18,7 @@ from emps_design.identification.excitation import follows
 from emps_design.identification.filters import motion
 from emps_design.identification.problem import Problem
 from emps_design.identification.statistics import LongRun
+from emps_design.records import Record
 
 STATES = ((0, 1, 2), (1,), (0,))  # of position, velocity, acceleration: all, or one by which the others are passed over
 NEIGHBOURS, WITHIN = 6, 64  # moments whose residuals are averaged, among so many that are nearest
@@ -104,14 +105,28 @@ def unexplained(problem: Problem, residual: np.ndarray, spread: LongRun) -> Unex
 def _state(problem: Problem) -> np.ndarray:
     """Position, velocity and acceleration (n, 3) that were meant: what noise does to the motion tells of the noise.
 
-    Those of the reference where the motion follows it, else of the motion well below the cut-off.
+    Those of the reference where the motion follows it, late or not, else of the motion well below the cut-off.
     """
     record, band = problem.record, problem.filtered.band_hz
-    if record.q_ref_recorded and follows(record):
-        seen = motion(replace(record, q=record.q_ref), band)
+    late = late_reference(record) if record.q_ref_recorded else record
+    if record.q_ref_recorded and follows(late):
+        seen = motion(replace(record, q=late.q_ref), band)
     else:
         seen = motion(record, SLOWER * band)
     return np.column_stack([problem.filtered.reduce(one) for one in (seen.q, seen.v, seen.a)])
+
+
+def late_reference(record: Record) -> Record:
+    """The ``record`` with its reference as late as the motion is behind it on the average.
+
+    >>> t = np.arange(1000) * 1e-3
+    >>> record = Record(t=t, q_ref=np.sin(9.0 * t), q=np.sin(9.0 * (t - 0.03)), u=t, period=1e-3)
+    >>> follows(record), follows(late_reference(record))
+    (False, True)
+    """
+    speed = np.gradient(record.q_ref, record.period)
+    lag = float(speed @ (record.q_ref - record.q)) / max(float(speed @ speed), 1e-300)
+    return replace(record, q_ref=np.interp(record.t - max(lag, 0.0), record.t, record.q_ref))
 
 
 def _repeated(state: np.ndarray, left: np.ndarray, t: np.ndarray, apart: float) -> float:
