@@ -16,7 +16,7 @@ from tests.browser.steps import (
     wait_for_value,
 )
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.slow("a browser, and a studio of its own")]
 
 NAMELESS = """() => {
   const found = [];

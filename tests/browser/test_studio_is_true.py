@@ -9,7 +9,7 @@ import pytest
 
 from tests.browser.steps import sampled_margin, turn_to, type_into, upload, wait_for_change, wait_for_value
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.slow("a browser, and a studio of its own")]
 
 
 @pytest.fixture(scope="module")

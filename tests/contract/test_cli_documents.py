@@ -121,7 +121,10 @@ def at(document, path):
     return document
 
 
-@pytest.mark.parametrize("name", DOCUMENTS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow("a whole report")] * (name == "demo")) for name in DOCUMENTS],
+)
 def test_one_document_with_the_contract_keys(name, first):
     status, text, _ = first(name)
     assert status == 0
@@ -206,6 +209,7 @@ def test_gains_that_cannot_be_met_exit_3_with_the_nearest(capsys):
 CASCADE = {"kind": "cascade", "position": {"kp": 120.0, "every": 4}, "velocity": {"kp": 600.0, "ti": 0.05}}
 
 
+@pytest.mark.slow("a whole report of an unstable loop")
 def test_gains_say_what_becomes_of_the_position_loop_around_them(capsys, tmp_path, sketched):
     """It was made for a faster velocity loop: margins where it is stable, and nothing is written where it is not."""
     axis, out = tmp_path / "axis.toml", tmp_path / "out.toml"

@@ -68,6 +68,7 @@ def test_columns_that_are_not_understood_wait_to_be_chosen(tmp_path):
     assert '# position = { column = "", unit = "m" }' in text
 
 
+@pytest.mark.slow("looks for the law of a trace, twice")
 def test_init_from(tmp_path, capsys):
     (tmp_path / "trace.csv").write_text(german(), encoding="utf-8")
     words = ["init", "--from", str(tmp_path / "trace.csv"), str(tmp_path / "start"), "--json"]
