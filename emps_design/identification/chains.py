@@ -129,8 +129,8 @@ def hold_chain(
 ) -> Filtered:
     """This package's chain: the hold modelled, one zero-phase low-pass on motion and force, decimation without more.
 
-    Rows near rest are left out: friction at rest is any force up to the break-away. So are both ends, where the filters
-    of motion and force go on differently beyond a record that ends on the move.
+    Rows near rest are left out: friction at rest is any force up to the break-away. So is an end at which the axis
+    accelerates, beyond which the filters of motion and force go on differently.
     ``cutoff_hz`` [Hz] defaults to the one :func:`emps_design.identification.cutoff.chosen_cutoff` finds in the data.
     Raises :class:`RecordError` where fewer than ``fewest_rows`` are left.
     """

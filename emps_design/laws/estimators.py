@@ -130,7 +130,15 @@ def estimator_response(given: Any, w: np.ndarray, period: float) -> np.ndarray:
     >>> abs(estimator_response("two_tap", w, 1e-3)).round(6).tolist()
     [0.99875]
     """
-    back = np.exp(-1j * np.asarray(w) * period)
+    return estimator_at(given, np.exp(-1j * np.asarray(w) * period), period)
+
+
+def estimator_at(given: Any, back: np.ndarray, period: float) -> np.ndarray:
+    """E(z) where 1/z is ``back``, of any shape.
+
+    >>> estimator_at("two_tap", np.array([1.0, -1.0]), 1e-3).tolist()
+    [1.0, 0.0]
+    """
     b, a = polynomials(given, period)
     return np.polyval(b[::-1], back) / np.polyval(a[::-1], back)
 

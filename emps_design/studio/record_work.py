@@ -25,9 +25,9 @@ def _blocks(units: Units, *blocks: Any) -> str:
     return text[start : text.index("</section>", start)]
 
 
-def _advice(name: str, found: Any, record: Record, axis: Axis) -> Advice:
-    """What to do with what the command ``name`` would find in ``record``."""
-    return advise(name, found.to_dict(), axis=axis.name, records=[record.name])
+def _advice(name: str, document: dict[str, Any], record: Record, axis: Axis) -> Advice:
+    """What to do with what the command ``name`` finds in ``record``, by its ``document``."""
+    return advise(name, document, axis=axis.name, records=[record.name])
 
 
 def identify_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
@@ -48,7 +48,7 @@ def identify_work(record: Record, axis: Axis, options: Options, progress: Callab
         "text": f"Identified: {values}; force error {quantity(found.rms_error, 'N')} rms{judged_on}.",
         "html": _blocks(axis.units, *identification_blocks(found, axis)),
         "model": found.to_axis(name=f"{axis.name.split(' from ')[0]} from {record.name}") if complete else None,
-        "advice": _advice("identify", found, record, axis),
+        "advice": _advice("identify", found.to_dict(), record, axis),
     }
 
 
@@ -64,7 +64,7 @@ def observe_work(record: Record, axis: Axis, options: Options, progress: Callabl
     return {
         "text": f"Observed with {axis.name}: forces below {quantity(least, 'N', 3)} cannot be told from errors.",
         "html": _blocks(axis.units, *observation_blocks(found)),
-        "advice": _advice("observe", found, record, axis),
+        "advice": _advice("observe", found.to_dict(), record, axis),
     }
 
 
@@ -81,7 +81,7 @@ def law_work(record: Record, axis: Axis, options: Options, progress: Callable) -
         "text": f"Law {found.verdict}: {found.in_words or found.reason}.",
         "html": _blocks(axis.units, *law_blocks(found)),
         "model": None if table is None else Axis.from_dict({**axis.to_dict(), "controller": table, "name": name}, name),
-        "advice": _advice("law", found, record, axis),
+        "advice": _advice("law", found.to_dict(), record, axis),
     }
 
 
@@ -99,7 +99,7 @@ def response_work(record: Record, axis: Axis, options: Options, progress: Callab
         "text": f"Response at {len(found.response)} lines by the {found.instrument}: {compared.agreement.sentence}.",
         "html": _blocks(axis.units, *response_blocks(compared, found.spectral_ratio)),
         "model": chain.on(axis).replace(name=f"{axis.name} with the response of {record.name}"),
-        "advice": _advice("frf", found, record, axis),
+        "advice": _advice("frf", found.to_dict(), record, axis),
     }
 
 
@@ -124,7 +124,7 @@ def diagnose_work(record: Record, axis: Axis, options: Options, progress: Callab
         "text": typeset(document.get("sentence", document["verdict"])),
         "html": _blocks(axis.units, *shown),
         "model": model.replace(name=f"{axis.name} diagnosed on {record.name}"),
-        "advice": _advice("diagnose", found, record, axis),
+        "advice": _advice("diagnose", document, record, axis),
     }
 
 

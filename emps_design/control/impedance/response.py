@@ -54,9 +54,8 @@ def relay_oscillation(
     """
     omega = np.geomspace(0.5, (0.5 if wall else 0.25) * np.pi / clock.period, 600)
     back = np.exp(-1j * omega * clock.period)
-    turn = (
-        estimator_response(law.velocity_estimator, omega, clock.period) * back
-    )  # of the velocity the law sees, against the mean over the period that follows
+    # Of the velocity the law sees, against the mean over the period that follows.
+    turn = estimator_response(law.velocity_estimator, omega, clock.period) * back
     found = []
     for direction in plant.directions:
         i = 0 if direction > 0 else 1

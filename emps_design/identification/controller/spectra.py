@@ -16,7 +16,7 @@ from scipy.fft import next_fast_len, rfft
 from emps_design.identification.controller.filters import Filter
 from emps_design.identification.controller.regressors import COLUMNS, SAMPLED, Signals, Timing
 from emps_design.identification.controller.structures import Structure
-from emps_design.laws.estimators import polynomials
+from emps_design.laws.estimators import estimator_at
 
 BANDS = 200
 RIDGE = 1e-11  # of the scaled normal equations, where gains cannot be told apart
@@ -88,8 +88,7 @@ def cross(
 
 def position_response(z: np.ndarray, period: float, timing: Timing, velocity_reference: bool) -> np.ndarray:
     """How each regressor answers to the position at ``z`` (n_bands,), (n_bands, n_columns); a hold counts as none."""
-    b, a = polynomials(timing.velocity_estimator, period)
-    rate = np.polyval(b[::-1], 1.0 / z) / np.polyval(a[::-1], 1.0 / z) * (1.0 - 1.0 / z) / period
+    rate = estimator_at(timing.velocity_estimator, 1.0 / z, period) * (1.0 - 1.0 / z) / period
     total = period / (1.0 - 1.0 / z)
     error = np.zeros_like(z) if velocity_reference else -np.ones_like(z)
     none = np.zeros_like(z)
