@@ -16,6 +16,9 @@ DATA = Path(os.environ.get("EMPS_DESIGN_DATA", REPOSITORY.parent / "shared" / "d
 
 # As the command line has it: one thread of linear algebra in every worker, and in what it starts.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Workers give memory back: one heap for all threads, and what is large not from the heap.
+for name, value in (("ARENA_MAX", "1"), ("MMAP_THRESHOLD_", "2000000"), ("TRIM_THRESHOLD_", "10000000")):
+    os.environ.setdefault(f"MALLOC_{name}", value)
 gc.set_threshold(20_000, 20, 20)
 
 # No test asserts a time: how long an example takes is the machine's.
@@ -45,6 +48,20 @@ def no_walls(monkeypatch):
     from emps_design.comanipulation.assessment import ImpedanceAssessment
 
     monkeypatch.setattr(ImpedanceAssessment, "walls", {})
+
+
+@pytest.fixture
+def few_estimates(no_walls, monkeypatch):
+    """Impedance laws tried with few estimates, and against no wall: for tests of everything but their verdicts."""
+    monkeypatch.setattr("emps_design.comanipulation.assessment.DRAWN", 4)
+
+
+@pytest.fixture
+def short_vectors(monkeypatch):
+    """Test vectors of exported code a quarter as long: for tests of something else."""
+    monkeypatch.setattr("emps_design.codegen.vectors.MOTION", 60)
+    monkeypatch.setattr("emps_design.codegen.vectors.LIMITED", 30)
+    monkeypatch.setattr("emps_design.codegen.vectors.EXTREME", 20)
 
 
 @pytest.fixture(scope="session")

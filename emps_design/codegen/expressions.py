@@ -6,6 +6,7 @@ import ast
 import builtins
 import inspect
 import math
+from functools import cached_property
 from types import FunctionType
 from typing import Any
 
@@ -79,7 +80,7 @@ class ExpressionReader:
                 return Name(node.id, INT)
             if node.id in self.counters:
                 return self.refuse(node, f"{node.id} outside its loop", "a variable of its own")
-            if own or node.id in self.assigned():
+            if own or node.id in self.assigned:
                 return Name(node.id, own or INT)
             return self.constant(node, self.value_of(node))
         if isinstance(node, ast.Attribute):
@@ -217,6 +218,7 @@ class ExpressionReader:
 
     # Names.
 
+    @cached_property
     def assigned(self) -> set[str]:
         """Names that the function assigns to."""
         names = [node for node in ast.walk(self.tree) if isinstance(node, ast.Name)]

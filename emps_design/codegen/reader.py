@@ -169,7 +169,7 @@ class FunctionReader(ExpressionReader):
         before: list[Statement] = []
         if not isinstance(stop, Number):  # the end of a range is computed once, whatever the loop does
             end = Name(f"{name}_end", INT)
-            if self.variables.setdefault(end.name, INT) != INT or end.name in self.assigned() | set(self.parameters):
+            if self.variables.setdefault(end.name, INT) != INT or end.name in self.assigned | set(self.parameters):
                 return self.refuse(node, f"a variable called {end.name}", "another name: the translation needs it")
             before, stop = [Assign(end, stop)], end
         self.counters.add(name)

@@ -36,6 +36,7 @@ STARTS = 6  # places besides the resonances found
 MANY = 400  # lines that a fit takes, evenly among more
 NEAR = 4  # lines on either side, whose deviations tell what a line's own one should be
 ALIKE = 2.0  # factor within which they do
+FIRST_STEPS, MOST_STEPS = 30, 200  # of a fit: from every start, and of the best among them
 APART = 1.15  # of a resonance to its antiresonance, where a fit starts without knowing
 
 
@@ -126,14 +127,15 @@ def _fitted(response: FrequencyResponse, starts: Sequence[tuple[Any, Any, Any]],
             gap = np.log(chain_response(x * scale, n, s) / response.response) * weight
             return np.concatenate([gap.real, gap.imag])
 
-        found = least_squares(
-            residual, np.concatenate([np.log(values), [0.0, delay / scale[-1]]]), x_scale="jac", max_nfev=200
-        )
+        start = np.concatenate([np.log(values), [0.0, delay / scale[-1]]])
+        found = least_squares(residual, start, x_scale="jac", max_nfev=FIRST_STEPS)
         if best is None or found.cost < best[0].cost:
-            best = found, scale, n
+            best = found, residual, scale, n
     if best is None:
         return None
-    found, scale, n = best
+    found, residual, scale, n = best
+    if found.status == 0:  # not at an end yet
+        found = least_squares(residual, found.x, x_scale="jac", max_nfev=MOST_STEPS)
     theta, count = found.x * scale, 2 * len(response)
     misfit = float(np.sqrt(2.0 * found.cost / (count - theta.size)))
     jacobian = found.jac / scale

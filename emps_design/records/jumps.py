@@ -9,7 +9,7 @@ import numpy as np
 from emps_design.errors import RecordError
 from emps_design.records.layout import Assignment
 
-BESIDE = (-6, -5, -4, -3, -2, -1, 1, 2, 3, 4, 5, 6)  # increments it is held against, but a jump back
+BESIDE = np.array([-6, -5, -4, -3, -2, -1, 1, 2, 3, 4, 5, 6])  # increments it is held against, but a jump back
 BACK = 0.1  # of a jump, within which another takes it back
 FASTER = 5.0  # times as large as those: what hits a stop is not, and a sample that was lost is twice as large
 ROUGHER = 100.0  # times what an increment commonly differs from those next to it
@@ -49,16 +49,22 @@ def no_jump(q: np.ndarray, t: np.ndarray, unit: str, source: str) -> None:
     floor = max(ROUGHER * float(np.median(turns)) if turns.size else 0.0, OF_STROKE * float(np.ptp(q)))
     for start in range(0, q.size, PART):
         increments = np.abs(np.diff(q[start : start + PART + 1]))
-        for k in start + np.flatnonzero(increments > floor):  # few, but for a motion that a mistaken unit makes fast
-            own = q[k + 1] - q[k]
-            others = [q[k + away + 1] - q[k + away] for away in BESIDE if 0 <= k + away < q.size - 1]
-            beside = [abs(other) for other in others if abs(other + own) > BACK * abs(own)]
-            if beside and abs(own) > FASTER * max(beside):
-                raise RecordError(
-                    f"{source}: column q, at {t[k]:.6g} s: found a jump by {own:.4g} {unit} in one sample, "
-                    "expected motion; a position that wraps needs its modulo in [record], a bad sample or a position "
-                    "that was set anew is to be cut off"
-                )
+        fast = start + np.flatnonzero(increments > floor)
+        own = q[fast + 1] - q[fast]
+        places = fast[:, None] + BESIDE
+        inside = (places >= 0) & (places < q.size - 1)
+        places = np.where(inside, places, 0)
+        others = q[places + 1] - q[places]
+        beside = inside & (np.abs(others + own[:, None]) > BACK * np.abs(own[:, None]))
+        most = np.where(beside, np.abs(others), 0.0).max(axis=1)
+        jumps = beside.any(axis=1) & (np.abs(own) > FASTER * most)
+        if jumps.any():
+            first = int(np.argmax(jumps))
+            raise RecordError(
+                f"{source}: column q, at {t[fast[first]]:.6g} s: found a jump by {own[first]:.4g} {unit} in one "
+                "sample, expected motion; a position that wraps needs its modulo in [record], a bad sample or a "
+                "position that was set anew is to be cut off"
+            )
 
 
 def nothing_lost(q: np.ndarray, q_ref: np.ndarray, t: np.ndarray, unit: str, source: str) -> None:

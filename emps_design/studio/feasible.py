@@ -158,7 +158,7 @@ def _plane(table: str, columns: int, rows: int) -> Plane:
     X, Y = np.meshgrid(x, y)
     pairs = _pairs(state)
     k_v1, t_v = (gain.reshape(X.shape) for gain in pairs.gains(X.ravel(), Y.ravel()))
-    margins = sweep_sampled_margins(pairs.plant, k_v1, t_v, 60)
+    margins = sweep_sampled_margins(pairs.plant, k_v1, t_v, 60, exact_delay=False)
     phase = np.nan_to_num(margins["phase_margin_deg"], nan=180.0)
     kind = np.select([np.isnan(k_v1), ~margins["stable"], phase < state.required_phase_deg], [0, 1, 2], 3)
     return Plane((frequency.lower, frequency.upper), x, y, kind.astype(np.uint8))

@@ -145,7 +145,7 @@ def test_a_range_makes_a_safe_controller_one_to_take_care_of(axis, capsys):
         assert advice["level"] != "safe"
 
 
-@pytest.mark.usefixtures("no_walls")
+@pytest.mark.usefixtures("few_estimates")
 @pytest.mark.parametrize("damping", [30.0, 0.0])
 def test_impedance_and_its_simulation(axis, damping, capsys):
     name, folder = axis

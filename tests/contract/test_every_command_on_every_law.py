@@ -20,6 +20,7 @@ COMMANDS = {
 }
 
 
+@pytest.mark.usefixtures("short_vectors")
 @EVERY
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_on_every_law(kind, command, tmp_path, capsys):

@@ -1,4 +1,4 @@
-"""Every law as C: the compiler has nothing to say, the vectors hold, and 100,000 samples have the simulation's bits."""
+"""Every law as C: the compiler has nothing to say, the vectors hold, and long runs have the simulation's bits."""
 
 import ctypes
 import json
@@ -50,6 +50,7 @@ OBSERVED = pytest.mark.parametrize("name", quick(OBSERVERS, {"observer with effe
 ESTIMATORS = pytest.mark.parametrize(
     "estimator", quick(["backward", "two_tap", *ESTIMATED.values()], 1, "other estimators")
 )
+LONG_RUN = 20_000  # samples
 compiled = pytest.mark.skipif(CC is None, reason="needs a C compiler")
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wconversion", "-O2", "-ffp-contract=off"]
 SANITIZERS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
@@ -111,7 +112,7 @@ def test_the_folder_proves_itself(kind, estimator, tmp_path):
     assert_proved(tmp_path, exported)
 
 
-def laps(axis, law, samples=100_000):
+def laps(axis, law, samples=LONG_RUN):
     """A closed loop of so many samples: what the law was given, and what it answered."""
     t = np.arange(samples) * axis.sampling.period
     q_ref = 0.08 * (1.0 - np.cos(1.3 * t)) + 0.02 * np.sin(7.0 * t) * np.minimum(t, 1.0)
@@ -123,13 +124,14 @@ def laps(axis, law, samples=100_000):
 @compiled
 @EVERY
 @ESTIMATORS
-def test_100000_samples_have_the_simulations_bits(kind, estimator, tmp_path):
+@pytest.mark.parametrize("samples", quick([LONG_RUN, 100_000], 1, "100,000 samples"))
+def test_a_long_run_has_the_simulations_bits(kind, estimator, samples, tmp_path):
     axis = axis_with(kind, velocity_estimator=estimator).replace(drive={"current_time_constant": 5e-4})
     exported = written(axis, tmp_path)
-    reference, run = laps(axis, exported.block.law)
+    reference, run = laps(axis, exported.block.law, samples)
     assert np.ptp(run.position) > 0.01
     found = Compiled(tmp_path, exported).run(reference, run.q, run.f_ext)
-    assert found.size == 100_000
+    assert found.size == samples
     np.testing.assert_array_equal(found.view(np.int64), run.u.view(np.int64))
 
 
@@ -183,7 +185,7 @@ def test_one_changed_coefficient_is_noticed(kind, tmp_path):
 
 
 PROGRAM = trapezoid_laps(1e-3, 0.05, 0.15, 1.0, laps=1)
-LONG = trapezoid_laps(1e-3, 0.05, 0.15, 1.0, laps=100)[:100_000]
+LONG = trapezoid_laps(1e-3, 0.05, 0.15, 1.0, laps=100)[:LONG_RUN]
 CASCADE = {"kind": "cascade", "velocity": {"kp": 40.0, "ti": 0.05, "form": "ip"}}
 COMPENSATED = {
     "rigid": {},
@@ -206,7 +208,7 @@ def compensation(name):
 
 @cache
 def compensated_run(name):
-    """What goes into a compensated block in a closed loop of 100,000 samples, and the command of the simulation."""
+    """What goes into a compensated block in a long closed loop, and the command of the simulation."""
     axis, found = compensation(name)
     law, ahead = law_of(axis, 1e-3).on_error(), found.feedforward.along(LONG)
     run = Plant.of(axis).closed_loop(LONG, voltage_noise=ahead, law=law, method="general")
@@ -220,14 +222,14 @@ def compensated_block(name, target):
 
 
 @compiled
-@pytest.mark.parametrize("name", quick(COMPENSATED, {"velocity", "several"}.__contains__, "100,000 samples each"))
+@pytest.mark.parametrize("name", quick(COMPENSATED, {"velocity", "several"}.__contains__, "other compensations"))
 def test_a_compensated_law_has_the_simulations_bits(name, tmp_path):
-    """``make check`` with the feed-forward inside, and 100,000 samples of a closed loop with it."""
+    """``make check`` with the feed-forward inside, and a long closed loop with it."""
     exported, (inputs, u) = compensated_block(name, "c"), compensated_run(name)
     exported.write(tmp_path)
     assert_proved(tmp_path, exported)
     answers = Compiled(tmp_path, exported).run(*inputs)
-    assert answers.size == 100_000
+    assert answers.size == LONG_RUN
     np.testing.assert_array_equal(answers.view(np.int64), u.view(np.int64))
 
 
@@ -275,9 +277,9 @@ def test_one_changed_number_of_the_feed_forward_is_noticed(tmp_path):
 
 
 def observed(name, target):
-    """An observer, what goes into it in 100,000 samples, and the force that is seen on line."""
+    """An observer, what goes into it in a long run, and the force that is seen on line."""
     axis = machine("emps2018").replace(**OBSERVERS[name])
-    t = np.arange(100_000) * axis.sampling.period
+    t = np.arange(LONG_RUN) * axis.sampling.period
     q, u = 0.1 * np.sin(9.0 * t) * (t > 0.2), 2.0 * np.sin(9.1 * t)
     inputs = np.concatenate([u[:1], u[:-1]]), q, np.zeros(q.size)
     return export_observer(axis, target, 30.0), inputs, observe_online(ForceObserver(axis, 30.0), q, u)

@@ -11,7 +11,15 @@ from emps_design.codegen.program import ARRAY, INT, REAL
 from emps_design.codegen.reader import read_program
 from emps_design.codegen.st import KEYWORDS, functions_in_st
 from emps_design.laws import LAWS, get_law
-from tests.contract.test_exported_laws import COMPENSATED, OBSERVED, compensated_block, compensated_run, laps, observed
+from tests.contract.test_exported_laws import (
+    COMPENSATED,
+    LONG_RUN,
+    OBSERVED,
+    compensated_block,
+    compensated_run,
+    laps,
+    observed,
+)
 from tests.contract.test_laws import ESTIMATED, axis_with
 from tests.studies import quick
 from tests.unit.codegen.structured_text import Blocks
@@ -46,32 +54,32 @@ def test_the_text_gives_the_bits_of_an_estimator_that_filters():
 
 
 @EVERY
-def test_100000_samples_have_the_simulations_bits(kind):
+def test_a_long_run_has_the_simulations_bits(kind):
     axis = axis_with(kind).replace(drive={"current_time_constant": 5e-4})
     exported = export_controller(axis, "st")
     reference, run = laps(axis, exported.block.law)
     assert np.ptp(run.position) > 0.01
     blocks, start = Blocks(exported.files[f"{exported.name}.st"]), np.arange(run.q.size) == 0
     found = blocks.run(exported.name, start, reference, run.q, run.f_ext)
-    assert found.size == 100_000
+    assert found.size == LONG_RUN
     np.testing.assert_array_equal(found.view(np.int64), run.u.view(np.int64))
 
 
-@pytest.mark.parametrize("name", quick(COMPENSATED, {"velocity", "several"}.__contains__, "100,000 samples each"))
-def test_100000_samples_of_a_compensated_law_have_the_simulations_bits(name):
+@pytest.mark.parametrize("name", quick(COMPENSATED, {"velocity", "several"}.__contains__, "other compensations"))
+def test_a_long_run_of_a_compensated_law_has_the_simulations_bits(name):
     exported, (inputs, u) = compensated_block(name, "st"), compensated_run(name)
     blocks = Blocks(exported.files[f"{exported.name}.st"])
     found = blocks.run(exported.name, np.arange(u.size) == 0, *inputs)
-    assert found.size == 100_000
+    assert found.size == LONG_RUN
     np.testing.assert_array_equal(found.view(np.int64), u.view(np.int64))
 
 
 @OBSERVED
-def test_the_text_of_the_observer_gives_the_bits_of_100000_samples_and_of_the_vectors(name):
+def test_the_text_of_the_observer_gives_the_bits_of_a_long_run_and_of_the_vectors(name):
     exported, inputs, force = observed(name, "st")
     blocks = assert_the_text_gives_the_vectors(exported)
     found = blocks.run(exported.name, np.arange(force.size) == 0, *inputs)
-    assert found.size == 100_000
+    assert found.size == LONG_RUN
     np.testing.assert_array_equal(found.view(np.int64), force.view(np.int64))
 
 

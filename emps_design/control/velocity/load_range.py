@@ -200,8 +200,11 @@ def _over_plants(
     """Slowest lowest crossover [rad/s] and least phase margin [deg] of gains (n,) over ``plants``, 0 for none."""
     good, found = np.flatnonzero(np.isfinite(k_v1)), np.full((2, k_v1.size), np.inf)
     for plant in plants:
-        there = sweep_sampled_margins(plant, k_v1[good], t_v[good], 120, at)
-        entry = there if at == PLACES[0] else sweep_sampled_margins(plant, k_v1[good], t_v[good], 120)
+        margins = {
+            place: sweep_sampled_margins(plant, k_v1[good], t_v[good], 120, place, exact_delay=False)
+            for place in {at, PLACES[0]}
+        }
+        there, entry = margins[at], margins[PLACES[0]]
         holds = there["stable"] & (there["phase_margin_deg"] >= phase - 1e-6)
         holds &= ~(entry["gain_margin"] < GAIN_MARGIN) & ~(entry["delay_margin"] < ROOM * plant.period)
         holds &= there[LOWEST] * t_v[good] <= 2.0 * INTEGRAL

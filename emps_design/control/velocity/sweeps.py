@@ -140,13 +140,20 @@ def _stable_by_poles(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> 
 
 
 def sweep_sampled_margins(
-    plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray, frequencies: int = 100, at: str = "plant-input"
+    plant: SampledPlant,
+    k_v1: np.ndarray,
+    t_v: np.ndarray,
+    frequencies: int = 100,
+    at: str = "plant-input",
+    exact_delay: bool = True,
 ) -> dict[str, np.ndarray]:
     """Return stability and margins of the sampled loop, broken ``at`` that place, for every pair of gains.
 
     ``k_v1`` [V/(m/s)] and ``t_v`` [s] of one shape. Keys: ``stable`` and those of
     ``emps_design.control.loop.margins.KEYS`` and ``LOWEST``, NaN where the loop is unstable or a margin unbounded.
     ``frequencies`` is the size of the grid that brackets the crossings; ``at`` is "plant-input" or "velocity-error".
+    Without ``exact_delay`` the delay margin is that of the phase alone: right at whole samples, and so enough to
+    compare with one of them.
 
     >>> from emps_design.control.plant.discretisation import sample_axis
     >>> from emps_design.machines import machine
@@ -162,13 +169,15 @@ def sweep_sampled_margins(
     found = {key: np.full(k.size, np.nan) for key in (*KEYS, LOWEST)}
     for start in range(0, chosen.size, 2000):  # pieces that stay in the cache
         piece = chosen[start : start + 2000]
-        for key, values in _margins(plant, k[piece], t[piece], grid, at).items():
+        for key, values in _margins(plant, k[piece], t[piece], grid, at, exact_delay).items():
             found[key][piece] = values
     return {"stable": stable.reshape(shape), **{key: values.reshape(shape) for key, values in found.items()}}
 
 
-def _margins(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray, grid: np.ndarray, at: str) -> dict[str, Any]:
-    """Margins of stable loops (n,); the delay margin is exact where the delay acts."""
+def _margins(
+    plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray, grid: np.ndarray, at: str, exact_delay: bool
+) -> dict[str, Any]:
+    """Margins of stable loops (n,); the delay margin may be exact where the delay acts."""
 
     def loops(rows: np.ndarray) -> SampledVelocityLoop:
         return SampledVelocityLoop(plant, k_v1[rows], t_v[rows])
@@ -181,5 +190,5 @@ def _margins(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray, grid: np.nd
         k_v1.size,
         grid,
         nyquist,
-        lambda w, rows, delay: loops(rows).delayed_response(w, delay),
+        (lambda w, rows, delay: loops(rows).delayed_response(w, delay)) if exact_delay else None,
     )

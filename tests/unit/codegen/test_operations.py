@@ -16,6 +16,7 @@ from emps_design.simulation import trapezoid_laps
 
 CASCADE = {"kind": "cascade", "position": {"kp": 30.0}, "velocity": {"kp": 2.0, "ti": 0.05}}
 OF_THE_EMPS = {**CASCADE, "velocity": {"kp": 300.0, "ti": 0.05}}
+pytestmark = pytest.mark.usefixtures("short_vectors")
 
 
 def test_operations_are_those_counted_by_hand():

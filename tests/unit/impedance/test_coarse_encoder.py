@@ -15,6 +15,7 @@ JOINT = {
 }
 
 
+@pytest.mark.usefixtures("few_estimates")
 @pytest.mark.parametrize(("step", "runs"), quick([(1e-9, True), (6.283e-4, False)], 1, "a long run"))
 def test_the_encoder_decides_where_the_poles_do_not(step, runs):
     axis = machine("emps2019").replace(**JOINT, sampling={"period": 2.5e-4, "encoder_resolution": step})

@@ -7,7 +7,7 @@ import pytest
 from emps_design.cli.app import run
 from tests.studies import quick
 
-WITHOUT_WALLS = pytest.mark.usefixtures("no_walls")
+QUICK = pytest.mark.usefixtures("few_estimates")
 SEARCH = pytest.mark.study("the nearest law that works under a mismatch")
 
 
@@ -42,14 +42,14 @@ def test_json_has_the_contracts_keys(capsys):
     assert any("Coulomb factor of 0.9804" in warning for warning in found["warnings"])
 
 
-@WITHOUT_WALLS
+@QUICK
 @pytest.mark.study("a study under mismatch, twice")
 def test_same_call_same_bytes(capsys):
     arguments = ("--mass", "50", "--damping", "100", "--mismatch", "0.02", "--plants", "3", "--json")
     assert called(capsys, *arguments)[1] == called(capsys, *arguments)[1]
 
 
-@WITHOUT_WALLS
+@QUICK
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -93,7 +93,7 @@ def test_bad_input_is_one_line_and_exit_2(capsys, arguments, message):
     assert message in err
 
 
-@WITHOUT_WALLS
+@QUICK
 @pytest.mark.study("a study under mismatch")
 def test_text_output_names_what_an_engineer_signs(capsys):
     status, out, _ = called(capsys, "emps2018-two-quadrant", "--mass", "50", "--damping", "100", "--mismatch", "0.02",
@@ -109,7 +109,7 @@ LIGHT = {
 }
 
 
-@WITHOUT_WALLS
+@QUICK
 def test_a_light_carriage_is_felt_in_three_digits(capsys, axis, tmp_path):
     path = tmp_path / "light.toml"
     path.write_text(axis.replace(**LIGHT).to_toml(), encoding="utf-8")
@@ -120,7 +120,7 @@ def test_a_light_carriage_is_felt_in_three_digits(capsys, axis, tmp_path):
     assert rows["(30) as printed"] == ["0.2", "1.03", "0.267"]
 
 
-@WITHOUT_WALLS
+@QUICK
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -141,7 +141,7 @@ def test_the_header_names_what_was_asked_of_the_law(capsys, arguments, words):
     assert words in " ".join(called(capsys, "--mass", "80", "--damping", "100", *arguments)[1].split())
 
 
-@WITHOUT_WALLS
+@QUICK
 def test_with_a_force_sensor_its_own_law_is_felt(capsys):
     """(28): tau_e = M_a qdd + B qd + M_a/M F_c (1 - c), and nothing of the estimated force of (30)."""
     given = ("--mass", "50", "--damping", "100", "--force-sensor", "--coulomb-factor", "0.8")
@@ -152,7 +152,7 @@ def test_with_a_force_sensor_its_own_law_is_felt(capsys):
     assert [cell.strip() for cell in row.split("│")[2:5]] == ["50", "100.0", f"{left:.3g}"]
 
 
-@WITHOUT_WALLS
+@QUICK
 def test_zero_damping_is_said_to_coast(capsys):
     status, out, _ = called(capsys, "--mass", "50", "--damping", "0", "--json")
     found = json.loads(out)
@@ -161,7 +161,7 @@ def test_zero_damping_is_said_to_coast(capsys):
     assert any("nothing brings the released carriage to rest" in warning for warning in found["warnings"])
 
 
-@WITHOUT_WALLS
+@QUICK
 def test_scenario_with_an_unstable_law_exits_4(capsys):
     status = run(
         ["simulate", "--scenario", "comanipulation", "--mass", "1", "--damping", "100", "--plants", "0", "--json"]
@@ -176,7 +176,7 @@ def test_scenario_with_an_unstable_law_exits_4(capsys):
     capsys.readouterr()
 
 
-@WITHOUT_WALLS
+@QUICK
 def test_numbers_of_the_axis_controller_are_the_default(capsys, axis, tmp_path):
     path = tmp_path / "own.toml"
     own = axis.replace(controller={"kind": "impedance", "mass": 70.0, "damping": 150.0, "filter": 300.0})

@@ -27,7 +27,7 @@ def belt(tmp_path_factory):
     return str(path)
 
 
-@pytest.mark.usefixtures("no_walls")
+@pytest.mark.usefixtures("few_estimates")
 @pytest.mark.parametrize("command", [("impedance",), ("simulate", "--scenario", "comanipulation")], ids="-".join)
 def test_five_unstable_plants_of_five_exit_4(command, belt, capsys):
     """The poles are stable, with exact estimates and at every corner: only the simulation has the encoder."""
@@ -82,7 +82,7 @@ def test_a_creep_that_the_encoder_ends_is_none(resolution, ended):
     assert any("makes the released carriage creep" in text for text in found.to_dict()["warnings"]) != ended
 
 
-@pytest.mark.usefixtures("no_walls")
+@pytest.mark.usefixtures("few_estimates")
 @pytest.mark.parametrize(("name", "mass"), [("emps2019", 190.2178), ("emps2018", 231.463)])
 def test_twice_the_mass_is_singular_in_the_printed_law_alone(name, mass, capsys):
     assert run(["impedance", name, "--mass", str(mass), "--damping", "500", "--json"]) == 0
