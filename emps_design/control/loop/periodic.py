@@ -81,19 +81,19 @@ def margins(
     ``delayed(delay)`` is the largest modulus of the poles with a ``delay`` [s] more at that place; without it there is
     no delay margin.
     """
-    own = monodromy_radius(opened, column, row, 1.0)
-    if own > 1.0 + 1e-9:
+
+    def radii(factors: np.ndarray) -> np.ndarray:
+        return monodromy_radii(opened, column, row, factors)
+
+    if radii(np.ones(1))[0] > 1.0 + 1e-9:
         return Margins(stable=False, period=period)
-
-    def radius(factor: complex) -> float:
-        return monodromy_radius(opened, column, row, factor)
-
-    phase = _first(lambda turn: radius(complex(math.cos(turn), -math.sin(turn))), 0.0, _TURNS)
-    gain = _first(lambda factor: radius(factor), 1.0, _FACTORS)
-    less = _first(lambda factor: radius(1.0 / factor), 1.0, _FACTORS)
+    phase = _first(lambda turns: radii(np.exp(-1j * turns)), 0.0, _TURNS)
+    gain = _first(radii, 1.0, _FACTORS)
+    less = _first(lambda factors: radii(1.0 / factors), 1.0, _FACTORS)
     delay = None
     if phase is not None and delayed is not None:
-        near = _first(delayed, 0.0, period * np.arange(0.1, _NEAR, 0.1))
+        each = np.vectorize(delayed, otypes=[float])
+        near = _first(each, 0.0, period * np.arange(0.1, _NEAR, 0.1), at_once=1)
         delay = near if near is not None else _late_delay(opened, column, row, period)
     return Margins(
         stable=True,
@@ -134,19 +134,27 @@ def _late_delay(opened: np.ndarray, column: np.ndarray, row: np.ndarray, period:
     return min(delays, default=None)
 
 
-def monodromy_radius(opened: np.ndarray, column: np.ndarray, row: np.ndarray, factor: complex) -> float:
-    """Largest modulus of the poles of the loop closed with ``factor`` at the place where it is broken."""
-    closed = opened + factor * column[..., :, None] * row[..., None, :]
-    return float(np.abs(np.linalg.eigvals(monodromy(closed))).max())
+def monodromy_radii(opened: np.ndarray, column: np.ndarray, row: np.ndarray, factors: np.ndarray) -> np.ndarray:
+    """Largest moduli (m,) of the poles of the loop closed with each of ``factors`` (m,) where it is broken."""
+    added = column[..., :, None] * row[..., None, :]
+    closed = opened[:, None] + factors[:, None, None] * added[:, None]
+    return np.abs(np.linalg.eigvals(monodromy(closed))).max(axis=-1)
 
 
-def _first(radius: Callable[[float], float], low: float, tried: np.ndarray) -> float | None:
-    """The first number above ``low`` at which a pole leaves the unit circle, None up to the last one ``tried``."""
-    for high in map(float, tried):
-        if radius(high) > 1.0 + 1e-9:
-            for _ in range(60):
-                middle = 0.5 * (low + high)
-                low, high = (low, middle) if radius(middle) > 1.0 + 1e-9 else (middle, high)
-            return 0.5 * (low + high)
-        low = high
+def _first(radii: Callable[[np.ndarray], np.ndarray], low: float, tried: np.ndarray, at_once: int = 20) -> float | None:
+    """The first number above ``low`` at which a pole leaves the unit circle, None up to the last one ``tried``.
+
+    ``radii`` has the largest modulus of the poles at each of several numbers; it is asked for so many ``at_once``.
+    """
+    from scipy.optimize import brentq
+
+    def beyond(number: float) -> float:
+        return float(radii(np.array([number]))[0]) - (1.0 + 1e-9)
+
+    for start in range(0, tried.size, at_once):
+        out = np.flatnonzero(radii(tried[start : start + at_once]) > 1.0 + 1e-9)
+        if out.size:
+            place = start + int(out[0])
+            low, high = float(tried[place - 1]) if place else low, float(tried[place])
+            return brentq(beyond, low, high, xtol=1e-15 * high, rtol=1e-14)
     return None
