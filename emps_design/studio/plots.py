@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from bokeh.models import ColumnDataSource, DataRange1d, FixedTicker, HoverTool, LinearColorMapper, Range1d
 from bokeh.models.annotations import BoxAnnotation, Label, Legend, LegendItem, Span, Title
+from bokeh.models.glyphs import Line, Patch, Rect, Scatter
 from bokeh.models.renderers import GlyphRenderer
 from bokeh.plotting import figure
 
@@ -49,13 +50,22 @@ def blank(title: str, x: str, y: str, aspect: float = ASPECT, **options: Any) ->
 
 def _frame(plot: figure, x: tuple[float, float], y: tuple[float, float]) -> None:
     """Let ``plot`` show at least these ranges, a circle as a circle, whatever its data are."""
-    corners = plot.scatter(list(x), list(y), alpha=0.0)
+    corners = _points(plot, _source(x=list(x), y=list(y)), "x", "y", fill_alpha=0.0, line_alpha=0.0)
     plot.x_range = DataRange1d(renderers=[corners], range_padding=0.0)
     plot.y_range = DataRange1d(renderers=[corners], range_padding=0.0)
 
 
-def _source(*names: str) -> ColumnDataSource:
-    return ColumnDataSource({name: [] for name in names})
+def _source(*names: str, **columns: Any) -> ColumnDataSource:
+    return ColumnDataSource({name: [] for name in names} | columns)
+
+
+# A glyph added as it is: the methods of a figure make four more of each, for selections that these pictures have not.
+def _line(plot: figure, source: ColumnDataSource, x: str, y: str, **look: Any) -> GlyphRenderer:
+    return plot.add_glyph(source, Line(x=x, y=y, **look))
+
+
+def _points(plot: figure, source: ColumnDataSource, x: str, y: str, **look: Any) -> GlyphRenderer:
+    return plot.add_glyph(source, Scatter(x=x, y=y, **look))
 
 
 def _legend(items: list[LegendItem], **look: Any) -> Legend:
@@ -93,12 +103,12 @@ class LoopPlots:
         )
         for plot, column, level in ((magnitude, "magnitude", 0.0), (phase, "phase", -180.0)):
             for key, color, dash in _LINES:
-                plot.line("w", column, source=self.lines[key], color=color, line_dash=dash, line_width=2)
+                _line(plot, self.lines[key], "w", column, line_color=color, line_dash=dash, line_width=2)
             plot.add_layout(Span(location=level, dimension="width", line_color=BLACK, line_dash="dashed", line_width=1))
         magnitude.add_layout(self.nyquist_frequency[0])
         phase.add_layout(self.nyquist_frequency[1])
         phase.add_layout(self.phase_band)
-        phase.scatter("w", "phase", source=self.marks, color="color", size=8)
+        _points(phase, self.marks, "w", "phase", fill_color="color", line_color="color", size=8)
         magnitude.yaxis.ticker = FixedTicker(ticks=[-60, -30, 0, 30, 60])
         phase.yaxis.ticker = FixedTicker(ticks=[-360, -270, -180, -90])
         magnitude.y_range = Range1d(start=-70, end=60)
@@ -108,12 +118,12 @@ class LoopPlots:
 
     def _nyquist(self) -> figure:
         plot = blank("Nyquist", "real part", "imaginary part", match_aspect=True)
-        plot.patch("re", "im", source=self.circle, fill_color=RED, fill_alpha=0.10, line_color=None)
-        plot.line(np.cos(_TURN), np.sin(_TURN), color=GREY, line_dash="dashed")
+        plot.add_glyph(self.circle, Patch(x="re", y="im", fill_color=RED, fill_alpha=0.10, line_color=None))
+        _line(plot, _source(x=np.cos(_TURN), y=np.sin(_TURN)), "x", "y", line_color=GREY, line_dash="dashed")
         for key, color, dash in _LINES:
-            plot.line("re", "im", source=self.lines[key], color=color, line_dash=dash, line_width=2)
-        plot.scatter("re", "im", source=self.marks, color="color", size=8)
-        plot.scatter([-1.0], [0.0], marker="cross", size=14, color=BLACK, line_width=3)
+            _line(plot, self.lines[key], "re", "im", line_color=color, line_dash=dash, line_width=2)
+        _points(plot, self.marks, "re", "im", fill_color="color", line_color="color", size=8)
+        _points(plot, _source(x=[-1.0], y=[0.0]), "x", "y", marker="cross", size=14, line_color=BLACK, line_width=3)
         _frame(plot, (-2.3, 1.2), (-2.2, 1.2))
         return plot
 
@@ -123,7 +133,7 @@ class LoopPlots:
         plot.add_layout(BoxAnnotation(bottom=0.98, top=1.02, fill_color=GREY, fill_alpha=0.15))
         items = []
         for key, color, dash in _LINES:
-            line: GlyphRenderer = plot.line("t", "y", source=self.steps[key], color=color, line_dash=dash, line_width=2)
+            line = _line(plot, self.steps[key], "t", "y", line_color=color, line_dash=dash, line_width=2)
             items.append(LegendItem(label=key, renderers=[line]))
         self.pinned_item = items[-1]
         self.pinned_item.visible = False
@@ -137,10 +147,14 @@ class LoopPlots:
 
     def _z_plane(self) -> figure:
         plot = blank("Poles of the sampled loop, z plane", "real part", "imaginary part", match_aspect=True)
-        plot.patch(np.cos(_TURN), np.sin(_TURN), fill_color="#EEF7FD", line_color=BLACK)
-        plot.scatter("re", "im", source=self.poles["pinned"], marker="diamond", size=9, color=GREY, fill_alpha=0.3)
-        plot.scatter("re", "im", source=self.poles["inside"], marker="x", size=11, color=BLUE, line_width=3)
-        plot.scatter("re", "im", source=self.poles["outside"], marker="x", size=13, color=RED, line_width=4)
+        disk = _source(x=np.cos(_TURN), y=np.sin(_TURN))
+        plot.add_glyph(disk, Patch(x="x", y="y", fill_color="#EEF7FD", line_color=BLACK))
+        for key, look in (
+            ("pinned", {"marker": "diamond", "size": 9, "line_color": GREY, "fill_color": GREY, "fill_alpha": 0.3}),
+            ("inside", {"marker": "x", "size": 11, "line_color": BLUE, "line_width": 3}),
+            ("outside", {"marker": "x", "size": 13, "line_color": RED, "line_width": 4}),
+        ):
+            _points(plot, self.poles[key], "re", "im", **look)
         _frame(plot, (-1.2, 1.2), (-1.2, 1.2))
         return plot
 
@@ -230,14 +244,15 @@ class PlanePlot:
             dh=self.PHASES[1] - self.PHASES[0],
             **colors,
         )
-        self.plot.scatter(
-            "x", "y", source=self.marks["pinned"], marker="diamond", size=14, color=GREY, line_color=BLACK
-        )
-        self.plot.scatter("x", "y", source=self.marks["here"], size=13, color="white", line_color=BLACK, line_width=3)
+        pinned, here = self.marks["pinned"], self.marks["here"]
+        _points(self.plot, pinned, "x", "y", marker="diamond", size=14, fill_color=GREY, line_color=BLACK)
+        _points(self.plot, here, "x", "y", size=13, fill_color="white", line_color=BLACK, line_width=3)
         self.plot.grid.visible = False
         # Boxes outside the ranges: the legend names every class, whatever the plane shows.
+        outside = _source(x=[1.0], y=[-9.0])
         boxes: list[GlyphRenderer] = [
-            self.plot.rect([1.0], [-9.0], 0.1, 0.1, color=color, line_color=None) for color in self.COLORS
+            self.plot.add_glyph(outside, Rect(x="x", y="y", width=0.1, height=0.1, fill_color=color, line_color=None))
+            for color in self.COLORS
         ]
         items = [LegendItem(label=name, renderers=[box]) for name, box in zip(KINDS, boxes, strict=True)]
         legend = _legend(items, location="bottom_left", glyph_height=10, glyph_width=10, padding=3, spacing=-4)
