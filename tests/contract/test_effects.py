@@ -168,7 +168,7 @@ def test_declared_passivity(effect):
     rng = np.random.default_rng(11)
     least = math.inf
     for trial in range(4):
-        t = np.linspace(0.0, 3.0, 3001)
+        t = np.linspace(0.0, 3.0, 1501)
         amplitude = rng.uniform(-1, 1, 4) * (0.1 if trial % 2 else 0.01)
         basis = np.array([np.sin(math.pi * t / 3.0) ** 2 * np.sin(math.pi * k * t / 3.0) for k in (1, 2, 3, 5)])
         q = 0.1 + amplitude @ basis

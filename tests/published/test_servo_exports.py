@@ -8,8 +8,10 @@ import pytest
 from emps_design.axis import Axis
 from emps_design.importing import import_record
 from tests.conftest import DATA
+from tests.studies import quick
 
 FOLDERS = sorted(path.parent for path in DATA.glob("servo/*/axis.toml"))
+FEW = [folder for folder in FOLDERS if "-none-" in folder.name] + FOLDERS[::5]
 REAL = sorted(DATA.glob("real/*/*.npz"))
 LAST_DIGIT = {"gantry": (1e-7, 1e-3), "joint": (1e-6, 1e-4)}  # of position [mm, deg] and command [%, A] in the file
 
@@ -26,7 +28,7 @@ def raw(path: Path, machine: str) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.skipif(not FOLDERS, reason="the servo exports are not beside the repository")
-@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+@pytest.mark.parametrize("folder", quick(FOLDERS, FEW.__contains__, "other exports"), ids=lambda folder: folder.name)
 def test_a_servo_export_is_read_to_its_last_digit(folder):
     axis, machine = Axis.load(folder / "axis.toml"), folder.name.partition("-")[0]
     names = {"gantry": ("Lageistwert", "Lagesollwert", "Momentensollwert"), "joint": ("pos_deg", "ref_deg", "cmd_A")}

@@ -68,7 +68,7 @@ def test_columns_that_are_not_understood_wait_to_be_chosen(tmp_path):
     assert '# position = { column = "", unit = "m" }' in text
 
 
-@pytest.mark.slow("looks for the law of a trace, twice")
+@pytest.mark.slow("looks for the law of a trace")
 def test_init_from(tmp_path, capsys):
     (tmp_path / "trace.csv").write_text(german(), encoding="utf-8")
     words = ["init", "--from", str(tmp_path / "trace.csv"), str(tmp_path / "start"), "--json"]
@@ -79,6 +79,7 @@ def test_init_from(tmp_path, capsys):
     assert document["encoder_step"] == pytest.approx(ENCODER, rel=1e-3)
     assert app.run(words) == 2
     assert "axis.toml exists already" in capsys.readouterr().err
+    (tmp_path / "trace.csv").write_text(german().replace("Lagesollwert", "Schleppfehler"), encoding="utf-8")
     assert app.run([*words, "--force"]) == 0
     assert app.run([*words, "--force", "--machine", "emps2018"]) == 2
     assert app.run(["init", "--from", str(tmp_path / "none.csv"), str(tmp_path / "a")]) == 2
