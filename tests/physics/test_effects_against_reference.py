@@ -31,7 +31,7 @@ def test_every_effect_has_a_case():
 
 @pytest.mark.parametrize("name", [name for name in CASES if name not in OUTSIDE])
 def test_effect(name):
-    axis, u = axis_with(name), voltage(1.4)
+    axis, u = axis_with(name), voltage(1.2)
     run = Plant.of(axis).open_loop(u)
     reference = Reference(axis).positions(u)
     assert np.ptp(reference) > 5e-3

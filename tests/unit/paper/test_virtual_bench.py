@@ -15,11 +15,19 @@ from emps_design.paper.virtual_bench import (
     identification_trajectory,
     operator_force,
 )
+from tests.studies import quick
 
 
 @pytest.fixture(scope="module")
 def section():
+    """All ten experiments of each kind."""
     return reproduce_section_3(seed=0)
+
+
+@pytest.fixture(scope="module")
+def short():
+    """The first three of each kind."""
+    return reproduce_section_3(seed=0, given=numbers(experiments=3))
 
 
 def test_every_number_says_where_it_comes_from():
@@ -30,15 +38,17 @@ def test_every_number_says_where_it_comes_from():
 
 
 RANGES = ("rms_1", "rms_2", "rms_direct")
+EXPERIMENTS = pytest.mark.study("ten experiments of the paper")
 
 
-@pytest.mark.slow("ten experiments of the paper")
-def test_errors_lie_in_the_printed_ranges(section):
+@pytest.mark.parametrize("experiments", quick(["short", "section"], 1, "ten experiments of the paper"))
+def test_errors_lie_in_the_printed_ranges(experiments, request):
     """Of the default seed every single one, as the paper gives least and largest of ten."""
-    assert np.all(section.rms_direct < section.rms_2)
+    found = request.getfixturevalue(experiments)
+    assert np.all(found.rms_direct < found.rms_2)
     for name in RANGES:
         low, high = PRINTED[name]
-        assert np.all((getattr(section, name) >= low) & (getattr(section, name) <= high)), name
+        assert np.all((getattr(found, name) >= low) & (getattr(found, name) <= high)), name
 
 
 @pytest.mark.study("the bench with other seeds")
@@ -51,6 +61,7 @@ def test_other_seeds_give_the_same_order(seed):
         assert np.all((getattr(found, name) > 0.9 * low) & (getattr(found, name) < 1.1 * high)), name
 
 
+@EXPERIMENTS
 @pytest.mark.parametrize(("table", "value_within", "deviation_within"), [("table_1", 0.1, 1.4), ("table_2", 0.13, 1.2)])
 def test_tables_are_near_the_printed_ones(section, table, value_within, deviation_within):
     for name, (value, two_sigma, percent) in getattr(section, table).items():
@@ -60,26 +71,26 @@ def test_tables_are_near_the_printed_ones(section, table, value_within, deviatio
         assert percent == pytest.approx(100 * two_sigma / abs(value))
 
 
-def test_what_is_seen_is_of_the_order_of_the_error(section):
+def test_what_is_seen_is_of_the_order_of_the_error(short):
     """The paper's conclusion: an operator's 5 N are seen with an error of the same order."""
-    seen = section.observed(0)
+    seen = short.observed(0)
     assert np.max(np.abs(seen["sensor"])) < 5.5
-    assert section.rms_2[0] > 0.5 * np.std(seen["sensor"])
+    assert short.rms_2[0] > 0.5 * np.std(seen["sensor"])
     assert np.std(seen["motor"]) > 3 * np.std(seen["sensor"])
     np.testing.assert_allclose(seen["direct"], seen["model"] - seen["motor"])
 
 
-def test_break_away_is_found_by_the_ramp(section):
+def test_break_away_is_found_by_the_ramp(short):
     axis = bench_axis()
     m = axis.mechanics
-    forth, back = section.bench.break_away
+    forth, back = short.bench.break_away
     assert forth == pytest.approx(m.coulomb + m.offset + NUMBERS["break_away_excess"].value, abs=0.3)
     assert back == pytest.approx(m.coulomb - m.offset + NUMBERS["break_away_excess"].value, abs=0.3)
     assert break_away_test(axis, 1.0, rate=1.0) == pytest.approx(forth, abs=0.2)
     assert forth == pytest.approx(PRINTED["break_away"], abs=0.3)
 
 
-def test_same_seed_same_bytes(section):
+def test_same_seed_same_bytes():
     for make in (identification_experiment, comanipulation_experiment):
         one, other = (make(numbers(), np.random.default_rng(5), 1.0, "same") for _ in range(2))
         assert one.q.tobytes() == other.q.tobytes()
@@ -107,6 +118,7 @@ def test_a_number_that_the_bench_does_not_have_is_refused():
         numbers(sensor_lags=1.0)
 
 
+@EXPERIMENTS
 def test_table_2_is_that_of_another_seed_too(section):
     """Means of ten, one or two of their spreads, on seeds that no number was chosen with."""
     mean = np.mean([one.values() for one in section.direct], axis=0)
@@ -114,6 +126,7 @@ def test_table_2_is_that_of_another_seed_too(section):
         assert found == pytest.approx(printed[0], rel=0.1), name
 
 
+@EXPERIMENTS
 def test_speeds_of_the_bench_are_those_that_table_2_says(section):
     for found, said in zip(rms_speeds(section.table_2), rms_speeds(PRINTED["table_2"]), strict=True):
         assert found == pytest.approx(said, rel=0.1)
