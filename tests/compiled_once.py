@@ -1,11 +1,14 @@
 """Workers on one machine compile a stepper once: the second that wants it waits, and finds it on disk.
 
 The steppers take half a minute to compile: after a change of one, every worker and every process that a test starts
-would do so at the same time.
+would do so at the same time. They are compiled in a process of their own, for a compiler keeps its memory:
+``python -m tests.compiled_once WORKER FOLDER``.
 """
 
 import fcntl
 import io
+import subprocess
+import sys
 from contextlib import redirect_stdout
 from functools import wraps
 from pathlib import Path
@@ -16,6 +19,7 @@ from numba.core.dispatcher import Dispatcher
 from emps_design.cli.app import run
 from emps_design.machines import machine
 from emps_design.simulation import Plant
+from tests.costs import COMPILING
 
 
 def wait_for_each_other(folder: Path) -> None:
@@ -52,3 +56,16 @@ def compile_steppers(worker: int) -> None:
     ]
     for place in range(len(steppers)):
         steppers[(place + worker) % len(steppers)]()
+
+
+def compile_apart(worker: int, folder: Path) -> None:
+    """:func:`compile_steppers` of a ``worker`` in another process, which locks files in ``folder``."""
+    command = [sys.executable, "-m", "tests.compiled_once", str(worker), str(folder)]
+    done = subprocess.run(command, cwd=Path(__file__).parents[1], stdout=subprocess.PIPE, text=True, check=True)
+    COMPILING.seconds += float(done.stdout)
+
+
+if __name__ == "__main__":
+    wait_for_each_other(Path(sys.argv[2]))
+    compile_steppers(int(sys.argv[1]))
+    print(COMPILING.seconds)

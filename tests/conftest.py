@@ -30,10 +30,11 @@ settings.load_profile("any machine")
 def _compiled_once(request, tmp_path_factory):
     """Steppers on disk before the first test of several workers."""
     if hasattr(request.config, "workerinput"):
-        from tests.compiled_once import compile_steppers, wait_for_each_other
+        from tests.compiled_once import compile_apart, wait_for_each_other
 
-        wait_for_each_other(tmp_path_factory.getbasetemp().parent)
-        compile_steppers(int(request.config.workerinput["workerid"].removeprefix("gw")))
+        folder = tmp_path_factory.getbasetemp().parent
+        wait_for_each_other(folder)
+        compile_apart(int(request.config.workerinput["workerid"].removeprefix("gw")), folder)
 
 
 @pytest.fixture
