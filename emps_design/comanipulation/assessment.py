@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -241,6 +242,10 @@ class ImpedanceAssessment:
 
     def to_dict(self) -> dict[str, Any]:
         """Keys of the contract, and beside them passivity, contact, rest, and the smallest safe M_a."""
+        return deepcopy(self._document)
+
+    @cached_property
+    def _document(self) -> dict[str, Any]:
         law, plant, clock = self.law, self.plant, self.clock
         loop = self.loop
         nominal = loop.stable and abs(recursion_poles(law, clock)[0]) <= 1.0 + MARGINAL
