@@ -1,7 +1,7 @@
 """Put faults into the code, one at a time, and ask the tests: ``python -m tests.faults`` (``make faults``).
 
-Each ``*.patch`` beside this file is one fault. It is applied to a copy of the working tree; the doctests of its room
-and the tests that import the room run first, the whole suite if none of those fails. Prints a row for each fault with
+Each ``*.patch`` beside this file is one fault. It is applied to a copy of the working tree; the doctests and the unit
+tests of its room run first, then all tests that import the room, the whole suite if none of those fails. Prints a row for each fault with
 the first test that failed, and writes all of them to ``--out``. A fault that nothing finds gives exit status 1.
 """
 
@@ -28,13 +28,17 @@ def room(patch: Path) -> str:
     return line.partition("emps_design/")[2].split("/")[0].removesuffix(".py")
 
 
-def near(tree: Path, name: str) -> list[str]:
-    """Tests that import the room called ``name``, and its doctests."""
+def own(tree: Path, name: str) -> list[str]:
+    """Unit tests of the room called ``name``, and its doctests."""
     place = tree / "emps_design" / name
-    own = place if place.is_dir() else place.with_suffix(".py")
+    tests = tree / "tests" / "unit" / name
+    return [str(path.relative_to(tree)) for path in (tests, place, place.with_suffix(".py")) if path.exists()]
+
+
+def near(tree: Path, name: str) -> list[str]:
+    """Tests that import the room called ``name``."""
     tests = [test for test in sorted((tree / "tests").rglob("test_*.py")) if f"emps_design.{name}" in test.read_text()]
-    tests.sort(key=lambda test: "unit" not in test.parts)
-    return [str(path.relative_to(tree)) for path in (*tests, own)]
+    return [str(path.relative_to(tree)) for path in sorted(tests, key=lambda test: "unit" not in test.parts)]
 
 
 def apply(tree: Path, patch: Path, *options: str) -> None:
@@ -87,12 +91,12 @@ def main() -> int:
         for patch in patches:
             start = time.perf_counter()
             apply(tree, patch)
-            failed = first_failure(tree, near(tree, room(patch)), options.workers)
-            if failed is None and not options.near:
-                failed = first_failure(tree, [], options.workers)
+            name = room(patch)
+            steps = [own(tree, name), near(tree, name), *([] if options.near else [[]])]
+            failed = next(filter(None, (first_failure(tree, tests, options.workers) for tests in steps)), None)
             apply(tree, patch, "-R")
             seconds = time.perf_counter() - start
-            rows.append({"fault": patch.stem, "room": room(patch), "failed": failed, "seconds": round(seconds, 1)})
+            rows.append({"fault": patch.stem, "room": name, "failed": failed, "seconds": round(seconds, 1)})
             print(f"{patch.stem:<40}{failed or 'NOT FOUND':<100}{seconds:7.1f} s", flush=True)
             options.out.parent.mkdir(parents=True, exist_ok=True)
             options.out.write_text(json.dumps({"rows": rows}, indent=1) + "\n")
