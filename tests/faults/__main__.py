@@ -1,8 +1,9 @@
 """Put faults into the code, one at a time, and ask the tests: ``python -m tests.faults`` (``make faults``).
 
 Each ``*.patch`` beside this file is one fault. It is applied to a copy of the working tree; the doctests and the unit
-tests of its room run first, then all tests that import the room, the whole suite if none of those fails. Prints a row for each fault with
-the first test that failed, and writes all of them to ``--out``. A fault that nothing finds gives exit status 1.
+tests of its room run first, then all tests that import the room, the whole suite if none of those fails. Prints a row
+for each fault with the first test that failed, and writes all of them to ``--out``. A fault that nothing finds gives
+exit status 1.
 """
 
 from __future__ import annotations
