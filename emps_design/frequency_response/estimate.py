@@ -248,8 +248,7 @@ def _finished(
     variance = variance + extra.bias
     if method != "stepped":
         variance = np.maximum(variance, excess_variance(answer.frequency, z_q / z_u, variance, power, APART[method]))
-    response, aliases = without_aliases(w, plant(z_q / z_u), np.sqrt(variance), period)
-    std = np.sqrt(variance + aliases**2)
+    std = np.sqrt(variance)
     of_q, of_u = C[:, 0, 0].real, C[:, 1, 1].real
     if method != "stepped":
         of_q, of_u = _near(of_q, np.mean), _near(of_u, np.mean)
@@ -265,7 +264,8 @@ def _finished(
             f"{name}: found {np.count_nonzero(kept)} of {kept.size} lines on which the {read[0].kind} stands out of "
             "the noise, expected at least 4: the coherence is too low; excite more strongly, or for longer"
         )
-    found = FrequencyResponse(answer.frequency[kept], response[kept], std[kept], coherence[kept], name)
+    response, aliases = without_aliases(w[kept], plant(z_q / z_u)[kept], std[kept], period)
+    found = FrequencyResponse(answer.frequency[kept], response, np.hypot(std[kept], aliases), coherence[kept], name)
     moved = [motion(one) for one in read]
     reversals = int(sum(one["reversals"] for one in moved))
     seconds = sum(one["seconds"] for one in moved)

@@ -18,6 +18,9 @@ from typing import Any
 
 import numpy as np
 
+from emps_design.frequency_response.response import BAND
+
+ALIASES = 4  # on either side that are looked at
 TOP_SHARE = 0.6  # the mass line is read from the lines above this share of the highest one
 
 
@@ -71,14 +74,18 @@ def without_aliases(
 ) -> tuple[np.ndarray, np.ndarray]:
     """``response`` (n,) [m/s/N] without the aliases of its mass line, and the relative deviation that this leaves (n,).
 
-    The deviation is the alias times how far the top lines are from a mass line: a resonance or a lag near the Nyquist
-    frequency makes it as large as the alias itself.
+    Those of a mass nearly cancel in pairs. A lag or a resonance turns them, and they do not: the deviation is what they
+    all amount to, as the radius of a 95 % circle, times how far a line of the sampling frequency is from the mass line;
+    that of the top lines grows with the frequency at most. Where they end in no mass line all of it is uncertain.
     """
     share = alias_share(w, period)
     inverse, apart = mass_line(w, response, std, share)
-    alias = share * inverse / (1j * w)
-    found = response - alias
-    return found, apart * np.abs(alias) / np.abs(found)
+    found = response - share * inverse / (1j * w)
+    turns = 2.0 * np.pi / period * np.delete(np.arange(-ALIASES, ALIASES + 1), ALIASES)
+    most = np.sum(np.abs(w / (w + turns[:, None])) ** 3, axis=0)
+    above = min(1.0, apart * 2.0 * np.pi / period / w[-1])
+    size = inverse / (w * np.abs(found)) if inverse else 1.0
+    return found, above * most * size / BAND
 
 
 def sampled_position(

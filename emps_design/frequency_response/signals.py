@@ -89,6 +89,8 @@ def signals_of(record: Record, instrument: str = "") -> Signals:
     if instrument != COMMAND and not steps:
         repeats = _repeats(r, bias if instrument == EXCITATION else None)
     runs = [(one.start, one.stop) for one in steps] or _stretches(r, bias, repeats, instrument)
+    if repeats and not runs:  # once on each pass: nothing is periodic in that
+        repeats, runs = 0, _stretches(r, bias, 0, instrument)
     if record.enable is not None:
         on = [bool(np.any(record.enable[start:stop])) for start, stop in runs]
         if runs and not any(on):

@@ -2,10 +2,10 @@
 
 In long blocks a resonance is resolved; in short ones a sweep stands out of the noise while it passes. So blocks of
 several lengths are tried, and the longest taken that keep, at most frequencies, most of what the best ones tell. What
-short blocks smooth over is no noise: it shows as the difference to blocks of half the length. Where that error goes
-with the square of the width, a third of the difference is left in the longer ones; of averaged spectra, which cut the
-answer to a sweep off at the end of each block, all of it counts. What a parabola between the lines misses shows as the
-difference to a polynomial of the fourth order.
+short blocks smooth over is no noise: it shows as the difference to blocks of half the length. Since that error goes
+with the square of the width, a third of the difference is left in the longer ones. What a parabola between the lines
+misses shows as the difference to a polynomial of the fourth order; what the windows of averaged spectra cut off, as the
+last of the terms that are taken off for it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ LONGER = 6  # times that blocks are doubled
 KEPT = 0.5  # share of the most information that the longest blocks have to keep
 MOST = 0.8  # share of the octaves in which they do
 ALIKE = 0.5  # share of the longest part, shorter than which a part is left out
-REST = {"local-polynomial": 1.0 / 3.0, "welch": 1.0}  # of the difference to blocks of half the length
+REST = 1.0 / 3.0  # of the difference to blocks of half the length
 NEAR = 9  # lines over which that is averaged
 FEWEST = 80  # samples of a block
 
@@ -55,14 +55,13 @@ def broadband_answer(
 
     take = spectra if method == "welch" else polynomial
     tried = _tried(read, take, tell)
-    at = _longest_that_keeps([answer for _, answer, _ in tried])
+    answers = [answer for _, answer, _ in tried]
+    biases = [_bias(one, *answers[max(i - 1, 0) : i]) for i, one in enumerate(answers)]
+    at = _longest_that_keeps(answers, biases)
     samples, answer, count = tried[at]
-    bias = np.maximum(_smooth(answer.interpolation), 0.0)
-    if at:
-        bias = np.maximum(bias, REST[method] ** 2 * np.maximum(_apart(answer, tried[at - 1][1]), 0.0))
     ratio, _ = take([replace(one, r=one.u, kind=COMMAND) for one in read], samples)
     passes = len(read) if method == "welch" else count
-    return answer, Extra(passes, count, count, _quotient_at(answer.frequency, ratio), bias=bias)
+    return answer, Extra(passes, count, count, _quotient_at(answer.frequency, ratio), bias=biases[at])
 
 
 def _tried(read: list[Signals], take: Method, tell: Progress) -> list[tuple[int, Answer, int]]:
@@ -84,17 +83,23 @@ def _tried(read: list[Signals], take: Method, tell: Progress) -> list[tuple[int,
     return found
 
 
-def _longest_that_keeps(tried: list[Answer]) -> int:
+def _bias(answer: Answer, *shorter: Answer) -> np.ndarray:
+    """The relative variance (m,) of what is no noise, by a finer interpolation and by blocks of half the length."""
+    found = np.maximum(_smooth(answer.interpolation), 0.0)
+    return np.max([found, *(REST**2 * _apart(answer, one) for one in shorter)], axis=0)
+
+
+def _longest_that_keeps(tried: list[Answer], biases: list[np.ndarray]) -> int:
     """Which answer is of the longest blocks that keep most of the information, at most of the frequencies."""
     from scipy.ndimage import uniform_filter1d
 
     grid = min(tried, key=lambda one: one.frequency.size).frequency
     told = np.empty((len(tried), grid.size))
-    for i, one in enumerate(tried):
+    for i, (one, bias) in enumerate(zip(tried, biases, strict=True)):
         of_noise = one.noise[:, (0, 1), (0, 1)].real
         clear = np.all(np.abs(one.z) ** 2 >= CLEAR * of_noise, axis=1)
-        by_line = np.where(clear, 1.0 / np.maximum(one.variance, 1e-12), 0.0)
-        by_hertz = uniform_filter1d(by_line, NEAR, mode="nearest") / (one.frequency[1] - one.frequency[0])
+        by_line = np.where(clear, 1.0 / np.maximum(one.variance + bias, 1e-12), 0.0)
+        by_hertz = uniform_filter1d(by_line, NEAR, mode="nearest") / np.min(np.diff(one.frequency))
         told[i] = np.interp(grid, one.frequency, by_hertz)
     octaves = np.gradient(np.log(grid)) * (np.max(told, axis=0) > 0.0)
     enough = told >= KEPT * np.max(told, axis=0)
@@ -104,10 +109,15 @@ def _longest_that_keeps(tried: list[Answer]) -> int:
 
 
 def _apart(answer: Answer, shorter: Answer) -> np.ndarray:
-    """The relative variance (m,) by which blocks of half the length differ, less what noise makes of it."""
-    apart = _quotient_at(answer.frequency, shorter) / _quotient_at(answer.frequency, answer) - 1.0
-    by_noise = answer.variance + np.interp(answer.frequency, shorter.frequency, shorter.variance)
-    return _smooth(np.abs(apart) ** 2 - by_noise)
+    """The relative variance (m,) by which blocks of half the length differ, less what noise makes of it.
+
+    Below their lowest line and above their highest it is that of the nearest line.
+    """
+    f = answer.frequency
+    apart = _quotient_at(f, shorter) / _quotient_at(f, answer) - 1.0
+    found = _smooth(np.abs(apart) ** 2 - answer.variance - np.interp(f, shorter.frequency, shorter.variance))
+    both = (f >= shorter.frequency[0]) & (f <= shorter.frequency[-1])
+    return np.interp(f, f[both], found[both]) if np.any(both) else found
 
 
 def _smooth(variance: np.ndarray) -> np.ndarray:

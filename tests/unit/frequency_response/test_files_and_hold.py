@@ -9,6 +9,7 @@ from emps_design.control.plant.discretisation import sample_axis
 from emps_design.errors import InputError
 from emps_design.frequency_response import FrequencyResponse, read_response, write_response
 from emps_design.frequency_response.hold import sampled_position, without_aliases
+from emps_design.frequency_response.response import BAND
 from emps_design.machines import machine
 from tests.unit.frequency_response.cases import exact
 
@@ -106,6 +107,20 @@ def test_aliases_are_taken_off():
     assert np.max(np.abs(raw / truth - 1.0)) > 0.2
     assert np.max(np.abs(found / truth - 1.0)) < 2e-3
     assert np.max(left) < 5e-3
+
+
+def test_aliases_that_a_lag_turns_are_in_the_deviations():
+    axis = machine("emps2019").replace(drive={"current_time_constant": 0.5e-3})
+    plant, w = sample_axis(axis), 2 * np.pi * np.linspace(5.0, 200.0, 80)
+    z = np.exp(1j * w * 1e-3)
+    position = plant.response(w) / ((0.5 + 0.5 / z) * (1.0 - 1.0 / z) / 1e-3) / axis.drive.force_gain
+    raw = position * 1j * w * 1j * w * 1e-3 / (1.0 - 1.0 / z)
+    found, left = without_aliases(w, raw, np.full(w.size, 1e-3), 1e-3)
+    error = np.abs(found / exact(axis, w / (2 * np.pi)) - 1.0)
+    assert np.all(error <= BAND * left)
+    assert np.all(BAND * left <= 4.0 * error)
+    _, unknown = without_aliases(w, 1.0 / w, np.full(w.size, 1e-3), 1e-3)  # ends in no mass
+    assert np.all(unknown >= left)
 
 
 @pytest.mark.parametrize("unit", ["Hz", "rad/TimeUnit", "rad/s", ""])

@@ -14,19 +14,19 @@ from tests.unit.frequency_response.cases import exact, passes, run
 SECONDS = 20
 
 
-def record_of(axis, excitation, newtons, rng):
-    """The record of ``axis`` on two passes with the same ``excitation`` on each."""
-    q_ref, starts = passes(1e-3, excitation.size + 500, 2, 0.06)
+def record_of(axis, excitation, newtons, rng, count=2):
+    """The record of ``axis`` on ``count`` passes with the same ``excitation`` on each."""
+    q_ref, starts = passes(1e-3, excitation.size + 500, count, 0.06)
     added = np.zeros(q_ref.size)
     for start in starts:
         added[start + 250 : start + 250 + excitation.size] = excitation
     return run(axis, q_ref, added, newtons * rng.standard_normal(q_ref.size))
 
 
-def sweep(method, volts=0.5):
+def sweep(method, volts=0.5, seconds=SECONDS):
     """A sweep from 2 to 250 Hz that swells and fades."""
-    t = np.arange(1000 * SECONDS) * 1e-3
-    return volts * chirp(t, 2.0, SECONDS, 250.0, method=method) * np.clip(np.minimum(t, SECONDS - t) / 0.1, 0.0, 1.0)
+    t = np.arange(1000 * seconds) * 1e-3
+    return volts * chirp(t, 2.0, seconds, 250.0, method=method) * np.clip(np.minimum(t, seconds - t) / 0.1, 0.0, 1.0)
 
 
 def inside(found, axis):
@@ -73,6 +73,32 @@ def test_the_width_of_averaged_spectra_is_in_their_deviations():
     assert np.mean(inside(found, axis)) >= 0.9
     chain = found.comparison.chain
     assert chain.parameters["mass"][0] == pytest.approx(axis.mechanics.mass, rel=0.02)
+
+
+@pytest.mark.parametrize("kind", ["sweep", "noise"])
+def test_averaged_spectra_without_noise_are_no_better_than_they_say(kind):
+    """What the windows cut off is the same on every pass, and the aliases of a plant with a lag do not cancel."""
+    lag, fine = {"current_time_constant": 0.5e-3}, {"encoder_resolution": 1e-12}
+    axis = machine("emps2019").replace(drive=lag, sampling=fine)
+    rng = np.random.default_rng(5)
+    noise = 0.4 * lfilter(*butter(2, 0.6), rng.standard_normal(30_000))
+    excitation = sweep("linear", seconds=30) if kind == "sweep" else np.clip(noise, -1.2, 1.2)
+    found = estimate_response(record_of(axis, excitation, 0.0, rng), axis, method="welch", high=200.0)
+    f, held = found.response.frequency, inside(found, axis)
+    assert f[0] < 15.0
+    for low, high in ((0.0, 20.0), (20.0, 60.0), (60.0, 200.1)):
+        band = (f >= low) & (f < high)
+        assert np.mean(held[band]) >= 0.9, (low, high)
+        assert np.median(found.response.std[band]) < 1e-2
+
+
+def test_a_sweep_once_on_each_of_many_passes():
+    axis = machine("emps2019")
+    record = record_of(axis, sweep("linear", seconds=8), 0.5, np.random.default_rng(4), count=4)
+    for method in ("local-polynomial", "welch"):
+        found = estimate_response(record, axis, method=method, high=200.0)
+        assert np.mean(inside(found, axis)) >= 0.9
+    assert estimate_response(record, axis).method == "local-polynomial"
 
 
 def test_a_band_without_excitation_is_refused_for_that():
