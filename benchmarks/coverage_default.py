@@ -143,18 +143,22 @@ def main() -> None:
     parser.add_argument("set", choices=SETS)
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first record")
+    parser.add_argument("--without-law", action="store_true", help='with kind = "none" in the axis file that is read')
     parser.add_argument("--by-command", type=int, default=3, help="records an axis that go through the command as well")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
-    out = options.out or Path(__file__).with_name(f"coverage_default_{options.set}.json")
+    out = options.out or Path(__file__).with_name(
+        f"coverage_default_{options.set}{'_without_law' * options.without_law}.json"
+    )
     rows, held = [], []
     for case in SETS[options.set]:
         axis, errors, halves, by, said = case[0], [], [], Counter(), 0
+        read = axis.replace(controller={"kind": "none"}) if options.without_law else axis
         truth = axis.mechanics.array()
         for seed in range(options.seed, options.seed + options.count):
             record = record_of(case, seed)
             try:
-                found = identify(record, axis)
+                found = identify(record, read)
             except EmpsError as error:
                 print(f"{axis.name}, {seed}: {error}", flush=True)
                 continue
@@ -165,8 +169,8 @@ def main() -> None:
             said += found.extra["unexplained"]["structure"] > 0.0
             if seed - options.seed < options.by_command:
                 with tempfile.TemporaryDirectory() as folder:
-                    document = by_command(record, axis, Path(folder))
-                values = [one["value"] for one in document["parameters"].values()]
+                    document = by_command(record, read, Path(folder))
+                values = np.array([one["value"] for one in document["parameters"].values()], dtype=float)
                 assert np.allclose(values, found.values(), rtol=1e-9, equal_nan=True), (axis.name, seed)
         error, half = np.array(errors), np.array(halves)
         held.append(np.abs(error) <= half)
@@ -192,6 +196,7 @@ def main() -> None:
         document = {
             "date": datetime.now(UTC).date().isoformat(),
             "first_seed": options.seed,
+            "law_known": not options.without_law,
             "pooled_percent": pooled,
             "rows": rows,
         }
