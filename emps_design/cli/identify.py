@@ -47,7 +47,7 @@ def command(
     estimator: str = typer.Option(
         "auto",
         "--estimator",
-        help="auto: ls, or iv where a test says that ls is biased, or oe where noise hides a parameter from both; "
+        help="auto: ls, or iv where ls is biased or noise hides a parameter from it, or oe where from both; "
         "ls: least squares; iv: instruments; oe: closed-loop output error.",
     ),
     external_force: str = typer.Option(

@@ -1,10 +1,10 @@
 """Identify the parameters of an axis from one record: least squares, or what the record asks for in its place.
 
 Noise of the force moves the carriage, the more the lighter it is and the faster its loop, and least squares then takes
-the mass too small: instruments are taken where a test says so. Where the measured acceleration is noise neither
-determines the mass, but output error may, which takes it from its simulation. Both need the controller: where the axis
-has none and the record has a reference, it is looked for in the record. A record without either stays with least
-squares; so does a record of an hour, for its memory.
+the mass too small: instruments are taken where a test says so, and where most of a column is noise but not of its
+instrument. Where all of the measured acceleration is noise neither determines the mass, but output error may, which
+takes it from its simulation. Both need the controller: where the axis has none and the record has a reference, it is
+looked for in the record. A record without either stays with least squares; so does a record of an hour, for its memory.
 """
 
 from __future__ import annotations
@@ -55,7 +55,8 @@ def identify(
     it has no controller, the one that made the record is looked for in it. ``model`` is ``symmetric`` or
     ``asymmetric``. ``estimator`` is ``ls`` (least squares), ``iv`` (instruments), ``oe`` (closed-loop output error) or
     ``auto``: ``ls``; ``iv`` where the Durbin-Wu-Hausman test says that ``ls`` is biased, at 1 % and by half a standard
-    deviation or more; ``oe`` where noise leaves neither to determine a parameter, it does, and all agree on the others.
+    deviation or more, or where it determines what noise hides from ``ls``; ``oe`` where noise leaves neither to
+    determine a parameter, it does, and all agree on the others.
     ``filter`` is ``hold`` (the hold modelled, rests left out, cut-off from the data), ``report`` (2019 report) or
     ``paper`` (2018 paper), the latter two for ``ls`` alone; ``cutoff`` [Hz] overrides the filter's own.
 
@@ -106,17 +107,19 @@ def _auto(record: Record, axis: Axis, request: Request) -> Identification:
 
     try:
         fit = solve_with_instruments(record, axis, request.model, request.cutoff, request.external_force)
-        hidden = [name for name, one in plain.parameters.items() if _by_noise(one, WEAK_INSTRUMENT)]
-        led = fit.identification() if hidden or fit.test.matters else None
+        untold = [name for name, one in plain.parameters.items() if _by_noise(one, WEAK_RELIABILITY)]
+        led = fit.identification() if untold or fit.test.matters else None
     except (EmpsError, np.linalg.LinAlgError) as error:  # no simulation with this controller follows the record
         return replace(plain, warnings=(*plain.warnings, f"{UNTESTED}: {error}"))
+    hidden = [name for name in untold if _by_noise(plain.parameters[name], WEAK_INSTRUMENT)]
     tried = None if led is None else _where_noise_hides(record, axis, request, hidden, led)
     if tried is not None:
         return _judged(tried, request)
+    told = {} if led is None else {name: one.determined for name, one in led.parameters.items()}
     if (
         led is None
-        or not fit.test.matters
-        or any(one.determined and not led.parameters[name].determined for name, one in plain.parameters.items())
+        or not (fit.test.matters or any(told[name] for name in untold))
+        or any(one.determined and not told[name] for name, one in plain.parameters.items())
     ):
         return replace(plain, extra=plain.extra | {"hausman_test": fit.test.to_dict()})
     return _judged(replace(led, warnings=(*led.warnings, *_weakly_led(led))), request)

@@ -185,6 +185,30 @@ def test_noise_that_moves_a_viscous_axis_is_no_structure(viscous):
     assert (left["structure"], left["widening"]) == (0.0, 1.0)
 
 
+def test_instruments_tell_a_mass_that_noise_hides_from_least_squares():
+    """Steps of the encoder are most of the acceleration of a damped joint, and none of what its instrument says."""
+    joint = Axis.from_dict(
+        {
+            "name": "damped joint",
+            "motion": "rotary",
+            "mechanics": {"mass": 0.02, "viscous": 1.6, "coulomb": 0.3, "offset": 0.02},
+            "drive": {"command": "current", "force_gain": 0.9, "command_limit": 12.0},
+            "sampling": {"period": 0.5e-3, "encoder_resolution": 1e-4},
+            "controller": {"kind": "cascade", "position": {"kp": 30.0}, "velocity": {"kp": 2.0, "ti": 0.03}},
+        }
+    )
+    reference = trapezoid_laps(0.5e-3, 2.0, 2.5, 30.0, 1)
+    push = lfilter([0.01], [1.0, -0.95], np.random.default_rng(7).standard_normal(reference.size))
+    made = Plant.of(joint).closed_loop(reference, disturbance=push)
+    record = Record.from_arrays(0.5e-3, reference, made.q, made.u, name="joint")
+    assert not identify(record, joint, estimator="ls").parameters["mass"].determined
+    found = identify(record, joint)
+    assert found.estimator == "instrumental_variables"
+    low, high = found.parameters["mass"].interval_95
+    assert low < 0.02 < high < 1.1 * low
+    assert any("mass: the reference explains" in text and "of its column" in text for text in found.warnings)
+
+
 def test_a_force_that_does_not_repeat_is_said_where_it_is_much(record):
     """The command of another axis: nothing of it comes again with the motion, and half of the force is left."""
     other = 0.5 * np.std(record.u) * np.random.default_rng(3).standard_normal(len(record) // 200 + 1).repeat(200)
