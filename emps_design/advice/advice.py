@@ -18,6 +18,13 @@ HARMLESS = re.compile(  # warnings about a record that speak against nothing tha
     r"f_ext acts on the simulated carriage|by output error, for the measured motion is noise|lines left out"
     r"|no Kalman observer|simulated in open loop from the recorded|fitted anew on the confirming record"
 )
+WORST_FIRST = (  # words of warnings about a record, by what they do to what was found in it; others come last
+    r"may be wrong by more than it says",
+    r"^no axis has|has the wrong sign",
+    r"^far from the axis",
+    r"unexplained|structure is left",
+    r"is not determined|cannot be told",
+)
 PROPOSED = {  # what `nearest` proposes -> the option that asks for it
     "crossover": "crossover", "bandwidth": "bandwidth", "phase_margin_deg": "phase_margin",
     "position_kp": "position_kp", "k_e1": "k_e1", "mass": "mass", "damping": "damping", "filter": "filter",
@@ -125,5 +132,15 @@ def grave(document: Mapping[str, Any]) -> str:
 
 
 def against(document: Mapping[str, Any]) -> str:
-    """The first warning that speaks against what was found in a record, "" for none."""
-    return next((sentence(text) for text in document.get("warnings", ()) if not HARMLESS.search(text)), "")
+    """The gravest warning that speaks against what was found in a record, of several alike the first, "" for none.
+
+    >>> against({"warnings": ["a gap of 2 ms", "the model leaves 30 % of the force unexplained", "a rest of 3 s"]})
+    'the model leaves 30 % of the force unexplained'
+    """
+    said = [sentence(text) for text in document.get("warnings", ()) if not HARMLESS.search(text)]
+    return min(said, key=_rank, default="")
+
+
+def _rank(text: str) -> int:
+    """The place of a warning in :data:`WORST_FIRST`."""
+    return next((i for i, words in enumerate(WORST_FIRST) if re.search(words, text)), len(WORST_FIRST))

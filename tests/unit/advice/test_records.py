@@ -3,6 +3,10 @@
 import pytest
 
 from emps_design.advice import advise
+from emps_design.identification.plausibility import implausible
+from emps_design.identification.unexplained import Unexplained
+from emps_design.importing.contradictions import MEANS
+from emps_design.machines import machine
 
 WORDS = ("diagnose", "r.npz", "--axis", "a.toml")
 
@@ -57,3 +61,15 @@ def test_an_identification_with_a_warning_names_diagnose(value):
     said = advise("identify", {**document, "warnings": ["38 % of the force is left"]})
     assert (said.level, said.text) == ("caution", "38 % of the force is left")
     assert said.next == "emps-design diagnose r.npz --axis a"
+
+
+def test_the_gravest_warning_is_the_advice_whatever_comes_before_it():
+    """In the words of the code that warns: a record that lies, values that cannot be, structure, what is not told."""
+    damaged = f"u: every second sample is another signal's; {MEANS}"
+    impossible = implausible({"mass": -9.0, "viscous": -2.0, "coulomb": -2.0}, machine("emps2019"))[0]
+    far = implausible({"mass": 950.0, "viscous": 200.0, "coulomb": 20.0}, machine("emps2019"))[0]
+    structure = Unexplained(0.4, 0.3, 2.0, 1.5).warnings()[0]
+    graver = [damaged, impossible, far, structure, "viscous is not determined: one speed", "f.csv: resampled"]
+    for i, worst in enumerate(graver):
+        document = {"parameters": {"mass": {"value": 2.0}}, "warnings": graver[i:][::-1], "record": "r", "axis": "a"}
+        assert advise("identify", document).text == worst
