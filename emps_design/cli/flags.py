@@ -19,6 +19,7 @@ FLAGS = {
     "holdout": "--holdout",
     "identify": "--estimator ls",
     "mismatch": "--mismatch",
+    "model": "--model",
     "peak": "--peak",
     "phase_deg": "--phase",
     "position_kp": "--position-kp",
@@ -27,6 +28,7 @@ FLAGS = {
     "retune": "--retune",
     "target": "--to",
     "window": "--time",
+    "with_": "--with",
 }
 # A report identifies too; its own --filter is that of the impedance law.
 FLAGS_OF = {
@@ -34,6 +36,7 @@ FLAGS_OF = {
         "cutoff": "--cutoff of 'identify'",
         "external_force='known'": "--external-force known of 'identify'",
         "filter": "--record-filter",
+        "with_": "--with of 'identify'",
     }
 }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,6 +51,12 @@ def command(
         help="auto: ls, or iv where ls is biased or noise hides a parameter from it, or oe where from both; "
         "ls: least squares; iv: instruments; oe: closed-loop output error.",
     ),
+    with_: str = typer.Option(
+        "auto",
+        "--with",
+        help="Terms beside mass and friction, with commas: gravity, asymmetric-viscous, bent-viscous; auto: what the "
+        "record asks for; none.",
+    ),
     external_force: str = typer.Option(
         "refuse", "--external-force", help="refuse a record with one, or known: let the measured force take part."
     ),
@@ -84,7 +91,7 @@ def command(
     check_out(out, AXIS, (axis, *records, holdout), force)
     loaded = load_axis(axis)
     # Refused before the records are read.
-    options = vars(Request(model, estimator, filter, cutoff, external_force, None, bootstrap, seed))
+    options = vars(Request(model, estimator, filter, cutoff, external_force, None, bootstrap, seed, with_))
     read = [import_record(path, loaded) for path in records]
     together = len(read) > 1 and any(map(goes_one_way, read))
     if together:
@@ -131,14 +138,16 @@ def _refuse_ignored(context: typer.Context, estimator: str, records: int) -> Non
 
 def _show_one(found: Identification) -> None:
     from emps_design.cli.output import new_console, new_table
+    from emps_design.effects.terms import TERMS
     from emps_design.quantities import decimals, rounded
 
     console = new_console()
     title = f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}"
     headings = ("parameter", "value", "std (15)", "% (16)", "std *", "95 % ± *", "unit")
     table = new_table(title, *headings, words=("unit",), whole=True, pad_edge=False, padding=(0, 1, 0, 0))
+    own = {quantity.name for term in found.proposed for quantity in TERMS[term].quantities}
     for key, estimate in found.parameters.items():
-        name = key.replace("_and_", " + ")
+        name = key.replace("_and_", " + ") + (" +" if key in own else "")
         if estimate.interval_95 is None:
             table.add_row(name, "-", "", "", "", "", estimate.quantity.unit)  # a warning says why
             continue
@@ -154,6 +163,8 @@ def _show_one(found: Identification) -> None:
             estimate.quantity.unit,
         )
     console.print(table)
+    if found.proposed:
+        console.print(_why_proposed(found.proposed))
     for label, key in ((f"HAC std, lag {found.hac_lag:.2f} s", "std_hac"), ("bootstrap std", "std_bootstrap")):
         known = {name: getattr(e, key) for name, e in found.parameters.items() if getattr(e, key) is not None}
         if known:
@@ -202,6 +213,14 @@ def _show_one(found: Identification) -> None:
         )
 
 
+def _why_proposed(terms: Sequence[str]) -> str:
+    """Which rows of the table the record asked for by itself, and how to do without."""
+    return (
+        f"+ proposed: {', '.join(terms)}; without it strokes that took no part in the fit are predicted with at least "
+        "twice the error; --with none leaves it out"
+    )
+
+
 def _moved_by_cutoff(found: Identification) -> str:
     """What half and twice the cut-off change, and whether the intervals hold it."""
     moved = ", ".join(
@@ -229,16 +248,19 @@ def _written(number: float | None, places: int) -> str:
 
 def _show_several(found: SeveralIdentifications) -> None:
     from emps_design.cli.output import new_console, new_table
+    from emps_design.effects.terms import TERMS
     from emps_design.quantities import decimals
 
     console = new_console()
     headings = ("parameter", "mean", "spread", "std *", "drift/record", "unit")
     title = f"{len(found.records)} records, {found.model} model, {found.estimator.replace('_', ' ')}"
     table = new_table(title, *headings, words=("unit",), whole=True)
+    proposed = found.identifications[0].proposed
+    own = {quantity.name for term in proposed for quantity in TERMS[term].quantities}
     for row in found.table():
         n = decimals(max(abs(row["mean"]), row["std"]))
         table.add_row(
-            row["name"],
+            row["name"] + (" +" if row["name"] in own else ""),
             f"{row['mean']:.{n}f}",
             f"{row['spread']:.{n}f}",
             f"{row['std']:.{n}f}",
@@ -246,6 +268,8 @@ def _show_several(found: SeveralIdentifications) -> None:
             row["unit"],
         )
     console.print(table)
+    if proposed:
+        console.print(_why_proposed(proposed))
     console.print(
         "spread: std between records; std *: mean within one, for a correlated residual; drift **: p < 1 % over all "
         "parameters together"

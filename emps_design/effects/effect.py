@@ -188,8 +188,8 @@ class Effect:
     ``lines``: how many of it, each of another shape, one machine may have; ``after`` is the name of the one before.
     ``repeats``: the parameter [m] after which it repeats along the travel; its slope over position then averages out.
     ``passive``: over a motion that ends where it began, at rest, the effect never gives back more work than it took.
-    ``identified_by``: for each model of ``identify`` that has the effect among its parameters, the function that takes
-    those to the effect's own.
+    ``identified_by``: for each model or term of ``identify`` that has the effect among its parameters, the function
+    that takes those to the effect's own.
     ``parity``: of the contribution in ``v``, "odd", "even" or "" for neither.
     ``checks``: points computed by hand for ``CHECK_BASELINE``, (parameters, arguments of :meth:`contribution`, value).
     """

@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from emps_design.effects.terms import ANGLE, POWER
 from emps_design.identification.cutoff import LONGEST, first_part
 from emps_design.identification.excitation import WEAK_RELIABILITY, follows, reliability, share_near_gaps
-from emps_design.identification.inverse_model import LeastSquares, parameters_of
+from emps_design.identification.inverse_model import LeastSquares
+from emps_design.identification.model import FRICTION
 from emps_design.identification.plausibility import implausible
 from emps_design.identification.problem import Problem
 from emps_design.identification.result import Estimate, Identification
@@ -19,6 +21,7 @@ from emps_design.identification.statistics import LongRun, hac_covariance, long_
 from emps_design.identification.unexplained import unexplained
 
 LAGS = (0.0, 0.005, 0.01, 0.02, 0.04)  # s by which a loop may follow its reference late
+MAY_BE_ZERO = ("constant_force", ANGLE.name, "viscous_difference")  # on a machine with nothing wrong
 LARGEST_NEAR_GAPS = 0.5  # share of what tells a friction parameter apart that may lie beside a rest
 
 
@@ -61,54 +64,69 @@ def assemble(
     sizes, swing = np.sqrt(np.mean(W[used] ** 2, axis=0)), float(np.std(problem.Y[used]))
     warnings: list[str] = []
     estimates = {}
-    for i, written in enumerate(parameters_of(problem.model)):
+    values = problem.told(fit.value)
+    std = left.widening * spread.std
+    bias, steps, moved = np.zeros((3, len(values)))
+    if errors.systematic is not None:
+        bias = errors.systematic
+    if (
+        errors.encoder is not None
+    ):  # where the residual tells of more than the steps of the encoder, it has told of them
+        steps = np.where(errors.encoder > std, errors.encoder, 0.0)
+    if errors.cutoff is not None:
+        moved = errors.cutoff.beyond_chance
+    halves = np.hypot(spread.quantile * np.linalg.norm([std, bias, steps], axis=0), moved)
+    pushed = _moved_by_another(problem.names, values, halves)
+    for i, written in enumerate(problem.model.quantities):
         quantity = replace(written, unit=axis.units.unit(written.unit), text=axis.units.words(written.text))
+        value, half = float(values[i]), float(halves[i])
         told, why = None if shares is None else float(shares[i]), ""
+        said = f"what the record says of it, {value:.3g} +- {half:.2g} {quantity.unit}, may be"
         if told is not None and told < weakest:
             why = (
                 f"the reference explains {100 * told:.0f} % of its column, the rest is noise; "
                 "record motion that excites it"
             )
-        elif (errors.systematic is not None and np.isnan(errors.systematic[i])) or quantity.name in at_rests:
+        elif np.isnan(bias[i]) or quantity.name in at_rests:
             why = (
                 "only reversals and rests speak of it, which the inverse model does not hold; record several constant "
                 "speeds in both directions, with acceleration between them"
             )
-        bias = 0.0 if errors.systematic is None else float(errors.systematic[i])
-        std = left.widening * float(spread.std[i])
-        # Where the residual tells of more than the steps of the encoder do, it has told of them.
-        stepped = 0.0 if errors.encoder is None or errors.encoder[i] <= std else float(errors.encoder[i])
-        moved = 0.0 if errors.cutoff is None else float(errors.cutoff.beyond_chance[i])
-        half = float(np.hypot(spread.quantile * np.linalg.norm([std, bias, stepped]), moved))
-        said = f"what the record says of it, {fit.value[i]:.3g} +- {half:.2g} {quantity.unit}, may be"
-        if not why and half * sizes[i] > swing:
+        elif half * sizes[i] > swing:
             why = f"{said} more than all of the {axis.units.words('force')}; record several speeds both ways"
-        elif not why and quantity.name == "mass" and half >= abs(fit.value[i]):
+        elif quantity.name == "mass" and half >= abs(value):
             why = f"{said} nothing: speeds are constant, or the encoder hides the acceleration; record acceleration"
+        elif quantity.name in pushed:
+            why = (
+                f"neither inertia nor friction takes a {axis.units.words('force')} that the record shows, so something "
+                "else than the motor made the motion (a hand, another drive); record motion that the motor makes"
+            )
         if why:
             warnings.append(f"{quantity.name} is not determined: {why}")
             estimates[quantity.name] = Estimate(quantity, None, None, reliability=told)
             continue
-        if half > abs(fit.value[i]) and quantity.name != "constant_force":
+        if half > abs(value) and quantity.name not in MAY_BE_ZERO:
             warnings.append(f"{quantity.name}: its 95 % interval reaches zero; the record hardly determines it")
         estimates[quantity.name] = Estimate(
             quantity=quantity,
-            value=float(fit.value[i]),
+            value=value,
             std=float(fit.std[i]),
-            std_long_run=std,
-            interval_95=_around(fit.value[i], half),
+            std_long_run=float(std[i]),
+            interval_95=_around(value, half),
             std_hac=float(hac[i]),
-            systematic=None if errors.systematic is None else bias,
-            encoder=None if errors.encoder is None else stepped,
-            cutoff=None if errors.cutoff is None else moved,
+            systematic=None if errors.systematic is None else float(bias[i]),
+            encoder=None if errors.encoder is None else float(steps[i]),
+            cutoff=None if errors.cutoff is None else float(moved[i]),
             reliability=told,
         )
-    values = {name: one.value for name, one in estimates.items() if one.value is not None}
-    warnings = [*record.warnings, *notes, *implausible(values, axis), *warnings]
+    found = {name: one.value for name, one in estimates.items() if one.value is not None}
+    if POWER.name in problem.names:
+        found.pop("viscous", None)  # of another unit than what the axis has
+    warnings = [*record.warnings, *notes, *implausible(found, axis), *warnings]
     return Identification(
         record=record.name,
         sha256=record.sha256,
-        model=problem.model,
+        fitted=problem.model,
         estimator=estimator,
         chain=filtered.chain,
         filter_text=filtered.text,
@@ -138,6 +156,16 @@ def assemble(
             **(extra or {}),
         },
     )
+
+
+def _moved_by_another(names: Sequence[str], values: np.ndarray, halves: np.ndarray) -> tuple[str, ...]:
+    """Mass and friction where none of them is shown to be more than nothing, beside halves of intervals (p,).
+
+    A motor that moves an axis accelerates it or works against friction. All of them less than nothing are a sign.
+    """
+    own = [i for i, name in enumerate(names) if name == "mass" or name in FRICTION]
+    low, high = values[own] - halves[own], values[own] + halves[own]
+    return tuple(names[i] for i in own) if np.all(low <= 0.0) and np.any(high >= 0.0) else ()
 
 
 def _around(value: float, half: float) -> tuple[float, float]:

@@ -13,16 +13,11 @@ from emps_design.identification.assemble import Errors, assemble, residual_stati
 from emps_design.identification.chains import DEFAULT_CHAIN, LONG
 from emps_design.identification.cutoff import acceleration_noise, chosen_cutoff, explained_by_frequency, first_part
 from emps_design.identification.excitation import REFUSE, check_record, force_free, goes_one_way
-from emps_design.identification.inverse_model import (
-    LUMP,
-    ONE_WAY,
-    LeastSquares,
-    least_squares,
-    parameters_of,
-    relative_error,
-)
+from emps_design.identification.inverse_model import LeastSquares, least_squares, relative_error
 from emps_design.identification.known import acting, known_part, notes
+from emps_design.identification.model import LUMP, ONE_WAY, Model
 from emps_design.identification.problem import Problem
+from emps_design.identification.proposals import proposed_terms
 from emps_design.identification.request import Request
 from emps_design.identification.result import Estimate, Identification
 from emps_design.identification.sensitivity import CutoffSensitivity, Estimated, cutoff_sensitivity
@@ -34,17 +29,22 @@ MOST_NOISE = 0.5  # of a column's own power, that is taken for the encoder's noi
 def identify_by_least_squares(record: Record, axis: Axis, request: Request) -> Identification:
     """Identify ``axis`` from ``record`` by least squares; options and errors are those of :func:`.identify`."""
     axis = axis.supplied_by(record)
-    model = ONE_WAY if request.model == "symmetric" and goes_one_way(record) else request.model
-    record = check_record(record, axis, request.external_force, one_way=model == ONE_WAY)
-    axis = known_part(axis, request.model)
-    said, chosen = notes(axis), chosen_cutoff(acting(record, axis))
+    friction = ONE_WAY if request.model == "symmetric" and goes_one_way(record) else request.model
+    record = check_record(record, axis, request.external_force, one_way=friction == ONE_WAY)
     hold = request.filter == DEFAULT_CHAIN
+    asked = request.terms
+    axis = known_part(axis, Model(request.model, asked or ()))
+    said, chosen = notes(axis), chosen_cutoff(acting(record, axis))
     cutoff = chosen if hold and request.cutoff is None else request.cutoff
+    proposed: tuple[str, ...] = ()
+    if asked is None and hold:
+        proposed = proposed_terms(record, axis, friction, cutoff or chosen)
+    model = Model(friction, proposed if asked is None else asked)
     problem = Problem.of(record, axis, model, request.filter, cutoff)
     fit = problem.solved()
     extra: dict[str, Any] = {
         "held_out": _held_out(problem, fit, request),
-        "cutoff_from_data": explained_by_frequency(acting(record, axis), chosen),
+        "cutoff_from_data": explained_by_frequency(acting(record, axis), chosen, problem.model),
     }
     if hold:
         errors = Errors(encoder=_encoder(problem, fit), cutoff=_cutoff(problem, fit))
@@ -58,24 +58,24 @@ def identify_by_least_squares(record: Record, axis: Axis, request: Request) -> I
     found = assemble(problem, fit, "least_squares", errors=errors, notes=said, extra=extra)
     if request.bootstrap:
         found = with_bootstrap(found, problem, fit, request.bootstrap, request.seed)
-    return found if model == request.model else _one_way(found, request.model)
+    found = replace(found, proposed=proposed)
+    return found if friction == request.model else _one_way(found, request.model)
 
 
 def _one_way(found: Identification, model: str) -> Identification:
     """``found`` with the parameters of ``model`` that motion one way does not tell apart, not determined."""
-    told = dict(found.parameters)
-    for written in parameters_of(model):
+    whole, told = replace(found.fitted, friction=model), dict(found.parameters)
+    for written in whole.quantities:
         if written.name not in told:
             units = found.axis.units
             quantity = replace(written, unit=units.unit(written.unit), text=units.words(written.text))
             told[written.name] = Estimate(quantity, None, None)
-    names = [quantity.name for quantity in parameters_of(model)]
     said = (
         "coulomb, constant_force are not determined: the motion goes one way only, where both are one force, "
         f"{LUMP.name}; record the other way too and give both records"
     )
-    parameters = {name: told[name] for name in (*names, LUMP.name)}
-    return replace(found, model=model, parameters=parameters, warnings=(*found.warnings, said))
+    parameters = {name: told[name] for name in (*whole.names, LUMP.name)}
+    return replace(found, fitted=whole, parameters=parameters, warnings=(*found.warnings, said))
 
 
 def _encoder(problem: Problem, fit: LeastSquares) -> np.ndarray | None:
@@ -112,7 +112,7 @@ def _estimated(problem: Problem, fit: LeastSquares) -> Estimated:
     noise = acceleration_noise(problem.record, problem.filtered.band_hz) * int(problem.used.sum())
     square[0, 0] -= min(noise, MOST_NOISE * own)
     without = np.linalg.solve(square, problem.W.T @ problem.Y)
-    return Estimated(fit.value, residual_statistics(problem, fit)[0].std, without - fit.value)
+    return Estimated(problem.told(fit.value), residual_statistics(problem, fit)[0].std, without - fit.value)
 
 
 def _against_hold(
@@ -130,7 +130,7 @@ def _against_hold(
         better = assemble(judge, judge.solved(), "least_squares")
     except (RecordError, RankError):
         return None, None
-    return better, fit.value - better.values()
+    return better, fit.value - judge.model.solution(dict(zip(judge.names, better.values(), strict=True)))
 
 
 def _held_out(problem: Problem, fit: LeastSquares, request: Request) -> dict[str, Any] | None:
@@ -150,8 +150,8 @@ def _held_out(problem: Problem, fit: LeastSquares, request: Request) -> dict[str
 def held_out_on(found: Identification, holdout: Record, external_force: str = REFUSE) -> dict[str, Any]:
     """Force error on ``holdout`` of the parameters ``found``, by the inverse model and the filter they came from."""
     record = force_free(holdout, found.axis, external_force)
-    other = Problem.of(record, found.axis, found.model, found.chain, found.cutoff_hz)
-    return _judged(holdout.name, other.Y - other.W @ found.values(), other.Y, other.used)
+    other = Problem.of(record, found.axis, found.fitted, found.chain, found.cutoff_hz)
+    return _judged(holdout.name, other.Y - other.W @ found.solution(), other.Y, other.used)
 
 
 def _judged(on: str, error: np.ndarray, force: np.ndarray, used: np.ndarray) -> dict[str, Any]:

@@ -17,6 +17,7 @@ import numpy as np
 
 from emps_design.identification.filters import held, low_pass, motion
 from emps_design.identification.inverse_model import baseline_columns
+from emps_design.identification.model import Model
 from emps_design.identification.rests import HIGHEST, at_rest, away_from, encoder_variance, known
 from emps_design.records import Record
 
@@ -129,8 +130,8 @@ def acceleration_noise(record: Record, cutoff_hz: float) -> float:
     return 2.0 * encoder_variance(record) * record.period * (2.0 * np.pi) ** 4 * cutoff_hz**5 / 5.0
 
 
-def explained_by_frequency(record: Record, cutoff_hz: float) -> dict[str, Any]:
-    """What share of the force's power the inverse model explains, in bands of a third of an octave; for reading.
+def explained_by_frequency(record: Record, cutoff_hz: float, model: Model) -> dict[str, Any]:
+    """What share of the force's power the inverse ``model`` explains, in bands of a third of an octave; for reading.
 
     With the parameters that ``cutoff_hz`` [Hz] gives; the choice and its rule stand beside the curve.
     """
@@ -139,7 +140,8 @@ def explained_by_frequency(record: Record, cutoff_hz: float) -> dict[str, Any]:
     part, lowest, top = _looked_at(record)
 
     def balance(frequency: float) -> tuple[np.ndarray, np.ndarray]:
-        return baseline_columns(motion(part, frequency)), low_pass(held(part.u), frequency, part.period)
+        W = np.column_stack(list(model.columns(motion(part, frequency))))
+        return W, low_pass(held(part.u), frequency, part.period)
 
     W, force = balance(cutoff_hz)
     rows = away_from(at_rest(part), cutoff_hz, part.period)

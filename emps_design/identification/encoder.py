@@ -14,6 +14,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.errors import EmpsError
 from emps_design.identification.closed_loop import simulate
+from emps_design.identification.model import Model
 from emps_design.laws import NONE
 from emps_design.records import Record
 
@@ -22,7 +23,7 @@ STRIDE = 3  # of the phases, from one run to the next: where within a step the a
 
 
 def error_of_steps(
-    record: Record, axis: Axis, model: str, value: np.ndarray, estimate: Callable[[Record, Record], np.ndarray]
+    record: Record, axis: Axis, model: Model, value: np.ndarray, estimate: Callable[[Record, Record], np.ndarray]
 ) -> np.ndarray | None:
     """Rms (p,) by which the steps of the encoder move ``estimate``, over several of their phases.
 
@@ -46,7 +47,7 @@ def error_of_steps(
 
 
 def _as_record(
-    record: Record, axis: Axis, model: str, value: np.ndarray, moved: float = 0.0, stood: float | None = None
+    record: Record, axis: Axis, model: Model, value: np.ndarray, moved: float = 0.0, stood: float | None = None
 ) -> Record:
     """``record`` as the axis with ``value`` would have made it, by an exact encoder without ``stood``.
 

@@ -16,10 +16,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.effects.terms import GRAVITY
 from emps_design.errors import EmpsError
 from emps_design.identification.by_least_squares import held_out_on, identify_by_least_squares
 from emps_design.identification.chains import DEFAULT_CHAIN, LONG
 from emps_design.identification.excitation import WEAK_RELIABILITY, goes_one_way
+from emps_design.identification.model import Model
+from emps_design.identification.proposals import proposed_for
 from emps_design.identification.request import (
     AUTO,
     BY_INSTRUMENTS,
@@ -36,6 +39,7 @@ if TYPE_CHECKING:
 
     from emps_design.identification.request import More
 
+WEIGHT = f"{GRAVITY}: on an axis that moves along a line a weight is the constant_force, which is always identified"
 UNTESTED = "whether least squares is biased was not tested"
 
 
@@ -62,7 +66,10 @@ def identify(
 
     ``more``: ``external_force`` "known" lets a measured external force take part as in (21), "refuse" (default) does
     not; ``holdout`` is a record on which the fit is judged, without it the last third with parameters from the rest;
-    ``bootstrap`` redraws the noise that often, from ``seed``, and is one of ``ls``. The intervals hold what half and
+    ``bootstrap`` redraws the noise that often, from ``seed``, and is one of ``ls``; ``with_`` names terms beside the
+    friction model, "gravity" (a weight on an axis that turns), "asymmetric-viscous" (viscous friction by direction) and
+    "bent-viscous" (``viscous |v|^viscous_exponent``), as a list or with commas between them, or forbids them ("none"):
+    without it ("auto") those that strokes which take no part in the fit ask for. The intervals hold what half and
     twice the cut-off, the steps of the encoder and structure in the residual do. What cannot be, is far from ``axis``,
     or is left unexplained is a warning. Raises :class:`InputError` for options that do not go together,
     :class:`RecordError` for a record that cannot identify, :class:`RankError` for columns it cannot tell apart,
@@ -79,7 +86,16 @@ def identify(
         from emps_design.machines import machine
 
         axis = machine("emps2019")
-    estimate = BY[estimator]
+    weight = "" if axis.units.rotary or GRAVITY not in (request.terms or ()) else WEIGHT
+    if weight:
+        request = replace(request, with_=[one for one in request.terms or () if one != GRAVITY])
+    found = _identified(record, axis, request)
+    return replace(found, warnings=(*found.warnings, weight)) if weight else found
+
+
+def _identified(record: Record, axis: Axis, request: Request) -> Identification:
+    """By the estimator that is asked for, with the law that is in the record where the axis has none."""
+    estimate = BY[request.estimator]
     if not request.simulates or axis.controller.kind != NONE or not record.has_reference or len(record) > LONG:
         return estimate(record, axis, request)
     from emps_design.identification.own_law import with_own_law
@@ -106,7 +122,7 @@ def _auto(record: Record, axis: Axis, request: Request) -> Identification:
     from emps_design.identification.instruments import WEAK_INSTRUMENT, solve_with_instruments
 
     try:
-        fit = solve_with_instruments(record, axis, request.model, request.cutoff, request.external_force)
+        fit = solve_with_instruments(record, axis, plain.fitted, request.cutoff, request.external_force)
         untold = [name for name, one in plain.parameters.items() if _by_noise(one, WEAK_RELIABILITY)]
         led = fit.identification() if untold or fit.test.matters else None
     except (EmpsError, np.linalg.LinAlgError) as error:  # no simulation with this controller follows the record
@@ -114,7 +130,7 @@ def _auto(record: Record, axis: Axis, request: Request) -> Identification:
     hidden = [name for name in untold if _by_noise(plain.parameters[name], WEAK_INSTRUMENT)]
     tried = None if led is None else _where_noise_hides(record, axis, request, hidden, led)
     if tried is not None:
-        return _judged(tried, request)
+        return replace(_judged(tried, request), proposed=plain.proposed)
     told = {} if led is None else {name: one.determined for name, one in led.parameters.items()}
     if (
         led is None
@@ -122,20 +138,31 @@ def _auto(record: Record, axis: Axis, request: Request) -> Identification:
         or any(one.determined and not told[name] for name, one in plain.parameters.items())
     ):
         return replace(plain, extra=plain.extra | {"hausman_test": fit.test.to_dict()})
-    return _judged(replace(led, warnings=(*led.warnings, *_weakly_led(led))), request)
+    led = replace(led, warnings=(*led.warnings, *_weakly_led(led)), proposed=plain.proposed)
+    return _judged(led, request)
 
 
 # Imported in the functions: beside a long record's regression the modules of a simulation are a tenth of its memory.
 def _by_instruments(record: Record, axis: Axis, request: Request) -> Identification:
     from emps_design.identification.instruments import identify_with_instruments
 
-    return identify_with_instruments(record, axis, request.model, request.cutoff, request.external_force)
+    return _simulated(identify_with_instruments, record, axis, request)
 
 
 def _by_output_error(record: Record, axis: Axis, request: Request) -> Identification:
     from emps_design.identification.output_error import identify_by_output_error
 
-    return identify_by_output_error(record, axis, request.model, request.cutoff, request.external_force)
+    return _simulated(identify_by_output_error, record, axis, request)
+
+
+def _simulated(estimate: Callable[..., Identification], record: Record, axis: Axis, request: Request) -> Identification:
+    """By an ``estimate`` that simulates the record, with the terms that were asked for or that the record proposes."""
+    if request.terms is not None:
+        model = Model(request.model, request.terms)
+        return estimate(record, axis, model, request.cutoff, request.external_force)
+    proposed = proposed_for(record, axis, request)
+    found = estimate(record, axis, Model(request.model, proposed), request.cutoff, request.external_force)
+    return replace(found, proposed=proposed)
 
 
 BY: dict[str, Callable[[Record, Axis, Request], Identification]] = {
@@ -161,7 +188,7 @@ def _where_noise_hides(
     if not hidden:
         return None
     try:
-        found = _by_output_error(record, axis, request)
+        found = _by_output_error(record, axis, replace(request, with_=led.fitted.terms))
     except EmpsError:
         return None
     ends = {name: one.interval_95 for name, one in found.parameters.items() if one.interval_95 is not None}

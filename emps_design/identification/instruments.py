@@ -22,6 +22,7 @@ from emps_design.identification.encoder import error_of_steps
 from emps_design.identification.excitation import REFUSE, check_record
 from emps_design.identification.inverse_model import LeastSquares, least_squares, regression
 from emps_design.identification.known import known_part, notes
+from emps_design.identification.model import Model
 from emps_design.identification.problem import Problem
 from emps_design.identification.result import Identification
 from emps_design.identification.sensitivity import Estimated, cutoff_sensitivity
@@ -97,15 +98,15 @@ class InstrumentalFit:
             other = Problem.of(record, axis, model, cutoff=frequency)
             columns = _columns(self.led, other)
             found = _solved(columns, other)
-            return Estimated(found.value, residual_statistics(other, found, columns)[0].std)
+            return Estimated(other.told(found.value), residual_statistics(other, found, columns)[0].std)
 
-        own = Estimated(fit.value, residual_statistics(problem, fit, Z)[0].std)
+        own = Estimated(problem.told(fit.value), residual_statistics(problem, fit, Z)[0].std)
         errors = Errors(
             encoder=error_of_steps(first_part(record), axis, model, fit.value, of_steps),
             cutoff=cutoff_sensitivity(problem.names, own, problem.filtered.band_hz, record.period, at),
         )
         extra = {
-            "least_squares": dict(zip(problem.names, map(float, self.start.value), strict=True)),
+            "least_squares": problem.model.natural(self.start.value),
             "hausman_test": self.test.to_dict(),
         }
         return assemble(problem, fit, "instrumental_variables", Z, errors, notes(axis), extra, WEAK_INSTRUMENT)
@@ -114,7 +115,7 @@ class InstrumentalFit:
 def identify_with_instruments(
     record: Record,
     axis: Axis,
-    model: str = "symmetric",
+    model: str | Model = "symmetric",
     cutoff: float | None = None,
     external_force: str = REFUSE,
 ) -> Identification:
@@ -134,7 +135,7 @@ def identify_with_instruments(
 
 
 def solve_with_instruments(
-    record: Record, axis: Axis, model: str, cutoff: float | None, external_force: str
+    record: Record, axis: Axis, model: str | Model, cutoff: float | None, external_force: str
 ) -> InstrumentalFit:
     """Iterate simulation and instruments until they settle; arguments as of :func:`identify_with_instruments`."""
     if axis.controller.kind == NONE:
@@ -143,7 +144,7 @@ def solve_with_instruments(
     record = check_record(record, axis, external_force)
     axis = known_part(axis, model)
     problem = Problem.of(record, axis, model, cutoff=cutoff)
-    start = problem.solved()
+    model, start = problem.model, problem.solved()
     spread, _ = residual_statistics(problem, start)
     value, fit, Z, led = start.value, start, problem.W, record
     for _ in range(ITERATIONS):
@@ -158,7 +159,7 @@ def solve_with_instruments(
     return InstrumentalFit(problem, start, fit, Z, led, test)
 
 
-def _led(record: Record, axis: Axis, model: str, value: np.ndarray) -> Record:
+def _led(record: Record, axis: Axis, model: Model, value: np.ndarray) -> Record:
     """The record that the axis with parameters ``value`` (p,) makes of the reference alone."""
     run = simulate(record, axis, model, value)
     return replace(record, q=run.position, u=run.u)

@@ -6,96 +6,19 @@ velocity (asymmetric). Columns are built at the record's rate and then brought t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from emps_design.effects import Motion
-from emps_design.errors import InputError, RankError, nearest_name
+from emps_design.errors import InputError, RankError
 from emps_design.identification.filtered import Filtered
 from emps_design.identification.filters import BLOCK
-from emps_design.quantities import Quantity
-
-MODELS: dict[str, tuple[Quantity, ...]] = {
-    "symmetric": (
-        Quantity("mass", "M", "kg", text="load-side equivalent mass"),
-        Quantity("viscous", "F_v", "N/(m/s)", text="viscous friction"),
-        Quantity("coulomb", "F_c", "N", text="Coulomb friction"),
-        Quantity("constant_force", "F_0", "N", text="constant force"),
-    ),
-    "asymmetric": (
-        Quantity("mass", "M", "kg", text="load-side equivalent mass"),
-        Quantity("viscous_positive", "F_v^+", "N/(m/s)", text="viscous friction, velocity > 0"),
-        Quantity("viscous_negative", "F_v^-", "N/(m/s)", text="viscous friction, velocity < 0"),
-        Quantity("coulomb_positive", "F_c^+", "N", text="Coulomb friction, velocity > 0"),
-        Quantity("coulomb_negative", "F_c^-", "N", text="Coulomb friction, velocity < 0"),
-    ),
-}
-# What a record that goes one way tells of the symmetric model: what opposes the motion whatever its speed is one force.
-ONE_WAY, LUMP = "one way", Quantity("coulomb_and_offset", "F_c0", "N", text="Coulomb friction and constant force")
+from emps_design.identification.model import Model
 
 # Columns of unit length whose smallest singular value is below this share of the largest cannot be told apart.
 RANK_TOLERANCE = 1e-7
 NO_FORCE = 1e-6  # of the residual: what a filter lets ring on of a motor that was switched off
-
-
-def parameters_of(model: str) -> tuple[Quantity, ...]:
-    """The parameters of ``model``; :class:`InputError` names the nearest model otherwise."""
-    if model == ONE_WAY:
-        return (*MODELS["symmetric"][:2], LUMP)
-    if model not in MODELS:
-        raise InputError(f"model: found {model!r}, expected {' or '.join(MODELS)}{nearest_name(model, list(MODELS))}")
-    return MODELS[model]
-
-
-def column(motion: Motion, name: str) -> np.ndarray:
-    """Column of the regressor that parameter ``name`` multiplies, shape (n,) [N per unit of the parameter].
-
-    >>> motion = Motion(*(np.array(x) for x in ([0.0, 1.0], [0.0, 0.0], [2.0, -3.0], [5.0, 7.0], [0.0, 0.0])), 1.0)
-    >>> [column(motion, p.name).tolist() for p in MODELS["asymmetric"]][1:3]
-    [[2.0, 0.0], [0.0, -3.0]]
-    """
-    v = motion.v
-    if name == "mass":
-        return motion.a
-    if name == "viscous":
-        return v
-    if name == "viscous_positive":
-        return np.where(v > 0, v, 0.0)
-    if name == "viscous_negative":
-        return np.where(v < 0, v, 0.0)
-    # Signs take a byte each: beside the columns of a long record they are nothing.
-    if name in ("coulomb", LUMP.name):
-        return motion.smooth(np.sign(v).astype(np.int8))
-    if name == "coulomb_positive":
-        return motion.smooth((v > 0).astype(np.int8))
-    if name == "coulomb_negative":
-        return motion.smooth(-(v < 0).astype(np.int8))
-    if name == "constant_force":
-        return np.broadcast_to(1.0, len(v))
-    raise InputError(f"column: found {name!r}, expected a parameter of {' or '.join(MODELS)}")
-
-
-def baseline_of(model: str, p: Mapping[str, float]) -> np.ndarray:
-    """Mass, viscous, coulomb and constant force of the parameters ``p`` of ``model``: the means of two quadrants.
-
-    >>> two = {"viscous_positive": 5.0, "viscous_negative": 3.0, "coulomb_positive": 8.0, "coulomb_negative": 6.0}
-    >>> baseline_of("asymmetric", {"mass": 2.0, **two}).tolist()
-    [2.0, 4.0, 7.0, 1.0]
-    """
-    if model == ONE_WAY:
-        return np.array([p["mass"], p["viscous"], p[LUMP.name], 0.0])
-    if model == "symmetric":
-        return np.array([p[quantity.name] for quantity in MODELS[model]])
-    return np.array(
-        [
-            p["mass"],
-            0.5 * (p["viscous_positive"] + p["viscous_negative"]),
-            0.5 * (p["coulomb_positive"] + p["coulomb_negative"]),
-            0.5 * (p["coulomb_positive"] - p["coulomb_negative"]),
-        ]
-    )
 
 
 def baseline_columns(motion: Motion) -> np.ndarray:
@@ -105,7 +28,7 @@ def baseline_columns(motion: Motion) -> np.ndarray:
     >>> baseline_columns(still)[0].tolist()
     [0.0, 0.0, 0.0, 1.0]
     """
-    return np.column_stack([column(motion, p.name) for p in MODELS["symmetric"]])
+    return np.column_stack(list(Model().columns(motion)))
 
 
 def with_predicted_force(motion: Motion, baseline: np.ndarray) -> Motion:
@@ -113,16 +36,17 @@ def with_predicted_force(motion: Motion, baseline: np.ndarray) -> Motion:
     return replace(motion, tau=baseline_columns(motion) @ np.asarray(baseline, dtype=float))
 
 
-def regression(filtered: Filtered, model: str) -> tuple[np.ndarray, np.ndarray]:
+def regression(filtered: Filtered, model: str | Model) -> tuple[np.ndarray, np.ndarray]:
     """W (n, p) and Y (n,) of (5) at the regression's rate; Y holds the external force where one was measured (21).
 
     Rows that take no part (``filtered.used``) are zero, so that the rest keep their distance in time.
     """
-    quantities = parameters_of(model)
+    model = Model.of(model)
     # By columns: a long record's memory is taken when a column is written.
-    W = np.empty((len(filtered.used), len(quantities)), order="F")
-    for i, quantity in enumerate(quantities):
-        np.multiply(filtered.reduce(column(filtered.motion, quantity.name)), filtered.used, out=W[:, i])
+    W = np.empty((len(filtered.used), len(model.names)), order="F")
+    for i, column in enumerate(model.columns(filtered.motion)):
+        np.multiply(filtered.reduce(column), filtered.used, out=W[:, i])
+        del column  # before the next one is made
     force = filtered.force if filtered.f_ext is None else filtered.force + filtered.f_ext
     return W, force * filtered.used
 

@@ -14,31 +14,39 @@ from emps_design.errors import InputError, nearest_name
 from emps_design.identification.chains import CHAINS
 from emps_design.identification.filtered import Filtered
 from emps_design.identification.inverse_model import with_predicted_force
+from emps_design.identification.model import Model
 from emps_design.observer import acting_voltage, effects_force, left_out, motor_share, sampled_with
 from emps_design.records import Record
 
 
-def known_part(axis: Axis, model: str) -> Axis:
+def known_part(axis: Axis, model: str | Model) -> Axis:
     """The axis without the effects that ``model`` identifies itself.
 
     >>> from emps_design.machines import machine
     >>> [len(known_part(machine("emps2018-two-quadrant"), model).effects) for model in ("symmetric", "asymmetric")]
     [1, 0]
     """
-    return axis.replace(effects=[one for one in axis.effects if model not in one.effect.identified_by])
+    own = _parts(model)
+    return axis.replace(effects=[one for one in axis.effects if not own.intersection(one.effect.identified_by)])
 
 
-def identified_effects(model: str, p: Mapping[str, float]) -> list[dict[str, Any]]:
+def identified_effects(model: str | Model, p: Mapping[str, float]) -> list[dict[str, Any]]:
     """The effects that the parameters ``p`` of ``model`` describe, as tables of an axis.
 
     >>> identified_effects("asymmetric", {"viscous_positive": 5.0, "viscous_negative": 3.0})
     [{'kind': 'asymmetric_viscous_friction', 'viscous_difference': 1.0}]
     """
     return [
-        {"kind": effect.name, **effect.identified_by[model](p)}
+        {"kind": effect.name, **effect.identified_by[part](p)}
         for effect in known_effects().values()
-        if model in effect.identified_by
+        for part in effect.identified_by
+        if part in _parts(model)
     ]
+
+
+def _parts(model: str | Model) -> set[str]:
+    model = Model.of(model)
+    return {model.friction, *model.terms}
 
 
 def acting(record: Record, axis: Axis) -> Record:

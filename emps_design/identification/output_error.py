@@ -24,7 +24,8 @@ from emps_design.identification.excitation import REFUSE, check_record
 from emps_design.identification.filters import low_pass
 from emps_design.identification.inverse_model import LeastSquares, least_squares, regression
 from emps_design.identification.known import acting, known_part, notes
-from emps_design.identification.problem import Problem
+from emps_design.identification.model import Model
+from emps_design.identification.problem import Problem, settled
 from emps_design.identification.result import Identification
 from emps_design.identification.sensitivity import Estimated, cutoff_sensitivity
 from emps_design.laws import NONE
@@ -43,7 +44,7 @@ RESTS_TAKE_PART = (
 def identify_by_output_error(
     record: Record,
     axis: Axis,
-    model: str = "symmetric",
+    model: str | Model = "symmetric",
     cutoff: float | None = None,
     external_force: str = REFUSE,
 ) -> Identification:
@@ -64,10 +65,12 @@ def identify_by_output_error(
         raise AxisError(f"{axis.name}: output error needs the controller of the record; give [controller] in the axis")
     axis = axis.supplied_by(record)
     record = check_record(record, axis, external_force)
+    model = Model.of(model)
     axis = known_part(axis, model)
     if cutoff is None:
         cutoff = chosen_cutoff(acting(record, axis))
     problem, start, said = _problem(record, axis, model, cutoff)
+    model = problem.model
     measured = motor_force(axis, record)
 
     def force_error(parameters: np.ndarray) -> np.ndarray:
@@ -76,7 +79,7 @@ def identify_by_output_error(
     def filtered_error(parameters: np.ndarray) -> np.ndarray:
         return _rows(force_error(parameters), problem)
 
-    value, residual, jacobian = _least(filtered_error, start, 3 if model == "symmetric" else 5, record.name)
+    value, residual, jacobian = _least(filtered_error, start, model, record.name)
     problem, fit = _linear(problem, jacobian, residual, value)
     off = low_pass(record.q - simulate(record, axis, model, value).position, cutoff, record.period)
     edge = _edge(problem)
@@ -93,7 +96,7 @@ def identify_by_output_error(
         return least_squares(jacobian, off, problem.names, problem.used).value
 
     error = force_error(value)
-    slopes = _jacobian(force_error, value, error).T
+    slopes = _jacobian(force_error, value, error, model).T
 
     def at(frequency: float) -> Estimated:
         """One step of Gauss and Newton from the estimate, with error and derivatives filtered otherwise."""
@@ -101,9 +104,9 @@ def identify_by_output_error(
         columns, left = np.column_stack([_rows(one, other) for one in slopes]), _rows(error, other)
         step = least_squares(columns, left, other.names, other.used)
         linear, found = _linear(other, columns, step.residual, value + step.value)
-        return Estimated(found.value, residual_statistics(linear, found)[0].std)
+        return Estimated(other.told(found.value), residual_statistics(linear, found)[0].std)
 
-    own = Estimated(value, residual_statistics(problem, fit)[0].std)
+    own = Estimated(problem.told(value), residual_statistics(problem, fit)[0].std)
     errors = Errors(
         encoder=error_of_steps(record, axis, model, value, of_steps),
         cutoff=cutoff_sensitivity(problem.names, own, cutoff, record.period, at),
@@ -112,7 +115,7 @@ def identify_by_output_error(
     return replace(found, series={**found.series, "measured": problem.Y, "model": problem.Y - residual})
 
 
-def _problem(record: Record, axis: Axis, model: str, cutoff: float) -> tuple[Problem, np.ndarray, list[str]]:
+def _problem(record: Record, axis: Axis, model: Model, cutoff: float) -> tuple[Problem, np.ndarray, list[str]]:
     """The regression at this ``cutoff`` [Hz], where its least squares start the search (p,), and notes on both.
 
     With rests, and from the mechanics of the ``axis``, where too little of the record is away from rest.
@@ -124,6 +127,7 @@ def _problem(record: Record, axis: Axis, model: str, cutoff: float) -> tuple[Pro
     except (RecordError, RankError):
         filtered = hold_chain(record, axis.drive.gain, cutoff, fewest_rows=0)
         filtered = replace(filtered, used=np.ones_like(filtered.used))
+        model = settled(filtered, model)
         W, Y = regression(filtered, model)
         return Problem(record, axis, model, filtered, W, Y), _mechanics(axis, model), [*said, RESTS_TAKE_PART]
 
@@ -149,29 +153,27 @@ def _rows(force: np.ndarray, problem: Problem) -> np.ndarray:
     return problem.filtered.reduce(smooth) * problem.used
 
 
-def _mechanics(axis: Axis, model: str) -> np.ndarray:
-    """What the axis file says of the parameters of ``model``."""
-    mass, viscous, coulomb, offset = axis.mechanics.array()
-    if model == "symmetric":
-        return axis.mechanics.array()
-    return np.array([mass, viscous, viscous, coulomb + offset, coulomb - offset])
+def _mechanics(axis: Axis, model: Model) -> np.ndarray:
+    """What the axis file says of the parameters of ``model``, and of the terms beside it what is known of them."""
+    mass, viscous, coulomb, offset = axis.mechanics.array().tolist()
+    two = {f"viscous_{way}": viscous for way in ("positive", "negative")}
+    two |= {"coulomb_positive": coulomb + offset, "coulomb_negative": coulomb - offset}
+    own = {"mass": mass, "viscous": viscous, "coulomb": coulomb, "constant_force": offset, **two}
+    return model.solution({name: model.point.get(name, own.get(name, 0.0)) for name in model.names})
 
 
 def _least(
-    error: Callable[[np.ndarray], np.ndarray], value: np.ndarray, positive: int, name: str
+    error: Callable[[np.ndarray], np.ndarray], value: np.ndarray, model: Model, name: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Parameters (p,) with the least sum of squares, their error (n,) and its derivative (n, p).
-
-    The first ``positive`` of them stay so.
-    """
+    """Parameters (p,) with the least sum of squares, possible ones, their error (n,) and its derivative (n, p)."""
     residual = error(value)
     best = float(residual @ residual)
-    jacobian = _jacobian(error, value, residual)
+    jacobian = _jacobian(error, value, residual, model)
     for _ in range(ITERATIONS):
         step = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
         for share in (1.0, 0.5, 0.25, 0.1):
             trial = value + share * step
-            if np.any(trial[:positive] <= 0):
+            if not model.possible(trial):
                 continue
             attempt = error(trial)
             criterion = float(attempt @ attempt)
@@ -180,17 +182,20 @@ def _least(
         else:
             return value, residual, jacobian
         fall, value, residual, best = (best - criterion) / best, trial, attempt, criterion
-        jacobian = _jacobian(error, value, residual)
+        jacobian = _jacobian(error, value, residual, model)
         if fall < CONVERGED:
             return value, residual, jacobian
     raise InputError(f"{name}: output error did not converge in {ITERATIONS} steps; give a lower `cutoff`")
 
 
-def _jacobian(error: Callable[[np.ndarray], np.ndarray], value: np.ndarray, residual: np.ndarray) -> np.ndarray:
+def _jacobian(
+    error: Callable[[np.ndarray], np.ndarray], value: np.ndarray, residual: np.ndarray, model: Model
+) -> np.ndarray:
     """What the simulated force changes by with each parameter, shape (n, p)."""
     columns = []
-    for i, one in enumerate(value):
+    sizes = np.where(model.curved, 1.0, np.maximum(np.abs(value), STEP))  # an angle or a power may differ by nothing
+    for i, size in enumerate(sizes.tolist()):
         moved = value.copy()
-        moved[i] += STEP * max(abs(one), STEP)
-        columns.append((residual - error(moved)) / (moved[i] - one))
+        moved[i] += STEP * size
+        columns.append((residual - error(moved)) / (moved[i] - value[i]))
     return np.stack(columns, axis=-1)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypedDict
 
+from emps_design.effects.terms import TERMS
 from emps_design.errors import InputError, nearest_name
 from emps_design.identification.chains import DEFAULT_CHAIN
 from emps_design.identification.excitation import KNOWN, REFUSE
-from emps_design.identification.inverse_model import parameters_of
 from emps_design.identification.known import check_chain
+from emps_design.identification.model import parameters_of
 from emps_design.records import Record
 
 AUTO, BY_LEAST_SQUARES, BY_INSTRUMENTS, BY_OUTPUT_ERROR = "auto", "ls", "iv", "oe"
+NO_TERMS = "none"
 ESTIMATORS = (AUTO, BY_LEAST_SQUARES, BY_INSTRUMENTS, BY_OUTPUT_ERROR)
 
 
@@ -23,6 +26,7 @@ class More(TypedDict, total=False):
     holdout: Record | None
     bootstrap: int
     seed: int
+    with_: str | Sequence[str]
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,7 @@ class Request:
     holdout: Record | None = None
     bootstrap: int = 0
     seed: int = 0
+    with_: str | Sequence[str] = AUTO
 
     def __post_init__(self) -> None:
         parameters_of(self.model)
@@ -54,6 +59,13 @@ class Request:
             if found not in allowed:
                 expected = f"{', '.join(allowed[:-1])} or {allowed[-1]}"
                 raise InputError(f"{name}: found {found!r}, expected {expected}{nearest_name(found, list(allowed))}")
+        for term in self.terms or ():
+            if term not in TERMS:
+                known = [*TERMS, NO_TERMS]
+                expected = f"{', '.join(known[:-1])}, {NO_TERMS} alone, or {AUTO}"
+                raise InputError(f"`with_`: found {term!r}, expected {expected}{nearest_name(term, known)}")
+            if TERMS[term].symmetric and self.model == "asymmetric":
+                raise InputError(f"`with_`: {term} goes with `model='symmetric'`, found {self.model!r}")
         if self.estimator in (AUTO, BY_LEAST_SQUARES):
             return
         for name, given in (
@@ -66,6 +78,20 @@ class Request:
                     f"{name}: goes with `estimator='ls'`, found {self.estimator!r}, which filters as hold does and has "
                     "intervals of its own"
                 )
+
+    @property
+    def terms(self) -> tuple[str, ...] | None:
+        """The terms beside the friction model that were asked for, in the order of :data:`TERMS`; None: by the record.
+
+        >>> Request(with_="bent-viscous, gravity").terms, Request(with_="none").terms, Request().terms
+        (('gravity', 'bent-viscous'), (), None)
+        """
+        if self.with_ == AUTO:
+            return None
+        listed = self.with_.split(",") if isinstance(self.with_, str) else self.with_
+        asked = [one.strip() for one in listed if one.strip()]
+        asked = [] if asked == [NO_TERMS] else asked
+        return tuple(sorted(dict.fromkeys(asked), key=lambda one: [*TERMS, one].index(one)))
 
     @property
     def simulates(self) -> bool:

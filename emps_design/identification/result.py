@@ -9,8 +9,8 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import AxisError, InputError
-from emps_design.identification.inverse_model import baseline_of
 from emps_design.identification.known import identified_effects
+from emps_design.identification.model import Model
 from emps_design.identification.statistics import LongRun
 from emps_design.notebook import table
 from emps_design.quantities import Quantity
@@ -63,11 +63,15 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Identification:
-    """Parameters of one record with their deviations, and how they were found."""
+    """Parameters of one record with their deviations, and how they were found.
+
+    ``fitted`` is what was identified: the friction model and the terms beside it, of which ``proposed`` were asked for
+    by the record alone.
+    """
 
     record: str
     sha256: str
-    model: str
+    fitted: Model
     estimator: str
     chain: str
     filter_text: str
@@ -84,20 +88,30 @@ class Identification:
     period: float = field(repr=False)
     series: dict[str, np.ndarray] = field(repr=False, compare=False)
     extra: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+    proposed: tuple[str, ...] = ()
+
+    @property
+    def model(self) -> str:
+        """The friction model."""
+        return self.fitted.friction
 
     def values(self) -> np.ndarray:
         """The parameters in the order of the model, NaN where not determined."""
         return np.array([np.nan if e.value is None else e.value for e in self.parameters.values()])
 
+    def solution(self) -> np.ndarray:
+        """What the columns of :attr:`fitted` multiply, (p,), NaN where not determined."""
+        return self.fitted.solution(dict(zip(self.parameters, self.values().tolist(), strict=True)))
+
     def baseline(self) -> np.ndarray:
         """Mass, viscous, coulomb, offset, with an asymmetric model's means; raises where one is not determined."""
-        return baseline_of(self.model, self._determined("the axis"))
+        return self.fitted.baseline(self._determined("the axis"))
 
     def to_axis(self, name: str | None = None) -> Axis:
-        """The axis with the identified mechanics and its known effects; asymmetric viscous friction is one more."""
+        """The axis with the identified mechanics and its known effects; terms beside a straight friction are more."""
         mass, viscous, coulomb, offset = (float(f"{x:.10g}") for x in self.baseline())
         data = self.axis.to_dict()
-        found = identified_effects(self.model, self._determined("the axis"))
+        found = identified_effects(self.fitted, self._determined("the axis"))
         rounded = [{k: x if k == "kind" else float(f"{x:.10g}") for k, x in one.items()} for one in found]
         data["effects"] = [*rounded, *data.get("effects", [])]
         data["name"] = name or self.axis.name
@@ -119,6 +133,7 @@ class Identification:
             "axis": self.axis.name,
             "model": self.model,
             "estimator": self.estimator,
+            "proposed": list(self.proposed),
             "parameters": {name: estimate.to_dict() for name, estimate in self.parameters.items()},
             "rms_error": self.rms_error,
             "relative_error_percent": self.relative_error_percent,

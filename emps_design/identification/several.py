@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.effects.terms import TERMS
 from emps_design.errors import AxisError, InputError
 from emps_design.identification.identify import identify
-from emps_design.identification.inverse_model import parameters_of
 from emps_design.identification.request import AUTO, BY_INSTRUMENTS, BY_LEAST_SQUARES, BY_OUTPUT_ERROR
 from emps_design.identification.result import Identification
 from emps_design.progress import Progress
@@ -63,7 +63,7 @@ class SeveralIdentifications:
         from scipy.stats import linregress
 
         rows = []
-        for i, quantity in enumerate(parameters_of(self.model)):
+        for i, quantity in enumerate(self.identifications[0].fitted.quantities):
             column = self.values[:, i]
             found = [one.parameters[quantity.name].std_long_run for one in self.identifications]
             within = np.array(found, dtype=float)  # NaN where a record does not determine it
@@ -80,7 +80,8 @@ class SeveralIdentifications:
                     "std": float(np.mean(within)),
                     "drift": slope,
                     "drift_p_value": p_value,
-                    "drift_significant": p_value is not None and p_value < DRIFT_LEVEL / len(parameters_of(self.model)),
+                    "drift_significant": p_value is not None
+                    and p_value < DRIFT_LEVEL / len(self.identifications[0].parameters),
                     "values": column.tolist(),
                 }
             )
@@ -120,6 +121,7 @@ class SeveralIdentifications:
             "model": self.model,
             "estimator": self.estimator,
             "axis": self.axis.name,
+            "proposed": list(self.identifications[0].proposed),
             "parameters": {row.pop("name"): row for row in self.table()},
             "cross_validation": self.cross_validation.tolist(),
             "cross_validation_unit": self.axis.units.unit("N"),
@@ -135,8 +137,8 @@ def identify_several(
     """Identify each of ``records`` and judge every set of parameters on every record.
 
     ``options`` are those of :func:`.identify`; with the estimator ``auto`` all by the one that one of the records asks
-    for, so that they can be compared. Raises :class:`InputError` for fewer than two records, :class:`AxisError` where a
-    record does not determine a parameter.
+    for, and with the terms that any of them proposes, so that they can be compared. Raises :class:`InputError` for
+    fewer than two records, :class:`AxisError` where a record does not determine a parameter.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
@@ -163,13 +165,19 @@ def identify_several(
         # What each is judged by is the inverse model, whatever the estimator: output error has other columns.
         judge = one
         if one.estimator == OUTPUT_ERROR:
-            judge = identify(record, axis, **{**options, "estimator": BY_LEAST_SQUARES})
-        problems.append((judge.series["columns"], judge.series["measured"], judge.samples))
-    matrix = np.array(
-        [[float(np.sqrt(np.sum((Y - W @ one.values()) ** 2) / n)) for W, Y, n in problems] for one in found]
-    )
+            terms = list(one.fitted.terms)
+            judge = identify(record, axis, **{**options, "estimator": BY_LEAST_SQUARES, "with_": terms})
+        problems.append(judge)
+    matrix = np.array([[_error(one, judge) for judge in problems] for one in found])
     warnings = tuple(f"{one.record}: {text}" for one in found for text in one.warnings)
     return SeveralIdentifications(tuple(found), matrix, warnings, found[0].model, axis)
+
+
+def _error(found: Identification, judge: Identification) -> float:
+    """Force error [N rms] of the parameters ``found`` on the record of ``judge``, by its inverse model."""
+    parameters = dict(zip(found.parameters, found.values().tolist(), strict=True))
+    left = judge.series["measured"] - judge.series["columns"] @ judge.fitted.solution(parameters)
+    return float(np.sqrt(np.sum(left**2) / judge.samples))
 
 
 def identify_together(records: Sequence[Record], axis: Axis, **options: Any) -> Identification:
@@ -187,13 +195,19 @@ def identify_together(records: Sequence[Record], axis: Axis, **options: Any) -> 
 def _identified(
     records: Sequence[Record], axis: Axis, progress: Progress | None, options: dict[str, Any]
 ) -> list[Identification]:
-    """Each of ``records`` by one estimator: the most particular that one of them asks for."""
+    """Each of ``records`` by one estimator, the most particular that one of them asks for, and with the same terms."""
     found = []
     for index, record in enumerate(records):
         if progress is not None:
             progress(f"identify {record.name}", index / len(records))
         found.append(identify(record, axis, **options))
     taken = max((one.estimator for one in found), key=list(NAMES).index)
+    proposed = {term for one in found for term in one.proposed}
     again = {**options, "estimator": NAMES[taken]}
+    if proposed:
+        again["with_"] = [term for term in TERMS if term in proposed]
     pairs = zip(records, found, strict=True)
-    return [one if one.estimator == taken else identify(record, axis, **again) for record, one in pairs]
+    alike = [one.estimator == taken and {*one.proposed} == proposed for one in found]
+    found = [one if same else identify(record, axis, **again) for same, (record, one) in zip(alike, pairs, strict=True)]
+    told = tuple(term for term in TERMS if term in proposed)
+    return [replace(one, proposed=told) for one in found]

@@ -33,6 +33,10 @@ def of_two_quadrants(identified: Parameters) -> dict[str, float]:
     return {"viscous_difference": 0.5 * (identified["viscous_positive"] - identified["viscous_negative"])}
 
 
+def of_difference(identified: Parameters) -> dict[str, float]:
+    return {"viscous_difference": identified["viscous_difference"]}
+
+
 EFFECT = Effect(
     name="asymmetric_viscous_friction",
     label="Asymmetric viscous friction",
@@ -62,6 +66,6 @@ EFFECT = Effect(
         ({"viscous_difference": -40.0}, {"v": 0.5}, -20.0),
         ({"viscous_difference": -40.0}, {"v": -0.25}, -10.0),
     ),
-    identified_by={"asymmetric": of_two_quadrants},
+    identified_by={"asymmetric": of_two_quadrants, "asymmetric-viscous": of_difference},
     parity="even",
 )

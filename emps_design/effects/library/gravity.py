@@ -31,6 +31,10 @@ def from_linear(coefficients: np.ndarray, shape: Parameters) -> dict[str, float]
     return {"torque": found["amplitude"], "angle": found["phase"]}
 
 
+def identified(parameters: Parameters) -> dict[str, float]:
+    return {"torque": parameters["gravity_torque"], "angle": parameters["gravity_angle"]}
+
+
 def expression(q, v, t, tau, p, b):
     import sympy
 
@@ -69,6 +73,7 @@ EFFECT = Effect(
         ({"torque": 4.0, "angle": 0.0}, {"q": pi / 6}, 2.0),
         ({"torque": 3.0, "angle": pi / 2}, {"q": pi, "v": -0.3}, -3.0),
     ),
+    identified_by={"gravity": identified},
     passive=True,
     parity="even",
 )

@@ -28,6 +28,11 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
     return (motion.v / SPEED * size ** (0.5 * (shape["exponent"] - 1)))[:, None]
 
 
+def of_power(identified: Parameters) -> dict[str, float]:
+    power = identified["viscous_exponent"]
+    return {"amount": identified["viscous"] * SPEED**power, "exponent": power}
+
+
 def expression(q, v, t, tau, p, b):
     return p["amount"] * v / SPEED * ((v**2 + SMOOTH**2) / SPEED**2) ** ((p["exponent"] - 1) / 2)
 
@@ -70,5 +75,6 @@ EFFECT = Effect(
         ({"amount": 9.0, "exponent": 2.0}, {"v": 0.1}, 9.0 * (1.0 + 1e-6) ** 0.5),
         ({"amount": -20.0, "exponent": 0.5}, {"v": -0.025}, 10.0 * (1.0 + 1.6e-5) ** -0.25),
     ),
+    identified_by={"bent-viscous": of_power},
     parity="odd",
 )

@@ -148,7 +148,7 @@ def test_structure_that_the_model_lacks_is_said_and_widens_the_intervals(record)
     push = np.random.default_rng(2).standard_normal(len(record))
     run_ = Plant.of(lacking).closed_loop(record.q_ref, voltage_noise=4e-3 * push)
     seen = replace(record, q=run_.q, u=run_.u)
-    found = identify(seen, AXIS)
+    found = identify(seen, AXIS, with_="none")
     left = found.extra["unexplained"]
     assert left["structure"] > 0.8 * left["share"] > 0.02
     assert left["widening"] > 1.2

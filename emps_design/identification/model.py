@@ -1,0 +1,203 @@
+"""What is identified: the friction model of the paper, with terms beside it where a machine has more.
+
+The columns of every parameter but two are those of a linear regression. The angle of a weight and the power of a bent
+friction are not linear; the regression has their derivatives at a ``point`` near the solution and gives by how much
+they differ from it. So all that is known of a linear regression holds for them too, to first order (the delta method).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from emps_design.effects import Motion
+from emps_design.effects.terms import ANGLE, BENT, GRAVITY, HIGHEST, LOWEST, POWER, TERMS
+from emps_design.errors import InputError, nearest_name
+from emps_design.quantities import Quantity
+
+MODELS: dict[str, tuple[Quantity, ...]] = {
+    "symmetric": (
+        Quantity("mass", "M", "kg", text="load-side equivalent mass"),
+        Quantity("viscous", "F_v", "N/(m/s)", text="viscous friction"),
+        Quantity("coulomb", "F_c", "N", text="Coulomb friction"),
+        Quantity("constant_force", "F_0", "N", text="constant force"),
+    ),
+    "asymmetric": (
+        Quantity("mass", "M", "kg", text="load-side equivalent mass"),
+        Quantity("viscous_positive", "F_v^+", "N/(m/s)", text="viscous friction, velocity > 0"),
+        Quantity("viscous_negative", "F_v^-", "N/(m/s)", text="viscous friction, velocity < 0"),
+        Quantity("coulomb_positive", "F_c^+", "N", text="Coulomb friction, velocity > 0"),
+        Quantity("coulomb_negative", "F_c^-", "N", text="Coulomb friction, velocity < 0"),
+    ),
+}
+# What a record that goes one way tells of the symmetric model: what opposes the motion whatever its speed is one force.
+ONE_WAY, LUMP = "one way", Quantity("coulomb_and_offset", "F_c0", "N", text="Coulomb friction and constant force")
+
+# What a force has to work against on any machine.
+FRICTION = tuple(f"{kind}{way}" for kind in ("viscous", "coulomb") for way in ("", "_positive", "_negative"))
+
+
+def parameters_of(model: str) -> tuple[Quantity, ...]:
+    """The parameters of the friction ``model``; :class:`InputError` names the nearest model otherwise."""
+    if model == ONE_WAY:
+        return (*MODELS["symmetric"][:2], LUMP)
+    if model not in MODELS:
+        raise InputError(f"model: found {model!r}, expected {' or '.join(MODELS)}{nearest_name(model, list(MODELS))}")
+    return MODELS[model]
+
+
+@dataclass(frozen=True)
+class Model:
+    """The model of an identification: its ``friction`` and the ``terms`` beside it.
+
+    ``point`` has the values of :attr:`names` around which the columns are those of a linear model; empty where it is
+    not known yet, which only the terms that are not linear need.
+
+    >>> Model("symmetric", ("gravity",)).names
+    ('mass', 'viscous', 'coulomb', 'constant_force', 'gravity_torque', 'gravity_angle')
+    """
+
+    friction: str = "symmetric"
+    terms: tuple[str, ...] = ()
+    point: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, model: str | Model) -> Model:
+        """``model``, or the friction model of that name."""
+        return model if isinstance(model, Model) else cls(model)
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """The parameters, in the order of the columns."""
+        beside = [quantity for term in self.terms for quantity in TERMS[term].quantities]
+        own = parameters_of(self.friction)
+        if BENT in self.terms:
+            own = tuple(replace(one, unit="N/(m/s)^n") if one.name == "viscous" else one for one in own)
+        return (*own, *beside)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the parameters."""
+        return tuple(quantity.name for quantity in self.quantities)
+
+    @property
+    def curved(self) -> np.ndarray:
+        """Which parameters (p,) are not linear, and need a point around which the model is."""
+        return np.array([name in (ANGLE.name, POWER.name) for name in self.names])
+
+    def possible(self, value: np.ndarray) -> bool:
+        """Whether a simulation may start from the solution ``value`` (p,): mass, friction and weight are positive."""
+        found = self.natural(value)
+        positive = all(found.get(name, 1.0) > 0.0 for name in ("mass", *FRICTION, "gravity_torque"))
+        return positive and LOWEST <= found.get(POWER.name, 1.0) <= HIGHEST
+
+    def columns(self, motion: Motion) -> Iterator[np.ndarray]:
+        """Column (n,) after column of the regressor, in the order of :attr:`names` [N per unit of the parameter].
+
+        >>> still = Motion(*(np.zeros(2) for _ in range(5)), period=1.0)
+        >>> [column.tolist() for column in Model("symmetric", ("gravity",)).columns(still)][-2:]
+        [[0.0, 0.0], [1.0, 1.0]]
+        """
+        start = self._start()
+        torque, angle, power = start["gravity_torque"], start[ANGLE.name], start[POWER.name]
+        for name in self.names:
+            if name == "gravity_torque":
+                yield motion.smooth(np.sin(motion.q + angle))
+            elif name == ANGLE.name:
+                yield torque * motion.smooth(np.cos(motion.q + angle))
+            elif name == "viscous_difference":
+                yield np.abs(motion.v)
+            elif name == "viscous" and BENT in self.terms:
+                yield powered(motion.v, power)
+            elif name == POWER.name:
+                logarithm = np.log(np.maximum(np.abs(motion.v), np.finfo(float).tiny))
+                yield start["viscous"] * powered(motion.v, power) * logarithm
+            else:
+                yield column(motion, name)
+
+    def natural(self, value: np.ndarray) -> dict[str, float]:
+        """The parameters by name that belong to the solution ``value`` (p,) of the linear regression."""
+        start = self._start()
+        point = np.array([start.get(name, 0.0) for name in self.names])
+        return dict(zip(self.names, np.where(self.curved, value + point, value).tolist(), strict=True))
+
+    def solution(self, parameters: Mapping[str, float]) -> np.ndarray:
+        """The solution (p,) of the linear regression that belongs to ``parameters`` by name."""
+        start = self._start()
+        found = np.array([parameters[name] for name in self.names], dtype=float)
+        return np.where(self.curved, found - np.array([start.get(name, 0.0) for name in self.names]), found)
+
+    def around(self, value: np.ndarray) -> Model:
+        """The model around the solution ``value`` (p,) of the regression around its present point.
+
+        Of a weight exactly: the sum of a sine and a cosine is a sine, with a positive torque.
+        """
+        found, start = self.natural(value), self._start()
+        if GRAVITY in self.terms:
+            sine, cosine = found["gravity_torque"], start["gravity_torque"] * (found[ANGLE.name] - start[ANGLE.name])
+            angle = start[ANGLE.name] + float(np.arctan2(cosine, sine))
+            found["gravity_torque"] = float(np.hypot(sine, cosine))
+            found[ANGLE.name] = float(np.arctan2(np.sin(angle), np.cos(angle)))
+        if BENT in self.terms:
+            found[POWER.name] = float(np.clip(found[POWER.name], LOWEST, HIGHEST))
+        return replace(self, point=found)
+
+    def baseline(self, p: Mapping[str, float]) -> np.ndarray:
+        """Mass, viscous, coulomb and constant force of the parameters ``p``: the means of two quadrants.
+
+        A bent viscous friction is none of the baseline, whose is a straight line.
+
+        >>> two = {"viscous_positive": 5.0, "viscous_negative": 3.0, "coulomb_positive": 8.0, "coulomb_negative": 6.0}
+        >>> Model("asymmetric").baseline({"mass": 2.0, **two}).tolist()
+        [2.0, 4.0, 7.0, 1.0]
+        """
+        if self.friction == "asymmetric":
+            viscous = 0.5 * (p["viscous_positive"] + p["viscous_negative"])
+            coulomb = 0.5 * (p["coulomb_positive"] + p["coulomb_negative"])
+            return np.array([p["mass"], viscous, coulomb, 0.5 * (p["coulomb_positive"] - p["coulomb_negative"])])
+        viscous = 0.0 if BENT in self.terms else p["viscous"]
+        if self.friction == ONE_WAY:
+            return np.array([p["mass"], viscous, p[LUMP.name], 0.0])
+        return np.array([p["mass"], viscous, p["coulomb"], p["constant_force"]])
+
+    def _start(self) -> Mapping[str, float]:
+        return {"viscous": 0.0, "gravity_torque": 1.0, ANGLE.name: 0.0, POWER.name: 1.0, **self.point}
+
+
+def powered(v: np.ndarray, power: float) -> np.ndarray:
+    """``sign(v) |v|^power`` of velocities (n,).
+
+    >>> powered(np.array([-4.0, 0.0, 9.0]), 0.5).tolist()
+    [-2.0, 0.0, 3.0]
+    """
+    return np.sign(v) * np.abs(v) ** power
+
+
+def column(motion: Motion, name: str) -> np.ndarray:
+    """Column of the regressor that parameter ``name`` multiplies, shape (n,) [N per unit of the parameter].
+
+    >>> motion = Motion(*(np.array(x) for x in ([0.0, 1.0], [0.0, 0.0], [2.0, -3.0], [5.0, 7.0], [0.0, 0.0])), 1.0)
+    >>> [column(motion, p.name).tolist() for p in MODELS["asymmetric"]][1:3]
+    [[2.0, 0.0], [0.0, -3.0]]
+    """
+    v = motion.v
+    if name == "mass":
+        return motion.a
+    if name == "viscous":
+        return v
+    if name == "viscous_positive":
+        return np.where(v > 0, v, 0.0)
+    if name == "viscous_negative":
+        return np.where(v < 0, v, 0.0)
+    # Signs take a byte each: beside the columns of a long record they are nothing.
+    if name in ("coulomb", LUMP.name):
+        return motion.smooth(np.sign(v).astype(np.int8))
+    if name == "coulomb_positive":
+        return motion.smooth((v > 0).astype(np.int8))
+    if name == "coulomb_negative":
+        return motion.smooth(-(v < 0).astype(np.int8))
+    if name == "constant_force":
+        return np.broadcast_to(1.0, len(v))
+    raise InputError(f"column: found {name!r}, expected a parameter of {' or '.join(MODELS)}")
