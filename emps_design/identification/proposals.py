@@ -30,7 +30,7 @@ from emps_design.stretches import stretches
 
 FOLDS = 5  # parts of the record, of whole strokes one after the other, that are held out in turn
 TWICE = 2.0  # times as large the error of held-out strokes is without a term that is proposed, at least
-LEVEL = 1e-3  # at which a smaller error in the mean stroke is no chance
+LEVEL = 0.01  # at which a smaller error in the mean stroke is no chance
 POWERS = tuple(np.geomspace(LOWEST, HIGHEST, 8).tolist())  # of a bent friction, that are tried
 FEWEST_STROKES = 3
 
