@@ -58,7 +58,7 @@ def assemble(
     spread, lag = residual_statistics(problem, fit, Z)
     hac = np.sqrt(np.diag(hac_covariance(W, fit.residual, lag, Z)))
     left = unexplained(problem, fit.residual, spread)
-    shares = _reliability(problem) if weakest > 0 else None
+    shares = _reliability(problem) if weakest > 0 else [None] * len(problem.names)
     at_rests = told_at_rests(problem) if weakest > 0 else ()
     used = filtered.used
     sizes, swing = np.sqrt(np.mean(W[used] ** 2, axis=0)), float(np.std(problem.Y[used]))
@@ -80,7 +80,7 @@ def assemble(
     for i, written in enumerate(problem.model.quantities):
         quantity = replace(written, unit=axis.units.unit(written.unit), text=axis.units.words(written.text))
         value, half = float(values[i]), float(halves[i])
-        told, why = None if shares is None else float(shares[i]), ""
+        told, why = shares[i], ""
         said = f"what the record says of it, {value:.3g} +- {half:.2g} {quantity.unit}, may be"
         if told is not None and told < weakest:
             why = (
@@ -226,13 +226,20 @@ def told_at_rests(problem: Problem) -> tuple[str, ...]:
     return tuple(n for n, s in pairs if n.startswith(friction) and s > LARGEST_NEAR_GAPS)
 
 
-def _reliability(problem: Problem) -> np.ndarray | None:
-    """Reliability of each column by the same chain on the reference; None where the motion does not follow it."""
-    part = first_part(problem.record)
+def _reliability(problem: Problem) -> list[float | None]:
+    """Reliability of each column by the same chain on the reference; None where the motion does not follow it.
+
+    It tells of noise in derivatives: of mass and friction without the terms beside them, and of terms nothing.
+    """
+    part, names = first_part(problem.record), problem.names
     if not follows(part):
-        return None
-    if part is not problem.record:
+        return [None] * len(names)
+    if problem.model.terms:
+        filtered = problem.filtered
+        problem = Problem.of(part, problem.axis, problem.model.friction, filtered.chain, filtered.cutoff_hz)
+    elif part is not problem.record:
         problem = problem.alike(part)
     led = problem.alike(replace(part, q=part.q_ref))
     lags = tuple(round(delay / problem.filtered.period) for delay in LAGS)
-    return reliability(problem.W, led.W * problem.used[:, None], tuple(sorted(set(lags))))
+    shares = reliability(problem.W, led.W * problem.used[:, None], tuple(sorted(set(lags))))
+    return [*shares.tolist(), *[None] * (len(names) - len(shares))]

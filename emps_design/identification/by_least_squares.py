@@ -44,7 +44,9 @@ def identify_by_least_squares(record: Record, axis: Axis, request: Request) -> I
     fit = problem.solved()
     extra: dict[str, Any] = {
         "held_out": _held_out(problem, fit, request),
-        "cutoff_from_data": explained_by_frequency(acting(record, axis), chosen, problem.model),
+        "cutoff_from_data": explained_by_frequency(
+            acting(record, axis), chosen, replace(problem.model, friction="symmetric")
+        ),
     }
     if hold:
         errors = Errors(encoder=_encoder(problem, fit), cutoff=_cutoff(problem, fit))
