@@ -10,7 +10,7 @@ _LAW, _LIBRARY = "emps_design.control.impedance.law.ImpedanceLaw", "emps_design.
 PLACES: dict[str, tuple[str, ...]] = {
     "1": ("emps_design.axis.Drive",),
     "2": ("emps_design.simulation.plant.Plant", "emps_design.observer.model_force"),
-    "3": ("emps_design.identification.inverse_model.column",),
+    "3": ("emps_design.identification.model.column",),
     "4": ("emps_design.effects.library.stribeck_friction",),
     "5": ("emps_design.identification.inverse_model.regression",),
     "6": ("emps_design.control.velocity.design.VelocityLoopDesign.velocity_error_loop",),
