@@ -10,6 +10,7 @@ import numpy as np
 from emps_design.discrepancy.checks.preparation import Preparation
 from emps_design.discrepancy.explain.contribution import contribution, drawn, most_exercised
 from emps_design.discrepancy.explain.extent import Extent, described, extent
+from emps_design.discrepancy.explain.remarks import begun_earlier
 from emps_design.discrepancy.model.fit import Fit, fit
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
@@ -58,7 +59,9 @@ def _finding(validation: Validation, index: int) -> Finding:
         confirmed=validation.confirmed.get(effect.name),
         equivalents=tuple(dict.fromkeys(map(kind_of, validation.equivalents.get(effect.name, ())))),
         remedy=effect.remedy,
-        note=_note(outcome.calibration.preparation, effect.channel, record),
+        note="; ".join(
+            [_note(outcome.calibration.preparation, effect.channel, record), *begun_earlier(validation, index)]
+        ),
     )
 
 

@@ -42,6 +42,8 @@ def warnings(validation: Validation) -> list[str]:
     remarks = [*preparation.warnings, *validation.outcome.warnings, *_limits(validation)]
     if preparation.held_out is not None:
         remarks += _of_holdout(validation, preparation.held_out)
+    for index, effect in enumerate(validation.extended.model.effects):
+        remarks += [f"{effect.label}: {text}" for text in begun_earlier(validation, index)]
     if validation.given_up:
         labels = ", ".join(inside(get_effect(kind_of(name)).label) for name in validation.given_up)
         remarks.append(
@@ -49,6 +51,24 @@ def warnings(validation: Validation) -> list[str]:
             "of it, not on both records, or too many others would do"
         )
     return remarks
+
+
+def begun_earlier(validation: Validation, index: int) -> list[str]:
+    """Which instants of effect ``index`` are only the first in what was fitted: the part kept closed has earlier ones.
+
+    What belongs to one record was fitted there anew, and the old numbers stood where new ones were not clearly better.
+    """
+    kept, held_out = validation.outcome.calibration.preparation.confirming, validation.held_out
+    effect = validation.extended.model.effects[index]
+    if kept.chosen != "kept" or kept.time is None or held_out is None or effect.name not in held_out.extended.names:
+        return []
+    start, stop = kept.time
+    now, there = (m.values[m.names.index(effect.name)][0] for m in (validation.extended.model, held_out.extended))
+    return [
+        f"{p.name} is the first in what was fitted: {kept.what}, kept closed, has it at {there[place]:.4g} {p.unit}"
+        for place, p in enumerate(effect.parameters)
+        if p.per_record and p.unit == "s" and start <= there[place] < stop <= now[place]
+    ]
 
 
 def _limits(validation: Validation) -> list[str]:

@@ -97,3 +97,16 @@ def test_what_happens_in_the_part_kept_closed_opens_it():
     assert [finding.effect for finding in answer.findings] == ["mass_change"]
     assert answer.holdout is None
     assert "kept closed at first, has something that the rest lacks" in answer.sentence
+
+
+def test_a_push_that_began_in_the_part_kept_closed_is_said_to_have():
+    """Pulses from 0.9 s on: what was fitted begins with the lap after, and its first one is not theirs."""
+    pushes = {"kind": "external_force", "amplitude": 15.0, "start": 0.9, "duration": 0.3, "every": 2.9}
+    record = synthetic_record(AXIS.replace(effects=[pushes]), stroke=0.1)
+    answer = diagnose(record, AXIS, library=(get_effect("external_force"),))
+    (finding,) = answer.findings
+    assert finding.parameters["start"]["value"] == pytest.approx(9.6, abs=1e-2)
+    said = finding.note.split("; ")[-1]
+    assert said.startswith("start is the first in what was fitted: the first lap of")
+    assert float(said.split()[-2]) == pytest.approx(0.9, abs=1e-3)
+    assert f"External force: {said}" in answer.to_dict()["warnings"]
