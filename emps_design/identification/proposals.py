@@ -18,7 +18,7 @@ from emps_design.effects.effect import VISCOUS
 from emps_design.effects.terms import BENT, HIGHEST, LOWEST, TERMS
 from emps_design.errors import RecordError
 from emps_design.identification.cutoff import chosen_cutoff, first_part
-from emps_design.identification.excitation import force_free
+from emps_design.identification.excitation import check_record
 from emps_design.identification.filtered import Filtered
 from emps_design.identification.inverse_model import regression
 from emps_design.identification.known import acting, filter_record, known_part
@@ -38,7 +38,7 @@ FEWEST_STROKES = 3
 def proposed_for(record: Record, axis: Axis, request: Request) -> tuple[str, ...]:
     """The terms that ``record`` asks for where ``request`` leaves them to it, at the cut-off that would be chosen."""
     axis = known_part(axis.supplied_by(record), request.model)
-    record = force_free(record, axis, request.external_force)
+    record = check_record(record, axis, request.external_force)
     cutoff = chosen_cutoff(acting(record, axis)) if request.cutoff is None else request.cutoff
     return proposed_terms(record, axis, request.model, cutoff)
 
