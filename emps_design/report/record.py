@@ -87,8 +87,8 @@ def _parameters_table(found: Identification, axis: Axis) -> Table:
     return Table(
         ["parameter", "unit", "value", "std, (15)", "relative std, (16)", "95 % interval", f"axis {axis.name}"],
         rows,
-        f"Identified parameters, {found.model} model{_asked_for(found)}. Std by (15) counts every sample as independent; "
-        "the interval allows for the correlation of the residual and is the one to believe.",
+        f"Identified parameters, {found.model} model{_asked_for(found)}. Std by (15) counts every sample as "
+        "independent; the interval allows for the correlation of the residual and is the one to believe.",
     )
 
 
