@@ -13,6 +13,7 @@ from emps_design.effects.terms import TERMS
 from emps_design.errors import InputError
 from emps_design.identification import identify, identify_several
 from emps_design.identification.model import Model
+from emps_design.identification.proposals import proposed_terms
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
@@ -206,3 +207,17 @@ def test_the_table_says_which_rows_were_proposed(records, tmp_path, capsys):
     assert weight["angle"] == pytest.approx(document["parameters"]["gravity_angle"]["value"])
     assert run([*base, "--with", "gravty"]) == 2
     assert "--with" in capsys.readouterr().err
+
+
+@pytest.mark.study("false proposals are counted over a hundred healthy records")
+def test_healthy_axes_are_asked_for_nothing():
+    for seed in range(71_000, 71_100):
+        random = np.random.default_rng(seed)
+        mass, viscous, coulomb = random.uniform((0.5, 4.0, 3.0), (4.0, 20.0, 12.0)).tolist()
+        axis = JOINT.replace(mechanics={"mass": mass, "viscous": viscous, "coulomb": coulomb, "offset": 0.4})
+        axis = axis.replace(
+            controller={**JOINT.to_dict()["controller"], "velocity": {"kp": 5.0 * mass, "ti": 0.05}},
+            name=f"joint {seed}",
+        )
+        record = recorded(axis, seed, noise=float(random.uniform(0.01, 0.1)) * coulomb)
+        assert proposed_terms(record, axis, "symmetric", 30.0) == (), seed
