@@ -210,7 +210,7 @@ def _as_the_axis_says(start: Candidate, laws: tuple[LawCheck, ...]) -> Candidate
 
 
 def _told(effect: Effect, period: float, follows: bool) -> Effect | None:
-    """``effect`` with no times that a record sampled every ``period`` [s] cannot tell, None where it has no others.
+    """``effect`` without times and frequencies that a record sampled every ``period`` [s] cannot tell; None: no others.
 
     Of a slow one all that are shorter; of any that a model follows the delays that may be the log's.
     """
@@ -224,6 +224,12 @@ def _told(effect: Effect, period: float, follows: bool) -> Effect | None:
                 return None
             starts = tuple(dict.fromkeys(max(start, 1.5 * least) for start in one.starts))
             one = replace(one, lower=least, starts=starts)
+        elif slow and one.unit == "Hz" and one.upper > cutoff(period):
+            highest = cutoff(period)
+            if one.lower >= highest:
+                return None
+            starts = tuple(dict.fromkeys(min(start, 0.5 * highest) for start in one.starts))
+            one = replace(one, upper=highest, starts=starts)
         parameters.append(one)
     return replace(effect, parameters=tuple(parameters))
 
