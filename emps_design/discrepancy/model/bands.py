@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from emps_design.identification.filters import low_pass, motion
+from emps_design.importing.account import step_seen
 from emps_design.records import Record
 
 CUTOFF_HZ = 60.0  # up to which forces are looked at where the command is no faster
@@ -63,14 +64,14 @@ def seen_up_to(record: Record) -> float:
 def told_up_to(record: Record, resolution: float) -> float:
     """The frequency [Hz] at which the motion sinks in the noise of an encoder of ``resolution`` [m].
 
-    The noise is taken as white: as much as there is in the upper half of the spectrum, where no motion is.
+    The noise is taken as white: as much as there is in the upper half of the spectrum, where no motion is, and no less
+    than steps of ``resolution`` make, or of those in which the position is seen to move.
 
     >>> t = np.arange(4000) * 1e-3
     >>> way = np.cumsum(np.cumsum(np.random.default_rng(0).standard_normal(4000))) * 1e-6
-    >>> seen = [np.round(way / step) * step for step in (1e-9, 1e-3)]
-    >>> fine, coarse = (told_up_to(Record(t, q, q, t, 1e-3), 0.0) for q in seen)
-    >>> bool(coarse < 0.1 * fine)
-    True
+    >>> seen = [np.round(way / step) * step for step in (1e-9, 1e-5, 1e-3)]
+    >>> [round(told_up_to(Record(t, q, q, t, 1e-3), 0.0)) for q in seen]
+    [146, 53, 25]
     """
     highest, duration = FASTEST / record.period, len(record) * record.period
     bent = np.diff(record.q, 2)  # else the foot of the slow motion would cover all
@@ -78,7 +79,8 @@ def told_up_to(record: Record, resolution: float) -> float:
     power = np.abs(np.fft.rfft(np.hanning(bent.size) * bent)[1:]) ** 2 / np.sin(np.pi * frequency * record.period) ** 4
     edges = np.geomspace(max(LOWEST / duration, frequency[0]), highest, BANDS + 1)
     places = np.searchsorted(frequency, edges)
-    steps = 16.0 * 0.375 * bent.size * resolution**2 / 12.0
+    step = max(resolution, step_seen(record) or 0.0)
+    steps = 16.0 * 0.375 * bent.size * step**2 / 12.0
     noise = max(float(np.median(power[places[-1] // 2 : places[-1]])) / np.log(2.0), steps)
     least = min(SLOWEST / duration, highest)
     for low, high in reversed(list(itertools.pairwise(places))):

@@ -66,7 +66,7 @@ def moved_by_hand(torque: float, seed: int = 0) -> tuple[Record, Axis]:
     """An arm whose drive carries its weight by the angle, moved by a person."""
     axis = joint([{"kind": "gravity", "torque": torque, "angle": 0.0}], mass=0.06)
     axis = axis.replace(mechanics={"viscous": 0.02, "coulomb": 0.02, "offset": 0.0})
-    t, rng = FINE * np.arange(12_000), np.random.default_rng(seed)
+    t, rng = FINE * np.arange(8_000), np.random.default_rng(seed)
     places = sum(rng.uniform(0.3, 1.0) * np.sin(w * t + rng.uniform(0.0, 6.0)) for w in (0.7, 1.9, 3.1))
     way = np.column_stack([places, np.gradient(places, FINE), np.gradient(np.gradient(places, FINE), FINE)])
     arm, u = Plant.of(axis).touched_by(Guide(5.0, 50.0)), torque * np.sin(places)
