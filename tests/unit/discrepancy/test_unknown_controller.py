@@ -11,7 +11,6 @@ from emps_design.discrepancy.model.fit import fit
 from emps_design.discrepancy.model.following import Lead
 from emps_design.effects import get_effect
 from emps_design.simulation import Plant
-from tests.studies import quick
 from tests.unit.discrepancy.slow_twins import endless, joint, moved_by_hand, robot
 
 SHORT = tuple(map(get_effect, ("gravity", "elastic_force", "stribeck_friction", "actuator_delay")))
@@ -107,10 +106,3 @@ def test_a_coarser_encoder_tells_less():
     record, _ = robot()
     told = [told_up_to(record, resolution) for resolution in (1e-5, 1e-3, 1e-1)]
     assert told[0] > told[1] > told[2]
-
-
-@pytest.mark.parametrize("seed", quick(range(7000, 7040), 0, "diagnoses of healthy records"))
-def test_healthy_slow_records_lack_nothing(seed):
-    period = (0.01, 0.02, 0.05, 0.004)[seed % 4]
-    record, axis = robot(period=period, seed=seed, mass=0.3 * 100.0 ** ((seed - 7000) / 39))
-    assert diagnose(record, axis).findings == ()
