@@ -9,7 +9,6 @@ from emps_design.axis import Axis
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.checks.long_records import beginnings, look_at_the_rest
 from emps_design.discrepancy.checks.preparation import Preparation, prepare
-from emps_design.discrepancy.checks.unknown_controller import with_known_command
 from emps_design.discrepancy.explain.explanation import explain
 from emps_design.discrepancy.result import Diagnosis
 from emps_design.discrepancy.search.beam_search import UNFINISHED
@@ -64,7 +63,6 @@ def diagnose(
     # The matrices here are tall and thin: BLAS threads would only spin, and the fits run side by side already.
     with threadpool_limits(1):
         report("checking the records and the controller's law", 0.02)
-        records, holdout, compared, told_of = with_known_command(records, axis, holdout)
         parts = beginnings(records, fit_time, confirm_time)
         searching = of_part(report, 0.1, 0.8)
 
@@ -80,20 +78,18 @@ def diagnose(
             report("confirming on data not used so far", 0.9)
             return validate(outcome, of_part(searching, *CONFIRMATION))
 
-        preparation = prepare(parts, compared, library, holdout, fit_time, confirm_time)
+        preparation = prepare(parts, axis, library, holdout, fit_time, confirm_time)
         validation = validated(preparation)
-        opens = preparation.confirming.chosen == "kept" and not preparation.start.problem.follows
-        if opens and _differs_there(validation):
+        if preparation.confirming.chosen == "kept" and _differs_there(validation):
             opened = preparation.confirming.opened
-            whole = validated(prepare(parts, compared, library, None, fit_time, None, opened))
+            whole = validated(prepare(parts, axis, library, None, fit_time, None, opened))
             if whole.extended.model.names:
                 preparation, validation = whole.outcome.calibration.preparation, whole
         rest, more = look_at_the_rest(records, parts, preparation.laws, validation.extended)
         if closest:
             report("looking for the model that follows most closely", 0.95)
         following = closest_of(validation) if closest else None
-        validation = validation.beside_something_unknown() if more else validation
-        return explain(validation, (*told_of, *rest), following).sampled_as(axis)
+        return explain(validation.beside_something_unknown() if more else validation, rest, following)
 
 
 def _differs_there(validation: Validation) -> bool:

@@ -209,13 +209,6 @@ class Diagnosis:
             **shown,
         }
 
-    def sampled_as(self, axis: Axis) -> Diagnosis:
-        """The same diagnosis with the sampling of ``axis`` in its models, whatever they were compared at."""
-        closest = self.closest
-        if closest is not None and closest.axis is not None:
-            closest = replace(closest, axis=closest.axis.replace(sampling=axis.sampling))
-        return replace(self, axis=self.axis.replace(sampling=axis.sampling), closest=closest)
-
     def with_file(self, model_file: str) -> Diagnosis:
         """The same diagnosis, saying where its model was written, and beside it the reference of the experiment."""
         written = None if self.experiment is None else self.experiment.written()

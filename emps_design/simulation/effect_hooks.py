@@ -74,10 +74,8 @@ def is_smooth(effect: Effect) -> bool:
     return not (effect.states or effect.guard or weighs)
 
 
-def how_solved(stepped: Sequence[Effect], lags: int, guided: bool = False) -> int:
+def how_solved(stepped: Sequence[Effect], lags: int) -> int:
     """How hold periods of an axis with the effects ``stepped`` are solved, behind so many ``lags`` of the motor force.
-
-    ``guided``: it is led by a guide.
 
     0: not at all; 1: all effects are in the solution; 2: smooth ones beside it; 3: of these some that see the command.
     Of effects that are affine in pieces there may be one.
@@ -85,7 +83,7 @@ def how_solved(stepped: Sequence[Effect], lags: int, guided: bool = False) -> in
     solved, others = [one for one in stepped if one.affine], [one for one in stepped if not one.affine]
     pieces = sum(1 for effect in solved if effect.guard)
     rubs = any(effect.takes_dry for effect in stepped)
-    if not (solved or guided) or pieces > 1 or lags > 1 or rubs or not all(map(is_smooth, others)):
+    if not solved or pieces > 1 or lags > 1 or rubs or not all(map(is_smooth, others)):
         return 0
     if any(map(reads_command, others)):
         return 3 if lags == 0 else 0  # behind a lag what they see is no parabola of time

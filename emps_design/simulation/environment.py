@@ -7,7 +7,6 @@ They join the plant through the hooks of an effect, so the same stepper locates 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -22,11 +21,6 @@ def hand_force(q: float, v: float, t: float, tau: float, x: np.ndarray, p: np.nd
 
 def _hand_inertia(q: float, v: float, t: float, tau: float, x: np.ndarray, p: np.ndarray, b: np.ndarray) -> float:
     return p[0]
-
-
-def _guide_force(q: float, v: float, t: float, tau: float, x: np.ndarray, p: np.ndarray, b: np.ndarray) -> float:
-    s = t - p[5]
-    return p[0] * (v - p[3] - p[4] * s) + p[1] * (q - p[2] - (p[3] + 0.5 * p[4] * s) * s)
 
 
 def _wall_force(q: float, v: float, t: float, tau: float, x: np.ndarray, p: np.ndarray, b: np.ndarray) -> float:
@@ -57,23 +51,6 @@ HAND = Effect(
     force=hand_force,
     inertia=_hand_inertia,
     no_regressor="its intention is not measured",
-)
-GUIDE = Effect(
-    name="guide",
-    label="Guide",
-    channel="plant",
-    equation=r"\tau_e = B (\dot q_i - \dot q) + K (q_i - q)",
-    source="damper and spring towards a given motion q_i",
-    parameters=(
-        Parameter("damping", "B", "N/(m/s)", lower=0.0),
-        Parameter("stiffness", "K", "N/m", lower=0.0),
-        Parameter("given_position", "q_i", "m"),
-        Parameter("given_velocity", r"\dot q_i", "m/s"),
-        Parameter("given_acceleration", r"\ddot q_i", "m/s^2"),
-        Parameter("since", "t_i", "s"),
-    ),
-    force=_guide_force,
-    no_regressor="its force is what a model lacks",
 )
 WALL = Effect(
     name="wall",
@@ -122,27 +99,6 @@ class Hand:
 
 
 @dataclass(frozen=True)
-class Guide:
-    """A damper [N/(m/s)] and a spring [N/m] that lead the carriage along a given motion, whatever the model of it.
-
-    The motion is given to the simulation as ``intention`` (n, 3): position [m], velocity [m/s] and acceleration
-    [m/s^2] at each sample, which lead on to the next. What takes energy and gives none makes no axis unstable.
-
-    >>> Guide(damping=20.0, stiffness=500.0).effect()[1][:2].tolist()
-    [20.0, 500.0]
-    """
-
-    damping: float
-    stiffness: float
-    held: ClassVar[bool] = False
-
-    def effect(self) -> tuple[Effect, np.ndarray]:
-        """The guide as the stepper takes it; :class:`InputError` for a number out of its bounds."""
-        own = {**{parameter.name: 0.0 for parameter in GUIDE.parameters}, **vars(self)}
-        return GUIDE, GUIDE.values(own)
-
-
-@dataclass(frozen=True)
 class Wall:
     """A wall at ``position`` [m] on the ``side`` +1 or -1: ``stiffness`` [N/m], ``damping`` [s/m] relative to it."""
 
@@ -159,6 +115,3 @@ class Wall:
     def effect(self) -> tuple[Effect, np.ndarray]:
         """The wall as the stepper takes it; :class:`InputError` for a number out of its bounds."""
         return WALL, WALL.values(vars(self))
-
-
-Touching = Guide | Hand | Wall

@@ -13,12 +13,11 @@ from emps_design.effects import Effect
 from emps_design.errors import InputError, SimulationError
 from emps_design.laws import Law, law_of
 from emps_design.simulation.effect_hooks import hooks_of, how_solved, sees_command, summed_of, touches_motion
-from emps_design.simulation.environment import GUIDE, Guide, Touching, Wall
+from emps_design.simulation.environment import Hand, Wall
 from emps_design.simulation.kernels import baseline as core
 from emps_design.simulation.kernels import hold_loop as stepper
 from emps_design.simulation.kernels import motion
 from emps_design.simulation.kernels.compile import address
-from emps_design.simulation.kernels.friction_period import BOUND
 from emps_design.simulation.prepared import Prepared, intention_columns, motor_rows, positive, signal
 from emps_design.simulation.run import Run
 
@@ -41,7 +40,7 @@ class Plant:
     """
 
     def __init__(
-        self, axis: Axis, effects: Sequence[tuple[Effect, np.ndarray]], environment: tuple[Touching, ...] = ()
+        self, axis: Axis, effects: Sequence[tuple[Effect, np.ndarray]], environment: tuple[Hand | Wall, ...] = ()
     ):
         """``effects`` with their parameters; ``environment`` is what touches the carriage."""
         self.axis = axis
@@ -52,41 +51,43 @@ class Plant:
         self.parameters = tuple(values for _, values in both)
         own = len(effects)
         self._outside = range(own, len(both))
-        hands = {own + i: thing for i, thing in enumerate(environment) if not isinstance(thing, Wall)}
+        hands = {own + i: thing for i, thing in enumerate(environment) if isinstance(thing, Hand)}
         self._hands, self._held = list(hands), [i for i, hand in hands.items() if hand.held]
         self._lag = axis.drive.current_time_constant
         # An effect that is a lag of the motor force is no state: two lags, the current loop's among them, are known.
         lags = [i for i, effect in enumerate(self.effects) if effect.lag]
         self.lagging = lags[: 1 if self._lag > 0 else 2]
-        behind = len(self.lagging) + (self._lag > 0)
+        twice = len(self.lagging) + (self._lag > 0) > 1
         self._free = any(effect.takes_dry for effect in self.effects)
         self._p = np.concatenate([_EMPTY, *self.parameters])
         self.parameters_at = list(accumulate(map(len, self.parameters), initial=0))
         states = [0 if i in self.lagging else len(effect.states) for i, effect in enumerate(self.effects)]
         self.states_at = list(accumulate(states, initial=2))
         self._states = self.states_at[-1]
-        stepped_states = [effect.states for i, effect in enumerate(self.effects) if i not in self.lagging]
-        self._floors = [FLOORS.get(state.unit, 1e-6) for states_of_one in stepped_states for state in states_of_one]
+        self._floors = [
+            FLOORS.get(state.unit, 1e-6)
+            for i, effect in enumerate(self.effects)
+            for state in effect.states
+            if i not in self.lagging
+        ]
         self._hooks, self._starts = self._table()
         moving = [effect for i, effect in enumerate(self.effects) if i not in (*self.lagging, *self._held)]
         dynamic = any((e.states and not e.by_travel) or e.guard for e in moving)
-        guides = [self.parameters_at[own + i] + 1 for i, thing in enumerate(environment) if isinstance(thing, Guide)]
-        self._guided = guides[0] if guides else 0  # where its parameters begin, counted from 1
-        stepped = [one for one in moving if one is not GUIDE and one.slopes is None and touches_motion(one)]
-        self._exact = not stepped and behind < 2 and not guides
+        stepped = [effect for effect in moving if effect.slopes is None and touches_motion(effect)]
+        self._exact = not stepped and not twice
         seen = any(sees_command(effect) for i, effect in enumerate(self.effects) if i not in self.lagging)
-        self._solved = how_solved(stepped, behind, bool(guides)) if len(environment) == len(guides) else 0
-        dynamic |= behind > 1 and (seen or any(effect.states for effect in moving))  # what a slide knows is for one lag
+        self._solved = 0 if environment else how_solved(stepped, len(self.lagging) + (self._lag > 0))
+        dynamic |= twice and (seen or any(effect.states for effect in moving))  # what a slide knows is for one lag
         # A contact whose friction jumps with every command bends anew in no time: that is stepped through.
-        self._slides = 0 if dynamic or (seen and self._free) else 1 if seen or guides else 2
+        self._slides = 0 if dynamic or (seen and self._free) else 1 if seen else 2
 
     @classmethod
     def of(cls, axis: Axis) -> Plant:
         """Resolve an axis and its effects; what was resolved or compiled before is not again."""
         return cls(axis, [(one.effect, one.effect.values(one.parameters)) for one in axis.effects])
 
-    def touched_by(self, *things: Touching) -> Plant:
-        """Return this plant with a hand or a guide, walls, or both at the carriage."""
+    def touched_by(self, *things: Hand | Wall) -> Plant:
+        """Return this plant with a hand, walls, or both at the carriage."""
         own = len(self.effects) - len(self.environment)
         effects = list(zip(self.effects[:own], self.parameters[:own], strict=True))
         return Plant(self.axis, effects, (*self.environment, *things))
@@ -127,8 +128,8 @@ class Plant:
         place of the axis's; ``disturbance`` (n,) [N] on the carriage, held over each period; ``voltage_noise`` (n,) [V]
         added after the controller; ``q0`` [m] first position (default ``q_ref[0]``) and ``v0`` [m/s]; ``reference`` is
         what the law follows, by default ``q_ref``, or its backward difference for a law that follows a velocity;
-        ``intention`` (n,) [m] is where a hand means to be, nan where it has let go, (n, 3) how a guide goes; ``supply``
-        (n,) [V] is what a duty is a share of, by default the axis's; ``enable`` (n,) is 0 where the motor is off;
+        ``intention`` (n,) [m] is where a hand means to be, nan where it has let go; ``supply`` (n,) [V] is what a duty
+        is a share of, by default the axis's; ``enable`` (n,) is 0 where the motor is switched off, its winding open;
         ``energy`` asks for the energy balance; ``quantise=False`` takes an exact encoder; ``tolerance`` scales what one
         step may be wrong by; ``method`` is ``auto``, ``general``, ``linear``, ``plain`` or ``folded``.
         Raises :class:`SimulationError` with time, state and effect where the simulation cannot go on.
@@ -241,17 +242,17 @@ class Plant:
         """The fastest way that is exact for this axis."""
         delay = self.axis.sampling.computation_delay
         if self.effects or self._lag > 0 or law is None or not law.state_feedback:
-            return "linear" if self._solved == 1 and self._pieces(p) is not None else "general"
+            return "linear" if self._solved == 1 and self._pieces(p) else "general"
         return "plain" if delay or noise.size or resolution > 0 else "folded"
 
-    def _pieces(self, p: np.ndarray) -> list[tuple[int, float, float]] | None:
-        """Own state and range of every effect that is affine with the parameters ``p``; None where one is not."""
+    def _pieces(self, p: np.ndarray) -> list[tuple[int, float, float]]:
+        """Own state and range of every effect that is affine with the parameters ``p``; none where one is not."""
         found = []
         for i, effect in enumerate(self.effects if self._solved else ()):
             if effect.affine:
                 ends = effect.affine(p[self.parameters_at[i] : self.parameters_at[i + 1]])
                 if ends is None:
-                    return None
+                    return []
                 found.append((self.states_at[i], *ends))
         return found
 
@@ -270,8 +271,8 @@ class Plant:
         else:
             good = core.run_folded(b, numbers, start, reference, push, position, velocity, u, events, found)
             encoder = position
-        if good == n and not abs(position[-1]) < BOUND:
-            good = int(np.argmin(np.abs(position) < BOUND))
+        if good == n and not abs(position[-1]) < 1e3:
+            good = int(np.argmin(np.abs(position) < 1e3))
         if good < n:
             at, reason = (good, stepper.DIVERGED) if good >= 0 else (-good - 1, stepper.RUNAWAY)
             raise SimulationError(stepper.REASONS[reason], at * period, (float(position[at]), float(velocity[at])))
@@ -314,9 +315,8 @@ class Plant:
         settings[motion.TOLERANCE], settings[motion.ENERGY] = tolerance, self._states if energy else 0
         if not energy:
             settings[motion.SLIDES], settings[motion.EXACT] = self._slides, self._exact
-            pieces = self._pieces(p)
-            settings[motion.LINEAR], settings[motion.GUIDED] = 0 if pieces is None else self._solved, self._guided
-            for at, lower, upper in pieces or ():
+            for at, lower, upper in self._pieces(p):
+                settings[motion.LINEAR] = self._solved
                 if np.isfinite(upper - lower):
                     settings[[motion.TWIST, motion.LOWER, motion.UPPER]] = at, lower, upper
         y, floors = np.zeros(states), np.zeros(states)

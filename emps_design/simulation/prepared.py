@@ -34,13 +34,8 @@ class Prepared:
 def intention_columns(wanted: np.ndarray, hand: np.ndarray, held: bool, n: int, period: float) -> np.ndarray:
     """Return the parameters (n, 6) of a ``hand`` that means to be at ``wanted`` (n,) [m], nan where it has let go.
 
-    Between samples the intention moves evenly; the force of a ``held`` hand is that of the sample itself. Or of a guide
-    along ``wanted`` (n, 3): position [m] and its first two derivatives.
+    Between samples the intention moves evenly; the force of a ``held`` hand is that of the sample itself.
     """
-    if wanted.ndim == 2:
-        if wanted.shape != (n, 3) or not np.isfinite(wanted).all():
-            raise InputError(f"intention: found shape {wanted.shape}, expected {n} finite rows of three")
-        return np.column_stack([np.broadcast_to(hand[:2], (n, 2)), wanted, np.arange(n) * period])
     grips, speed = ~np.isnan(wanted), np.zeros(wanted.size)
     if wanted.size > 1:
         step = np.diff(wanted) / period

@@ -15,7 +15,6 @@ from emps_design.errors import InputError, SimulationError
 from emps_design.notebook import table
 from emps_design.observer import motor_force
 from emps_design.records import Record
-from emps_design.records.clock import same_period
 from emps_design.simulation.driven import driven_by
 from emps_design.simulation.nearest_controller import unstable
 from emps_design.simulation.plant import Plant
@@ -96,7 +95,7 @@ def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
         raise InputError(f"{record.name}: found {len(record)} samples, expected more than {DROPPED + 2} to compare")
     warnings = list(record.contradictions)
     period = axis.sampling.period
-    if not same_period(record.period, period):
+    if abs(record.period / period - 1.0) > 1e-3:
         raise InputError(
             f"{record.name}: sampled every {record.period:g} s, axis {axis.name} every {period:g} s; "
             "expected the same period: change sampling.period or resample the record"

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.model.bands import as_many
-from emps_design.discrepancy.model.partition import find_lap, start_up, strokes_of
+from emps_design.discrepancy.model.partition import START_UP, find_lap, find_strokes
 from emps_design.records import Record
 
 LAPS = 3  # from which on one of them is kept
@@ -85,9 +84,9 @@ fitted; give another record as `holdout`.'
     begin, end = 0, len(record)
     if fit_time is not None:
         begin, end = (int(i) for i in np.searchsorted(record.t, fit_time))
-    lap, strokes = find_lap(record.q_ref), strokes_of(record)
+    lap, strokes = find_lap(record.q_ref), find_strokes(record.q_ref, record.period)
     inside = [(start, stop) for start, stop in strokes if start >= begin and stop <= end]
-    if lap and end - begin >= LAPS * lap - start_up(record.period):
+    if lap and end - begin >= LAPS * lap - START_UP:
         start, stop, what = begin, begin + lap, "the first lap"
     elif lap or len(inside) < STROKES:
         return Confirming(f"{record.name} has {_strokes(len(inside))} and does not repeat three times", "none")
@@ -95,8 +94,7 @@ fitted; give another record as `holdout`.'
         count = int(KEPT * len(inside))
         start, stop, what = inside[-count][0], end, f"the last {count} of {_strokes(len(inside))}"
     left = end - begin - (stop - start)
-    to_confirm = start_up(record.period) + as_many(rules.FEWEST_TO_CONFIRM, record.period)
-    if stop - start < to_confirm or left < as_many(rules.FEWEST_TO_FIT + rules.FEWEST_TO_SELECT, record.period):
+    if stop - start < START_UP + rules.FEWEST_TO_CONFIRM or left < rules.FEWEST_TO_FIT + rules.FEWEST_TO_SELECT:
         return Confirming(f"{record.name} has {end - begin} samples to fit", "none")
     time = float(record.t[start]), float(record.t[stop - 1]) + 0.5 * record.period
     shown = f"{time[0]:.4g} to {time[0] + (stop - start) * record.period:.4g} s"

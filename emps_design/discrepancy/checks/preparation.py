@@ -12,30 +12,22 @@ from emps_design.discrepancy import rules
 from emps_design.discrepancy.checks.controller_law import LawCheck, beside_the_law, check_law
 from emps_design.discrepancy.checks.kept_closed import Confirming, given, kept_closed
 from emps_design.discrepancy.checks.requirements import (
-    NO_MAPS,
     ONE_SPEED,
     check_records,
     check_same_drive,
     keeps_one_speed,
     same_run,
-    swallows,
     told_by_one_speed,
 )
-from emps_design.discrepancy.model.bands import CUTOFF_HZ, as_many, cutoff
-from emps_design.discrepancy.model.candidate import LEAST_MASS, Candidate
-from emps_design.discrepancy.model.partition import FEWEST_STROKES, PARTS, Split, split, strokes_of
+from emps_design.discrepancy.model.candidate import Candidate
+from emps_design.discrepancy.model.partition import FEWEST_STROKES, PARTS, Split, find_strokes, split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.effects import Effect
 from emps_design.effects.effect import COULOMB, MASS, VISCOUS
 from emps_design.effects.sizes import sized, sizes
 from emps_design.errors import InputError
-from emps_design.laws import NONE
 from emps_design.records import Record
-
-LEAST_LED = 0.05  # of the axis file's mass, of a model that is led: a lighter one would be led by a stiff guide
-
-BESIDE = 1.5  # samples, up to which a command may have been logged beside the motion
 
 Interval = tuple[float, float]
 
@@ -105,8 +97,6 @@ def prepare(
     factors = sizes(first.q, first.u, first.period, axis.drive.gain)
     lines = (line for effect in library if effect.acts_on(axis.motion) for line in effect.several())
     library = tuple(sized(line, factors) for line in lines)
-    told = (_told(line, first.period, axis.controller.kind == NONE) for line in library)
-    library = tuple(line for line in told if line is not None)
     warnings = check_records(records, axis)
     if dropped:
         warnings.append(f"the axis's own effects are left out and looked for again: {', '.join(dropped)}")
@@ -143,13 +133,7 @@ def prepare(
         held = MASS, VISCOUS, COULOMB
         library = tuple(filter(told_by_one_speed, library))
         warnings.append(ONE_SPEED)
-    if problem.follows:
-        library = tuple(effect for effect in library if not swallows(effect))
-        warnings.append(NO_MAPS)
-    start = Hypothesis(
-        problem,
-        _as_the_axis_says(Candidate.of(axis, factors, held, LEAST_LED if problem.follows else LEAST_MASS), laws),
-    )
+    start = Hypothesis(problem, _as_the_axis_says(Candidate.of(axis, factors, held), laws))
     plant = tuple(effect for effect in library if effect.channel != "controller")
     return Preparation(records, start, plant, laws, held_out, confirming, tuple(warnings))
 
@@ -167,31 +151,27 @@ def _splits(records: tuple[Record, ...], fit_time: Interval | None, confirm_time
     allowed = [np.ones(len(r), bool) if fit_time is None else between(r, fit_time, "`fit_time`") for r in records]
     if confirm_time is not None:
         kept = between(records[0], confirm_time, "`confirm_time`")
-        fewest = as_many(rules.FEWEST_TO_CONFIRM, records[0].period)
-        if kept.sum() < fewest:
+        if kept.sum() < rules.FEWEST_TO_CONFIRM:
             raise InputError(
-                f"`confirm_time`: found {kept.sum()} samples of {records[0].name}, expected at least {fewest}"
+                f"`confirm_time`: found {kept.sum()} samples of {records[0].name}, expected at least "
+                f"{rules.FEWEST_TO_CONFIRM}"
             )
         allowed[0] &= ~kept
     there = [
         mask[start:stop].any()
         for record, mask in zip(records, allowed, strict=True)
-        for start, stop in strokes_of(record)
+        for start, stop in find_strokes(record.q_ref, record.period)
     ]
     few = sum(there) < FEWEST_STROKES
-    to_fit, to_select = (as_many(n, records[0].period) for n in (rules.FEWEST_TO_FIT, rules.FEWEST_TO_SELECT))
-    for parts in (PARTS,) if few else (1, PARTS):  # apart where nearly all is one of the strokes
-        splits: list[Split] = []
-        for record, mask in zip(records, allowed, strict=True):
-            splits.append(split(record, mask, sum(len(made.strokes) for made in splits), parts))
-        fits, selects, used = (int(sum(getattr(s, part).sum() for s in splits)) for part in ("fit", "select", "used"))
-        if fits >= to_fit and selects >= to_select:
-            break
-    if fits < to_fit or selects < to_select:
+    splits: list[Split] = []
+    for record, mask in zip(records, allowed, strict=True):
+        splits.append(split(record, mask, sum(len(made.strokes) for made in splits), PARTS if few else 1))
+    fits, selects, used = (int(sum(getattr(s, part).sum() for s in splits)) for part in ("fit", "select", "used"))
+    if fits < rules.FEWEST_TO_FIT or selects < rules.FEWEST_TO_SELECT:
         raise InputError(
             f"{', '.join(record.name for record in records)}: found {used} samples to fit, in "
-            f"{sum(len(made.strokes) for made in splits)} strokes; expected at least {to_fit} to fit and "
-            f"{to_select} others to select from: record longer (identify needs less)"
+            f"{sum(len(made.strokes) for made in splits)} strokes; expected at least {rules.FEWEST_TO_FIT} to fit and "
+            f"{rules.FEWEST_TO_SELECT} others to select from: record longer (identify needs less)"
         )
     return tuple(splits)
 
@@ -207,31 +187,6 @@ def _as_the_axis_says(start: Candidate, laws: tuple[LawCheck, ...]) -> Candidate
     idle = np.where([p.unit == "V" for p in effect.parameters], 0.0, values)
     rows = [idle if addition is None or addition[0] is not effect else addition[1] for addition in additions]
     return start.with_effect(effect, np.array(rows))
-
-
-def _told(effect: Effect, period: float, follows: bool) -> Effect | None:
-    """``effect`` without times and frequencies that a record sampled every ``period`` [s] cannot tell; None: no others.
-
-    Of a slow one all that are shorter; of any that a model follows the delays that may be the log's.
-    """
-    slow, late = cutoff(period) < CUTOFF_HZ, follows and bool(effect.delay or effect.lag)
-    if not (slow or late):
-        return effect
-    least, parameters = BESIDE * period if late else period, []
-    for one in effect.parameters:
-        if one.unit == "s" and one.lower < least and (late or one.lower > 0.0):
-            if least >= one.upper:
-                return None
-            starts = tuple(dict.fromkeys(max(start, 1.5 * least) for start in one.starts))
-            one = replace(one, lower=least, starts=starts)
-        elif slow and one.unit == "Hz" and one.upper > cutoff(period):
-            highest = cutoff(period)
-            if one.lower >= highest:
-                return None
-            starts = tuple(dict.fromkeys(min(start, 0.5 * highest) for start in one.starts))
-            one = replace(one, upper=highest, starts=starts)
-        parameters.append(one)
-    return replace(effect, parameters=tuple(parameters))
 
 
 def between(record: Record, window: Interval, option: str) -> np.ndarray:

@@ -6,24 +6,19 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.discrepancy import rules
+from emps_design.discrepancy.model.recorded import CUTOFF_HZ
 from emps_design.effects import Effect
 from emps_design.errors import RecordError
-from emps_design.laws import NONE, recorded_gains
+from emps_design.laws import recorded_gains
 from emps_design.records import Record
-from emps_design.records.clock import same_period
-from emps_design.simulation.effect_hooks import reads_command
 
-STILL = 20.0  # steps of the encoder, within which an axis does not move
+SLOWEST_PERIOD = 0.8 * 0.5 / CUTOFF_HZ  # s, for the filters of the missing force
 MEMORY = 1700  # bytes for each sample, measured on an hour at 1 kHz
 MOST_SAMPLES = 1_000_000  # 1.7 GB
 ONE_SPEED = (
     "one speed, one way, and a controller that is not known: mass and friction stay as the axis file says, and of the "
     "effects only forces with a place or a time are looked for. All others would pass for these, such as "
     "friction that changes along the travel: record strokes at several speeds to tell them apart"
-)
-NO_MAPS = (
-    "a dead zone and a limit of the drive, and friction that grows with the motor force, are not looked for: without a "
-    "controller that works against them the command itself is what is explained, and what swallows it would explain it"
 )
 DRIVE = {"gtau", "kp", "kv"}  # numbers of the drive that a record may carry
 
@@ -38,18 +33,25 @@ def check_records(records: tuple[Record, ...], axis: Axis) -> list[str]:
         )
     gaps: list[str] = []
     for record in records:
-        check_clock(record, axis)
+        period = axis.sampling.period
+        if abs(record.period / period - 1) > rules.PERIODS_ALIKE:
+            raise RecordError(
+                f"{record.name}: found a sampling period of {1e3 * record.period:g} ms, expected the axis's "
+                f"{1e3 * period:g} ms; records and axis must come from one drive"
+            )
+        if record.period > SLOWEST_PERIOD:
+            raise RecordError(
+                f"{record.name}: found a sampling period of {1e3 * record.period:g} ms, expected at most "
+                f"{1e3 * SLOWEST_PERIOD:g} ms: forces are looked at up to {CUTOFF_HZ:g} Hz"
+            )
         if record.duration < rules.SHORTEST:
             raise RecordError(
                 f"{record.name}: found {record.duration:.3g} s, expected at least {rules.SHORTEST:g} s; record whole "
                 "strokes"
             )
-        if np.ptp(record.q) < STILL * axis.sampling.encoder_resolution:
+        if np.ptp(record.q) < rules.STILL:
             raise RecordError(f"{record.name}: the axis does not move; record strokes in both directions")
-        if axis.controller.kind == NONE:
-            gaps += [f"{record.name}: {text}" for text in record.contradictions]
-            continue
-        if np.ptp(record.q_ref) == 0.0:
+        if np.ptp(record.q_ref) < rules.STILL:
             raise RecordError(
                 f"{record.name}: q_ref is constant, so the controller of the axis file did not make this motion; "
                 'without one (kind = "none") it is compared by its command'
@@ -64,21 +66,12 @@ def check_records(records: tuple[Record, ...], axis: Axis) -> list[str]:
     return gaps
 
 
-def check_clock(record: Record, axis: Axis) -> None:
-    """Refuse a ``record`` that was not sampled at the period of ``axis``."""
-    if not same_period(record.period, axis.sampling.period):
-        raise RecordError(
-            f"{record.name}: found a sampling period of {1e3 * record.period:g} ms, expected the axis's "
-            f"{1e3 * axis.sampling.period:g} ms; records and axis must come from one drive"
-        )
-
-
 def check_same_drive(record: Record, other: Record, axis: Axis) -> None:
     """Refuse an ``other`` record that was not sampled like ``record``, or whose file names another drive.
 
     Gains that the controller of ``axis`` takes from each record may differ.
     """
-    if not same_period(record.period, other.period):
+    if abs(record.period / other.period - 1) > rules.PERIODS_ALIKE:
         raise RecordError(
             f"{other.name}: found a sampling period of {1e3 * other.period:g} ms, expected "
             f"{1e3 * record.period:g} ms of {record.name}; all records must come from one drive"
@@ -108,11 +101,6 @@ def told_by_one_speed(effect: Effect) -> bool:
     """Whether one speed tells ``effect``: a force with a place on the travel, or with a time, and no friction."""
     force = effect.channel == "plant" and effect.inertia is None and effect.dry is None
     return force and effect.over in ("q", "t")
-
-
-def swallows(effect: Effect) -> bool:
-    """Whether ``effect`` takes from the command by what that is: all of it, if its numbers are free."""
-    return effect.actuator is not None or (effect.lag is None and reads_command(effect))
 
 
 def _not_excited(record: Record) -> list[str]:

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emps_design.discrepancy.model.bands import cutoff
 from emps_design.records import Record
 from emps_design.simulation.synthetic import point_to_point
 
 MARGIN = 0.9  # of the record's top speed and acceleration
 EDGE = 0.02  # of its travel, left free at both ends
 SHORTEST, LONGEST = 10.0, 25.0  # s: cycles are repeated to the one, none is begun beyond the other
+BAND_HZ = 60.0  # in which the measured acceleration counts
 SWEEP_HZ = (2.0, 100.0)  # of the chirp
 LEAST_FOLLOWED = 0.02  # of a chirp: the reference never asks for more than fifty times what it wants
 
@@ -55,7 +55,7 @@ class Envelope:
         records = tuple(records)
         period = records[0].period
         asked = [np.diff(r.q_ref) / period for r in records]
-        moved = [motion(r, cutoff(period)) for r in records]
+        moved = [motion(r, BAND_HZ) for r in records]
         low, high = min(float(r.q.min()) for r in records), max(float(r.q.max()) for r in records)
         return cls(
             period=period,

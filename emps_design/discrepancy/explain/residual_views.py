@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.discrepancy.model.bands import cutoff
 from emps_design.discrepancy.model.missing_force import SLOWEST, MissingForce
+from emps_design.discrepancy.model.recorded import CUTOFF_HZ
 from emps_design.effects import Motion
 from emps_design.effects.guesses import squares_explained, thin
 
@@ -46,7 +46,7 @@ def views(
     motion = before.motion
     pairs = (before.force, after.force)
     # Low-passed at the cutoff, a signal has two independent values in each period of it.
-    noise = floor / np.sqrt(2 * cutoff(motion.period) * motion.period)
+    noise = floor / np.sqrt(2 * CUTOFF_HZ * motion.period)
     result = [_binned("velocity", "m/s", motion.v, pairs, window, noise, 41)]
     for sign, title in ((1, "forwards"), (-1, "backwards")):
         moving = window & before.away & (sign * motion.v > 0)

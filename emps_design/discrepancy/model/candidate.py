@@ -51,15 +51,10 @@ class Candidate:
     held: tuple[int, ...] = ()
 
     @classmethod
-    def of(
-        cls, axis: Axis, factors: Mapping[str, float], held: tuple[int, ...] = (), least: float = LEAST_MASS
-    ) -> Candidate:
-        """The baseline of ``axis``, sized by its ``factors`` of :func:`~emps_design.effects.sizes.sizes`.
-
-        The mass is never less than ``least`` of the axis file's.
-        """
+    def of(cls, axis: Axis, factors: Mapping[str, float], held: tuple[int, ...] = ()) -> Candidate:
+        """The baseline of ``axis``, sized by its ``factors`` of :func:`~emps_design.effects.sizes.sizes`."""
         _, *rest = (sized_parameter(parameter, factors) for parameter in BASELINE)
-        least *= axis.mechanics.mass
+        least = LEAST_MASS * axis.mechanics.mass
         return cls(axis.mechanics.array(), sizes=(replace(BASELINE[0], lower=least, scale=least), *rest), held=held)
 
     @property

@@ -1,72 +1,71 @@
-"""How a model is led along a recorded motion, where the controller that made it is not known.
+"""What drives the simulation of a record: its reference through the controller, or the recorded motion itself.
 
-With ``controller.kind = "none"`` the model becomes an inverse model: it gets the recorded command, and a damper and a
-spring lead it along the recorded motion. Their force is what the model lacks, with every hidden state of it in its
-place. They take energy and give none, so that no model is unstable that way, at any sampling period; whether a
-controller, a hand or nothing made the motion does not matter.
+Where the controller is not known (``controller.kind = "none"``) the model becomes an inverse model: it gets the
+recorded voltage, and a position law of this module adds what keeps it on the recorded motion. That correction is the
+force the model lacks, seen through the bandwidth of the law, with every hidden state of the model in its place.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from emps_design.discrepancy.model.bands import FASTEST
-from emps_design.effects import Effect
-from emps_design.identification.filters import motion
+from emps_design.axis import Axis
+from emps_design.identification.filters import low_pass
+from emps_design.laws.library import position_pd
 from emps_design.records import Record
-from emps_design.simulation import Run
-from emps_design.simulation.environment import Guide
 
-RATE = 0.5  # of the highest frequency of a record, of what leads: as stiff as need be
-POSITION_SHARE = 0.25  # of the damper's rate, of the spring beside it: critically damped
+IN_BAND = 0.9  # of the power of a command
+BANDWIDTH_HZ = 25.0  # of the velocity loop that follows; the encoder's noise, differentiated, sets the upper end
+LEAST_SAMPLES = 40  # per period of that bandwidth: with fewer the two-tap velocity loses too much phase
+FAST_SAMPLES = 12  # the same where the command itself is that fast
+COMPARED = 1.3  # of that bandwidth, up to which forces count: beyond it the law passes on the encoder's noise
+POSITION_SHARE = 0.25  # of the velocity loop's bandwidth, for the position loop around it
 
 
-@dataclass(frozen=True)
-class Lead:
-    """A ``guide`` along ``way`` (n, 3), every ``period`` [s]: position [m], velocity [m/s], acceleration [m/s^2] on it.
+def band(record: Record) -> float:
+    """The frequency [Hz] below which nine tenths of what the command changes lie.
 
-    The acceleration is the mean until the next sample, as the command is that is held till then.
+    >>> t = np.arange(4000) * 1e-3
+    >>> round(band(Record(t, t, t, np.sin(2 * np.pi * 72 * t), 1e-3)))
+    72
     """
+    power = np.cumsum(np.abs(np.fft.rfft(record.u - record.u.mean())) ** 2)
+    return float(np.searchsorted(power, IN_BAND * power[-1])) / (len(record) * record.period)
 
-    guide: Guide
-    way: np.ndarray
-    period: float
 
-    @classmethod
-    def along(cls, record: Record, mass: float) -> Lead:
-        """What leads a model of about ``mass`` [kg] along ``record``."""
-        highest = FASTEST / record.period
-        seen, rate = motion(record, highest), 2.0 * np.pi * RATE * highest
-        damping = mass * rate
-        way = np.column_stack([seen.q, seen.v, np.append(np.diff(seen.v), 0.0) / record.period])
-        return cls(Guide(damping, POSITION_SHARE * damping * rate), way, record.period)
+def bandwidth(record: Record, band_hz: float) -> float:
+    """Bandwidth [Hz] of the velocity loop that follows ``record``, whose :func:`band` is ``band_hz``."""
+    usual = min(BANDWIDTH_HZ, 1 / (LEAST_SAMPLES * record.period))
+    return max(usual, min(band_hz, _fastest(record)))
 
-    def of_carriage(self, effects: list[tuple[Effect, np.ndarray]]) -> Lead:
-        """The same for the carriage itself, where ``effects`` with their numbers are an encoder's error."""
-        sensed = [(effect.sensor, values) for effect, values in effects if effect.sensor is not None]
-        if not sensed:
-            return self
-        none, t = np.zeros(4), self.period * np.arange(len(self.way))
-        places = zip(self.way[:, 0].tolist(), t.tolist(), strict=True)
-        error = [sum(sensor(q, 0.0, s, 0.0, none, values, none) for sensor, values in sensed) for q, s in places]
-        slope = np.gradient(error, self.period)
-        return Lead(
-            self.guide,
-            self.way - np.column_stack([error, slope, np.append(np.diff(slope), 0.0) / self.period]),
-            self.period,
-        )
 
-    def force(self, run: Run, mass: float, viscous: float) -> np.ndarray:
-        """Mean force (n,) [N] over each period that the model of ``run`` lacks, as a held command would give it.
+def _fastest(record: Record) -> float:
+    """The highest bandwidth [Hz] at which ``record`` can be followed by a law that is computed once a sample."""
+    return 1 / (FAST_SAMPLES * record.period)
 
-        That of the guide, and what ``mass`` [kg] and ``viscous`` [N/(m/s)] friction would take where it lags.
-        """
-        q, v, a = self.way.T
-        behind, slower = q - run.position, v - run.v
-        ahead = np.append((q + self.period * (v + 0.5 * self.period * a))[:-1] - run.position[1:], behind[-1])
-        later = np.append((v + self.period * a)[:-1] - run.v[1:], slower[-1])
-        mean = 0.5 * (behind + ahead) + self.period / 12.0 * (slower - later)
-        taken = mass * (later - slower) + (self.guide.damping + viscous) * (ahead - behind)
-        return taken / self.period + self.guide.stiffness * mean
+
+def followed(force: np.ndarray, record: Record, band_hz: float) -> np.ndarray:
+    """What of a ``force`` (n,) [N] that keeps a model on ``record`` is for its motion, not for the encoder's noise."""
+    return low_pass(force, COMPARED * bandwidth(record, band_hz), record.period)
+
+
+def drive(start: dict[str, Any], axis: Axis, record: Record, mass: float, band_hz: float) -> dict[str, Any]:
+    """Keywords of :meth:`Plant.closed_loop` that make the simulation of ``record`` start and move as it did.
+
+    ``start`` is :func:`~emps_design.simulation.driven.driven_by` of ``axis`` and ``record``; ``mass`` [kg] is the
+    model's: a heavier one would else be followed less, and leave less of the force, and the loop of a much lighter one
+    would be too fast for the sampling. ``band_hz`` is the :func:`band` of the record.
+    """
+    if "law" in start:
+        return dict(start)
+    own = bandwidth(record, band_hz)
+    rate = 2 * np.pi * own  # rad/s
+    moved = min(np.hypot(mass, axis.mechanics.mass) / np.sqrt(2.0), mass * _fastest(record) / own)
+    kp, kv = POSITION_SHARE * rate, moved * rate / axis.drive.gain
+    law = position_pd.LAW.law(position_pd.Table(kp=kp, kv=kv), axis, record.period)
+    past = np.concatenate((np.full(2, record.q[0]), record.q[:-2]))
+    # The law brakes its own velocity: leading the reference by v/kp makes it act on the difference of velocities.
+    lead = (record.q - past) / (2 * record.period) / kp
+    return {**start, "law": law, "reference": record.q + lead, "voltage_noise": record.u}

@@ -13,15 +13,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from emps_design.discrepancy.model.bands import cutoff
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis
+from emps_design.discrepancy.model.recorded import CUTOFF_HZ, FASTEST
 from emps_design.effects import Motion
 from emps_design.effects.effect import MASS, VISCOUS
 from emps_design.identification.filters import held_force, motion
 from emps_design.observer import motor_share
 
-REVERSAL_MARGIN = 3.6  # periods of the cut-off on both sides of a reversal, where the filter mixes the directions
+REVERSAL_MARGIN = 0.06  # s on both sides of a reversal, where a zero-phase filter mixes the two directions
 SELDOM = 0.02  # of what is used: where no more is away from reversals, the whole is looked at
 SLOWEST = 2e-3  # m/s, below which the direction of motion is not certain
 
@@ -38,15 +38,14 @@ class MissingForce:
 def missing_force(hypothesis: Hypothesis, cutoff_hz: float | None = None) -> tuple[MissingForce, ...]:
     """Return the missing force of a model, one per record, low-passed at ``cutoff_hz`` [Hz] without phase.
 
-    By default at the ``cutoffs`` of the records.
+    By default at ``CUTOFF_HZ``, or at twice the band of the command where that is faster.
     """
     problem, baseline = hypothesis.problem, hypothesis.model.baseline
-    gain, cutoffs, result = problem.axis.drive.gain, problem.recorded.cutoffs, []
-    for record, run, split, usual in zip(problem.records, hypothesis.runs(), problem.splits, cutoffs, strict=True):
-        cut = cutoff_hz or usual
+    gain, bands, result = problem.axis.drive.gain, problem.recorded.bands, []
+    for record, run, split, band in zip(problem.records, hypothesis.runs(), problem.splits, bands, strict=True):
+        cut = cutoff_hz or max(CUTOFF_HZ, min(2.0 * band, FASTEST / record.period))
         share = motor_share(problem.axis, record)
-        acting = replace(record, u=share * record.u)
-        played = replace(record, q=run.q, u=run.u if problem.follows else share * run.u)
+        acting, played = replace(record, u=share * record.u), replace(record, q=run.q, u=share * run.u)
         (measured, acted), (simulated, predicted) = side_by_side(
             lambda seen, driven, cut=cut: (motion(seen, cut), held_force(driven, gain, cut)),
             [(record, acting), (played, played)],
@@ -61,9 +60,8 @@ def missing_force(hypothesis: Hypothesis, cutoff_hz: float | None = None) -> tup
     return tuple(result)
 
 
-def away_from_reversals(v: np.ndarray, period: float, margin: float | None = None) -> np.ndarray:
+def away_from_reversals(v: np.ndarray, period: float, margin: float = REVERSAL_MARGIN) -> np.ndarray:
     """Samples (n,) bool in which ``v`` (n,) [m/s] keeps its sign for ``margin`` [s] on both sides."""
-    margin = REVERSAL_MARGIN / cutoff(period) if margin is None else margin
     sliding = np.abs(v) > max(SLOWEST, 0.01 * float(np.abs(v).max()))
     return sliding & ~near_reversals(v, period, margin)
 

@@ -7,15 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emps_design.discrepancy.model.bands import as_many
-from emps_design.discrepancy.model.whitening import ORDER
 from emps_design.effects.sizes import TURN
 from emps_design.records import Record
 
 START_UP = 50  # samples left out at the start of a record: the loop's own transient, as in the published figures
 FEWEST_STROKES, PARTS = 3, 4  # fewer strokes than that, of all records, are taken in so many parts each
-SLOW, MEASURED = 1e-3, 0.05  # of the highest speed, below which a reference, or a measured motion, stands still
-SHORTEST = 0.1  # s, of a stroke
 MOST_TURNS = 12  # of a shaft that turns on and on: pieces that are whole strokes to it
 
 
@@ -51,11 +47,10 @@ def split(record: Record, fit_share: np.ndarray | None = None, before: int = 0, 
     """
     n = len(record)
     allowed = np.ones(n, bool) if fit_share is None else fit_share.copy()
-    transient = start_up(record.period)
-    allowed[:transient] = False
+    allowed[:START_UP] = False
     if record.bridged is not None:  # nor behind a gap, in which the model went its own way
-        allowed &= np.convolve(record.bridged > 0.0, np.ones(2 * transient + 1), "same") < 0.5
-    strokes = strokes_of(record)
+        allowed &= np.convolve(record.bridged > 0.0, np.ones(2 * START_UP + 1), "same") < 0.5
+    strokes = find_strokes(record.q_ref, record.period)
     if parts > 1:
         strokes = tuple(part for start, stop in strokes for part in _parts(record.q, start, stop, parts))
     lap = find_lap(record.q_ref)
@@ -101,25 +96,14 @@ def find_lap(q_ref: np.ndarray) -> int:
     return first + int(np.argmin(mean_square[first : last + 1]))
 
 
-def start_up(period: float) -> int:
-    """``START_UP`` at ``period`` [s]; of a slow record what the whitening of its noise needs."""
-    return max(ORDER + 1, as_many(START_UP, period))
-
-
-def strokes_of(record: Record) -> tuple[tuple[int, int], ...]:
-    """The strokes of ``record``, by its reference or, where a measured motion stands for it, by what moves clearly."""
-    return find_strokes(record.q_ref, record.period, SLOW if record.q_ref_recorded else MEASURED)
-
-
-def find_strokes(q_ref: np.ndarray, period: float, slow: float = SLOW) -> tuple[tuple[int, int], ...]:
-    """Cut where the reference (n,) [m] changes direction; what is no faster than
-    ``slow`` times the highest speed is standstill, and belongs to the stroke before it.
+def find_strokes(q_ref: np.ndarray, period: float) -> tuple[tuple[int, int], ...]:
+    """Cut where the reference (n,) [m] changes direction; standstill belongs to the stroke before it.
 
     A shaft that turns on and on the same way never does: there every piece of at least a turn, which meets the same
     places again, is a stroke.
     """
     velocity = np.gradient(q_ref, period)
-    direction = np.sign(velocity) * (np.abs(velocity) > slow * np.abs(velocity).max())
+    direction = np.sign(velocity) * (np.abs(velocity) > 1e-3 * np.abs(velocity).max())
     moving = np.nonzero(direction)[0]
     if moving.size == 0:
         return ((0, q_ref.size),)
@@ -128,11 +112,4 @@ def find_strokes(q_ref: np.ndarray, period: float, slow: float = SLOW) -> tuple[
     if len(edges) == 2:
         count = min(max(1, int(np.ptp(q_ref) / TURN)), MOST_TURNS)
         edges = np.linspace(0, q_ref.size, count + 1).astype(int).tolist()
-    least = round(min(20.0, SHORTEST / period))
-    if slow > SLOW:  # a motion swings as it likes: what is short belongs to the stroke before it
-        kept = [0]
-        for edge in edges[1:-1]:
-            if min(edge - kept[-1], q_ref.size - edge) > least:
-                kept.append(edge)
-        edges = [*kept, q_ref.size]
-    return tuple((a, b) for a, b in itertools.pairwise(edges) if b - a > least)
+    return tuple((a, b) for a, b in itertools.pairwise(edges) if b - a > 20)

@@ -12,17 +12,17 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.discrepancy.model.candidate import Candidate
+from emps_design.discrepancy.model.following import drive, followed
 from emps_design.discrepancy.model.partition import Split
 from emps_design.discrepancy.model.recorded import Recorded, missing_while_off
 from emps_design.discrepancy.model.remembered import Remembered
 from emps_design.discrepancy.model.whitening import Whitening
-from emps_design.effects.effect import MASS, VISCOUS
+from emps_design.effects.effect import MASS
 from emps_design.laws import law_of
 from emps_design.records import Record
 from emps_design.simulation import Plant, Run
 
 LOOSE = 1e5  # times the integrator's tolerance: force within 2e-3 N, a hundredth of any noise here, six times faster
-LED = 0.1 * LOOSE
 RANK = 1e-6  # of the largest singular value of several functions, below which a combination is none
 
 
@@ -66,6 +66,10 @@ class Problem:
     def follows(self) -> bool:
         """Whether models follow the recorded motion, for want of the controller that made it."""
         return self.recorded.follows
+
+    def compared(self, left: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+        """What counts of the forces (n,) [N] that a model leaves, one per record: all, unless it follows the motion."""
+        return tuple(map(followed, left, self.records, self.recorded.bands)) if self.follows else left
 
     def only(self, record: int) -> Problem:
         """One of the records, by its number, as a problem of its own; its models are :meth:`Candidate.only`."""
@@ -166,39 +170,23 @@ class Hypothesis:
         if "law" not in drive:
             drive["law"] = law_of(axis, measured.period, measured.extra)
         plant = Plant(axis, list(zip(self.model.effects, parameters, strict=True)))
-        return plant.closed_loop(**{"quantise": False, "tolerance": LOOSE, **drive}, baseline=self.model.baseline)
+        return plant.closed_loop(**drive, baseline=self.model.baseline, quantise=False, tolerance=LOOSE)
 
-    def run(self, record: int, disturbance: np.ndarray | None = None, **how: Any) -> Run:
-        """Simulation of one record from ``q_ref`` alone (led along the recorded motion without a controller).
+    def driven(self, record: int) -> dict[str, Any]:
+        """Keywords of :meth:`simulate` that make it start and move as record number ``record`` did."""
+        recorded, mass = self.problem.recorded, self.model.baseline[MASS]
+        return drive(recorded.starts[record], recorded.axis, recorded.records[record], mass, recorded.bands[record])
 
-        ``disturbance`` (n,) [N] acts on the carriage besides what was measured and what acts in the problem; ``how``
-        is as in :meth:`simulate`, for a loop.
+    def run(self, record: int, disturbance: np.ndarray | None = None) -> Run:
+        """Simulation of one record from ``q_ref`` alone (of the recorded motion without a controller).
+
+        ``disturbance`` (n,) [N] acts on the carriage besides what was measured and what acts in the problem.
         """
-        how = {**self.problem.recorded.starts[record], **how}
+        how = self.driven(record)
         for force in (disturbance, *self.problem.acting[record : record + 1]):
             if force is not None:
                 how["disturbance"] = force + (0.0 if how["disturbance"] is None else how["disturbance"])
-        return self._led(record, **how) if self.problem.follows else self.simulate(record, **how)
-
-    def _led(self, record: int, disturbance: np.ndarray | None, supply: np.ndarray | None, **how: Any) -> Run:
-        """The model under the recorded command, led along the motion; ``force`` and ``u`` have the guide's in them."""
-        recorded, parameters = self.problem.recorded, self.model.parameters(record)
-        measured, gain = recorded.records[record], recorded.axis.drive.gain
-        effects = list(zip(self.model.effects, parameters, strict=True))
-        lead, lagging = recorded.leads[record].of_carriage(effects), self.model.baseline[[MASS, VISCOUS]]
-        run = Plant(recorded.unlimited, effects, (lead.guide,)).open_loop(
-            measured.u,
-            disturbance,
-            float(lead.way[0, 0]),
-            float(lead.way[0, 1]),
-            self.model.baseline,
-            intention=lead.way,
-            supply=supply,
-            enable=how["enable"],
-            quantise=False,
-            tolerance=LED,
-        )
-        return replace(run, q_ref=measured.q_ref, u=(run.force + lead.force(run, *lagging)) / gain, force_gain=gain)
+        return self.simulate(record, **how)
 
     def runs(self, disturbance: Sequence[np.ndarray | None] | None = None) -> tuple[Run, ...]:
         """Simulations of all records, with ``disturbance`` (n,) [N] per record on the carriage."""
@@ -208,7 +196,8 @@ class Hypothesis:
     def residuals(self, disturbance: Sequence[np.ndarray | None] | None = None) -> tuple[np.ndarray, ...]:
         """Measured minus simulated motor force [N], one array (n,) per record, under ``disturbance`` as in `runs`.
 
-        A motor that is switched off has no force to compare: there it is what the law would ask for.
+        A motor that is switched off has no force to compare: there it is what the law would ask for. Where the model
+        follows the recorded motion, only what the law that follows can tell is compared.
         """
         if disturbance is not None:
             return self._residuals(disturbance)
@@ -218,12 +207,13 @@ class Hypothesis:
 
     def _residuals(self, disturbance: Sequence[np.ndarray | None] | None = None) -> tuple[np.ndarray, ...]:
         problem, recorded = self.problem, self.problem.recorded
-        return tuple(
+        left = tuple(
             force - run.force + (0.0 if asked is None else missing_while_off(problem.axis, record, asked, run.q))
             for force, record, asked, run in zip(
                 recorded.forces, problem.records, recorded.asked, self.runs(disturbance), strict=True
             )
         )
+        return problem.compared(left)
 
     def whitened(self) -> tuple[np.ndarray, ...]:
         """Innovations of :meth:`residuals` in units of the noise."""

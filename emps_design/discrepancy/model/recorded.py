@@ -8,15 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.axis import NO_LIMIT, Axis
-from emps_design.discrepancy.model.bands import FASTEST, band, cutoff, seen_up_to
-from emps_design.discrepancy.model.following import Lead
+from emps_design.axis import Axis
+from emps_design.discrepancy.model.following import band
 from emps_design.effects import Motion
-from emps_design.identification.filters import motion
+from emps_design.identification.filters import low_pass, motion
 from emps_design.laws import NONE, law_of
 from emps_design.observer import motor_force
 from emps_design.records import Record
 from emps_design.simulation.driven import driven_by
+
+CUTOFF_HZ = 60.0  # up to which forces are looked at where the command is no faster
+FASTEST = 0.4  # of the sampling rate, to which a fast command raises the cut-off
+NOISY = 0.03  # of an acceleration: most that the noise of the encoder may be in the band that is looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,33 +36,13 @@ class Recorded:
 
     @cached_property
     def starts(self) -> tuple[dict[str, Any], ...]:
-        """What drives the simulation of every record, but for what leads it along its motion."""
+        """What drives the simulation of every record, but for a law that follows its motion."""
         return tuple(driven_by(self.axis, record) for record in self.records)
 
     @cached_property
     def bands(self) -> tuple[float, ...]:
         """The :func:`band` of every record [Hz]."""
         return tuple(band(record) for record in self.records)
-
-    @cached_property
-    def cutoffs(self) -> tuple[float, ...]:
-        """The frequencies [Hz] up to which the force that a model misses is looked at on every record.
-
-        Twice the band of the command, where that is faster than usual.
-        """
-        pairs = zip(self.records, self.bands, strict=True)
-        return tuple(max(cutoff(record.period), min(2.0 * fast, FASTEST / record.period)) for record, fast in pairs)
-
-    @cached_property
-    def leads(self) -> tuple[Lead, ...]:
-        """What leads the models along every record, where they follow its motion."""
-        mass = self.axis.mechanics.mass
-        return tuple(Lead.along(record, mass) for record in self.records) if self.follows else ()
-
-    @cached_property
-    def unlimited(self) -> Axis:
-        """The axis without a limit of its command: what was recorded is what was given."""
-        return self.axis.replace(drive={"command_limit": NO_LIMIT})
 
     @cached_property
     def forces(self) -> tuple[np.ndarray, ...]:
@@ -79,6 +62,21 @@ class Recorded:
     def motions(self) -> tuple[Motion, ...]:
         """The motion of every record in the band in which its acceleration is seen."""
         return tuple(motion(record, seen_up_to(record)) for record in self.records)
+
+
+def seen_up_to(record: Record) -> float:
+    """Band [Hz] in which the encoder's noise is a small part of the acceleration, from ``CUTOFF_HZ`` on.
+
+    An inertia that is missed changes how the loop answers up to where it has gain. The noise, taken as white, is what
+    is seen of the position beyond any motion, its usual size: impacts are motion.
+    """
+    fastest = FASTEST / record.period
+    beyond = np.abs(record.q - low_pass(record.q, fastest, record.period))
+    noise = (np.median(beyond) / 0.6745) ** 2 / (1.0 - 2.0 * FASTEST)
+    density = 2.0 * record.period * noise * (2.0 * np.pi) ** 4  # of the acceleration over f^4 [m^2/s^4/Hz^5]
+    size = np.var(motion(record, CUTOFF_HZ).a)
+    most = (5.0 * NOISY**2 * size / max(density, 1e-300)) ** 0.2
+    return float(np.clip(most, CUTOFF_HZ, fastest))
 
 
 def _commands(axis: Axis, record: Record, q: np.ndarray) -> np.ndarray:

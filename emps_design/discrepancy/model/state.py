@@ -76,7 +76,7 @@ def faded(signal: np.ndarray, period: float) -> np.ndarray:
     """Fading memories (n, k) of a ``signal`` (n,), one for each of ``FADING_TIMES``."""
     from scipy.signal import lfilter
 
-    shares = [min(period / time, 1.0) for time in FADING_TIMES]
+    shares = [period / time for time in FADING_TIMES]
     return np.column_stack([lfilter([share], [1.0, share - 1.0], signal) for share in shares])
 
 

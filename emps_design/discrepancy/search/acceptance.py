@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.model.bands import as_many
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.fit import Fit, refitted
 from emps_design.discrepancy.model.partition import START_UP
@@ -109,7 +108,7 @@ def share_of_strokes(better: Fit, worse: Fit, burst: float) -> float:
     for change, split in zip(_changes(better, worse, burst), better.problem.splits, strict=True):
         for start, stop in split.strokes:
             seen = split.select[start:stop]
-            if seen.sum() > as_many(START_UP, better.problem.period):
+            if seen.sum() > START_UP:
                 gain = float(change[start:stop][seen].sum())
                 gains += max(gain, 0.0)
                 losses += max(-gain - rules.CHANCE * np.sqrt(2.0 * seen.sum()), 0.0)

@@ -9,16 +9,15 @@ from functools import partial
 import numpy as np
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.model.bands import cutoff
 from emps_design.discrepancy.model.bootstrap import PIECE, rms_interval
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.partition import START_UP, Split
 from emps_design.discrepancy.model.whitening import ORDER, Whitening
 
+BAND_HZ = 60.0
 FIRST_DIFFERENCE, SECOND_DIFFERENCE = (-1.0, 1.0), (1.0, -2.0, 1.0)
 EVERY_TWO = (FIRST_DIFFERENCE, (-1.0, 0.0, 1.0), (0.0, *FIRST_DIFFERENCE))  # of three laps
 TOGETHER = 3  # laps, of which two agree nearly everywhere, even if each is pushed now and then
-FEW = 40  # samples for each number of the noise's model
 NEIGHBOURS = 40  # lines of a spectrum on both sides, the median of which is usual
 LAPS, STROKES, LEFT = "what differs between laps", "what other strokes do not predict", "what the best model leaves"
 
@@ -65,7 +64,7 @@ def floor_of_laps(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], 
     """
     from emps_design.identification.filters import low_pass
 
-    signals = [(force, low_pass(force, cutoff(period), period)) for force in residuals]
+    signals = [(force, low_pass(force, BAND_HZ, period)) for force in residuals]
     ways = partial(_weighted, weights=FIRST_DIFFERENCE), partial(_weighted, weights=SECOND_DIFFERENCE), _agreeing
     first, second, agreeing = (_differences(signals, splits, way) for way in ways)
     if not first[0]:
@@ -141,7 +140,7 @@ def floor_of_residual(left: Sequence[np.ndarray], period: float, source: str) ->
 
     raw, smooth = [], []
     for force in left:
-        usual = _steady([force], [low_pass(force, cutoff(period), period)])
+        usual = _steady([force], [low_pass(force, BAND_HZ, period)])
         raw += usual[0]
         smooth += usual[1]
     return _floor(raw, smooth, source)
@@ -178,7 +177,7 @@ def _broadband(parts: list[np.ndarray]) -> tuple[float, np.ndarray]:
         samples += part.size
     usual = median_filter(power, 2 * NEIGHBOURS + 1, mode="nearest")
     power = np.where(power > rules.LINE * usual, usual, power)
-    lags = np.fft.irfft(power)[: min(ORDER, samples // FEW + 1) + 1] / samples
+    lags = np.fft.irfft(power)[: ORDER + 1] / samples
     return float(np.sqrt(lags[0])), lags
 
 

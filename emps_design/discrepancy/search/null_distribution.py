@@ -61,12 +61,11 @@ def healthy_reference(screened: list[list[Start]], draws: np.ndarray, seed: int)
 
 def blocks(m: int, n: int, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Where the blocks of ``n`` samples out of ``m`` begin, and a random sign of each."""
-    count = -(-n // min(BLOCK, m))
+    count = -(-n // BLOCK)
     return generator.integers(0, m, count), generator.choice((-1.0, 1.0), count)
 
 
 def resampled(draws: np.ndarray, n: int, begins: np.ndarray, signs: np.ndarray) -> np.ndarray:
     """``n`` innovations in circular blocks of ``draws`` (m,), as :func:`blocks` drew them."""
-    block = min(BLOCK, draws.size)
-    rings = sliding_window_view(np.concatenate((draws, draws[:block])), block)
+    rings = sliding_window_view(np.concatenate((draws, draws[:BLOCK])), BLOCK)
     return (rings[begins] * signs[:, None]).ravel()[:n]

@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.discrepancy.model.bands import cutoff
 from emps_design.discrepancy.model.bootstrap import rms_interval
 from emps_design.discrepancy.model.candidate import Candidate
 from emps_design.discrepancy.model.missing_force import missing_force
 from emps_design.discrepancy.model.parallel import side_by_side
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
+from emps_design.discrepancy.model.recorded import CUTOFF_HZ
 from emps_design.observer import motor_force
 from emps_design.records import Record
+from emps_design.simulation import Plant
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ def compare(problem: Problem, baseline: Candidate, extended: Candidate, refitted
     pairs = zip(*(prediction.errors() for prediction in predictions), strict=True)
     errors = {name: np.concatenate(parts) for name, parts in zip(("baseline", "extended"), pairs, strict=True)}
     for name, model in zip(("baseline_60hz", "extended_60hz"), models, strict=True):
-        missing = problem.pick(tuple(m.force for m in missing_force(model, cutoff(problem.period))), "used")
+        missing = problem.pick(tuple(m.force for m in missing_force(model, CUTOFF_HZ)), "used")
         errors[name] = np.concatenate([force - force.mean() for force in missing])
     intervals = side_by_side(rms_interval, [(error,) for error in errors.values()])
     gap = Gap(
@@ -114,7 +115,8 @@ def _predict(baseline: Hypothesis, extended: Hypothesis) -> Prediction:
     measured = motor_force(axis, record)
 
     def simulated(one: Hypothesis) -> np.ndarray:
-        return one.run(0, quantise=True, tolerance=1.0).force
+        force = Plant.of(one.model.to_axis(axis)).closed_loop(**one.driven(0)).force
+        return measured - problem.compared((measured - force,))[0] if problem.follows else force
 
     before, after = side_by_side(simulated, [(baseline,), (extended,)])
     return Prediction(record, measured, before, after, problem.splits[0].used)

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from emps_design.simulation.kernels.compile import cached, part, pointer
-from emps_design.simulation.kernels.friction_period import BOUND, follow, response
+from emps_design.simulation.kernels.friction_period import follow, response
 
 MASS, VISCOUS, COULOMB, OFFSET = range(4)
 # Places in ``numbers``.
@@ -89,7 +89,7 @@ def run_plain(b, numbers, delay, start, reference, push, noise, position, encode
         elif abs(net) <= dry:
             continue
         q, v, _ = follow(q, v, 0.0, net + offset, 0.0, period, friction, k * period, events_, found_)
-        if not abs(q) < BOUND:
+        if not abs(q) < 1e3:
             return k
     return reference.size
 
@@ -155,7 +155,7 @@ def run_folded(b, numbers, start, reference, push, position, velocity, u, events
             continue
         q, v, _ = follow(q, v, 0.0, net + offset, 0.0, period, friction, k * period, events_, found_)
         k += 1
-        if not abs(q) < BOUND:
+        if not abs(q) < 1e3:
             return k - 1
     return n
 

@@ -25,7 +25,7 @@ from emps_design.simulation.kernels.baseline import (
     VISCOUS,
 )
 from emps_design.simulation.kernels.compile import cached, pointer, shifted
-from emps_design.simulation.kernels.friction_period import BOUND, follow, response
+from emps_design.simulation.kernels.friction_period import follow, response
 
 LANES = 32
 ROWS = 20
@@ -110,4 +110,4 @@ def run_lanes(baselines, numbers, start, reference, push, measured_q, measured_u
             result[block + i, 0] = tracked[i]
             result[block + i, 1] = missed[i] if compared else 0.0
             result[block + i, 2] = voltage[i] if compared else 0.0
-            result[block + i, 3] = peak[i] if abs(q[i]) < BOUND else np.nan
+            result[block + i, 3] = peak[i] if abs(q[i]) < 1e3 else np.nan

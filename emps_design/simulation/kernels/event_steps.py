@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from emps_design.simulation.kernels.compile import fused
-from emps_design.simulation.kernels.friction_period import BOUND, BREAKAWAY, GUARDED, REVERSAL, STICK, note
+from emps_design.simulation.kernels.friction_period import BREAKAWAY, GUARDED, REVERSAL, STICK, note
 from emps_design.simulation.kernels.motion import (
     CROSSING,
     FREE,
@@ -133,6 +133,6 @@ def carry(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, even
             hint = max(hint, 2.0 * h)
         elif error < 0.5:
             hint = max(hint, h * 0.9 / np.sqrt(np.sqrt(error)))
-        if not (abs(y[0]) < BOUND and abs(y[1]) < BOUND):
+        if not (abs(y[0]) < 1e3 and abs(y[1]) < 1e3):
             return s, hint, DIVERGED, done
     return s, hint, DONE, done

@@ -15,7 +15,6 @@ import math
 from emps_design.simulation.kernels.compile import inlined, part
 
 REVERSAL, STICK, BREAKAWAY, GUARDED = range(4)  # kinds of events that are recorded
-BOUND = 1e6  # m and m/s (rad): ten times what a record of an axis that turns on may have
 _STOPS = 32  # followed within one period
 
 

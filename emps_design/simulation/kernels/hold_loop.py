@@ -15,7 +15,7 @@ import numpy as np
 from emps_design.simulation.kernels.baseline import SWINGS, swing
 from emps_design.simulation.kernels.compile import cached, call_actuator, call_kernel, call_law, part, pointer, shifted
 from emps_design.simulation.kernels.event_steps import CHATTER, DIVERGED, DONE, NO_STEP, carry
-from emps_design.simulation.kernels.friction_period import BOUND, advance, follow, response
+from emps_design.simulation.kernels.friction_period import advance, follow, response
 from emps_design.simulation.kernels.linear_period import (
     MORE,
     OTHERS,
@@ -65,7 +65,7 @@ from emps_design.simulation.kernels.smooth_period import SPEEDS, begin, feeling,
 
 RUNAWAY, MASSLESS = 4, 5  # what a run can end with, besides what :func:`carry` can
 REASONS = {
-    DIVERGED: "the motion left every bound or became not a number",
+    DIVERGED: "the motion left every bound (1000 m, 1000 m/s) or became not a number",
     NO_STEP: "no step is short enough for the tolerance",
     CHATTER: "more than 2000 events in one sampling period",
     MASSLESS: "the effects leave no mass on the encoder's side",
@@ -247,7 +247,7 @@ def run(
                     y[0], y[1], reached = follow(
                         y[0], y[1], reached, tau, force, h, friction, t + start, events_, found_
                     )
-                if not (abs(y[0]) < BOUND and abs(y[1]) < BOUND):
+                if not (abs(y[0]) < 1e3 and abs(y[1]) < 1e3):
                     return DIVERGED, k, start
                 start = end
                 continue

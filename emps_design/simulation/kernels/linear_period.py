@@ -5,9 +5,9 @@ command, force, 1, slope and curve of the force], and its solution one matrix fo
 piece: within a range of one own state, above it, and below it. A comes from the forces themselves: the derivative of
 the state, taken at one step after the other.
 
-A guide is affine but for a parabola of time. Other forces on the carriage that are smooth on its way, and depend on
-nothing but that way and time, follow from what they were: a parabola of time leads to the end of a period, and what
-they are there bends it (a multistep method of Adams in Nordsieck's form, for the forces only).
+Other forces on the carriage that are smooth on its way, and depend on nothing but that way and time, follow from what
+they were: a parabola of time leads to the end of a period, and what they are there bends it (a multistep method of
+Adams in Nordsieck's form, for the forces only).
 """
 
 from __future__ import annotations
@@ -15,10 +15,8 @@ from __future__ import annotations
 import numpy as np
 
 from emps_design.simulation.kernels.compile import call_rate, fused, shifted
-from emps_design.simulation.kernels.friction_period import BOUND
 from emps_design.simulation.kernels.motion import (
     BRAKING,
-    GUIDED,
     LAG,
     LEVEL,
     LINEAR,
@@ -42,7 +40,6 @@ OTHERS = 4  # numbers of what is known of the other forces: how well, the force,
 _KNOWN = 2.0  # well enough to lead on
 _TURN = 0.5  # rad, of the fastest motion in one part of a period: the velocity is all but a parabola there
 _PARTS = 16  # of a period at most; an axis stiffer than that is stepped
-_PARTS_LED = 64  # the same of one that is led: stepped, it would take far longer
 _TERMS = 20  # of Taylor's series, for half a turn at most: the last is below 1e-24
 # m/s, velocity that other forces would miss without what they are at the end: it leaves a 24th of that.
 _MISSED = 1e-8
@@ -64,9 +61,6 @@ def affine(y, s, plant, dy):
     """Time derivative of the state ``y`` that slides towards ``s``, of what is affine, without motor and push."""
     b, hooks, starts, p, settings, _ = plant
     net = -(b[1] + settings[BRAKING]) * y[1] - b[3] - total(SOLVED, y, 0.0, 0.0, plant) - s * max(0.0, settings[LEVEL])
-    if settings[GUIDED] > 0.0:  # what pulls it back; what leads it on is a force of time
-        at = int(settings[GUIDED]) - 1
-        net -= p[at] * y[1] + p[at + 1] * y[0]
     dy[0], dy[1] = y[1], net * settings[MOBILITY]
     for i in range(starts[RATE], starts[RATE + 1]):
         x_at, p_at = hooks[3 * i + 1], hooks[3 * i + 2]
@@ -158,7 +152,7 @@ def solve(h, s, piece, plant, work, solution, spare):
     parts = max(1.0, np.ceil(rate * h / _TURN))
     row = shifted(solution, size * size)
     twists, answer = shifted(row, size), shifted(row, 2 * size)
-    answer[n] = parts if parts <= (_PARTS_LED if settings[GUIDED] > 0.0 else _PARTS) else 0.0
+    answer[n] = parts if parts <= _PARTS else 0.0
     for i in range(n):
         a[size * i + n + 2] = rest[i] - (a[size * i + twist] * begin if twist > 0 else 0.0)
     a[size + n], a[size + n + 1] = mobility, mobility
@@ -233,15 +227,6 @@ def flow(y, t, h, tau, push, s, plant, work, solutions, others, new):
         if settings[LINEAR] > 2.0:  # they have changed with the motor force
             others[1] = others_at(y, t, tau, s, plant)
         force, slope, curve = force + others[1], others[2], others[3]
-    leads, on, bends = 0.0, 0.0, 0.0
-    if settings[GUIDED] > 0.0:
-        guide = shifted(plant[3], int(settings[GUIDED]) - 1)
-        leads, on, bends = (
-            guide[0] * guide[3] + guide[1] * guide[2],
-            guide[0] * guide[4] + guide[1] * guide[3],
-            guide[1] * guide[4],
-        )
-    force, slope, curve = force + leads, slope + on, curve + bends
     for i in range(n):
         stage[i] = y[i]
     last, goes = of_row(n, stage, gap, force, row), of_row(n, stage, gap, force, twists)
@@ -256,7 +241,7 @@ def flow(y, t, h, tau, push, s, plant, work, solutions, others, new):
         force += span * (slope + 0.5 * span * curve)
         slope += span * curve
         first, last = last, of_row(n, new, gap, force, row)
-        if not (s * new[1] > 0.0 and abs(new[0]) < BOUND and abs(new[1]) < BOUND):
+        if not (s * new[1] > 0.0 and abs(new[0]) < 1e3 and abs(new[1]) < 1e3):
             return False
         # A dip between the two: of a parabola it is half of this at most.
         dip = 0.5 * span * min(abs(first), abs(last))
@@ -272,7 +257,7 @@ def flow(y, t, h, tau, push, s, plant, work, solutions, others, new):
             stage[i] = new[i]
     if forced:
         more = others_at(new, t + h, tau, s, plant)
-        missed = more - (force - tau - push - (leads + h * (on + 0.5 * h * bends)))
+        missed = more - (force - tau - push)
         if abs(missed) * settings[MOBILITY] * h > _MISSED * settings[TOLERANCE]:
             return False
         for i in range(n):
