@@ -138,14 +138,13 @@ def _refuse_ignored(context: typer.Context, estimator: str, records: int) -> Non
 
 def _show_one(found: Identification) -> None:
     from emps_design.cli.output import new_console, new_table
-    from emps_design.effects.terms import TERMS
     from emps_design.quantities import decimals, rounded
 
     console = new_console()
     title = f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}"
     headings = ("parameter", "value", "std (15)", "% (16)", "std *", "95 % ± *", "unit")
     table = new_table(title, *headings, words=("unit",), whole=True, pad_edge=False, padding=(0, 1, 0, 0))
-    own = {quantity.name for term in found.proposed for quantity in TERMS[term].quantities}
+    own = _rows_of(found.proposed)
     for key, estimate in found.parameters.items():
         name = key.replace("_and_", " + ") + (" +" if key in own else "")
         if estimate.interval_95 is None:
@@ -213,6 +212,13 @@ def _show_one(found: Identification) -> None:
         )
 
 
+def _rows_of(terms: Sequence[str]) -> set[str]:
+    """The parameters that ``terms`` have, by name."""
+    from emps_design.effects.terms import TERMS
+
+    return {quantity.name for term in terms for quantity in TERMS[term].quantities}
+
+
 def _why_proposed(terms: Sequence[str]) -> str:
     """Which rows of the table the record asked for by itself, and how to do without."""
     return (
@@ -248,15 +254,13 @@ def _written(number: float | None, places: int) -> str:
 
 def _show_several(found: SeveralIdentifications) -> None:
     from emps_design.cli.output import new_console, new_table
-    from emps_design.effects.terms import TERMS
     from emps_design.quantities import decimals
 
     console = new_console()
     headings = ("parameter", "mean", "spread", "std *", "drift/record", "unit")
     title = f"{len(found.records)} records, {found.model} model, {found.estimator.replace('_', ' ')}"
     table = new_table(title, *headings, words=("unit",), whole=True)
-    proposed = found.identifications[0].proposed
-    own = {quantity.name for term in proposed for quantity in TERMS[term].quantities}
+    own = _rows_of(found.proposed)
     for row in found.table():
         n = decimals(max(abs(row["mean"]), row["std"]))
         table.add_row(
@@ -268,8 +272,8 @@ def _show_several(found: SeveralIdentifications) -> None:
             row["unit"],
         )
     console.print(table)
-    if proposed:
-        console.print(_why_proposed(proposed))
+    if found.proposed:
+        console.print(_why_proposed(found.proposed))
     console.print(
         "spread: std between records; std *: mean within one, for a correlated residual; drift **: p < 1 % over all "
         "parameters together"

@@ -69,9 +69,7 @@ def assemble(
     bias, steps, moved = np.zeros((3, len(values)))
     if errors.systematic is not None:
         bias = errors.systematic
-    if (
-        errors.encoder is not None
-    ):  # where the residual tells of more than the steps of the encoder, it has told of them
+    if errors.encoder is not None:  # a residual that tells of more than the encoder's steps has told of them
         steps = np.where(errors.encoder > std, errors.encoder, 0.0)
     if errors.cutoff is not None:
         moved = errors.cutoff.beyond_chance

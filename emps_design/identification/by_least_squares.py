@@ -132,7 +132,7 @@ def _against_hold(
         better = assemble(judge, judge.solved(), "least_squares")
     except (RecordError, RankError):
         return None, None
-    return better, fit.value - judge.model.solution(dict(zip(judge.names, better.values(), strict=True)))
+    return better, fit.value - better.solution()
 
 
 def _held_out(problem: Problem, fit: LeastSquares, request: Request) -> dict[str, Any] | None:

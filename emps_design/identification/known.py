@@ -36,11 +36,12 @@ def identified_effects(model: str | Model, p: Mapping[str, float]) -> list[dict[
     >>> identified_effects("asymmetric", {"viscous_positive": 5.0, "viscous_negative": 3.0})
     [{'kind': 'asymmetric_viscous_friction', 'viscous_difference': 1.0}]
     """
+    own = _parts(model)
     return [
         {"kind": effect.name, **effect.identified_by[part](p)}
         for effect in known_effects().values()
         for part in effect.identified_by
-        if part in _parts(model)
+        if part in own
     ]
 
 

@@ -99,9 +99,10 @@ class Identification:
         """The parameters in the order of the model, NaN where not determined."""
         return np.array([np.nan if e.value is None else e.value for e in self.parameters.values()])
 
-    def solution(self) -> np.ndarray:
-        """What the columns of :attr:`fitted` multiply, (p,), NaN where not determined."""
-        return self.fitted.solution(dict(zip(self.parameters, self.values().tolist(), strict=True)))
+    def solution(self, model: Model | None = None) -> np.ndarray:
+        """What the columns of a ``model`` (:attr:`fitted` by default) multiply, (p,), NaN where not determined."""
+        by_name = dict(zip(self.parameters, self.values().tolist(), strict=True))
+        return (model or self.fitted).solution(by_name)
 
     def baseline(self) -> np.ndarray:
         """Mass, viscous, coulomb, offset, with an asymmetric model's means; raises where one is not determined."""

@@ -54,6 +54,11 @@ class SeveralIdentifications:
         return self.identifications[0].estimator
 
     @property
+    def proposed(self) -> tuple[str, ...]:
+        """The terms that one of the records or more asked for."""
+        return self.identifications[0].proposed
+
+    @property
     def values(self) -> np.ndarray:
         """Parameters, one row per record, shape (records, p)."""
         return np.array([one.values() for one in self.identifications])
@@ -121,7 +126,7 @@ class SeveralIdentifications:
             "model": self.model,
             "estimator": self.estimator,
             "axis": self.axis.name,
-            "proposed": list(self.identifications[0].proposed),
+            "proposed": list(self.proposed),
             "parameters": {row.pop("name"): row for row in self.table()},
             "cross_validation": self.cross_validation.tolist(),
             "cross_validation_unit": self.axis.units.unit("N"),
@@ -175,8 +180,7 @@ def identify_several(
 
 def _error(found: Identification, judge: Identification) -> float:
     """Force error [N rms] of the parameters ``found`` on the record of ``judge``, by its inverse model."""
-    parameters = dict(zip(found.parameters, found.values().tolist(), strict=True))
-    left = judge.series["measured"] - judge.series["columns"] @ judge.fitted.solution(parameters)
+    left = judge.series["measured"] - judge.series["columns"] @ found.solution(judge.fitted)
     return float(np.sqrt(np.sum(left**2) / judge.samples))
 
 
@@ -202,12 +206,11 @@ def _identified(
             progress(f"identify {record.name}", index / len(records))
         found.append(identify(record, axis, **options))
     taken = max((one.estimator for one in found), key=list(NAMES).index)
-    proposed = {term for one in found for term in one.proposed}
+    proposed = tuple(term for term in TERMS if any(term in one.proposed for one in found))
     again = {**options, "estimator": NAMES[taken]}
     if proposed:
-        again["with_"] = [term for term in TERMS if term in proposed]
-    pairs = zip(records, found, strict=True)
-    alike = [one.estimator == taken and {*one.proposed} == proposed for one in found]
-    found = [one if same else identify(record, axis, **again) for same, (record, one) in zip(alike, pairs, strict=True)]
-    told = tuple(term for term in TERMS if term in proposed)
-    return [replace(one, proposed=told) for one in found]
+        again["with_"] = list(proposed)
+    for index, one in enumerate(found):
+        if one.estimator != taken or one.proposed != proposed:
+            found[index] = replace(identify(records[index], axis, **again), proposed=proposed)
+    return found

@@ -36,7 +36,6 @@ LONG = {
 REPORT = {"report": "report {design} --k-e1 0.005 --out {out}"}
 SIZES = {"small": 1e-3, "typical": 1.0, "large": 100.0}
 STUDY = pytest.mark.study("all commands on all effects, small and large")
-EVERY_SIZE = pytest.mark.parametrize("size", [pytest.param(s, marks=[] if s == "typical" else STUDY) for s in SIZES])
 ONE_EACH = [effect.name for effect in EFFECTS]
 # Pairs that meet in one place of the plant: two of the actuator, two over position, play and spring, sensor and drive.
 PAIRS = [
@@ -95,12 +94,19 @@ def check(lines, effects, record, folder, capsys):
             assert document["reason"], name
 
 
-@EVERY_SIZE
+@pytest.mark.parametrize("name", ONE_EACH)
+def test_design_commands_run(name, record, tmp_path, capsys):
+    """Two of them on each effect; the study has all."""
+    turn = ("gains", "retune", "force")[ONE_EACH.index(name) % 3]
+    lines = {key: DESIGN[key] for key in ("gains-slow", turn)}
+    check(lines, [parameters(name, "typical")], record, tmp_path, capsys)
+
+
+@STUDY
+@pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("name", ONE_EACH)
 def test_every_design_command_runs(name, size, record, tmp_path, capsys):
-    turn = ("gains", "retune", "force")[ONE_EACH.index(name) % 3]
-    lines = {key: DESIGN[key] for key in ("gains-slow", turn)} if size == "typical" else DESIGN
-    check(lines, [parameters(name, size)], record, tmp_path, capsys)
+    check(DESIGN, [parameters(name, size)], record, tmp_path, capsys)
 
 
 @pytest.mark.study("two commands on pairs of effects of nine sizes")
