@@ -22,7 +22,7 @@ def moved(q_ref):
     return Record.from_arrays(1e-3, q_ref, q_ref, q_ref, name="run")
 
 
-LAPS = trapezoid_laps(1e-3, stroke=0.1, laps=3)
+LAPS = trapezoid_laps(1e-3, stroke=0.06, laps=3)
 WANDER = np.cumsum(np.repeat([1.0, -0.6, 0.7, -1.1, 0.4, -0.9, 0.8, -0.3], 500)) * 1e-4  # eight strokes, no laps
 
 
@@ -45,7 +45,7 @@ def test_where_too_little_would_be_left_nothing_is_held_out_and_it_is_said(recor
 
 
 def test_nothing_of_what_is_kept_is_fitted():
-    record = synthetic_record(AXIS, stroke=0.1)
+    record = synthetic_record(AXIS, stroke=0.06)
     preparation = prepare((record,), AXIS, LIBRARY, None, None, None)
     (split,) = preparation.start.problem.splits
     (closed,) = preparation.held_out.problem.splits
@@ -59,13 +59,13 @@ def test_nothing_of_what_is_kept_is_fitted():
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("kept")
     delayed = AXIS.replace(effects=[{"kind": "actuator_delay", "delay": 2e-3}])
-    synthetic_record(delayed, stroke=0.1).save(folder / "one.npz")
-    synthetic_record(AXIS, seed=1, stroke=0.1).save(folder / "other.npz")
+    synthetic_record(delayed, stroke=0.06).save(folder / "one.npz")
+    synthetic_record(AXIS, seed=1, stroke=0.06).save(folder / "other.npz")
     return folder
 
 
 def test_the_answer_says_what_confirmed_it(folder):
-    answer = diagnose(synthetic_record(AXIS.replace(effects=[]), stroke=0.1, seed=3), AXIS, library=LIBRARY)
+    answer = diagnose(synthetic_record(AXIS.replace(effects=[]), stroke=0.06, seed=3), AXIS, library=LIBRARY)
     document = answer.to_dict()
     assert document["verdict"] == "nothing-missing"
     assert document["held_out"]["chosen"] == "kept"
@@ -93,7 +93,7 @@ def test_a_diagnosis_of_another_record_is_not_replaced_without_being_asked(folde
 def test_what_happens_in_the_part_kept_closed_opens_it():
     changed = AXIS.replace(effects=[{"kind": "mass_change", "change": 0.3, "time": 4.0}])
     library = (get_effect("mass_change"), *LIBRARY)
-    answer = diagnose(synthetic_record(changed, stroke=0.1), AXIS, library=library)
+    answer = diagnose(synthetic_record(changed, stroke=0.06), AXIS, library=library)
     assert [finding.effect for finding in answer.findings] == ["mass_change"]
     assert answer.holdout is None
     assert "kept closed at first, has something that the rest lacks" in answer.sentence
@@ -102,10 +102,10 @@ def test_what_happens_in_the_part_kept_closed_opens_it():
 def test_a_push_that_began_in_the_part_kept_closed_is_said_to_have():
     """Pulses from 0.9 s on: what was fitted begins with the lap after, and its first one is not theirs."""
     pushes = {"kind": "external_force", "amplitude": 15.0, "start": 0.9, "duration": 0.3, "every": 2.9}
-    record = synthetic_record(AXIS.replace(effects=[pushes]), stroke=0.1)
+    record = synthetic_record(AXIS.replace(effects=[pushes]), stroke=0.06)
     answer = diagnose(record, AXIS, library=(get_effect("external_force"),))
     (finding,) = answer.findings
-    assert finding.parameters["start"]["value"] == pytest.approx(9.6, abs=1e-2)
+    assert finding.parameters["start"]["value"] == pytest.approx(6.7, abs=1e-2)
     said = finding.note.split("; ")[-1]
     assert said.startswith("start is the first in what was fitted: the first lap of")
     assert float(said.split()[-2]) == pytest.approx(0.9, abs=1e-3)
