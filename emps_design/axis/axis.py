@@ -152,7 +152,8 @@ class Axis(Table):
         >>> machine("emps2019").replace(mechanics={"mass": 100.0}).mechanics.mass
         100.0
         """
-        data = self.to_dict()
+        own = {"effects": [], **self.to_dict()}
+        data = dict(own)
         for key, value in tables.items():
             if isinstance(value, BaseModel):
                 value = value.model_dump(exclude_none=True)
@@ -162,7 +163,7 @@ class Axis(Table):
             elif key == "effects":
                 value = [{"kind": e.kind, **e.parameters} if isinstance(e, AxisEffect) else e for e in value]
             data[key] = value
-        return Axis.from_dict(data, self.name)
+        return self if data == own else Axis.from_dict(data, self.name)
 
     def _repr_html_(self) -> str:
         kind, unit = self.controller.kind, self.units.unit

@@ -34,12 +34,13 @@ def low_pass(signal: np.ndarray, cutoff_hz: float, period: float, order: int = 4
     return _forwards_and_backwards(_butterworth(order, share), signal, _padding(order, len(signal)), share)
 
 
+# Designing a filter, and its state in a constant signal, take as long as filtering ten thousand samples.
 @lru_cache(maxsize=64)
-def _butterworth(order: int, share: float) -> np.ndarray:
-    """Second-order sections; designing them takes as long as filtering ten thousand samples."""
-    from scipy.signal import butter
+def _butterworth(order: int, share: float) -> tuple[np.ndarray, np.ndarray]:
+    from scipy.signal import butter, sosfilt_zi
 
-    return butter(order, share, output="sos")
+    sections = butter(order, share, output="sos")
+    return sections, sosfilt_zi(sections)
 
 
 def share_of_nyquist(cutoff_hz: float, period: float) -> float:
@@ -74,10 +75,11 @@ def decimate(signal: np.ndarray, factor: int = DECIMATION) -> np.ndarray:
 
 
 @lru_cache(maxsize=64)
-def _chebyshev(share: float) -> np.ndarray:
-    from scipy.signal import cheby1
+def _chebyshev(share: float) -> tuple[np.ndarray, np.ndarray]:
+    from scipy.signal import cheby1, sosfilt_zi
 
-    return cheby1(8, 0.05, share, output="sos")
+    sections = cheby1(8, 0.05, share, output="sos")
+    return sections, sosfilt_zi(sections)
 
 
 def decimated_rows(n: int, factor: int = DECIMATION) -> slice:
@@ -180,28 +182,42 @@ def _second_difference(q: np.ndarray, period: float) -> np.ndarray:
 
 
 def _forwards_and_backwards(
-    sections: np.ndarray, signal: np.ndarray, padding: int, share: float, rows: slice = slice(None)
+    design: tuple[np.ndarray, np.ndarray],
+    signal: np.ndarray,
+    padding: int,
+    share: float,
+    rows: slice = slice(None),
 ) -> np.ndarray:
-    """Zero-phase filter of second-order ``sections`` with cut-off ``share`` of the Nyquist frequency; only ``rows``.
+    """Zero-phase filter of a ``design`` with cut-off ``share`` of the Nyquist frequency; only ``rows``.
 
     Long signals go through in blocks, which saves memory; they overlap by so much that the answer of the filter to what
     lies outside has fallen below rounding.
     """
-    from scipy.signal import sosfiltfilt
-
     n, reach = len(signal), int(200.0 / share)
     if n <= BLOCK + 2 * reach:
-        return sosfiltfilt(sections, signal, padlen=padding)[rows].copy()
+        return _zero_phase(design, signal, padding)[rows].copy()
     wanted = range(n)[rows]
     smooth, filled = np.empty(len(wanted)), 0
     for start in range(0, n, BLOCK):
         low, stop = max(0, start - reach), min(n, start + BLOCK)
-        part = sosfiltfilt(sections, signal[low : min(n, stop + reach)], padlen=padding)
+        part = _zero_phase(design, signal[low : min(n, stop + reach)], padding)
         first = wanted.start - low + -(-max(0, start - wanted.start) // wanted.step) * wanted.step
         kept = part[first : stop - low : wanted.step]
         smooth[filled : filled + len(kept)] = kept
         filled += len(kept)
     return smooth
+
+
+def _zero_phase(design: tuple[np.ndarray, np.ndarray], signal: np.ndarray, padding: int) -> np.ndarray:
+    """scipy's ``sosfiltfilt`` to the bit, of second-order sections whose state in a constant signal is known."""
+    from scipy.signal import sosfilt
+
+    sections, constant = design
+    before, after = 2.0 * signal[0] - signal[padding:0:-1], 2.0 * signal[-1] - signal[-2 : -2 - padding : -1]
+    signal = np.concatenate([before, signal, after])
+    for _ in range(2):
+        signal = sosfilt(sections, signal, zi=constant * signal[0])[0][::-1]
+    return signal[padding:-padding]
 
 
 def _padding(order: int, n: int) -> int:

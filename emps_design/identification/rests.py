@@ -31,11 +31,19 @@ def encoder_variance(record: Record) -> float:
     2.0
     """
     step = np.abs(np.diff(record.q))
-    blocks = zip(np.array_split(np.diff(record.q, 4) ** 2, BLOCKS), np.array_split(step[3:] > 0.0, BLOCKS), strict=True)
-    moving = [np.mean(fourth) for fourth, moves in blocks if moves.size and np.mean(moves) > MOVING]
+    fourth, moves = _means(np.diff(record.q, 4) ** 2), _means(step[3:] > 0.0)
+    moving = fourth[moves > MOVING]
     finest = float(np.min(step, initial=np.inf, where=step > 0.0))
     rounding = finest**2 / 12.0 if np.isfinite(finest) else 0.0
-    return max(float(np.median(moving or [0.0])) / 70.0, rounding)
+    return max(float(np.median(moving)) / 70.0 if moving.size else 0.0, rounding)
+
+
+def _means(signal: np.ndarray) -> np.ndarray:
+    """Means of ``signal`` (n,) over equal blocks one behind the other, (:data:`BLOCKS`,) at most."""
+    size, longer = divmod(len(signal), BLOCKS)
+    first, rest = signal[: longer * (size + 1)], signal[longer * (size + 1) :]
+    parts = first.reshape(longer, size + 1), rest.reshape(-1, size) if size else rest.reshape(0, 1)
+    return np.concatenate([np.mean(part, axis=1) for part in parts])
 
 
 def at_rest(record: Record) -> np.ndarray:

@@ -41,7 +41,7 @@ def acting_voltage(axis: Axis, u: np.ndarray) -> tuple[np.ndarray, Axis]:
     for constant in lags:
         u = _lagged(u, constant / axis.sampling.period)
     used_up = {
-        "drive": {"current_time_constant": 0.0, "back_emf": 0.0},
+        "drive": {"current_time_constant": 0.0, **({"back_emf": 0.0} if axis.drive.back_emf else {})},
         "sampling": {"computation_delay": 0},
         "mechanics": {"viscous": axis.damping},
     }

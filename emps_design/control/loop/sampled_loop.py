@@ -267,36 +267,30 @@ def axis_loop(axis: Axis, velocity: float = 0.1) -> SampledLoop:
 
 def _without_repetitions(rows: np.ndarray, out: np.ndarray, keep: list[int], cells: range) -> list[int]:
     """``keep`` without those ``cells`` that repeat another state from rest on; their columns are added to its own."""
-    if not _any_repetition(rows, keep, cells):
-        return keep
-    ends = range(rows.shape[-2], rows.shape[-1])
-    for cell, other in [(cell, other) for cell in cells for other in keep if other not in cells] * 2:
-        if cell not in keep:
-            continue
-        rest = [i for i in (*keep, *ends) if i not in (cell, other)]
-        gap = rows[..., other, :] - rows[..., cell, :]
-        scale = SAME * np.abs(rows[..., cell, :]).max(axis=-1)
-        apart = np.abs(gap[..., other] + gap[..., cell])
-        if np.all(np.abs(gap[..., rest]) <= scale[..., None]) and np.all(apart <= scale):
-            for table in (rows, out):
-                table[..., other] += table[..., cell]
-            keep = [i for i in keep if i != cell]
+    while (found := _repetition(rows, keep, cells)) is not None:
+        cell, other = found
+        for table in (rows, out):
+            table[..., other] += table[..., cell]
+        keep = [i for i in keep if i != cell]
     return keep
 
 
-def _any_repetition(rows: np.ndarray, keep: list[int], cells: range) -> bool:
-    """Whether any of the ``cells`` may repeat another state, all of them looked at together."""
+def _repetition(rows: np.ndarray, keep: list[int], cells: range) -> tuple[int, int] | None:
+    """The first of the ``cells`` that goes on as another state does wherever the two are equal, and that state."""
     mine, others = [one for one in keep if one in cells], [one for one in keep if one not in cells]
     if not mine or not others:
-        return False
-    columns = [*keep, *range(rows.shape[-2], rows.shape[-1])]
-    own, rest = rows[..., mine, :][..., columns], rows[..., others, :][..., columns]
-    gap = np.abs(rest[..., None, :, :] - own[..., :, None, :])
-    column = np.array(columns)
-    aside = (column == np.array(mine)[:, None, None]) | (column == np.array(others)[None, :, None])
-    scale = SAME * np.abs(rows[..., mine, :]).max(axis=-1)[..., None, None]
-    alike = np.all((gap <= scale) | aside, axis=-1)
-    return bool(np.any(np.all(alike.reshape(-1, *alike.shape[-2:]), axis=0)))
+        return None
+    columns = np.array([*keep, *range(rows.shape[-2], rows.shape[-1])])
+    own, rest = rows[..., mine, :], rows[..., others, :]
+    gap = rest[..., None, :, :] - own[..., :, None, :]
+    cell, other = np.ix_(range(len(mine)), range(len(others)))
+    to_own, to_other = gap[..., cell, other, np.array(mine)[:, None]], gap[..., cell, other, np.array(others)]
+    aside = (columns == np.array(mine)[:, None, None]) | (columns == np.array(others)[None, :, None])
+    scale = SAME * np.abs(own).max(axis=-1)[..., None]
+    alike = np.all((np.abs(gap[..., columns]) <= scale[..., None]) | aside, axis=-1)
+    alike &= np.abs(to_own + to_other) <= scale
+    pairs = np.argwhere(np.all(alike.reshape(-1, len(mine), len(others)), axis=0))
+    return (mine[pairs[0, 0]], others[pairs[0, 1]]) if len(pairs) else None
 
 
 def sorted_poles(poles: np.ndarray) -> np.ndarray:
