@@ -11,8 +11,8 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
-from emps_design.control.impedance.response import relay_oscillation
-from emps_design.control.impedance.robustness import break_away, corner_errors
+from emps_design.control.impedance.response import relay_oscillations
+from emps_design.control.impedance.robustness import break_away, corner_errors, stacked
 from emps_design.control.impedance.sampled import Clock, Environment, numbers, sampled_loop, sampled_loops
 from emps_design.control.loop.sampled_loop import MARGINAL
 from emps_design.errors import InputError
@@ -223,18 +223,15 @@ def _slowest(axis: Axis, law: ImpedanceLaw, mismatch: float) -> tuple[float, flo
     """Time [s] in which the released carriage calms down, and time over which a limit cycle shows."""
     plant, clock = FrictionModel.of(axis), Clock.of(axis)
     corners: list[dict[str, float]] = [{}, *(corner_errors(mismatch) if mismatch else ())]
-    errors = {name: np.array([corner.get(name, 0.0) for corner in corners]) for name in corners[-1]}
-    together, decay, slowest = law.with_errors(errors), math.inf, math.inf
+    together, decay = law.with_errors(stacked(corners)), math.inf
     for direction in plant.directions:
         loops = sampled_loops(numbers(together, plant, direction), clock, law.velocity_estimator, law.force_sensor)
         poles = np.abs(loops.poles)
         inside = poles[(poles > 0.0) & (poles < 1.0 - MARGINAL)]
         if inside.size:
             decay = min(decay, -math.log(inside.max()) / clock.period)
-    for corner in corners:
-        oscillation = relay_oscillation(law.with_errors(corner), plant, clock)
-        if oscillation is not None:
-            slowest = min(slowest, oscillation[0])
+    oscillations = relay_oscillations(together, plant, clock)
+    slowest = min((one[0] for one in oscillations if one is not None), default=math.inf)
     return max(CALMING, DECAYS / decay), max(WATCHED, CYCLES * 2.0 * math.pi / slowest)
 
 

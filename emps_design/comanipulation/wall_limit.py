@@ -17,8 +17,8 @@ from emps_design.axis import Axis
 from emps_design.comanipulation.wall_contact import push_into_wall
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, law_for
 from emps_design.control.impedance.passivity import largest_wall
-from emps_design.control.impedance.response import relay_oscillation
-from emps_design.control.impedance.robustness import break_away, corner_errors
+from emps_design.control.impedance.response import relay_oscillations
+from emps_design.control.impedance.robustness import break_away, corner_errors, stacked
 from emps_design.control.impedance.sampled import Clock, Environment, sampled_loop
 from emps_design.errors import SimulationError
 from emps_design.simulation.environment import Hand
@@ -68,8 +68,9 @@ def wall_limit(axis: Axis, law: ImpedanceLaw, mismatch: float = 0.0) -> WallLimi
     True
     """
     plant, clock = FrictionModel.of(axis), Clock.of(axis)
-    corners = [{}, *(corner_errors(mismatch) if mismatch else ())]
+    corners: list[dict[str, float]] = [{}, *(corner_errors(mismatch) if mismatch else ())]
     laws = [law.with_errors(errors) for errors in corners]
+    together = law.with_errors(stacked(corners))
     walls = [largest_wall(one, plant, clock) for one in laws]
     limits = [wall for wall in walls if wall is not None]
     if not limits:
@@ -79,14 +80,12 @@ def wall_limit(axis: Axis, law: ImpedanceLaw, mismatch: float = 0.0) -> WallLimi
         return WallLimit(0.0, 0.0, 0.0, 0.0, corners[int(np.argmin([math.inf if w is None else w for w in walls]))])
     grid = linear * STEP ** np.arange(round(math.log(LOWEST, STEP)), 1)
 
-    def speed(one: ImpedanceLaw, wall: float) -> float:
-        found = relay_oscillation(one, plant, clock, wall)
-        return 0.0 if found is None else found[1]
+    def speeds(wall: float) -> np.ndarray:
+        found = relay_oscillations(together, plant, clock, wall)
+        return np.array([0.0 if one is None else one[1] for one in found])
 
-    worst = int(
-        np.argmax([speed(one, 0.5 * linear) - 1e-6 * (wall or 0.0) for one, wall in zip(laws, walls, strict=True)])
-    )
-    quiet = [all(speed(one, wall) == 0.0 for one in laws) for wall in grid]
+    worst = int(np.argmax(speeds(0.5 * linear) - 1e-6 * np.array([wall or 0.0 for wall in walls])))
+    quiet = [not speeds(wall).any() for wall in grid]
     predicted = 0.0 if not quiet[0] else float(grid[quiet.index(False) - 1] if False in quiet else linear)
     push = max(2.3 * break_away(law, plant), 0.1 * abs(complex(law.damping, 5.0 * law.mass)))
     simulated = _simulated(axis, laws[worst], grid, push)

@@ -38,7 +38,16 @@ def impedance_error(loops: SampledLoop, n: dict[str, Any], band: float = 20.0, p
 def relay_oscillation(
     law: ImpedanceLaw, plant: FrictionModel, clock: Clock, wall: float = 0.0
 ) -> tuple[float, float] | None:
+    """The one of :func:`relay_oscillations` of a single ``law``."""
+    return relay_oscillations(law, plant, clock, wall)[0]
+
+
+def relay_oscillations(
+    law: ImpedanceLaw, plant: FrictionModel, clock: Clock, wall: float = 0.0
+) -> list[tuple[float, float] | None]:
     """Predict the oscillation the Coulomb compensation can keep up: (frequency [rad/s], velocity amplitude [m/s]).
+
+    One of each law where the estimate of ``law`` holds arrays (m,), as :meth:`.ImpedanceLaw.with_errors` makes them.
 
     The law pushes with ``r c Fh_c sign(v_k)`` at once, but takes back what its current already does only through the
     filter: after a reversal it over-compensates for a while. Describing function of the two relays, plant and law:
@@ -56,12 +65,21 @@ def relay_oscillation(
     back = np.exp(-1j * omega * clock.period)
     # Of the velocity the law sees, against the mean over the period that follows.
     turn = estimator_response(law.velocity_estimator, omega, clock.period) * back
-    found = []
+    balances = []
     for direction in plant.directions:
         i = 0 if direction > 0 else 1
-        loop = sampled_loop(law, plant, clock, direction, Environment(stiffness=wall))
-        helping = law.coulomb_factor * law.estimate.coulomb[i] * loop.response(omega, by="coulomb")
-        balance = (4.0 / np.pi) * (helping * turn / np.abs(turn) - plant.coulomb[i] * loop.response(omega))
+        loops = sampled_loop(law, plant, clock, direction, Environment(stiffness=wall))
+        level = np.asarray(law.coulomb_factor * law.estimate.coulomb[i])[..., None]
+        helping = level * loops.response(omega, by="coulomb")
+        balance = (4.0 / np.pi) * (helping * turn / np.abs(turn) - plant.coulomb[i] * loops.response(omega))
+        balances.append(np.atleast_2d(balance))
+    return [_largest_oscillation(lane, omega) for lane in np.stack(balances, axis=1)]
+
+
+def _largest_oscillation(balances: np.ndarray, omega: np.ndarray) -> tuple[float, float] | None:
+    """Frequency [rad/s] and amplitude [m/s] where one of the ``balances`` (d, w) is real and largest, above zero."""
+    found = []
+    for balance in balances:
         real, imag = balance.real, balance.imag
         for k in np.flatnonzero(imag[:-1] * imag[1:] < 0.0):
             share = imag[k] / (imag[k] - imag[k + 1])

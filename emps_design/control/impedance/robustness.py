@@ -61,6 +61,15 @@ def corner_errors(mismatch: float, two_quadrant: bool = False) -> list[dict[str,
     return [dict(zip(names, corner, strict=True)) for corner in product(errors, repeat=len(names))]
 
 
+def stacked(corners: Sequence[dict[str, float]]) -> dict[str, np.ndarray]:
+    """The errors at several ``corners`` as arrays (m,), as :meth:`.ImpedanceLaw.with_errors` takes them.
+
+    >>> {name: errors.tolist() for name, errors in stacked([{}, {"mass": 0.02}]).items()}
+    {'mass': [0.0, 0.02]}
+    """
+    return {name: np.array([corner.get(name, 0.0) for corner in corners]) for name in corners[-1]}
+
+
 def drift_speed(law: ImpedanceLaw, plant: FrictionModel, direction: int = 1) -> Any:
     """Speed [m/s] that free motion in ``direction`` tends to: above zero it creeps, below zero dry friction stops it.
 
