@@ -22,6 +22,7 @@ ROUNDS = 30  # of Gauss and Newton, at most
 LARGEST = 0.5  # change of a filter's number in one round
 SHORTER, SHORTEST = 0.3, 1e-3  # share of a step that is tried where the whole one gained nothing
 CONVERGED = 1e-9  # of the cost
+RANK = 1e-10  # of the largest singular value: columns that are smaller tell nothing
 
 
 @dataclass(frozen=True)
@@ -105,16 +106,28 @@ def solve(
     c: Compressed, structure: Structure, period: float, within: tuple[float, float] | None = None
 ) -> tuple[float, np.ndarray, np.ndarray, float]:
     """Best integral rate ``within`` bounds [1/s], linear coefficients, steps of the filters' numbers, squares left."""
+    table = c.table * c.norms
+
+    def scaled(wi: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        columns = table @ structure.combination(wi)
+        slopes = np.broadcast_to(c.slopes, (*columns.shape[:-1], c.slopes.shape[1]))
+        columns = np.concatenate([columns, slopes], axis=-1)
+        scale = np.linalg.norm(columns, axis=-2)
+        scale[scale == 0.0] = 1.0
+        return columns / scale[..., None, :], scale
 
     def at(wi: float) -> tuple[float, np.ndarray, np.ndarray]:
-        columns = (c.table * c.norms) @ structure.combination(wi)
-        width = columns.shape[1]
-        columns = np.column_stack([columns, c.slopes])
-        scale = np.linalg.norm(columns, axis=0)
-        scale[scale == 0.0] = 1.0
-        found = np.linalg.lstsq(columns / scale, c.target, rcond=1e-10)[0]
-        left = c.target - (columns / scale) @ found
-        return float(left @ left) + c.rest, (found / scale)[:width], (found / scale)[width:]
+        columns, scale = scaled(wi)
+        found = np.linalg.lstsq(columns, c.target, rcond=RANK)[0]
+        left, found = c.target - columns @ found, found / scale
+        width = len(found) - c.slopes.shape[1]
+        return float(left @ left) + c.rest, found[:width], found[width:]
+
+    def left_by(rates: np.ndarray) -> np.ndarray:
+        """Squares (k,) that each of the ``rates`` leaves, but for the rest; all of them in one decomposition."""
+        sides, sizes, _ = np.linalg.svd(scaled(rates)[0], full_matrices=False)
+        reached = (sides.swapaxes(1, 2) @ c.target) * (sizes > RANK * sizes[:, :1])
+        return np.sum((c.target - (sides @ reached[..., None])[..., 0]) ** 2, axis=1)
 
     if not structure.form:
         cost, linear, steps = at(0.0)
@@ -123,7 +136,7 @@ def solve(
     # Twice, for a position loop and an integral of nearly one rate may change places: two minima side by side.
     for count in (SCAN, FINE_SCAN) if within is None else (FINE_SCAN,):
         tried = np.geomspace(low, high, count)
-        best = int(np.argmin([at(rate)[0] for rate in tried]))
+        best = int(np.argmin(left_by(tried)))
         low, high = tried[max(best - 1, 0)], tried[min(best + 1, count - 1)]
     found = minimize_scalar(
         lambda x: at(np.exp(x))[0], bounds=(np.log(low), np.log(high)), method="bounded", options={"xatol": 1e-9}
