@@ -12,6 +12,7 @@ import math
 import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ HALF_UNIT = 2.0**-24  # relative, of one operation in single precision
 TINY = 2.0**-149  # absolute, where a result underflows
 LARGEST = 2.0**127  # what single precision is sure to hold
 MOST_WAYS = 64  # through one step
+NONE = np.zeros(0)  # shares of what is held as it is
 
 
 @dataclass
@@ -53,7 +55,7 @@ class Roundings:
 
     def exact(self, value: float) -> Rounded:
         """A number that single precision holds as it is."""
-        return Rounded(value, np.zeros(0), self)
+        return Rounded(value, NONE, self, 0.0)
 
     def constant(self, value: float) -> Rounded:
         """A constant of the program, rounded once.
@@ -61,22 +63,28 @@ class Roundings:
         >>> Roundings().constant(0.1).bound == abs(float(np.float32(0.1)) - 0.1)
         True
         """
-        with np.errstate(over="ignore"):
-            return self.rounded(value, np.zeros(0), abs(float(np.float32(value)) - value))
+        return self.rounded(value, NONE, 0.0, _lost(value))
 
-    def rounded(self, value: float, shares: np.ndarray, own: float) -> Rounded:
-        """A number with ``shares`` of the roundings before, and one more of size ``own``."""
+    def rounded(self, value: float, shares: np.ndarray, bound: float, own: float) -> Rounded:
+        """A number with ``shares`` of the roundings before, ``bound`` in all, and one more of size ``own``."""
         if own == 0.0:
-            return Rounded(value, shares, self)
+            return Rounded(value, shares, self, bound)
         self.count += 1
         more = np.zeros(self.count)
         more[: shares.size] = shares
         more[-1] = own
-        return Rounded(value, more, self)
+        return Rounded(value, more, self, bound + own)
+
+
+@lru_cache(maxsize=10_000)
+def _lost(value: float) -> float:
+    """What is cut off a constant of the program."""
+    with np.errstate(over="ignore"):
+        return abs(float(np.float32(value)) - value)
 
 
 class Rounded:
-    """A ``value`` with its ``shares`` (r,) of the roundings before.
+    """A ``value`` with its ``shares`` (r,) of the roundings before, whose sizes sum up to ``bound``.
 
     >>> x = Roundings().constant(0.1)
     >>> (x + x).bound > x.bound > (x - x).bound == 0.0
@@ -85,28 +93,28 @@ class Rounded:
 
     __slots__ = ("bound", "positive", "roundings", "shares", "value")
 
-    def __init__(self, value: float, shares: np.ndarray, roundings: Roundings):
-        self.value, self.shares, self.roundings = value, shares, roundings
-        self.bound = float(np.abs(shares).sum())
-        self.positive = self.value >= self.bound  # or 0, in single precision too
+    def __init__(self, value: float, shares: np.ndarray, roundings: Roundings, bound: float):
+        self.value, self.shares, self.roundings, self.bound = value, shares, roundings, bound
+        self.positive = value >= bound  # or 0, in single precision too
 
     def other(self, number: Any) -> Rounded:
         """``number`` as one like this."""
         return number if isinstance(number, Rounded) else self.roundings.constant(float(number))
 
     def _made(self, value: float, shares: np.ndarray, more: float = 0.0, units: float = 1.0) -> Rounded:
-        bound = float(np.abs(shares).sum()) + more
+        before = _size(shares)
+        bound = before + more
         if not abs(value) + bound < LARGEST:
             self.roundings.open = True
         if value == 0.0 and bound == 0.0:
             return self.roundings.exact(value)
-        return self.roundings.rounded(value, shares, more + units * HALF_UNIT * (abs(value) + bound) + TINY)
+        return self.roundings.rounded(value, shares, before, more + units * HALF_UNIT * (abs(value) + bound) + TINY)
 
     def __add__(self, other: Any) -> Rounded:
         other = self.other(other)
         shares = _sum(self.shares, other.shares)
         if 0.0 in (self.value, other.value) and 0.0 in (self.bound, other.bound):
-            return Rounded(self.value + other.value, shares, self.roundings)  # nothing is rounded
+            return Rounded(self.value + other.value, shares, self.roundings, _size(shares))  # nothing is rounded
         return self._made(self.value + other.value, shares)
 
     def __sub__(self, other: Any) -> Rounded:
@@ -130,7 +138,7 @@ class Rounded:
             return self.roundings.exact(self.value / other.value if other.value else math.nan)
         value = self.value / other.value
         shares = _sum(self.shares / other.value, -value / other.value * other.shares)
-        made = self._made(value, shares, float(np.abs(shares).sum()) * other.bound / least)
+        made = self._made(value, shares, _size(shares) * other.bound / least)
         made.positive |= self.positive and other.positive
         return made
 
@@ -146,12 +154,12 @@ class Rounded:
         return power(self.other(base), self)
 
     def __neg__(self) -> Rounded:
-        return Rounded(-self.value, -self.shares, self.roundings)
+        return Rounded(-self.value, -self.shares, self.roundings, self.bound)
 
     def __abs__(self) -> Rounded:
         if abs(self.value) >= self.bound:
             return -self if self.value < 0.0 else self
-        made = self.roundings.rounded(abs(self.value), np.zeros(0), self.bound)
+        made = self.roundings.rounded(abs(self.value), NONE, 0.0, self.bound)
         made.positive = True
         return made
 
@@ -167,7 +175,7 @@ class Rounded:
     def compared(self, other: Any, holds: Callable[[float, float], bool]) -> bool:
         """Whether the difference ``holds`` against 0: either way where the roundings may turn its sign."""
         other = self.other(other)
-        difference, bound = self.value - other.value, float(np.abs(_sum(self.shares, -other.shares)).sum())
+        difference, bound = self.value - other.value, _size(_sum(self.shares, -other.shares))
         found = holds(difference, 0.0)
         return self.roundings.either(found, not found) if bound > 0.0 and abs(difference) <= bound else found
 
@@ -193,6 +201,10 @@ class Rounded:
     __radd__, __rmul__ = __add__, __mul__
 
 
+def _size(shares: np.ndarray) -> float:
+    return float(np.add.reduce(np.abs(shares)))
+
+
 def _sum(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     longer, shorter = (first, second) if first.size >= second.size else (second, first)
     found = longer.copy()
@@ -210,7 +222,7 @@ def power(base: Rounded, exponent: Rounded) -> Rounded:
         return base.roundings.exact(max(base.value, 0.0) ** exponent.value if exponent.value > 0.0 else math.nan)
     value = base.value**exponent.value
     ends = [max(x, 0.0) ** (exponent.value + d) for x in (low, high) for d in (-exponent.bound, exponent.bound)]
-    return base._made(value, np.zeros(0), max(abs(end - value) for end in ends), units=2.0)
+    return base._made(value, NONE, max(abs(end - value) for end in ends), units=2.0)
 
 
 def every_way(run: Callable[[], Sequence[Any]], now: Roundings) -> tuple[list[Rounded], bool]:
@@ -235,9 +247,9 @@ def every_way(run: Callable[[], Sequence[Any]], now: Roundings) -> tuple[list[Ro
             break
         for i, (one, other) in enumerate(zip(first, others, strict=True)):
             apart = _sum(other.shares[:before], -one.shares[:before])
-            own = abs(other.value - one.value) + float(np.abs(apart).sum() + np.abs(other.shares[before:]).sum())
+            own = abs(other.value - one.value) + _size(apart) + _size(other.shares[before:])
             more[i] = max(more.get(i, 0.0), own)
     else:
         now.open = True
     now.count = after
-    return [now.rounded(one.value, one.shares, more.get(i, 0.0)) for i, one in enumerate(first)], several
+    return [now.rounded(one.value, one.shares, one.bound, more.get(i, 0.0)) for i, one in enumerate(first)], several

@@ -176,7 +176,7 @@ def test_same_bytes_in_another_process(names, folder, first):
 
 
 @pytest.mark.parametrize("name", ["gains", "force", "impedance", "identify", "derive"])
-def test_without_json_it_is_read_by_people(name, capsys, folder, tmp_path):
+def test_without_json_it_is_read_by_people(name, capsys, folder, tmp_path, no_walls):
     line, _ = DOCUMENTS[name]
     words = line.format(record=folder / "record.npz", axis=folder / "axis.toml", out=tmp_path / "out").split()
     assert app.run(words) == 0
