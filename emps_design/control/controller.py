@@ -370,11 +370,7 @@ def _minus_3_db(response: Callable[[np.ndarray], np.ndarray], grid: np.ndarray) 
     below = np.flatnonzero(size < level)
     if not below.size or not level:
         return None
-    low, high = np.log(grid[below[0] - 1]), np.log(grid[below[0]])
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        if abs(response(np.exp(np.array([middle])))[0]) < level:
-            high = middle
-        else:
-            low = middle
-    return float(np.exp(0.5 * (low + high)))
+    from scipy.optimize import brentq
+
+    low, high = np.log(grid[below[0] - 1 : below[0] + 1])
+    return float(np.exp(brentq(lambda x: abs(response(np.exp(np.array([x])))[0]) - level, low, high, xtol=1e-14)))
