@@ -12,7 +12,7 @@ the data explain.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -37,6 +37,7 @@ MANY = 400  # lines that a fit takes, evenly among more
 NEAR = 4  # lines on either side, whose deviations tell what a line's own one should be
 ALIKE = 2.0  # factor within which they do
 FIRST_STEPS, MOST_STEPS = 30, 200  # of a fit: from every start, and of the best among them
+SMALL = np.finfo(float).eps ** 0.5  # step of a parameter for its slope
 APART = 1.15  # of a resonance to its antiresonance, where a fit starts without knowing
 
 
@@ -125,17 +126,21 @@ def _fitted(response: FrequencyResponse, starts: Sequence[tuple[Any, Any, Any]],
 
         def residual(x: np.ndarray, n: int = n, scale: np.ndarray = scale) -> np.ndarray:
             gap = np.log(chain_response(x * scale, n, s) / response.response) * weight
-            return np.concatenate([gap.real, gap.imag])
+            return np.concatenate([gap.real, gap.imag], axis=-1)
+
+        def slopes(x: np.ndarray, residual: Callable[..., np.ndarray] = residual) -> np.ndarray:
+            step = SMALL * np.maximum(np.abs(x), 1.0)  # of all parameters at once
+            return (residual(x + np.diag(step)) - residual(x)).T / step
 
         start = np.concatenate([np.log(values), [0.0, delay / scale[-1]]])
-        found = least_squares(residual, start, x_scale="jac", max_nfev=FIRST_STEPS)
+        found = least_squares(residual, start, slopes, x_scale="jac", max_nfev=FIRST_STEPS)
         if best is None or found.cost < best[0].cost:
-            best = found, residual, scale, n
+            best = found, residual, slopes, scale, n
     if best is None:
         return None
-    found, residual, scale, n = best
+    found, residual, slopes, scale, n = best
     if found.status == 0:  # not at an end yet
-        found = least_squares(residual, found.x, x_scale="jac", max_nfev=MOST_STEPS)
+        found = least_squares(residual, found.x, slopes, x_scale="jac", max_nfev=MOST_STEPS)
     theta, count = found.x * scale, 2 * len(response)
     misfit = float(np.sqrt(2.0 * found.cost / (count - theta.size)))
     jacobian = found.jac / scale

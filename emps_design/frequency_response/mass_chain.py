@@ -147,18 +147,18 @@ class MassChain:
 
 
 def chain_response(theta: np.ndarray, n: int, s: np.ndarray) -> np.ndarray:
-    """Force to velocity (m,) at ``s`` (m,) [rad/s] of ``n`` masses; ``theta`` as :class:`MassChain` has it."""
-    masses, springs, dampers = split(theta, n)
+    """Force to velocity (..., m) at ``s`` (m,) [rad/s] of ``n`` masses; ``theta`` (..., p) as :class:`MassChain` has it."""
+    masses, springs, dampers = (np.moveaxis(part, -1, 0)[..., None] for part in split(theta, n))
     impedance = masses[-1] * s
     for mass, spring, damper in zip(masses[-2::-1], springs[::-1], dampers[::-1], strict=True):
         impedance = mass * s + 1.0 / (1.0 / (spring / s + damper) + 1.0 / impedance)
-    return np.exp(-s * theta[-1]) / (theta[-2] + impedance)
+    return np.exp(-s * theta[..., -1:]) / (theta[..., -2:-1] + impedance)
 
 
 def split(theta: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Masses, springs and dampers of ``theta``."""
-    values = np.exp(np.clip(theta[:-2], -200.0, 200.0))
-    return values[:n], values[n : 2 * n - 1], values[2 * n - 1 :]
+    """Masses, springs and dampers of ``theta`` (..., p)."""
+    values = np.exp(np.clip(theta[..., :-2], -200.0, 200.0))
+    return values[..., :n], values[..., n : 2 * n - 1], values[..., 2 * n - 1 :]
 
 
 def coupling_of(theta: np.ndarray) -> tuple[float, float, float]:
