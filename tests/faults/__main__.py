@@ -1,9 +1,9 @@
 """Put faults into the code, one at a time, and ask the tests: ``python -m tests.faults`` (``make faults``).
 
-Each ``*.patch`` beside this file is one fault. It is applied to a copy of the working tree; the doctests and the unit
-tests of its room run first, then all tests that import the room, the whole suite if none of those fails. Prints a row
-for each fault with the first test that failed, and writes all of them to ``--out``. A fault that nothing finds gives
-exit status 1.
+Each ``*.patch`` beside this file is one fault; its first line names the test that found it last. It is applied to a
+copy of the working tree. That test runs first, then the doctests and the unit tests of the fault's room, all tests that
+import the room, and the whole suite, until one fails. Prints a row for each fault with that test, and writes all of
+them to ``--out``, and with ``--renew`` into the patches. A fault that nothing finds gives exit status 1.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent
 REPOSITORY = FOLDER.parents[1]
+FOUND_BY = "Found by "
 LEFT_OUT = shutil.ignore_patterns(".git", ".venv", "build", ".mypy_cache", ".pytest_cache", ".hypothesis")
 
 
@@ -27,6 +28,23 @@ def room(patch: Path) -> str:
     """The folder of the package that the fault is in, or the name of its module at the top."""
     line = next(line for line in patch.read_text(encoding="utf-8").splitlines() if line.startswith("+++ "))
     return line.partition("emps_design/")[2].split("/")[0].removesuffix(".py")
+
+
+def last(tree: Path, patch: Path) -> list[str]:
+    """The test that found the fault last, if it is still there."""
+    line = patch.read_text(encoding="utf-8").partition("\n")[0]
+    file, _, function = line.removeprefix(FOUND_BY).partition("::")
+    place = tree / file
+    known = line.startswith(FOUND_BY) and place.exists() and function.partition("[")[0] in place.read_text("utf-8")
+    return [f"{file}::{function}"] if known else []
+
+
+def renew(patch: Path, test: str) -> None:
+    """Write into ``patch`` that ``test`` found it."""
+    text = patch.read_text(encoding="utf-8")
+    if text.startswith(FOUND_BY):
+        text = text.partition("\n")[2]
+    patch.write_text(f"{FOUND_BY}{test}\n{text}", encoding="utf-8")
 
 
 def own(tree: Path, name: str) -> list[str]:
@@ -50,27 +68,16 @@ def apply(tree: Path, patch: Path, *options: str) -> None:
 
 
 def first_failure(tree: Path, tests: list[str], workers: str) -> str | None:
-    """The first test that fails, None where all pass."""
+    """The first of the ``tests`` that fails, of all where there are none; None where all pass."""
     # The copy is first on the path of what the tests start, too: the package may be installed from elsewhere.
     environment = {**os.environ, "PYTHONPATH": str(tree), "EMPS_DESIGN_DATA": data(), "PYTHONHASHSEED": "0"}
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-x",
-        "-n",
-        workers,
-        "--dist",
-        "worksteal",
-        "--no-header",
-        "-rfE",
-        *tests,
-    ]
+    several = ["-n", workers, "--dist", "worksteal"] if not tests or "::" not in tests[0] else []
+    command = [sys.executable, "-m", "pytest", "-x", *several, "--no-header", "-rfE", *tests]
     done = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True, check=False)
     if done.returncode == 0:
         return None
     failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
-    return failed[0].split(" - ")[0] if failed else f"pytest ended with {done.returncode}"
+    return failed[0].split(" - ")[0].partition(" ")[2] if failed else f"pytest ended with {done.returncode}"
 
 
 def data() -> str:
@@ -82,6 +89,7 @@ def main() -> int:
     parser.add_argument("names", nargs="*", help="faults to try, all without")
     parser.add_argument("--workers", default="2")
     parser.add_argument("--near", action="store_true", help="only the tests that import the room of a fault")
+    parser.add_argument("--renew", action="store_true", help="write the test that found a fault into its patch")
     parser.add_argument("--out", type=Path, default=REPOSITORY / "build" / "faults.json")
     options = parser.parse_args()
     patches = [patch for patch in sorted(FOLDER.glob("*.patch")) if not options.names or patch.stem in options.names]
@@ -93,9 +101,12 @@ def main() -> int:
             start = time.perf_counter()
             apply(tree, patch)
             name = room(patch)
-            steps = [own(tree, name), near(tree, name), *([] if options.near else [[]])]
+            steps = list(filter(None, (last(tree, patch), own(tree, name), near(tree, name))))
+            steps += [] if options.near else [[]]
             failed = next(filter(None, (first_failure(tree, tests, options.workers) for tests in steps)), None)
             apply(tree, patch, "-R")
+            if options.renew and failed:
+                renew(patch, failed)
             seconds = time.perf_counter() - start
             rows.append({"fault": patch.stem, "room": name, "failed": failed, "seconds": round(seconds, 1)})
             print(f"{patch.stem:<40}{failed or 'NOT FOUND':<100}{seconds:7.1f} s", flush=True)
