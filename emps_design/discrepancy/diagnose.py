@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from emps_design.axis import Axis
 from emps_design.discrepancy import rules
+from emps_design.discrepancy.along_motion.route import diagnose_along_motion, too_slow
+from emps_design.discrepancy.checks.kept_closed import Confirming
 from emps_design.discrepancy.checks.long_records import beginnings, look_at_the_rest
 from emps_design.discrepancy.checks.preparation import Preparation, prepare
 from emps_design.discrepancy.explain.explanation import explain
@@ -20,6 +22,8 @@ from emps_design.discrepancy.search.suspects import at_first_sight, told
 from emps_design.discrepancy.validation.closest import closest_of
 from emps_design.discrepancy.validation.verdict import Validation, validate
 from emps_design.effects import Effect, known_effects
+from emps_design.errors import EmpsError, RecordError, SimulationError
+from emps_design.laws import NONE
 from emps_design.progress import Progress, of_part, untold
 from emps_design.records import Record
 
@@ -60,36 +64,74 @@ def diagnose(
     report, hears = _forward(progress or untold), searched or (lambda model: None)
     records = (records,) if isinstance(records, Record) else tuple(records)
     library = tuple(known_effects().values() if library is None else library)
+
+    def along_motion() -> Diagnosis:
+        return diagnose_along_motion(records, axis, library, holdout, (fit_time, confirm_time), report, hears)
+
     # The matrices here are tall and thin: BLAS threads would only spin, and the fits run side by side already.
     with threadpool_limits(1):
-        report("checking the records and the controller's law", 0.02)
-        parts = beginnings(records, fit_time, confirm_time)
-        searching = of_part(report, 0.1, 0.8)
+        if too_slow(records):
+            return along_motion()
+        try:
+            asked = Asked(records, axis, library, holdout, fit_time, confirm_time)
+            return _by_simulation(asked, seed, searches, report, hears, closest)
+        except (SimulationError, RecordError) as error:
+            if axis.controller.kind != NONE:
+                raise
+            try:
+                return along_motion()
+            except EmpsError:
+                raise error from None
 
-        def validated(preparation: Preparation) -> Validation:
-            seen = told(at_first_sight(preparation.start, preparation.library))
-            report(f"fitting the baseline{seen}", 0.05)
-            rough, floor = first_noise(preparation)
-            part = of_part(searching, *SEARCHES[0])
-            outcome = search_or_kind(calibrate(preparation, rough, floor, seed, searches, part), part)
-            hears(outcome.best.model.to_axis(axis))
-            outcome = _repeated(outcome, seed, searches, searching)
-            hears(outcome.best.model.to_axis(axis))
-            report("confirming on data not used so far", 0.9)
-            return validate(outcome, of_part(searching, *CONFIRMATION))
 
-        preparation = prepare(parts, axis, library, holdout, fit_time, confirm_time)
-        validation = validated(preparation)
-        if preparation.confirming.chosen == "kept" and _differs_there(validation):
-            opened = preparation.confirming.opened
-            whole = validated(prepare(parts, axis, library, None, fit_time, None, opened))
-            if whole.extended.model.names:
-                preparation, validation = whole.outcome.calibration.preparation, whole
-        rest, more = look_at_the_rest(records, parts, preparation.laws, validation.extended)
-        if closest:
-            report("looking for the model that follows most closely", 0.95)
-        following = closest_of(validation) if closest else None
-        return explain(validation.beside_something_unknown() if more else validation, rest, following)
+@dataclass(frozen=True)
+class Asked:
+    """What :func:`diagnose` was asked, but for how."""
+
+    records: tuple[Record, ...]
+    axis: Axis
+    library: tuple[Effect, ...]
+    holdout: Record | None
+    fit_time: tuple[float, float] | None
+    confirm_time: tuple[float, float] | None
+
+    def prepared(self, parts: tuple[Record, ...], opened: Confirming | None = None) -> Preparation:
+        """The first stage on ``parts`` of the records, all of them fitted where what was kept is ``opened``."""
+        confirms = (self.holdout, self.fit_time, self.confirm_time) if opened is None else (None, self.fit_time, None)
+        return prepare(parts, self.axis, self.library, *confirms, opened)
+
+
+def _by_simulation(
+    asked: Asked, seed: int, searches: int, report: Progress, hears: Callable[[Axis], None], closest: bool
+) -> Diagnosis:
+    """Diagnose by closed-loop simulations of the records."""
+    report("checking the records and the controller's law", 0.02)
+    parts = beginnings(asked.records, asked.fit_time, asked.confirm_time)
+    searching = of_part(report, 0.1, 0.8)
+
+    def validated(preparation: Preparation) -> Validation:
+        seen = told(at_first_sight(preparation.start, preparation.library))
+        report(f"fitting the baseline{seen}", 0.05)
+        rough, floor = first_noise(preparation)
+        part = of_part(searching, *SEARCHES[0])
+        outcome = search_or_kind(calibrate(preparation, rough, floor, seed, searches, part), part)
+        hears(outcome.best.model.to_axis(asked.axis))
+        outcome = _repeated(outcome, seed, searches, searching)
+        hears(outcome.best.model.to_axis(asked.axis))
+        report("confirming on data not used so far", 0.9)
+        return validate(outcome, of_part(searching, *CONFIRMATION))
+
+    preparation = asked.prepared(parts)
+    validation = validated(preparation)
+    if preparation.confirming.chosen == "kept" and _differs_there(validation):
+        whole = validated(asked.prepared(parts, preparation.confirming.opened))
+        if whole.extended.model.names:
+            preparation, validation = whole.outcome.calibration.preparation, whole
+    rest, more = look_at_the_rest(asked.records, parts, preparation.laws, validation.extended)
+    if closest:
+        report("looking for the model that follows most closely", 0.95)
+    following = closest_of(validation) if closest else None
+    return explain(validation.beside_something_unknown() if more else validation, rest, following)
 
 
 def _differs_there(validation: Validation) -> bool:

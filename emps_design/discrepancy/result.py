@@ -182,7 +182,7 @@ class Diagnosis:
         | ``experiment`` | :meth:`Experiment.to_dict`: what would separate what these data cannot, or None |
         | ``response`` | of records with an excitation: {coupling, model}, as those of ``frf --json`` |
         | ``closest`` | where asked for: {text, model_file, effects, gap, gap_inverse_60hz, share_of_force} |
-        | ``held_out`` | {what, chosen: "given", "kept" or "none", time [s] or None, text}: what ``gap.holdout`` is of |
+        | ``held_out`` | {what, chosen: given, kept, in turn or none, time [s] or None, text} of ``gap.holdout`` |
         | ``records`` | [{name, role, sha256}] with role "train" or "holdout" |
         | ``calibration`` | str, how the threshold was found |
         | ``assumptions``, ``warnings`` | [str] |

@@ -7,7 +7,6 @@ SHORTEST = 2.0  # s
 STILL = 1e-4  # m, a reference that moves less is no motion
 AT_LIMIT = 0.999  # of the voltage limit, from which on a sample counts as limited
 SATURATED = 0.5  # share of samples at the voltage limit beyond which nothing can be judged
-PERIODS_ALIKE = 1e-4  # relative difference of two sampling periods that count as one
 ONE_SPEED = 0.25  # of the mean speed: less deviation from it tells neither mass nor friction
 FEWEST_TO_FIT = 500  # samples
 FEWEST_TO_SELECT = 200  # samples

@@ -33,6 +33,7 @@ TWICE = 2.0  # times as large the error of held-out strokes is without a term th
 LEVEL = 0.01  # at which a smaller error in the mean stroke is no chance
 POWERS = tuple(np.geomspace(LOWEST, HIGHEST, 8).tolist())  # of a bent friction, that are tried
 FEWEST_STROKES = 3
+RESISTS = ("mass", "viscous", "coulomb")  # parameters that are nothing at least, the first of a model
 
 
 def proposed_for(record: Record, axis: Axis, request: Request) -> tuple[str, ...]:
@@ -79,9 +80,13 @@ def proposed_terms(record: Record, axis: Axis, friction: str, cutoff: float) -> 
 
 
 class Strokes:
-    """The strokes of a ``filtered`` record, by the rests between them, each to be predicted from others."""
+    """The strokes of a ``filtered`` record, by the rests between them, each to be predicted from others.
 
-    def __init__(self, filtered: Filtered, friction: str) -> None:
+    ``bounded``: by no model in which mass or friction is less than nothing.
+    """
+
+    def __init__(self, filtered: Filtered, friction: str, bounded: bool = False) -> None:
+        self.resists = sum(one.name in RESISTS for one in Model(friction).quantities) if bounded else 0
         every = filtered.resolved_steps
         bounds = stretches(filtered.used[::every])
         part = np.concatenate([np.arange(start, stop) for start, stop in bounds] or [np.zeros(0, int)])
@@ -101,29 +106,76 @@ class Strokes:
             term: rows(islice(Model(friction, (term,)).columns(moved), own, None)) for term in TERMS if term != BENT
         }
         self.bent = rows(powered(moved.v, power) for power in POWERS)
+        self.rows = rows
 
     def errors(self, terms: Sequence[str]) -> np.ndarray:
         """Sum of squares (strokes,) of the error with which each is predicted by a model with ``terms``, [N^2]."""
-        W = np.column_stack([self.W, *(self.beside[term] for term in terms if term != BENT)])
-        forms = [W]
-        if BENT in terms:
-            forms = [np.column_stack([W[:, :VISCOUS], bent, W[:, VISCOUS + 1 :]]) for bent in self.bent.T]
-        error = np.zeros(len(W))
+        return self.by_stroke(self.left(terms) ** 2)
+
+    def by_stroke(self, values: np.ndarray) -> np.ndarray:
+        """The sum (strokes,) of ``values`` (rows,) over each stroke."""
+        return np.bincount(self.stroke, values, self.count)
+
+    def left(self, terms: Sequence[str], others: Sequence[np.ndarray] = (), known: Strokes | None = None) -> np.ndarray:
+        """Error (rows,) [N] with which each row is predicted by what the other parts say of a model with ``terms``.
+
+        ``others`` are columns (rows, k) of further forces beside them. With the strokes ``known`` of another record
+        what those say, all together, predicts.
+        """
+        forms = self._forms(terms, others)
+        error = np.zeros(len(self.Y))
+        if known is not None:
+            told, which = known._told(known._forms(terms), np.ones(len(known.Y), bool))
+            return self.Y - forms[which] @ told
         for fold in np.unique(self.fold):
             out = self.fold == fold
-            tried = [(form, *np.linalg.lstsq(form[~out], self.Y[~out], rcond=None)) for form in forms]
-            left = [float(np.sum((form[~out] @ value - self.Y[~out]) ** 2)) for form, value, *_ in tried]
-            form, value = tried[int(np.argmin(left))][:2]
-            error[out] = self.Y[out] - form[out] @ value
-        return np.bincount(self.stroke, error**2, self.count)
+            value, which = self._told(forms, ~out)
+            error[out] = self.Y[out] - forms[which][out] @ value
+        return error
+
+    def _forms(self, terms: Sequence[str], others: Sequence[np.ndarray] = ()) -> list[np.ndarray]:
+        """The regressor (rows, p) with ``terms`` and ``others``; of a bent friction, one with each power."""
+        W = np.column_stack([self.W, *(self.beside[term] for term in terms if term != BENT), *others])
+        if BENT not in terms:
+            return [W]
+        return [np.column_stack([W[:, :VISCOUS], bent, W[:, VISCOUS + 1 :]]) for bent in self.bent.T]
+
+    def _told(self, forms: list[np.ndarray], rows: np.ndarray) -> tuple[np.ndarray, int]:
+        """What ``rows`` (rows,) bool say, (p,), of the one of ``forms`` that leaves least of them, and which it is."""
+        tried = [solved(form[rows], self.Y[rows], self.resists) for form in forms]
+        left = [
+            float(np.sum((form[rows] @ value - self.Y[rows]) ** 2)) for form, value in zip(forms, tried, strict=True)
+        ]
+        which = int(np.argmin(left))
+        return tried[which], which
 
     def ask_for(self, whole: np.ndarray, without: np.ndarray) -> bool:
         """Whether a term without which the errors (strokes,) are ``without`` in place of ``whole`` is asked for."""
-        from scipy.stats import t as student
-
         more, power = float(without.sum() - whole.sum()), float(self.Y @ self.Y)
         if without.sum() < TWICE**2 * whole.sum() or more < LITTLE**2 * power:
             return False
+        return self.chance(whole, without) < LEVEL
+
+    def chance(self, whole: np.ndarray, without: np.ndarray) -> float:
+        """Probability that strokes alike differ by as much in the mean as the errors ``whole`` and ``without``."""
+        from scipy.stats import t as student
+
         gain = np.log(np.maximum(without, 1e-300)) - np.log(np.maximum(whole, 1e-300))
-        deviation = float(np.std(gain, ddof=1)) / np.sqrt(self.count)
-        return float(np.mean(gain)) > float(student.ppf(1.0 - LEVEL, self.count - 1)) * deviation
+        deviation = max(float(np.std(gain, ddof=1)) / np.sqrt(self.count), 1e-300)
+        return float(student.sf(float(np.mean(gain)) / deviation, self.count - 1))
+
+
+def solved(W: np.ndarray, Y: np.ndarray, resists: int = 0) -> np.ndarray:
+    """The solution (p,) of ``W X = Y`` by least squares, its first numbers that ``resists`` are nothing at least.
+
+    >>> solved(np.eye(2), np.array([-1.0, -2.0]), 1).tolist()
+    [0.0, -2.0]
+    """
+    value = np.linalg.lstsq(W, Y, rcond=None)[0]
+    if not np.any(value[:resists] < 0.0):
+        return np.asarray(value)
+    from scipy.optimize import lsq_linear
+
+    lower = np.where(np.arange(W.shape[1]) < resists, 0.0, -np.inf)
+    size = np.maximum(np.linalg.norm(W, axis=0), 1e-300)  # else the smallest numbers are those of the tolerance
+    return np.asarray(lsq_linear(W / size, Y, (lower, np.inf), method="bvls").x / size)

@@ -13,13 +13,13 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.laws import NONE, Law, law_of
 from emps_design.records import Record
+from emps_design.records.clock import same_period
 
 START_UP = 0.1  # s, after which what the law remembered before the first sample is forgotten
 FEWEST_AT_START = 8  # samples
 AT_LIMIT, BEYOND_LIMIT = 0.98, 1.02  # of the limit, between which a sample is at it
 SETTLING = 0.015  # s behind the limit, until filters have forgotten where the integrator had been
 AROUND = 3  # samples beside one with the motor switched off
-SAME_PERIOD = 1e-3  # of the axis's period
 PHASES, PHASE_LOOK = 16, 6000  # of a slower loop against the first sample, found on so many samples
 
 
@@ -51,7 +51,7 @@ def can_replay(axis: Axis, record: Record) -> bool:
         and record.has_reference
         and record.excitation is None
         and record.measured is None
-        and abs(record.period / axis.sampling.period - 1.0) < SAME_PERIOD
+        and same_period(record.period, axis.sampling.period)
         and law_of(axis, record.period, record.extra).follows != "rest position"
     )
 

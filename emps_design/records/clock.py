@@ -10,7 +10,7 @@ from emps_design.errors import RecordError
 
 LARGEST_JITTER = 0.2  # of a period: time that is quantised, not sampling that is irregular
 NOTED_JITTER = 0.01
-ON_THE_CLOCK = 1e-3  # of the axis's period: the stamps jitter, the drive's clock does not
+ON_THE_CLOCK = 1e-3  # of a period: the stamps jitter, the drive's clock does not
 SHORTEST_PERIOD, LONGEST_PERIOD = 1e-6, 0.1  # s
 GAP = 10.5  # periods without a sample: more than a lost telegram or two
 MOST_BRIDGED = 0.5  # of a record, that its gaps may be
@@ -62,7 +62,7 @@ def on_one_clock(
     jitter = float(np.sqrt(np.mean(np.square(away, out=away)))) / typical
     period = nominal(float(t[-1] - t[0]) / away.size)
     quantised = np.max(away) <= (LARGEST_JITTER * typical) ** 2
-    on_the_clock = jitter <= NOTED_JITTER or wanted is None or abs(period / wanted - 1.0) < ON_THE_CLOCK
+    on_the_clock = jitter <= NOTED_JITTER or wanted is None or same_period(period, wanted)
     if quantised and on_the_clock:
         notes = (f"t: sampling jitter of {100 * jitter:.2g} % rms of the period",) if jitter > NOTED_JITTER else ()
         return period, notes, None
@@ -94,6 +94,15 @@ def _rounded_to(t: np.ndarray, period: float) -> float:
             apart = np.ptp(t - period * np.arange(t.size))
             return float(digit) if digit <= 0.5 * period and apart <= digit * (1.0 + 1e-6) else 0.0
     return 0.0
+
+
+def same_period(one: float, other: float) -> bool:
+    """Whether two sampling periods [s] are one, as stamps tell them: within a thousandth of each other.
+
+    >>> same_period(0.0033338, 1.0 / 300.0), same_period(1e-3, 1.002e-3)
+    (True, False)
+    """
+    return abs(one / other - 1.0) < ON_THE_CLOCK
 
 
 def nominal(period: float) -> float:

@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from emps_design.errors import RecordError
+from emps_design.records.clock import same_period
 from emps_design.records.columns import OPTIONAL
 from emps_design.records.record import Record
 
 BRIDGE = 1.0  # s from one record to the next
-ALIKE = 1e-3  # of a period
 
 
 def joined(records: Sequence[Record], rotary: bool = False) -> Record:
@@ -29,7 +29,7 @@ def joined(records: Sequence[Record], rotary: bool = False) -> Record:
     """
     first, *others = records
     for one in others:
-        if abs(one.period / first.period - 1.0) > ALIKE:
+        if not same_period(one.period, first.period):
             raise RecordError(
                 f"{one.name}: found a sampling period of {1e3 * one.period:g} ms, expected {1e3 * first.period:g} ms "
                 f"of {first.name}; join records of one drive"

@@ -19,7 +19,8 @@ CROSSOVER, PHASE_MARGIN = 100.0, 60.0  # rad/s, deg: the specification of the pa
 
 def axis_before(extended: Axis, parameters: Mapping[str, Any]) -> Axis:
     """Return ``extended`` as it was without the effects found: its baseline refitted, from ``parameters``."""
-    baseline = {name: entry["baseline"]["value"] for name, entry in parameters.items() if entry.get("baseline")}
+    fitted = {name: entry["baseline"]["value"] for name, entry in parameters.items() if entry.get("baseline")}
+    baseline = {name: value for name, value in fitted.items() if value is not None}
     if "constant_force" in baseline:
         baseline["offset"] = baseline.pop("constant_force")
     return extended.replace(effects=[], mechanics=baseline)

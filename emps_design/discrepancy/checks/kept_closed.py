@@ -26,7 +26,8 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True)
 class Confirming:
-    """Which data confirm, in words: ``what`` they are, ``chosen`` "given", "kept" or "none", ``time`` [s] of a part.
+    """Which data confirm, in words: ``what`` they are, ``chosen`` "given", "kept", "in turn" or "none", ``time`` [s] of
+    a part.
 
     ``what`` says for "none" why nothing was kept.
     """
@@ -45,6 +46,8 @@ class Confirming:
         """What the errors and shares are of, for who reads the answer; nothing where a record was given for it."""
         if self.chosen == "kept":
             return f"Nothing was fitted to {self.what}, kept closed to confirm."
+        if self.chosen == "in turn":
+            return f"Each of {self.what} was predicted from the others: errors and shares are of what was not fitted."
         if self.chosen == "none":
             return (
                 f"Nothing was held out ({self.what}): errors and shares are of what was fitted; give another record as "

@@ -11,6 +11,7 @@ from emps_design.effects import Effect
 from emps_design.errors import RecordError
 from emps_design.laws import recorded_gains
 from emps_design.records import Record
+from emps_design.records.clock import same_period
 
 SLOWEST_PERIOD = 0.8 * 0.5 / CUTOFF_HZ  # s, for the filters of the missing force
 MEMORY = 1700  # bytes for each sample, measured on an hour at 1 kHz
@@ -23,8 +24,11 @@ ONE_SPEED = (
 DRIVE = {"gtau", "kp", "kv"}  # numbers of the drive that a record may carry
 
 
-def check_records(records: tuple[Record, ...], axis: Axis) -> list[str]:
-    """Refuse what cannot be judged; return what the records cannot tell, one sentence each."""
+def check_records(records: tuple[Record, ...], axis: Axis, along_motion: bool = False) -> list[str]:
+    """Refuse what cannot be judged; return what the records cannot tell, one sentence each.
+
+    ``along_motion``: nothing is simulated, so that any period will do, and no reference is needed.
+    """
     samples = sum(map(len, records))
     if samples > MOST_SAMPLES:
         raise RecordError(
@@ -34,12 +38,12 @@ def check_records(records: tuple[Record, ...], axis: Axis) -> list[str]:
     gaps: list[str] = []
     for record in records:
         period = axis.sampling.period
-        if abs(record.period / period - 1) > rules.PERIODS_ALIKE:
+        if not same_period(record.period, period):
             raise RecordError(
                 f"{record.name}: found a sampling period of {1e3 * record.period:g} ms, expected the axis's "
                 f"{1e3 * period:g} ms; records and axis must come from one drive"
             )
-        if record.period > SLOWEST_PERIOD:
+        if record.period > SLOWEST_PERIOD and not along_motion:
             raise RecordError(
                 f"{record.name}: found a sampling period of {1e3 * record.period:g} ms, expected at most "
                 f"{1e3 * SLOWEST_PERIOD:g} ms: forces are looked at up to {CUTOFF_HZ:g} Hz"
@@ -51,7 +55,7 @@ def check_records(records: tuple[Record, ...], axis: Axis) -> list[str]:
             )
         if np.ptp(record.q) < rules.STILL:
             raise RecordError(f"{record.name}: the axis does not move; record strokes in both directions")
-        if np.ptp(record.q_ref) < rules.STILL:
+        if np.ptp(record.q_ref) < rules.STILL and not along_motion:
             raise RecordError(
                 f"{record.name}: q_ref is constant, so the controller of the axis file did not make this motion; "
                 'without one (kind = "none") it is compared by its command'
@@ -71,7 +75,7 @@ def check_same_drive(record: Record, other: Record, axis: Axis) -> None:
 
     Gains that the controller of ``axis`` takes from each record may differ.
     """
-    if abs(record.period / other.period - 1) > rules.PERIODS_ALIKE:
+    if not same_period(record.period, other.period):
         raise RecordError(
             f"{other.name}: found a sampling period of {1e3 * other.period:g} ms, expected "
             f"{1e3 * record.period:g} ms of {record.name}; all records must come from one drive"

@@ -117,9 +117,7 @@ def experiment(outcome: Outcome, named: tuple[str, ...], equivalents: dict[str, 
 
 def what_to_record(hypothesis: Hypothesis, over: list[str]) -> Experiment:
     """The excitation that shows most of what a model leaves: the one that varies ``over``, what that depends on."""
-    name = EXPERIMENTS[over[0]] if over else "speed_staircase"
-    why = f"because what is left depends on {' and '.join(over[:2])}" if over else "to see what the rest depends on"
-    text = f"{instruction(name)}, {why}; diagnose the new record together with the old"
+    name, text = varies(over)
     if hypothesis.problem.follows:
         return Experiment(text)
     envelope = Envelope.of(hypothesis.problem.records)
@@ -127,6 +125,17 @@ def what_to_record(hypothesis: Hypothesis, over: list[str]) -> Experiment:
     if not _safe(hypothesis, reference, _extremes(*hypothesis.runs())):
         return Experiment(text)
     return Experiment(text, excitation=name, q_ref=reference, period=envelope.period)
+
+
+def varies(over: list[str]) -> tuple[str, str]:
+    """The excitation that varies what the rest depends ``over``, and what to do, in words.
+
+    >>> varies(["time"])[0]
+    'identical_laps'
+    """
+    name = EXPERIMENTS[over[0]] if over else "speed_staircase"
+    why = f"because what is left depends on {' and '.join(over[:2])}" if over else "to see what the rest depends on"
+    return name, f"{instruction(name)}, {why}; diagnose the new record together with the old"
 
 
 def choose(rivals: tuple[Fit, ...], threshold: float, noise: float = 1.0) -> Experiment | None:

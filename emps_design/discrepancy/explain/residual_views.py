@@ -35,18 +35,23 @@ class View:
 
 
 def views(
-    before: MissingForce, after: MissingForce, window: np.ndarray, floor: float, command_limit: float
+    before: MissingForce,
+    after: MissingForce,
+    window: np.ndarray,
+    floor: float,
+    command_limit: float,
+    cutoff_hz: float = CUTOFF_HZ,
 ) -> list[View]:
     """Residual force over each quantity it could depend on.
 
     Velocity, position (both ways), acceleration, motor force, what is left of the command to ``command_limit`` [V],
     time from a reversal, period of position, time, frequency: what the models before and after miss, on the samples
-    of ``window`` (n,) bool; ``floor`` [N] is the noise.
+    of ``window`` (n,) bool; ``floor`` [N] is the noise, low-passed at ``cutoff_hz`` [Hz].
     """
     motion = before.motion
     pairs = (before.force, after.force)
     # Low-passed at the cutoff, a signal has two independent values in each period of it.
-    noise = floor / np.sqrt(2 * CUTOFF_HZ * motion.period)
+    noise = floor / np.sqrt(2 * cutoff_hz * motion.period)
     result = [_binned("velocity", "m/s", motion.v, pairs, window, noise, 41)]
     for sign, title in ((1, "forwards"), (-1, "backwards")):
         moving = window & before.away & (sign * motion.v > 0)

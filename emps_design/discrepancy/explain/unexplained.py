@@ -104,6 +104,19 @@ def predicted(validation: Validation, confirming: bool = True) -> dict[str, floa
         used = extended.problem.masks("used")
         new = missing_force(Hypothesis(data.problem, validation.held_out.extended))
         there = data.problem.masks("used")
+    return depends_on(known, used, new, there)
+
+
+def depends_on(
+    known: tuple[MissingForce, ...],
+    used: tuple[np.ndarray, ...],
+    new: tuple[MissingForce, ...],
+    there: tuple[np.ndarray, ...],
+) -> dict[str, float]:
+    """Share of the force that is missing on ``new`` records, in the samples ``there``, that each variable predicts.
+
+    Fitted to what is missing on the ``known`` ones in the samples ``used``, both (n,) bool of each record.
+    """
     ranges = {name: _range(known, name) for name in VARIABLES}
     found = {}
     for name in VARIABLES:

@@ -1,0 +1,302 @@
+"""From records and an axis to a diagnosis along the measured motion: what was asked for, what is left, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.along_motion.balance import Balance, Fitted
+from emps_design.discrepancy.along_motion.names import Named, Tried
+from emps_design.discrepancy.checks.kept_closed import Confirming
+from emps_design.discrepancy.experiment.discrimination import Experiment, varies
+from emps_design.discrepancy.explain.extent import EVERYWHERE, described, extent
+from emps_design.discrepancy.explain.remarks import ASSUMPTIONS
+from emps_design.discrepancy.explain.residual_views import force_map, spectrum_over_time, views
+from emps_design.discrepancy.explain.unexplained import SAID, depends_on
+from emps_design.discrepancy.model.bootstrap import rms_interval
+from emps_design.discrepancy.model.candidate import BASELINE, LEAST_MASS
+from emps_design.discrepancy.model.whitening import Whitening
+from emps_design.discrepancy.result import Diagnosis, Finding
+from emps_design.discrepancy.search.noise_floor import Floor
+from emps_design.discrepancy.validation.gap import Gap, Prediction
+from emps_design.identification.proposals import TWICE
+from emps_design.identification.unexplained import LITTLE, MUCH, Unexplained
+from emps_design.observer import motor_force
+from emps_design.quantities import inside, rounded
+from emps_design.records import Record
+
+NOISE = "what does not come again with the same motion"
+BALANCED = (
+    "forces are balanced along the measured motion and nothing is simulated: of the effects only those are looked for "
+    "that the motion of a moment tells, {looked_for}"
+)
+BESIDE = 0.75  # samples, from which on a command is said to be logged beside the motion: instants are half a sample
+
+
+@dataclass(frozen=True)
+class Found:
+    """What was found on a ``balance``: the ``baseline`` and the ``extended`` model, with what of it is ``named``.
+
+    ``held_out`` are the errors of both models (rows,) [N] on the strokes that ``confirming`` speaks of, None for none;
+    ``other`` is the balance of a record that was held out. ``records`` are as they were given; ``warnings`` what they
+    cannot tell.
+    """
+
+    records: tuple[Record, ...]
+    balance: Balance
+    baseline: Fitted
+    extended: Fitted
+    named: tuple[Named, ...]
+    tried: Sequence[Tried]
+    confirming: Confirming
+    held_out: tuple[np.ndarray, np.ndarray] | None
+    other: Balance | None
+    warnings: tuple[str, ...]
+
+    @property
+    def left(self) -> Unexplained:
+        """What the extended model leaves, and how much of it comes again with the motion."""
+        told = self.extended.found.extra["unexplained"]
+        return Unexplained(told["share"], told["structure"], told["passes"], told["widening"])
+
+    @property
+    def off(self) -> list[int]:
+        """Places in the baseline at which the axis file is off: clearly, and by more than next to nothing."""
+        given, places = self.balance.axis.mechanics.array(), []
+        for place, quantity in enumerate(BASELINE):
+            if quantity.name in self.extended.determined:
+                value, std = self.extended.parameters[quantity.name], self.extended.deviation(quantity.name)
+                apart = abs(value - given[place])
+                if apart > rules.OFF_SURELY * std and apart > rules.OFF * max(abs(value), abs(given[place])):
+                    places.append(place)
+        return places
+
+    @property
+    def verdict(self) -> str:
+        """The contract's verdict: what is left counts where it comes again with the motion, or is much."""
+        if self.named:
+            alike = any(one.equivalents for one in self.named)
+            return "partly-named" if self.left.matters else "ambiguous" if alike else "named"
+        if self.left.matters:
+            return "unnamed"
+        return "parameters-only" if self.off else "nothing-missing"
+
+
+def answer(found: Found, axis: Axis) -> Diagnosis:
+    """The diagnosis of what was ``found`` on the machine of ``axis``."""
+    balance, used = found.balance, found.balance.used
+    before, after = (balance.missing(one) for one in (found.baseline, found.extended))
+    forces = balance.filtered.force[balance.filtered.used]
+    gap = _gap(*(balance.left(one)[balance.filtered.used] for one in (found.baseline, found.extended)))
+    left, noise = found.left, found.left.noise * float(np.sqrt(np.mean(forces**2)))
+    ratio = noise / max(gap.extended, 1e-300)
+    low, high = (ratio * end for end in gap.intervals["extended"])
+    floor = Floor(noise, noise, (low, high), (low, high), Whitening.none(), np.zeros(0), NOISE)
+    findings = tuple(_finding(found, one) for one in found.named)
+    limit = balance.axis.drive.command_limit
+    drawn = views(before, after, used, noise, limit, balance.cutoff)
+    drawn.sort(key=lambda view: view.quantity != (found.named[0].effect.over if found.named else ""))
+    too_fast = f"Nothing above {balance.filtered.band_hz:.2g} Hz can be told"
+    details: dict[str, Any] = {
+        "simulation": "inverse model",
+        "candidates": [_candidate(one) for one in found.tried],
+        "parameters": _parameters(found),
+        "not_excluded": [],
+        "records": _records(found),
+        "held_out": found.confirming.to_dict(),
+        "calibration": (
+            f"A finding must lower the error of strokes that took no part in its fit {TWICE:g} times or more, in one "
+            f"stroke after the other and not by chance, beside all other findings, and by more than {100 * LITTLE:g} % "
+            "of the force."
+        ),
+        "assumptions": [*ASSUMPTIONS, BALANCED.format(looked_for=_looked_for(found))],
+        "warnings": [*_warnings(found), too_fast],
+        "rest": (too_fast,),
+        "spectrum_over_time": spectrum_over_time(before),
+        "interrupted": False,
+    }
+    over: list[str] = []
+    if found.verdict == "parameters-only":
+        given = balance.axis.mechanics.array()
+        details["changed"] = ", ".join(
+            f"{BASELINE[i].name.replace('_', ' ')} {given[i]:.5g} -> "
+            f"{found.extended.parameters[BASELINE[i].name]:.5g} {BASELINE[i].unit}"
+            for i in found.off
+        )
+    if left.matters:
+        details["unexplained"] = _unexplained(found, gap, noise)
+        over = details["unexplained"]["over"]
+    experiment = None
+    if left.matters:
+        experiment = Experiment(varies(over)[1])
+    elif found.named:
+        experiment = Experiment(found.named[0].effect.experiment)
+    return Diagnosis(
+        verdict=found.verdict,
+        findings=findings,
+        axis=_axis(found, axis),
+        noise=floor,
+        train=gap,
+        holdout=None if found.held_out is None else _gap(*found.held_out),
+        trace=_trace(found),
+        views=tuple(drawn),
+        details=details,
+        experiment=experiment,
+    )
+
+
+def _gap(before: np.ndarray, after: np.ndarray) -> Gap:
+    """The gap of two models by their errors (rows,) [N]: an inverse model's, unfiltered or not."""
+    sizes = [float(np.sqrt(np.mean(error**2))) for error in (before, after)]
+    ends = [rms_interval(error) for error in (before, after)]
+    names = ("baseline", "extended", "baseline_60hz", "extended_60hz")
+    return Gap(sizes[0], sizes[1], sizes[0], sizes[1], dict(zip(names, [*ends, *ends], strict=True)))
+
+
+def _finding(found: Found, one: Named) -> Finding:
+    balance, units = found.balance, {p.name: p.unit for p in one.effect.parameters}
+    left = [balance.left(model)[balance.filtered.used] for model in (one.without, found.extended)]
+    before, after = (float(np.sqrt(np.mean(error**2))) for error in left)
+    where = described(extent(balance.record, balance.along(one.force), balance.used))
+    return Finding(
+        effect=one.effect.name,
+        label=one.effect.label,
+        channel=one.effect.channel,
+        where=where,
+        parameters={
+            name: {"value": float(value), "std": one.std[name], "unit": units[name]}
+            for name, value in one.parameters.items()
+        },
+        p_value=one.chance,
+        gap_before=before,
+        gap_after=after,
+        confirmed=one.confirmed,
+        equivalents=one.equivalents[: rules.MOST_EQUIVALENTS],
+        remedy=one.effect.remedy,
+    )
+
+
+def _candidate(one: Tried) -> dict[str, Any]:
+    return {
+        "effect": one.effect.name,
+        "label": one.effect.label,
+        "gap": one.error,
+        "statistic": one.times,
+        "threshold": TWICE,
+        "accepted": one.accepted,
+        "note": "times as large the error of held-out strokes is without it",
+    }
+
+
+def _parameters(found: Found) -> dict[str, Any]:
+    """The baseline's numbers: the axis file's, fitted alone, and beside the effects; None where not determined."""
+    given, table = found.balance.axis.mechanics.array(), {}
+    for place, quantity in enumerate(BASELINE):
+        entry = {"unit": quantity.unit, "axis": float(given[place])}
+        for name, fitted in (("baseline", found.baseline), ("extended", found.extended)):
+            told = quantity.name in fitted.determined
+            value = float(fitted.model.baseline(_whole(fitted))[place]) if told else None
+            entry[name] = {"value": value, "std": fitted.deviation(quantity.name) if told else None}
+        table[quantity.name] = entry
+    return table
+
+
+def _whole(fitted: Fitted) -> dict[str, float]:
+    return {"constant_force": 0.0, **fitted.parameters}
+
+
+def _axis(found: Found, axis: Axis) -> Axis:
+    """``axis`` with what was found; a number that is not determined stays as it was."""
+    from emps_design.identification.known import identified_effects
+
+    given, own = axis.mechanics.array(), found.extended.model.baseline(_whole(found.extended))
+    told = [quantity.name in found.extended.determined for quantity in BASELINE]
+    numbers = [float(new if known else old) for new, old, known in zip(own, given, told, strict=True)]
+    numbers[0] = max(numbers[0], LEAST_MASS * float(given[0]))
+    mechanics = dict(zip(("mass", "viscous", "coulomb", "offset"), numbers, strict=True))
+    effects = identified_effects(found.extended.model, found.extended.parameters) if found.named else []
+    return axis.replace(mechanics=mechanics, effects=effects)
+
+
+def _records(found: Found) -> list[dict[str, Any]]:
+    roles = [(record, "train") for record in found.records]
+    if found.other is not None and found.confirming.time is None:
+        roles.append((found.other.record, "holdout"))
+    return [{"name": record.name, "role": role, "sha256": record.sha256} for record, role in roles]
+
+
+def _trace(found: Found) -> Prediction:
+    """What both models make of the held-out record, or of the training record, and what was measured."""
+    balance = found.other or found.balance
+    measured = motor_force(balance.axis, balance.record)
+    missing = [balance.missing(one).force for one in (found.baseline, found.extended)]
+    return Prediction(
+        balance.record,
+        measured,
+        measured - missing[0],
+        measured - missing[1],
+        balance.used,
+        found.confirming.time if found.other is not None else None,
+    )
+
+
+def _looked_for(found: Found) -> str:
+    labels = [inside(one.effect.label) for one in found.tried]
+    return ", ".join(labels) if labels else "none, for fewer than three strokes are between rests"
+
+
+def _unexplained(found: Found, gap: Gap, noise: float) -> dict[str, Any]:
+    """The contract's ``unexplained``: what comes again with the motion, or all that is left where none of it does."""
+    balance, again = found.balance, found.left.structure > LITTLE
+    seen, used = balance.missing(found.extended), balance.used
+    rms = float(np.sqrt(max(gap.extended**2 - noise**2, 0.0))) if again else gap.extended
+    share = min(1.0, rms**2 / max(gap.baseline**2 - (noise**2 if again else 0.0), rms**2, 1e-300))
+    fold = np.arange(len(balance.record)) * 10 // len(balance.record) % 2  # every second tenth of the record
+    shares = depends_on((seen,), (used & (fold == 0),), (seen,), (used & (fold == 1),))
+    over = [name for name in sorted(shares, key=lambda name: -shares[name]) if shares[name] > rules.DEPENDS]
+    where = described(extent(balance.record, seen.force, used, noise if again else 0.0))
+    place = "" if where["text"] == EVERYWHERE else f", most of it {where['text']}"
+    depends = "it depends on none of position, velocity, time and load alone"
+    if over:
+        parts = [f"{name} ({100 * shares[name]:.0f} %)" for name in over[:SAID]]
+        depends = f"it follows {' and '.join(parts)} on data that it was not fitted to"
+    size = f"{rounded(rms)} N rms over the noise" if again else f"{rounded(rms)} N rms"
+    of = f"{100 * found.left.share:.2g} % of the force"
+    text = f"{size}{place}, where the model leaves {of}; {depends}"
+    return {
+        "rms": rms,
+        "share": share,
+        "over": over,
+        "predicted": shares,
+        **where,
+        "text": text,
+        "place": where["text"],
+        "kind": "",
+        "record": "train",
+        "map": force_map(seen),
+    }
+
+
+def _warnings(found: Found) -> list[str]:
+    fitted, late = found.extended, found.balance.late
+    remarks = [*found.warnings]
+    if abs(late) > BESIDE:
+        remarks.append(
+            f"the command was logged {abs(late):.2g} samples {'after' if late > 0 else 'before'} what the motion "
+            "answers to, and is moved by that: less than two samples tell a drive that is late from none of the log's"
+        )
+    remarks += [text for text in fitted.found.warnings if " not determined: " in text]
+    if fitted.held:
+        remarks.append(f"{', '.join(fitted.held)}: held at nothing, for the record asks for less, which no axis has")
+    left = found.left
+    if left.share > MUCH and left.structure <= LITTLE:
+        remarks.append(
+            f"{100 * left.share:.2g} % of the force is left and does not come again with the motion: noise of the "
+            "command, or something that remembers what was before"
+        )
+    return remarks
